@@ -1,0 +1,43 @@
+"""Arrays as the project passes them: float64, checked once where they enter, read-only from then on."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+ArrayLike = npt.ArrayLike
+
+
+class ShapeError(ValueError):
+    """An array of the wrong shape or not finite; the text names it, what was expected and what came."""
+
+
+def checked(name: str, value: ArrayLike, shape: Sequence[int | None]) -> Array:
+    """Copy `value` into a read-only float64 array of the given shape.
+
+    Args:
+        name: What the array is called in the error text.
+        value: Anything numpy can turn into an array.
+        shape: Expected length per axis; None accepts any length.
+    Returns: A C-contiguous, read-only copy.
+    Raises: ShapeError: wrong number of axes, wrong length, not numeric, or not finite.
+    """
+    try:
+        array = np.array(value, dtype=np.float64, order="C")
+    except (TypeError, ValueError) as error:
+        raise ShapeError(f"{name}: expected an array of numbers, got {value!r}") from error
+    matches = array.ndim == len(shape) and all(
+        want is None or have == want for have, want in zip(array.shape, shape, strict=False)
+    )
+    if not matches:
+        expected = tuple("any" if want is None else want for want in shape)
+        raise ShapeError(f"{name}: expected shape {_text(expected)}, got {_text(array.shape)}")
+    if not np.isfinite(array).all():
+        raise ShapeError(f"{name}: expected finite numbers, got {array[~np.isfinite(array)][0]}")
+    array.setflags(write=False)
+    return array
+
+
+def _text(shape: Sequence[object]) -> str:
+    return "(" + ", ".join(str(length) for length in shape) + ")"

@@ -1,0 +1,156 @@
+"""Compiled model functions: built once per number of UAVs, kept on disk, called without copies through CasADi.
+
+Building the Jacobians symbolically takes a second for large N; every process of a run needs the same ones.
+They depend on N alone (physical parameters are arguments), so they are serialised under the user's cache
+folder and the next process loads them in milliseconds. A cache that cannot be read or written only costs time.
+"""
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+
+from model import dynamics, state
+from model.arrays import Array, ShapeError
+from model.dynamics import Symbols
+
+_FUNCTIONS = ("derivative", "tensions", "outputs", "linearise", "step")
+
+# Coefficients of the Dormand-Prince 5(4) pair (J. Comput. Appl. Math. 6, 1980): stages, 5th order, 4th order.
+_DP_STAGES: tuple[tuple[float, ...], ...] = (
+    (),
+    (1 / 5,),
+    (3 / 40, 9 / 40),
+    (44 / 45, -56 / 15, 32 / 9),
+    (19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729),
+    (9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656),
+    (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84),
+)
+_DP_FIFTH = (*_DP_STAGES[6], 0.0)
+_DP_FOURTH = (5179 / 57600, 0.0, 7571 / 16695, 393 / 640, -92097 / 339200, 187 / 2100, 1 / 40)
+
+
+class Compiled:
+    """A CasADi function behind preallocated buffers: arrays in, arrays out.
+
+    Args:
+        function: The CasADi function; inputs and outputs are treated as dense.
+    """
+
+    def __init__(self, function: ca.Function) -> None:
+        self._buffer, self._evaluate = function.buffer()
+        self._name: str = function.name()
+        self._arguments = [np.zeros(function.numel_in(i)) for i in range(function.n_in())]
+        # CasADi writes column by column.
+        self._results = [
+            np.zeros(function.numel_out(i)).reshape(function.size_out(i), order="F") for i in range(function.n_out())
+        ]
+        for i, argument in enumerate(self._arguments):
+            self._buffer.set_arg(i, memoryview(argument))
+        for i, result in enumerate(self._results):
+            self._buffer.set_res(i, memoryview(result.reshape(-1, order="A")))
+
+    def __call__(self, *arguments: Array | float) -> list[Array]:
+        """Evaluate.
+
+        Args:
+            arguments: One array (or float) per input, with that input's number of elements.
+        Returns: One fresh array per output; columns of width 1 come as vectors.
+        Raises: ShapeError: an argument of the wrong length.
+        """
+        for own, argument in zip(self._arguments, arguments, strict=True):
+            if np.size(argument) != own.size:
+                raise ShapeError(f"{self._name}: expected an argument of {own.size} numbers, got {np.size(argument)}")
+            own[:] = argument
+        self._evaluate()
+        return [r[:, 0].copy() if r.shape[1] == 1 else r.copy(order="F") for r in self._results]
+
+
+def functions(N: int) -> dict[str, ca.Function]:
+    """The CasADi functions of a system of N UAVs, from the cache when it holds them.
+
+    derivative  (x, u, p) -> x'
+    tensions    (x, u, p) -> rod tensions
+    outputs     (x, p) -> y
+    linearise   (x, u, p) -> x', A_c, B_c, y, C
+    step        (x, u, p, h) -> x after h seconds of constant u by one Dormand-Prince step and projection
+                of the rods, and the local error estimate before projection
+    """
+    path = _cache_path(N)
+    cached = _read_cache(path)
+    if cached is not None:
+        return cached
+    built = _build(N)
+    _write_cache(path, built)
+    return built
+
+
+def _build(N: int) -> dict[str, ca.Function]:
+    s = Symbols.of(N)
+    derivative, tensions = dynamics.state_derivative(s)
+    y = dynamics.outputs(s)
+    f = ca.Function("derivative", [s.x, s.u, s.p], [derivative])
+
+    h = ca.SX.sym("h")
+    slopes: list[ca.SX] = []
+    for coefficients in _DP_STAGES:
+        at = s.x + h * sum((a * k for a, k in zip(coefficients, slopes, strict=True)), start=ca.SX.zeros(s.x.shape))
+        slopes.append(f(at, s.u, s.p))
+    fifth = s.x + h * sum((b * k for b, k in zip(_DP_FIFTH, slopes, strict=True)), start=ca.SX.zeros(s.x.shape))
+    error = h * sum(
+        ((b5 - b4) * k for b5, b4, k in zip(_DP_FIFTH, _DP_FOURTH, slopes, strict=True)),
+        start=ca.SX.zeros(s.x.shape),
+    )
+    linearised = [derivative, ca.jacobian(derivative, s.x), ca.jacobian(derivative, s.u), y, ca.jacobian(y, s.x)]
+    return {
+        "derivative": f,
+        "tensions": ca.Function("tensions", [s.x, s.u, s.p], [tensions]),
+        "outputs": ca.Function("outputs", [s.x, s.p], [y]),
+        "linearise": ca.Function("linearise", [s.x, s.u, s.p], [ca.densify(value) for value in linearised]),
+        "step": ca.Function("step", [s.x, s.u, s.p, h], [dynamics.project(fifth, N), error]),
+    }
+
+
+def cache_folder() -> Path:
+    """Where compiled models are kept: $PAYLOAD_TRANSPORT_CACHE, or the user's cache folder."""
+    named = os.environ.get("PAYLOAD_TRANSPORT_CACHE")
+    if named:
+        return Path(named)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "payload-transport"
+
+
+def _cache_path(N: int) -> Path:
+    sources: Sequence[str | None] = (__file__, dynamics.__file__, state.__file__)
+    digest = hashlib.sha256(ca.__version__.encode())
+    for source in sources:
+        if source is not None:
+            digest.update(Path(source).read_bytes())
+    return cache_folder() / f"model-N{N}-{digest.hexdigest()[:16]}.casadi"
+
+
+def _read_cache(path: Path) -> dict[str, ca.Function] | None:
+    try:
+        content = path.read_bytes()
+    except OSError:
+        return None
+    checksum, _, body = content.partition(b"\n")
+    if hashlib.sha256(body).hexdigest().encode() != checksum:
+        return None  # cut or damaged: CasADi must never see it
+    parts = body.decode("latin-1").split("\n")
+    return {name: ca.Function.deserialize(part) for name, part in zip(_FUNCTIONS, parts, strict=True)}
+
+
+def _write_cache(path: Path, built: dict[str, ca.Function]) -> None:
+    body = "\n".join(built[name].serialize() for name in _FUNCTIONS).encode("latin-1")
+    checksum = hashlib.sha256(body).hexdigest().encode()
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
+            file.write(checksum + b"\n" + body)
+        os.replace(file.name, path)
+    except OSError:
+        return  # a read-only home is no reason not to fly

@@ -1,0 +1,152 @@
+"""The equations of motion, written once, as CasADi expressions.
+
+The paper's (7)-(9) are a linear system in (v0', omega0', Omega_1', ..., Omega_N'). Solving each rod's
+equation for Omega_i' and putting it into the other two leaves 6 unknowns, and every term of what is left
+is a rod tension: the payload feels nothing of the vehicles but -T_i along each rod. docs/equations.md
+derives it; a test compares it with the paper's own matrix (11).
+"""
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from model import state
+from model.rotations import euler_rates, rotation
+
+
+@dataclass(frozen=True, slots=True)
+class Symbols:
+    """The symbols of a system of N UAVs: state x, input u and parameter vector p, in their named parts.
+
+    p holds g, m0, the upper triangle of J0, and for each UAV m_i, the upper triangle of J_i, rho_i, l_i
+    (`System.vector` fills it): the expressions depend on N only, so compiled functions serve any system
+    of N UAVs.
+    """
+
+    N: int
+    x: ca.SX
+    u: ca.SX
+    p: ca.SX
+
+    @staticmethod
+    def of(N: int) -> "Symbols":
+        """Fresh symbols for N UAVs."""
+        return Symbols(N, ca.SX.sym("x", 12 + 12 * N), ca.SX.sym("u", 4 * N), ca.SX.sym("p", 8 + 11 * N))
+
+    @property
+    def gravity(self) -> ca.SX:
+        """g, m/s^2."""
+        return self.p[0]
+
+    @property
+    def payload_mass(self) -> ca.SX:
+        """m0, kg."""
+        return self.p[1]
+
+    @property
+    def payload_inertia(self) -> ca.SX:
+        """J0, (3, 3), payload frame, kg m^2."""
+        return _symmetric(self.p[2:8])
+
+    def uav(self, i: int) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+        """m_i (kg), J_i (3, 3, kg m^2), rho_i (3, m), l_i (m) of UAV i (0-based)."""
+        q = self.p[8 + 11 * i : 8 + 11 * (i + 1)]
+        return q[0], _symmetric(q[1:7]), q[7:10], q[10]
+
+
+def state_derivative(symbols: Symbols) -> tuple[ca.SX, ca.SX]:
+    """Right-hand side f(x, u) and the rod tensions.
+
+    Returns: x' (12 + 12 N), SI; tensions (N,), N, positive when the rod pulls.
+    Source: docs/equations.md (4)-(13); paper (2)-(11).
+    """
+    x, u, N = symbols.x, symbols.u, symbols.N
+    v0, omega0 = x[state.V0], x[state.OMEGA0]
+    R0 = rotation(x[state.THETA0])
+    g_P = symbols.gravity * R0[2, :].T  # gravity in the payload frame
+    J0 = symbols.payload_inertia
+
+    # 6 x 6 system in the payload's acceleration a0 = v0' + omega0 x v0 and omega0', both in payload frame.
+    M = ca.diagcat(symbols.payload_mass * ca.SX.eye(3), J0)
+    b = ca.vertcat(symbols.payload_mass * g_P, -ca.cross(omega0, J0 @ omega0))
+    rods = []
+    for i in range(N):
+        m, _, rho, length = symbols.uav(i)
+        block = x[state.uav_slice(i)]
+        e, Omega = block[state.E], block[state.ROD_RATE]
+        thrust = u[state.INPUTS * i]
+        # Specific force of the UAV alone: lift along -b3 of its body, and gravity.
+        s_P = g_P - thrust / m * (R0.T @ rotation(block[state.THETA])[:, 2])
+        centripetal = ca.cross(omega0, ca.cross(omega0, rho))
+        along = ca.dot(e, centripetal - s_P) + length * ca.dot(Omega, Omega)
+        wrench = ca.vertcat(e, ca.cross(rho, e))
+        M += m * (wrench @ wrench.T)
+        b -= m * along * wrench
+        rods.append((m, rho, length, e, Omega, s_P, centripetal, along, wrench))
+    acceleration = _solve_positive_definite(M, b)
+    a0, omega0_dot = acceleration[:3], acceleration[3:]
+
+    derivative = [R0 @ v0, a0 - ca.cross(omega0, v0), euler_rates(x[state.THETA0]) @ omega0, omega0_dot]
+    tensions = []
+    for i, (m, rho, length, e, Omega, s_P, centripetal, along, wrench) in enumerate(rods):
+        _, J, _, _ = symbols.uav(i)
+        block = x[state.uav_slice(i)]
+        omega = block[state.OMEGA]
+        tau = u[state.INPUTS * i + 1 : state.INPUTS * (i + 1)]
+        attachment = a0 + ca.cross(omega0_dot, rho) + centripetal  # acceleration of the attachment point
+        Omega_dot = ca.cross(e, attachment - s_P) / length - ca.cross(omega0, Omega)
+        omega_dot = _solve_positive_definite(J, tau - ca.cross(omega, J @ omega))
+        derivative += [ca.cross(Omega - omega0, e), Omega_dot, euler_rates(block[state.THETA]) @ omega, omega_dot]
+        tensions.append(m * (along + ca.dot(wrench, acceleration)))
+    return ca.vertcat(*derivative), ca.vertcat(*tensions)
+
+
+def uav_positions(symbols: Symbols) -> list[ca.SX]:
+    """r_i = r0 + R0 (rho_i - l_i e_i) for each UAV, (3,), inertial frame, m. Source: paper (1)."""
+    R0 = rotation(symbols.x[state.THETA0])
+    positions = []
+    for i in range(symbols.N):
+        _, _, rho, length = symbols.uav(i)
+        e = symbols.x[state.uav_slice(i)][state.E]
+        positions.append(symbols.x[state.R0] + R0 @ (rho - length * e))
+    return positions
+
+
+def outputs(symbols: Symbols) -> ca.SX:
+    """y = h(x) = [r_1..r_N, Theta_0, yaw rates of the UAVs], (4 N + 3), SI. Source: docs/equations.md (14)."""
+    yaw_rates = [symbols.x[state.uav_slice(i)][state.OMEGA][2] for i in range(symbols.N)]
+    return ca.vertcat(*uav_positions(symbols), symbols.x[state.THETA0], *yaw_rates)
+
+
+def project(x: ca.SX, N: int) -> ca.SX:
+    """Put the rods back on |e_i| = 1 and e_i . Omega_i = 0, which integration leaves by its local error."""
+    parts = [x[: state.PAYLOAD]]
+    for i in range(N):
+        block = x[state.uav_slice(i)]
+        e = block[state.E] / ca.norm_2(block[state.E])
+        Omega = block[state.ROD_RATE]
+        parts += [e, Omega - e * ca.dot(e, Omega), block[state.THETA], block[state.OMEGA]]
+    return ca.vertcat(*parts)
+
+
+def _symmetric(upper: ca.SX) -> ca.SX:
+    xx, xy, xz, yy, yz, zz = ca.vertsplit(upper)
+    return ca.vertcat(ca.horzcat(xx, xy, xz), ca.horzcat(xy, yy, yz), ca.horzcat(xz, yz, zz))
+
+
+def _solve_positive_definite(M: ca.SX, b: ca.SX) -> ca.SX:
+    """M^-1 b by an unrolled L D L^T factorisation: short expressions, no square roots, exact derivatives."""
+    size = M.shape[0]
+    L = [[ca.SX(0)] * size for _ in range(size)]
+    D: list[ca.SX] = []
+    for j in range(size):
+        D.append(M[j, j] - sum(L[j][k] ** 2 * D[k] for k in range(j)))
+        for i in range(j + 1, size):
+            L[i][j] = (M[i, j] - sum(L[i][k] * L[j][k] * D[k] for k in range(j))) / D[j]
+    z: list[ca.SX] = []
+    for i in range(size):
+        z.append(b[i] - sum(L[i][k] * z[k] for k in range(i)))
+    solution: list[ca.SX] = [ca.SX(0)] * size
+    for i in reversed(range(size)):
+        solution[i] = z[i] / D[i] - sum(L[k][i] * solution[k] for k in range(i + 1, size))
+    return ca.vertcat(*solution)

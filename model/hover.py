@@ -1,0 +1,80 @@
+"""Hover: the equilibrium the maneuver starts from, ends in, and is measured against."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from model import state
+from model.arrays import Array, ArrayLike, checked
+from model.parameters import ParameterError, System
+from model.rotations import euler_angles
+
+# Force and moment that may stay unbalanced, relative to the payload's weight (and 1 m): rounding, not physics.
+_BALANCE_TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Hover:
+    """Equilibrium with the payload level at the inertial origin.
+
+    Attributes:
+        x: State, (12 + 12 N,), SI.
+        u: Input, (4 N,), SI.
+        tensions: Rod tensions, (N,), N.
+    """
+
+    x: Array
+    u: Array
+    tensions: Array
+
+
+def hover(system: System, rods_P: ArrayLike | None = None) -> Hover:
+    """Equilibrium of the system with given rod directions.
+
+    The rods hold the payload's weight and no moment: sum_i T_i [e_i; rho_i x e_i] = [m0 g k; 0], the
+    least-norm solution when several exist. Each UAV then pulls against its rod and its own weight.
+
+    Args:
+        system: Physical parameters.
+        rods_P: Rod directions from UAV to attachment point, (N, 3), payload frame, unit; straight down when None.
+    Returns: State with the payload at the origin, input, tensions.
+    Raises: ParameterError: no rod tensions balance the payload, or a UAV would have to push down.
+    Source: docs/equations.md (18)-(19).
+    """
+    N = system.N
+    e = np.tile([0.0, 0.0, 1.0], (N, 1)) if rods_P is None else checked("rods", rods_P, (N, 3))
+    rho = np.array([uav.rho for uav in system.uavs])
+    weight = system.payload.mass * system.gravity
+    wrenches = np.concatenate([e, np.cross(rho, e)], axis=1).T
+    target = np.array([0.0, 0.0, weight, 0.0, 0.0, 0.0])
+    tensions = np.linalg.lstsq(wrenches, target, rcond=None)[0]
+    unbalanced = np.abs(wrenches @ tensions - target).max()
+    if unbalanced > _BALANCE_TOLERANCE * max(weight, 1.0):
+        raise ParameterError(
+            f"no hover equilibrium: rods at {rho.tolist()} m with directions {e.tolist()} leave "
+            f"{unbalanced:.3g} N or N m on the payload; its centre of mass must hang between the attachment points"
+        )
+    x = np.zeros(system.n)
+    u = np.zeros(system.m)
+    for i, uav in enumerate(system.uavs):
+        force_I = -(uav.mass * system.gravity * np.array([0.0, 0.0, 1.0]) + tensions[i] * e[i])
+        thrust = float(np.linalg.norm(force_I))
+        if thrust > 0.0 and force_I[2] > 0.0:
+            raise ParameterError(f"no hover equilibrium: UAV{i + 1} would have to push down ({force_I[2]:.3g} N)")
+        block = x[state.uav_slice(i)]
+        block[state.E] = e[i]
+        block[state.THETA] = _level_attitude(force_I, thrust)
+        u[state.input_slice(i)][0] = thrust
+    for array in (x, u, tensions):
+        array.setflags(write=False)
+    return Hover(x=x, u=u, tensions=tensions)
+
+
+def _level_attitude(force_I: Array, thrust: float) -> Array:
+    """Roll and pitch that point -b3 along the force, with zero yaw."""
+    if thrust == 0.0:
+        return np.zeros(3)
+    b3 = -force_I / thrust
+    b2 = np.cross(b3, [1.0, 0.0, 0.0])
+    b2 /= np.linalg.norm(b2)
+    return euler_angles(np.column_stack([np.cross(b2, b3), b2, b3]))

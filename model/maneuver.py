@@ -1,0 +1,141 @@
+"""What the team is asked to fly: phases of straight payload motion, and the references that follow from them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from model import state
+from model.arrays import Array, ArrayLike, checked
+from model.hover import Hover
+from model.parameters import ParameterError, System
+
+Profile = Literal["ramp", "min_jerk", "step"]
+
+
+@dataclass(frozen=True, slots=True, init=False)
+class Phase:
+    """One straight piece of the payload's path.
+
+    Attributes:
+        name: For figures and progress, e.g. "climb".
+        duration_s: > 0.
+        displacement_I: Way from start to end of the phase, (3,), inertial frame (z down), m.
+    """
+
+    name: str
+    duration_s: float
+    displacement_I: Array
+
+    def __init__(self, *, name: str, duration_s: float, displacement_I: ArrayLike) -> None:
+        if not (np.isfinite(duration_s) and duration_s > 0.0):
+            raise ParameterError(f"phase {name!r}: expected a duration > 0 s, got {duration_s!r}")
+        object.__setattr__(self, "name", name)
+        object.__setattr__(self, "duration_s", float(duration_s))
+        object.__setattr__(self, "displacement_I", checked(f"phase {name!r} displacement", displacement_I, (3,)))
+
+
+@dataclass(frozen=True, slots=True, init=False)
+class Maneuver:
+    """The payload's reference path r0(t).
+
+    Attributes:
+        start_I: Payload position at t = 0, (3,), inertial frame, m.
+        phases: Flown one after the other; the end is held.
+        profile: How each displacement is covered: at constant speed, with minimum jerk, or at once.
+    """
+
+    start_I: Array
+    phases: tuple[Phase, ...]
+    profile: Profile
+
+    def __init__(self, *, start_I: ArrayLike, phases: Sequence[Phase], profile: Profile = "ramp") -> None:
+        if not phases:
+            raise ParameterError("maneuver: expected at least one phase, got none")
+        object.__setattr__(self, "start_I", checked("maneuver start", start_I, (3,)))
+        object.__setattr__(self, "phases", tuple(phases))
+        object.__setattr__(self, "profile", profile)
+
+    @property
+    def duration_s(self) -> float:
+        """Sum of the phases, s."""
+        return sum(phase.duration_s for phase in self.phases)
+
+    def path(self, t_s: Array) -> tuple[Array, Array]:
+        """Reference position and velocity of the payload.
+
+        Args:
+            t_s: Times, (k,), s.
+        Returns: r0 (k, 3), m, and its time derivative (k, 3), m/s, both inertial. A step has no velocity.
+        Source: docs/equations.md (20).
+        """
+        r = np.tile(self.start_I, (len(t_s), 1))
+        v = np.zeros((len(t_s), 3))
+        begin = 0.0
+        for phase in self.phases:
+            tau = (t_s - begin) / phase.duration_s
+            s, s_dot = _profile(self.profile, tau)
+            r += s[:, None] * phase.displacement_I
+            v += (s_dot / phase.duration_s)[:, None] * phase.displacement_I
+            begin += phase.duration_s
+        return r, v
+
+
+def paper_maneuver() -> Maneuver:
+    """Hover, climb 2.5 m, translate 2.5 m in +x, descend 2.5 m, hover: 5 s each, from 10 m. Source: paper, section V."""
+    legs = {"hover": (0, 0, 0), "climb": (0, 0, -2.5), "translate": (2.5, 0, 0), "descend": (0, 0, 2.5)}
+    order = ["hover", "climb", "translate", "descend", "hover"]
+    return Maneuver(
+        start_I=[0.0, 0.0, -10.0],
+        phases=[Phase(name=name, duration_s=5.0, displacement_I=legs[name]) for name in order],
+    )
+
+
+class Reference:
+    """Reference outputs and states along a maneuver: the hover configuration carried along the path.
+
+    Args:
+        system: Physical parameters.
+        hover: Equilibrium at the origin.
+        maneuver: The path.
+    """
+
+    def __init__(self, system: System, hover: Hover, maneuver: Maneuver) -> None:
+        self.maneuver = maneuver
+        self._hover = hover
+        rods = state.StateView(hover.x).e_P
+        self._offsets = np.array([uav.rho - uav.rod_length * e for uav, e in zip(system.uavs, rods, strict=True)])
+
+    def outputs(self, t_s: Array) -> Array:
+        """y_ref at the given times: UAV positions along the path, level payload, no yaw rates.
+
+        Args:
+            t_s: Times, (k,), s.
+        Returns: (k, 4 N + 3), SI.
+        Source: docs/equations.md (14), (20).
+        """
+        r0, _ = self.maneuver.path(t_s)
+        N = len(self._offsets)
+        y = np.zeros((len(t_s), 4 * N + 3))
+        y[:, : 3 * N] = (r0[:, None, :] + self._offsets).reshape(len(t_s), 3 * N)
+        return y
+
+    def states(self, t_s: Array) -> Array:
+        """x_ref at the given times: hover configuration at r0(t) moving with r0'(t), (k, 12 + 12 N), SI."""
+        r0, v0 = self.maneuver.path(t_s)
+        x = np.tile(self._hover.x, (len(t_s), 1))
+        x[:, state.R0] += r0
+        x[:, state.V0] += v0
+        return x
+
+
+def _profile(profile: Profile, tau: Array) -> tuple[Array, Array]:
+    """Share of the displacement covered at normalised time tau, and its derivative with respect to tau."""
+    inside = (tau >= 0.0) & (tau < 1.0)
+    c = np.clip(tau, 0.0, 1.0)
+    if profile == "ramp":
+        return c, np.where(inside, 1.0, 0.0)
+    if profile == "min_jerk":
+        return c**3 * (10.0 + c * (6.0 * c - 15.0)), np.where(inside, 30.0 * (c * (1.0 - c)) ** 2, 0.0)
+    return np.where(tau >= 0.0, 1.0, 0.0), np.zeros_like(tau)

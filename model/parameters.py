@@ -1,0 +1,145 @@
+"""Physical parameters of one payload and the N quadrotors that carry it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from model.arrays import Array, ArrayLike, ShapeError, checked
+
+GRAVITY = 9.81  # m/s^2; the paper gives none
+
+# Relative slack of the triangle inequality of the principal moments: exact flat bodies are allowed.
+_INERTIA_SLACK = 1e-9
+
+
+class ParameterError(ValueError):
+    """A physical parameter that no real body has."""
+
+
+@dataclass(frozen=True, slots=True, init=False)
+class Payload:
+    """The rigid body that is carried.
+
+    Attributes:
+        mass: kg.
+        inertia: About the centre of mass in the payload frame, (3, 3), kg m^2. A vector of 3 is the diagonal.
+    """
+
+    mass: float
+    inertia: Array
+
+    def __init__(self, *, mass: float, inertia: ArrayLike) -> None:
+        object.__setattr__(self, "mass", _positive("payload mass", mass, "kg"))
+        object.__setattr__(self, "inertia", _inertia("payload inertia", inertia))
+
+
+@dataclass(frozen=True, slots=True, init=False)
+class Uav:
+    """One quadrotor and the rod that ties its centre of mass to the payload.
+
+    Attributes:
+        mass: kg.
+        inertia: About the centre of mass in the UAV's body frame, (3, 3), kg m^2. A vector of 3 is the diagonal.
+        rho: Attachment point in the payload frame, (3,), m.
+        rod_length: m.
+    """
+
+    mass: float
+    inertia: Array
+    rho: Array
+    rod_length: float
+
+    def __init__(self, *, mass: float, inertia: ArrayLike, rho: ArrayLike, rod_length: float) -> None:
+        object.__setattr__(self, "mass", _positive("UAV mass", mass, "kg"))
+        object.__setattr__(self, "inertia", _inertia("UAV inertia", inertia))
+        object.__setattr__(self, "rho", checked("rho", rho, (3,)))
+        object.__setattr__(self, "rod_length", _positive("rod length", rod_length, "m"))
+
+
+@dataclass(frozen=True, slots=True, init=False)
+class System:
+    """The coupled system: one payload, N UAVs, gravity along the inertial z axis (down)."""
+
+    payload: Payload
+    uavs: tuple[Uav, ...]
+    gravity: float = GRAVITY
+
+    def __init__(self, *, payload: Payload, uavs: Sequence[Uav], gravity: float = GRAVITY) -> None:
+        if not uavs:
+            raise ParameterError("system: expected at least one UAV, got none")
+        object.__setattr__(self, "payload", payload)
+        object.__setattr__(self, "uavs", tuple(uavs))
+        # Zero gravity is a legitimate test of the dynamics, so only the sign is checked.
+        if not (np.isfinite(gravity) and gravity >= 0.0):
+            raise ParameterError(f"gravity: expected a number >= 0 m/s^2, got {gravity!r}")
+        object.__setattr__(self, "gravity", float(gravity))
+
+    @property
+    def N(self) -> int:
+        """Number of UAVs."""
+        return len(self.uavs)
+
+    @property
+    def n(self) -> int:
+        """Number of states, 12 + 12 N."""
+        return 12 + 12 * self.N
+
+    @property
+    def m(self) -> int:
+        """Number of inputs, 4 N."""
+        return 4 * self.N
+
+    @property
+    def total_mass(self) -> float:
+        """m_T of the paper, kg."""
+        return self.payload.mass + sum(uav.mass for uav in self.uavs)
+
+    def vector(self) -> Array:
+        """All parameters in the order the compiled model takes them (`model.compiled.PARAMETERS`), (8 + 11 N,), SI."""
+        parts = [np.array([self.gravity, self.payload.mass]), _upper(self.payload.inertia)]
+        for uav in self.uavs:
+            parts += [np.array([uav.mass]), _upper(uav.inertia), uav.rho, np.array([uav.rod_length])]
+        vector = np.concatenate(parts)
+        vector.setflags(write=False)
+        return vector
+
+
+def table_1() -> System:
+    """The system of the paper's Table I: a 3 kg payload under four 1.5 kg UAVs on 3.2 m rods."""
+    corners = [(0.25, 0.25), (0.25, -0.25), (-0.25, -0.25), (-0.25, 0.25)]
+    return System(
+        payload=Payload(mass=3.0, inertia=[0.556, 0.556, 0.556]),
+        uavs=[Uav(mass=1.5, inertia=[0.029, 0.029, 0.055], rho=[x, y, -0.125], rod_length=3.2) for x, y in corners],
+    )
+
+
+def _positive(name: str, value: float, unit: str) -> float:
+    if not (np.isfinite(value) and value > 0.0):
+        raise ParameterError(f"{name}: expected a number > 0 {unit}, got {value!r}")
+    return float(value)
+
+
+def _inertia(name: str, value: ArrayLike) -> Array:
+    array = np.asarray(value, dtype=np.float64)
+    if array.ndim == 1:
+        array = np.diag(checked(name, array, (3,)))
+    try:
+        J = checked(name, array, (3, 3))
+    except ShapeError as error:
+        raise ParameterError(str(error)) from error
+    if not np.allclose(J, J.T, rtol=0.0, atol=1e-12 * np.abs(J).max()):
+        raise ParameterError(f"{name}: expected a symmetric matrix, got {J.tolist()}")
+    moments = np.linalg.eigvalsh(J)
+    if moments[0] <= 0.0:
+        raise ParameterError(f"{name}: expected positive principal moments, got {moments.tolist()} kg m^2")
+    if moments[2] > (moments[0] + moments[1]) * (1.0 + _INERTIA_SLACK):
+        raise ParameterError(
+            f"{name}: no body has principal moments {moments.tolist()} kg m^2: "
+            "the largest exceeds the sum of the other two"
+        )
+    return J
+
+
+def _upper(J: Array) -> Array:
+    return J[np.triu_indices(3)]

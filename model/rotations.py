@@ -1,0 +1,85 @@
+"""Rotations: the cross-product matrix, 3-2-1 Euler angles (roll, pitch, yaw) and their rates.
+
+Every function takes numpy arrays or CasADi expressions: the equations of motion are built from the
+symbolic form, tests and figures use the numeric one, and both come from the same lines.
+"""
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from model.arrays import Array
+
+
+def hat(a: Any) -> Any:
+    """Cross-product matrix, hat(a) b = a x b.
+
+    Args:
+        a: Vector, (3,), numeric or symbolic.
+    Returns: Skew-symmetric matrix, (3, 3), of the same kind.
+    Source: docs/equations.md (1).
+    """
+    return _matrix(a, [[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]])
+
+
+def rotation(Theta: Any) -> Any:
+    """Rotation matrix of 3-2-1 Euler angles; maps body coordinates to those of the frame above.
+
+    Args:
+        Theta: Roll, pitch, yaw, (3,), rad.
+    Returns: R = Rz(yaw) Ry(pitch) Rx(roll), (3, 3).
+    Source: docs/equations.md (2).
+    """
+    cos, sin = _trigonometry(Theta)
+    cr, cp, cy = cos(Theta[0]), cos(Theta[1]), cos(Theta[2])
+    sr, sp, sy = sin(Theta[0]), sin(Theta[1]), sin(Theta[2])
+    rows = [
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ]
+    return _matrix(Theta, rows)
+
+
+def euler_rates(Theta: Any) -> Any:
+    """Matrix E with Theta' = E omega for body rates omega. Singular at pitch = +-90 deg.
+
+    Args:
+        Theta: Roll, pitch, yaw, (3,), rad.
+    Returns: E, (3, 3), dimensionless.
+    Source: docs/equations.md (3).
+    """
+    cos, sin = _trigonometry(Theta)
+    cr, cp = cos(Theta[0]), cos(Theta[1])
+    sr, sp = sin(Theta[0]), sin(Theta[1])
+    tp = sp / cp
+    return _matrix(Theta, [[1.0, sr * tp, cr * tp], [0.0, cr, -sr], [0.0, sr / cp, cr / cp]])
+
+
+def euler_angles(R: Array) -> Array:
+    """3-2-1 Euler angles of a rotation matrix, the inverse of `rotation`.
+
+    Args:
+        R: Rotation matrix, (..., 3, 3).
+    Returns: Roll, pitch, yaw, (..., 3), rad; roll and yaw in (-pi, pi], pitch in [-pi/2, pi/2].
+    Source: docs/equations.md (2).
+    """
+    roll = np.arctan2(R[..., 2, 1], R[..., 2, 2])
+    pitch = -np.arcsin(np.clip(R[..., 2, 0], -1.0, 1.0))
+    yaw = np.arctan2(R[..., 1, 0], R[..., 0, 0])
+    return np.stack([roll, pitch, yaw], axis=-1)
+
+
+def _symbolic(value: Any) -> bool:
+    return isinstance(value, ca.SX | ca.MX | ca.DM)
+
+
+def _trigonometry(value: Any) -> tuple[Any, Any]:
+    return (ca.cos, ca.sin) if _symbolic(value) else (np.cos, np.sin)
+
+
+def _matrix(like: Any, rows: list[list[Any]]) -> Any:
+    if _symbolic(like):
+        return ca.vertcat(*[ca.horzcat(*row) for row in rows])
+    return np.array(rows, dtype=np.float64)

@@ -1,0 +1,102 @@
+"""Where each variable sits in the state and input vectors.
+
+    x = [r0, v0, Theta0, omega0, (e_i, Omega_i, Theta_i, omega_i) for i = 1..N],   12 + 12 N
+    u = [(thrust_i, tau_i) for i = 1..N],                                          4 N
+
+Indices here are 0-based; ids that people see (UAV1..UAVN) are 1-based and converted at the edge.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from model.arrays import Array
+
+PAYLOAD = 12  # states of the payload
+PER_UAV = 12  # states of each UAV with its rod
+INPUTS = 4  # thrust and three moments
+
+R0 = slice(0, 3)  # payload position, inertial frame, m
+V0 = slice(3, 6)  # payload velocity, payload frame, m/s
+THETA0 = slice(6, 9)  # payload attitude, rad
+OMEGA0 = slice(9, 12)  # payload angular velocity, payload frame, rad/s
+
+# Offsets within one UAV's block.
+E = slice(0, 3)  # rod direction from UAV to attachment point, payload frame, unit
+ROD_RATE = slice(3, 6)  # Omega_i, absolute angular velocity of the rod, payload frame, rad/s
+THETA = slice(6, 9)  # UAV attitude, rad
+OMEGA = slice(9, 12)  # UAV angular velocity, UAV body frame, rad/s
+
+
+def uav_slice(i: int) -> slice:
+    """States of UAV i (0-based) in x."""
+    start = PAYLOAD + PER_UAV * i
+    return slice(start, start + PER_UAV)
+
+
+def input_slice(i: int) -> slice:
+    """Inputs of UAV i (0-based) in u."""
+    return slice(INPUTS * i, INPUTS * (i + 1))
+
+
+def input_indices(uavs: Iterable[int]) -> npt.NDArray[np.intp]:
+    """Positions in u of the inputs of several UAVs (0-based), in the order given, (4 len(uavs),)."""
+    return np.array([INPUTS * i + j for i in uavs for j in range(INPUTS)], dtype=np.intp)
+
+
+@dataclass(frozen=True, slots=True)
+class StateView:
+    """Named views into a state vector or a trajectory of them; nothing is copied.
+
+    Args:
+        x: State(s), (..., 12 + 12 N).
+    """
+
+    x: Array
+
+    @property
+    def r0_I(self) -> Array:
+        """Payload position, (..., 3), inertial frame, m."""
+        return self.x[..., R0]
+
+    @property
+    def v0_P(self) -> Array:
+        """Payload velocity, (..., 3), payload frame, m/s."""
+        return self.x[..., V0]
+
+    @property
+    def Theta0(self) -> Array:
+        """Payload roll, pitch, yaw, (..., 3), rad."""
+        return self.x[..., THETA0]
+
+    @property
+    def omega0_P(self) -> Array:
+        """Payload angular velocity, (..., 3), payload frame, rad/s."""
+        return self.x[..., OMEGA0]
+
+    @property
+    def uavs(self) -> Array:
+        """UAV blocks, (..., N, 12)."""
+        return self.x[..., PAYLOAD:].reshape(*self.x.shape[:-1], -1, PER_UAV)
+
+    @property
+    def e_P(self) -> Array:
+        """Rod directions, (..., N, 3), payload frame, unit."""
+        return self.uavs[..., E]
+
+    @property
+    def Omega_P(self) -> Array:
+        """Rod angular velocities, (..., N, 3), payload frame, rad/s."""
+        return self.uavs[..., ROD_RATE]
+
+    @property
+    def Theta(self) -> Array:
+        """UAV roll, pitch, yaw, (..., N, 3), rad."""
+        return self.uavs[..., THETA]
+
+    @property
+    def omega_B(self) -> Array:
+        """UAV angular velocities, (..., N, 3), UAV body frames, rad/s."""
+        return self.uavs[..., OMEGA]

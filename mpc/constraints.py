@@ -1,0 +1,119 @@
+"""Rows of the QP: input bounds and rates, separation of the UAVs, and the user's own constraints.
+
+All are linear in the decision after one linearisation about (x0, u0), as in paper (20)-(21), (26)-(27).
+"""
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import casadi as ca
+import numpy as np
+
+from model.arrays import Array
+from model.compiled import Compiled
+from model.dynamics import Symbols
+from model.linearisation import Model
+from mpc.expressions import Relation, read
+from mpc.settings import Constraint
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Affine:
+    """Values and slopes of several scalar constraints at the linearisation point.
+
+    Attributes:
+        value: (c,).
+        slope: With respect to the state or the input, (c, n) or (c, m).
+    """
+
+    value: Array
+    slope: Array
+
+
+class UserConstraints:
+    """The user's constraints of one kind (states or inputs), compiled with exact derivatives.
+
+    Args:
+        relations: As read, each with its settings; the order is kept, inequalities and equalities mixed.
+        symbols: The symbols they were read with.
+        parameters: Physical parameters of the system.
+
+    Attributes:
+        equality: Which are equalities, (c,).
+        penalty: Price of a violation where the constraint is softened, nan where it is hard, (c,).
+    """
+
+    def __init__(self, relations: list[tuple[Relation, Constraint]], symbols: Symbols, parameters: Array) -> None:
+        self.equality = np.array([relation.kind == "equality" for relation, _ in relations], dtype=bool)
+        softened = [c.soft and r.on == "state" and r.kind == "inequality" for r, c in relations]
+        self.penalty = np.array(
+            [c.penalty if soft else np.nan for soft, (_, c) in zip(softened, relations, strict=True)]
+        )
+        self._parameters = parameters
+        if not relations:
+            self._function = None
+            return
+        variable = symbols.x if relations[0][0].on == "state" else symbols.u
+        value = ca.vertcat(*[relation.value for relation, _ in relations])
+        slope = ca.densify(ca.jacobian(value, variable))
+        self._function = Compiled(ca.Function("constraints", [variable, symbols.p], [ca.densify(value), slope]))
+
+    def __len__(self) -> int:
+        return len(self.equality)
+
+    def at(self, point: Array) -> Affine:
+        """Linearise about a state or an input. Source: docs/equations.md (30)."""
+        if self._function is None:
+            return Affine(value=np.zeros(0), slope=np.zeros((0, len(point))))
+        value, slope = self._function(point, self._parameters)
+        return Affine(value=value, slope=slope.reshape(len(self), -1))
+
+
+def compile_constraints(constraints: tuple[Constraint, ...], model: Model) -> tuple[UserConstraints, UserConstraints]:
+    """Read and compile the user's constraints on states and on inputs.
+
+    Raises: SettingsError: one cannot be read; the text says which and why.
+    """
+    symbols = Symbols.of(model.system.N)
+    relations = [(read(constraint.expression, symbols), constraint) for constraint in constraints]
+    p = model.system.vector()
+    on_state = UserConstraints([pair for pair in relations if pair[0].on == "state"], symbols, p)
+    on_input = UserConstraints([pair for pair in relations if pair[0].on == "input"], symbols, p)
+    return on_state, on_input
+
+
+def separation_rows(y: Array, N: int, owned: tuple[int, ...]) -> tuple[Array, Array]:
+    """Pairwise distances of the UAVs as linear functions of the output about y.
+
+    |r_i - r_j| is replaced by d' (r_i - r_j), d the present direction: a lower bound, so that keeping it
+    above the limit keeps the true distance above it too.
+
+    Args:
+        y: Output at the linearisation point, (4 N + 3,).
+        N: Number of UAVs.
+        owned: 0-based; pairs of which neither is owned are left to others.
+    Returns: Distances now, (pairs,), m; rows with distance = row . y, (pairs, 4 N + 3).
+    Source: docs/equations.md (29).
+    """
+    pairs = [pair for pair in combinations(range(N), 2) if pair[0] in owned or pair[1] in owned]
+    r = y[: 3 * N].reshape(N, 3)
+    rows = np.zeros((len(pairs), len(y)))
+    distances = np.zeros(len(pairs))
+    for row, (i, j) in enumerate(pairs):
+        apart = r[i] - r[j]
+        distance = float(np.linalg.norm(apart))
+        # Two UAVs in one point have no direction; any will do to push them apart.
+        d = apart / distance if distance > 0.0 else np.array([1.0, 0.0, 0.0])
+        rows[row, 3 * i : 3 * i + 3] = d
+        rows[row, 3 * j : 3 * j + 3] = -d
+        distances[row] = distance
+    return distances, rows
+
+
+def rate_rows(steps: int, m: int) -> Array:
+    """Differences of successive decisions, ((steps - 1) m, steps m)."""
+    rows = np.zeros(((steps - 1) * m, steps * m))
+    index = np.arange((steps - 1) * m)
+    rows[index, index] = -1.0
+    rows[index, index + m] = 1.0
+    return rows

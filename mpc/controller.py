@@ -1,0 +1,226 @@
+"""One controller for any set of owned UAVs: one is the paper's distributed controller, all the centralized one."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from model.arrays import Array, checked
+from model.discretisation import Discrete, zero_order_hold
+from model.hover import Hover
+from model.linearisation import Linearisation, Model
+from model.state import input_indices
+from mpc import condensing
+from mpc.constraints import Affine, compile_constraints, rate_rows, separation_rows
+from mpc.cost import Cost
+from mpc.prediction import Prediction, open_loop
+from mpc.qp import QP, Solution
+from mpc.settings import ControllerSettings
+from mpc.solvers import solve
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Linear:
+    """Everything linearised about one (x0, u0).
+
+    Attributes:
+        u0: Input of the linearisation, (m,).
+        model: f, A_c, B_c, y, C.
+        on_state, on_input: The user's constraints.
+    """
+
+    u0: Array
+    model: Linearisation
+    on_state: Affine
+    on_input: Affine
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Optimum:
+    """What one step found.
+
+    Attributes:
+        U: Absolute inputs of the owned UAVs to announce and apply, (N_p, 4 owned); after a failed solve
+            the previous plan, shifted.
+        solution: The solver's answer, solved or not.
+    """
+
+    U: Array
+    solution: Solution
+
+
+class Controller:
+    """Model predictive control of the owned UAVs, everyone else's inputs taken as announced.
+
+    The stages are separate so that whoever runs them can time them; `step` does all.
+
+    Args:
+        model: The system as the controller knows it.
+        hover: Its equilibrium.
+        settings: Rates, weights, limits.
+        owned: UAVs this controller decides for, 0-based, ascending.
+    """
+
+    def __init__(self, model: Model, hover: Hover, settings: ControllerSettings, owned: Sequence[int]) -> None:
+        self.model = model
+        self.settings = settings
+        self.owned = tuple(owned)
+        self.own = input_indices(self.owned)
+        self.cost = Cost(settings.weights, hover)
+        self._on_state, self._on_input = compile_constraints(settings.constraints, model)
+        N, steps, m = model.system.N, settings.horizon, len(self.own)
+        self._lower, self._upper = settings.limits.lower(len(self.owned)), settings.limits.upper(len(self.owned))
+        self._rate = settings.limits.step(len(self.owned), settings.sampling_period_s)
+        # Decisions in units of half their range, so that Newtons and Newton metres weigh alike.
+        self._scale = (self._upper - self._lower) / 2.0
+        pairs = 0 if settings.separation is None else len(separation_rows(np.zeros(4 * N + 3), N, self.owned)[0])
+        self._separation = settings.separation if pairs else None
+        # One slack for all separations, one for each softened constraint of the user's.
+        soft = ~np.isnan(self._on_state.penalty)
+        separation_penalty = [self._separation.penalty] if self._separation else []
+        self._penalties = np.concatenate([separation_penalty, self._on_state.penalty[soft]])
+        self._state_slack = np.where(soft, len(separation_penalty) + np.cumsum(soft) - 1, -1)
+        self._rate_rows = rate_rows(steps, m)
+        self._z_scale = np.concatenate([np.tile(self._scale, steps), np.ones(len(self._penalties))])
+
+    def step(self, x0: Array, u0: Array, U: Array, y_ref: Array) -> Optimum:
+        """One step of the controller.
+
+        Args:
+            x0: State at the first step of the horizon, (n,).
+            u0: Inputs in force just before it, all UAVs, (m,): linearisation point and origin of the rates.
+            U: Announced inputs of all UAVs over the horizon, (N_p, m); the owned columns hold the
+                previous plan, shifted.
+            y_ref: Reference outputs at steps 0..N_p, (N_p + 1, p).
+        Returns: The plan and how it was found. Never raises for a problem without solution.
+        Raises: ShapeError: an argument of the wrong shape or not finite.
+        """
+        x0, u0, U, y_ref = self.check(x0, u0, U, y_ref)
+        linear = self.linearise(x0, u0)
+        qp = self.condense(linear, self.discretise(linear), U, y_ref)
+        return self.conclude(self.solve(qp), linear, U)
+
+    def check(self, x0: Array, u0: Array, U: Array, y_ref: Array) -> tuple[Array, Array, Array, Array]:
+        """The arguments of `step`, their shapes and values checked."""
+        system, steps = self.model.system, self.settings.horizon
+        return (
+            checked("x0", x0, (system.n,)),
+            checked("u0", u0, (system.m,)),
+            checked("U", U, (steps, system.m)),
+            checked("y_ref", y_ref, (steps + 1, 4 * system.N + 3)),
+        )
+
+    def linearise(self, x0: Array, u0: Array) -> Linear:
+        """Expand model and constraints about (x0, u0). Source: docs/equations.md (15), (30); paper (13), (20)."""
+        return Linear(
+            u0=u0,
+            model=self.model.linearise(x0, u0),
+            on_state=self._on_state.at(x0),
+            on_input=self._on_input.at(u0),
+        )
+
+    def discretise(self, linear: Linear) -> Discrete:
+        """Exact zero-order hold over the sampling period. Source: docs/equations.md (16)-(17)."""
+        return zero_order_hold(linear.model, self.settings.sampling_period_s)
+
+    def condense(self, linear: Linear, discrete: Discrete, U: Array, y_ref: Array) -> QP:
+        """The QP in the scaled decision and the slacks.
+
+        Source: docs/equations.md (22)-(30); paper (22)-(27).
+        """
+        prediction = open_loop(discrete, linear.u0, self.own, U)
+        C, y0, cost = linear.model.C, linear.model.y, self.cost
+        steps, m = prediction.U_free.shape
+        decisions, slacks = steps * m, len(self._penalties)
+
+        error = y0 + prediction.dX_free @ C.T - y_ref
+        weighted = error[1:] * cost.Q
+        weighted[-1] = error[-1] * cost.Q_f
+        H = np.zeros((decisions + slacks, decisions + slacks))
+        H[:decisions, :decisions] = condensing.hessian(C @ prediction.impulse, cost.Q, cost.Q_f)
+        R = np.tile(cost.R[self.own], steps)
+        H[np.arange(decisions), np.arange(decisions)] += R
+        g = np.zeros(decisions + slacks)
+        g[:decisions] = condensing.gradient(prediction.A, prediction.B, weighted @ C)
+        g[:decisions] += R * (prediction.U_free - cost.u_target[self.own]).reshape(-1)
+        scale = self._z_scale
+        H = 2.0 * (scale[:, None] * H * scale)
+        g = 2.0 * scale * g
+        slack = np.arange(decisions, decisions + slacks)
+        H[slack, slack] = self._penalties
+        g[slack] = self._penalties
+
+        lower, upper = self._bounds(prediction, linear.u0)
+        rows, row_lower, row_upper = self._rows(linear, prediction, U)
+        return QP(H=H, g=g, lower=lower, upper=upper, A=rows, row_lower=row_lower, row_upper=row_upper)
+
+    def solve(self, qp: QP) -> Solution:
+        """Solve by the chosen solver, or by Clarabel when that fails."""
+        return solve(qp, self.settings.solver)
+
+    def conclude(self, solution: Solution, linear: Linear, U: Array) -> Optimum:
+        """Turn an answer into the plan to announce: relaxed, or the shifted previous plan after a failure."""
+        steps, previous = len(U), U[:, self.own]
+        if solution.status != "solved":
+            return Optimum(U=previous.copy(), solution=solution)
+        v = (solution.z * self._z_scale)[: steps * len(self.own)].reshape(steps, -1)
+        w = self.settings.relaxation
+        best = linear.u0[self.own] + v
+        # The solver meets the bounds to its tolerance; the plant's actuators have them exactly.
+        return Optimum(U=np.clip(w * best + (1.0 - w) * previous, self._lower, self._upper), solution=solution)
+
+    def _bounds(self, prediction: Prediction, u0: Array) -> tuple[Array, Array]:
+        """Bounds on the scaled decision; the first step's rate limit is a bound too."""
+        steps, m = prediction.U_free.shape
+        lower, upper = self._lower - prediction.U_free, self._upper - prediction.U_free
+        # Inputs in force outside the limits (a fail-safe's, say) come back as fast as the rate allows.
+        first = u0[self.own] - prediction.U_free[0]
+        lower[0] = np.minimum(np.maximum(lower[0], first - self._rate), upper[0])
+        upper[0] = np.maximum(np.minimum(upper[0], first + self._rate), lower[0])
+        slacks = len(self._penalties)
+        scale = self._z_scale[: steps * m]
+        return (
+            np.concatenate([lower.reshape(-1) / scale, np.zeros(slacks)]),
+            np.concatenate([upper.reshape(-1) / scale, np.full(slacks, np.inf)]),
+        )
+
+    def _rows(self, linear: Linear, prediction: Prediction, U: Array) -> tuple[Array, Array, Array]:
+        """Rate limits, separation, and the user's constraints, stacked."""
+        steps, m = prediction.U_free.shape
+        scale = self._z_scale[: steps * m]
+        slacks = len(self._penalties)
+        rate = np.tile(self._rate, steps - 1)
+        drift = (prediction.U_free[1:] - prediction.U_free[:-1]).reshape(-1)
+        parts = [(self._rate_rows * scale, -rate - drift, rate - drift, None)]
+        C = linear.model.C
+        if self._separation is not None:
+            _, direction = separation_rows(linear.model.y, self.model.system.N, self.owned)
+            distance = (linear.model.y + prediction.dX_free[1:] @ C.T) @ direction.T
+            G = condensing.rows(direction @ (C @ prediction.impulse)) * scale
+            gap = self._separation.minimum_m - distance.reshape(-1)
+            parts.append((G, gap, np.full(len(gap), np.inf), np.zeros(len(gap), dtype=np.intp)))
+        if len(self._on_state):
+            on = linear.on_state
+            value = on.value + prediction.dX_free[1:] @ on.slope.T
+            G = condensing.rows(on.slope @ prediction.impulse) * scale
+            low = np.where(self._on_state.equality, -value, -np.inf).reshape(-1)
+            parts.append((G, low, -value.reshape(-1), np.tile(self._state_slack, steps)))
+        if len(self._on_input):
+            on = linear.on_input
+            dU = U - linear.u0
+            dU[:, self.own] = prediction.U_free - linear.u0[self.own]
+            value = on.value + dU @ on.slope.T
+            G = np.kron(np.eye(steps), on.slope[:, self.own]) * scale
+            low = np.where(self._on_input.equality, -value, -np.inf).reshape(-1)
+            parts.append((G, low, -value.reshape(-1), None))
+        A = np.zeros((sum(len(part[0]) for part in parts), steps * m + slacks))
+        at = 0
+        for G, low, _, softened in parts:
+            A[at : at + len(G), : steps * m] = G
+            if softened is not None:
+                soft = softened >= 0
+                # A lower bound is relieved by adding the slack, an upper bound by taking it off.
+                sign = np.where(np.isfinite(low[soft]), 1.0, -1.0)
+                A[at + np.flatnonzero(soft), steps * m + softened[soft]] = sign
+            at += len(G)
+        return A, np.concatenate([part[1] for part in parts]), np.concatenate([part[2] for part in parts])

@@ -1,0 +1,45 @@
+"""The cost every agent minimises and every run is judged by."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from model.arrays import Array
+from model.hover import Hover
+from mpc.settings import Weights
+
+
+@dataclass(frozen=True, slots=True, init=False)
+class Cost:
+    """Quadratic cost with diagonal weights.
+
+    Attributes:
+        Q: Stage weight on the output error, (p,).
+        Q_f: Terminal weight on the output error, (p,).
+        R: Weight on the inputs, (m,).
+        u_target: Input that costs nothing: hover, or zero, (m,).
+    """
+
+    Q: Array
+    Q_f: Array
+    R: Array
+    u_target: Array
+
+    def __init__(self, weights: Weights, hover: Hover) -> None:
+        N = len(hover.tensions)
+        object.__setattr__(self, "Q", weights.Q(N))
+        object.__setattr__(self, "Q_f", weights.terminal * weights.Q(N))
+        object.__setattr__(self, "R", weights.R(N))
+        object.__setattr__(self, "u_target", hover.u if weights.priced == "deviation" else np.zeros_like(hover.u))
+
+    def stage(self, y: Array, y_ref: Array, u: Array) -> float:
+        """Cost of one sampling instant, (y - y_ref)' Q (y - y_ref) + (u - u_target)' R (u - u_target).
+
+        Args:
+            y: Output, (p,).
+            y_ref: Reference output, (p,).
+            u: Input, (m,).
+        Source: docs/equations.md (21); paper (17).
+        """
+        error, effort = y - y_ref, u - self.u_target
+        return float(error @ (self.Q * error) + effort @ (self.R * effort))

@@ -1,0 +1,143 @@
+"""Constraints as text: "r0[2] <= -2", "norm(r1 - r3) >= 0.8", "thrust1 + thrust2 <= 60".
+
+Text travels in the scenario to every process and is read here into a CasADi expression, by walking the
+syntax tree and allowing nothing but the names below, numbers, arithmetic and one comparison.
+
+States: r0, v0, Theta0, omega0 (payload), and for UAV i: ri, ei, Omegai, Thetai, omegai. Inputs: thrusti, taui.
+Functions: norm, dot, cross, sin, cos, tan, sqrt, exp, fabs, fmin, fmax; the constant pi.
+"""
+
+import ast
+import operator
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import casadi as ca
+
+from model import state
+from model.dynamics import Symbols, uav_positions
+from mpc.settings import SettingsError
+
+_OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.Pow: operator.pow,
+    ast.USub: operator.neg,
+    ast.UAdd: operator.pos,
+}
+_FUNCTIONS: dict[str, Callable[..., Any]] = {
+    "norm": ca.norm_2,
+    "dot": ca.dot,
+    "cross": ca.cross,
+    "sin": ca.sin,
+    "cos": ca.cos,
+    "tan": ca.tan,
+    "sqrt": ca.sqrt,
+    "exp": ca.exp,
+    "fabs": ca.fabs,
+    "fmin": ca.fmin,
+    "fmax": ca.fmax,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Relation:
+    """One constraint as an expression that must be <= 0 or = 0.
+
+    Attributes:
+        text: As written.
+        value: Scalar expression over the symbols it was read with.
+        on: Whether it speaks of states or of inputs; never both, as in paper (18)-(19).
+        kind: "inequality" (value <= 0) or "equality" (value = 0).
+    """
+
+    text: str
+    value: ca.SX
+    on: Literal["state", "input"]
+    kind: Literal["inequality", "equality"]
+
+
+def read(text: str, symbols: Symbols) -> Relation:
+    """Read one constraint.
+
+    Args:
+        text: Two sides and one of <=, >=, ==.
+        symbols: The system's symbols the expression is built on.
+    Raises: SettingsError: not readable, an unknown name, not scalar, or states and inputs mixed.
+    """
+    try:
+        tree = ast.parse(text, mode="eval").body
+    except (SyntaxError, ValueError) as error:
+        raise SettingsError(f"constraint {text!r}: cannot be read ({error})") from error
+    if not (isinstance(tree, ast.Compare) and len(tree.ops) == 1):
+        raise SettingsError(f"constraint {text!r}: expected two sides and one of <=, >=, ==")
+    names = _names(symbols)
+    try:
+        left = _evaluate(tree.left, names, text)
+        right = _evaluate(tree.comparators[0], names, text)
+        comparison = tree.ops[0]
+        if isinstance(comparison, ast.GtE):
+            left, right = right, left
+        elif not isinstance(comparison, ast.LtE | ast.Eq):
+            raise SettingsError(f"constraint {text!r}: expected one of <=, >=, ==")
+        value = ca.SX(left - right)
+    except (RuntimeError, TypeError, IndexError, NotImplementedError, RecursionError) as error:
+        detail = str(error).strip().splitlines()[-1] if str(error).strip() else type(error).__name__
+        raise SettingsError(f"constraint {text!r}: cannot be evaluated ({detail})") from error
+    if value.shape != (1, 1):
+        raise SettingsError(f"constraint {text!r}: expected a scalar, got shape {value.shape}")
+    on_state, on_input = bool(ca.depends_on(value, symbols.x)), bool(ca.depends_on(value, symbols.u))
+    if on_state == on_input:
+        raise SettingsError(f"constraint {text!r}: expected states or inputs, got {'both' if on_state else 'neither'}")
+    return Relation(
+        text=text,
+        value=value,
+        on="state" if on_state else "input",
+        kind="equality" if isinstance(tree.ops[0], ast.Eq) else "inequality",
+    )
+
+
+def _names(symbols: Symbols) -> dict[str, Any]:
+    x, u = symbols.x, symbols.u
+    names = {
+        "r0": x[state.R0],
+        "v0": x[state.V0],
+        "Theta0": x[state.THETA0],
+        "omega0": x[state.OMEGA0],
+        "pi": ca.pi,
+    }
+    for i, position in enumerate(uav_positions(symbols)):
+        block, inputs = x[state.uav_slice(i)], u[state.input_slice(i)]
+        names |= {
+            f"r{i + 1}": position,
+            f"e{i + 1}": block[state.E],
+            f"Omega{i + 1}": block[state.ROD_RATE],
+            f"Theta{i + 1}": block[state.THETA],
+            f"omega{i + 1}": block[state.OMEGA],
+            f"thrust{i + 1}": inputs[0],
+            f"tau{i + 1}": inputs[1:],
+        }
+    return names
+
+
+def _evaluate(node: ast.AST, names: dict[str, Any], text: str) -> Any:
+    match node:
+        case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
+            return number
+        case ast.Name(id=name) if name in names:
+            return names[name]
+        case ast.Name(id=name):
+            known = ", ".join(sorted(names))
+            raise SettingsError(f"constraint {text!r}: unknown name {name!r}; known: {known}")
+        case ast.UnaryOp(op=op, operand=operand) if type(op) in _OPERATORS:
+            return _OPERATORS[type(op)](_evaluate(operand, names, text))
+        case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
+            return _OPERATORS[type(op)](_evaluate(left, names, text), _evaluate(right, names, text))
+        case ast.Subscript(value=value, slice=ast.Constant(value=int() as index)):
+            return _evaluate(value, names, text)[index]
+        case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]) if name in _FUNCTIONS:
+            return _FUNCTIONS[name](*[_evaluate(argument, names, text) for argument in arguments])
+    raise SettingsError(f"constraint {text!r}: {ast.unparse(node)!r} is not allowed; see mpc/expressions.py")

@@ -1,0 +1,82 @@
+"""Prediction over the horizon: what happens if the owned inputs stay, and what each owned input changes.
+
+A prediction is affine in the decision v (one row per step), and time-invariant over the horizon, so it is
+fully described by the free response and one impulse response. Whoever predicts the others differently
+(another feedback, another decision variable) returns the same type and the rest of the controller stays.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from model.arrays import Array
+from model.discretisation import Discrete
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Prediction:
+    """States and owned inputs over the horizon as affine functions of the decision v.
+
+        dx(k) = dX_free(k) + sum_{j < k} A^(k-1-j) B v(j),    u_own(k) = U_free(k) + v(k)
+
+    Attributes:
+        A: State matrix of the prediction, (n, n).
+        B: Effect of the decision, (n, m_own).
+        impulse: A^j B, (N_p, n, m_own).
+        dX_free: State deviations from x0 with v = 0 at steps 0..N_p, (N_p + 1, n).
+        U_free: Owned inputs with v = 0, (N_p, m_own).
+    """
+
+    A: Array
+    B: Array
+    impulse: Array
+    dX_free: Array
+    U_free: Array
+
+
+def open_loop(discrete: Discrete, u0: Array, own: np.ndarray, U: Array) -> Prediction:
+    """The paper's prediction: owned inputs held at u0, the others' inputs as they announced them.
+
+    Args:
+        discrete: Zero-order hold about (x0, u0).
+        u0: Input of the linearisation, (m,).
+        own: Positions of the owned inputs in u, (m_own,).
+        U: Announced inputs of all UAVs over the horizon, (N_p, m); owned columns are not read.
+    Returns: Prediction whose decision is the deviation of the owned inputs from u0.
+    Source: docs/equations.md (22)-(24); paper (22)-(24), with B_i in (23) and delta X in (24).
+    """
+    dU = U - u0
+    dU[:, own] = 0.0
+    W = discrete.f_d + dU @ discrete.B.T
+    B = np.ascontiguousarray(discrete.B[:, own])
+    return Prediction(
+        A=discrete.A,
+        B=B,
+        impulse=impulse_response(discrete.A, B, len(U)),
+        dX_free=free_response(discrete.A, W),
+        U_free=np.tile(u0[own], (len(U), 1)),
+    )
+
+
+def free_response(A: Array, W: Array) -> Array:
+    """Response from zero to a known drive: dx(0) = 0, dx(k+1) = A dx(k) + W(k).
+
+    Args:
+        A: State matrix, (n, n).
+        W: Drive per step, (N_p, n).
+    Returns: dx at steps 0..N_p, (N_p + 1, n).
+    Source: docs/equations.md (23); paper (15), (23).
+    """
+    dX = np.zeros((len(W) + 1, A.shape[0]))
+    for k, w in enumerate(W):
+        dX[k + 1] = A @ dX[k] + w
+    return dX
+
+
+def impulse_response(A: Array, B: Array, steps: int) -> Array:
+    """A^j B for j = 0..steps-1, (steps, n, m): the first block column of H in paper (16)."""
+    response = np.empty((steps, *B.shape))
+    response[0] = B
+    for j in range(1, steps):
+        np.matmul(A, response[j - 1], out=response[j])
+    return response

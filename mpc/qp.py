@@ -1,0 +1,115 @@
+"""The quadratic program as every solver sees it, and the check every answer must pass.
+
+minimise 1/2 z' H z + g' z   subject to   lower <= z <= upper,   row_lower <= A z <= row_upper
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from model.arrays import Array
+
+Status = Literal["solved", "infeasible", "limit", "numerical"]
+
+# An answer counts as solved when its residuals, relative to the size of the problem's data, are below
+# this. The stage cost is accepted to 1e-3 relative between solvers; residuals this small give 1e-6.
+RESIDUAL_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class QP:
+    """Data of one program; equalities are rows with equal bounds, missing bounds are infinite.
+
+    Attributes:
+        H: Positive definite, (n, n).
+        g: (n,).
+        lower, upper: Bounds on z, (n,).
+        A: Rows, (r, n).
+        row_lower, row_upper: Bounds on A z, (r,).
+    """
+
+    H: Array
+    g: Array
+    lower: Array
+    upper: Array
+    A: Array
+    row_lower: Array
+    row_upper: Array
+
+    def objective(self, z: Array) -> float:
+        """1/2 z' H z + g' z."""
+        return float(z @ (0.5 * (self.H @ z) + self.g))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Residuals:
+    """How far an answer is from satisfying the optimality conditions, relative to the data.
+
+    Attributes:
+        stationarity: |H z + g + multipliers| relative to 1 + |g|.
+        primal: Largest violation of a bound or row, relative to 1 + |z|.
+        complementarity: Largest multiplier times distance to its bound, relative to 1 + |objective|.
+    """
+
+    stationarity: float
+    primal: float
+    complementarity: float
+
+    @property
+    def worst(self) -> float:
+        """The largest of the three; nan counts as infinite."""
+        worst = max(self.stationarity, self.primal, self.complementarity)
+        return worst if np.isfinite(worst) else np.inf
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Solution:
+    """A solver's answer; a failed solve is an answer too.
+
+    Attributes:
+        status: "solved" only if the residuals pass.
+        z: (n,), meaningless unless solved.
+        bound_multipliers: (n,), positive when the upper bound pushes.
+        row_multipliers: (r,), positive when the upper bound pushes.
+        residuals: Optimality conditions at z.
+        iterations: The solver's own count.
+        solver: Which one answered.
+        fallback: Whether the solver that was asked for did not solve it and this one did or tried.
+    """
+
+    status: Status
+    z: Array
+    bound_multipliers: Array
+    row_multipliers: Array
+    residuals: Residuals
+    iterations: int
+    solver: str
+    fallback: bool = False
+
+
+def residuals(qp: QP, z: Array, bound_multipliers: Array, row_multipliers: Array) -> Residuals:
+    """Karush-Kuhn-Tucker residuals of an answer.
+
+    Args:
+        qp: The program.
+        z: Answer, (n,).
+        bound_multipliers: (n,), positive at upper bounds, negative at lower bounds.
+        row_multipliers: (r,), the same for rows.
+    Source: docs/equations.md (28).
+    """
+    values = np.concatenate([z, qp.A @ z])
+    multipliers = np.concatenate([bound_multipliers, row_multipliers])
+    lower = np.concatenate([qp.lower, qp.row_lower])
+    upper = np.concatenate([qp.upper, qp.row_upper])
+    slope = qp.H @ z + qp.g + bound_multipliers + row_multipliers @ qp.A
+    outside = np.maximum(np.maximum(lower - values, values - upper), 0.0)
+    # A multiplier at an infinite bound must be zero, so its own size is the violation.
+    to_upper = np.where(np.isfinite(upper), upper - values, 1.0)
+    to_lower = np.where(np.isfinite(lower), values - lower, 1.0)
+    slackness = np.where(multipliers > 0.0, multipliers * to_upper, -multipliers * to_lower)
+    return Residuals(
+        stationarity=float(np.abs(slope).max() / (1.0 + np.abs(qp.g).max())),
+        primal=float(outside.max() / (1.0 + np.abs(z).max())),
+        complementarity=float(np.abs(slackness).max() / (1.0 + abs(qp.objective(z)))),
+    )

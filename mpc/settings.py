@@ -1,0 +1,144 @@
+"""What a controller is told: rates, horizon, weights, limits."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from model.arrays import Array
+
+SolverName = Literal["daqp", "clarabel"]
+Pricing = Literal["deviation", "absolute"]
+
+
+class SettingsError(ValueError):
+    """A setting out of its range; the text names it, what was expected and what came."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Weights:
+    """Diagonal weights of the cost (docs/equations.md (21)).
+
+    Attributes:
+        position: On each UAV position error, 1/m^2.
+        attitude: On payload roll, pitch, yaw, 1/rad^2.
+        yaw_rate: On each UAV yaw rate, s^2/rad^2.
+        terminal: Q_f as a multiple of Q.
+        thrust: 1/N^2.
+        moments: About the UAV's body axes, (3,), 1/(N m)^2.
+        priced: Whether R prices the input's deviation from hover, or the input itself as in paper (17).
+    """
+
+    position: float = 1.0
+    attitude: float = 5.0
+    yaw_rate: float = 0.05
+    terminal: float = 5.0
+    thrust: float = 1e-3
+    moments: tuple[float, float, float] = (1e-2, 1e-2, 1e-2)
+    priced: Pricing = "deviation"
+
+    def Q(self, N: int) -> Array:
+        """Diagonal of Q for N UAVs, (4 N + 3,)."""
+        return np.concatenate([np.full(3 * N, self.position), np.full(3, self.attitude), np.full(N, self.yaw_rate)])
+
+    def R(self, N: int) -> Array:
+        """Diagonal of R for N UAVs, (4 N,)."""
+        return np.tile([self.thrust, *self.moments], N)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Limits:
+    """Actuator limits, the same for every UAV.
+
+    Attributes:
+        thrust_N: Smallest and largest thrust.
+        moments_Nm: Largest moment about each body axis, either sign, (3,).
+        thrust_rate_N_s: Largest change of thrust per second.
+        moment_rates_Nm_s: Largest change of each moment per second, (3,).
+    """
+
+    thrust_N: tuple[float, float] = (0.0, 45.0)
+    moments_Nm: tuple[float, float, float] = (1.0, 1.0, 0.5)
+    thrust_rate_N_s: float = 100.0
+    moment_rates_Nm_s: tuple[float, float, float] = (10.0, 10.0, 5.0)
+
+    def __post_init__(self) -> None:
+        low, high = self.thrust_N
+        if not 0.0 <= low < high:
+            raise SettingsError(f"thrust_N: expected 0 <= smallest < largest, got {list(self.thrust_N)}")
+        for name in ("moments_Nm", "moment_rates_Nm_s"):
+            if min(getattr(self, name)) <= 0.0:
+                raise SettingsError(f"{name}: expected numbers > 0, got {list(getattr(self, name))}")
+        if self.thrust_rate_N_s <= 0.0:
+            raise SettingsError(f"thrust_rate_N_s: expected a number > 0, got {self.thrust_rate_N_s}")
+
+    def lower(self, uavs: int) -> Array:
+        """Smallest inputs of that many UAVs, (4 uavs,)."""
+        return np.tile([self.thrust_N[0], *(-value for value in self.moments_Nm)], uavs)
+
+    def upper(self, uavs: int) -> Array:
+        """Largest inputs of that many UAVs, (4 uavs,)."""
+        return np.tile([self.thrust_N[1], *self.moments_Nm], uavs)
+
+    def step(self, uavs: int, period_s: float) -> Array:
+        """Largest change of the inputs over one sampling period, (4 uavs,)."""
+        return np.tile([self.thrust_rate_N_s, *self.moment_rates_Nm_s], uavs) * period_s
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Separation:
+    """Smallest distance between the centres of any two UAVs, softened so that no state makes the QP infeasible.
+
+    Attributes:
+        minimum_m: m.
+        penalty: Price of the largest violation over the horizon, per metre. Above the constraint's
+            multiplier the softened problem has the hard one's solution whenever that exists.
+    """
+
+    minimum_m: float
+    penalty: float = 100.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Constraint:
+    """A constraint of the user's own, as text over the model's variables (see `mpc.expressions`).
+
+    Attributes:
+        expression: Such as "r0[2] <= -2" or "thrust1 + thrust2 <= 60".
+        soft: Soften a state inequality with a slack of its own. Ignored for equalities, which stay hard.
+        penalty: Price per unit of the largest violation over the horizon. Every agent corrects the whole
+            violation it predicts, so a price far above the multiplier makes a team over-correct.
+    """
+
+    expression: str
+    soft: bool = True
+    penalty: float = 10.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ControllerSettings:
+    """Everything that turns a model and a set of owned UAVs into a controller.
+
+    Attributes:
+        sampling_period_s: T_s.
+        horizon: N_p, in sampling periods.
+        relaxation: w in (0, 1]; the published plan is w U* + (1 - w) U_shifted.
+        solver: Tried first; Clarabel takes over when its result does not pass the residual check.
+    """
+
+    sampling_period_s: float = 0.05
+    horizon: int = 20
+    weights: Weights = field(default_factory=Weights)
+    limits: Limits = field(default_factory=Limits)
+    separation: Separation | None = None
+    constraints: tuple[Constraint, ...] = ()
+    relaxation: float = 1.0
+    solver: SolverName = "daqp"
+
+    def __post_init__(self) -> None:
+        if self.horizon < 1:
+            raise SettingsError(f"horizon: expected an integer >= 1, got {self.horizon}")
+        if not self.sampling_period_s > 0.0:
+            raise SettingsError(f"sampling_period_s: expected a number > 0, got {self.sampling_period_s}")
+        if not 0.0 < self.relaxation <= 1.0:
+            raise SettingsError(f"relaxation: expected a number in (0, 1], got {self.relaxation}")

@@ -1,0 +1,125 @@
+"""QP solvers behind one call: DAQP for speed, Clarabel as the other opinion and the fallback."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from model.arrays import Array
+from mpc.qp import QP, RESIDUAL_TOLERANCE, Residuals, Solution, Status, residuals
+from mpc.settings import SolverName
+
+_ITERATIONS = 2000  # DAQP needs about as many as active constraints; a cycle is caught here
+_INFINITY = 1e30  # DAQP's own
+
+
+def solve(qp: QP, solver: SolverName) -> Solution:
+    """Solve, check the answer by its residuals, and hand over to Clarabel when it does not pass.
+
+    Args:
+        qp: The program.
+        solver: Asked first.
+    Returns: A solution with status "solved", or the last failure.
+    """
+    first = _SOLVERS[solver](qp)
+    if first.status == "solved" or solver == "clarabel":
+        return first
+    return replace(solve_clarabel(qp), fallback=True)
+
+
+def solve_daqp(qp: QP) -> Solution:
+    """Dual active-set method (Arnstrom, Bemporad, Axehill 2022)."""
+    import daqp
+
+    lower = np.maximum(np.concatenate([qp.lower, qp.row_lower]), -_INFINITY)
+    upper = np.minimum(np.concatenate([qp.upper, qp.row_upper]), _INFINITY)
+    sense = np.where(lower == upper, 5, 0).astype(np.int32)
+    z, _, flag, info = daqp.solve(
+        np.ascontiguousarray(qp.H), qp.g, np.ascontiguousarray(qp.A), upper, lower, sense,
+        iter_limit=_ITERATIONS, primal_tol=1e-9, dual_tol=1e-9,
+    )  # fmt: skip
+    n = len(qp.g)
+    multipliers = np.asarray(info["lam"], dtype=np.float64)
+    status: Status = "solved" if flag > 0 else "infeasible" if flag == -1 else "limit" if flag == -4 else "numerical"
+    return _checked(qp, np.asarray(z), multipliers[:n], multipliers[n:], status, int(info["iterations"]), "daqp")
+
+
+def solve_clarabel(qp: QP) -> Solution:
+    """Interior-point method (Goulart, Chen 2024), single-threaded so that equal data give equal bits."""
+    import clarabel
+    from scipy import sparse
+
+    n = len(qp.g)
+    equal = qp.row_lower == qp.row_upper
+    has_upper, has_lower = np.isfinite(qp.row_upper) & ~equal, np.isfinite(qp.row_lower) & ~equal
+    bound_upper, bound_lower = np.isfinite(qp.upper), np.isfinite(qp.lower)
+    identity = np.eye(n)
+    G = np.concatenate([qp.A[equal], identity[bound_upper], -identity[bound_lower], qp.A[has_upper], -qp.A[has_lower]])
+    h = np.concatenate(
+        [
+            qp.row_upper[equal],
+            qp.upper[bound_upper],
+            -qp.lower[bound_lower],
+            qp.row_upper[has_upper],
+            -qp.row_lower[has_lower],
+        ]
+    )
+    equalities = int(equal.sum())
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.direct_solve_method = "qdldl"
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-9
+    solver = clarabel.DefaultSolver(
+        sparse.triu(sparse.csc_matrix(qp.H), format="csc"),
+        qp.g,
+        sparse.csc_matrix(G),
+        h,
+        [clarabel.ZeroConeT(equalities), clarabel.NonnegativeConeT(len(h) - equalities)],
+        settings,
+    )
+    answer = solver.solve()
+    kinds = clarabel.SolverStatus
+    status: Status = (
+        "solved"
+        if answer.status in (kinds.Solved, kinds.AlmostSolved)
+        else "infeasible"
+        if answer.status in (kinds.PrimalInfeasible, kinds.AlmostPrimalInfeasible)
+        else "limit"
+        if answer.status in (kinds.MaxIterations, kinds.MaxTime)
+        else "numerical"
+    )
+    duals = np.split(
+        np.asarray(answer.z), np.cumsum([equalities, bound_upper.sum(), bound_lower.sum(), has_upper.sum()])
+    )
+    bound_multipliers, row_multipliers = np.zeros(n), np.zeros(len(qp.A))
+    row_multipliers[equal] = duals[0]
+    bound_multipliers[bound_upper] += duals[1]
+    bound_multipliers[bound_lower] -= duals[2]
+    row_multipliers[has_upper] += duals[3]
+    row_multipliers[has_lower] -= duals[4]
+    return _checked(
+        qp, np.asarray(answer.x), bound_multipliers, row_multipliers, status, int(answer.iterations), "clarabel"
+    )
+
+
+def _checked(
+    qp: QP, z: Array, bound_multipliers: Array, row_multipliers: Array, status: Status, iterations: int, solver: str
+) -> Solution:
+    """Believe a solver that says it solved only if the residuals say so too."""
+    found = Residuals(stationarity=np.inf, primal=np.inf, complementarity=np.inf)
+    if status == "solved":
+        found = residuals(qp, z, bound_multipliers, row_multipliers)
+        if found.worst > RESIDUAL_TOLERANCE:
+            status = "numerical"
+    return Solution(
+        status=status,
+        z=z,
+        bound_multipliers=bound_multipliers,
+        row_multipliers=row_multipliers,
+        residuals=found,
+        iterations=iterations,
+        solver=solver,
+    )
+
+
+_SOLVERS: dict[str, Callable[[QP], Solution]] = {"daqp": solve_daqp, "clarabel": solve_clarabel}
