@@ -50,9 +50,9 @@ class Compiled:
             np.zeros(function.numel_out(i)).reshape(function.size_out(i), order="F") for i in range(function.n_out())
         ]
         for i, argument in enumerate(self._arguments):
-            self._buffer.set_arg(i, memoryview(argument))
+            self._buffer.set_arg(i, argument.data)  # type: ignore[call-arg]  # the generated annotation is wrong
         for i, result in enumerate(self._results):
-            self._buffer.set_res(i, memoryview(result.reshape(-1, order="A")))
+            self._buffer.set_res(i, result.reshape(-1, order="A").data)  # type: ignore[call-arg]
 
     def __call__(self, *arguments: Array | float) -> list[Array]:
         """Evaluate.
@@ -125,7 +125,7 @@ def cache_folder() -> Path:
 
 def _cache_path(N: int) -> Path:
     sources: Sequence[str | None] = (__file__, dynamics.__file__, state.__file__)
-    digest = hashlib.sha256(ca.__version__.encode())
+    digest = hashlib.sha256(ca.CasadiMeta.version().encode())
     for source in sources:
         if source is not None:
             digest.update(Path(source).read_bytes())

@@ -83,7 +83,7 @@ class Maneuver:
 
 
 def paper_maneuver() -> Maneuver:
-    """Hover, climb 2.5 m, translate 2.5 m in +x, descend 2.5 m, hover: 5 s each, from 10 m. Source: paper, section V."""
+    """Hover, climb 2.5 m, translate 2.5 m in +x, descend 2.5 m, hover: 5 s each. Source: paper, section V."""
     legs = {"hover": (0, 0, 0), "climb": (0, 0, -2.5), "translate": (2.5, 0, 0), "descend": (0, 0, 2.5)}
     order = ["hover", "climb", "translate", "descend", "hover"]
     return Maneuver(

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from model.arrays import Array, checked
 from model.discretisation import Discrete, zero_order_hold
@@ -17,6 +18,10 @@ from mpc.prediction import Prediction, open_loop
 from mpc.qp import QP, Solution
 from mpc.settings import ControllerSettings
 from mpc.solvers import solve
+
+
+# Rows on the decision, their bounds, and the slack column that softens each row (-1: hard; None: all hard).
+_Rows = tuple[Array, Array, Array, npt.NDArray[np.intp] | None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -191,7 +196,7 @@ class Controller:
         slacks = len(self._penalties)
         rate = np.tile(self._rate, steps - 1)
         drift = (prediction.U_free[1:] - prediction.U_free[:-1]).reshape(-1)
-        parts = [(self._rate_rows * scale, -rate - drift, rate - drift, None)]
+        parts: list[_Rows] = [(self._rate_rows * scale, -rate - drift, rate - drift, None)]
         C = linear.model.C
         if self._separation is not None:
             _, direction = separation_rows(linear.model.y, self.model.system.N, self.owned)
