@@ -19,7 +19,6 @@ from mpc.qp import QP, Solution
 from mpc.settings import ControllerSettings
 from mpc.solvers import solve
 
-
 # Rows on the decision, their bounds, and the slack column that softens each row (-1: hard; None: all hard).
 _Rows = tuple[Array, Array, Array, npt.NDArray[np.intp] | None]
 

@@ -1,0 +1,200 @@
+"""An agent as a state machine: one measurement in, one plan out.
+
+Tick k opens for the agent with its measurement. It waits for the plans of k - 1 that the clock waited for
+(they may still be on their way from their senders), estimates the state, plans, and answers.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from agent.announced import AnnouncedInputs
+from agent.estimator import StateEstimator
+from model.arrays import Array
+from model.state import input_indices
+from mpc.controller import Controller, Optimum
+from protocol.messages import (
+    Control,
+    Measurement,
+    Message,
+    Plan,
+    Presence,
+    Roster,
+    StepReport,
+    agent_name,
+)
+from protocol.outbox import Outbox, lost
+from protocol.setup import Setup
+
+# Integration steps for looking one period ahead with actuation "next_tick"; see `agent.estimator`.
+_AHEAD_STEPS = 2
+
+
+class AgentNode:
+    """One agent of a run.
+
+    Args:
+        setup: The run.
+        agent: Which agent, 1-based.
+        incarnation: Which start of this process.
+        stopwatch: Nanoseconds of a steady clock, for the step report only.
+    """
+
+    wake_ns = None
+
+    def __init__(
+        self, setup: Setup, agent: int, incarnation: int = 0, stopwatch: Callable[[], int] = lambda: 0
+    ) -> None:
+        self.name = agent_name(agent)
+        self._agent = agent
+        self._setup = setup
+        self._out = Outbox(self.name, incarnation)
+        self._stopwatch = stopwatch
+        owned = setup.owned[agent - 1]
+        self._uavs = tuple(uav + 1 for uav in owned)
+        self._own = input_indices(owned)
+        self._controller = Controller(setup.model, setup.hover, setup.settings, owned)
+        self._announced = AnnouncedInputs(setup.owned, setup.hover.u)
+        self._estimator = StateEstimator(setup.model, self._planned, setup.settings.sampling_period_s)
+        self._peers = tuple(other for other in setup.agents if other != agent)
+        self._incarnations: dict[int, int] = {}
+        self._measurement: Measurement | None = None  # of the open tick, until it is answered
+        self._undelivered: list[Plan] = []  # received, not yet given to the estimator
+        self._last_tick = -1
+        self._reported = 0  # of the rejected messages
+        self.rejected: Counter[tuple[str, str]] = Counter()
+        self.finished: Control | None = None
+
+    def receive(self, event: Message | Presence, now_ns: int) -> Sequence[Message]:  # noqa: ARG002
+        """Take in the roster, measurements and the others' plans."""
+        match event:
+            case Control():
+                self.finished = event
+                return ()
+            case Roster(agents=agents, incarnations=incarnations):
+                self._incarnations = dict(zip(agents, incarnations, strict=True))
+            case Plan():
+                refusal = self._refusal(event)
+                if refusal:
+                    self.rejected[(event.sender, refusal)] += 1
+                    return ()
+                self._announced.add(event)
+                self._undelivered.append(event)
+            case Measurement() if event.tick > self._last_tick and event.uavs == self._uavs:
+                self._measurement = event
+            case Measurement():
+                self.rejected[(event.sender, f"measurement of tick {event.tick} for UAVs {event.uavs}")] += 1
+                return ()
+            case Presence(name="coordinator", alive=False):
+                self.finished = lost(self._out, self._last_tick, "coordinator is gone")
+                return ()
+            case _:
+                return ()
+        measurement = self._measurement
+        if measurement is None or not self._has_plans_for(measurement):
+            return ()
+        self._measurement = None
+        self._last_tick = measurement.tick
+        return self._step(measurement)
+
+    def poll(self, now_ns: int) -> Sequence[Message]:  # noqa: ARG002
+        """Nothing happens to an agent by time alone: its time is the measurement."""
+        return ()
+
+    def _refusal(self, plan: Plan) -> str:
+        """Why a plan is not believed, or nothing."""
+        if plan.agent not in self._peers:
+            return "plan of an unknown agent"
+        if self._incarnations.get(plan.agent) != plan.incarnation:
+            return "plan of another incarnation"
+        if plan.uavs != tuple(uav + 1 for uav in self._setup.owned[plan.agent - 1]):
+            return "plan for UAVs of somebody else"
+        if plan.tick > self._last_tick + 1:
+            return "plan from the future"
+        return ""
+
+    def _has_plans_for(self, measurement: Measurement) -> bool:
+        """Whether the plans of the tick before are in, from whoever sent one and is still on the roster."""
+        senders = set(measurement.answered) & set(self._incarnations) - {self._agent}
+        return all(self._announced.has(agent, measurement.tick - 1) for agent in senders)
+
+    def _step(self, measurement: Measurement) -> list[Message]:
+        watch = [self._stopwatch()]
+        k, controller = measurement.tick, self._controller
+        period_s = self._setup.settings.sampling_period_s
+        steps = self._setup.settings.horizon
+
+        # A plan is usable from the tick after its own, however early it arrives; in an order of its own.
+        usable = sorted((p for p in self._undelivered if p.tick < k), key=lambda p: (p.tick, p.agent))
+        self._undelivered = [plan for plan in self._undelivered if plan.tick >= k]
+        for plan in usable:
+            self._estimator.take(plan)
+        x = self._estimator.estimate(measurement, self._announced)
+        if self._setup.scenario.clock.actuation == "immediate":
+            start, x0, u0 = k, x, self._in_force(measurement)
+        else:
+            start, u0 = k + 1, self._announced.at(k, before=k)
+            x0, _ = self._setup.model.integrate(x, u0, period_s, _AHEAD_STEPS)
+        U = self._announced.sequence(start, steps, before=k)
+        y_ref = self._setup.reference.outputs(period_s * np.arange(start, start + steps + 1, dtype=np.float64))
+        x0, u0, U, y_ref = controller.check(x0, u0, U, y_ref)
+        watch.append(self._stopwatch())
+        linear = controller.linearise(x0, u0)
+        watch.append(self._stopwatch())
+        discrete = controller.discretise(linear)
+        watch.append(self._stopwatch())
+        qp = controller.condense(linear, discrete, U, y_ref)
+        watch.append(self._stopwatch())
+        optimum = controller.conclude(controller.solve(qp), linear, U)
+        watch.append(self._stopwatch())
+
+        plan = self._out.stamp(
+            Plan,
+            tick=k,
+            agent=self._agent,
+            start_tick=start,
+            uavs=self._uavs,
+            uav_states=measurement.uav_states,
+            inputs=optimum.U,
+            status=optimum.solution.status,
+        )
+        report = self._report(k, usable, optimum, np.diff(watch) / 1e6)
+        self._announced.add(plan)
+        return [plan, report]
+
+    def _in_force(self, measurement: Measurement) -> Array:
+        """Inputs until now: what the own actuators report, and what the others announced."""
+        k = measurement.tick
+        u = self._announced.at(k - 1, before=k) if k > 0 else self._setup.hover.u.copy()
+        u[self._own] = measurement.inputs.reshape(-1)
+        return u
+
+    def _planned(self, tick: int) -> Array:
+        times = np.array([tick * self._setup.settings.sampling_period_s])
+        planned: Array = self._setup.reference.states(times)[0]
+        return planned
+
+    def _report(self, k: int, usable: Sequence[Plan], optimum: Optimum, stages_ms: Array) -> StepReport:
+        solution = optimum.solution
+        rejected = self.rejected.total()
+        new, self._reported = rejected - self._reported, rejected
+        newest = [self._announced.newest(agent, before=k) for agent in self._peers]
+        worst = solution.residuals.worst
+        return self._out.stamp(
+            StepReport,
+            tick=k,
+            agent=self._agent,
+            status=solution.status,
+            solver=solution.solver,
+            fallback=solution.fallback,
+            iterations=solution.iterations,
+            residual=worst if np.isfinite(worst) else -1.0,
+            peers=self._peers,
+            plan_ages=tuple(-1 if plan is None else k - plan.tick for plan in newest),
+            state_ages=tuple(self._estimator.age(agent, k) for agent in self._peers),
+            delivered=len(usable),
+            late=sum(plan.tick < k - 1 for plan in usable),
+            rejected=new,
+            times_ms=np.append(stages_ms, stages_ms.sum()),
+        )

@@ -1,0 +1,1 @@
+"""The coordinator: sampling clock, barrier, membership."""

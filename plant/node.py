@@ -1,0 +1,181 @@
+"""The plant as a state machine: measures at each tick, integrates to the next.
+
+At tick k it publishes the measurements of x_k. Once the inputs of [t_k, t_{k+1}) are decided it integrates
+that interval, which the next tick then finds done: with actuation "immediate" that takes the plans of tick
+k, with "next_tick" those of k - 1, so that the plant works while the agents do.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+
+from model import state
+from model.arrays import Array
+from plant.schedule import ActuatorSchedule
+from protocol.messages import Control, Measurement, Message, Plan, Presence, Roster, Tick, Truth
+from protocol.outbox import Outbox, lost
+from protocol.setup import Setup
+
+
+class PlantNode:
+    """The truth of one run.
+
+    Args:
+        setup: The run.
+        incarnation: Which start of this process.
+    """
+
+    name = "plant"
+    wake_ns = None
+
+    def __init__(self, setup: Setup, incarnation: int = 0) -> None:
+        self._setup = setup
+        self._out = Outbox(self.name, incarnation)
+        self._period_s = setup.settings.sampling_period_s
+        self._steps = math.ceil(self._period_s / setup.scenario.plant.step_s - 1e-9)
+        self._delay = 0 if setup.scenario.clock.actuation == "immediate" else 1
+        inertias = np.array([uav.inertia for uav in setup.system.uavs])
+        self._limits = setup.settings.limits.lower(1), setup.settings.limits.upper(1)
+        self._schedule = ActuatorSchedule(setup.hover.u, inertias, setup.settings.limits)
+        self._x: Array = setup.initial_state()
+        self._u: Array = setup.hover.u.copy()  # in force until now
+        self._state_tick = 0  # self._x is the state at this tick
+        self._measured_tick = -1
+        self._pending: Tick | None = None  # open, waiting for the interval before it
+        self._members: set[int] = set(setup.agents)
+        self._arrived: dict[int, set[int]] = {}  # agents whose plans are in, by tick
+        self._incarnations: dict[int, int] = {}
+        self._diverged = False
+        self.rejected: Counter[tuple[str, str]] = Counter()
+        self.finished: Control | None = None
+
+    def receive(self, event: Message | Presence, now_ns: int) -> Sequence[Message]:  # noqa: ARG002
+        """Take in ticks, plans and the roster."""
+        match event:
+            case Control():
+                self.finished = event
+                return ()
+            case Roster(agents=agents, incarnations=incarnations):
+                self._members = set(agents)
+                self._incarnations = dict(zip(agents, incarnations, strict=True))
+            case Plan():
+                refusal = self._refusal(event)
+                if refusal:
+                    self.rejected[(event.sender, refusal)] += 1
+                    return ()
+                self._schedule.add(event)
+                self._arrived.setdefault(event.tick, set()).add(event.agent)
+            case Tick() if event.tick == self._measured_tick + 1:
+                self._pending = event
+            case Presence(name="coordinator", alive=False):
+                self.finished = lost(self._out, self._state_tick, "coordinator is gone")
+                return ()
+            case _:
+                return ()
+        return self._work()
+
+    def poll(self, now_ns: int) -> Sequence[Message]:  # noqa: ARG002
+        """Nothing happens to the plant by time alone: its time is the tick."""
+        return ()
+
+    def _refusal(self, plan: Plan) -> str:
+        """Why a plan is not played, or nothing."""
+        if self._incarnations.get(plan.agent) != plan.incarnation:
+            return "plan of an unknown agent or incarnation"
+        if plan.uavs != tuple(uav + 1 for uav in self._setup.owned[plan.agent - 1]):
+            return "plan for UAVs of somebody else"
+        if plan.start_tick != plan.tick + self._delay or plan.tick > self._measured_tick:
+            return "plan for the wrong instant"
+        low, high = (np.tile(bound, len(plan.uavs)) for bound in self._limits)
+        if (plan.inputs < low).any() or (plan.inputs > high).any():
+            return "inputs outside the limits"
+        return ""
+
+    def _work(self) -> list[Message]:
+        """Do whatever has become possible, in the order of time."""
+        out: list[Message] = []
+        while True:
+            if self._can_measure():
+                out += self._measure()
+            elif self._can_integrate():
+                out.append(self._integrate())
+            else:
+                return out
+
+    def _can_measure(self) -> bool:
+        return self._pending is not None and self._pending.tick == self._state_tick and not self._diverged
+
+    def _can_integrate(self) -> bool:
+        """Whether the inputs from t_k on are decided: tick k is measured, and the plans it takes are in."""
+        k = self._state_tick
+        if self._measured_tick != k or self._diverged:
+            return False
+        decisive = k - self._delay
+        if decisive < 0:
+            return True
+        arrived = self._arrived.get(decisive, set())
+        # The tick after the decisive one says for whom the clock waited; before it comes, wait for all.
+        if self._pending is not None and self._pending.tick == decisive + 1:
+            return set(self._pending.answered) & self._members <= arrived
+        return self._members <= arrived
+
+    def _measure(self) -> list[Message]:
+        tick = self._pending
+        if tick is None:
+            return []
+        self._pending = None
+        self._measured_tick = tick.tick
+        uavs = state.StateView(self._x).uavs
+        u = self._u.reshape(-1, state.INPUTS)
+        return [
+            self._out.stamp(
+                Measurement,
+                tick=tick.tick,
+                agent=agent,
+                answered=tick.answered,
+                payload=self._x[: state.PAYLOAD],
+                uavs=tuple(i + 1 for i in owned),
+                uav_states=uavs[list(owned)],
+                inputs=u[list(owned)],
+            )
+            for agent, owned in enumerate(self._setup.owned, start=1)
+            if agent in self._members
+        ]
+
+    def _integrate(self) -> Truth:
+        k, x = self._state_tick, self._x
+        u, sources = self._schedule.inputs(k, x)
+        end, error = self._setup.model.integrate(x, u, self._period_s, self._steps)
+        reason = self._divergence(k + 1, end)
+        self._diverged = bool(reason)
+        self._x, self._u, self._state_tick = end, u, k + 1
+        self._arrived = {tick: agents for tick, agents in self._arrived.items() if tick > k - self._delay}
+        return self._out.stamp(
+            Truth,
+            tick=k,
+            x=x,
+            u=u,
+            plan_ticks=sources,
+            local_error=error if math.isfinite(error) else -1.0,
+            diverged=reason,
+        )
+
+    def _divergence(self, tick: int, x: Array) -> str:
+        """Why the flight is over, or nothing."""
+        if not np.isfinite(x).all():
+            return "the state is no longer finite"
+        limits = self._setup.scenario.plant
+        view = state.StateView(x)
+        attitudes = np.degrees(np.abs(np.vstack([view.Theta0[None], view.Theta])[:, :2]))
+        worst = np.unravel_index(int(np.argmax(attitudes)), attitudes.shape)
+        if attitudes[worst] > limits.max_attitude_deg:
+            who = "payload" if worst[0] == 0 else f"UAV{worst[0]}"
+            angle = ("roll", "pitch")[worst[1]]
+            return f"{who} {angle} of {attitudes[worst]:.0f} deg exceeds {limits.max_attitude_deg:g} deg"
+        reference, _ = self._setup.maneuver.path(np.array([tick * self._period_s]))
+        error = float(np.linalg.norm(view.r0_I - reference[0]))
+        if error > limits.max_error_m:
+            return f"payload position error of {error:.1f} m exceeds {limits.max_error_m:g} m"
+        return ""

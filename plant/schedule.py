@@ -1,0 +1,75 @@
+"""Actuator schedule: each UAV plays the newest plan that covers the instant, and a fail-safe after its end."""
+
+import numpy as np
+
+from model import state
+from model.arrays import Array
+from mpc.settings import Limits
+from protocol.messages import Plan
+
+# Sources of an input that is not from a plan (`Truth.plan_ticks`).
+BEFORE_ANY_PLAN, FAIL_SAFE = -1, -2
+
+# Fail-safe: level attitude hold at hover thrust. Natural frequency and damping of the attitude loop; slow
+# enough for the moment limits of small quadrotors, fast against the pendulum of a rod of a few metres.
+_FREQUENCY_RAD_S = 6.0
+_DAMPING = 0.8
+
+
+class ActuatorSchedule:
+    """What each UAV's actuators do, tick by tick.
+
+    Args:
+        u_hover: Inputs before any plan, and the thrust of the fail-safe, (4 N,).
+        inertias: UAV inertias, (N, 3, 3), kg m^2.
+        limits: Bounds of the actuators.
+    """
+
+    def __init__(self, u_hover: Array, inertias: Array, limits: Limits) -> None:
+        self._u_hover = u_hover
+        self._inertias = inertias
+        self._lower, self._upper = limits.lower(1), limits.upper(1)
+        self._plans: list[list[Plan]] = [[] for _ in inertias]
+
+    def add(self, plan: Plan) -> None:
+        """Put a plan on the schedule of the UAVs it is for; plans that arrive out of order find their place."""
+        for uav in plan.uavs:
+            plans = self._plans[uav - 1]
+            plans.append(plan)
+            plans.sort(key=lambda p: (p.start_tick, p.tick))
+
+    def inputs(self, tick: int, x: Array) -> tuple[Array, tuple[int, ...]]:
+        """Inputs over [t_k, t_{k+1}) and where they come from.
+
+        Args:
+            tick: k; plans that only cover earlier instants are forgotten.
+            x: State at t_k, (n,), for the fail-safe.
+        Returns: u (4 N,); per UAV the tick of the plan it follows, or `BEFORE_ANY_PLAN`, `FAIL_SAFE`.
+        """
+        u = self._u_hover.copy()
+        sources = []
+        for i, plans in enumerate(self._plans):
+            started = [plan for plan in plans if plan.start_tick <= tick]
+            if not started:
+                sources.append(BEFORE_ANY_PLAN)
+                continue
+            newest = started[-1]
+            self._plans[i] = [newest, *(plan for plan in plans if plan.start_tick > tick)]
+            step = tick - newest.start_tick
+            if step < len(newest.inputs):
+                at = newest.uavs.index(i + 1)
+                u[state.input_slice(i)] = newest.inputs[step, state.input_slice(at)]
+                sources.append(newest.tick)
+            else:
+                u[state.input_slice(i)] = self._fail_safe(i, x[state.uav_slice(i)])
+                sources.append(FAIL_SAFE)
+        return u, tuple(sources)
+
+    def _fail_safe(self, i: int, block: Array) -> Array:
+        """Hover thrust and moments that level the UAV and stop its rotation. Source: docs/equations.md (31)."""
+        roll, pitch, _ = block[state.THETA]
+        stiffness, damping = _FREQUENCY_RAD_S**2, 2.0 * _DAMPING * _FREQUENCY_RAD_S
+        wanted = -stiffness * np.array([roll, pitch, 0.0]) - damping * block[state.OMEGA]
+        thrust = self._u_hover[state.input_slice(i)][:1]
+        inputs: Array = np.concatenate([thrust, self._inertias[i] @ wanted])
+        return np.clip(inputs, self._lower, self._upper, out=inputs)

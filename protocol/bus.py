@@ -1,0 +1,253 @@
+"""The Zenoh bus: one session per process, one inbox, liveliness in and out.
+
+Everything that arrives (messages, tokens, signals) goes through one queue in arrival order and is handled
+by the one thread that asks for it; Zenoh's own threads only enqueue. Configuration is in one place, here.
+"""
+
+import json
+import queue
+import threading
+import time
+from collections import Counter
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any
+
+import zenoh
+
+from protocol.codec import decode, encode
+from protocol.keys import Keys
+from protocol.messages import Message, MessageError, Presence
+
+# Closing can block for as long as a peer does not read (zenoh issue 2675); a process that has said all it
+# had to say does not wait for that longer than this.
+_CLOSE_S = 2.0
+
+
+class BusError(RuntimeError):
+    """The network cannot be used: the text says what was tried and what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Interrupted:
+    """Event: a signal, or the parent process is gone."""
+
+    reason: str
+
+
+Event = Message | Presence | Interrupted
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Endpoints:
+    """Where a process listens and whom it calls.
+
+    Attributes:
+        listen: Zenoh endpoints such as "tcp/127.0.0.1:7447"; none for an observer.
+        connect: Endpoints of the processes it connects to; each pair of processes is connected once.
+    """
+
+    listen: Sequence[str]
+    connect: Sequence[str]
+
+
+class Bus:
+    """One process's place on the network of one run.
+
+    Args:
+        name: Process name: "coordinator", "plant", "agent1", "recorder".
+        incarnation: Which start of this process.
+        run: Name of the run, part of every key.
+        digest: Fingerprint of the scenario; processes with different ones refuse each other.
+        endpoints: Where to listen and whom to connect to.
+        rejected: Where refused messages are counted: the node's own counter.
+    Raises: BusError: the endpoint cannot be listened on.
+    """
+
+    def __init__(
+        self,
+        *,
+        name: str,
+        incarnation: int,
+        run: str,
+        digest: str,
+        endpoints: Endpoints,
+        rejected: Counter[tuple[str, str]],
+    ) -> None:
+        self.name, self.incarnation, self._digest = name, incarnation, digest
+        self._keys = Keys(run)
+        self._endpoints = endpoints
+        self._inbox: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._publishers: dict[str, zenoh.Publisher] = {}
+        self._tokens: list[zenoh.LivelinessToken] = []
+        # Everything refused on arrival, by key and reason; nothing is dropped without a trace.
+        self.rejected = rejected
+        zenoh.init_log_from_env_or("error")
+        try:
+            self._session = zenoh.open(zenoh.Config.from_json5(json.dumps(_configuration(endpoints))))
+        except zenoh.ZError as error:
+            raise BusError(_listen_problem(endpoints, str(error))) from error
+        # Subscribers before the token: whoever sees the token may send at once, and nothing is lost.
+        self._subscribers = [
+            self._session.declare_subscriber(key, self._inbox.put) for key in self._keys.subscriptions(name)
+        ]
+        self._watch = self._session.liveliness().declare_subscriber(
+            f"{self._keys.prefix}/alive/**", self._inbox.put, history=True
+        )
+        self._watch_ready = self._session.liveliness().declare_subscriber(
+            f"{self._keys.prefix}/ready/**", self._inbox.put, history=True
+        )
+        self._alive: dict[str, tuple[int, str]] = {}
+
+    def __enter__(self) -> "Bus":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def join(self, expected: Collection[str], timeout_s: float) -> Interrupted | None:
+        """Announce this process and wait until it has seen every expected one.
+
+        Args:
+            expected: Names of the processes to wait for.
+            timeout_s: How long.
+        Returns: None when everybody is there, or the interruption that came first.
+        Raises: BusError: somebody did not show up, runs another scenario, or runs under this name already.
+        """
+        token = self._keys.alive(self.name, self.incarnation, self._digest)
+        self._tokens.append(self._session.liveliness().declare_token(token))
+        deadline = time.monotonic() + timeout_s
+        early: list[Any] = []
+        while missing := set(expected) - set(self._alive) - {self.name}:
+            try:
+                item = self._inbox.get(timeout=max(0.0, deadline - time.monotonic()))
+            except queue.Empty:
+                called = ", ".join(self._endpoints.connect) or "nobody (it listens)"
+                raise BusError(
+                    f"{self.name}: no sign of {', '.join(sorted(missing))} within {timeout_s:g} s; "
+                    f"listening on {', '.join(self._endpoints.listen) or 'nothing'}, connecting to {called}"
+                ) from None
+            if isinstance(item, Interrupted):
+                return item
+            if not self._note_alive(item):
+                early.append(item)
+        self._tokens.append(self._session.liveliness().declare_token(self._keys.ready(self.name, self.incarnation)))
+        for item in early:
+            self._inbox.put(item)
+        return None
+
+    def publish(self, message: Message) -> None:
+        """Send a message to whoever listens; blocks rather than drops when a peer is slow."""
+        key = self._keys.of(message)
+        publisher = self._publishers.get(key)
+        if publisher is None:
+            publisher = self._publishers[key] = self._session.declare_publisher(
+                key,
+                congestion_control=zenoh.CongestionControl.BLOCK,
+                reliability=zenoh.Reliability.RELIABLE,
+                allowed_destination=zenoh.Locality.REMOTE,
+            )
+        publisher.put(encode(message))
+
+    def next(self, timeout_s: float | None) -> Event | None:
+        """The next event, or None after the timeout (None waits for ever). Bad messages are counted, not returned."""
+        deadline = None if timeout_s is None else time.monotonic() + timeout_s
+        while True:
+            left = None if deadline is None else max(0.0, deadline - time.monotonic())
+            try:
+                item = self._inbox.get(timeout=left)
+            except queue.Empty:
+                return None
+            event = item if isinstance(item, Interrupted) else self._event(item)
+            if event is not None:
+                return event
+
+    def interrupt(self, reason: str) -> None:
+        """Wake `next` with an `Interrupted`; safe in a signal handler and from any thread."""
+        self._inbox.put(Interrupted(reason))
+
+    def close(self) -> None:
+        """Undeclare everything and close the session, within bounded time."""
+        closer = threading.Thread(target=self._close, daemon=True)
+        closer.start()
+        closer.join(_CLOSE_S)
+
+    def _close(self) -> None:
+        for token in self._tokens:
+            token.undeclare()  # type: ignore[no-untyped-call]
+        for subscriber in [self._watch, self._watch_ready, *self._subscribers]:
+            subscriber.undeclare()  # type: ignore[no-untyped-call]
+        self._session.close()  # type: ignore[no-untyped-call]
+
+    def _event(self, sample: zenoh.Sample) -> Event | None:
+        key = str(sample.key_expr)
+        kind = key[len(self._keys.prefix) + 1 :].split("/", 1)[0]
+        if kind == "alive":
+            return self._presence_from_alive(sample)
+        if kind == "ready":
+            if sample.kind != zenoh.SampleKind.PUT:
+                return None
+            name, incarnation = key.rsplit("/", 2)[1:]
+            return Presence(name, int(incarnation), alive=True)
+        try:
+            message = decode(sample.payload.to_bytes())
+            self._keys.check_sender(key, message)
+        except MessageError as error:
+            self.rejected[(key.removeprefix(self._keys.prefix + "/"), str(error))] += 1
+            return None
+        return message
+
+    def _presence_from_alive(self, sample: zenoh.Sample) -> Presence | None:
+        name, incarnation, digest = str(sample.key_expr).rsplit("/", 3)[1:]
+        if sample.kind == zenoh.SampleKind.PUT:
+            self._alive[name] = (int(incarnation), digest)
+            return None
+        known = self._alive.get(name)
+        if known is not None and known[0] == int(incarnation):
+            del self._alive[name]
+        return Presence(name, int(incarnation), alive=False)
+
+    def _note_alive(self, item: zenoh.Sample) -> bool:
+        """Take in one liveliness sample while joining; False for anything else."""
+        key = str(item.key_expr)
+        if not key.startswith(f"{self._keys.prefix}/alive/"):
+            return False
+        if item.kind != zenoh.SampleKind.PUT:
+            self._presence_from_alive(item)
+            return True
+        name, incarnation, digest = key.rsplit("/", 3)[1:]
+        if name == self.name:
+            if int(incarnation) != self.incarnation:
+                raise BusError(f"{self.name} is already running in this run (incarnation {incarnation})")
+            return True
+        if digest != self._digest:
+            raise BusError(
+                f"{name} flies another scenario (digest {digest}, here {self._digest}): start all from the same file"
+            )
+        self._alive[name] = (int(incarnation), digest)
+        return True
+
+
+def _configuration(endpoints: Endpoints) -> dict[str, Any]:
+    """Explicit mesh on fixed endpoints: no discovery, fast retries, patience until `join` gives up."""
+    return {
+        "mode": "peer",
+        "listen": {"endpoints": list(endpoints.listen), "exit_on_failure": True},
+        "connect": {
+            "endpoints": list(endpoints.connect),
+            "timeout_ms": -1,
+            "exit_on_failure": False,
+            "retry": {"period_init_ms": 50, "period_max_ms": 200, "period_increase_factor": 1.5},
+        },
+        "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
+    }
+
+
+def _listen_problem(endpoints: Endpoints, detail: str) -> str:
+    where = ", ".join(endpoints.listen)
+    if "in use" in detail:
+        return f"{where}: address already in use; choose another base port, or end the process that has it"
+    return f"{where}: cannot listen ({detail[:200]})"

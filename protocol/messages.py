@@ -1,0 +1,366 @@
+"""The messages of a run: frozen, validated at construction, equal on every runtime.
+
+Who sends what to whom, per tick: coordinator -> plant `Tick`; plant -> each agent `Measurement`; agent ->
+everybody `Plan`. For the record: plant `Truth`, agents `StepReport`. Around them: coordinator `Roster` and
+`Control`. Presence is not a message: it comes from liveliness tokens, and nodes are told as an event.
+"""
+
+import re
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, ClassVar, Literal, get_args
+
+import numpy as np
+
+from model.arrays import Array, ShapeError, checked
+from model.state import INPUTS, PAYLOAD, PER_UAV
+
+# Limits of what a message may claim; beyond them it is garbage, whoever sent it.
+MAX_UAVS = 256
+MAX_HORIZON = 10_000
+MAX_TICK = 2**48
+MAX_TEXT = 1_000
+
+_NAME = re.compile(r"coordinator|plant|recorder|agent[1-9][0-9]{0,2}")
+
+Outcome = Literal["completed", "diverged", "aborted"]
+PlanStatus = Literal["solved", "infeasible", "limit", "numerical"]
+STAGES = ("estimate", "linearise", "discretise", "condense", "solve", "total")
+
+
+class MessageError(ValueError):
+    """A message that is not one: the text names the field, what was expected and what came."""
+
+
+def agent_name(agent: int) -> str:
+    """Process name of an agent, e.g. "agent2"."""
+    return f"agent{agent}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Message:
+    """What every message carries.
+
+    Attributes:
+        sender: Process name: "coordinator", "plant", "agent1"...
+        incarnation: Which start of that process, growing with every restart.
+        sequence: Number of the message among all its sender sent in this incarnation, from 0.
+        tick: The sampling instant it belongs to, from 0.
+    """
+
+    kind: ClassVar[str]
+
+    sender: str
+    incarnation: int
+    sequence: int
+    tick: int
+
+    def __post_init__(self) -> None:
+        self._set("sender", _name(self.sender))
+        for field in ("incarnation", "sequence", "tick"):
+            self._set(field, _integer(field, getattr(self, field), MAX_TICK))
+
+    def _set(self, field: str, value: Any) -> None:
+        object.__setattr__(self, field, value)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tick(Message):
+    """Coordinator to plant: tick k is open.
+
+    Attributes:
+        members: Agents whose plans of this tick the clock will wait for.
+        answered: Agents whose plans of tick k - 1 count: whoever uses plans of k - 1 waits for these.
+    """
+
+    kind: ClassVar[str] = "tick"
+
+    members: tuple[int, ...]
+    answered: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        Message.__post_init__(self)
+        self._set("members", _ids("members", self.members))
+        self._set("answered", _ids("answered", self.answered))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Roster(Message):
+    """Coordinator to everybody: who takes part from this tick on.
+
+    Attributes:
+        version: Grows with every change.
+        agents: Agents on the roster.
+        incarnations: Their incarnations, in the same order; messages of other incarnations are refused.
+        reason: Why it changed, for people.
+    """
+
+    kind: ClassVar[str] = "roster"
+
+    version: int
+    agents: tuple[int, ...]
+    incarnations: tuple[int, ...]
+    reason: str
+
+    def __post_init__(self) -> None:
+        Message.__post_init__(self)
+        self._set("version", _integer("version", self.version, MAX_TICK))
+        self._set("agents", _ids("agents", self.agents))
+        self._set("incarnations", tuple(_integer("incarnations", i, MAX_TICK) for i in _sequence(self.incarnations)))
+        self._set("reason", _text("reason", self.reason))
+        if len(self.agents) != len(self.incarnations):
+            raise MessageError(
+                f"incarnations: expected one for each of {len(self.agents)} agents, got {len(self.incarnations)}"
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Measurement(Message):
+    """Plant to one agent: what its sensors see at tick k. It opens the tick for that agent.
+
+    Attributes:
+        agent: The agent it is for.
+        answered: Forwarded from the tick: whose plans of tick k - 1 to wait for.
+        payload: Payload states r0, v0, Theta0, omega0, (12,), SI.
+        uavs: Owned UAVs, 1-based ids, ascending.
+        uav_states: Their states e, Omega, Theta, omega, (owned, 12), SI.
+        inputs: What their actuators did until now, (owned, 4), N and N m.
+    """
+
+    kind: ClassVar[str] = "measurement"
+
+    agent: int
+    answered: tuple[int, ...]
+    payload: Array
+    uavs: tuple[int, ...]
+    uav_states: Array
+    inputs: Array
+
+    def __post_init__(self) -> None:
+        Message.__post_init__(self)
+        self._set("agent", _integer("agent", self.agent, MAX_UAVS, low=1))
+        self._set("answered", _ids("answered", self.answered))
+        self._set("payload", _array("payload", self.payload, (PAYLOAD,)))
+        self._set("uavs", _ids("uavs", self.uavs))
+        self._set("uav_states", _array("uav_states", self.uav_states, (len(self.uavs), PER_UAV)))
+        self._set("inputs", _array("inputs", self.inputs, (len(self.uavs), INPUTS)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plan(Message):
+    """Agent to everybody: its own state now and the inputs it will apply.
+
+    Attributes:
+        agent: Who planned.
+        start_tick: First sampling instant the inputs are for.
+        uavs: Owned UAVs, 1-based ids, ascending.
+        uav_states: Their states at `tick`, (owned, 12), SI.
+        inputs: Absolute inputs per step from `start_tick`, (N_p, 4 owned), N and N m.
+        status: How the solve went; anything but "solved" means the shifted previous plan.
+    """
+
+    kind: ClassVar[str] = "plan"
+
+    agent: int
+    start_tick: int
+    uavs: tuple[int, ...]
+    uav_states: Array
+    inputs: Array
+    status: PlanStatus
+
+    def __post_init__(self) -> None:
+        Message.__post_init__(self)
+        self._set("agent", _integer("agent", self.agent, MAX_UAVS, low=1))
+        self._set("start_tick", _integer("start_tick", self.start_tick, MAX_TICK))
+        self._set("uavs", _ids("uavs", self.uavs))
+        self._set("uav_states", _array("uav_states", self.uav_states, (len(self.uavs), PER_UAV)))
+        self._set("inputs", _array("inputs", self.inputs, (None, INPUTS * len(self.uavs))))
+        _choice("status", self.status, get_args(PlanStatus))
+        if not 1 <= len(self.inputs) <= MAX_HORIZON:
+            raise MessageError(f"inputs: expected 1 to {MAX_HORIZON} steps, got {len(self.inputs)}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StepReport(Message):
+    """Agent to the record: how one step went.
+
+    Attributes:
+        agent: Who reports.
+        status, solver, fallback, iterations, residual: Of the solve; residual is the worst KKT residual,
+            or -1 when there is none.
+        plan_ages: Age in ticks of the newest plan used of each other agent, in the order of `peers`.
+        state_ages: The same for the newest state of each.
+        peers: The other agents, ascending; an age of -1 means nothing was ever received.
+        delivered: Plans of others that became usable at this tick.
+        late: How many of them were older than one tick.
+        rejected: Messages refused since the last report. Unlike the rest, not reproducible.
+        times_ms: Wall-clock per stage, in the order of `STAGES`, (6,). Not reproducible, unlike the rest.
+    """
+
+    kind: ClassVar[str] = "report"
+
+    agent: int
+    status: PlanStatus
+    solver: str
+    fallback: bool
+    iterations: int
+    residual: float
+    peers: tuple[int, ...]
+    plan_ages: tuple[int, ...]
+    state_ages: tuple[int, ...]
+    delivered: int
+    late: int
+    rejected: int
+    times_ms: Array
+
+    def __post_init__(self) -> None:
+        Message.__post_init__(self)
+        self._set("agent", _integer("agent", self.agent, MAX_UAVS, low=1))
+        _choice("status", self.status, get_args(PlanStatus))
+        self._set("solver", _text("solver", self.solver))
+        self._set("fallback", _boolean("fallback", self.fallback))
+        for field in ("iterations", "delivered", "late", "rejected"):
+            self._set(field, _integer(field, getattr(self, field), MAX_TICK))
+        self._set("residual", _number("residual", self.residual))
+        self._set("peers", _ids("peers", self.peers))
+        for field in ("plan_ages", "state_ages"):
+            ages = tuple(_integer(field, age, MAX_TICK, low=-1) for age in _sequence(getattr(self, field)))
+            if len(ages) != len(self.peers):
+                raise MessageError(f"{field}: expected one for each of {len(self.peers)} peers, got {len(ages)}")
+            self._set(field, ages)
+        self._set("times_ms", _array("times_ms", self.times_ms, (len(STAGES),)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Truth(Message):
+    """Plant to the record: what really happened at tick k and until k + 1.
+
+    Attributes:
+        x: State at t_k, (12 + 12 N,), SI.
+        u: Inputs applied over [t_k, t_{k+1}), (4 N,), N and N m.
+        plan_ticks: Tick of the plan each UAV's actuators followed, (N): -1 before any plan, -2 for the fail-safe.
+        local_error: Largest local error estimate of the integration over the interval, SI.
+        diverged: Empty, or why the flight ends after this interval.
+    """
+
+    kind: ClassVar[str] = "truth"
+
+    x: Array
+    u: Array
+    plan_ticks: tuple[int, ...]
+    local_error: float
+    diverged: str
+
+    def __post_init__(self) -> None:
+        Message.__post_init__(self)
+        N = len(_sequence(self.plan_ticks))
+        self._set("plan_ticks", tuple(_integer("plan_ticks", t, MAX_TICK, low=-2) for t in self.plan_ticks))
+        self._set("x", _array("x", self.x, (PAYLOAD + PER_UAV * N,)))
+        self._set("u", _array("u", self.u, (INPUTS * N,)))
+        self._set("local_error", _number("local_error", self.local_error))
+        self._set("diverged", _text("diverged", self.diverged))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Control(Message):
+    """Coordinator to everybody: the run ends here.
+
+    Attributes:
+        outcome: How.
+        reason: Why, for people; empty when completed.
+        exit_code: What every process should exit with.
+    """
+
+    kind: ClassVar[str] = "control"
+
+    outcome: Outcome
+    reason: str
+    exit_code: int
+
+    def __post_init__(self) -> None:
+        Message.__post_init__(self)
+        _choice("outcome", self.outcome, get_args(Outcome))
+        self._set("reason", _text("reason", self.reason))
+        self._set("exit_code", _integer("exit_code", self.exit_code, 255))
+
+
+KINDS: dict[str, type[Message]] = {
+    cls.kind: cls for cls in (Tick, Roster, Measurement, Plan, StepReport, Truth, Control)
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Presence:
+    """Event for a node, made from liveliness tokens: a process is there, or no longer.
+
+    Attributes:
+        name: Process name.
+        incarnation: Which start of it.
+        alive: True when it is ready to take part, False when its token is gone.
+    """
+
+    name: str
+    incarnation: int
+    alive: bool
+
+
+def _name(value: object) -> str:
+    if not (isinstance(value, str) and _NAME.fullmatch(value)):
+        raise MessageError(f"sender: expected a process name, got {_shown(value)}")
+    return value
+
+
+def _integer(field: str, value: object, high: int, *, low: int = 0) -> int:
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not low <= value <= high:
+        raise MessageError(f"{field}: expected an integer in [{low}, {high}], got {_shown(value)}")
+    return int(value)
+
+
+def _number(field: str, value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float | np.floating) or not np.isfinite(value):
+        raise MessageError(f"{field}: expected a finite number, got {_shown(value)}")
+    return float(value)
+
+
+def _boolean(field: str, value: object) -> bool:
+    if not isinstance(value, bool):
+        raise MessageError(f"{field}: expected true or false, got {_shown(value)}")
+    return value
+
+
+def _text(field: str, value: object) -> str:
+    if not isinstance(value, str) or len(value) > MAX_TEXT:
+        raise MessageError(f"{field}: expected text of at most {MAX_TEXT} characters, got {_shown(value)}")
+    return value
+
+
+def _choice(field: str, value: object, choices: tuple[str, ...]) -> None:
+    if value not in choices:
+        raise MessageError(f"{field}: expected one of {', '.join(choices)}, got {_shown(value)}")
+
+
+def _sequence(value: object) -> tuple[Any, ...] | list[Any]:
+    if not isinstance(value, tuple | list) or len(value) > MAX_UAVS:
+        raise MessageError(f"expected a list of at most {MAX_UAVS}, got {_shown(value)}")
+    return value
+
+
+def _ids(field: str, value: object) -> tuple[int, ...]:
+    ids = tuple(_integer(field, i, MAX_UAVS, low=1) for i in _sequence(value))
+    if any(a >= b for a, b in pairwise(ids)):
+        raise MessageError(f"{field}: expected ascending ids, got {list(ids)}")
+    return ids
+
+
+def _array(field: str, value: object, shape: tuple[int | None, ...]) -> Array:
+    if not isinstance(value, np.ndarray):
+        raise MessageError(f"{field}: expected an array, got {_shown(value)}")
+    try:
+        return checked(field, value, shape)
+    except ShapeError as error:
+        raise MessageError(str(error)) from error
+
+
+def _shown(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -1,0 +1,34 @@
+"""What a node is: a state machine without I/O. Two runtimes drive the same nodes."""
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import Protocol
+
+from protocol.messages import Control, Message, Presence
+
+
+class Node(Protocol):
+    """A role in a run as a state machine: events and time in, messages out.
+
+    `rejected` counts the messages it refused, by sender and reason; the bus adds those it could not read.
+
+    Times are nanoseconds of any clock that only goes forward; in lockstep nothing in the messages depends
+    on them.
+    """
+
+    name: str
+    rejected: Counter[tuple[str, str]]
+
+    @property
+    def finished(self) -> Control | None:
+        """How the run ended for this node, once it has."""
+
+    @property
+    def wake_ns(self) -> int | None:
+        """When `poll` must be called next at the latest; None while only events matter."""
+
+    def receive(self, event: Message | Presence, now_ns: int) -> Sequence[Message]:
+        """Take in one event and return what to send because of it."""
+
+    def poll(self, now_ns: int) -> Sequence[Message]:
+        """Let time pass and return what to send because of it."""

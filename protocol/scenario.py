@@ -1,0 +1,198 @@
+"""The scenario: one validated tree that describes a run. Units are in the names; ids are 1-based.
+
+Every process of a run reads the same file; docs/scenario.md describes each key for people.
+"""
+
+import hashlib
+import json
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic_core import PydanticCustomError
+
+
+class Section(BaseModel):
+    """Part of a scenario: unknown keys are refused, values never change after reading."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
+
+
+def _three_numbers(value: list[float]) -> list[float]:
+    if len(value) != 3:
+        raise PydanticCustomError("shape", "expected 3 numbers")
+    return value
+
+
+Vector = Annotated[list[float], AfterValidator(_three_numbers)]
+PositiveVector = Annotated[list[Positive], AfterValidator(_three_numbers)]
+
+
+def _inertia(value: Any) -> Any:
+    try:
+        shape = np.shape(np.asarray(value, dtype=np.float64))
+    except (TypeError, ValueError):
+        shape = None
+    if shape not in ((3,), (3, 3)):
+        raise PydanticCustomError("shape", "expected 3 principal moments or 3 rows of 3 numbers")
+    return value
+
+
+Inertia = Annotated[list[float] | list[list[float]], AfterValidator(_inertia)]
+
+
+class PayloadSection(Section):
+    """The carried body."""
+
+    mass_kg: Positive
+    inertia_kgm2: Inertia
+
+
+class UavSection(Section):
+    """One UAV and its rod."""
+
+    id: Annotated[int, Field(ge=1, le=256)]
+    mass_kg: Positive
+    inertia_kgm2: Inertia
+    rho_m: Vector
+    rod_length_m: Positive
+
+
+class SystemSection(Section):
+    """The physical system."""
+
+    gravity_mps2: Positive = 9.81
+    payload: PayloadSection
+    uav: Annotated[list[UavSection], Field(min_length=1, max_length=256)]
+
+
+class PhaseSection(Section):
+    """One straight piece of the payload's path; displacement in the inertial frame, z down."""
+
+    name: str
+    duration_s: Positive
+    displacement_m: Vector
+
+
+class ManeuverSection(Section):
+    """What is flown."""
+
+    start_m: Vector = [0.0, 0.0, -10.0]
+    profile: Literal["ramp", "min_jerk", "step"] = "ramp"
+    phase: Annotated[list[PhaseSection], Field(min_length=1)]
+
+
+class WeightsSection(Section):
+    """Diagonal weights of the cost."""
+
+    position: Positive = 1.0
+    attitude: Positive = 5.0
+    yaw_rate: Positive = 0.05
+    terminal: NotNegative = 5.0
+    thrust: Positive = 1e-3
+    moments: PositiveVector = [1e-2, 1e-2, 1e-2]
+    priced: Literal["deviation", "absolute"] = "deviation"
+
+
+class LimitsSection(Section):
+    """Actuator limits."""
+
+    thrust_N: Annotated[list[NotNegative], Field(min_length=2, max_length=2)] = [0.0, 45.0]
+    moments_Nm: PositiveVector = [1.0, 1.0, 0.5]
+    thrust_rate_N_s: Positive = 100.0
+    moment_rates_Nm_s: PositiveVector = [10.0, 10.0, 5.0]
+
+
+class SeparationSection(Section):
+    """Smallest distance between any two UAVs."""
+
+    minimum_m: Positive
+    penalty: Positive = 100.0
+
+
+class ConstraintSection(Section):
+    """A constraint of the user's own."""
+
+    expression: str
+    soft: bool = True
+    penalty: Positive = 10.0
+
+
+class ControllerSection(Section):
+    """The controller every agent runs."""
+
+    sampling_period_s: Positive = 0.05
+    horizon: Annotated[int, Field(ge=1, le=10_000)] = 20
+    relaxation: Annotated[float, Field(gt=0.0, le=1.0)] | Literal["auto"] = 1.0
+    solver: Literal["daqp", "clarabel"] = "daqp"
+    weights: WeightsSection = WeightsSection()
+    limits: LimitsSection = LimitsSection()
+    separation: SeparationSection | None = None
+    constraint: list[ConstraintSection] = []
+
+
+class AgentsSection(Section):
+    """Which agent decides for which UAVs; agent 1 owns the first list. One agent for each UAV by default."""
+
+    owned: Annotated[list[Annotated[list[int], Field(min_length=1)]], Field(min_length=1)] | None = None
+
+
+class ClockSection(Section):
+    """Sampling clock and membership."""
+
+    mode: Literal["lockstep"] = "lockstep"
+    speed: NotNegative = 0.0
+    actuation: Literal["immediate", "next_tick"] = "immediate"
+    barrier_timeout_s: Positive = 5.0
+    join_timeout_s: Positive = 30.0
+    on_agent_loss: Literal["abort", "continue"] = "abort"
+
+
+class PlantSection(Section):
+    """Integration of the truth, and when a flight counts as lost."""
+
+    step_s: Positive = 0.005
+    max_attitude_deg: Annotated[float, Field(gt=0.0, lt=90.0)] = 80.0
+    max_error_m: Positive = 20.0
+
+
+class NetworkSection(Section):
+    """Where processes listen: the coordinator on the base port, the plant one above, agents above that."""
+
+    host: str = "127.0.0.1"
+    base_port: Annotated[int, Field(ge=1024, le=65_000)] | None = None
+
+
+class Scenario(Section):
+    """The whole description of a run."""
+
+    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,40}$")]
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    system: SystemSection
+    maneuver: ManeuverSection
+    controller: ControllerSection = ControllerSection()
+    agents: AgentsSection = AgentsSection()
+    clock: ClockSection = ClockSection()
+    plant: PlantSection = PlantSection()
+    network: NetworkSection = NetworkSection()
+
+    @property
+    def owned(self) -> tuple[tuple[int, ...], ...]:
+        """UAV ids of agent 1, agent 2, ..."""
+        if self.agents.owned is None:
+            return tuple((uav.id,) for uav in self.system.uav)
+        return tuple(tuple(sorted(group)) for group in self.agents.owned)
+
+    def tree(self) -> dict[str, Any]:
+        """As plain data, every default spelled out, for writing back and for the digest."""
+        return self.model_dump(mode="json", by_alias=True, exclude_none=True)
+
+    def digest(self) -> str:
+        """Fingerprint of everything but the network addresses: processes of one run must agree on it."""
+        tree = {key: value for key, value in self.tree().items() if key != "network"}
+        return hashlib.sha256(json.dumps(tree, sort_keys=True).encode()).hexdigest()[:12]

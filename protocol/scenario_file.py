@@ -1,0 +1,206 @@
+"""Reading a scenario: from TOML and command-line settings to a `Setup`, or one clear line saying what is wrong."""
+
+import difflib
+import tomllib
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any, TypeVar, get_args
+
+from pydantic import BaseModel, ValidationError
+
+from model.arrays import ShapeError
+from model.parameters import ParameterError
+from mpc.settings import SettingsError
+from protocol.scenario import Scenario
+
+T = TypeVar("T")
+
+
+class ScenarioError(ValueError):
+    """A scenario that cannot be flown: `file: field: expected ..., got ...`.
+
+    Args:
+        source: File it comes from.
+        field: Dotted path of the key, list entries counted from 1; may be empty.
+        problem: What was expected and what came.
+    """
+
+    def __init__(self, source: str, field: str, problem: str) -> None:
+        super().__init__(": ".join(part for part in (source, field, problem) if part))
+
+
+def read_scenario(path: Path, settings: Sequence[str] = ()) -> Scenario:
+    """Read and validate a scenario file.
+
+    Args:
+        path: TOML file.
+        settings: Changes on top of it, "dotted.key=value" with a TOML value; list entries by number from 1.
+    Raises: ScenarioError: naming file, field, expected and got.
+    """
+    source = str(path)
+    try:
+        tree = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise ScenarioError(source, "", "no such file") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise ScenarioError(source, "", f"cannot be read ({error})") from error
+    except tomllib.TOMLDecodeError as error:
+        raise ScenarioError(source, "", f"not valid TOML: {error}") from error
+    for setting in settings:
+        _apply(tree, setting)
+    return validate(tree, source)
+
+
+def validate(tree: dict[str, Any], source: str) -> Scenario:
+    """Check a tree of plain data against the scenario's schema, then the relations between its fields."""
+    try:
+        scenario = Scenario.model_validate(tree)
+    except ValidationError as error:
+        raise _first(error, source) from error
+    _check_relations(scenario, source)
+    return scenario
+
+
+def building(source: str, field: str, build: Callable[[], T]) -> T:
+    """Build a model object from a scenario's values; what it refuses becomes a `ScenarioError` of that field."""
+    try:
+        return build()
+    except (ParameterError, SettingsError, ShapeError) as error:
+        raise ScenarioError(source, field, str(error)) from error
+
+
+def _check_relations(scenario: Scenario, source: str) -> None:
+    ids = [uav.id for uav in scenario.system.uav]
+    if ids != list(range(1, len(ids) + 1)):
+        raise ScenarioError(source, "system.uav.id", f"expected 1, 2, ... {len(ids)} in order, got {ids}")
+    owners: dict[int, int] = {}
+    for agent, group in enumerate(scenario.owned, start=1):
+        for uav in group:
+            if uav not in ids:
+                raise ScenarioError(source, f"agents.owned.{agent}", f"expected ids of UAVs 1..{len(ids)}, got {uav}")
+            if uav in owners:
+                raise ScenarioError(
+                    source,
+                    f"agents.owned.{agent}",
+                    f"expected each UAV once, got UAV{uav}, owned by agent {owners[uav]}",
+                )
+            owners[uav] = agent
+    missing = [uav for uav in ids if uav not in owners]
+    if missing:
+        raise ScenarioError(source, "agents.owned", f"expected each UAV once, got none for UAV{missing[0]}")
+    low, high = scenario.controller.limits.thrust_N
+    if low >= high:
+        raise ScenarioError(source, "controller.limits.thrust_N", f"expected smallest < largest, got {[low, high]}")
+    period_s, step_s = scenario.controller.sampling_period_s, scenario.plant.step_s
+    if step_s > period_s:
+        raise ScenarioError(source, "plant.step_s", f"expected at most the sampling period {period_s}, got {step_s}")
+
+
+def _apply(tree: dict[str, Any], setting: str) -> None:
+    key, separator, text = setting.partition("=")
+    key = key.strip()
+    if not separator or not key:
+        raise ScenarioError("--set", setting, "expected key=value")
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text.strip()  # bare words are text: solver=clarabel
+    *parents, last = key.split(".")
+    node: Any = tree
+    for part in parents:
+        node = _child(node, part, setting)
+    if isinstance(node, list):
+        index = _index(node, last, setting)
+        node[index] = value
+    else:
+        node[last] = value
+
+
+def _child(node: Any, part: str, setting: str) -> Any:
+    if isinstance(node, list):
+        return node[_index(node, part, setting)]
+    child = node.setdefault(part, {})
+    if not isinstance(child, dict | list):
+        raise ScenarioError("--set", setting, f"expected {part!r} to be a section, got the value {child!r}")
+    return child
+
+
+def _index(node: list[Any], part: str, setting: str) -> int:
+    if not (part.isdecimal() and 1 <= int(part) <= len(node)):
+        raise ScenarioError("--set", setting, f"expected an entry from 1 to {len(node)}, got {part!r}")
+    return int(part) - 1
+
+
+def _first(error: ValidationError, source: str) -> ScenarioError:
+    """The first problem pydantic found, in our words."""
+    # Unknown keys first: a mistyped key is also a missing one, and the typo is what helps.
+    problems = sorted(error.errors(), key=lambda problem: problem["type"] != "extra_forbidden")
+    problem = problems[0]
+    location = [part for part in problem["loc"] if not _is_union_branch(part)]
+    field = ".".join(str(part + 1) if isinstance(part, int) else part for part in location)
+    kind, context, value = problem["type"], problem.get("ctx", {}), problem["input"]
+    if kind == "extra_forbidden":
+        known = _known_keys(location[:-1])
+        near = difflib.get_close_matches(str(location[-1]), known, n=1, cutoff=0.5)
+        hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known)}"
+        return ScenarioError(source, field, f"unknown key; {hint}")
+    if kind == "missing":
+        return ScenarioError(source, field, "expected a value, got nothing")
+    expected = _expected(kind, context, problem["msg"])
+    shown = repr(value)
+    return ScenarioError(source, field, f"{expected}, got {shown if len(shown) <= 80 else shown[:77] + '...'}")
+
+
+def _expected(kind: str, context: dict[str, Any], message: str) -> str:
+    bounds = {
+        "greater_than": "> {gt}",
+        "greater_than_equal": ">= {ge}",
+        "less_than": "< {lt}",
+        "less_than_equal": "<= {le}",
+    }
+    if kind in bounds:
+        return "expected a number " + bounds[kind].format(**context)
+    if kind in ("too_short", "too_long"):
+        limit = context.get("min_length", context.get("max_length"))
+        return f"expected {'at least' if kind == 'too_short' else 'at most'} {limit} list entries"
+    words = {
+        "int_type": "expected an integer",
+        "int_from_float": "expected an integer",
+        "float_type": "expected a number",
+        "finite_number": "expected a finite number",
+        "string_type": "expected text",
+        "bool_type": "expected true or false",
+        "list_type": "expected a list",
+        "model_type": "expected a section",
+        "dict_type": "expected a section",
+    }
+    if kind == "literal_error":
+        return f"expected {context['expected']}"
+    if kind == "string_pattern_mismatch":
+        return f"expected text matching {context['pattern']}"
+    return words.get(kind, message[0].lower() + message[1:])
+
+
+def _is_union_branch(part: int | str) -> bool:
+    """Pydantic names the branch of a union it tried in the location; people did not write that."""
+    return isinstance(part, str) and (part in ("float", "constrained-float", "int", "str") or "[" in part)
+
+
+def _known_keys(location: Iterable[int | str]) -> list[str]:
+    section: type[BaseModel] = Scenario
+    for part in location:
+        if isinstance(part, int):
+            continue
+        section = _section_of(section.model_fields[part].annotation)
+    return [field.alias or name for name, field in section.model_fields.items()]
+
+
+def _section_of(annotation: Any) -> type[BaseModel]:
+    """The section class inside an annotation such as `Annotated[list[UavSection], ...]` or `X | None`."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    for argument in get_args(annotation):
+        found = _section_of(argument) if argument is not type(None) else None
+        if found is not None:
+            return found
+    return Scenario

@@ -1,0 +1,175 @@
+"""From a scenario to the objects of a run: what every process builds for itself, identically."""
+
+from dataclasses import dataclass
+from functools import cached_property, partial
+
+import numpy as np
+
+from model.hover import Hover, hover
+from model.linearisation import Model
+from model.maneuver import Maneuver, Phase, Reference
+from model.parameters import Payload, System, Uav
+from mpc.constraints import compile_constraints
+from mpc.settings import Constraint, ControllerSettings, Limits, Separation, Weights
+from protocol.scenario import Scenario, UavSection
+from protocol.scenario_file import ScenarioError, building
+
+
+@dataclass(frozen=True)
+class Setup:
+    """A scenario turned into a system, a maneuver and controller settings.
+
+    Attributes:
+        scenario: As validated.
+        system: Physical parameters.
+        hover: Equilibrium at the origin.
+        maneuver: The payload's path.
+        settings: The same for every agent.
+        owned: 0-based UAVs of agent 1, agent 2, ...
+    """
+
+    scenario: Scenario
+    system: System
+    hover: Hover
+    maneuver: Maneuver
+    settings: ControllerSettings
+    owned: tuple[tuple[int, ...], ...]
+
+    @staticmethod
+    def of(scenario: Scenario, source: str) -> "Setup":
+        """Build everything a scenario describes.
+
+        Args:
+            scenario: Validated scenario.
+            source: Its file, for error texts.
+        Raises: ScenarioError: a body, path or setting that cannot exist; naming file, field, expected, got.
+        """
+        payload = building(source, "system.payload", lambda: _payload(scenario))
+        uavs = [building(source, f"system.uav.{section.id}", partial(_uav, section)) for section in scenario.system.uav]
+        system = building(
+            source, "system", lambda: System(payload=payload, uavs=uavs, gravity=scenario.system.gravity_mps2)
+        )
+        equilibrium = building(source, "system.uav", lambda: hover(system))
+        maneuver = building(source, "maneuver", lambda: _maneuver(scenario))
+        settings = building(source, "controller", lambda: _settings(scenario))
+        setup = Setup(
+            scenario=scenario,
+            system=system,
+            hover=equilibrium,
+            maneuver=maneuver,
+            settings=settings,
+            owned=tuple(tuple(uav - 1 for uav in group) for group in scenario.owned),
+        )
+        building(source, "controller.constraint", lambda: compile_constraints(settings.constraints, setup.model))
+        setup._check_hover_is_possible(source)
+        return setup
+
+    @cached_property
+    def model(self) -> Model:
+        """Compiled equations of motion."""
+        return Model(self.system)
+
+    @cached_property
+    def reference(self) -> Reference:
+        """Reference outputs and states."""
+        return Reference(self.system, self.hover, self.maneuver)
+
+    @property
+    def agents(self) -> tuple[int, ...]:
+        """Agent ids, 1-based."""
+        return tuple(range(1, len(self.owned) + 1))
+
+    @property
+    def ticks(self) -> int:
+        """Sampling instants of the run: t_k < duration of the maneuver."""
+        return round(self.maneuver.duration_s / self.settings.sampling_period_s)
+
+    @property
+    def period_ns(self) -> int:
+        """Sampling period, ns."""
+        return round(self.settings.sampling_period_s * 1e9)
+
+    def initial_state(self) -> np.ndarray:
+        """Hover at the start of the maneuver, at rest, (12 + 12 N,)."""
+        x = self.hover.x.copy()
+        x[:3] += self.maneuver.start_I
+        return x
+
+    def _check_hover_is_possible(self, source: str) -> None:
+        limits = self.settings.limits
+        for i, thrust in enumerate(self.hover.u[::4]):
+            low, high = limits.thrust_N
+            if not low <= thrust <= high:
+                raise ScenarioError(
+                    source,
+                    "controller.limits.thrust_N",
+                    f"expected a range that contains the hover thrust {thrust:.2f} N of UAV{i + 1}, got {[low, high]}",
+                )
+        separation = self.settings.separation
+        if separation is None or self.system.N < 2:
+            return
+        r = self.model.outputs(self.hover.x)[: 3 * self.system.N].reshape(-1, 3)
+        distance, i, j = min(
+            (float(np.linalg.norm(r[i] - r[j])), i, j) for i in range(len(r)) for j in range(i + 1, len(r))
+        )
+        if distance < separation.minimum_m:
+            raise ScenarioError(
+                source,
+                "controller.separation.minimum_m",
+                f"expected at most the {distance:.3f} m between UAV{i + 1} and UAV{j + 1} at hover, "
+                f"got {separation.minimum_m}",
+            )
+
+
+def _payload(scenario: Scenario) -> Payload:
+    section = scenario.system.payload
+    return Payload(mass=section.mass_kg, inertia=section.inertia_kgm2)
+
+
+def _uav(section: UavSection) -> Uav:
+    return Uav(mass=section.mass_kg, inertia=section.inertia_kgm2, rho=section.rho_m, rod_length=section.rod_length_m)
+
+
+def _maneuver(scenario: Scenario) -> Maneuver:
+    section = scenario.maneuver
+    phases = [Phase(name=p.name, duration_s=p.duration_s, displacement_I=p.displacement_m) for p in section.phase]
+    return Maneuver(start_I=section.start_m, phases=phases, profile=section.profile)
+
+
+def _settings(scenario: Scenario) -> ControllerSettings:
+    section = scenario.controller
+    weights, limits, separation = section.weights, section.limits, section.separation
+    # 1/M of M agents: the descent guarantee of cooperative distributed MPC (docs/decisions.md).
+    relaxation = 1.0 / len(scenario.owned) if section.relaxation == "auto" else section.relaxation
+    return ControllerSettings(
+        sampling_period_s=section.sampling_period_s,
+        horizon=section.horizon,
+        weights=Weights(
+            position=weights.position,
+            attitude=weights.attitude,
+            yaw_rate=weights.yaw_rate,
+            terminal=weights.terminal,
+            thrust=weights.thrust,
+            moments=_three(weights.moments),
+            priced=weights.priced,
+        ),
+        limits=Limits(
+            thrust_N=(limits.thrust_N[0], limits.thrust_N[1]),
+            moments_Nm=_three(limits.moments_Nm),
+            thrust_rate_N_s=limits.thrust_rate_N_s,
+            moment_rates_Nm_s=_three(limits.moment_rates_Nm_s),
+        ),
+        separation=None
+        if separation is None
+        else Separation(minimum_m=separation.minimum_m, penalty=separation.penalty),
+        constraints=tuple(
+            Constraint(expression=c.expression, soft=c.soft, penalty=c.penalty) for c in section.constraint
+        ),
+        relaxation=relaxation,
+        solver=section.solver,
+    )
+
+
+def _three(values: list[float]) -> tuple[float, float, float]:
+    a, b, c = values
+    return a, b, c
