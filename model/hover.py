@@ -75,6 +75,7 @@ def _level_attitude(force_I: Array, thrust: float) -> Array:
     if thrust == 0.0:
         return np.zeros(3)
     b3 = -force_I / thrust
-    b2 = np.cross(b3, [1.0, 0.0, 0.0])
-    b2 /= np.linalg.norm(b2)
-    return euler_angles(np.column_stack([np.cross(b2, b3), b2, b3]))
+    # Zero yaw keeps b1 in the inertial x-z plane, so it is orthogonal to the inertial y axis.
+    b1 = np.cross([0.0, 1.0, 0.0], b3)
+    b1 /= np.linalg.norm(b1)
+    return euler_angles(np.column_stack([b1, np.cross(b3, b1), b3]))

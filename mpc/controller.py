@@ -177,7 +177,7 @@ class Controller:
         """Bounds on the scaled decision; the first step's rate limit is a bound too."""
         steps, m = prediction.U_free.shape
         lower, upper = self._lower - prediction.U_free, self._upper - prediction.U_free
-        # Inputs in force outside the limits (a fail-safe's, say) come back as fast as the rate allows.
+        # Inputs in force outside the limits come back at once: bounds are the actuator's, rates a wish.
         first = u0[self.own] - prediction.U_free[0]
         lower[0] = np.minimum(np.maximum(lower[0], first - self._rate), upper[0])
         upper[0] = np.maximum(np.minimum(upper[0], first + self._rate), lower[0])

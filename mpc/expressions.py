@@ -28,8 +28,11 @@ _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.USub: operator.neg,
     ast.UAdd: operator.pos,
 }
+# Added under the root of a norm: the slope at zero is then zero instead of undefined, the value off by 1e-9.
+_NORM_FLOOR = 1e-18
+
 _FUNCTIONS: dict[str, Callable[..., Any]] = {
-    "norm": ca.norm_2,
+    "norm": lambda a: ca.sqrt(ca.sumsqr(a) + _NORM_FLOOR),
     "dot": ca.dot,
     "cross": ca.cross,
     "sin": ca.sin,

@@ -34,7 +34,7 @@ class PlantNode:
         self._setup = setup
         self._out = Outbox(self.name, incarnation)
         self._period_s = setup.settings.sampling_period_s
-        self._steps = math.ceil(self._period_s / setup.scenario.plant.step_s - 1e-9)
+        self.steps = math.ceil(self._period_s / setup.scenario.plant.step_s - 1e-9)
         self._delay = 0 if setup.scenario.clock.actuation == "immediate" else 1
         inertias = np.array([uav.inertia for uav in setup.system.uavs])
         self._limits = setup.settings.limits.lower(1), setup.settings.limits.upper(1)
@@ -147,7 +147,7 @@ class PlantNode:
     def _integrate(self) -> Truth:
         k, x = self._state_tick, self._x
         u, sources = self._schedule.inputs(k, x)
-        end, error = self._setup.model.integrate(x, u, self._period_s, self._steps)
+        end, error = self._setup.model.integrate(x, u, self._period_s, self.steps)
         reason = self._divergence(k + 1, end)
         self._diverged = bool(reason)
         self._x, self._u, self._state_tick = end, u, k + 1

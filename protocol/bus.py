@@ -165,6 +165,12 @@ class Bus:
             if event is not None:
                 return event
 
+    def wait_gone(self, names: Collection[str]) -> None:
+        """Wait, within bounded time, until the named processes have left: what was said last has reached them."""
+        deadline = time.monotonic() + _CLOSE_S
+        while set(names) & set(self._alive) and time.monotonic() < deadline:
+            self.next(max(0.0, deadline - time.monotonic()))
+
     def interrupt(self, reason: str) -> None:
         """Wake `next` with an `Interrupted`; safe in a signal handler and from any thread."""
         self._inbox.put(Interrupted(reason))

@@ -34,8 +34,13 @@ class Keys:
     run: str
 
     def __post_init__(self) -> None:
-        if not _RUN.fullmatch(self.run):
+        if not self.allows(self.run):
             raise RunNameError(f"run name: expected letters, digits, '_', '.', '-', got {self.run!r}")
+
+    @staticmethod
+    def allows(run: str) -> bool:
+        """Whether a run can have this name."""
+        return _RUN.fullmatch(run) is not None
 
     @property
     def prefix(self) -> str:

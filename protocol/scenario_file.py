@@ -1,6 +1,7 @@
 """Reading a scenario: from TOML and command-line settings to a `Setup`, or one clear line saying what is wrong."""
 
 import difflib
+import importlib.resources
 import tomllib
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -27,6 +28,23 @@ class ScenarioError(ValueError):
 
     def __init__(self, source: str, field: str, problem: str) -> None:
         super().__init__(": ".join(part for part in (source, field, problem) if part))
+
+
+def find_scenario(name: str) -> Path:
+    """The file a person means: a path, or the name of a scenario that comes with the package.
+
+    Raises: ScenarioError: neither exists; the text lists the names.
+    """
+    path = Path(name)
+    if path.exists() or path.suffix == ".toml" or "/" in name:
+        return path
+    folder = Path(str(importlib.resources.files("scenarios")))
+    known = sorted(file.stem for file in folder.glob("*.toml"))
+    if name not in known:
+        near = difflib.get_close_matches(name, known, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known)}"
+        raise ScenarioError(name, "", f"expected a scenario file or the name of a ready one; {hint}")
+    return folder / f"{name}.toml"
 
 
 def read_scenario(path: Path, settings: Sequence[str] = ()) -> Scenario:

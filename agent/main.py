@@ -1,0 +1,23 @@
+"""An agent as a process."""
+
+import time
+
+from agent.node import AgentNode
+from protocol.messages import agent_name
+from protocol.process import Place, run_node
+from protocol.setup import Setup
+
+
+def run(setup: Setup, place: Place, agent: int) -> int:
+    """Fly the owned UAVs until the run ends.
+
+    Args:
+        setup: The run.
+        place: Where this process is.
+        agent: Which agent, 1-based.
+    Returns: Exit code.
+    Raises: BusError: see `protocol.process.run_node`.
+    """
+    node = AgentNode(setup, agent, place.incarnation, time.perf_counter_ns)
+    others = [agent_name(other) for other in setup.agents if other != agent]
+    return run_node(node, place, setup.scenario, ["coordinator", "plant", *others])

@@ -1,0 +1,23 @@
+"""The coordinator as a process."""
+
+from collections.abc import Sequence
+
+from coordinator.node import CoordinatorNode
+from protocol.messages import agent_name
+from protocol.process import Place, run_node
+from protocol.setup import Setup
+
+
+def run(setup: Setup, place: Place, observers: Sequence[str] = ()) -> int:
+    """Keep the clock of a run until it ends.
+
+    Args:
+        setup: The run.
+        place: Where this process is.
+        observers: Processes besides plant and agents that must be there before the first tick.
+    Returns: Exit code.
+    Raises: BusError: see `protocol.process.run_node`.
+    """
+    node = CoordinatorNode(setup, place.incarnation, observers)
+    team = ["plant", *[agent_name(agent) for agent in setup.agents]]
+    return run_node(node, place, setup.scenario, [*team, *observers], node.interrupt, linger_for=team)

@@ -1,0 +1,21 @@
+"""The plant as a process."""
+
+from plant.node import PlantNode
+from protocol.messages import agent_name
+from protocol.process import Place, run_node
+from protocol.setup import Setup
+
+
+def run(setup: Setup, place: Place) -> int:
+    """Be the truth of a run until it ends.
+
+    Args:
+        setup: The run.
+        place: Where this process is.
+    Returns: Exit code.
+    Raises: BusError: see `protocol.process.run_node`.
+    """
+    node = PlantNode(setup, place.incarnation)
+    # The first integration compiles the chain of steps; the first tick should not wait for it.
+    setup.model.integrate(setup.initial_state(), setup.hover.u, setup.settings.sampling_period_s, node.steps)
+    return run_node(node, place, setup.scenario, ["coordinator", *[agent_name(agent) for agent in setup.agents]])

@@ -1,0 +1,183 @@
+"""Everything around a node that makes it a process: network, signals, threads, the loop, the exit code."""
+
+import gc
+import json
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from types import FrameType
+from typing import Any
+
+import threadpoolctl
+
+from protocol.bus import Bus, Endpoints, Interrupted
+from protocol.messages import agent_name
+from protocol.node import Node
+from protocol.outbox import EXIT_LOST
+from protocol.scenario import Scenario
+
+EXIT_INTERRUPTED = 130
+DEFAULT_BASE_PORT = 7447
+
+# Set by a parent that wants its children to end with it: they watch their standard input for its end.
+PARENT_PIPE = "PAYLOAD_TRANSPORT_PARENT_PIPE"
+# What a process that has lost its parent gives itself to end in an orderly way.
+_ORPHAN_GRACE_S = 5.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Place:
+    """A process's place in a run.
+
+    Attributes:
+        run: Name of the run.
+        incarnation: Which start of this process.
+        endpoints: Where it listens and whom it calls.
+        join_timeout_s: How long it waits for the others.
+    """
+
+    run: str
+    incarnation: int
+    endpoints: Endpoints
+    join_timeout_s: float
+
+
+def mesh(names: Collection[str], host: str, ports: Collection[int]) -> dict[str, Endpoints]:
+    """Endpoints of an explicit mesh: everybody listens on a port and calls those listed before it.
+
+    Args:
+        names: Process names in a fixed order: coordinator, plant, agent1, ...
+        host: Address to listen on.
+        ports: One for each.
+    """
+    addresses = [f"tcp/{host}:{port}" for port in ports]
+    return {name: Endpoints(listen=[addresses[i]], connect=addresses[:i]) for i, name in enumerate(names)}
+
+
+def process_names(scenario: Scenario) -> list[str]:
+    """Names of a run's processes in the order of their ports."""
+    return ["coordinator", "plant", *[agent_name(agent + 1) for agent in range(len(scenario.owned))]]
+
+
+def default_mesh(scenario: Scenario) -> dict[str, Endpoints]:
+    """The mesh that processes started by hand agree on without being told: consecutive ports from the base port."""
+    names = process_names(scenario)
+    base = scenario.network.base_port or DEFAULT_BASE_PORT
+    return mesh(names, scenario.network.host, range(base, base + len(names)))
+
+
+def run_node(
+    node: Node,
+    place: Place,
+    scenario: Scenario,
+    expected: Collection[str],
+    on_interrupt: Callable[[str], Any] | None = None,
+    linger_for: Collection[str] = (),
+) -> int:
+    """Join the run, drive the node until it is finished, leave.
+
+    Args:
+        node: The state machine.
+        place: Where it runs.
+        scenario: For its digest.
+        expected: Processes to wait for before starting.
+        on_interrupt: What the node wants to send when a signal ends it.
+        linger_for: Processes to see off before leaving, so that the last messages reach them.
+    Returns: Exit code.
+    Raises: BusError: the network cannot be used or somebody did not show up.
+    """
+    journal = Journal(place.run, node.name)
+    with (
+        threadpoolctl.threadpool_limits(1),
+        Bus(
+            name=node.name,
+            incarnation=place.incarnation,
+            run=place.run,
+            digest=scenario.digest(),
+            endpoints=place.endpoints,
+            rejected=node.rejected,
+        ) as bus,
+    ):
+        with_signals(bus)
+        journal.say("listening", at=", ".join(place.endpoints.listen))
+        interruption = bus.join(expected, place.join_timeout_s)
+        if interruption is None:
+            journal.say("joined", peers=len(expected))
+            interruption = drive(node, bus)
+        if interruption is not None and node.finished is None:
+            journal.say("interrupted", reason=interruption.reason)
+            for message in on_interrupt(interruption.reason) if on_interrupt else ():
+                bus.publish(message)
+            bus.wait_gone(linger_for)
+            return EXIT_INTERRUPTED if interruption.reason != "parent is gone" else EXIT_LOST
+        bus.wait_gone(linger_for)
+    for (sender, reason), count in node.rejected.items():
+        journal.say("rejected", sender=sender, reason=reason, count=count)
+    if node.finished is None:
+        return EXIT_LOST
+    journal.say("finished", outcome=node.finished.outcome, reason=node.finished.reason, tick=node.finished.tick)
+    return node.finished.exit_code
+
+
+def drive(node: Node, bus: Bus) -> Interrupted | None:
+    """Feed events and time to a node until it is finished or somebody interrupts."""
+    # A collection in mid-step is a latency spike; reference counting frees what the loop makes.
+    gc.collect()
+    gc.freeze()
+    while node.finished is None:
+        wake_ns = node.wake_ns
+        timeout_s = None if wake_ns is None else max(0, wake_ns - time.monotonic_ns()) / 1e9
+        event = bus.next(timeout_s)
+        if isinstance(event, Interrupted):
+            return event
+        now_ns = time.monotonic_ns()
+        for message in node.poll(now_ns) if event is None else node.receive(event, now_ns):
+            bus.publish(message)
+    return None
+
+
+def with_signals(bus: Bus) -> None:
+    """Turn Ctrl-C, SIGTERM and the end of the parent into an interruption of the bus."""
+
+    def interrupt(number: int, _: FrameType | None) -> None:
+        bus.interrupt(signal.Signals(number).name)
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, interrupt)
+    if os.environ.get(PARENT_PIPE):
+        threading.Thread(target=_watch_parent, args=(bus,), daemon=True).start()
+
+
+def _watch_parent(bus: Bus) -> None:
+    while os.read(sys.stdin.fileno(), 1024):
+        pass
+    bus.interrupt("parent is gone")
+    time.sleep(_ORPHAN_GRACE_S)
+    os._exit(EXIT_LOST)
+
+
+class Journal:
+    """Log events with key-value context on standard error: JSON lines, or plain text on a terminal.
+
+    Args:
+        run: Name of the run, in every line.
+        role: Process name, in every line.
+    """
+
+    def __init__(self, run: str, role: str) -> None:
+        self._run, self._role = run, role
+
+    def say(self, event: str, **keys: object) -> None:
+        """Write one event."""
+        if sys.stderr.isatty():
+            shown = "  ".join(f"{key}={value}" for key, value in keys.items() if value != "")
+            line = f"{time.strftime('%H:%M:%S')}  {self._role:<12}{event:<12}{shown}"
+        else:
+            entry = {"time": time.time(), "run_id": self._run, "role": self._role, "event": event, **keys}
+            line = json.dumps(entry, default=str)
+        sys.stderr.write(line + "\n")
+        sys.stderr.flush()

@@ -1,0 +1,1 @@
+"""Ready scenarios, installed with the package; `transport run NAME` finds them by file name."""

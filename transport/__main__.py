@@ -1,0 +1,5 @@
+"""`python -m transport` is the command `transport`."""
+
+from transport.main import main
+
+main()

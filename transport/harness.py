@@ -1,0 +1,188 @@
+"""The local harness: starts the processes of a run, watches them, and always cleans them up."""
+
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import IO
+
+from protocol.bus import Endpoints
+from protocol.process import PARENT_PIPE
+
+# What a process gets to end by itself before it is killed.
+_GRACE_S = 5.0
+
+# One thread for linear algebra per process, and few for Zenoh: a run has more processes than a host has cores.
+_ENVIRONMENT = {
+    "OPENBLAS_NUM_THREADS": "1",
+    "OMP_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    "ZENOH_RUNTIME": "(rx:(worker_threads:1),acc:(handover:net),app:(handover:net))",
+    "PYTHONUNBUFFERED": "1",
+    PARENT_PIPE: "1",
+}
+
+
+class HarnessError(RuntimeError):
+    """A process of the run could not be started or ended before the run began."""
+
+
+@dataclass(slots=True)
+class Child:
+    """One started process.
+
+    Attributes:
+        name: Process name.
+        process: Its handle.
+        log: File that holds what it wrote.
+    """
+
+    name: str
+    process: subprocess.Popen[bytes]
+    log: Path
+
+    def last_words(self) -> str:
+        """The last line it wrote that is not empty."""
+        try:
+            lines = self.log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        except OSError:
+            return ""
+        return lines[-1] if lines else ""
+
+
+@dataclass(slots=True)
+class Harness:
+    """Processes of one run on this machine; leaving the context ends those that are left.
+
+    Every child watches a pipe from this process: if this one is killed, they end too.
+
+    Args:
+        run: Name of the run.
+        scenario: Resolved scenario file all of them read.
+        mesh: Endpoints by process name.
+        logs: Folder for what they write.
+    """
+
+    run: str
+    scenario: Path
+    mesh: Mapping[str, Endpoints]
+    logs: Path
+    children: list[Child] = field(default_factory=list)
+    _files: ExitStack = field(default_factory=ExitStack)
+
+    def __enter__(self) -> "Harness":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.end()
+
+    def start(self, observers: Sequence[str] = ()) -> None:
+        """Start all processes of the mesh."""
+        self.logs.mkdir(parents=True, exist_ok=True)
+        for name, endpoints in self.mesh.items():
+            self.children.append(self._start(name, endpoints, observers))
+
+    def alive(self) -> list[Child]:
+        """Children that are running."""
+        return [child for child in self.children if child.process.poll() is None]
+
+    def ended(self) -> list[Child]:
+        """Children that are not."""
+        return [child for child in self.children if child.process.poll() is not None]
+
+    def signal(self, name: str, number: int) -> None:
+        """Send a signal to one child, if it is running."""
+        for child in self.alive():
+            if child.name == name:
+                child.process.send_signal(number)
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait for all children to end; whether they did."""
+        deadline = time.monotonic() + timeout_s
+        for child in self.children:
+            try:
+                child.process.wait(max(0.0, deadline - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                return False
+        return True
+
+    def end(self) -> None:
+        """Ask every child that is left to end, then make it."""
+        for child in self.alive():
+            child.process.terminate()
+        if not self.wait(_GRACE_S):
+            for child in self.alive():
+                child.process.kill()
+        for child in self.children:
+            child.process.wait()
+            if child.process.stdin is not None:
+                child.process.stdin.close()
+        self._files.close()
+
+    def _start(self, name: str, endpoints: Endpoints, observers: Sequence[str]) -> Child:
+        log = self.logs / f"{name}.log"
+        output: IO[bytes] = self._files.enter_context(log.open("wb"))
+        process = subprocess.Popen(
+            [sys.executable, "-m", "transport", *self._arguments(name, endpoints, observers)],
+            stdin=subprocess.PIPE,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            env={**os.environ, **_ENVIRONMENT},
+            # A session of its own: Ctrl-C reaches this process, which ends the run in order.
+            start_new_session=True,
+        )
+        return Child(name, process, log)
+
+    def _arguments(self, name: str, endpoints: Endpoints, observers: Sequence[str]) -> list[str]:
+        role = ["agent", "--id", name.removeprefix("agent")] if name.startswith("agent") else [name]
+        arguments = [*role, "--scenario", str(self.scenario), "--run", self.run, "--incarnation", "0"]
+        for endpoint in endpoints.listen:
+            arguments += ["--listen", endpoint]
+        for endpoint in endpoints.connect:
+            arguments += ["--connect", endpoint]
+        if name == "coordinator":
+            for observer in observers:
+                arguments += ["--observer", observer]
+        return arguments
+
+
+def free_ports(host: str, count: int) -> list[int]:
+    """Ports nobody listens on now.
+
+    Raises: HarnessError: the host's address is not one of this machine.
+    """
+    with ExitStack() as stack:
+        sockets = []
+        for _ in range(count):
+            probe = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_STREAM))
+            try:
+                probe.bind((host, 0))
+            except OSError as error:
+                raise HarnessError(f"network.host: cannot listen on {host} ({error.strerror})") from error
+            sockets.append(probe)
+        return [probe.getsockname()[1] for probe in sockets]
+
+
+def check_ports(host: str, ports: Sequence[int]) -> None:
+    """Refuse ports that somebody listens on.
+
+    Raises: HarnessError: naming the first.
+    """
+    for port in ports:
+        with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((host, port))
+            except OSError as error:
+                raise HarnessError(
+                    f"network.base_port: expected free ports {ports[0]}..{ports[-1]} on {host}, "
+                    f"got {port}, which is taken ({error.strerror})"
+                ) from error

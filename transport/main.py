@@ -1,0 +1,309 @@
+"""The command line. Heavy imports are inside the commands: six processes start at once."""
+
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NoReturn
+
+import typer
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from protocol.process import Place
+    from protocol.setup import Setup
+
+EXIT_USAGE, EXIT_SCENARIO, EXIT_LOST = 2, 3, 4
+
+app = typer.Typer(
+    name="transport",
+    help="Several UAVs carry one payload; each runs its own model predictive controller as a process of its own.\n\n"
+    "Start with: transport run paper",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    epilog="Exit codes: 0 done, 2 usage, 3 scenario, 4 peer lost or not reachable, 6 diverged, 130 interrupted.",
+)
+
+
+class Format(StrEnum):
+    """How results are printed."""
+
+    text = "text"
+    json = "json"
+
+
+ScenarioArgument = Annotated[
+    str, typer.Argument(help="Scenario file, or the name of a ready one: paper, centralized.", show_default=True)
+]
+ScenarioOption = Annotated[str, typer.Option("--scenario", help="Scenario file or name; the same for all processes.")]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Change a scenario value, e.g. controller.horizon=30. Repeatable."),
+]
+RunOption = Annotated[
+    str | None, typer.Option("--run", help="Name of the run, part of every key; the scenario's name by default.")
+]
+ListenOption = Annotated[
+    list[str] | None, typer.Option("--listen", help="Zenoh endpoint to listen on, e.g. tcp/127.0.0.1:7449.")
+]
+ConnectOption = Annotated[
+    list[str] | None, typer.Option("--connect", help="Zenoh endpoint of another process. Repeatable.")
+]
+IncarnationOption = Annotated[
+    int | None, typer.Option("--incarnation", min=0, help="Which start of this process; the time by default.")
+]
+JoinOption = Annotated[
+    float | None,
+    typer.Option("--join-timeout", min=0.0, help="Seconds to wait for the others; else the scenario's."),
+]
+
+
+@app.command()
+def run(
+    scenario: ScenarioArgument = "paper",
+    settings: SetOption = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Run folder to create; by default runs/<time>-<scenario>.")
+    ] = None,
+    output: Annotated[Format, typer.Option("--format", help="What goes to standard output.")] = Format.text,
+    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw the figures at the end.")] = True,
+) -> None:
+    """Fly a scenario: one process per agent, a plant, a coordinator; log, metrics and figures in a run folder.
+
+    Example: transport run paper --set controller.relaxation=0.5 --out runs/relaxed
+    """
+    from rich.console import Console
+
+    from transport.harness import HarnessError
+    from transport.run import RunError, fly, new_folder
+
+    console = Console(stderr=True)
+    setup = _setup(scenario, settings)
+    folder = out if out is not None else new_folder(Path("runs"), setup.scenario.name)
+    try:
+        finished = fly(setup, folder, console)
+    except RunError as error:
+        _fail(str(error), error.exit_code)
+    except HarnessError as error:
+        _fail(str(error), EXIT_LOST)
+    _report(finished.folder, output, figures)
+    if finished.exit_code != 0:
+        _fail(finished.reason, finished.exit_code)
+
+
+@app.command()
+def agent(
+    number: Annotated[int, typer.Option("--id", min=1, help="Which agent, from 1.")],
+    scenario: ScenarioOption = "paper",
+    settings: SetOption = None,
+    run_name: RunOption = None,
+    listen: ListenOption = None,
+    connect: ConnectOption = None,
+    incarnation: IncarnationOption = None,
+    join_timeout: JoinOption = None,
+) -> None:
+    """Run one agent: the controller of the UAVs it owns, in this process.
+
+    Example: transport agent --id 2
+    """
+    setup = _setup(scenario, settings)
+    if number not in setup.agents:
+        known = f"1 to {len(setup.agents)} of scenario {setup.scenario.name}"
+        _fail(f"--id: expected an agent from {known}, got {number}", EXIT_USAGE)
+    place = _place(setup, f"agent{number}", run_name, listen, connect, incarnation, join_timeout)
+
+    def body() -> int:
+        from agent.main import run as run_agent
+
+        return run_agent(setup, place, number)
+
+    _process(body)
+
+
+@app.command()
+def plant(
+    scenario: ScenarioOption = "paper",
+    settings: SetOption = None,
+    run_name: RunOption = None,
+    listen: ListenOption = None,
+    connect: ConnectOption = None,
+    incarnation: IncarnationOption = None,
+    join_timeout: JoinOption = None,
+) -> None:
+    """Run the plant: the physics, and the actuators that play the agents' plans."""
+    setup = _setup(scenario, settings)
+    place = _place(setup, "plant", run_name, listen, connect, incarnation, join_timeout)
+
+    def body() -> int:
+        from plant.main import run as run_plant
+
+        return run_plant(setup, place)
+
+    _process(body)
+
+
+@app.command()
+def coordinator(
+    scenario: ScenarioOption = "paper",
+    settings: SetOption = None,
+    run_name: RunOption = None,
+    listen: ListenOption = None,
+    connect: ConnectOption = None,
+    incarnation: IncarnationOption = None,
+    join_timeout: JoinOption = None,
+    observer: Annotated[
+        list[str] | None, typer.Option("--observer", help="Also wait for this process before the first tick: recorder.")
+    ] = None,
+) -> None:
+    """Run the coordinator: the sampling clock and the roster."""
+    setup = _setup(scenario, settings)
+    place = _place(setup, "coordinator", run_name, listen, connect, incarnation, join_timeout)
+
+    def body() -> int:
+        from coordinator.main import run as run_coordinator
+
+        return run_coordinator(setup, place, observer or [])
+
+    _process(body)
+
+
+@app.command()
+def record(
+    scenario: ScenarioOption = "paper",
+    settings: SetOption = None,
+    run_name: RunOption = None,
+    connect: ConnectOption = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Run folder to create.")] = None,
+    join_timeout: JoinOption = None,
+    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw the figures at the end.")] = True,
+) -> None:
+    """Record a run whose processes were started by hand, and report it like `transport run`.
+
+    Start it before the coordinator opens the first tick: transport coordinator --observer recorder
+    """
+    from rich.console import Console
+
+    from transport.run import RunError, new_folder, observe
+
+    setup = _setup(scenario, settings)
+    place = _place(setup, "recorder", run_name, [], connect, None, join_timeout)
+    folder = out if out is not None else new_folder(Path("runs"), setup.scenario.name)
+    try:
+        finished = observe(setup, place, folder, Console(stderr=True))
+    except RunError as error:
+        _fail(str(error), error.exit_code)
+    _report(finished.folder, Format.text, figures)
+    if finished.exit_code != 0:
+        _fail(finished.reason, finished.exit_code)
+
+
+@app.command()
+def validate(scenario: ScenarioArgument, settings: SetOption = None) -> None:
+    """Check a scenario without flying it, and print it with every default spelled out."""
+    import tomli_w
+
+    setup = _setup(scenario, settings)
+    typer.echo(tomli_w.dumps(setup.scenario.tree()), nl=False)
+    hover = ", ".join(f"{thrust:.2f}" for thrust in setup.hover.u[::4])
+    sizes = f"{setup.system.N} UAVs, {len(setup.agents)} agents, {setup.ticks} ticks"
+    typer.echo(f"valid: {sizes}, hover thrust {hover} N", err=True)
+
+
+@app.command()
+def plot(
+    folder: Annotated[Path, typer.Argument(help="Run folder.")],
+    output: Annotated[Format, typer.Option("--format", help="What goes to standard output.")] = Format.text,
+) -> None:
+    """Make metrics and figures of a recorded run anew; works on the log of a run that was cut off, too."""
+    _report(folder, output, figures=True)
+
+
+def main() -> None:
+    """Entry point of the command `transport`."""
+    app()
+
+
+def _setup(scenario: str, settings: list[str] | None) -> "Setup":
+    from protocol.scenario_file import ScenarioError, find_scenario, read_scenario
+    from protocol.setup import Setup
+
+    try:
+        path = find_scenario(scenario)
+        return Setup.of(read_scenario(path, settings or []), str(path))
+    except ScenarioError as error:
+        _fail(str(error), EXIT_SCENARIO)
+
+
+def _place(
+    setup: "Setup",
+    name: str,
+    run_name: str | None,
+    listen: list[str] | None,
+    connect: list[str] | None,
+    incarnation: int | None,
+    join_timeout: float | None,
+) -> "Place":
+    import time
+
+    from protocol.bus import Endpoints
+    from protocol.keys import Keys, RunNameError
+    from protocol.process import Place, default_mesh
+
+    usual = default_mesh(setup.scenario)
+    if name in usual:
+        endpoints = usual[name]
+    else:
+        endpoints = Endpoints(listen=[], connect=[e for place in usual.values() for e in place.listen])
+    run_name = run_name or setup.scenario.name
+    try:
+        Keys(run_name)
+    except RunNameError as error:
+        _fail(f"--run: {error}", EXIT_USAGE)
+    return Place(
+        run=run_name,
+        incarnation=int(time.time()) if incarnation is None else incarnation,
+        endpoints=Endpoints(
+            listen=endpoints.listen if listen is None else listen,
+            connect=endpoints.connect if connect is None and listen is None else connect or [],
+        ),
+        join_timeout_s=setup.scenario.clock.join_timeout_s if join_timeout is None else join_timeout,
+    )
+
+
+def _process(body: "Callable[[], int]") -> None:
+    from protocol.bus import BusError
+
+    try:
+        code = body()
+    except BusError as error:
+        _fail(str(error), EXIT_LOST)
+    raise typer.Exit(code)
+
+
+def _report(folder: Path, output: Format, figures: bool) -> None:
+    from rich.console import Console
+
+    from protocol.scenario_file import ScenarioError
+    from transport.log import LogError
+    from transport.report import summary_table, write_report
+
+    try:
+        summary = write_report(folder, figures=figures)
+    except LogError as error:
+        _fail(str(error), EXIT_USAGE)
+    except ScenarioError as error:
+        _fail(str(error), EXIT_SCENARIO)
+    if output is Format.json:
+        import orjson
+
+        sys.stdout.write(orjson.dumps(summary, option=orjson.OPT_INDENT_2).decode() + "\n")
+        return
+    Console().print(summary_table(summary))
+    typer.echo(f"{folder}/")
+
+
+def _fail(text: str, code: int) -> NoReturn:
+    typer.echo(f"transport: {text}", err=True)
+    raise typer.Exit(code)

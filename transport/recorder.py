@@ -1,0 +1,147 @@
+"""The recorder: an observer on the network that writes every message to the run's log.
+
+It runs on a thread of its own and always drains its inbox; the loop never waits for the disk.
+"""
+
+import threading
+import time
+from collections import Counter
+from collections.abc import Collection
+
+from protocol.bus import Bus, BusError, Endpoints, Interrupted
+from protocol.messages import Control, Message, Presence, Roster, Truth
+from protocol.setup import Setup
+from transport.log import LogWriter
+
+NAME = "recorder"
+
+# How long messages may trail the end of the run on their way here.
+_TRAIL_S = 2.0
+
+
+class Recorder:
+    """Records one run; what people watch meanwhile is in its attributes.
+
+    Attributes:
+        truth: The newest state of the plant, or None.
+        started_s: Steady-clock time of the first truth, or None.
+        control: How the run ended, once it has.
+        notices: Roster changes after the start, for people.
+        error: Why recording ended early, or None.
+
+    Args:
+        setup: The run.
+        run: Name of the run.
+        writer: Open log.
+        endpoints: Whom to connect to.
+        join_timeout_s: How long to wait for the processes.
+        incarnation: Which start of the recorder.
+    """
+
+    def __init__(
+        self,
+        setup: Setup,
+        run: str,
+        writer: LogWriter,
+        endpoints: Endpoints,
+        join_timeout_s: float,
+        incarnation: int = 0,
+    ) -> None:
+        self.truth: Truth | None = None
+        self.started_s: float | None = None
+        self.control: Control | None = None
+        self.notices: list[str] = []
+        self.error: str | None = None
+        self.rejected: Counter[tuple[str, str]] = Counter()
+        self._writer = writer
+        self._join_timeout_s = join_timeout_s
+        self._bus = Bus(
+            name=NAME,
+            incarnation=incarnation,
+            run=run,
+            digest=setup.scenario.digest(),
+            endpoints=endpoints,
+            rejected=self.rejected,
+        )
+        self._thread = threading.Thread(target=self._run, name=NAME, daemon=True)
+        self._expected: Collection[str] = ()
+
+    def start(self, expected: Collection[str]) -> None:
+        """Begin; the expected processes are waited for on the recorder's thread."""
+        self._expected = expected
+        self._thread.start()
+
+    @property
+    def running(self) -> bool:
+        """Whether it still records."""
+        return self._thread.is_alive()
+
+    def stop(self, reason: str) -> None:
+        """Ask it to end although the run has not."""
+        self._bus.interrupt(reason)
+
+    def join(self, timeout_s: float | None = None) -> None:
+        """Wait for it to end."""
+        self._thread.join(timeout_s)
+
+    def close(self) -> None:
+        """Leave the network and finish the log."""
+        if self._thread.is_alive():
+            self.stop("closing")
+            self._thread.join()
+        self._bus.close()
+        self._writer.close()
+
+    def _run(self) -> None:
+        try:
+            if self._bus.join(self._expected, self._join_timeout_s) is None:
+                self._record()
+        except BusError as error:
+            self.error = str(error)
+
+    def _record(self) -> None:
+        left = set(self._expected)
+        deadline: float | None = None
+        while left:
+            timeout_s = None if deadline is None else max(0.0, deadline - time.monotonic())
+            event = self._bus.next(timeout_s)
+            if event is None:
+                return  # somebody holds on to its session; what it had to say came first
+            match event:
+                case Interrupted():
+                    return
+                case Presence(name=name, alive=False):
+                    left.discard(name)
+                    if name == "coordinator" and self.control is None:
+                        self._end(f"{name} is gone")
+                case Presence():
+                    pass
+                case _:
+                    self._take(event)
+            if self.control is not None and deadline is None:
+                deadline = time.monotonic() + _TRAIL_S
+
+    def _take(self, message: Message) -> None:
+        self._writer.write(message, time.time_ns())
+        match message:
+            case Truth():
+                if self.started_s is None:
+                    self.started_s = time.monotonic()
+                self.truth = message
+            case Control():
+                self.control = message
+            case Roster(version=version, reason=reason) if version > 1:
+                self.notices.append(reason)
+
+    def _end(self, reason: str) -> None:
+        """Write the end of a run that nobody is left to declare."""
+        control = Control(
+            sender=NAME,
+            incarnation=0,
+            sequence=0,
+            tick=self.truth.tick if self.truth else 0,
+            outcome="aborted",
+            reason=reason,
+            exit_code=4,
+        )
+        self._take(control)
