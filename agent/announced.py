@@ -1,5 +1,6 @@
 """What everybody has announced to do: received plans, shifted to any instant and held at their end."""
 
+from bisect import bisect_left
 from collections.abc import Sequence
 
 import numpy as np
@@ -23,23 +24,27 @@ class AnnouncedInputs:
     def __init__(self, owned: Sequence[Sequence[int]], u_hover: Array) -> None:
         self._u_hover = u_hover
         self._columns = {agent: input_indices(uavs) for agent, uavs in enumerate(owned, start=1)}
-        self._plans: dict[int, dict[int, Plan]] = {agent: {} for agent in self._columns}
+        # By agent, ascending in the tick they were made at; the end is what is asked for.
+        self._plans: dict[int, list[Plan]] = {agent: [] for agent in self._columns}
 
     def add(self, plan: Plan) -> None:
-        """Keep a plan, whatever order it arrives in."""
+        """Keep a plan, whatever order it arrives in; a second plan of the same tick is ignored."""
         plans = self._plans[plan.agent]
-        plans[plan.tick] = plan
+        at = bisect_left(plans, plan.tick, key=_made_at)
+        if at == len(plans) or plans[at].tick != plan.tick:
+            plans.insert(at, plan)
         if len(plans) > KEPT_PLANS:
-            del plans[min(plans)]
+            del plans[0]
 
     def has(self, agent: int, tick: int) -> bool:
         """Whether the plan an agent made at a tick is here."""
-        return tick in self._plans[agent]
+        plans = self._plans[agent]
+        at = bisect_left(plans, tick, key=_made_at)
+        return at < len(plans) and plans[at].tick == tick
 
     def newest(self, agent: int, before: int) -> Plan | None:
         """The newest plan of an agent made before a tick."""
-        ticks = [tick for tick in self._plans[agent] if tick < before]
-        return self._plans[agent][max(ticks)] if ticks else None
+        return next((plan for plan in reversed(self._plans[agent]) if plan.tick < before), None)
 
     def sequence(self, start: int, steps: int, before: int) -> Array:
         """Announced inputs of all UAVs from a tick on, each agent's newest plan shifted and held at its end.
@@ -69,8 +74,12 @@ class AnnouncedInputs:
         """
         u = self._u_hover.copy()
         for agent, columns in self._columns.items():
-            started = [p for t, p in self._plans[agent].items() if t < before and p.start_tick <= tick]
-            if started:
-                plan = max(started, key=lambda p: (p.start_tick, p.tick))
+            plans = reversed(self._plans[agent])
+            plan = next((p for p in plans if p.tick < before and p.start_tick <= tick), None)
+            if plan is not None:
                 u[columns] = plan.inputs[min(tick - plan.start_tick, len(plan.inputs) - 1)]
         return u
+
+
+def _made_at(plan: Plan) -> int:
+    return plan.tick

@@ -1,0 +1,51 @@
+# Everything from nothing but python3 (3.11 or newer, with venv), make and git. uv is used when it is there.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+SCENARIO ?= paper
+
+.PHONY: run test lint format clean help
+
+help: ## show this
+	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1 \t/'
+
+run: $(VENV)/.installed ## set up and fly the paper's maneuver (SCENARIO=name for another)
+	@$(BIN)/transport run $(SCENARIO)
+
+test: $(VENV)/.installed-test ## set up and run all tests
+	@$(BIN)/python -m pytest
+
+lint: $(VENV)/.installed-dev ## style and types, as continuous integration sees them
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@$(BIN)/mypy
+
+format: $(VENV)/.installed-dev ## let ruff put the source in order
+	@$(BIN)/ruff check --fix .
+	@$(BIN)/ruff format .
+
+clean: ## remove the environment and what tools left
+	rm -rf $(VENV) build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed, $(PYTHON) is " + sys.version.split()[0])'
+	@if command -v uv >/dev/null 2>&1; then uv venv --quiet --python "$(PYTHON)" $(VENV); else $(PYTHON) -m venv $(VENV); fi
+
+define install
+	@echo "installing payload-transport$(1) into $(VENV)"
+	@if command -v uv >/dev/null 2>&1; then \
+		uv pip install --quiet --python $(BIN)/python --editable '.$(1)'; \
+	else \
+		$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.$(1)'; \
+	fi
+	@touch $@
+endef
+
+$(VENV)/.installed: pyproject.toml | $(BIN)/python
+	$(call install,)
+
+$(VENV)/.installed-test: pyproject.toml | $(BIN)/python
+	$(call install,[test])
+
+$(VENV)/.installed-dev: pyproject.toml | $(BIN)/python
+	$(call install,[dev])
