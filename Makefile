@@ -4,7 +4,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 SCENARIO ?= paper
 
-.PHONY: run test lint format clean help
+FIGURES := build/figures-run
+
+.PHONY: run test figures lint format clean help
 
 help: ## show this
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1 \t/'
@@ -14,6 +16,11 @@ run: $(VENV)/.installed ## set up and fly the paper's maneuver (SCENARIO=name fo
 
 test: $(VENV)/.installed-test ## set up and run all tests
 	@$(BIN)/python -m pytest
+
+figures: $(VENV)/.installed ## fly the paper's maneuver and renew the figures of README and docs
+	@rm -rf $(FIGURES)
+	@$(BIN)/transport run paper --out $(FIGURES)
+	@mkdir -p docs/images && cp $(FIGURES)/figures/*.png docs/images/
 
 lint: $(VENV)/.installed-dev ## style and types, as continuous integration sees them
 	@$(BIN)/ruff check .
