@@ -14,7 +14,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
-from model import dynamics, state
+from model import dynamics, rotations, state
 from model.arrays import Array, ShapeError
 from model.dynamics import Symbols
 
@@ -124,7 +124,7 @@ def cache_folder() -> Path:
 
 
 def _cache_path(N: int) -> Path:
-    sources: Sequence[str | None] = (__file__, dynamics.__file__, state.__file__)
+    sources: Sequence[str | None] = (__file__, dynamics.__file__, rotations.__file__, state.__file__)
     digest = hashlib.sha256(ca.CasadiMeta.version().encode())
     for source in sources:
         if source is not None:
@@ -147,10 +147,14 @@ def _read_cache(path: Path) -> dict[str, ca.Function] | None:
 def _write_cache(path: Path, built: dict[str, ca.Function]) -> None:
     body = "\n".join(built[name].serialize() for name in _FUNCTIONS).encode("latin-1")
     checksum = hashlib.sha256(body).hexdigest().encode()
+    temporary: Path | None = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
+            temporary = Path(file.name)
             file.write(checksum + b"\n" + body)
-        os.replace(file.name, path)
+        os.replace(temporary, path)
     except OSError:
-        return  # a read-only home is no reason not to fly
+        # A read-only home or a full disk is no reason not to fly, nor to leave half a file behind.
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)

@@ -43,6 +43,8 @@ def hover(system: System, rods_P: ArrayLike | None = None) -> Hover:
     """
     N = system.N
     e = np.tile([0.0, 0.0, 1.0], (N, 1)) if rods_P is None else checked("rods", rods_P, (N, 3))
+    if np.abs(np.linalg.norm(e, axis=1) - 1.0).max() > _BALANCE_TOLERANCE:
+        raise ParameterError(f"rods: expected unit vectors, got {e.tolist()}")
     rho = np.array([uav.rho for uav in system.uavs])
     weight = system.payload.mass * system.gravity
     wrenches = np.concatenate([e, np.cross(rho, e)], axis=1).T
@@ -59,8 +61,10 @@ def hover(system: System, rods_P: ArrayLike | None = None) -> Hover:
     for i, uav in enumerate(system.uavs):
         force_I = -(uav.mass * system.gravity * np.array([0.0, 0.0, 1.0]) + tensions[i] * e[i])
         thrust = float(np.linalg.norm(force_I))
-        if thrust > 0.0 and force_I[2] > 0.0:
-            raise ParameterError(f"no hover equilibrium: UAV{i + 1} would have to push down ({force_I[2]:.3g} N)")
+        if thrust > 0.0 and force_I[2] >= 0.0:
+            raise ParameterError(
+                f"no hover equilibrium: UAV{i + 1} would have to push down or sideways ({force_I[2]:.3g} N)"
+            )
         block = x[state.uav_slice(i)]
         block[state.E] = e[i]
         block[state.THETA] = _level_attitude(force_I, thrust)

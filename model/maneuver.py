@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from model.parameters import ParameterError, System
 Profile = Literal["ramp", "min_jerk", "step"]
 
 
-@dataclass(frozen=True, slots=True, init=False)
+@dataclass(frozen=True, slots=True, init=False, eq=False)
 class Phase:
     """One straight piece of the payload's path.
 
@@ -36,7 +36,7 @@ class Phase:
         object.__setattr__(self, "displacement_I", checked(f"phase {name!r} displacement", displacement_I, (3,)))
 
 
-@dataclass(frozen=True, slots=True, init=False)
+@dataclass(frozen=True, slots=True, init=False, eq=False)
 class Maneuver:
     """The payload's reference path r0(t).
 
@@ -53,6 +53,8 @@ class Maneuver:
     def __init__(self, *, start_I: ArrayLike, phases: Sequence[Phase], profile: Profile = "ramp") -> None:
         if not phases:
             raise ParameterError("maneuver: expected at least one phase, got none")
+        if profile not in get_args(Profile):
+            raise ParameterError(f"profile: expected one of {', '.join(get_args(Profile))}, got {profile!r}")
         object.__setattr__(self, "start_I", checked("maneuver start", start_I, (3,)))
         object.__setattr__(self, "phases", tuple(phases))
         object.__setattr__(self, "profile", profile)

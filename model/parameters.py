@@ -17,7 +17,7 @@ class ParameterError(ValueError):
     """A physical parameter that no real body has."""
 
 
-@dataclass(frozen=True, slots=True, init=False)
+@dataclass(frozen=True, slots=True, init=False, eq=False)
 class Payload:
     """The rigid body that is carried.
 
@@ -34,7 +34,7 @@ class Payload:
         object.__setattr__(self, "inertia", _inertia("payload inertia", inertia))
 
 
-@dataclass(frozen=True, slots=True, init=False)
+@dataclass(frozen=True, slots=True, init=False, eq=False)
 class Uav:
     """One quadrotor and the rod that ties its centre of mass to the payload.
 
@@ -57,7 +57,7 @@ class Uav:
         object.__setattr__(self, "rod_length", _positive("rod length", rod_length, "m"))
 
 
-@dataclass(frozen=True, slots=True, init=False)
+@dataclass(frozen=True, slots=True, init=False, eq=False)
 class System:
     """The coupled system: one payload, N UAVs, gravity along the inertial z axis (down)."""
 
@@ -96,7 +96,7 @@ class System:
         return self.payload.mass + sum(uav.mass for uav in self.uavs)
 
     def vector(self) -> Array:
-        """All parameters in the order the compiled model takes them (`model.compiled.PARAMETERS`), (8 + 11 N,), SI."""
+        """All parameters in the order the compiled model takes them (`model.dynamics.Symbols`), (8 + 11 N,), SI."""
         parts = [np.array([self.gravity, self.payload.mass]), _upper(self.payload.inertia)]
         for uav in self.uavs:
             parts += [np.array([uav.mass]), _upper(uav.inertia), uav.rho, np.array([uav.rod_length])]
@@ -115,19 +115,18 @@ def table_1() -> System:
 
 
 def _positive(name: str, value: float, unit: str) -> float:
-    if not (np.isfinite(value) and value > 0.0):
+    if not (isinstance(value, int | float | np.number) and np.isfinite(value) and value > 0.0):
         raise ParameterError(f"{name}: expected a number > 0 {unit}, got {value!r}")
     return float(value)
 
 
 def _inertia(name: str, value: ArrayLike) -> Array:
-    array = np.asarray(value, dtype=np.float64)
-    if array.ndim == 1:
-        array = np.diag(checked(name, array, (3,)))
     try:
-        J = checked(name, array, (3, 3))
-    except ShapeError as error:
+        diagonal = isinstance(value, np.ndarray | list | tuple) and np.ndim(value[0]) == 0
+        array = checked(name, value, (3,) if diagonal else (3, 3))
+    except (ShapeError, IndexError) as error:
         raise ParameterError(str(error)) from error
+    J = np.diag(array) if array.ndim == 1 else array
     if not np.allclose(J, J.T, rtol=0.0, atol=1e-12 * np.abs(J).max()):
         raise ParameterError(f"{name}: expected a symmetric matrix, got {J.tolist()}")
     moments = np.linalg.eigvalsh(J)
@@ -138,6 +137,7 @@ def _inertia(name: str, value: ArrayLike) -> Array:
             f"{name}: no body has principal moments {moments.tolist()} kg m^2: "
             "the largest exceeds the sum of the other two"
         )
+    J.setflags(write=False)
     return J
 
 

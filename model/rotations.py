@@ -68,6 +68,10 @@ def euler_angles(R: Array) -> Array:
     roll = np.arctan2(R[..., 2, 1], R[..., 2, 2])
     pitch = -np.arcsin(np.clip(R[..., 2, 0], -1.0, 1.0))
     yaw = np.arctan2(R[..., 1, 0], R[..., 0, 0])
+    # At exactly 90 deg of pitch only yaw -+ roll is defined and the entries above vanish: all of it is yaw.
+    locked = (R[..., 2, 1] == 0.0) & (R[..., 2, 2] == 0.0)
+    roll = np.where(locked, 0.0, roll)
+    yaw = np.where(locked, np.arctan2(-R[..., 0, 1], R[..., 1, 1]), yaw)
     return np.stack([roll, pitch, yaw], axis=-1)
 
 

@@ -1,0 +1,116 @@
+"""The accelerations as the paper states them: one linear system in (v0', omega0', Omega_1', ..., Omega_N').
+
+An oracle that shares nothing with `model/` but the order of the state: numpy instead of CasADi, the full mass
+matrix instead of rod tensions, SciPy's rotations instead of the project's.
+"""
+
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from model import state
+from model.arrays import Array
+from model.parameters import System
+from model.state import StateView
+
+K = np.array([0.0, 0.0, 1.0])  # direction of gravity, inertial frame
+
+
+def attitude(Theta: Array) -> Array:
+    """Rotation matrix of roll, pitch, yaw by SciPy, (3, 3)."""
+    return np.asarray(Rotation.from_euler("ZYX", Theta[::-1]).as_matrix())
+
+
+def cross(a: Array) -> Array:
+    """Matrix of a x (.), (3, 3)."""
+    return np.cross(a, np.eye(3)).T
+
+
+def thrust_forces(x: Array, u: Array) -> Array:
+    """f_i of the paper, (N, 3), inertial frame, N: along -b3 of each UAV, because our thrust is lift."""
+    attitudes = StateView(x).Theta
+    return np.array([-u[state.INPUTS * i] * (attitude(Theta) @ K) for i, Theta in enumerate(attitudes)])
+
+
+def mass_matrix(system: System, x: Array) -> Array:
+    """M_0q of paper (11), (6 + 3 N, 6 + 3 N)."""
+    N, rods = system.N, StateView(x).e_P
+    M = np.zeros((6 + 3 * N, 6 + 3 * N))
+    M[:3, :3] = system.total_mass * np.eye(3)
+    M[3:6, 3:6] = effective_inertia(system)
+    for i, (uav, e) in enumerate(zip(system.uavs, rods, strict=True)):
+        rod = slice(6 + 3 * i, 9 + 3 * i)
+        m, length, rho_x, e_x = uav.mass, uav.rod_length, cross(uav.rho), cross(e)
+        M[:3, 3:6] -= m * rho_x
+        M[3:6, :3] += m * rho_x
+        M[:3, rod] = m * length * e_x
+        M[3:6, rod] = m * length * rho_x @ e_x
+        M[rod, :3] = -m * length * e_x
+        M[rod, 3:6] = m * length * e_x @ rho_x
+        M[rod, rod] = m * length**2 * np.eye(3)
+    return M
+
+
+def effective_inertia(system: System) -> Array:
+    """The barred J_0 below paper (10): the payload with every UAV's mass moved to its attachment point, (3, 3)."""
+    return system.payload.inertia - sum(uav.mass * cross(uav.rho) @ cross(uav.rho) for uav in system.uavs)
+
+
+def right_hand_side(system: System, x: Array, force_I: Array) -> Array:
+    """f_0q of paper (11), (6 + 3 N,).
+
+    Paper (7) is printed with m_i l_i |Omega_i|^2 e_i behind the sum; with its free index i it can only belong
+    inside, and there (11) has it.
+    """
+    view = StateView(x)
+    v0, omega0 = view.v0_P, view.omega0_P
+    R0 = attitude(view.Theta0)
+    J_bar, w, g = effective_inertia(system), cross(omega0), system.gravity
+    translation: Any = system.total_mass * (g * R0.T @ K - w @ v0)
+    rotation: Any = -w @ J_bar @ omega0
+    links = []
+    for uav, e, Omega, f in zip(system.uavs, view.e_P, view.Omega_P, force_I, strict=True):
+        m, length, rho, rho_x, e_x = uav.mass, uav.rod_length, uav.rho, cross(uav.rho), cross(e)
+        swing = length * (Omega @ Omega) * e + length * e_x @ w @ Omega
+        external = R0.T @ (f + m * g * K)
+        translation += R0.T @ f - m * (w @ w @ rho + swing)
+        rotation += rho_x @ external - m * rho_x @ (w @ v0 + swing)
+        links.append(m * length * (e_x @ w @ w @ rho - length * w @ Omega + e_x @ w @ v0) - length * e_x @ external)
+    return np.concatenate([translation, rotation, *links])
+
+
+def accelerations(system: System, x: Array, force_I: Array) -> tuple[Array, Array, Array]:
+    """v0' (3,), omega0' (3,) and Omega_i' (N, 3), payload frame, by paper (11).
+
+    Args:
+        system: Physical parameters.
+        x: State, (12 + 12 N,).
+        force_I: f_i, (N, 3), inertial frame, N.
+    """
+    solution = np.asarray(
+        np.linalg.solve(mass_matrix(system, x), right_hand_side(system, x, force_I)), dtype=np.float64
+    )
+    return solution[:3], solution[3:6], solution[6:].reshape(-1, 3)
+
+
+def vehicle_accelerations(system: System, x: Array, derivative: Array) -> Array:
+    """Second derivative of paper (1), (N, 3), inertial frame, m/s^2, from x' = derivative."""
+    view, rate = StateView(x), StateView(derivative)
+    w, R0 = cross(view.omega0_P), attitude(view.Theta0)
+    a0 = rate.v0_P + w @ view.v0_P
+    result = []
+    for uav, e, Omega, Omega_dot in zip(system.uavs, view.e_P, view.Omega_P, rate.Omega_P, strict=True):
+        attachment = a0 + np.cross(rate.omega0_P, uav.rho) + w @ w @ uav.rho
+        # The rod turns with the absolute rate Omega, of which Omega' + omega0 x Omega is the absolute derivative.
+        swing = np.cross(Omega_dot + w @ Omega, e) + np.cross(Omega, np.cross(Omega, e))
+        result.append(R0 @ (attachment - uav.rod_length * swing))
+    return np.array(result)
+
+
+def rod_tensions(system: System, x: Array, force_I: Array, acceleration_I: Array) -> Array:
+    """Pull of each rod by Newton's law of its UAV, m_i a_i = f_i + m_i g k + T_i R0 e_i, (N,), N."""
+    view = StateView(x)
+    masses = np.array([[uav.mass] for uav in system.uavs])
+    pull_I = masses * (acceleration_I - system.gravity * K) - force_I
+    return np.asarray(((pull_I @ attitude(view.Theta0)) * view.e_P).sum(axis=1))

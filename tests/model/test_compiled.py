@@ -1,0 +1,193 @@
+"""Compiled models on disk: the cache may be missing, damaged or unwritable, and never changes a bit of a result."""
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import model
+from model.arrays import Array, ShapeError
+from model.compiled import Compiled, cache_folder, functions
+from tests.model.random_systems import random_input, random_state, random_system
+
+N = 2
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty cache folder that this test alone uses; it does not exist yet."""
+    folder = tmp_path / "cache"
+    monkeypatch.setenv("PAYLOAD_TRANSPORT_CACHE", str(folder))
+    return folder
+
+
+def only_file(folder: Path) -> Path:
+    """The one file in the cache: nothing temporary is left behind."""
+    (file,) = folder.iterdir()
+    return file
+
+
+def results(built: dict[str, ca.Function]) -> list[Array]:
+    """Every output of every function at one random point."""
+    rng = np.random.default_rng(2700)
+    p = random_system(rng, N).vector()
+    x, u = random_state(rng, N), random_input(rng, N)
+    arguments: dict[str, tuple[Array | float, ...]] = {
+        "derivative": (x, u, p),
+        "tensions": (x, u, p),
+        "outputs": (x, p),
+        "linearise": (x, u, p),
+        "step": (x, u, p, 0.05),
+    }
+    assert built.keys() == arguments.keys()
+    return [array for name, function in built.items() for array in Compiled(function)(*arguments[name])]
+
+
+def assert_same_bits(first: dict[str, ca.Function], second: dict[str, ca.Function]) -> None:
+    """Every output equal in every bit."""
+    for one, other in zip(results(first), results(second), strict=True):
+        assert one.tobytes() == other.tobytes()
+
+
+def test_cached_functions_give_the_same_bits(cache: Path) -> None:
+    """The first process builds, the next loads: a fleet may mix both and must stay reproducible."""
+    fresh = functions(N)
+    written = only_file(cache).read_bytes()
+    loaded = functions(N)
+    assert_same_bits(fresh, loaded)
+    assert only_file(cache).read_bytes() == written
+
+
+def test_numbers_of_vehicles_are_kept_apart(cache: Path) -> None:
+    """Functions depend on N, so each N has its file."""
+    assert functions(1)["derivative"].size1_in(0) == 24
+    assert functions(2)["derivative"].size1_in(0) == 36
+    assert functions(1)["derivative"].size1_in(0) == 24
+    assert len(list(cache.iterdir())) == 2
+
+
+def truncated(content: bytes) -> bytes:
+    """The second half is missing."""
+    return content[: len(content) // 2]
+
+
+def flipped(content: bytes) -> bytes:
+    """One bit in the middle is wrong."""
+    middle = len(content) // 2
+    return content[:middle] + bytes([content[middle] ^ 1]) + content[middle + 1 :]
+
+
+def wrong_checksum(content: bytes) -> bytes:
+    """The first byte of the checksum is wrong, the functions are fine."""
+    return bytes([content[0] ^ 1]) + content[1:]
+
+
+def empty(_: bytes) -> bytes:
+    """A file of no length, as a full disk leaves."""
+    return b""
+
+
+def foreign(_: bytes) -> bytes:
+    """Something else under the same name, without a line break."""
+    return bytes(range(11, 256))
+
+
+@pytest.mark.parametrize("damage", [truncated, flipped, wrong_checksum, empty, foreign])
+def test_damaged_files_are_rebuilt(cache: Path, damage: Callable[[bytes], bytes]) -> None:
+    """CasADi never sees a file that is not what was written; the result is as fresh and the file is repaired."""
+    fresh = functions(N)
+    file = only_file(cache)
+    whole = file.read_bytes()
+    file.write_bytes(damage(whole))
+    assert_same_bits(fresh, functions(N))
+    assert only_file(cache).read_bytes() == whole
+
+
+def test_folder_that_cannot_be_made_costs_only_time(
+    tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A cache path below a regular file can be neither read nor created, by root neither: built in memory."""
+    fresh = functions(N)
+    blocker = tmp_path / "file"
+    blocker.write_text("not a folder", encoding="utf-8")
+    monkeypatch.setenv("PAYLOAD_TRANSPORT_CACHE", str(blocker / "cache"))
+    assert_same_bits(fresh, functions(N))
+    assert blocker.read_text(encoding="utf-8") == "not a folder"
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write to read-only folders")
+def test_read_only_folder_costs_only_time(cache: Path) -> None:
+    """An existing folder without write permission is left as it is."""
+    cache.mkdir(mode=0o500)
+    assert_same_bits(functions(N), functions(N))
+    assert not list(cache.iterdir())
+
+
+def test_failed_write_leaves_nothing_behind(cache: Path) -> None:
+    """Where the final name cannot be taken (here: a folder has it), no temporary file of megabytes piles up."""
+    functions(N)
+    file = only_file(cache)
+    file.unlink()
+    file.mkdir()
+    functions(N)
+    assert only_file(cache) == file
+
+
+def test_cache_folder_follows_the_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Our own variable first, then the desktop's cache folder, then ~/.cache."""
+    monkeypatch.setenv("PAYLOAD_TRANSPORT_CACHE", str(tmp_path / "own"))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    assert cache_folder() == tmp_path / "own"
+    monkeypatch.delenv("PAYLOAD_TRANSPORT_CACHE")
+    assert cache_folder() == tmp_path / "xdg" / "payload-transport"
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    assert cache_folder() == tmp_path / "home" / ".cache" / "payload-transport"
+
+
+# Run beside a copy of the package, whose source is changed by its relative path: never the one being tested.
+_NAMES_BEFORE_AND_AFTER = """
+from model import compiled
+print(compiled._cache_path(1).name)
+with open("model/{module}.py", "a") as source:
+    source.write("# another version")
+print(compiled._cache_path(1).name)
+"""
+
+
+@pytest.mark.parametrize(
+    "module",
+    [
+        "compiled",
+        "dynamics",
+        "state",
+        "rotations",
+    ],
+)
+def test_changed_source_has_another_file(tmp_path: Path, module: str) -> None:
+    """Every module the expressions come from is part of the file's name: old equations are never loaded."""
+    (package,) = model.__path__
+    shutil.copytree(package, tmp_path / "model", ignore=shutil.ignore_patterns("__pycache__"))
+    code = _NAMES_BEFORE_AND_AFTER.format(module=module)
+    output = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, check=True, text=True)
+    before, after = output.stdout.split()
+    assert before != after
+
+
+def test_compiled_functions_take_exactly_their_arguments() -> None:
+    """Arrays of the wrong length are refused by name; a missing argument raises instead of reusing the last one."""
+    a, b = ca.SX.sym("a", 2), ca.SX.sym("b")
+    scale = Compiled(ca.Function("scale", [a, b], [a * b, ca.vertcat(a.T, b * a.T)]))
+    vector, matrix = scale(np.array([1.0, 2.0]), 3.0)
+    assert np.array_equal(vector, [3.0, 6.0])
+    assert np.array_equal(matrix, [[1.0, 2.0], [3.0, 6.0]])
+    with pytest.raises(ShapeError, match="scale: expected an argument of 2 numbers, got 3"):
+        scale(np.zeros(3), 1.0)
+    with pytest.raises(ValueError, match="zip"):
+        scale(np.zeros(2))

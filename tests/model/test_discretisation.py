@@ -1,0 +1,120 @@
+"""Zero-order hold against the matrix exponential, in closed form, and by the properties of a flow."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from model.arrays import Array, ShapeError
+from model.discretisation import Discrete, zero_order_hold
+from model.linearisation import Linearisation, Model
+from tests.model.random_systems import random_input, random_state, random_system
+
+PERIODS_S = [0.001, 0.02, 0.05, 0.3, 1.0, 2.0]
+# Both sides round; relative to the largest entry, which grows to 1e6 over 2 s far from equilibrium. Measured 1e-14.
+EXPONENTIAL_TOLERANCE = 1e-12
+# Closed forms of 2 x 2 systems.
+CLOSED_FORM_TOLERANCE = 1e-14
+# A tenth of the period leaves a tenth of the gap to the limit, up to the next order: 1e-2 of the gap at 1 ms.
+RATIO_TOLERANCE = 0.05
+
+
+@cache
+def random_linearisation(N: int, draw: int = 0) -> Linearisation:
+    """Of a random system, far from equilibrium."""
+    rng = np.random.default_rng(1500 + 10 * N + draw)
+    return Model(random_system(rng, N)).linearise(random_state(rng, N), random_input(rng, N))
+
+
+def plain(A_c: Array, B_c: Array, f: Array) -> Linearisation:
+    """A linearisation without outputs: discretising must not look at them."""
+    n = len(A_c)
+    return Linearisation(f=f, A_c=A_c, B_c=B_c, y=np.zeros(1), C=np.zeros((1, n)))
+
+
+def by_exponential(linear: Linearisation, period_s: float) -> Discrete:
+    """[A B f_d] from SciPy's exponential of the augmented matrix [A_c B_c f; 0 0 0]."""
+    n, m = linear.B_c.shape
+    augmented = np.zeros((n + m + 1, n + m + 1))
+    augmented[:n] = np.column_stack([linear.A_c, linear.B_c, linear.f])
+    flow = expm(augmented * period_s)[:n]
+    return Discrete(A=flow[:, :n], B=flow[:, n : n + m], f_d=flow[:, -1])
+
+
+def deviation(value: Array, expected: Array) -> float:
+    """Largest difference relative to the largest entry."""
+    assert value.shape == expected.shape
+    return float(np.abs(value - expected).max() / np.abs(expected).max())
+
+
+@pytest.mark.parametrize("period_s", PERIODS_S)
+@pytest.mark.parametrize("N", [1, 2, 4, 8])
+def test_equals_the_exponential_of_the_augmented_matrix(N: int, period_s: float) -> None:
+    """A, B and f_d of paper (14) are exact for the linear system of paper (13), short and long periods alike."""
+    for draw in range(3):
+        linear = random_linearisation(N, draw)
+        own, expected = zero_order_hold(linear, period_s), by_exponential(linear, period_s)
+        assert deviation(own.A, expected.A) < EXPONENTIAL_TOLERANCE
+        assert deviation(own.B, expected.B) < EXPONENTIAL_TOLERANCE
+        assert deviation(own.f_d, expected.f_d) < EXPONENTIAL_TOLERANCE
+
+
+@pytest.mark.parametrize("ratio", [1.0, 2.5])
+@pytest.mark.parametrize("N", [1, 4])
+def test_two_periods_compose(N: int, ratio: float) -> None:
+    """Semigroup: A(s + t) = A(s) A(t), B(s + t) = A(s) B(t) + B(s), and f_d like B."""
+    linear = random_linearisation(N)
+    t, s = 0.12, 0.12 * ratio
+    first, second, both = (zero_order_hold(linear, period_s) for period_s in (t, s, s + t))
+    assert deviation(second.A @ first.A, both.A) < EXPONENTIAL_TOLERANCE
+    assert deviation(second.A @ first.B + second.B, both.B) < EXPONENTIAL_TOLERANCE
+    assert deviation(second.A @ first.f_d + second.f_d, both.f_d) < EXPONENTIAL_TOLERANCE
+
+
+def test_short_periods_approach_the_continuous_system() -> None:
+    """(A - I) / T, B / T and f_d / T tend to A_c, B_c and f of paper (13), linearly in T."""
+    linear = random_linearisation(3)
+    gaps = []
+    for period_s in (1e-3, 1e-4, 1e-5):
+        own = zero_order_hold(linear, period_s)
+        rates = ((own.A - np.eye(len(own.A))) / period_s, own.B / period_s, own.f_d / period_s)
+        limits = (linear.A_c, linear.B_c, linear.f)
+        gaps.append([deviation(rate, limit) for rate, limit in zip(rates, limits, strict=True)])
+    assert np.array(gaps[1:]) / np.array(gaps[:-1]) == pytest.approx(0.1, rel=RATIO_TOLERANCE)
+
+
+def test_double_integrator_in_closed_form() -> None:
+    """A = [1 T; 0 1], B = [T^2 / 2; T]: the series ends where the nilpotent matrix does."""
+    T = 0.7
+    own = zero_order_hold(plain(np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]]), np.array([0.0, 2.0])), T)
+    assert np.abs(own.A - np.array([[1.0, T], [0.0, 1.0]])).max() <= CLOSED_FORM_TOLERANCE
+    assert np.abs(own.B - np.array([[T**2 / 2.0], [T]])).max() <= CLOSED_FORM_TOLERANCE
+    assert np.abs(own.f_d - np.array([T**2, 2.0 * T])).max() <= CLOSED_FORM_TOLERANCE
+
+
+@pytest.mark.parametrize("angle", [1e-3, 1.0, 20.0])
+def test_oscillator_in_closed_form(angle: float) -> None:
+    """x'' = -w^2 x turns by w T, through as many halvings of the period as a large angle takes."""
+    w, T = 4.0, angle / 4.0
+    own = zero_order_hold(plain(np.array([[0.0, w], [-w, 0.0]]), np.array([[0.0], [1.0]]), np.zeros(2)), T)
+    cos, sin = np.cos(angle), np.sin(angle)
+    # The halvings double the rounding of one short rotation each time: up to the angle's own relative size.
+    tolerance = CLOSED_FORM_TOLERANCE * max(1.0, angle)
+    assert np.abs(own.A - np.array([[cos, sin], [-sin, cos]])).max() <= tolerance
+    assert np.abs(own.B - np.array([[(1.0 - cos) / w], [sin / w]])).max() <= tolerance
+
+
+def test_no_dynamics_is_plain_summation() -> None:
+    """A_c = 0, whose norm decides how the period is cut, gives A = I, B = T B_c, f_d = T f."""
+    own = zero_order_hold(plain(np.zeros((2, 2)), np.array([[3.0], [-1.0]]), np.array([1.0, 5.0])), 0.25)
+    assert np.array_equal(own.A, np.eye(2))
+    assert np.array_equal(own.B, np.array([[0.75], [-0.25]]))
+    assert np.array_equal(own.f_d, np.array([0.25, 1.25]))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_numbers_that_are_not_finite_are_refused(bad: float) -> None:
+    """A linearisation at a singular state raises and names A_c, instead of cutting the period for ever."""
+    with pytest.raises(ShapeError, match="A_c: expected finite numbers"):
+        zero_order_hold(plain(np.array([[0.0, bad], [0.0, 0.0]]), np.zeros((2, 1)), np.zeros(2)), 0.05)

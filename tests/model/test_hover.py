@@ -1,0 +1,189 @@
+"""Hover: an equilibrium of the full dynamics where one exists, a refusal that says why where none does."""
+
+import numpy as np
+import pytest
+
+from model.arrays import Array, ShapeError
+from model.hover import hover
+from model.linearisation import Model
+from model.parameters import ParameterError, Payload, System, Uav, table_1
+from model.state import INPUTS, StateView
+from tests.model.paper_form import K, attitude, thrust_forces
+from tests.model.random_systems import random_inertia
+
+# Accelerations left by the rounding of least squares and of forces of up to 100 N, rad/s^2 and m/s^2.
+AT_REST = 1e-10
+# Forces of up to 100 N.
+FORCE_TOLERANCE_N = 1e-11
+# Closed forms of single forces, relative: least squares of six equations.
+FORCE_RATIO_TOLERANCE = 1e-12
+
+
+def ring_system(rng: np.random.Generator, N: int) -> System:
+    """N unequal UAVs attached all around the payload's centre of mass, at different heights and distances."""
+    # Less than half a turn between neighbours keeps the centre of mass between the attachment points.
+    angles = 2.0 * np.pi * (np.arange(N) + rng.uniform(-0.2, 0.2, N)) / N
+    radii, heights = rng.uniform(0.2, 0.6, N), rng.uniform(-0.3, 0.1, N)
+    uavs = [
+        Uav(
+            mass=rng.uniform(0.5, 2.0),
+            inertia=random_inertia(rng, 0.03),
+            rho=[radius * np.cos(a), radius * np.sin(a), z],
+            rod_length=rng.uniform(0.8, 3.5),
+        )
+        for a, radius, z in zip(angles, radii, heights, strict=True)
+    ]
+    return System(payload=Payload(mass=rng.uniform(1.0, 5.0), inertia=random_inertia(rng, 0.4)), uavs=uavs)
+
+
+def spread_rods(system: System, depth: float) -> Array:
+    """Rods leaning outwards, on lines that meet `depth` m below the centre of mass, (N, 3).
+
+    Forces along lines through one point above or below the centre of mass leave no moment there, so only the
+    balance of forces remains, and rods all around the payload can hold it.
+    """
+    rods = np.array([depth * K - uav.rho for uav in system.uavs])
+    return np.asarray(rods / np.linalg.norm(rods, axis=1, keepdims=True))
+
+
+def assert_at_rest(system: System, rods_P: Array | None) -> None:
+    """x' = 0 in the dynamics, the model's tensions are hover's, and no rod or UAV moves."""
+    at = hover(system, rods_P)
+    model = Model(system)
+    assert np.abs(model.derivative(at.x, at.u)).max() < AT_REST
+    assert np.abs(model.tensions(at.x, at.u) - at.tensions).max() < FORCE_TOLERANCE_N
+    view = StateView(at.x)
+    assert not view.v0_P.any()
+    assert not view.omega0_P.any()
+    assert not view.r0_I.any()
+    assert (at.u[::INPUTS] > 0.0).all()
+
+
+def test_table_1_hovers_with_equal_shares() -> None:
+    """By symmetry each UAV of Table I lifts itself and a quarter of the payload, with level attitude."""
+    system = table_1()
+    at = hover(system)
+    assert_at_rest(system, None)
+    assert at.u[::INPUTS] == pytest.approx((1.5 + 3.0 / 4.0) * system.gravity, rel=FORCE_RATIO_TOLERANCE)
+    assert at.tensions == pytest.approx(3.0 / 4.0 * system.gravity, rel=FORCE_RATIO_TOLERANCE)
+    assert np.abs(StateView(at.x).Theta).max() < AT_REST
+    assert np.array_equal(StateView(at.x).e_P, np.tile(K, (4, 1)))
+
+
+@pytest.mark.parametrize("N", [3, 4, 6, 8])
+def test_vertical_rods_hold_unequal_systems(N: int) -> None:
+    """f(x, u) = 0 of paper (12) with upright rods, unequal UAVs and attachment points all around the payload."""
+    rng = np.random.default_rng(1900 + N)
+    for _ in range(3):
+        assert_at_rest(ring_system(rng, N), None)
+
+
+@pytest.mark.parametrize("N", [3, 4, 6, 8])
+def test_tilted_rods_hold_unequal_systems(N: int) -> None:
+    """f(x, u) = 0 of paper (12) with rods that lean outwards and pull against each other."""
+    rng = np.random.default_rng(2000 + N)
+    for _ in range(3):
+        system = ring_system(rng, N)
+        assert_at_rest(system, spread_rods(system, rng.uniform(1.5, 4.0)))
+
+
+def test_one_vehicle_hovers_above_the_centre_of_mass() -> None:
+    """N = 1 hangs the payload straight below: thrust is the whole weight, paper (7) at rest."""
+    system = System(
+        payload=Payload(mass=2.0, inertia=[0.1, 0.2, 0.25]),
+        uavs=[Uav(mass=1.0, inertia=[0.02, 0.02, 0.03], rho=[0.0, 0.0, -0.2], rod_length=1.0)],
+    )
+    assert_at_rest(system, None)
+    assert hover(system).u[0] == pytest.approx(3.0 * system.gravity, rel=FORCE_RATIO_TOLERANCE)
+
+
+def test_forces_carry_the_total_weight() -> None:
+    """The thrusts of tilted UAVs sum to -m_T g k, paper (7) at rest, and each lies along -b3 of its UAV."""
+    rng = np.random.default_rng(2100)
+    system = ring_system(rng, 5)
+    at = hover(system, spread_rods(system, 2.0))
+    total = thrust_forces(at.x, at.u).sum(axis=0)
+    assert total == pytest.approx(-system.total_mass * system.gravity * K, abs=FORCE_TOLERANCE_N)
+
+
+def test_tilted_vehicles_lift_along_their_rods() -> None:
+    """-b3 of each UAV points along f_i = -(m_i g k + T_i e_i), the rest case of Newton's law of a UAV."""
+    rng = np.random.default_rng(2200)
+    system = ring_system(rng, 5)
+    at = hover(system, spread_rods(system, 1.0))
+    view = StateView(at.x)
+    for uav, Theta, thrust, e, tension in zip(
+        system.uavs, view.Theta, at.u[::INPUTS], view.e_P, at.tensions, strict=True
+    ):
+        force_I = -(uav.mass * system.gravity * K + tension * e)
+        assert -thrust * attitude(Theta)[:, 2] == pytest.approx(force_I, abs=FORCE_TOLERANCE_N)
+
+
+def test_tilted_vehicles_have_zero_yaw() -> None:
+    """Thrust fixes roll and pitch of a UAV; the yaw that is left free is zero."""
+    system = ring_system(np.random.default_rng(2200), 5)
+    view = StateView(hover(system, spread_rods(system, 1.0)).x)
+    assert np.abs(view.Theta[:, 2]).max() < AT_REST
+
+
+def test_without_gravity_nothing_is_held() -> None:
+    """g = 0 is a legitimate system: no thrust, no tension, at rest."""
+    ring = ring_system(np.random.default_rng(2300), 4)
+    system = System(payload=ring.payload, uavs=ring.uavs, gravity=0.0)
+    at = hover(system)
+    assert not at.u.any()
+    assert not at.tensions.any()
+    assert not Model(system).derivative(at.x, at.u).any()
+
+
+def test_one_vehicle_off_axis_is_refused_with_the_imbalance() -> None:
+    """A rod beside the centre of mass leaves a moment; the text has the largest part that no tension removes."""
+    d, weight = 0.3, 3.0 * 9.81
+    system = System(
+        payload=Payload(mass=3.0, inertia=[0.5, 0.5, 0.5]),
+        uavs=[Uav(mass=1.5, inertia=[0.03, 0.03, 0.05], rho=[d, 0.0, -0.1], rod_length=2.0)],
+        gravity=9.81,
+    )
+    # Least squares of [1; -d] T = [W; 0]: T = W / (1 + d^2), which leaves the moment d T and the force d^2 T.
+    moment = d * weight / (1.0 + d**2)
+    with pytest.raises(ParameterError, match=f"no hover equilibrium.*leave {moment:.3g} N or N m on the payload"):
+        hover(system)
+
+
+def test_payload_beside_its_attachments_is_refused() -> None:
+    """Two UAVs on the same side of the centre of mass cannot balance it with upright rods."""
+    uavs = [Uav(mass=1.5, inertia=[0.03, 0.03, 0.05], rho=[0.25, y, -0.1], rod_length=2.0) for y in (-0.25, 0.25)]
+    system = System(payload=Payload(mass=3.0, inertia=[0.5, 0.5, 0.5]), uavs=uavs)
+    with pytest.raises(ParameterError, match="centre of mass must hang between the attachment points"):
+        hover(system)
+
+
+def test_rods_that_turn_the_payload_are_refused() -> None:
+    """Rods all leaning the same way around balance every force, but their moment about z has no counterpart."""
+    system = table_1()
+    rods = np.array([K + 0.2 * np.cross(K, uav.rho) for uav in system.uavs])
+    with pytest.raises(ParameterError, match="no hover equilibrium"):
+        hover(system, rods / np.linalg.norm(rods, axis=1, keepdims=True))
+
+
+def test_vehicle_that_would_push_down_is_refused() -> None:
+    """Three attachments far to one side balance on paper, but only with one UAV pushing; the text names it."""
+    places = [[0.1, 0.1, 0.0], [0.1, -0.1, 0.0], [0.12, 0.0, 0.0]]
+    uavs = [Uav(mass=0.5, inertia=[0.03, 0.03, 0.05], rho=rho, rod_length=2.0) for rho in places]
+    system = System(payload=Payload(mass=3.0, inertia=[0.5, 0.5, 0.5]), uavs=uavs)
+    with pytest.raises(ParameterError, match="UAV3 would have to push down"):
+        hover(system)
+
+
+def test_rods_of_the_wrong_shape_are_refused() -> None:
+    """One direction per UAV: the text has what was expected and what came."""
+    with pytest.raises(ShapeError, match=r"rods: expected shape \(4, 3\), got \(3, 3\)"):
+        hover(table_1(), np.tile(K, (3, 1)))
+
+
+def test_equilibrium_is_read_only() -> None:
+    """Everybody shares the equilibrium; writing to it raises."""
+    at = hover(table_1())
+    for array in (at.x, at.u, at.tensions):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1.0

@@ -1,0 +1,172 @@
+"""The integrator: reference trajectories, order, and what its error estimate is worth."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from model.arrays import Array
+from model.compiled import Compiled, functions
+from model.linearisation import Model
+from model.parameters import System
+from model.state import INPUTS, StateView
+from tests.model import reference
+from tests.model.paper_form import attitude
+from tests.model.random_systems import random_input, random_state, random_system
+
+# Absolute, in the units of each state. The stored samples are good to 1.6e-9, our steps to 1e-9 on the fastest motion.
+TRAJECTORY_TOLERANCE = 1e-6
+STEPS_PER_SAMPLE = 20
+HELD_THRUST = [name for name in reference.TRAJECTORIES if reference.trajectory(name).force_I is None]
+HELD_FORCE = [name for name in reference.TRAJECTORIES if name not in HELD_THRUST]
+
+# Relative and absolute tolerance of the eighth-order integration that stands for the exact solution.
+EXACT = 1e-13
+# The same for trajectories, where the stored samples are no better than 1e-9.
+REFERENCE_ACCURACY = 1e-11
+NOMINAL_ORDER = 5
+ORDER_SLACK = 0.9  # the next orders, 4 and 6, stay outside
+# The estimate is the leading term of the fourth-order error: at 12.5 ms the next term is 2 percent of it.
+ESTIMATE_TOLERANCE = 0.05
+SHORT_STEP_S = 0.0125
+# One call of several steps against as many calls: the same operations, compiled in another order.
+SAME_ROUNDING = 1e-13
+# The estimate is a small difference of large sums: the same rounding is a larger part of it.
+SAME_ESTIMATE = 1e-6
+
+
+def exact(model: Model, x: Array, u: Array, duration_s: float) -> Array:
+    """Solution by SciPy's DOP853, an integrator and a step control that are not ours."""
+    solution = solve_ivp(
+        lambda _, y: model.derivative(y, u), (0.0, duration_s), x, method="DOP853", rtol=EXACT, atol=EXACT
+    )
+    return np.asarray(solution.y[:, -1])
+
+
+def moving_system(N: int) -> tuple[Model, System, Array, Array]:
+    """A random system in moderate motion under inputs, away from the Euler angles' singularity."""
+    rng = np.random.default_rng(1300 + N)
+    system = random_system(rng, N)
+    return Model(system), system, random_state(rng, N, rate=0.5), 0.3 * random_input(rng, N)
+
+
+def deviation(case: reference.TrajectoryCase, sample: int, x: Array) -> float:
+    """Largest difference to the stored sample; attitudes are compared as matrices, which do not wrap."""
+    own, stored = StateView(x), StateView(case.x[sample])
+    blocks = [
+        own.r0_I - stored.r0_I,
+        own.v0_P - stored.v0_P,
+        own.omega0_P - stored.omega0_P,
+        own.e_P - stored.e_P,
+        own.Omega_P - stored.Omega_P,
+        own.omega_B - stored.omega_B,
+        attitude(own.Theta0) - case.R0[sample],
+        np.array([attitude(Theta) for Theta in own.Theta]) - case.R[sample],
+    ]
+    return max(float(np.abs(block).max()) for block in blocks)
+
+
+@pytest.mark.parametrize("name", HELD_THRUST)
+def test_integrate_follows_the_reference_trajectory(name: str) -> None:
+    """`integrate` under held thrusts and moments passes through every stored sample, paper (2)-(10)."""
+    case = reference.trajectory(name)
+    model = Model(case.system)
+    x = case.x[0]
+    for k, u in enumerate(case.u):
+        x, _ = model.integrate(x, u, case.period_s, STEPS_PER_SAMPLE)
+        assert deviation(case, k + 1, x) < TRAJECTORY_TOLERANCE
+
+
+@pytest.mark.parametrize("name", HELD_FORCE)
+def test_derivative_follows_the_trajectory_of_held_forces(name: str) -> None:
+    """Payload and rods feel only the force vectors f_i of paper (7)-(9), however the UAVs are turned.
+
+    The forces are fixed in the inertial frame while the UAVs tumble. So the derivative is evaluated twice: with
+    the attitudes that produce the forces for everything but the attitudes, and with the true ones for those.
+    """
+    case = reference.trajectory(name)
+    assert case.force_I is not None
+    model = Model(case.system)
+    x = case.x[0]
+    for k, (force_I, held) in enumerate(zip(case.force_I, case.u, strict=True)):
+        pulling = held.copy()
+        pulling[::INPUTS] = np.linalg.norm(force_I, axis=1)
+        turned = attitudes_along(force_I)
+
+        def derivative(_: float, y: Array, held: Array = held, u: Array = pulling, to: Array = turned) -> Array:
+            steered = y.copy()
+            StateView(steered).Theta[:] = to
+            result = model.derivative(steered, u)
+            StateView(result).Theta[:] = StateView(model.derivative(y, held)).Theta
+            return result
+
+        x = solve_ivp(
+            derivative, (0.0, case.period_s), x, method="DOP853", rtol=REFERENCE_ACCURACY, atol=REFERENCE_ACCURACY
+        ).y[:, -1]
+        assert deviation(case, k + 1, x) < TRAJECTORY_TOLERANCE
+
+
+def attitudes_along(force_I: Array) -> Array:
+    """Roll and pitch that point -b3 along each force, at zero yaw, (N, 3): b3 = (sp cr, -sr, cp cr)."""
+    b3 = -force_I / np.linalg.norm(force_I, axis=1, keepdims=True)
+    return np.column_stack([-np.arcsin(b3[:, 1]), np.arctan2(b3[:, 0], b3[:, 2]), np.zeros(len(b3))])
+
+
+@pytest.mark.parametrize("N", [1, 4])
+def test_observed_order_is_five(N: int) -> None:
+    """Halving the step divides the error at the end by 2^5, as the Dormand-Prince 5(4) pair promises."""
+    model, _, x, u = moving_system(N)
+    duration_s = 0.4
+    end = exact(model, x, u, duration_s)
+    steps = np.array([4, 8, 16, 32])
+    errors = [np.abs(model.integrate(x, u, duration_s, int(k))[0] - end).max() for k in steps]
+    order = -np.polyfit(np.log(steps), np.log(errors), 1)[0]
+    assert -ORDER_SLACK < order - NOMINAL_ORDER < ORDER_SLACK
+
+
+@pytest.mark.parametrize("N", [1, 4])
+def test_estimate_is_the_local_error_of_the_embedded_method(N: int) -> None:
+    """The estimate is x5 - x4, so x5 minus it misses the exact solution by itself, up to higher order."""
+    model, system, x, u = moving_system(N)
+    step = Compiled(functions(N)["step"])
+    end, estimate = step(x, u, system.vector(), SHORT_STEP_S)
+    missed = end - estimate - exact(model, x, u, SHORT_STEP_S)
+    assert np.abs(missed + estimate).max() < ESTIMATE_TOLERANCE * np.abs(estimate).max()
+
+
+@pytest.mark.parametrize("N", [1, 4])
+def test_estimate_bounds_the_error_and_falls_with_its_order(N: int) -> None:
+    """The returned number exceeds the true local error and, O(h^5) itself, falls 2^5 times when the step halves."""
+    model, _, x, u = moving_system(N)
+    durations = np.array([0.1, 0.05, 0.025, 0.0125])
+    estimates = []
+    for duration_s in durations:
+        end, estimate = model.integrate(x, u, float(duration_s), 1)
+        assert np.abs(end - exact(model, x, u, float(duration_s))).max() < estimate
+        estimates.append(estimate)
+    order = np.polyfit(np.log(durations), np.log(estimates), 1)[0]
+    assert -ORDER_SLACK < order - NOMINAL_ORDER < ORDER_SLACK
+
+
+@pytest.mark.parametrize("N", range(1, 7))
+def test_several_steps_are_single_steps_in_a_row(N: int) -> None:
+    """k steps in one call end where k calls end, and report the largest error of any of them, of either sign."""
+    model, system, x, u = moving_system(N)
+    step = Compiled(functions(N)["step"])
+    end, worst = model.integrate(x, u, 0.25, 5)  # for N = 1 the fourth of five steps is the worst
+    estimates = []
+    for _ in range(5):
+        _, single = model.integrate(x, u, 0.05, 1)
+        x, estimate = step(x, u, system.vector(), 0.05)
+        assert single == pytest.approx(np.abs(estimate).max(), rel=SAME_ESTIMATE)
+        estimates.append(single)
+    assert np.abs(end - x).max() < SAME_ROUNDING * np.abs(end).max()
+    assert worst == pytest.approx(max(estimates), rel=SAME_ESTIMATE)
+
+
+def test_integrate_leaves_its_arguments_alone() -> None:
+    """The state and input handed in are the caller's and are not written to: buffers are copies (model.compiled)."""
+    model, _, x, u = moving_system(2)
+    x_before, u_before = x.copy(), u.copy()
+    model.integrate(x, u, 0.1, 4)
+    assert np.array_equal(x, x_before)
+    assert np.array_equal(u, u_before)

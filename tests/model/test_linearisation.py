@@ -1,0 +1,107 @@
+"""The expansion about a state and input, paper (13): Jacobians against finite differences, outputs by hand."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from model.arrays import Array, ShapeError
+from model.linearisation import Model
+from model.parameters import System
+from model.state import INPUTS, StateView
+from tests.model.invariants import vehicle_motion
+from tests.model.random_systems import random_input, random_state, random_system
+
+# Sixth-order central differences: truncation ~ h^6 = 6e-17, rounding ~ eps / h = 1e-13 of the largest entry of f.
+STEP = 2e-3
+WEIGHTS = {1: 45.0 / 60.0, 2: -9.0 / 60.0, 3: 1.0 / 60.0}
+JACOBIAN_TOLERANCE = 1e-10
+# A handful of products and sums per position.
+OUTPUT_TOLERANCE = 1e-13
+
+
+def jacobian(function: Callable[[Array], Array], at: Array) -> Array:
+    """Jacobian by sixth-order central differences, (outputs, inputs)."""
+    columns = []
+    for direction in np.eye(len(at)):
+        sides = [
+            weight * (function(at + k * STEP * direction) - function(at - k * STEP * direction))
+            for k, weight in WEIGHTS.items()
+        ]
+        columns.append(sum(sides) / STEP)
+    return np.column_stack(columns)
+
+
+def deviation(value: Array, expected: Array) -> float:
+    """Largest difference relative to the largest entry."""
+    assert value.shape == expected.shape
+    return float(np.abs(value - expected).max() / np.abs(expected).max())
+
+
+def drawn(N: int) -> tuple[System, Model, Array, Array]:
+    """A random system at a random state and input, far from any equilibrium."""
+    rng = np.random.default_rng(1400 + N)
+    system = random_system(rng, N)
+    return system, Model(system), random_state(rng, N), random_input(rng, N)
+
+
+@pytest.mark.parametrize("N", range(1, 9))
+def test_jacobians_are_those_of_finite_differences(N: int) -> None:
+    """A_c = df/dx, B_c = df/du and C = dh/dx about a non-equilibrium point, paper (13)."""
+    _, model, x, u = drawn(N)
+    linear = model.linearise(x, u)
+    assert deviation(linear.A_c, jacobian(lambda z: model.derivative(z, u), x)) < JACOBIAN_TOLERANCE
+    assert deviation(linear.B_c, jacobian(lambda z: model.derivative(x, z), u)) < JACOBIAN_TOLERANCE
+    assert deviation(linear.C, jacobian(model.outputs, x)) < JACOBIAN_TOLERANCE
+
+
+@pytest.mark.parametrize("N", [1, 4, 8])
+def test_expansion_starts_at_the_point(N: int) -> None:
+    """The constant terms of paper (13) are f(x0, u0) and h(x0), the same numbers the other functions give."""
+    _, model, x, u = drawn(N)
+    linear = model.linearise(x, u)
+    assert deviation(linear.f, model.derivative(x, u)) < OUTPUT_TOLERANCE
+    assert deviation(linear.y, model.outputs(x)) < OUTPUT_TOLERANCE
+
+
+@pytest.mark.parametrize("N", range(1, 9))
+def test_outputs_are_positions_attitude_and_yaw_rates(N: int) -> None:
+    """y stacks r_i of paper (1), the payload's Euler angles and the UAVs' yaw rates (paper, section V-A)."""
+    system, model, x, _ = drawn(N)
+    view = StateView(x)
+    positions, _ = vehicle_motion(system, x)
+    expected = np.concatenate([positions.reshape(-1), view.Theta0, view.omega_B[:, 2]])
+    assert deviation(model.outputs(x), expected) < OUTPUT_TOLERANCE
+
+
+def test_thrust_and_moments_reach_where_they_should() -> None:
+    """Moments move only their own UAV's rates, paper (10); thrust moves payload and rods but no UAV's rates."""
+    _, model, x, u = drawn(4)
+    B_c = model.linearise(x, u).B_c
+    for i in range(4):
+        moments = B_c[:, INPUTS * i + 1 : INPUTS * (i + 1)].copy()
+        thrust = B_c[:, INPUTS * i].copy()
+        assert not StateView(thrust).omega_B.any()
+        assert StateView(thrust).v0_P.all()
+        assert StateView(thrust).Omega_P.any(axis=-1).all()
+        StateView(moments.T).omega_B[:, i] = 0.0
+        assert not moments.any()
+
+
+def test_arguments_of_the_wrong_length_are_refused() -> None:
+    """A state of another number of UAVs is refused with the function's name and both lengths."""
+    _, model, x, u = drawn(2)
+    with pytest.raises(ShapeError, match="derivative: expected an argument of 36 numbers, got 24"):
+        model.derivative(x[:24], u)
+    with pytest.raises(ShapeError, match="linearise: expected an argument of 8 numbers, got 4"):
+        model.linearise(x, u[:4])
+
+
+def test_results_are_the_callers() -> None:
+    """A second evaluation does not write into arrays returned by the first (buffers are reused inside)."""
+    _, model, x, u = drawn(3)
+    first = model.linearise(x, u)
+    kept = [array.copy() for array in (first.f, first.A_c, first.B_c, first.y, first.C)]
+    model.linearise(x + 0.1, u + 1.0)
+    for array, copy in zip((first.f, first.A_c, first.B_c, first.y, first.C), kept, strict=True):
+        assert np.array_equal(array, copy)

@@ -1,0 +1,161 @@
+"""The path the payload is asked to fly, and the references that follow from it."""
+
+import numpy as np
+import pytest
+
+from model.arrays import Array, ShapeError
+from model.hover import hover
+from model.linearisation import Model
+from model.maneuver import Maneuver, Phase, Profile, Reference, paper_maneuver
+from model.parameters import ParameterError, table_1
+from model.state import StateView
+from tests.model.paper_form import K
+
+PROFILES: list[Profile] = ["ramp", "min_jerk", "step"]
+# Sums of a few displacements of metres.
+PATH_TOLERANCE_M = 1e-13
+# Central differences: step^2 / 6 times the third derivative of the path, up to 3 m/s^3, plus rounding / step.
+DIFFERENCE_STEP_S = 1e-4
+SPEED_TOLERANCE = 1e-7
+# Second differences at the end of a phase see the cubic growth beyond it, 10 m (h / T)^3 / h^2 = 1e-4 m/s^2;
+# a profile that starts with an acceleration shows 1 m/s^2 and one that starts with a speed 1e4.
+ACCELERATION_TOLERANCE = 1e-3
+# Before the end of a phase, where a step has not yet made its next jump, and how far 1 m/s gets in that time.
+JUST_BEFORE_S = 1e-12
+JUST_BEFORE_M = 2e-12
+# Positions of 10 m through one rotation and a few products.
+OUTPUT_TOLERANCE_M = 1e-13
+
+
+def two_legs(profile: Profile) -> Maneuver:
+    """A leg with all three components, then a different one: 2 s and 3 s."""
+    return Maneuver(
+        start_I=[1.0, 2.0, -3.0],
+        phases=[
+            Phase(name="out", duration_s=2.0, displacement_I=[1.0, -0.5, 0.25]),
+            Phase(name="on", duration_s=3.0, displacement_I=[0.0, 2.0, -1.0]),
+        ],
+        profile=profile,
+    )
+
+
+def test_paper_maneuver_passes_its_way_points() -> None:
+    """Hover, 2.5 m up, 2.5 m along x, 2.5 m down, hover, 5 s each, from 10 m height (paper, section V-A)."""
+    maneuver = paper_maneuver()
+    r, _ = maneuver.path(np.array([0.0, 5.0, 10.0, 15.0, 20.0, 25.0]))
+    expected = [
+        [0.0, 0.0, -10.0],
+        [0.0, 0.0, -10.0],
+        [0.0, 0.0, -12.5],
+        [2.5, 0.0, -12.5],
+        [2.5, 0.0, -10.0],
+        [2.5, 0.0, -10.0],
+    ]
+    assert r == pytest.approx(np.array(expected), abs=PATH_TOLERANCE_M)
+    assert maneuver.duration_s == 25.0
+    assert [phase.name for phase in maneuver.phases] == ["hover", "climb", "translate", "descend", "hover"]
+
+
+def test_paper_maneuver_moves_at_half_a_metre_per_second() -> None:
+    """Each leg of 2.5 m is covered at constant speed over its 5 s, docs/equations.md (20)."""
+    r, v = paper_maneuver().path(np.array([2.5, 7.5, 12.5, 17.5, 22.5]))
+    expected = [[0.0, 0.0, 0.0], [0.0, 0.0, -0.5], [0.5, 0.0, 0.0], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]]
+    assert v == pytest.approx(np.array(expected), abs=PATH_TOLERANCE_M)
+    assert r[1] == pytest.approx([0.0, 0.0, -11.25], abs=PATH_TOLERANCE_M)
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_every_profile_ends_where_the_phases_add_up(profile: Profile) -> None:
+    """Positions at the ends of phases do not depend on the profile; before and after, the path stands still."""
+    r, v = two_legs(profile).path(np.array([-1.0, 2.0 - JUST_BEFORE_S, 5.0, 100.0]))
+    assert r[1] == pytest.approx([2.0, 1.5, -2.75], abs=JUST_BEFORE_M)
+    assert r[[0, 2, 3]] == pytest.approx(
+        np.array([[1.0, 2.0, -3.0], [2.0, 3.5, -3.75], [2.0, 3.5, -3.75]]), abs=PATH_TOLERANCE_M
+    )
+    assert not v[[0, 2, 3]].any()
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_velocity_is_the_derivative_of_the_path(profile: Profile) -> None:
+    """Inside the phases v = dr/dt, by central differences; a step stands still there."""
+    maneuver = two_legs(profile)
+    t = np.concatenate([np.linspace(0.1, 1.9, 19), np.linspace(2.1, 4.9, 29)])
+    _, v = maneuver.path(t)
+    ahead, behind = maneuver.path(t + DIFFERENCE_STEP_S)[0], maneuver.path(t - DIFFERENCE_STEP_S)[0]
+    assert v == pytest.approx((ahead - behind) / (2.0 * DIFFERENCE_STEP_S), abs=SPEED_TOLERANCE)
+    assert v.any() == (profile != "step")
+
+
+def test_min_jerk_starts_and_ends_at_rest() -> None:
+    """Velocity and acceleration vanish at both ends of every phase, and half the way is done at half the time."""
+    maneuver = two_legs("min_jerk")
+    h = DIFFERENCE_STEP_S
+    ends = np.array([0.0, 2.0, 5.0])
+    _, v = maneuver.path(ends)
+    assert np.abs(v).max() < PATH_TOLERANCE_M
+    before, at, after = (maneuver.path(ends + shift)[0] for shift in (-h, 0.0, h))
+    assert np.abs(before - 2.0 * at + after).max() / h**2 < ACCELERATION_TOLERANCE
+    halfway, _ = maneuver.path(np.array([1.0]))
+    assert halfway[0] == pytest.approx([1.5, 1.75, -2.875], abs=PATH_TOLERANCE_M)
+
+
+def test_min_jerk_is_the_fifth_order_polynomial() -> None:
+    """s = 10 c^3 - 15 c^4 + 6 c^5, docs/equations.md (20): checked away from the ends, where symmetry says less."""
+    c = np.array([0.1, 0.3, 0.8])
+    r, _ = two_legs("min_jerk").path(2.0 * c)
+    share = 10.0 * c**3 - 15.0 * c**4 + 6.0 * c**5
+    assert r - [1.0, 2.0, -3.0] == pytest.approx(np.outer(share, [1.0, -0.5, 0.25]), abs=PATH_TOLERANCE_M)
+
+
+def test_step_jumps_when_the_phase_begins() -> None:
+    """The whole displacement is asked for from the first instant of its phase."""
+    r, _ = two_legs("step").path(np.array([-1e-9, 0.0, 1.0, 2.0]))
+    expected = [[1.0, 2.0, -3.0], [2.0, 1.5, -2.75], [2.0, 1.5, -2.75], [2.0, 3.5, -3.75]]
+    assert r == pytest.approx(np.array(expected), abs=PATH_TOLERANCE_M)
+
+
+def rods_leaning() -> Array:
+    """Rods of Table I leaning outwards by some degrees, on lines through one point, (4, 3)."""
+    rods = np.array([2.0 * K - uav.rho for uav in table_1().uavs])
+    return np.asarray(rods / np.linalg.norm(rods, axis=1, keepdims=True))
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("leaning", [False, True])
+def test_reference_outputs_are_those_of_the_reference_states(profile: Profile, leaning: bool) -> None:
+    """y_ref(t) = h(x_ref(t)) of paper (12): what is weighted and what is linearised about do not drift apart."""
+    system = table_1()
+    at = hover(system, rods_leaning() if leaning else None)
+    reference = Reference(system, at, two_legs(profile))
+    model = Model(system)
+    t = np.linspace(-0.5, 6.0, 27)
+    outputs = np.array([model.outputs(x) for x in reference.states(t)])
+    assert reference.outputs(t) == pytest.approx(outputs, abs=OUTPUT_TOLERANCE_M)
+
+
+def test_reference_states_move_along_the_path() -> None:
+    """x_ref is the hover state at r0(t) with velocity r0'(t), payload level; C f then gives y_ref'."""
+    system = table_1()
+    at = hover(system)
+    reference = Reference(system, at, two_legs("min_jerk"))
+    t = np.linspace(0.0, 5.0, 11)
+    r, v = reference.maneuver.path(t)
+    states = reference.states(t)
+    view = StateView(states)
+    assert np.array_equal(view.r0_I, r)
+    assert np.array_equal(view.v0_P, v)
+    states[:, :6] = at.x[:6]
+    assert np.array_equal(states, np.tile(at.x, (11, 1)))
+
+
+def test_impossible_phases_are_refused() -> None:
+    """No duration, no phase, no vector: each text has the name, what was expected and what came."""
+    for duration_s in (0.0, -1.0, float("nan"), float("inf")):
+        with pytest.raises(ParameterError, match=f"phase 'climb': expected a duration > 0 s, got {duration_s!r}"):
+            Phase(name="climb", duration_s=duration_s, displacement_I=[0.0, 0.0, 0.0])
+    with pytest.raises(ShapeError, match=r"phase 'climb' displacement: expected shape \(3\), got \(2\)"):
+        Phase(name="climb", duration_s=1.0, displacement_I=[0.0, 1.0])
+    with pytest.raises(ParameterError, match="expected at least one phase, got none"):
+        Maneuver(start_I=[0.0, 0.0, 0.0], phases=[])
+    with pytest.raises(ShapeError, match="maneuver start: expected finite numbers, got nan"):
+        Maneuver(start_I=[0.0, 0.0, float("nan")], phases=paper_maneuver().phases)

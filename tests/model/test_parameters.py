@@ -1,0 +1,159 @@
+"""Physical parameters: what is refused and how, what is kept, and the paper's Table I."""
+
+import dataclasses
+import re
+
+import numpy as np
+import pytest
+
+from model.arrays import Array, ArrayLike, ShapeError, checked
+from model.parameters import ParameterError, Payload, System, Uav, table_1
+from tests.model.random_systems import random_system
+
+NAN, INF = float("nan"), float("inf")
+BAD_POSITIVE = [0.0, -1.5, NAN, INF]
+
+# (value, what the text must say after the field's name), for every inertia.
+BAD_INERTIA: list[tuple[ArrayLike, str]] = [
+    ([1.0, 1.0], "expected shape (3), got (2)"),
+    (np.eye(2), "expected shape (3, 3), got (2, 2)"),
+    (np.ones((2, 3, 3)), "expected shape (3, 3), got (2, 3, 3)"),
+    ([NAN, 1.0, 1.0], "expected finite numbers, got nan"),
+    (np.diag([1.0, INF, 1.0]), "expected finite numbers, got inf"),
+    ([[1.0, 0.1, 0.0], [0.2, 1.0, 0.0], [0.0, 0.0, 1.0]], "expected a symmetric matrix, got [[1.0, 0.1, 0.0], [0.2"),
+    ([1.0, 1.0, -0.5], "expected positive principal moments, got [-0.5, 1.0, 1.0] kg m^2"),
+    ([1.0, 1.0, 0.0], "expected positive principal moments, got [0.0, 1.0, 1.0] kg m^2"),
+    # Positive entries, but a determinant below zero: the principal moments decide, not the diagonal.
+    ([[1.0, 2.0, 0.0], [2.0, 1.0, 0.0], [0.0, 0.0, 1.0]], "expected positive principal moments"),
+    ([1.0, 1.0, 2.1], "no body has principal moments [1.0, 1.0, 2.1] kg m^2: the largest exceeds the sum"),
+]
+
+
+def uav(
+    mass: float = 1.5, inertia: ArrayLike = (0.03, 0.03, 0.05), rho: ArrayLike = (0.2, 0.1, -0.1), rod: float = 3.0
+) -> Uav:
+    """A UAV that is fine but for what the test changes."""
+    return Uav(mass=mass, inertia=inertia, rho=rho, rod_length=rod)
+
+
+@pytest.mark.parametrize("value", BAD_POSITIVE)
+def test_masses_and_lengths_must_be_positive(value: float) -> None:
+    """Each scalar is refused with its name, unit and value: m_0, m_i and l_i of paper section II-A."""
+    got = re.escape(f"got {value!r}")
+    with pytest.raises(ParameterError, match=f"payload mass: expected a number > 0 kg, {got}"):
+        Payload(mass=value, inertia=[1.0, 1.0, 1.0])
+    with pytest.raises(ParameterError, match=f"UAV mass: expected a number > 0 kg, {got}"):
+        uav(mass=value)
+    with pytest.raises(ParameterError, match=f"rod length: expected a number > 0 m, {got}"):
+        uav(rod=value)
+
+
+@pytest.mark.parametrize(("value", "text"), BAD_INERTIA)
+def test_impossible_inertias_are_refused(value: ArrayLike, text: str) -> None:
+    """J_0 and J_i must be symmetric, positive and obey the triangle inequality; the text says which failed."""
+    with pytest.raises(ValueError, match=re.escape(f"payload inertia: {text}")):
+        Payload(mass=1.0, inertia=value)
+    with pytest.raises(ValueError, match=re.escape(f"UAV inertia: {text}")):
+        uav(inertia=value)
+
+
+@pytest.mark.parametrize("value", [[[1.0, 0.0], [0.0]], "heavy"])
+def test_inertias_that_are_no_numbers_are_refused(value: ArrayLike) -> None:
+    """Ragged lists and words are refused with the field's name, as every other wrong shape is."""
+    with pytest.raises(ValueError, match="payload inertia: expected an array of numbers"):
+        Payload(mass=1.0, inertia=value)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        ([0.1, 0.2], "expected shape (3), got (2)"),
+        (0.1, "expected shape (3), got ()"),
+        ([0.1, NAN, 0.2], "expected finite numbers, got nan"),
+        ([0.1, -INF, 0.2], "expected finite numbers, got -inf"),
+        ([[0.1], [0.2, 0.3]], "expected an array of numbers, got [[0.1], [0.2, 0.3]]"),
+        ("corner", "expected an array of numbers, got 'corner'"),
+    ],
+)
+def test_attachment_points_must_be_vectors(value: ArrayLike, text: str) -> None:
+    """rho_i is three finite numbers; anything else is refused by name."""
+    with pytest.raises(ShapeError, match=re.escape(f"rho: {text}")):
+        uav(rho=value)
+
+
+def test_impossible_systems_are_refused() -> None:
+    """A system has at least one UAV, and gravity that pulls down or not at all."""
+    payload = Payload(mass=1.0, inertia=[1.0, 1.0, 1.0])
+    with pytest.raises(ParameterError, match="expected at least one UAV, got none"):
+        System(payload=payload, uavs=[])
+    for gravity in (-9.81, NAN, INF):
+        with pytest.raises(ParameterError, match=rf"gravity: expected a number >= 0 m/s\^2, got {gravity!r}"):
+            System(payload=payload, uavs=[uav()], gravity=gravity)
+
+
+def test_flat_and_rotated_bodies_are_accepted() -> None:
+    """A plate has J_zz = J_xx + J_yy exactly, and stays a body when turned, where rounding breaks the equality."""
+    rng = np.random.default_rng(2400)
+    Q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    J = Q @ np.diag([0.1, 0.2, 0.1 + 0.2]) @ Q.T
+    J = (J + J.T) / 2.0
+    assert np.array_equal(Payload(mass=1.0, inertia=J).inertia, J)
+    assert np.array_equal(Payload(mass=1.0, inertia=[0.1, 0.2, 0.3]).inertia, np.diag([0.1, 0.2, 0.3]))
+
+
+def arrays_of(system: System) -> list[Array]:
+    """Every array a system hands out."""
+    own = [system.payload.inertia, system.vector()]
+    return own + [array for uav in system.uavs for array in (uav.inertia, uav.rho)]
+
+
+def test_arrays_are_read_only_and_fields_frozen() -> None:
+    """Parameters are shared by everything built from them: writing raises, for arrays and for fields."""
+    system = random_system(np.random.default_rng(2500), 2)
+    for array in arrays_of(system):
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 1.0
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        system.payload.mass = 2.0  # type: ignore[misc]  # what is tested
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        system.uavs[0].rod_length = 2.0  # type: ignore[misc]
+
+
+def test_arrays_are_copies_of_what_came() -> None:
+    """Changing the caller's array afterwards changes no parameter, and the caller's array stays writable."""
+    J, rho = np.eye(3), np.array([0.1, 0.2, 0.3])
+    own = uav(inertia=J, rho=rho)
+    J[0, 0], rho[0] = 7.0, 7.0
+    assert own.inertia[0, 0] == 1.0
+    assert own.rho[0] == 0.1
+    source = np.zeros(3)
+    assert checked("a", source, (3,)) is not source
+    assert source.flags.writeable
+
+
+def test_table_1_has_the_papers_values() -> None:
+    """Paper, Table I: masses, inertias, attachment points in the order UAV1..UAV4, rod lengths."""
+    system = table_1()
+    assert system.payload.mass == 3.0
+    assert np.array_equal(system.payload.inertia, 0.556 * np.eye(3))
+    assert [own.mass for own in system.uavs] == [1.5] * 4
+    assert all(np.array_equal(own.inertia, np.diag([0.029, 0.029, 0.055])) for own in system.uavs)
+    assert [own.rho.tolist() for own in system.uavs] == [
+        [0.25, 0.25, -0.125],
+        [0.25, -0.25, -0.125],
+        [-0.25, -0.25, -0.125],
+        [-0.25, 0.25, -0.125],
+    ]
+    assert [own.rod_length for own in system.uavs] == [3.2] * 4
+    assert (system.N, system.n, system.m, system.total_mass) == (4, 60, 16, 9.0)
+
+
+def test_vector_holds_every_parameter_in_order() -> None:
+    """g, m0, upper triangle of J0, then m_i, upper triangle of J_i, rho_i, l_i: what the compiled model reads."""
+    system = random_system(np.random.default_rng(2600), 2)
+    J0 = system.payload.inertia
+    expected = [system.gravity, system.payload.mass, J0[0, 0], J0[0, 1], J0[0, 2], J0[1, 1], J0[1, 2], J0[2, 2]]
+    for own in system.uavs:
+        J = own.inertia
+        expected += [own.mass, J[0, 0], J[0, 1], J[0, 2], J[1, 1], J[1, 2], J[2, 2], *own.rho, own.rod_length]
+    assert system.vector().tolist() == expected
