@@ -14,6 +14,7 @@ from agent.estimator import StateEstimator
 from model.arrays import Array
 from model.state import input_indices
 from mpc.controller import Controller, Optimum
+from protocol.membership import Membership
 from protocol.messages import (
     Control,
     Measurement,
@@ -58,7 +59,7 @@ class AgentNode:
         self._announced = AnnouncedInputs(setup.owned, setup.hover.u)
         self._estimator = StateEstimator(setup.model, self._planned, setup.settings.sampling_period_s)
         self._peers = tuple(other for other in setup.agents if other != agent)
-        self._incarnations: dict[int, int] = {}
+        self._membership = Membership()
         self._measurement: Measurement | None = None  # of the open tick, until it is answered
         self._undelivered: list[Plan] = []  # received, not yet given to the estimator
         self._last_tick = -1
@@ -72,15 +73,11 @@ class AgentNode:
             case Control():
                 self.finished = event
                 return ()
-            case Roster(agents=agents, incarnations=incarnations):
-                self._incarnations = dict(zip(agents, incarnations, strict=True))
+            case Roster():
+                for plan in self._membership.update(event):
+                    self._take(plan)
             case Plan():
-                refusal = self._refusal(event)
-                if refusal:
-                    self.rejected[(event.sender, refusal)] += 1
-                    return ()
-                self._announced.add(event)
-                self._undelivered.append(event)
+                self._take(event)
             case Measurement() if event.tick > self._last_tick and event.uavs == self._uavs:
                 self._measurement = event
             case Measurement():
@@ -102,12 +99,21 @@ class AgentNode:
         """Nothing happens to an agent by time alone: its time is the measurement."""
         return ()
 
-    def _refusal(self, plan: Plan) -> str:
-        """Why a plan is not believed, or nothing."""
+    def _take(self, plan: Plan) -> None:
+        refusal = self._refusal(plan)
+        if refusal:
+            self.rejected[(plan.sender, refusal)] += 1
+        elif refusal is not None:
+            self._announced.add(plan)
+            self._undelivered.append(plan)
+
+    def _refusal(self, plan: Plan) -> str | None:
+        """Why a plan is not believed: a reason, nothing if it is, None if it waits for its roster."""
         if plan.agent not in self._peers:
             return "plan of an unknown agent"
-        if self._incarnations.get(plan.agent) != plan.incarnation:
-            return "plan of another incarnation"
+        sender = self._membership.refusal(plan)
+        if sender != "":
+            return sender
         if plan.uavs != tuple(uav + 1 for uav in self._setup.owned[plan.agent - 1]):
             return "plan for UAVs of somebody else"
         if plan.tick > self._last_tick + 1:
@@ -115,8 +121,10 @@ class AgentNode:
         return ""
 
     def _has_plans_for(self, measurement: Measurement) -> bool:
-        """Whether the plans of the tick before are in, from whoever sent one and is still on the roster."""
-        senders = set(measurement.answered) & set(self._incarnations) - {self._agent}
+        """Whether the roster is, and the plans of the tick before from whoever sent one and is still on it."""
+        if measurement.roster > self._membership.version:
+            return False
+        senders = set(measurement.answered) & self._membership.agents - {self._agent}
         return all(self._announced.has(agent, measurement.tick - 1) for agent in senders)
 
     def _step(self, measurement: Measurement) -> list[Message]:

@@ -138,7 +138,13 @@ class CoordinatorNode:
         self._tick += 1
         self._answered = set()
         self._opened_ns = now_ns
-        return self._out.stamp(Tick, tick=self._tick, members=tuple(sorted(self._members)), answered=answered)
+        return self._out.stamp(
+            Tick,
+            tick=self._tick,
+            members=tuple(sorted(self._members)),
+            answered=answered,
+            roster=self._roster_version,
+        )
 
     def _roster(self, reason: str) -> Roster:
         members = sorted(self._members)

@@ -14,6 +14,7 @@ import numpy as np
 from model import state
 from model.arrays import Array
 from plant.schedule import ActuatorSchedule
+from protocol.membership import Membership
 from protocol.messages import Control, Measurement, Message, Plan, Presence, Roster, Tick, Truth
 from protocol.outbox import Outbox, lost
 from protocol.setup import Setup
@@ -44,9 +45,8 @@ class PlantNode:
         self._state_tick = 0  # self._x is the state at this tick
         self._measured_tick = -1
         self._pending: Tick | None = None  # open, waiting for the interval before it
-        self._members: set[int] = set(setup.agents)
         self._arrived: dict[int, set[int]] = {}  # agents whose plans are in, by tick
-        self._incarnations: dict[int, int] = {}
+        self._membership = Membership()
         self._diverged = False
         self.rejected: Counter[tuple[str, str]] = Counter()
         self.finished: Control | None = None
@@ -57,16 +57,11 @@ class PlantNode:
             case Control():
                 self.finished = event
                 return ()
-            case Roster(agents=agents, incarnations=incarnations):
-                self._members = set(agents)
-                self._incarnations = dict(zip(agents, incarnations, strict=True))
+            case Roster():
+                for plan in self._membership.update(event):
+                    self._take(plan)
             case Plan():
-                refusal = self._refusal(event)
-                if refusal:
-                    self.rejected[(event.sender, refusal)] += 1
-                    return ()
-                self._schedule.add(event)
-                self._arrived.setdefault(event.tick, set()).add(event.agent)
+                self._take(event)
             case Tick() if event.tick == self._measured_tick + 1:
                 self._pending = event
             case Presence(name="coordinator", alive=False):
@@ -80,10 +75,21 @@ class PlantNode:
         """Nothing happens to the plant by time alone: its time is the tick."""
         return ()
 
-    def _refusal(self, plan: Plan) -> str:
-        """Why a plan is not played, or nothing."""
-        if self._incarnations.get(plan.agent) != plan.incarnation:
-            return "plan of an unknown agent or incarnation"
+    def _take(self, plan: Plan) -> None:
+        refusal = self._refusal(plan)
+        if refusal:
+            self.rejected[(plan.sender, refusal)] += 1
+        elif refusal is not None:
+            self._schedule.add(plan)
+            self._arrived.setdefault(plan.tick, set()).add(plan.agent)
+
+    def _refusal(self, plan: Plan) -> str | None:
+        """Why a plan is not played: a reason, nothing if it is, None if it waits for its roster."""
+        if plan.agent not in self._setup.agents:
+            return "plan of an unknown agent"
+        sender = self._membership.refusal(plan)
+        if sender != "":
+            return sender
         if plan.uavs != tuple(uav + 1 for uav in self._setup.owned[plan.agent - 1]):
             return "plan for UAVs of somebody else"
         if plan.start_tick != plan.tick + self._delay or plan.tick > self._measured_tick:
@@ -105,7 +111,13 @@ class PlantNode:
                 return out
 
     def _can_measure(self) -> bool:
-        return self._pending is not None and self._pending.tick == self._state_tick and not self._diverged
+        tick = self._pending
+        return (
+            tick is not None
+            and tick.tick == self._state_tick
+            and tick.roster <= self._membership.version
+            and not self._diverged
+        )
 
     def _can_integrate(self) -> bool:
         """Whether the inputs from t_k on are decided: tick k is measured, and the plans it takes are in."""
@@ -118,8 +130,8 @@ class PlantNode:
         arrived = self._arrived.get(decisive, set())
         # The tick after the decisive one says for whom the clock waited; before it comes, wait for all.
         if self._pending is not None and self._pending.tick == decisive + 1:
-            return set(self._pending.answered) & self._members <= arrived
-        return self._members <= arrived
+            return set(self._pending.answered) & self._membership.agents <= arrived
+        return self._membership.agents <= arrived
 
     def _measure(self) -> list[Message]:
         tick = self._pending
@@ -135,13 +147,14 @@ class PlantNode:
                 tick=tick.tick,
                 agent=agent,
                 answered=tick.answered,
+                roster=tick.roster,
                 payload=self._x[: state.PAYLOAD],
                 uavs=tuple(i + 1 for i in owned),
                 uav_states=uavs[list(owned)],
                 inputs=u[list(owned)],
             )
             for agent, owned in enumerate(self._setup.owned, start=1)
-            if agent in self._members
+            if agent in self._membership.agents
         ]
 
     def _integrate(self) -> Truth:

@@ -71,17 +71,20 @@ class Tick(Message):
     Attributes:
         members: Agents whose plans of this tick the clock will wait for.
         answered: Agents whose plans of tick k - 1 count: whoever uses plans of k - 1 waits for these.
+        roster: Version of the roster in force: whoever has an older one waits for it.
     """
 
     kind: ClassVar[str] = "tick"
 
     members: tuple[int, ...]
     answered: tuple[int, ...]
+    roster: int
 
     def __post_init__(self) -> None:
         Message.__post_init__(self)
         self._set("members", _ids("members", self.members))
         self._set("answered", _ids("answered", self.answered))
+        self._set("roster", _integer("roster", self.roster, MAX_TICK))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,6 +124,7 @@ class Measurement(Message):
     Attributes:
         agent: The agent it is for.
         answered: Forwarded from the tick: whose plans of tick k - 1 to wait for.
+        roster: Forwarded from the tick: the version of the roster in force.
         payload: Payload states r0, v0, Theta0, omega0, (12,), SI.
         uavs: Owned UAVs, 1-based ids, ascending.
         uav_states: Their states e, Omega, Theta, omega, (owned, 12), SI.
@@ -131,6 +135,7 @@ class Measurement(Message):
 
     agent: int
     answered: tuple[int, ...]
+    roster: int
     payload: Array
     uavs: tuple[int, ...]
     uav_states: Array
@@ -140,6 +145,7 @@ class Measurement(Message):
         Message.__post_init__(self)
         self._set("agent", _integer("agent", self.agent, MAX_UAVS, low=1))
         self._set("answered", _ids("answered", self.answered))
+        self._set("roster", _integer("roster", self.roster, MAX_TICK))
         self._set("payload", _array("payload", self.payload, (PAYLOAD,)))
         self._set("uavs", _ids("uavs", self.uavs))
         self._set("uav_states", _array("uav_states", self.uav_states, (len(self.uavs), PER_UAV)))

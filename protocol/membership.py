@@ -1,0 +1,55 @@
+"""Who takes part, as a node knows it from the rosters it has received.
+
+Plans and rosters come over different connections, so a plan may overtake the roster that admits its sender.
+Such a plan is kept until the roster is here; a plan of an earlier incarnation is refused.
+"""
+
+from protocol.messages import Plan, Roster
+
+# Plans kept for a roster to come: a few ticks of a large team. Beyond that somebody is talking out of turn.
+_KEPT = 1024
+
+
+class Membership:
+    """The newest roster and the plans that are ahead of it.
+
+    Attributes:
+        version: Of the newest roster, 0 before the first.
+        agents: Agents on it.
+    """
+
+    def __init__(self) -> None:
+        self.version = 0
+        self._incarnations: dict[int, int] = {}
+        self._newest: dict[int, int] = {}  # highest incarnation ever on a roster
+        self._early: list[Plan] = []
+
+    @property
+    def agents(self) -> set[int]:
+        """Agents on the roster."""
+        return set(self._incarnations)
+
+    def update(self, roster: Roster) -> list[Plan]:
+        """Take in a roster.
+
+        Returns: Plans that were ahead of it, to be received again.
+        """
+        if roster.version <= self.version:
+            return []
+        self.version = roster.version
+        self._incarnations = dict(zip(roster.agents, roster.incarnations, strict=True))
+        for agent, incarnation in self._incarnations.items():
+            self._newest[agent] = max(incarnation, self._newest.get(agent, incarnation))
+        waiting, self._early = self._early, []
+        return waiting
+
+    def refusal(self, plan: Plan) -> str | None:
+        """Why a plan's sender is not believed: a reason, nothing ("") if it is, None if the plan is kept for later."""
+        if self._incarnations.get(plan.agent) == plan.incarnation:
+            return ""
+        if plan.incarnation <= self._newest.get(plan.agent, -1):
+            return "plan of an incarnation that is not on the roster"
+        if len(self._early) >= _KEPT:
+            return "plan of an incarnation that no roster has admitted"
+        self._early.append(plan)
+        return None
