@@ -40,6 +40,7 @@ class UserConstraints:
 
     Attributes:
         equality: Which are equalities, (c,).
+        depends: Which elements of the state or input each constraint has, (c, n) or (c, m).
         penalty: Price of a violation where the constraint is softened, nan where it is hard, (c,).
     """
 
@@ -52,11 +53,15 @@ class UserConstraints:
         self._parameters = parameters
         if not relations:
             self._function = None
+            self.depends = np.zeros((0, 0), dtype=bool)
             return
         variable = symbols.x if relations[0][0].on == "state" else symbols.u
         value = ca.vertcat(*[relation.value for relation, _ in relations])
-        slope = ca.densify(ca.jacobian(value, variable))
-        self._function = Compiled(ca.Function("constraints", [variable, symbols.p], [ca.densify(value), slope]))
+        slope = ca.jacobian(value, variable)
+        self.depends = np.array(ca.DM(slope.sparsity(), 1).full(), dtype=bool)
+        self._function = Compiled(
+            ca.Function("constraints", [variable, symbols.p], [ca.densify(value), ca.densify(slope)])
+        )
 
     def __len__(self) -> int:
         return len(self.equality)

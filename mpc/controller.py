@@ -16,7 +16,7 @@ from mpc.constraints import Affine, compile_constraints, rate_rows, separation_r
 from mpc.cost import Cost
 from mpc.prediction import Prediction, open_loop
 from mpc.qp import QP, Solution
-from mpc.settings import ControllerSettings
+from mpc.settings import ControllerSettings, SettingsError
 from mpc.solvers import solve
 
 # Rows on the decision, their bounds, and the slack column that softens each row (-1: hard; None: all hard).
@@ -63,15 +63,21 @@ class Controller:
         hover: Its equilibrium.
         settings: Rates, weights, limits.
         owned: UAVs this controller decides for, 0-based, ascending.
+    Raises: SettingsError: UAVs that do not exist, or a constraint that cannot be read.
     """
 
     def __init__(self, model: Model, hover: Hover, settings: ControllerSettings, owned: Sequence[int]) -> None:
+        if not owned or list(owned) != sorted(set(owned)) or not 0 <= owned[0] <= owned[-1] < model.system.N:
+            raise SettingsError(f"owned: expected ascending indices below {model.system.N}, got {list(owned)}")
         self.model = model
         self.settings = settings
         self.owned = tuple(owned)
         self.own = input_indices(self.owned)
         self.cost = Cost(settings.weights, hover)
         self._on_state, self._on_input = compile_constraints(settings.constraints, model)
+        # What the others do to a constraint without owned inputs is theirs to keep.
+        depends = self._on_input.depends
+        self._inputs_kept = depends[:, self.own].any(axis=1) if len(depends) else np.zeros(0, dtype=bool)
         N, steps, m = model.system.N, settings.horizon, len(self.own)
         self._lower, self._upper = settings.limits.lower(len(self.owned)), settings.limits.upper(len(self.owned))
         self._rate = settings.limits.step(len(self.owned), settings.sampling_period_s)
@@ -209,13 +215,13 @@ class Controller:
             G = condensing.rows(on.slope @ prediction.impulse) * scale
             low = np.where(self._on_state.equality, -value, -np.inf).reshape(-1)
             parts.append((G, low, -value.reshape(-1), np.tile(self._state_slack, steps)))
-        if len(self._on_input):
-            on = linear.on_input
+        if self._inputs_kept.any():
+            kept, on = self._inputs_kept, linear.on_input
             dU = U - linear.u0
             dU[:, self.own] = prediction.U_free - linear.u0[self.own]
-            value = on.value + dU @ on.slope.T
-            G = np.kron(np.eye(steps), on.slope[:, self.own]) * scale
-            low = np.where(self._on_input.equality, -value, -np.inf).reshape(-1)
+            value = on.value[kept] + dU @ on.slope[kept].T
+            G = np.kron(np.eye(steps), on.slope[kept][:, self.own]) * scale
+            low = np.where(self._on_input.equality[kept], -value, -np.inf).reshape(-1)
             parts.append((G, low, -value.reshape(-1), None))
         A = np.zeros((sum(len(part[0]) for part in parts), steps * m + slacks))
         at = 0

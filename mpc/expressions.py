@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import casadi as ca
+import numpy as np
 
 from model import state
 from model.dynamics import Symbols, uav_positions
@@ -73,7 +74,7 @@ def read(text: str, symbols: Symbols) -> Relation:
     """
     try:
         tree = ast.parse(text, mode="eval").body
-    except (SyntaxError, ValueError) as error:
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         raise SettingsError(f"constraint {text!r}: cannot be read ({error})") from error
     if not (isinstance(tree, ast.Compare) and len(tree.ops) == 1):
         raise SettingsError(f"constraint {text!r}: expected two sides and one of <=, >=, ==")
@@ -87,7 +88,7 @@ def read(text: str, symbols: Symbols) -> Relation:
         elif not isinstance(comparison, ast.LtE | ast.Eq):
             raise SettingsError(f"constraint {text!r}: expected one of <=, >=, ==")
         value = ca.SX(left - right)
-    except (RuntimeError, TypeError, IndexError, NotImplementedError, RecursionError) as error:
+    except (RuntimeError, TypeError, IndexError, ArithmeticError, NotImplementedError, RecursionError) as error:
         detail = str(error).strip().splitlines()[-1] if str(error).strip() else type(error).__name__
         raise SettingsError(f"constraint {text!r}: cannot be evaluated ({detail})") from error
     if value.shape != (1, 1):
@@ -127,6 +128,13 @@ def _names(symbols: Symbols) -> dict[str, Any]:
 
 
 def _evaluate(node: ast.AST, names: dict[str, Any], text: str) -> Any:
+    value = _value(node, names, text)
+    if isinstance(value, int | float | ca.DM) and not np.isfinite(np.asarray(value, dtype=np.float64)).all():
+        raise SettingsError(f"constraint {text!r}: {ast.unparse(node)!r} is not a finite number")
+    return value
+
+
+def _value(node: ast.AST, names: dict[str, Any], text: str) -> Any:
     match node:
         case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
             return number
@@ -139,7 +147,7 @@ def _evaluate(node: ast.AST, names: dict[str, Any], text: str) -> Any:
             return _OPERATORS[type(op)](_evaluate(operand, names, text))
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
             return _OPERATORS[type(op)](_evaluate(left, names, text), _evaluate(right, names, text))
-        case ast.Subscript(value=value, slice=ast.Constant(value=int() as index)):
+        case ast.Subscript(value=value, slice=ast.Constant(value=int() as index)) if not isinstance(index, bool):
             return _evaluate(value, names, text)[index]
         case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]) if name in _FUNCTIONS:
             return _FUNCTIONS[name](*[_evaluate(argument, names, text) for argument in arguments])

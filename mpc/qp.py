@@ -59,8 +59,8 @@ class Residuals:
     @property
     def worst(self) -> float:
         """The largest of the three; nan counts as infinite."""
-        worst = max(self.stationarity, self.primal, self.complementarity)
-        return worst if np.isfinite(worst) else np.inf
+        values = (self.stationarity, self.primal, self.complementarity)
+        return max(values) if np.isfinite(values).all() else np.inf
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

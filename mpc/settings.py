@@ -1,7 +1,7 @@
 """What a controller is told: rates, horizon, weights, limits."""
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -64,12 +64,13 @@ class Limits:
 
     def __post_init__(self) -> None:
         low, high = self.thrust_N
-        if not 0.0 <= low < high:
+        if not 0.0 <= low < high < np.inf:
             raise SettingsError(f"thrust_N: expected 0 <= smallest < largest, got {list(self.thrust_N)}")
         for name in ("moments_Nm", "moment_rates_Nm_s"):
-            if min(getattr(self, name)) <= 0.0:
-                raise SettingsError(f"{name}: expected numbers > 0, got {list(getattr(self, name))}")
-        if self.thrust_rate_N_s <= 0.0:
+            values = getattr(self, name)
+            if not all(0.0 < value < np.inf for value in values):
+                raise SettingsError(f"{name}: expected numbers > 0, got {list(values)}")
+        if not 0.0 < self.thrust_rate_N_s < np.inf:
             raise SettingsError(f"thrust_rate_N_s: expected a number > 0, got {self.thrust_rate_N_s}")
 
     def lower(self, uavs: int) -> Array:
@@ -107,12 +108,12 @@ class Constraint:
         expression: Such as "r0[2] <= -2" or "thrust1 + thrust2 <= 60".
         soft: Soften a state inequality with a slack of its own. Ignored for equalities, which stay hard.
         penalty: Price per unit of the largest violation over the horizon. Every agent corrects the whole
-            violation it predicts, so a price far above the multiplier makes a team over-correct.
+            violation it predicts, so a team under a constraint it really runs into wants `relaxation`.
     """
 
     expression: str
     soft: bool = True
-    penalty: float = 10.0
+    penalty: float = 1000.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -136,9 +137,11 @@ class ControllerSettings:
     solver: SolverName = "daqp"
 
     def __post_init__(self) -> None:
-        if self.horizon < 1:
+        if not (isinstance(self.horizon, int) and self.horizon >= 1):
             raise SettingsError(f"horizon: expected an integer >= 1, got {self.horizon}")
-        if not self.sampling_period_s > 0.0:
+        if not 0.0 < self.sampling_period_s < np.inf:
             raise SettingsError(f"sampling_period_s: expected a number > 0, got {self.sampling_period_s}")
         if not 0.0 < self.relaxation <= 1.0:
             raise SettingsError(f"relaxation: expected a number in (0, 1], got {self.relaxation}")
+        if self.solver not in get_args(SolverName):
+            raise SettingsError(f"solver: expected one of {', '.join(get_args(SolverName))}, got {self.solver!r}")

@@ -68,7 +68,7 @@ def solve_clarabel(qp: QP) -> Solution:
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.direct_solve_method = "qdldl"
-    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-9
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-11
     solver = clarabel.DefaultSolver(
         sparse.triu(sparse.csc_matrix(qp.H), format="csc"),
         qp.g,

@@ -119,7 +119,7 @@ class ConstraintSection(Section):
 
     expression: str
     soft: bool = True
-    penalty: Positive = 10.0
+    penalty: Positive = 1000.0
 
 
 class ControllerSection(Section):

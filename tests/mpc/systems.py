@@ -1,0 +1,185 @@
+"""Systems, states and flights that the tests of the controller share."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from model import state
+from model.arrays import Array
+from model.hover import Hover, hover
+from model.linearisation import Model
+from model.maneuver import Maneuver, Reference, paper_maneuver
+from model.parameters import Payload, System, Uav, table_1
+from mpc.controller import Controller, Optimum
+from mpc.settings import ControllerSettings
+
+INTEGRATION_STEPS = 5  # Dormand-Prince steps per 0.05 s: the local error is then far below every tolerance here
+
+# Altitude of every start, m up: away from zero, so that a lost offset shows.
+START_I = (0.0, 0.0, -10.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Setup:
+    """A system with its model and equilibrium.
+
+    Attributes:
+        x: Hover at START_I, (n,).
+    """
+
+    system: System
+    model: Model
+    hover: Hover
+    x: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Situation:
+    """The arguments of one controller step, at one instant of a flight."""
+
+    x: Array
+    u: Array
+    U: Array
+    y_ref: Array
+
+
+def ring(N: int) -> System:
+    """N UAVs on vertical rods around the payload's centre of mass; one alone hangs the payload from its axis."""
+    angles = 2.0 * np.pi * np.arange(N) / N
+    radius = 0.0 if N == 1 else 0.5
+    return System(
+        payload=Payload(mass=0.75 * N, inertia=[0.5, 0.5, 0.6]),
+        uavs=[
+            Uav(
+                mass=1.5,
+                inertia=[0.029, 0.029, 0.055],
+                rho=[radius * np.cos(angle), radius * np.sin(angle), -0.1],
+                rod_length=3.2,
+            )
+            for angle in angles
+        ],
+    )
+
+
+@lru_cache
+def ring_setup(N: int) -> Setup:
+    """A ring of N, ready to control."""
+    return _setup(ring(N))
+
+
+@lru_cache
+def paper_setup() -> Setup:
+    """The system of the paper's Table I, ready to control."""
+    return _setup(table_1())
+
+
+def _setup(system: System) -> Setup:
+    equilibrium = hover(system)
+    x = equilibrium.x.copy()
+    x[state.R0] += START_I
+    x.setflags(write=False)
+    return Setup(system=system, model=Model(system), hover=equilibrium, x=x)
+
+
+def disturbed(setup: Setup, rng: np.random.Generator, size: float) -> Array:
+    """Hover at START_I with every state moved by about `size`, the rods kept at |e| = 1 and e . Omega = 0."""
+    x = setup.x + size * rng.standard_normal(setup.system.n)
+    for i in range(setup.system.N):
+        block = x[state.uav_slice(i)]
+        e = block[state.E] / np.linalg.norm(block[state.E])
+        block[state.E] = e
+        block[state.ROD_RATE] -= e * (e @ block[state.ROD_RATE])
+    return x
+
+
+def situation(setup: Setup, settings: ControllerSettings, seed: int, size: float = 0.05) -> Situation:
+    """A step away from equilibrium: disturbed state, inputs in force, announced plans and reference, all different."""
+    rng = np.random.default_rng(seed)
+    steps, u_hover = settings.horizon, setup.hover.u
+    half = (settings.limits.upper(setup.system.N) - settings.limits.lower(setup.system.N)) / 2.0
+    x = disturbed(setup, rng, size)
+    u = u_hover + size * half * rng.standard_normal(setup.system.m)
+    U = u_hover + size * half * rng.standard_normal((steps, setup.system.m))
+    y_ref = setup.model.outputs(setup.x) + size * rng.standard_normal((steps + 1, 4 * setup.system.N + 3))
+    return Situation(x=x, u=u, U=U, y_ref=y_ref)
+
+
+def controller(setup: Setup, settings: ControllerSettings, owned: Sequence[int]) -> Controller:
+    """A controller of some UAVs of the system."""
+    return Controller(setup.model, setup.hover, settings, owned)
+
+
+def team(setup: Setup, settings: ControllerSettings, teams: Sequence[Sequence[int]]) -> list[Controller]:
+    """One controller per set of owned UAVs."""
+    return [controller(setup, settings, owned) for owned in teams]
+
+
+def step(owner: Controller, at: Situation) -> Optimum:
+    """One controller step in a situation."""
+    return owner.step(at.x, at.u, at.U, at.y_ref)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Flight:
+    """What a closed loop did.
+
+    Attributes:
+        X: States, (steps + 1, n).
+        U: Applied inputs, (steps, m).
+        mean_cost: Mean stage cost of the whole system over the flight.
+        statuses: Of every solve.
+    """
+
+    X: Array
+    U: Array
+    mean_cost: float
+    statuses: frozenset[str]
+
+
+def fly(setup: Setup, controllers: Sequence[Controller], start_s: float, steps: int) -> Flight:
+    """The paper's maneuver from `start_s` on, for that many sampling periods, from rest at START_I."""
+    X, U, costs, statuses = [setup.x], [], [], set()
+    cost = controllers[0].cost
+    for at, optima, x in _loop(setup, controllers, start_s, steps):
+        u = np.zeros(setup.system.m)
+        for owner, optimum in zip(controllers, optima, strict=True):
+            u[owner.own] = optimum.U[0]
+            statuses.add(optimum.solution.status)
+        costs.append(cost.stage(setup.model.outputs(at.x), at.y_ref[0], u))
+        U.append(u)
+        X.append(x)
+    return Flight(X=np.array(X), U=np.array(U), mean_cost=float(np.mean(costs)), statuses=frozenset(statuses))
+
+
+def situations(setup: Setup, controllers: Sequence[Controller], start_s: float, steps: int) -> Iterator[Situation]:
+    """The arguments the controllers meet on such a flight."""
+    for at, _, _ in _loop(setup, controllers, start_s, steps):
+        yield at
+
+
+def _loop(
+    setup: Setup, controllers: Sequence[Controller], start_s: float, steps: int
+) -> Iterator[tuple[Situation, list[Optimum], Array]]:
+    settings = controllers[0].settings
+    period, horizon = settings.sampling_period_s, settings.horizon
+    reference = Reference(setup.system, setup.hover, _from_start(paper_maneuver()))
+    x, u = setup.x, setup.hover.u
+    U = np.tile(u, (horizon, 1))
+    for k in range(steps):
+        y_ref = reference.outputs(start_s + period * np.arange(k, k + horizon + 1, dtype=np.float64))
+        at = Situation(x=x, u=u, U=U, y_ref=y_ref)
+        optima = [step(owner, at) for owner in controllers]
+        announced = np.empty_like(U)
+        for owner, optimum in zip(controllers, optima, strict=True):
+            announced[:, owner.own] = optimum.U
+        u = announced[0]
+        x, _ = setup.model.integrate(x, u, period, INTEGRATION_STEPS)
+        # The paper's shift: everyone's plan moves on by one, its end is held.
+        U = np.vstack([announced[1:], announced[-1:]])
+        yield at, optima, x
+
+
+def _from_start(maneuver: Maneuver) -> Maneuver:
+    return Maneuver(start_I=START_I, phases=maneuver.phases, profile=maneuver.profile)

@@ -1,0 +1,224 @@
+"""Rows of the program against the constraints evaluated one step after the other, and the separation of the UAVs."""
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from model.arrays import Array
+from model.state import V0
+from mpc.constraints import rate_rows, separation_rows
+from mpc.qp import QP
+from mpc.settings import Constraint, ControllerSettings, Separation
+from tests.mpc import naive
+from tests.mpc.systems import Setup, Situation, controller, paper_setup, situation, step
+
+# Relative to the largest margin of the block: the same sums in another order.
+ROUNDING = 1e-10
+# N and N m. The softened and the hard program are different programs; both are solved to 1e-9 of their scale.
+SAME_PLAN = 1e-5
+
+HORIZON = 5
+OWNED = [(0,), (1, 3), (0, 1, 2, 3)]
+MINIMUM_M, SPEED_LIMIT, CEILING_M, THRUST_PRODUCT, MOMENT_SUM = 0.45, 1.0, -11.0, 500.0, 0.1
+SETTINGS = ControllerSettings(
+    horizon=HORIZON,
+    separation=Separation(minimum_m=MINIMUM_M),
+    constraints=(
+        Constraint(expression=f"r0[2] >= {CEILING_M}", soft=False),
+        Constraint(expression=f"thrust1 * thrust2 <= {THRUST_PRODUCT}"),
+        Constraint(expression=f"dot(v0, v0) <= {SPEED_LIMIT}"),
+        Constraint(expression="r0[0] == 0.5"),
+        Constraint(expression=f"tau1[0] + tau4[1] == {MOMENT_SUM}"),
+    ),
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Case:
+    """One program, one decision, and what that decision makes of the horizon.
+
+    Attributes:
+        dX: Predicted state deviations, (N_p + 1, n).
+        inputs: Of all UAVs over the horizon, (N_p, m).
+        slacks: Of the separation and of the softened speed limit.
+        below, above: Distances of every row to its bounds at that decision.
+    """
+
+    setup: Setup
+    at: Situation
+    dX: Array
+    inputs: Array
+    own: npt.NDArray[np.intp]
+    slacks: tuple[float, float]
+    qp: QP
+    below: Array
+    above: Array
+
+
+@pytest.fixture(params=OWNED, ids=str)
+def case(request: pytest.FixtureRequest) -> Case:
+    """A random decision, well away from equilibrium, for each set of owned UAVs."""
+    setup, owned = paper_setup(), request.param
+    at = situation(setup, SETTINGS, seed=9)
+    one = controller(setup, SETTINGS, owned)
+    linear = one.linearise(at.x, at.u)
+    qp = one.condense(linear, one.discretise(linear), at.U, at.y_ref)
+    half = (SETTINGS.limits.upper(len(owned)) - SETTINGS.limits.lower(len(owned))) / 2.0
+    rng = np.random.default_rng(2)
+    v, slacks = 0.2 * rng.standard_normal((HORIZON, len(half))), (0.07, 0.3)
+    inputs = at.U.copy()
+    inputs[:, one.own] = at.u[one.own] + v * half
+    hold = naive.exact_hold(setup.model.linearise(at.x, at.u), SETTINGS.sampling_period_s)
+    values = qp.A @ np.concatenate([v.reshape(-1), slacks])
+    return Case(
+        setup=setup, at=at, dX=naive.simulate(*hold, inputs - at.u), inputs=inputs,
+        own=one.own, slacks=slacks, qp=qp,
+        below=values - qp.row_lower, above=qp.row_upper - values,
+    )  # fmt: skip
+
+
+def block(case: Case, kind: str) -> slice:
+    """Rows of one kind; they come in this order."""
+    uavs = len(case.own) // 4
+    pairs = 6 - (4 - uavs) * (3 - uavs) // 2
+    counts = {
+        "rate": (HORIZON - 1) * 4 * uavs,
+        "separation": HORIZON * pairs,
+        "state": HORIZON * 3,
+        "input": HORIZON * 2,
+    }
+    start = 0
+    for name, count in counts.items():
+        if name == kind:
+            return slice(start, start + count)
+        start += count
+    raise KeyError(kind)
+
+
+def close(rows: Array, brute: Array) -> bool:
+    """Equal up to rounding relative to the largest value."""
+    return rows.shape == brute.shape and bool(np.abs(rows - brute).max() <= ROUNDING * max(1.0, np.abs(brute).max()))
+
+
+def test_every_row_is_accounted_for(case: Case) -> None:
+    """Rates, separation, states, inputs: nothing else constrains the decision, paper (26)-(27)."""
+    assert len(case.qp.A) == block(case, "input").stop
+
+
+def test_rate_rows(case: Case) -> None:
+    """Distance of each rate row to its bounds is that of the inputs' change over one period, paper section V-A."""
+    own = case.own
+    rate = SETTINGS.limits.step(len(own) // 4, SETTINGS.sampling_period_s)
+    change = np.diff(case.inputs[:, own], axis=0)
+    assert close(case.below[block(case, "rate")], (change + rate).reshape(-1))
+    assert close(case.above[block(case, "rate")], (rate - change).reshape(-1))
+
+
+def test_first_rate_is_a_bound(case: Case) -> None:
+    """The first input's change against the input in force is bounded by the rate, or by the input's own bound."""
+    own = case.own
+    uavs = len(own) // 4
+    low, high = SETTINGS.limits.lower(uavs), SETTINGS.limits.upper(uavs)
+    rate, half = SETTINGS.limits.step(uavs, SETTINGS.sampling_period_s), (high - low) / 2.0
+    in_force = case.at.u[own]
+    assert close(in_force + case.qp.lower[: len(own)] * half, np.maximum(low, in_force - rate))
+    assert close(in_force + case.qp.upper[: len(own)] * half, np.minimum(high, in_force + rate))
+    later = case.qp.upper[len(own) : -2].reshape(HORIZON - 1, -1)
+    assert close(in_force + later * half, np.tile(high, (HORIZON - 1, 1)))
+    assert (case.qp.lower[-2:] == 0.0).all(), "a negative slack would tighten what it softens"
+    assert np.isinf(case.qp.upper[-2:]).all()
+
+
+def test_separation_rows(case: Case) -> None:
+    """Predicted distance along the present direction, plus the slack, minus the minimum, for pairs with an owner."""
+    model, owners = case.setup.model, {int(i) // 4 for i in case.own}
+    y, C = model.outputs(case.at.x), model.linearise(case.at.x, case.at.u).C
+    r = y[:12].reshape(4, 3)
+    expected = []
+    for dx in case.dX[1:]:
+        moved = (y + C @ dx)[:12].reshape(4, 3)
+        for i, j in combinations(range(4), 2):
+            if i in owners or j in owners:
+                d = (r[i] - r[j]) / np.linalg.norm(r[i] - r[j])
+                expected.append(d @ (moved[i] - moved[j]) + case.slacks[0] - MINIMUM_M)
+    rows = block(case, "separation")
+    assert close(case.below[rows], np.array(expected))
+    assert np.isinf(case.above[rows]).all(), "nothing keeps the UAVs together"
+
+
+def test_state_rows(case: Case) -> None:
+    """User constraints on states, value plus slope times deviation as in paper (20)-(21), hard, soft and equal."""
+    x = case.at.x
+    expected = np.array(
+        [
+            [
+                x[2] + dx[2] - CEILING_M,
+                SPEED_LIMIT - x[V0] @ x[V0] - 2.0 * x[V0] @ dx[V0] + case.slacks[1],
+                0.5 - x[0] - dx[0],
+            ]
+            for dx in case.dX[1:]
+        ]
+    )
+    above = case.above[block(case, "state")].reshape(HORIZON, 3)
+    below = case.below[block(case, "state")].reshape(HORIZON, 3)
+    assert close(above, expected)
+    assert np.isinf(below[:, :2]).all()
+    assert close(below[:, 2], -expected[:, 2])
+
+
+def test_input_rows(case: Case) -> None:
+    """User constraints on inputs about u0, the others' inputs as announced, paper (26)-(27)."""
+    u0, dU = case.at.u, case.inputs - case.at.u
+    product = u0[0] * u0[4] + u0[4] * dU[:, 0] + u0[0] * dU[:, 4] - THRUST_PRODUCT
+    moments = case.inputs[:, 1] + case.inputs[:, 14] - MOMENT_SUM
+    above = case.above[block(case, "input")].reshape(HORIZON, 2)
+    below = case.below[block(case, "input")].reshape(HORIZON, 2)
+    assert close(above, -np.column_stack([product, moments]))
+    assert np.isinf(below[:, 0]).all()
+    assert close(below[:, 1], moments)
+
+
+@pytest.mark.parametrize("steps", [1, 2, 5])
+def test_rate_rows_are_differences(steps: int) -> None:
+    """The rate rows take differences of successive decisions; one step has none."""
+    decisions = np.random.default_rng(0).standard_normal((steps, 3))
+    assert np.array_equal(rate_rows(steps, 3) @ decisions.reshape(-1), np.diff(decisions, axis=0).reshape(-1))
+
+
+def test_linear_distance_is_a_lower_bound() -> None:
+    """d' (r_i - r_j) <= |r_i - r_j| for any move, with equality at the linearisation point, so keeping it is safe."""
+    rng = np.random.default_rng(1)
+    for _ in range(50):
+        y, moved = rng.standard_normal(19), rng.standard_normal(19)
+        distances, rows = separation_rows(y, 4, (0, 1, 2, 3))
+        true = [np.linalg.norm(np.subtract(*moved[:12].reshape(4, 3)[[i, j]])) for i, j in combinations(range(4), 2)]
+        assert close(rows @ y, distances)
+        assert (rows @ moved <= np.array(true) + ROUNDING).all()
+
+
+def test_uavs_in_one_point_are_pushed_apart() -> None:
+    """Two UAVs in one point have no direction; some unit direction stands in and nothing is nan."""
+    y = np.zeros(4 * 2 + 3)
+    distances, rows = separation_rows(y, 2, (0,))
+    assert distances.tolist() == [0.0]
+    assert np.linalg.norm(rows[0, :3]) == 1.0
+    assert np.array_equal(rows[0, :3], -rows[0, 3:6])
+
+
+def test_soft_equals_hard_when_the_price_is_high() -> None:
+    """Above the multiplier of the hard constraint, the softened program has the hard one's plan and no slack."""
+    setup, ceiling, horizon = paper_setup(), "r0[2] >= -10.01", 6
+    y_ref = np.tile(setup.model.outputs(setup.x), (horizon + 1, 1))
+    y_ref[:, 2:12:3] -= 1.0
+    u = setup.hover.u
+    at = Situation(x=setup.x, u=u, U=np.tile(u, (horizon, 1)), y_ref=y_ref)
+    hard = ControllerSettings(horizon=horizon, constraints=(Constraint(expression=ceiling, soft=False),))
+    soft = ControllerSettings(horizon=horizon, constraints=(Constraint(expression=ceiling, penalty=1e4),))
+    cheap = ControllerSettings(horizon=horizon, constraints=(Constraint(expression=ceiling, penalty=1e-3),))
+    plans = [step(controller(setup, settings, (0, 1, 2, 3)), at) for settings in (hard, soft, cheap)]
+    assert all(plan.solution.status == "solved" for plan in plans)
+    assert np.abs(plans[0].U - plans[1].U).max() < SAME_PLAN
+    assert plans[2].solution.z[-1] > 1e-3, "the constraint was not active: the comparison shows nothing"

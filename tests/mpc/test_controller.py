@@ -1,0 +1,177 @@
+"""The controller's program against the cost of the paper and against the paper's own matrices; its arguments."""
+
+from collections.abc import Callable
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from model.arrays import Array, ShapeError
+from mpc.settings import Constraint, ControllerSettings, Limits, Pricing, Separation, Weights
+from tests.mpc import naive
+from tests.mpc.systems import Setup, Situation, controller, paper_setup, situation, step
+
+# Two sums of the same terms in another order, after the cancellation of the constant.
+COST_AGREEMENT = 1e-9
+# N and N m. Two solvers that both meet their optimality conditions to 1e-9, on a program with weights >= 1e-3.
+PLAN_AGREEMENT = 1e-5
+# N and N m. The same numbers mixed in the same way: only rounding.
+MIX_AGREEMENT = 1e-12
+
+OWNED = [(0,), (1, 3), (0, 1, 2, 3)]
+
+
+def half_range(limits: Limits, uavs: int) -> Array:
+    """Unit of the scaled decision: half the range of each input."""
+    return (limits.upper(uavs) - limits.lower(uavs)) / 2.0
+
+
+def cost_by_simulation(
+    setup: Setup, settings: ControllerSettings, owned: tuple[int, ...], at: Situation, v: Array
+) -> float:
+    """The cost (25) for owned inputs u0 + v, everybody else as announced: one simulated step after the other."""
+    linear = setup.model.linearise(at.x, at.u)
+    A, B, f_d = naive.exact_hold(linear, settings.sampling_period_s)
+    own = [4 * i + j for i in owned for j in range(4)]
+    dU = at.U - at.u
+    dU[:, own] = v
+    N = setup.system.N
+    Q, R = settings.weights.Q(N), settings.weights.R(N)[own]
+    price_from = setup.hover.u[own] if settings.weights.priced == "deviation" else np.zeros(len(own))
+    total = 0.0
+    for k, dx in enumerate(naive.simulate(A, B, f_d, dU)):
+        error = linear.y + linear.C @ dx - at.y_ref[k]
+        total += float(error @ (Q * error)) * (settings.weights.terminal if k == settings.horizon else 1.0)
+    for effort in at.u[own] + v - price_from:
+        total += float(effort @ (R * effort))
+    return total
+
+
+@pytest.mark.parametrize("priced", ["deviation", "absolute"])
+@pytest.mark.parametrize("horizon", [1, 2, 7])
+@pytest.mark.parametrize("owned", OWNED)
+def test_objective_is_the_cost_of_the_paper(owned: tuple[int, ...], horizon: int, priced: Pricing) -> None:
+    """Differences of the program's objective are differences of the cost (25), slack prices aside."""
+    setup = paper_setup()
+    settings = ControllerSettings(
+        horizon=horizon, weights=Weights(priced=priced), separation=Separation(minimum_m=0.45, penalty=30.0)
+    )
+    at = situation(setup, settings, seed=horizon)
+    one = controller(setup, settings, owned)
+    linear = one.linearise(at.x, at.u)
+    qp = one.condense(linear, one.discretise(linear), at.U, at.y_ref)
+    rng = np.random.default_rng(11)
+    scale = np.tile(half_range(settings.limits, len(owned)), horizon)
+    at_zero = cost_by_simulation(setup, settings, owned, at, np.zeros((horizon, 4 * len(owned))))
+    for _ in range(5):
+        z, slack = 0.3 * rng.standard_normal(len(scale)), rng.uniform(0.0, 0.2)
+        cost = cost_by_simulation(setup, settings, owned, at, (z * scale).reshape(horizon, -1)) - at_zero
+        price = 30.0 * (slack + slack**2 / 2.0)
+        assert qp.objective(np.append(z, slack)) == pytest.approx(cost + price, rel=COST_AGREEMENT)
+
+
+def solve_as_printed(setup: Setup, settings: ControllerSettings, at: Situation, ceiling_m: float) -> Array:
+    """The centralized program (14)-(21) from the paper's stacked matrices, by a solver the project does not use.
+
+    Input bounds and rates, a ceiling on the payload, and equal thrust of the first two UAVs are the constraints.
+    """
+    steps, m, n = settings.horizon, setup.system.m, setup.system.n
+    linear = setup.model.linearise(at.x, at.u)
+    A, B, f_d = naive.exact_hold(linear, settings.sampling_period_s)
+    F, H = naive.stacked_drift(A, f_d, steps), naive.stacked_input(A, B, steps)
+    C_bar = naive.stacked_output(linear.C, steps)
+    Q = settings.weights.Q(setup.system.N)
+    Q_bar = naive.stacked_weight(Q, settings.weights.terminal * Q, steps)
+    R_bar = np.diag(np.tile(settings.weights.R(setup.system.N), steps))
+    L, U_0 = np.tile(linear.y, steps + 1), np.tile(at.u, steps)
+    error = L + C_bar @ F - at.y_ref.reshape(-1)
+    P = 2.0 * (H.T @ C_bar.T @ Q_bar @ C_bar @ H + R_bar)
+    q = 2.0 * (H.T @ C_bar.T @ Q_bar @ error + R_bar @ U_0)
+
+    # Rate limits: differences of successive inputs, the first against the input in force.
+    difference = np.eye(steps * m) - np.eye(steps * m, k=-m)
+    rate = np.tile(settings.limits.step(setup.system.N, settings.sampling_period_s), steps)
+    altitude = np.zeros((steps, (steps + 1) * n))
+    for k in range(steps):
+        altitude[k, (k + 1) * n + 2] = 1.0
+    equal_thrust = np.kron(np.eye(steps), np.eye(1, m, 0) - np.eye(1, m, 4))
+    rows = np.vstack([difference, altitude @ H, equal_thrust])
+    lower = np.concatenate([-rate, ceiling_m - at.x[2] - altitude @ F, -equal_thrust @ U_0])
+    upper = np.concatenate([rate, np.full(steps, np.inf), -equal_thrust @ U_0])
+    shape = {"h": ca.Sparsity.dense(P.shape), "a": ca.Sparsity.dense(rows.shape)}
+    solver = ca.conic("printed", "qpoases", shape, {"printLevel": "none", "error_on_fail": True})
+    answer = solver(
+        h=P, g=q, a=rows, lba=lower, uba=upper,
+        lbx=np.tile(settings.limits.lower(setup.system.N), steps) - U_0,
+        ubx=np.tile(settings.limits.upper(setup.system.N), steps) - U_0,
+    )  # fmt: skip
+    return np.asarray((U_0 + np.asarray(answer["x"]).reshape(-1)).reshape(steps, m))
+
+
+@pytest.mark.parametrize("solver", ["daqp", "clarabel"])
+def test_owning_all_is_the_centralized_controller(solver: str) -> None:
+    """With every UAV owned the plan is the optimum of the paper's (14)-(21), limits and constraints active."""
+    setup, ceiling = paper_setup(), -10.01
+    settings = ControllerSettings(
+        horizon=6,
+        weights=Weights(priced="absolute"),
+        constraints=(
+            Constraint(expression=f"r0[2] >= {ceiling}", soft=False),
+            Constraint(expression="thrust1 == thrust2"),
+        ),
+        solver="daqp" if solver == "daqp" else "clarabel",
+    )
+    y_ref = np.tile(setup.model.outputs(setup.x), (7, 1))
+    y_ref[:, 2 : 3 * setup.system.N : 3] -= 1.0  # a metre up: into the ceiling, as fast as the rates allow
+    rng = np.random.default_rng(5)
+    u = setup.hover.u + 0.2 * rng.standard_normal(setup.system.m)
+    u[4] = u[0]
+    at = Situation(x=setup.x, u=u, U=np.tile(u, (6, 1)), y_ref=y_ref)
+    optimum = step(controller(setup, settings, (0, 1, 2, 3)), at)
+    expected = solve_as_printed(setup, settings, at, ceiling)
+    assert optimum.solution.status == "solved"
+    assert optimum.solution.solver == solver
+    assert np.abs(optimum.solution.row_multipliers).max() > 0.1, "a test without active constraints shows little"
+    assert np.abs(optimum.U - expected).max() < PLAN_AGREEMENT
+
+
+@pytest.mark.parametrize("owned", OWNED)
+def test_relaxation_mixes_with_the_shifted_plan(owned: tuple[int, ...]) -> None:
+    """Relaxation w publishes w U* + (1 - w) U_shifted, the shifted plan being the owned announced columns."""
+    setup, w = paper_setup(), 0.3
+    full, relaxed = ControllerSettings(horizon=9), ControllerSettings(horizon=9, relaxation=w)
+    at = situation(setup, full, seed=4)
+    best, mixed = step(controller(setup, full, owned), at), controller(setup, relaxed, owned)
+    shifted = at.U[:, mixed.own]
+    assert np.allclose(step(mixed, at).U, w * best.U + (1.0 - w) * shifted, rtol=0.0, atol=MIX_AGREEMENT)
+
+
+Change = Callable[[Situation], Situation]
+
+BAD: dict[str, Change] = {
+    "x0": lambda at: Situation(x=at.x[:-1], u=at.u, U=at.U, y_ref=at.y_ref),
+    "u0": lambda at: Situation(x=at.x, u=np.append(at.u, 0.0), U=at.U, y_ref=at.y_ref),
+    "U": lambda at: Situation(x=at.x, u=at.u, U=at.U[1:], y_ref=at.y_ref),
+    "y_ref": lambda at: Situation(x=at.x, u=at.u, U=at.U, y_ref=at.y_ref[1:]),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_wrong_shapes_are_named(name: str) -> None:
+    """An argument of the wrong shape is refused with its name, the expected and the given shape."""
+    setup, settings = paper_setup(), ControllerSettings(horizon=3)
+    at = BAD[name](situation(setup, settings, seed=0))
+    with pytest.raises(ShapeError, match=rf"^{name}: expected shape \(.*\), got \(.*\)$"):
+        step(controller(setup, settings, (0,)), at)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize("name", BAD)
+def test_numbers_that_are_not_finite_are_named(name: str, value: float) -> None:
+    """An argument holding nan or inf is refused with its name before it reaches a solver."""
+    setup, settings = paper_setup(), ControllerSettings(horizon=3)
+    good = situation(setup, settings, seed=0)
+    arguments = {"x0": good.x.copy(), "u0": good.u.copy(), "U": good.U.copy(), "y_ref": good.y_ref.copy()}
+    arguments[name].reshape(-1)[-1] = value
+    with pytest.raises(ShapeError, match=f"^{name}: expected finite numbers, got {value}"):
+        controller(setup, settings, (0,)).step(**arguments)

@@ -1,0 +1,61 @@
+"""The stage cost, by hand."""
+
+import numpy as np
+import pytest
+
+from mpc.cost import Cost
+from mpc.settings import Weights
+from tests.mpc.systems import paper_setup, ring_setup
+
+# A handful of products of numbers near 1: rounding only.
+ROUNDING = 1e-13
+
+
+def test_stage_cost_by_hand() -> None:
+    """(y - y_ref)' Q (y - y_ref) + (u - u_hover)' R (u - u_hover), paper (17), term by term for one UAV."""
+    setup = ring_setup(1)
+    cost = Cost(Weights(position=2.0, attitude=3.0, yaw_rate=0.5, thrust=0.1, moments=(1.0, 10.0, 100.0)), setup.hover)
+    y_ref = np.zeros(7)
+    y = np.array([1.0, -2.0, 3.0, 0.1, 0.2, -0.3, 4.0])
+    u = setup.hover.u + np.array([2.0, 0.1, -0.2, 0.3])
+    positions, attitudes, yaw_rate = 2.0 * (1.0 + 4.0 + 9.0), 3.0 * (0.01 + 0.04 + 0.09), 0.5 * 16.0
+    efforts = 0.1 * 4.0 + 1.0 * 0.01 + 10.0 * 0.04 + 100.0 * 0.09
+    assert cost.stage(y, y_ref, u) == pytest.approx(positions + attitudes + yaw_rate + efforts, rel=ROUNDING)
+
+
+def test_error_is_measured_from_the_reference() -> None:
+    """Moving output and reference together changes nothing: only their difference is priced, paper (17)."""
+    setup = paper_setup()
+    cost = Cost(Weights(), setup.hover)
+    rng = np.random.default_rng(0)
+    y, y_ref, u = rng.integers(-8, 8, 19) / 4.0, rng.integers(-8, 8, 19) / 4.0, setup.hover.u
+    assert cost.stage(y + 0.5, y_ref + 0.5, u) == cost.stage(y, y_ref, u)
+    assert cost.stage(y, y, u) == 0.0
+
+
+def test_deviation_prices_from_hover() -> None:
+    """Priced as deviation, hover is free and an equal change either way costs the same."""
+    setup = paper_setup()
+    cost, y = Cost(Weights(priced="deviation"), setup.hover), setup.model.outputs(setup.x)
+    change = np.linspace(-1.0, 1.0, setup.system.m)
+    assert cost.stage(y, y, setup.hover.u) == 0.0
+    more, less = cost.stage(y, y, setup.hover.u + change), cost.stage(y, y, setup.hover.u - change)
+    assert more == pytest.approx(less, rel=ROUNDING * setup.hover.u.max())
+
+
+def test_absolute_prices_from_zero() -> None:
+    """Priced as the paper prints (17), no input is free and hover costs its thrusts' squares."""
+    setup = paper_setup()
+    cost, y = Cost(Weights(priced="absolute", thrust=0.5), setup.hover), setup.model.outputs(setup.x)
+    assert cost.stage(y, y, np.zeros(setup.system.m)) == 0.0
+    thrust = (3.0 / 4.0 + 1.5) * 9.81  # each UAV lifts itself and a quarter of the payload
+    assert cost.stage(y, y, setup.hover.u) == pytest.approx(4 * 0.5 * thrust**2, rel=ROUNDING)
+
+
+@pytest.mark.parametrize("N", [1, 2, 4, 8])
+def test_weights_for_any_team(N: int) -> None:
+    """Q, Q_f and R have one entry per output and input, and the terminal weight is a multiple of Q."""
+    cost = Cost(Weights(terminal=7.0), ring_setup(N).hover)
+    assert cost.Q.shape == cost.Q_f.shape == (4 * N + 3,)
+    assert cost.R.shape == cost.u_target.shape == (4 * N,)
+    assert np.array_equal(cost.Q_f, 7.0 * cost.Q)

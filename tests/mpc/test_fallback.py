@@ -1,0 +1,104 @@
+"""A program without solution is data: the shifted previous plan, a status that says so, never an exception."""
+
+import numpy as np
+import pytest
+
+from mpc.settings import Constraint, ControllerSettings, SolverName
+from tests.mpc.systems import Situation, controller, paper_setup, situation, step
+
+HORIZON = 6
+SOLVERS: list[SolverName] = ["daqp", "clarabel"]
+
+# N. Thrust that UAV2 announces and that no controller of UAV1 can do anything about.
+THRUST_LIMIT = 20.0
+
+WITHOUT_SOLUTION = {
+    "payload 15 m below": (Constraint(expression="r0[2] >= 5", soft=False),),
+    "two thrusts at once": (Constraint(expression="thrust1 == 10"), Constraint(expression="thrust1 == 12")),
+    "beyond the bounds": (Constraint(expression="thrust1 >= 50"),),
+    "faster than the rates": (Constraint(expression="thrust1 == 40"),),
+}
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("owned", [(0,), (0, 2), (0, 1, 2, 3)])
+@pytest.mark.parametrize("name", WITHOUT_SOLUTION)
+def test_no_solution_keeps_the_shifted_plan(name: str, owned: tuple[int, ...], solver: SolverName) -> None:
+    """Contradictory constraints (20)-(21), (26)-(27) return the announced plan untouched and status "infeasible"."""
+    setup = paper_setup()
+    settings = ControllerSettings(horizon=HORIZON, constraints=WITHOUT_SOLUTION[name], solver=solver)
+    at = situation(setup, settings, seed=1)
+    one = controller(setup, settings, owned)
+    optimum = step(one, at)
+    assert optimum.solution.status == "infeasible"
+    assert optimum.solution.fallback == (solver == "daqp"), "the second opinion is Clarabel's, asked only after DAQP"
+    assert optimum.solution.solver == "clarabel"
+    assert np.array_equal(optimum.U, at.U[:, one.own])
+
+
+def test_kept_plan_belongs_to_the_controller() -> None:
+    """The plan after a failure is a copy: writing into it leaves the caller's announced inputs alone."""
+    setup = paper_setup()
+    settings = ControllerSettings(horizon=HORIZON, constraints=WITHOUT_SOLUTION["two thrusts at once"])
+    at = situation(setup, settings, seed=1)
+    before = at.U.copy()
+    step(controller(setup, settings, (0,)), at).U[:] = 0.0
+    assert np.array_equal(at.U, before)
+
+
+def test_softened_constraint_never_fails() -> None:
+    """The same demand on the payload, softened, is paid for instead of refused; docs/equations.md (29)-(30)."""
+    setup = paper_setup()
+    settings = ControllerSettings(horizon=HORIZON, constraints=(Constraint(expression="r0[2] >= 5"),))
+    optimum = step(controller(setup, settings, (0, 1, 2, 3)), situation(setup, settings, seed=1))
+    assert optimum.solution.status == "solved"
+    assert optimum.solution.z[-1] > 10.0, "15 m are missing and the horizon is too short to win them"
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_recovers_when_the_next_program_has_a_solution(solver: SolverName) -> None:
+    """A failure leaves no trace: the controller solves the next program as a fresh one does."""
+    setup = paper_setup()
+    settings = ControllerSettings(
+        horizon=HORIZON, constraints=(Constraint(expression="r0[2] >= -10.5", soft=False),), solver=solver
+    )
+    good = situation(setup, settings, seed=2)
+    x = good.x.copy()
+    x[2] = -20.0
+    one = controller(setup, settings, (0, 1, 2, 3))
+    assert step(one, Situation(x=x, u=good.u, U=good.U, y_ref=good.y_ref)).solution.status == "infeasible"
+    after, fresh = step(one, good), step(controller(setup, settings, (0, 1, 2, 3)), good)
+    assert after.solution.status == "solved"
+    assert np.array_equal(after.U, fresh.U)
+
+
+@pytest.mark.parametrize("expression", [f"thrust2 <= {THRUST_LIMIT}", "thrust2 == thrust3"])
+def test_others_inputs_do_not_stop_a_controller(expression: str) -> None:
+    """In (26)-(27) a row without owned inputs is a constant; broken by the others' plans, it must not fail this one.
+
+    UAV1 cannot repair it, so refusing every program would freeze UAV1 for what UAV2 announces.
+    """
+    setup = paper_setup()
+    settings = ControllerSettings(horizon=HORIZON, constraints=(Constraint(expression=expression),))
+    at = situation(setup, settings, seed=1)
+    U = np.tile(setup.hover.u, (HORIZON, 1))
+    U[:, 4] = THRUST_LIMIT + 1.0
+    optimum = step(controller(setup, settings, (0,)), Situation(x=at.x, u=at.u, U=U, y_ref=at.y_ref))
+    assert optimum.solution.status == "solved"
+
+
+@pytest.mark.parametrize("expression", ["norm(v0) <= 1", "norm(omega0) <= 0.5"])
+def test_speed_limit_holds_at_rest(expression: str) -> None:
+    """A limit on a norm is solvable where the norm is zero, its corner: every flight starts at rest.
+
+    The derivative that (20) needs does not exist there; a nan in its place makes every program unsolvable.
+    """
+    setup = paper_setup()
+    settings = ControllerSettings(horizon=HORIZON, constraints=(Constraint(expression=expression),))
+    at = Situation(
+        x=setup.x,
+        u=setup.hover.u,
+        U=np.tile(setup.hover.u, (HORIZON, 1)),
+        y_ref=np.tile(setup.model.outputs(setup.x), (HORIZON + 1, 1)),
+    )
+    assert step(controller(setup, settings, (0, 1, 2, 3)), at).solution.status == "solved"

@@ -1,0 +1,88 @@
+"""The optimality conditions that every answer is checked by: by hand, and against errors put in on purpose."""
+
+import numpy as np
+import pytest
+
+from mpc.qp import QP, RESIDUAL_TOLERANCE, Residuals, residuals
+from mpc.solvers import solve_clarabel
+from tests.mpc.programs import random_qp
+
+# A few products of small numbers: rounding only.
+ROUNDING = 1e-15
+
+# 1/2 |z|^2 - 3 z1 with -1 <= z1 <= 1 and 4 <= z1 + z2: the optimum is (1, 3), multipliers 5 and -3.
+PROGRAM = QP(
+    H=np.eye(2),
+    g=np.array([-3.0, 0.0]),
+    lower=np.array([-1.0, -np.inf]),
+    upper=np.array([1.0, np.inf]),
+    A=np.ones((1, 2)),
+    row_lower=np.array([4.0]),
+    row_upper=np.array([np.inf]),
+)
+
+# Answer (z, multipliers of the bounds, multiplier of the row) and its residuals by hand, each over its own scale:
+# 1 + |g| = 4, 1 + |z| (largest entry), 1 + |objective|.
+BY_HAND = {
+    "the optimum": ([1.0, 3.0], [5.0, 0.0], -3.0, (0.0, 0.0, 0.0)),
+    "multipliers forgotten": ([1.0, 3.0], [0.0, 0.0], 0.0, (3.0 / 4.0, 0.0, 0.0)),
+    "row multiplier of the wrong sign": ([1.0, 3.0], [5.0, 0.0], 3.0, (6.0 / 4.0, 0.0, 3.0 / 3.0)),
+    "bound multiplier of the wrong sign": ([1.0, 3.0], [-5.0, 0.0], -3.0, (10.0 / 4.0, 0.0, 10.0 / 3.0)),
+    "above a bound": ([1.5, 2.5], [0.0, 0.0], 0.0, (2.5 / 4.0, 0.5 / 3.5, 0.0)),
+    "below a bound": ([-2.0, 6.0], [0.0, 0.0], 0.0, (6.0 / 4.0, 1.0 / 7.0, 0.0)),
+    "below a row": ([1.0, 1.0], [0.0, 0.0], 0.0, (2.0 / 4.0, 2.0 / 2.0, 0.0)),
+    "pushed by a distant bound": ([0.0, 4.0], [7.0, 0.0], -4.0, (0.0, 0.0, 7.0 / 9.0)),
+    "pushed by a missing bound": ([1.0, 3.0], [5.0, -2.0], -3.0, (2.0 / 4.0, 0.0, 2.0 / 3.0)),
+}
+
+
+@pytest.mark.parametrize("name", BY_HAND)
+def test_residuals_by_hand(name: str) -> None:
+    """Stationarity, primal violation and complementarity of (28) in docs/equations.md, one error at a time."""
+    z, bound, row, expected = BY_HAND[name]
+    found = residuals(PROGRAM, np.array(z), np.array(bound), np.array([row]))
+    assert (found.stationarity, found.primal, found.complementarity) == pytest.approx(expected, abs=ROUNDING)
+    assert found.worst == pytest.approx(max(expected), abs=ROUNDING)
+
+
+def test_objective_by_hand() -> None:
+    """1/2 z' H z + g' z at (1, 3) is 5 - 3."""
+    assert PROGRAM.objective(np.array([1.0, 3.0])) == 2.0
+
+
+def test_program_without_rows() -> None:
+    """A horizon of one step has no rates between steps and maybe no rows at all: the residuals still exist."""
+    bounded = QP(
+        H=PROGRAM.H,
+        g=PROGRAM.g,
+        lower=PROGRAM.lower,
+        upper=PROGRAM.upper,
+        A=np.zeros((0, 2)),
+        row_lower=np.zeros(0),
+        row_upper=np.zeros(0),
+    )
+    assert residuals(bounded, np.array([1.0, 0.0]), np.array([2.0, 0.0]), np.zeros(0)).worst == 0.0
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_residuals_grow_with_the_error(seed: int) -> None:
+    """Residuals (28) of docs/equations.md are small at the optimum and grow in step with any error put in."""
+    qp = random_qp(seed)
+    answer = solve_clarabel(qp)
+    rng = np.random.default_rng(seed)
+    dz, dl = rng.standard_normal(len(qp.g)), rng.standard_normal(len(qp.g))
+    dr = rng.standard_normal(len(qp.A))
+    z, bound, row = answer.z, answer.bound_multipliers, answer.row_multipliers
+    moved = [residuals(qp, z + size * dz, bound, row).worst for size in (0.0, 1e-4, 1e-2)]
+    assert moved[0] < moved[1] < moved[2]
+    assert moved[1] > RESIDUAL_TOLERANCE
+    pushed = [residuals(qp, z, bound + size * dl, row + size * dr).worst for size in (0.0, 1e-4, 1e-2)]
+    assert pushed[0] < pushed[1] < pushed[2]
+    assert pushed[1] > RESIDUAL_TOLERANCE
+
+
+@pytest.mark.parametrize("field", ["stationarity", "primal", "complementarity"])
+def test_a_residual_that_is_no_number_is_infinite(field: str) -> None:
+    """A nan in any of the three residuals makes the worst infinite, so that no comparison lets it through."""
+    values = {"stationarity": 0.0, "primal": 0.0, "complementarity": 0.0, field: np.nan}
+    assert Residuals(**values).worst == np.inf

@@ -1,0 +1,156 @@
+"""The QP solvers against each other, against SciPy, and against answers made wrong on purpose."""
+
+from collections.abc import Callable
+from typing import Any
+
+import daqp
+import numpy as np
+import pytest
+from scipy.optimize import LinearConstraint, minimize
+
+from model.arrays import Array
+from mpc import solvers
+from mpc.qp import QP, RESIDUAL_TOLERANCE, Solution, residuals
+from mpc.settings import SolverName
+from mpc.solvers import solve, solve_clarabel, solve_daqp
+from tests.mpc.programs import collected, random_qp, without_solution
+
+# Relative to the largest entry: two solvers meeting the residual tolerance on well-conditioned programs.
+AGREEMENT = 1e-6
+# Half ranges of the inputs. A shared slack under many active rows leaves Clarabel, which stops at a duality gap of
+# 1e-9, sqrt(2 * 1e-9 / 0.005) away at most, 0.005 being the weakest curvature (of the yaw moments).
+AGREEMENT_WITH_SLACK = 6e-4
+# SLSQP stops on its own objective tolerance and knows no residuals; its objective is good to about this.
+THIRD_OPINION = 1e-6
+# Of the objective, relative: quadratic around the optimum, so far below the answers' own agreement.
+OBJECTIVE_AGREEMENT = 1e-8
+
+EACH: dict[str, Callable[[QP], Solution]] = {"daqp": solve_daqp, "clarabel": solve_clarabel}
+NAMES: list[SolverName] = ["daqp", "clarabel"]
+
+
+def agree(qp: QP, within: float = AGREEMENT) -> None:
+    """Both solvers solve the program, pass the residual check, and find the same point and objective."""
+    first, second = solve_daqp(qp), solve_clarabel(qp)
+    for answer in (first, second):
+        assert answer.status == "solved"
+        found = residuals(qp, answer.z, answer.bound_multipliers, answer.row_multipliers)
+        assert found == answer.residuals
+        assert found.worst <= RESIDUAL_TOLERANCE
+    scale = max(1.0, float(np.abs(first.z).max()))
+    assert np.abs(first.z - second.z).max() <= within * scale
+    assert qp.objective(first.z) == pytest.approx(
+        qp.objective(second.z), rel=OBJECTIVE_AGREEMENT, abs=OBJECTIVE_AGREEMENT
+    )
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_two_solvers_agree(seed: int) -> None:
+    """On random strictly convex programs an active-set and an interior-point method meet at the one optimum."""
+    agree(random_qp(seed))
+
+
+@pytest.mark.parametrize(("minimum_m", "within"), [(0.4, AGREEMENT), (0.55, AGREEMENT_WITH_SLACK)])
+def test_two_solvers_agree_on_the_controllers_programs(minimum_m: float, within: float) -> None:
+    """The same holds for the programs of a real climb, paper (17), (20)-(21), (25)-(27), with constraints active."""
+    programs = collected(minimum_m)
+    for qp in programs:
+        agree(qp, within)
+    pushed = [np.abs(solve_daqp(qp).row_multipliers).max() > 1e-3 for qp in programs]
+    assert all(pushed), "programs without active rows would show little"
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_third_opinion(seed: int) -> None:
+    """A general nonlinear optimiser, knowing nothing of QPs, finds no lower objective and the same point nearly."""
+    qp = random_qp(seed)
+    found = solve(qp, "daqp")
+    equal, bounded = qp.row_lower == qp.row_upper, np.isfinite(qp.row_lower) | np.isfinite(qp.row_upper)
+    kinds = [kind for kind in (equal, bounded & ~equal) if kind.any()]
+    rows = [LinearConstraint(qp.A[kind], qp.row_lower[kind], qp.row_upper[kind]) for kind in kinds]
+    other = minimize(
+        qp.objective, np.clip(np.zeros(len(qp.g)), qp.lower, qp.upper), jac=lambda z: qp.H @ z + qp.g, method="SLSQP",
+        bounds=list(zip(qp.lower, qp.upper, strict=True)), constraints=rows,
+        options={"ftol": 1e-14, "maxiter": 500},
+    )  # fmt: skip
+    assert qp.objective(found.z) == pytest.approx(other.fun, rel=THIRD_OPINION, abs=THIRD_OPINION)
+    assert np.abs(found.z - other.x).max() <= np.sqrt(THIRD_OPINION) * max(1.0, float(np.abs(other.x).max()))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_closed_form(name: SolverName) -> None:
+    """Minimise 1/2 |z|^2 - 3 z1 with z1 <= 1 and z1 + z2 = 4: z = (1, 3), multipliers 5 and -3 by hand."""
+    qp = QP(
+        H=np.eye(2), g=np.array([-3.0, 0.0]), lower=np.full(2, -np.inf), upper=np.array([1.0, np.inf]),
+        A=np.ones((1, 2)), row_lower=np.array([4.0]), row_upper=np.array([4.0]),
+    )  # fmt: skip
+    answer = solve(qp, name)
+    assert answer.z == pytest.approx([1.0, 3.0], abs=AGREEMENT)
+    assert answer.row_multipliers == pytest.approx([-3.0], abs=AGREEMENT)
+    assert answer.bound_multipliers == pytest.approx([5.0, 0.0], abs=AGREEMENT)
+    assert answer.solver == name
+    assert not answer.fallback
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("program", without_solution())
+def test_infeasible_is_data(program: str, name: SolverName) -> None:
+    """A program without solution comes back as status "infeasible" after both were asked, never as an exception."""
+    answer = solve(without_solution()[program], name)
+    assert answer.status == "infeasible"
+    assert answer.residuals.worst == np.inf
+    assert answer.solver == "clarabel"
+    assert answer.fallback == (name == "daqp")
+
+
+def test_iteration_limit_hands_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    """DAQP cut short says "limit", and Clarabel's answer, flagged as fallback, is the optimum."""
+    qp = collected(0.4)[-1]
+    expected = solve_daqp(qp)
+    monkeypatch.setattr(solvers, "_ITERATIONS", 2)
+    assert expected.iterations > 2
+    assert solve_daqp(qp).status == "limit"
+    answer = solve(qp, "daqp")
+    assert (answer.status, answer.solver, answer.fallback) == ("solved", "clarabel", True)
+    assert np.abs(answer.z - expected.z).max() <= AGREEMENT * max(1.0, float(np.abs(expected.z).max()))
+
+
+Lie = Callable[[Array, Array], tuple[Array, Array]]
+LIES: dict[str, Lie] = {
+    "point moved": lambda z, lam: (z + 1e-3, lam),
+    "multipliers forgotten": lambda z, lam: (z, 0.0 * lam),
+    "multipliers of the wrong sign": lambda z, lam: (z, -lam),
+    "multipliers scaled": lambda z, lam: (z, 1.01 * lam),
+    "no number": lambda z, lam: (np.full_like(z, np.nan), lam),
+}
+
+
+@pytest.mark.parametrize("lie", LIES)
+def test_lying_solver_is_not_believed(lie: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A solver that reports success with a wrong answer fails the residual check and the other one takes over."""
+    qp = collected(0.4)[-1]
+    expected = solve_clarabel(qp)
+    honest = daqp.solve
+
+    def dishonest(*arguments: Any, **keywords: Any) -> Any:
+        z, value, flag, info = honest(*arguments, **keywords)
+        z, info["lam"] = LIES[lie](np.asarray(z), np.asarray(info["lam"]))
+        return z, value, flag, info
+
+    monkeypatch.setattr(daqp, "solve", dishonest)
+    first = solve_daqp(qp)
+    assert first.status == "numerical"
+    assert first.residuals.worst > RESIDUAL_TOLERANCE
+    answer = solve(qp, "daqp")
+    assert (answer.status, answer.solver, answer.fallback) == ("solved", "clarabel", True)
+    assert np.array_equal(answer.z, expected.z)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_bound_that_is_no_number_is_not_solved(name: SolverName) -> None:
+    """A row whose bound is nan cannot be checked, so no answer to its program counts as solved."""
+    qp = QP(
+        H=np.eye(2), g=np.ones(2), lower=np.full(2, -5.0), upper=np.full(2, 5.0),
+        A=np.ones((1, 2)), row_lower=np.array([-np.inf]), row_upper=np.array([np.nan]),
+    )  # fmt: skip
+    assert solve(qp, name).status != "solved"
