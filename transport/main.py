@@ -188,7 +188,7 @@ def record(
     from transport.run import RunError, new_folder, observe
 
     setup = _setup(scenario, settings)
-    place = _place(setup, "recorder", run_name, [], connect, None, join_timeout)
+    place = _place(setup, "recorder", run_name, None, connect, None, join_timeout)
     folder = out if out is not None else new_folder(Path("runs"), setup.scenario.name)
     try:
         finished = observe(setup, place, folder, Console(stderr=True))
