@@ -64,6 +64,25 @@ class AnnouncedInputs:
                 U[:, columns] = plan.inputs[at]
         return U
 
+    def corrections(self, start: int, steps: int, before: int) -> Array:
+        """Announced corrections to the shared law from a tick on, shifted, zero after their end.
+
+        Args:
+            start: First instant.
+            steps: N_p.
+            before: Only plans made before this tick count.
+        Returns: (N_p, 4 N); zero where none were announced.
+        Source: docs/equations.md (32).
+        """
+        c = np.zeros((steps, len(self._u_hover)))
+        for agent, columns in self._columns.items():
+            plan = self.newest(agent, before)
+            if plan is not None:
+                skipped = start - plan.start_tick
+                announced = plan.corrections[skipped : skipped + steps] if skipped >= 0 else plan.corrections[:0]
+                c[: len(announced), columns] = announced
+        return c
+
     def at(self, tick: int, before: int) -> Array:
         """Inputs taken to be in force over [t_k, t_{k+1}): of each agent's plans that had started, the newest.
 

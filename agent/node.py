@@ -147,14 +147,17 @@ class AgentNode:
         U = self._announced.sequence(start, steps, before=k)
         y_ref = self._setup.reference.outputs(period_s * np.arange(start, start + steps + 1, dtype=np.float64))
         x0, u0, U, y_ref = controller.check(x0, u0, U, y_ref)
+        x_ref = self._setup.reference.states(period_s * np.arange(start, start + steps, dtype=np.float64))
+        law = controller.law(x0, x_ref, self._announced.corrections(start, steps, before=k))
         watch.append(self._stopwatch())
         linear = controller.linearise(x0, u0)
         watch.append(self._stopwatch())
         discrete = controller.discretise(linear)
         watch.append(self._stopwatch())
-        qp = controller.condense(linear, discrete, U, y_ref)
+        prediction = controller.predict(linear, discrete, U, law)
+        qp = controller.condense(linear, prediction, U, y_ref)
         watch.append(self._stopwatch())
-        optimum = controller.conclude(controller.solve(qp), linear, U)
+        optimum = controller.conclude(controller.solve(qp), prediction, U, law)
         watch.append(self._stopwatch())
 
         plan = self._out.stamp(
@@ -165,6 +168,7 @@ class AgentNode:
             uavs=self._uavs,
             uav_states=measurement.uav_states,
             inputs=optimum.U,
+            corrections=optimum.c,
             status=optimum.solution.status,
         )
         report = self._report(k, usable, optimum, np.diff(watch) / 1e6)

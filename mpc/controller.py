@@ -14,7 +14,8 @@ from model.state import input_indices
 from mpc import condensing
 from mpc.constraints import Affine, compile_constraints, rate_rows, separation_rows
 from mpc.cost import Cost
-from mpc.prediction import Prediction, open_loop
+from mpc.feedback import TeamLaw, team_gain
+from mpc.prediction import Prediction, closed_loop, free_response, open_loop
 from mpc.qp import QP, Solution
 from mpc.settings import ControllerSettings, SettingsError
 from mpc.solvers import solve
@@ -46,10 +47,12 @@ class Optimum:
     Attributes:
         U: Absolute inputs of the owned UAVs to announce and apply, (N_p, 4 owned); after a failed solve
             the previous plan, shifted.
+        c: Corrections to the shared law that go with them, (N_p, 4 owned); (0, 4 owned) without that law.
         solution: The solver's answer, solved or not.
     """
 
     U: Array
+    c: Array
     solution: Solution
 
 
@@ -73,7 +76,12 @@ class Controller:
         self.settings = settings
         self.owned = tuple(owned)
         self.own = input_indices(self.owned)
+        self._others = np.setdiff1d(np.arange(model.system.m), self.own)
         self.cost = Cost(settings.weights, hover)
+        self.gain: Array | None = None
+        if settings.prediction == "closed_loop":
+            self.gain = team_gain(model, hover, self.cost, settings.sampling_period_s)
+        self._u_hover = hover.u
         self._on_state, self._on_input = compile_constraints(settings.constraints, model)
         # What the others do to a constraint without owned inputs is theirs to keep.
         depends = self._on_input.depends
@@ -93,7 +101,7 @@ class Controller:
         self._rate_rows = rate_rows(steps, m)
         self._z_scale = np.concatenate([np.tile(self._scale, steps), np.ones(len(self._penalties))])
 
-    def step(self, x0: Array, u0: Array, U: Array, y_ref: Array) -> Optimum:
+    def step(self, x0: Array, u0: Array, U: Array, y_ref: Array, law: TeamLaw | None = None) -> Optimum:
         """One step of the controller.
 
         Args:
@@ -102,13 +110,27 @@ class Controller:
             U: Announced inputs of all UAVs over the horizon, (N_p, m); the owned columns hold the
                 previous plan, shifted.
             y_ref: Reference outputs at steps 0..N_p, (N_p + 1, p).
+            law: With closed-loop prediction, the shared law over the horizon (`law`).
         Returns: The plan and how it was found. Never raises for a problem without solution.
         Raises: ShapeError: an argument of the wrong shape or not finite.
         """
         x0, u0, U, y_ref = self.check(x0, u0, U, y_ref)
         linear = self.linearise(x0, u0)
-        qp = self.condense(linear, self.discretise(linear), U, y_ref)
-        return self.conclude(self.solve(qp), linear, U)
+        prediction = self.predict(linear, self.discretise(linear), U, law)
+        qp = self.condense(linear, prediction, U, y_ref)
+        return self.conclude(self.solve(qp), prediction, U, law)
+
+    def law(self, x0: Array, x_ref: Array, c: Array) -> TeamLaw | None:
+        """The shared law over the horizon, or None with open-loop prediction.
+
+        Args:
+            x0: State at the first step of the horizon, (n,).
+            x_ref: Reference states at steps 0..N_p-1, (N_p, n).
+            c: Announced corrections of all UAVs, (N_p, m).
+        """
+        if self.gain is None:
+            return None
+        return TeamLaw(K=self.gain, u_hover=self._u_hover, error=x0 - x_ref, c=c)
 
     def check(self, x0: Array, u0: Array, U: Array, y_ref: Array) -> tuple[Array, Array, Array, Array]:
         """The arguments of `step`, their shapes and values checked."""
@@ -133,12 +155,17 @@ class Controller:
         """Exact zero-order hold over the sampling period. Source: docs/equations.md (16)-(17)."""
         return zero_order_hold(linear.model, self.settings.sampling_period_s)
 
-    def condense(self, linear: Linear, discrete: Discrete, U: Array, y_ref: Array) -> QP:
+    def predict(self, linear: Linear, discrete: Discrete, U: Array, law: TeamLaw | None) -> Prediction:
+        """Predict the team over the horizon. Source: docs/equations.md (22)-(24), (35)-(36)."""
+        if law is None:
+            return open_loop(discrete, linear.u0, self.own, U)
+        return closed_loop(discrete, linear.u0, self.own, law)
+
+    def condense(self, linear: Linear, prediction: Prediction, U: Array, y_ref: Array) -> QP:
         """The QP in the scaled decision and the slacks.
 
         Source: docs/equations.md (22)-(30); paper (22)-(27).
         """
-        prediction = open_loop(discrete, linear.u0, self.own, U)
         C, y0, cost = linear.model.C, linear.model.y, self.cost
         steps, m = prediction.U_free.shape
         decisions, slacks = steps * m, len(self._penalties)
@@ -168,16 +195,33 @@ class Controller:
         """Solve by the chosen solver, or by Clarabel when that fails."""
         return solve(qp, self.settings.solver)
 
-    def conclude(self, solution: Solution, linear: Linear, U: Array) -> Optimum:
+    def conclude(self, solution: Solution, prediction: Prediction, U: Array, law: TeamLaw | None) -> Optimum:
         """Turn an answer into the plan to announce: relaxed, or the shifted previous plan after a failure."""
-        steps, previous = len(U), U[:, self.own]
-        if solution.status != "solved":
-            return Optimum(U=previous.copy(), solution=solution)
-        v = (solution.z * self._z_scale)[: steps * len(self.own)].reshape(steps, -1)
-        w = self.settings.relaxation
-        best = linear.u0[self.own] + v
+        steps, m = prediction.U_free.shape
+        solved = solution.status == "solved"
+        w = self.settings.relaxation if solved else 0.0
         # The solver meets the bounds to its tolerance; the plant's actuators have them exactly.
-        return Optimum(U=np.clip(w * best + (1.0 - w) * previous, self._lower, self._upper), solution=solution)
+        v = (solution.z * self._z_scale)[: steps * m].reshape(steps, m) if solved else np.zeros((steps, m))
+        best = np.clip(prediction.U_free + v, self._lower, self._upper)
+        if law is None:
+            previous = U[:, self.own]
+            inputs = np.clip(w * best + (1.0 - w) * previous, self._lower, self._upper) if solved else previous.copy()
+            return Optimum(U=inputs, c=np.zeros((0, m)), solution=solution)
+        c_best = np.zeros((steps, m))
+        K, at_x0 = law.K[self.own], law.inputs(self.own) - law.c[:, self.own]
+        if solved:
+            dX = free_response(prediction.A, prediction.W + (best - prediction.U_free) @ prediction.B.T)
+            c_best = best - at_x0 - dX[:-1] @ K.T
+        if w == 1.0:
+            return Optimum(U=best, c=c_best, solution=solution)
+        # Relax the corrections only, so that the stabilising feedback acts in full, and see what inputs follow.
+        c = w * c_best + (1.0 - w) * law.c[:, self.own]
+        inputs = np.empty((steps, m))
+        dx = np.zeros(len(prediction.A))
+        for k in range(steps):
+            inputs[k] = np.clip(at_x0[k] + K @ dx + c[k], self._lower, self._upper)
+            dx = prediction.A @ dx + prediction.W[k] + prediction.B @ (inputs[k] - prediction.U_free[k])
+        return Optimum(U=inputs, c=c, solution=solution)
 
     def _bounds(self, prediction: Prediction, u0: Array) -> tuple[Array, Array]:
         """Bounds on the scaled decision; the first step's rate limit is a bound too."""
@@ -218,6 +262,7 @@ class Controller:
         if self._inputs_kept.any():
             kept, on = self._inputs_kept, linear.on_input
             dU = U - linear.u0
+            dU[:, self._others] = prediction.U_others - linear.u0[self._others]
             dU[:, self.own] = prediction.U_free - linear.u0[self.own]
             value = on.value[kept] + dU @ on.slope[kept].T
             G = np.kron(np.eye(steps), on.slope[kept][:, self.own]) * scale

@@ -11,6 +11,7 @@ import numpy as np
 
 from model.arrays import Array
 from model.discretisation import Discrete
+from mpc.feedback import TeamLaw
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,6 +26,8 @@ class Prediction:
         impulse: A^j B, (N_p, n, m_own).
         dX_free: State deviations from x0 with v = 0 at steps 0..N_p, (N_p + 1, n).
         U_free: Owned inputs with v = 0, (N_p, m_own).
+        W: Drive per step with v = 0, dX_free(k+1) = A dX_free(k) + W(k), (N_p, n).
+        U_others: The others' inputs with v = 0, (N_p, m - m_own).
     """
 
     A: Array
@@ -32,6 +35,8 @@ class Prediction:
     impulse: Array
     dX_free: Array
     U_free: Array
+    W: Array
+    U_others: Array
 
 
 def open_loop(discrete: Discrete, u0: Array, own: np.ndarray, U: Array) -> Prediction:
@@ -55,6 +60,41 @@ def open_loop(discrete: Discrete, u0: Array, own: np.ndarray, U: Array) -> Predi
         impulse=impulse_response(discrete.A, B, len(U)),
         dX_free=free_response(discrete.A, W),
         U_free=np.tile(u0[own], (len(U), 1)),
+        W=W,
+        U_others=np.delete(U, own, axis=1),
+    )
+
+
+def closed_loop(discrete: Discrete, u0: Array, own: np.ndarray, law: TeamLaw) -> Prediction:
+    """The others follow the shared law, u_j = u_hover + K_j (x - x_ref) + c_j; the owned inputs are free.
+
+    The others' answer to what the owned UAVs do is part of the prediction: nobody takes their inputs as
+    given, so nobody corrects an error that the others are already correcting.
+
+    Args:
+        discrete: Zero-order hold about (x0, u0).
+        u0: Input of the linearisation, (m,).
+        own: Positions of the owned inputs in u, (m_own,).
+        law: The shared law over the horizon, with the corrections announced.
+    Returns: Prediction whose decision is the deviation of the owned inputs from u0.
+    Source: docs/equations.md (35)-(36).
+    """
+    steps = len(law.error)
+    others = np.setdiff1d(np.arange(len(u0)), own)
+    B, B_others = np.ascontiguousarray(discrete.B[:, own]), discrete.B[:, others]
+    K = law.K[others]
+    A = discrete.A + B_others @ K
+    at_x0 = law.inputs(others)
+    W = discrete.f_d + (at_x0 - u0[others]) @ B_others.T
+    dX = free_response(A, W)
+    return Prediction(
+        A=A,
+        B=B,
+        impulse=impulse_response(A, B, steps),
+        dX_free=dX,
+        U_free=np.tile(u0[own], (steps, 1)),
+        W=W,
+        U_others=at_x0 + dX[:-1] @ K.T,
     )
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from model.arrays import Array
 
 SolverName = Literal["daqp", "clarabel"]
+PredictionName = Literal["open_loop", "closed_loop"]
 Pricing = Literal["deviation", "absolute"]
 
 
@@ -123,7 +124,10 @@ class ControllerSettings:
     Attributes:
         sampling_period_s: T_s.
         horizon: N_p, in sampling periods.
-        relaxation: w in (0, 1]; the published plan is w U* + (1 - w) U_shifted.
+        prediction: How the others are predicted: by the inputs they announced ("open_loop", the paper), or by
+            the law all share and the corrections they announced ("closed_loop").
+        relaxation: w in (0, 1]; the published plan is w U* + (1 - w) U_shifted, in closed loop the same of the
+            corrections.
         solver: Tried first; Clarabel takes over when its result does not pass the residual check.
     """
 
@@ -133,6 +137,7 @@ class ControllerSettings:
     limits: Limits = field(default_factory=Limits)
     separation: Separation | None = None
     constraints: tuple[Constraint, ...] = ()
+    prediction: PredictionName = "open_loop"
     relaxation: float = 1.0
     solver: SolverName = "daqp"
 

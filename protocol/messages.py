@@ -162,6 +162,7 @@ class Plan(Message):
         uavs: Owned UAVs, 1-based ids, ascending.
         uav_states: Their states at `tick`, (owned, 12), SI.
         inputs: Absolute inputs per step from `start_tick`, (N_p, 4 owned), N and N m.
+        corrections: Corrections to the shared law that go with them, (N_p, 4 owned); no rows without that law.
         status: How the solve went; anything but "solved" means the shifted previous plan.
     """
 
@@ -172,6 +173,7 @@ class Plan(Message):
     uavs: tuple[int, ...]
     uav_states: Array
     inputs: Array
+    corrections: Array
     status: PlanStatus
 
     def __post_init__(self) -> None:
@@ -180,10 +182,13 @@ class Plan(Message):
         self._set("start_tick", _integer("start_tick", self.start_tick, MAX_TICK))
         self._set("uavs", _ids("uavs", self.uavs))
         self._set("uav_states", _array("uav_states", self.uav_states, (len(self.uavs), PER_UAV)))
-        self._set("inputs", _array("inputs", self.inputs, (None, INPUTS * len(self.uavs))))
+        for field in ("inputs", "corrections"):
+            self._set(field, _array(field, getattr(self, field), (None, INPUTS * len(self.uavs))))
         _choice("status", self.status, get_args(PlanStatus))
         if not 1 <= len(self.inputs) <= MAX_HORIZON:
             raise MessageError(f"inputs: expected 1 to {MAX_HORIZON} steps, got {len(self.inputs)}")
+        if len(self.corrections) not in (0, len(self.inputs)):
+            raise MessageError(f"corrections: expected none or {len(self.inputs)} steps, got {len(self.corrections)}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

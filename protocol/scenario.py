@@ -127,6 +127,7 @@ class ControllerSection(Section):
 
     sampling_period_s: Positive = 0.05
     horizon: Annotated[int, Field(ge=1, le=10_000)] = 20
+    prediction: Literal["open_loop", "closed_loop"] = "open_loop"
     relaxation: Annotated[float, Field(gt=0.0, le=1.0)] | Literal["auto"] = 1.0
     solver: Literal["daqp", "clarabel"] = "daqp"
     weights: WeightsSection = WeightsSection()

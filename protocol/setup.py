@@ -165,6 +165,7 @@ def _settings(scenario: Scenario) -> ControllerSettings:
         constraints=tuple(
             Constraint(expression=c.expression, soft=c.soft, penalty=c.penalty) for c in section.constraint
         ),
+        prediction=section.prediction,
         relaxation=relaxation,
         solver=section.solver,
     )

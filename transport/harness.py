@@ -1,6 +1,7 @@
 """The local harness: starts the processes of a run, watches them, and always cleans them up."""
 
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -118,6 +119,7 @@ class Harness:
         """Ask every child that is left to end, then make it."""
         for child in self.alive():
             child.process.terminate()
+            child.process.send_signal(signal.SIGCONT)  # a stopped process cannot end in order
         if not self.wait(_GRACE_S):
             for child in self.alive():
                 child.process.kill()

@@ -29,7 +29,7 @@ from transport.recorder import Recorder
 EXIT_USAGE, EXIT_LOST = 2, 4
 
 # How long the processes may take to leave after the run's end before they are made to.
-_LEAVE_S = 5.0
+_LEAVE_S = 3.0
 _POLL_S = 0.05
 
 

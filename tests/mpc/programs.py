@@ -73,5 +73,7 @@ def collected(minimum_m: float) -> list[QP]:
     for at in situations(setup, everyone, start_s=5.0, steps=8):
         for one in [*everyone, *team(setup, settings, [(0,), (1, 2)])]:
             linear = one.linearise(at.x, at.u)
-            programs.append(one.condense(linear, one.discretise(linear), at.U, at.y_ref))
+            programs.append(
+                one.condense(linear, one.predict(linear, one.discretise(linear), at.U, None), at.U, at.y_ref)
+            )
     return programs

@@ -65,7 +65,7 @@ def case(request: pytest.FixtureRequest) -> Case:
     at = situation(setup, SETTINGS, seed=9)
     one = controller(setup, SETTINGS, owned)
     linear = one.linearise(at.x, at.u)
-    qp = one.condense(linear, one.discretise(linear), at.U, at.y_ref)
+    qp = one.condense(linear, one.predict(linear, one.discretise(linear), at.U, None), at.U, at.y_ref)
     half = (SETTINGS.limits.upper(len(owned)) - SETTINGS.limits.lower(len(owned))) / 2.0
     rng = np.random.default_rng(2)
     v, slacks = 0.2 * rng.standard_normal((HORIZON, len(half))), (0.07, 0.3)

@@ -59,7 +59,7 @@ def test_objective_is_the_cost_of_the_paper(owned: tuple[int, ...], horizon: int
     at = situation(setup, settings, seed=horizon)
     one = controller(setup, settings, owned)
     linear = one.linearise(at.x, at.u)
-    qp = one.condense(linear, one.discretise(linear), at.U, at.y_ref)
+    qp = one.condense(linear, one.predict(linear, one.discretise(linear), at.U, None), at.U, at.y_ref)
     rng = np.random.default_rng(11)
     scale = np.tile(half_range(settings.limits, len(owned)), horizon)
     at_zero = cost_by_simulation(setup, settings, owned, at, np.zeros((horizon, 4 * len(owned))))
