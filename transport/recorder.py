@@ -11,7 +11,7 @@ from collections.abc import Collection
 from protocol.bus import Bus, BusError, Endpoints, Interrupted
 from protocol.messages import Control, Message, Presence, Roster, Truth
 from protocol.setup import Setup
-from transport.log import LogWriter
+from transport.log import LogError, LogWriter
 
 NAME = "recorder"
 
@@ -96,7 +96,7 @@ class Recorder:
         try:
             if self._bus.join(self._expected, self._join_timeout_s) is None:
                 self._record()
-        except BusError as error:
+        except (BusError, LogError) as error:
             self.error = str(error)
 
     def _record(self) -> None:

@@ -21,7 +21,7 @@ from protocol.keys import Keys
 from protocol.process import EXIT_INTERRUPTED, Place, mesh, process_names
 from protocol.setup import Setup
 from transport.harness import Child, Harness, check_ports, free_ports
-from transport.log import LogWriter
+from transport.log import LogError, LogWriter
 from transport.progress import RunProgress
 from transport.recorder import NAME as RECORDER
 from transport.recorder import Recorder
@@ -102,7 +102,7 @@ def fly(setup: Setup, folder: Path, console: Console) -> Finished:
         RunProgress(setup, console) as progress,
     ):
         harness.start(observers=[RECORDER])
-        writer = LogWriter(folder / "run.mcap", header, period_ns=setup.period_ns)
+        writer = _open_log(folder, header, setup.period_ns)
         recorder = Recorder(setup, run, writer, everybody, scenario.clock.join_timeout_s)
         try:
             recorder.start(names)
@@ -128,7 +128,7 @@ def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finis
     text = _create(folder, setup)
     with RunProgress(setup, console) as progress:
         header = run_header(setup, place.run, len(names), text)
-        writer = LogWriter(folder / "run.mcap", header, period_ns=setup.period_ns)
+        writer = _open_log(folder, header, setup.period_ns)
         recorder = Recorder(setup, place.run, writer, place.endpoints, place.join_timeout_s, place.incarnation)
         try:
             recorder.start(names)
@@ -191,9 +191,18 @@ def _create(folder: Path, setup: Setup) -> str:
     return text
 
 
+def _open_log(folder: Path, header: Mapping[str, str], period_ns: int) -> LogWriter:
+    try:
+        return LogWriter(folder / "run.mcap", header, period_ns=period_ns)
+    except LogError as error:
+        raise RunError(str(error), EXIT_USAGE) from error
+
+
 def _finished(folder: Path, recorder: Recorder) -> Finished:
+    if recorder.error is not None:
+        raise RunError(recorder.error, EXIT_LOST)
     if recorder.control is None:
-        raise RunError(recorder.error or "the run ended before it began", EXIT_LOST)
+        raise RunError("the run ended before it began", EXIT_LOST)
     return Finished(folder, recorder.control.exit_code, recorder.control.reason)
 
 

@@ -1,0 +1,96 @@
+"""Figures: every kind of run can be drawn, and drawing leaves no traces."""
+
+import struct
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from protocol.messages import Message
+from protocol.setup import Setup
+from tests import runs
+from tests.transport.logs import ALONE, flown, log_of, truth
+from transport.figures import draw
+from transport.log import RunLog, read_log
+from transport.report import write_report
+
+NAMES = ["performance.png", "trajectories.png", "timing.png"]
+
+# An empty figure with axes has a few thousand bytes.
+SMALLEST_BYTES = 10_000
+SMALLEST_PIXELS = 400
+
+
+def assert_drawn(paths: Sequence[Path], names: Sequence[str] = NAMES) -> None:
+    """The files are PNG images with something on them."""
+    assert [path.name for path in paths] == list(names)
+    for path in paths:
+        data = path.read_bytes()
+        assert data.startswith(b"\x89PNG\r\n\x1a\n")
+        assert len(data) > SMALLEST_BYTES
+        assert min(struct.unpack(">II", data[16:24])) > SMALLEST_PIXELS
+
+
+def logged(folder: Path, *settings: str) -> tuple[Setup, RunLog]:
+    """A short flight and its log."""
+    run = runs.setup(runs.SHORT, *settings)
+    flown(run, folder)
+    return run, read_log(folder / "run.mcap")
+
+
+def test_a_flight_is_drawn_with_its_report(tmp_path: Path) -> None:
+    """The report of a run leaves three figures in figures/, and a second drawing replaces them."""
+    run, log = logged(tmp_path)
+    write_report(tmp_path)
+    paths = [tmp_path / "figures" / name for name in NAMES]
+    assert_drawn(paths)
+    assert draw(run, log, tmp_path / "figures") == paths
+
+
+def test_one_uav_is_drawn(tmp_path: Path) -> None:
+    """A team of one has figures like any other."""
+    run, log = logged(tmp_path, *ALONE)
+    assert_drawn(draw(run, log, tmp_path))
+
+
+def test_a_diverged_run_is_drawn(tmp_path: Path) -> None:
+    """A run that ended in its second phase is drawn as far as it went."""
+    run, log = logged(tmp_path, "plant.max_error_m=0.05")
+    assert len(log.messages) > 1
+    assert_drawn(draw(run, log, tmp_path))
+
+
+def test_a_cut_log_is_drawn(tmp_path: Path) -> None:
+    """A log cut in the middle is drawn as far as it goes."""
+    run, _ = logged(tmp_path)
+    data = (tmp_path / "run.mcap").read_bytes()
+    (tmp_path / "run.mcap").write_bytes(data[: len(data) // 2])
+    log = read_log(tmp_path / "run.mcap")
+    assert log.cut
+    assert_drawn(draw(run, log, tmp_path))
+
+
+@pytest.mark.parametrize("ticks", [[0], [7], [0, 1, 9]])
+def test_single_ticks_are_drawn(tmp_path: Path, ticks: list[int]) -> None:
+    """One recorded tick, one that is not the first, and ticks with gaps are drawn; without steps no timing."""
+    run = runs.setup(runs.SHORT)
+    messages: list[Message] = [truth(run, k) for k in ticks]
+    assert_drawn(draw(run, log_of(messages), tmp_path), NAMES[:2])
+
+
+def test_nothing_recorded_draws_nothing(tmp_path: Path) -> None:
+    """A log without a state leaves no figures and no folder."""
+    assert draw(runs.setup(runs.SHORT), log_of([]), tmp_path / "figures") == []
+    assert not (tmp_path / "figures").exists()
+
+
+def test_drawing_leaves_no_traces(tmp_path: Path) -> None:
+    """No setting of matplotlib is changed and pyplot, with its figures that stay, is not used."""
+    import matplotlib as mpl
+
+    before, had_pyplot = dict(mpl.rcParams), "matplotlib.pyplot" in sys.modules
+    run = runs.setup(runs.SHORT)
+    draw(run, log_of([truth(run, 0), truth(run, 1)]), tmp_path)
+    assert dict(mpl.rcParams) == before
+    assert ("matplotlib.pyplot" in sys.modules) == had_pyplot

@@ -1,0 +1,272 @@
+"""The log: equal bits back, readable after any accident, open to other programs."""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import orjson
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from jsonschema import Draft202012Validator
+from mcap.reader import make_reader
+from mcap.writer import Writer
+
+from protocol.codec import encode
+from protocol.messages import KINDS, Message, Tick
+from tests import runs
+from tests.protocol.strategies import messages as any_message
+from transport.json_messages import from_json, json_schema, to_json
+from transport.log import CHUNK_BYTES, LogError, LogWriter, RunLog, read_log
+
+HEADER = {"run_id": "r1", "scenario": "name = 'x'\n", "versions": "python 3.12", "note": "Ω0"}
+RECEIVED_NS = 1_700_000_000_000_000_000
+
+
+def write(path: Path, messages: Sequence[Message], period_ns: int = 50_000_000) -> Path:
+    """A finished log of the messages, one received every microsecond."""
+    with LogWriter(path, HEADER, period_ns=period_ns) as writer:
+        for number, message in enumerate(messages):
+            writer.write(message, RECEIVED_NS + 1000 * number)
+    return path
+
+
+def bits(messages: Sequence[Message]) -> list[bytes]:
+    """The messages as the wire carries them."""
+    return [encode(message) for message in messages]
+
+
+def read_bits(log: RunLog) -> list[bytes]:
+    """The log's messages as the wire carries them."""
+    return bits([entry.message for entry in log.messages])
+
+
+@pytest.fixture(scope="module")
+def flight() -> list[Message]:
+    """All messages of eight ticks of the paper's scenario with a step in the reference."""
+    phase = "{name='climb',duration_s=0.4,displacement_m=[0.1,0.0,-0.2]}"
+    return runs.recorded(runs.setup(f"maneuver.phase=[{phase}]", "maneuver.profile=step"))
+
+
+@pytest.fixture(scope="module")
+def whole(flight: list[Message], tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """Bytes of the finished log of that flight: several chunks."""
+    return write(tmp_path_factory.mktemp("log") / "run.mcap", flight).read_bytes()
+
+
+@given(any_message)
+def test_json_keeps_every_bit(message: Message) -> None:
+    """decode(encode(m)) = m in JSON as on the wire, for any message, down to signed zeros and empty arrays."""
+    assert encode(from_json(message.kind, to_json(message))) == encode(message)
+
+
+@given(any_message)
+def test_messages_match_their_schema(message: Message) -> None:
+    """What is written is what the channel's JSON Schema says, so that viewers find the fields."""
+    Draft202012Validator(json_schema(message.kind)).validate(orjson.loads(to_json(message)))
+
+
+@pytest.mark.parametrize("kind", sorted(KINDS))
+def test_schemas_have_no_lists_of_lists(kind: str) -> None:
+    """Every field is a number, a text or a plain list: viewers cannot plot deeper ones."""
+    schema = json_schema(kind)
+    Draft202012Validator.check_schema(schema)
+    for field in schema["properties"].values():
+        assert field["type"] in {"string", "integer", "number", "boolean", "array"}
+        assert field.get("items", {}).get("type") != "array"
+
+
+def test_a_flight_comes_back_bit_for_bit(tmp_path: Path, flight: list[Message]) -> None:
+    """A written run reads back in order, equal to the bit, with header and times of arrival, and whole."""
+    log = read_log(write(tmp_path / "run.mcap", flight))
+    assert read_bits(log) == bits(flight)
+    assert [entry.received_ns for entry in log.messages] == [RECEIVED_NS + 1000 * n for n in range(len(flight))]
+    assert log.header == HEADER
+    assert log.cut == ""
+
+
+@settings(max_examples=20)
+@given(st.lists(any_message, max_size=5), st.integers(-1, 2**64))
+def test_any_message_can_be_logged(
+    tmp_path_factory: pytest.TempPathFactory, messages: list[Message], received_ns: int
+) -> None:
+    """A message within the protocol's limits never stops the recorder, however large its numbers are."""
+    path = tmp_path_factory.mktemp("log") / "run.mcap"
+    with LogWriter(path, {}, period_ns=10**9) as writer:
+        for message in messages:
+            writer.write(message, received_ns)
+    assert read_bits(read_log(path)) == bits(messages)
+
+
+def test_other_programs_read_it(tmp_path: Path, flight: list[Message]) -> None:
+    """The mcap package's own reader finds the channels, the schemas, scenario time and the sequence numbers."""
+    path = write(tmp_path / "run.mcap", flight)
+    with path.open("rb") as stream:
+        reader = make_reader(stream)
+        summary = reader.get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        assert summary.statistics.message_count == len(flight)
+        per_agent = {f"/{kind}/{agent}" for kind in ("measurement", "plan", "report") for agent in runs.EVERYBODY}
+        topics = {channel.topic for channel in summary.channels.values()}
+        assert topics == {"/tick", "/roster", "/control", "/truth"} | per_agent
+        assert {schema.encoding for schema in summary.schemas.values()} == {"jsonschema"}
+        assert len(summary.schemas) == len(KINDS)
+        in_file = list(reader.iter_messages(log_time_order=False))
+        assert [entry.sequence for _, _, entry in in_file] == [message.sequence for message in flight]
+        assert [entry.log_time for _, _, entry in in_file] == [message.tick * 50_000_000 for message in flight]
+        assert [metadata.name for metadata in reader.iter_metadata()] == ["run"]
+
+
+def test_a_cut_log_gives_what_is_whole(tmp_path: Path, whole: bytes, flight: list[Message]) -> None:
+    """Cut at any byte, the log reads as a beginning of the run with a notice, and never raises."""
+    expected, path = bits(flight), tmp_path / "cut.mcap"
+    offsets = {0, 1, 7, 8, 9, 40, len(whole) - 1, len(whole) - 8}
+    offsets |= set(np.random.default_rng(1).integers(0, len(whole), 150).tolist())
+    counts = []
+    for offset in sorted(offsets):
+        path.write_bytes(whole[:offset])
+        log = read_log(path)
+        found = read_bits(log)
+        assert found == expected[: len(found)]
+        assert log.header in (HEADER, {})
+        assert log.cut.startswith("the log is not whole")
+        counts.append(len(found))
+    assert counts == sorted(counts)
+    assert counts[0] == 0
+    assert counts[-1] == len(flight)
+
+
+def test_a_cut_log_says_how_far_it_goes(tmp_path: Path, whole: bytes, flight: list[Message]) -> None:
+    """The notice names the number of readable messages and the last tick, or that only the index is missing."""
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(whole[: len(whole) // 2])
+    log = read_log(path)
+    assert 0 < len(log.messages) < len(flight)
+    last = max(entry.message.tick for entry in log.messages)
+    assert f"{len(log.messages)} messages are readable, up to tick {last}" in log.cut
+    path.write_bytes(whole[:-1])
+    assert "only its index is missing" in read_log(path).cut
+
+
+def test_damage_never_invents_a_message(tmp_path: Path, whole: bytes, flight: list[Message]) -> None:
+    """With any byte changed, every message that is read was written, in its order, and missing ones are announced."""
+    rng, path, expected = np.random.default_rng(2), tmp_path / "damaged.mcap", bits(flight)
+    for offset in rng.integers(8, len(whole), 120).tolist():
+        data = bytearray(whole)
+        data[offset] ^= int(rng.integers(1, 256))
+        path.write_bytes(data)
+        log = read_log(path)
+        rest = iter(expected)
+        assert all(message in rest for message in read_bits(log))
+        assert log.cut or len(log.messages) == len(expected)
+
+
+def test_damage_costs_one_chunk(tmp_path: Path, whole: bytes, flight: list[Message]) -> None:
+    """Behind a damaged chunk, even the first with its channels, the rest of a finished log is still read."""
+    path = tmp_path / "damaged.mcap"
+    data = bytearray(whole)
+    data[4000] ^= 0xFF  # in the middle of the first chunk
+    path.write_bytes(data)
+    log = read_log(path)
+    expected, found = bits(flight), read_bits(log)
+    assert 0 < len(found) < len(expected)
+    assert found == expected[-len(found) :]
+    assert "1 damaged part left out" in log.cut
+
+
+def test_zeros_at_the_end_are_no_records(tmp_path: Path, whole: bytes) -> None:
+    """What a file system leaves behind an unfinished file does no harm."""
+    path = tmp_path / "zeros.mcap"
+    path.write_bytes(whole[: len(whole) // 2] + bytes(100_000))
+    assert read_log(path).messages
+
+
+def test_a_killed_recorder_loses_a_chunk_at_most(tmp_path: Path, flight: list[Message]) -> None:
+    """After SIGKILL in the middle of a run the file holds everything but the last, unfinished chunk."""
+    path, list_path = tmp_path / "run.mcap", tmp_path / "messages"
+    list_path.write_bytes(b"".join(len(data).to_bytes(4, "little") + data for data in bits(flight)))
+    program = """
+import os, signal, sys
+from pathlib import Path
+from protocol.codec import decode
+from transport.log import LogWriter
+data, at = Path(sys.argv[2]).read_bytes(), 0
+writer = LogWriter(Path(sys.argv[1]), {}, period_ns=50_000_000)
+while at < len(data) - 2000:
+    size = int.from_bytes(data[at : at + 4], "little")
+    writer.write(decode(data[at + 4 : at + 4 + size]), 0)
+    at += 4 + size
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+    ended = subprocess.run(
+        [sys.executable, "-c", program, str(path), str(list_path)],
+        cwd=Path(__file__).resolve().parents[2],
+        env=os.environ,
+        check=False,
+        timeout=60,
+    )
+    assert ended.returncode == -signal.SIGKILL
+    log = read_log(path)
+    found = read_bits(log)
+    assert found == bits(flight)[: len(found)]
+    assert log.cut
+    lost = flight[len(found) :]
+    assert len(found) > len(flight) / 2
+    # The writing ended within 2000 bytes of wire format of the end of the flight.
+    assert sum(len(to_json(message)) for message in lost) < 2 * CHUNK_BYTES
+
+
+def test_the_end_of_a_run_is_on_disk_at_once(tmp_path: Path, flight: list[Message]) -> None:
+    """How the run ended can be read before the log is closed."""
+    path = tmp_path / "run.mcap"
+    writer = LogWriter(path, HEADER, period_ns=50_000_000)
+    for message in flight:
+        writer.write(message, 0)
+    assert read_bits(read_log(path)) == bits(flight)
+    writer.close()
+    writer.close()
+    with pytest.raises(LogError, match="closed"):
+        writer.write(flight[0], 0)
+
+
+def test_other_files_are_refused(tmp_path: Path) -> None:
+    """No file, another kind of file and another program's MCAP raise a LogError that names file and reason."""
+    path = tmp_path / "run.mcap"
+    with pytest.raises(LogError, match=r"run\.mcap: .*No such file"):
+        read_log(path)
+    path.write_text("tick,agent\n")
+    with pytest.raises(LogError, match=r"run\.mcap: not an MCAP file"):
+        read_log(path)
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        writer.finish()  # type: ignore[no-untyped-call]
+    with pytest.raises(LogError, match=r"run\.mcap: an MCAP file, but not the log of a run"):
+        read_log(path)
+    with pytest.raises(LogError, match="cannot write"):
+        LogWriter(tmp_path / "nowhere" / "run.mcap", {}, period_ns=1)
+
+
+def test_entries_of_another_version_are_announced(tmp_path: Path) -> None:
+    """What this version does not understand is left out and named, the rest is read."""
+    path = tmp_path / "run.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        writer.add_metadata("run", {})
+        for topic, data in (("/tick", b'{"sender": "coordinator"}'), ("/gossip", b"{}"), ("/tick", to_json(tick()))):
+            writer.add_message(writer.register_channel(topic, "json", 0), 0, data, 0)
+        writer.finish()  # type: ignore[no-untyped-call]
+    log = read_log(path)
+    assert read_bits(log) == bits([tick()])
+    assert "2 entries are not of this version, the first tick: incarnation" in log.cut
+
+
+def tick() -> Tick:
+    """Some tick."""
+    return runs.tick(3)

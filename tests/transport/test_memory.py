@@ -1,0 +1,250 @@
+"""The in-memory runtime: whole runs, their reproducibility, and what they must be equal to."""
+
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from agent.node import AgentNode
+from coordinator.node import CoordinatorNode
+from model.arrays import Array
+from mpc.controller import Controller
+from plant.node import PlantNode
+from protocol.codec import decode, encode
+from protocol.keys import Keys, matches
+from protocol.messages import KINDS, Control, Message, Plan, Presence, StepReport, agent_name
+from protocol.node import Node
+from protocol.setup import Setup
+from tests.runs import SHORT, plan, recorded, reproducible, setup, truths
+from transport import memory
+
+PERIOD_S = 0.05
+TICKS = 30
+FOUR, PAIRS, ALL = "agents.owned=[[1],[2],[3],[4]]", "agents.owned=[[1,2],[3,4]]", "agents.owned=[[1,2,3,4]]"
+NEXT_TICK, CLOSED_LOOP = "clock.actuation=next_tick", "controller.prediction=closed_loop"
+
+# The agents' estimates take two integration steps per period where the plant takes ten: 1e-11 m and rad apart on
+# this gentle flight, and what the controllers make of that, 1e-10 N and N m at most, stays of that size.
+DISTRIBUTED_TOLERANCE = 1e-8
+
+
+@lru_cache
+def flight(*settings: str) -> tuple[Message, ...]:
+    """Every message of a short flight."""
+    return tuple(recorded(setup(SHORT, *settings)))
+
+
+def contents(messages: Sequence[Message]) -> dict[tuple[str, int], bytes]:
+    """What everybody said, by sender and number, but for wall-clock times."""
+    return {(message.sender, message.sequence): encode(reproducible(message)) for message in messages}
+
+
+def states(messages: Sequence[Message]) -> Array:
+    """True states, (ticks, n)."""
+    return np.array([truth.x for truth in truths(messages)])
+
+
+@pytest.mark.parametrize(
+    "settings", [(FOUR,), (PAIRS,), (ALL,), (NEXT_TICK,), (CLOSED_LOOP,), (CLOSED_LOOP, NEXT_TICK)]
+)
+def test_a_run_completes(settings: tuple[str, ...]) -> None:
+    """A short maneuver is flown to its end: one truth, one plan and one report per agent and tick, all solved."""
+    messages = flight(*settings)
+    agents = setup(SHORT, *settings).agents
+    assert [truth.tick for truth in truths(messages)] == list(range(TICKS))
+    for kind in (Plan, StepReport):
+        made = sorted((m.tick, m.agent) for m in messages if isinstance(m, kind))
+        assert made == [(k, agent) for k in range(TICKS) for agent in agents]
+    reports = [message for message in messages if isinstance(message, StepReport)]
+    assert {(report.status, report.rejected) for report in reports} == {("solved", 0)}
+    end = messages[-1]
+    assert isinstance(end, Control)
+    assert (end.outcome, end.exit_code, end.tick) == ("completed", 0, TICKS - 1)
+    # 0.5 m in a second, followed within a payload's width.
+    assert np.abs(states(messages)[-1, :3] - [0.0, 0.0, -10.5]).max() < 0.25
+
+
+@pytest.mark.parametrize("settings", [(FOUR,), (NEXT_TICK,), (CLOSED_LOOP,)])
+def test_two_runs_are_equal(settings: tuple[str, ...]) -> None:
+    """Two runs of one scenario send the same bytes in the same order, but for the wall-clock times in reports."""
+    again = recorded(setup(SHORT, *settings))
+    assert [encode(reproducible(m)) for m in again] == [encode(reproducible(m)) for m in flight(*settings)]
+
+
+def test_plans_of_a_tick_are_used_at_the_next() -> None:
+    """On a perfect network every plan and state used is one tick old."""
+    for message in flight(FOUR):
+        if isinstance(message, StepReport):
+            expected = (-1,) * 3 if message.tick == 0 else (1,) * 3
+            assert message.plan_ages == message.state_ages == expected
+            assert (message.delivered, message.late) == (3 * (message.tick > 0), 0)
+
+
+def test_actuation() -> None:
+    """The plant follows the plan of the same tick with "immediate", of the tick before with "next_tick"."""
+    assert [truth.plan_ticks for truth in truths(flight(FOUR))] == [(k,) * 4 for k in range(TICKS)]
+    assert [truth.plan_ticks for truth in truths(flight(NEXT_TICK))] == [(k - 1,) * 4 for k in range(TICKS)]
+
+
+def test_every_message_could_travel() -> None:
+    """Everything sent decodes to the same bytes, under a key its sender owns, numbered without a gap."""
+    keys = Keys("paper")
+    messages = flight(FOUR)
+    for message in messages:
+        data = encode(message)
+        assert encode(decode(data)) == data
+        keys.check_sender(keys.of(message), message)
+    for sender in {message.sender for message in messages}:
+        numbers = [message.sequence for message in messages if message.sender == sender]
+        assert numbers == list(range(len(numbers)))
+    assert {message.kind for message in messages} == set(KINDS)
+
+
+def fly_shuffled(setup: Setup, record: Callable[[Message], None], seed: int) -> Control:
+    """Fly with messages delivered in random order, each sender's to each receiver in the order sent."""
+    rng = np.random.default_rng(seed)
+    coordinator = CoordinatorNode(setup)
+    nodes: dict[str, Node] = {"coordinator": coordinator, "plant": PlantNode(setup)}
+    nodes |= {agent_name(agent): AgentNode(setup, agent) for agent in setup.agents}
+    keys = Keys(setup.scenario.name)
+    channels: dict[tuple[str, str], deque[Message | Presence]] = {}
+
+    def send(messages: Sequence[Message]) -> None:
+        for message in messages:
+            record(message)
+            key = keys.of(message)
+            for name in nodes:
+                if name != message.sender and any(matches(e, key) for e in keys.subscriptions(name)):
+                    channels.setdefault((message.sender, name), deque()).append(message)
+
+    for name in nodes:
+        if name != "coordinator":
+            channels[(name, "coordinator")] = deque([Presence(name, 0, alive=True)])
+    while busy := [channel for channel, waiting in channels.items() if waiting]:
+        channel = busy[rng.integers(len(busy))]
+        send(nodes[channel[1]].receive(channels[channel].popleft(), 0))
+    assert coordinator.finished is not None, f"the run stands still at tick {coordinator.tick}"
+    return coordinator.finished
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("settings", [(FOUR,), (PAIRS,), (NEXT_TICK,), (CLOSED_LOOP,)])
+def test_order_of_delivery_does_not_matter(settings: tuple[str, ...], seed: int) -> None:
+    """Whichever connection is faster, everybody says the same bit for bit: lockstep does not depend on the network."""
+    in_order = flight(*settings)
+    shuffled = recorded(setup(SHORT, *settings), lambda run, record: fly_shuffled(run, record, seed))
+    assert [encode(m) for m in shuffled if m.kind != "tick"] != [encode(m) for m in in_order if m.kind != "tick"]
+    np.testing.assert_array_equal(states(shuffled), states(in_order))
+    assert contents(shuffled) == contents(in_order)
+
+
+def plain_loop(run: Setup) -> Iterator[tuple[Array, Array]]:
+    """States and inputs of the loop anybody would write: everybody plans at once from the plans of the last tick."""
+    team = [Controller(run.model, run.hover, run.settings, owned) for owned in run.owned]
+    x, u = run.initial_state(), run.hover.u
+    U = np.tile(u, (run.settings.horizon, 1))
+    c = np.zeros_like(U)
+    for k in range(run.ticks):
+        times = PERIOD_S * np.arange(k, k + len(U) + 1, dtype=np.float64)
+        y_ref, x_ref = run.reference.outputs(times), run.reference.states(times[:-1])
+        plans, corrections = np.empty_like(U), np.zeros_like(U)
+        for controller in team:
+            optimum = controller.step(x, u, U, y_ref, controller.law(x, x_ref, c))
+            plans[:, controller.own] = optimum.U
+            corrections[: len(optimum.c), controller.own] = optimum.c
+        u = plans[0]
+        yield x, u
+        x, _ = run.model.integrate(x, u, PERIOD_S, 10)  # plant.step_s = 0.005
+        U = np.vstack([plans[1:], plans[-1:]])
+        c = np.vstack([corrections[1:], np.zeros((1, len(u)))])
+
+
+@pytest.mark.parametrize("settings", [(ALL,), (ALL, CLOSED_LOOP)])
+def test_one_agent_is_the_plain_controller(settings: tuple[str, ...]) -> None:
+    """With one agent owning all, the run is the plain loop of controller and model, bit for bit."""
+    for truth, (x, u) in zip(truths(flight(*settings)), plain_loop(setup(SHORT, *settings)), strict=True):
+        np.testing.assert_array_equal(truth.x, x)
+        np.testing.assert_array_equal(truth.u, u)
+
+
+@pytest.mark.parametrize("settings", [(FOUR,), (PAIRS,), (FOUR, CLOSED_LOOP, "controller.relaxation=0.5")])
+def test_a_team_is_the_papers_iteration(settings: tuple[str, ...]) -> None:
+    """On a perfect network several agents are the paper's update: all plan at once, from the plans of the last tick."""
+    for truth, (x, u) in zip(truths(flight(*settings)), plain_loop(setup(SHORT, *settings)), strict=True):
+        np.testing.assert_allclose(truth.x, x, rtol=0.0, atol=DISTRIBUTED_TOLERANCE)
+        np.testing.assert_allclose(truth.u, u, rtol=0.0, atol=DISTRIBUTED_TOLERANCE)
+
+
+def test_inputs_keep_the_rate_limits() -> None:
+    """What the plant applies changes from tick to tick by no more than the rate limits allow."""
+    run = setup(SHORT)
+    U = np.array([run.hover.u, *[truth.u for truth in truths(flight(FOUR))]])
+    slack = 1e-6  # N and N m: the solver's tolerance on its rows
+    assert (np.abs(np.diff(U, axis=0)) <= run.settings.limits.step(4, PERIOD_S) + slack).all()
+
+
+def test_truth_is_a_trajectory_of_the_model() -> None:
+    """Each true state is the one before, integrated under the recorded inputs: the record explains itself."""
+    run = setup(SHORT)
+    for before, after in pairwise(truths(flight(FOUR))):
+        np.testing.assert_array_equal(run.model.integrate(before.x, before.u, PERIOD_S, 10)[0], after.x)
+
+
+def test_divergence_ends_a_run() -> None:
+    """A flight that leaves its limits ends at once, with the reason and exit code 6, in any order of delivery."""
+    run = setup(SHORT, "plant.max_error_m=0.02")
+    messages: list[Message] = []
+    control = memory.fly(run, messages.append)
+    assert (control.outcome, control.exit_code) == ("diverged", 6)
+    last = truths(messages)[-1]
+    assert last.diverged == "payload position error of 0.0 m exceeds 0.02 m"
+    assert control.reason == f"{last.diverged} at t = {PERIOD_S * last.tick:.2f} s"
+    assert 0 < last.tick < TICKS - 1
+    for seed in range(3):
+        shuffled: list[Message] = []
+        end = fly_shuffled(run, shuffled.append, seed)
+        np.testing.assert_array_equal(states(shuffled), states(messages))
+        assert (end.outcome, end.reason, end.exit_code) == (control.outcome, control.reason, control.exit_code)
+
+
+def test_a_diverged_record_is_reproducible() -> None:
+    """Also of a flight that diverges everything said is the same bit for bit in any order of delivery."""
+    run = setup(SHORT, "plant.max_error_m=0.02")
+    records = []
+    for seed in range(6):
+        messages: list[Message] = []
+        fly_shuffled(run, messages.append, seed)
+        records.append(contents(messages))
+    assert all(record == records[0] for record in records)
+
+
+def test_a_standstill_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nodes that wait for each other for ever are a bug, said with the tick, not an endless loop."""
+    receive = PlantNode.receive
+
+    def deaf(self: PlantNode, event: Message | Presence, now_ns: int) -> Sequence[Message]:
+        return () if isinstance(event, Plan) else receive(self, event, now_ns)
+
+    monkeypatch.setattr(PlantNode, "receive", deaf)
+    with pytest.raises(RuntimeError, match="stands still at tick 1"):
+        memory.fly(setup(SHORT))
+
+
+def test_wrong_plans_do_not_stop_a_node() -> None:
+    """A plan nobody believes is counted by plant and agents alike and leaves a run's nodes as they were."""
+    run = setup(SHORT)
+    forged = plan(run, 1, 0, incarnation=5)
+    for node in (PlantNode(run), AgentNode(run, 2)):
+        assert list(node.receive(forged, 0)) == []
+
+
+def test_stopwatch_is_only_for_reports() -> None:
+    """A stopwatch that runs fast changes the times in the reports and nothing else."""
+    now = iter(range(0, 10**15, 10**9))
+    messages = recorded(setup(SHORT), lambda run, record: memory.fly(run, record, stopwatch=lambda: next(now)))
+    assert contents(messages) == contents(flight(FOUR))
+    reports = [message for message in messages if isinstance(message, StepReport)]
+    np.testing.assert_array_equal(reports[0].times_ms, [1e3] * 5 + [5e3])

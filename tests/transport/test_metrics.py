@@ -1,0 +1,247 @@
+"""Metrics: cases small enough to compute by hand, and what they say of whole runs."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from model import state
+from model.arrays import Array
+from protocol.messages import Control, Message, Outcome, StepReport
+from tests import runs
+from tests.transport.logs import ALONE, log_of, plan, report, truth
+from transport.metrics import network_ms, summarise
+from transport.series import series_of
+from transport.steps import steps_columns, steps_rows
+
+# A few roundings of numbers of order one to a hundred.
+ROUNDING = 1e-12
+
+HOVER = runs.ticks(10)
+
+
+def control(k: int, outcome: Outcome = "completed", reason: str = "") -> Control:
+    """The end of a run at tick k."""
+    return replace(runs.end(), tick=k, outcome=outcome, reason=reason, exit_code=6 if reason else 0)
+
+
+def perfect(ticks: int) -> list[Message]:
+    """All messages of a run of the paper's team at hover over a perfect network, without the measurements."""
+    run = runs.setup(HOVER)
+    messages: list[Message] = [runs.roster()]
+    for k in range(ticks):
+        messages.append(runs.tick(k))
+        messages += [plan(run, agent, k) for agent in run.agents]
+        messages += [report(run, agent, k) for agent in run.agents]
+        messages.append(truth(run, k))
+    return [*messages, control(ticks - 1)]
+
+
+def test_no_error_costs_nothing() -> None:
+    """At the reference with hover inputs cost, errors, attitude and violations vanish."""
+    run = runs.setup(runs.SHORT)
+    series = series_of(run, log_of([truth(run, k) for k in (0, 5, 12, 29)]))
+    assert np.abs(series.cost).max() < ROUNDING
+    assert np.abs(series.payload_error_I).max() < ROUNDING
+    assert np.abs(series.uav_errors_I).max() < ROUNDING
+    assert series.attitude_max_deg.max() == 0.0
+    assert series.violation.max() == 0.0
+    assert series.times_s == pytest.approx([0.0, 0.25, 0.6, 1.45])
+
+
+def test_cost_of_a_displaced_team() -> None:
+    """The whole team 0.2 m off costs 4 x 0.2^2 x 1, and a newton more of thrust 1e-3: docs/equations.md (21)."""
+    run = runs.setup(HOVER)
+
+    def change(x: Array, u: Array) -> None:
+        x[1] += 0.2
+        u[4] += 1.0
+
+    summary = summarise(run, log_of([truth(run, 0), truth(run, 1, change)]))
+    assert summary["cost"]["max"] == pytest.approx(4 * 0.2**2 + 1e-3, rel=ROUNDING)
+    assert summary["cost"]["mean"] == pytest.approx((4 * 0.2**2 + 1e-3) / 2, rel=ROUNDING)
+    assert summary["tracking"]["max_m"] == pytest.approx(0.2, rel=ROUNDING)
+    assert summary["tracking"]["rms_m"] == pytest.approx(np.sqrt(0.2**2 / 2), rel=ROUNDING)
+    series = series_of(run, log_of([truth(run, 1, change)]))
+    assert series.uav_errors_I == pytest.approx(np.tile([0.0, 0.2, 0.0], (1, 4, 1)), abs=ROUNDING)
+
+
+def test_attitude_is_the_largest_angle() -> None:
+    """The maximum is over roll, pitch, yaw and time, by magnitude, in degrees."""
+    run = runs.setup(HOVER)
+
+    def tilt(x: Array, u: Array) -> None:
+        x[state.THETA0] = np.radians([1.0, -3.0, 2.0])
+
+    summary = summarise(run, log_of([truth(run, 0), truth(run, 1, tilt), truth(run, 2)]))
+    assert summary["attitude_max_deg"] == pytest.approx(3.0, rel=ROUNDING)
+
+
+def test_the_first_phase_does_not_count_after_hover() -> None:
+    """max_after_hover leaves out everything before the end of the first phase, and is null without the rest."""
+    run = runs.setup(runs.SHORT)  # 0.5 s of hover: ticks 0 to 9
+
+    def off(by_m: float) -> Array:
+        return np.array([0.0, by_m, 0.0])
+
+    messages = [
+        truth(run, k, lambda x, u, by_m=by_m: x.__setitem__(state.R0, x[state.R0] + off(by_m)))  # type: ignore[misc]
+        for k, by_m in ((0, 0.0), (9, 0.3), (10, 0.1))
+    ]
+    cost = summarise(run, log_of(messages))["cost"]
+    assert cost["max"] == pytest.approx(4 * 0.3**2, rel=ROUNDING)
+    assert cost["max_after_hover"] == pytest.approx(4 * 0.1**2, rel=ROUNDING)
+    assert summarise(run, log_of(messages[:2]))["cost"]["max_after_hover"] is None
+
+
+def test_separation_is_the_closest_pair() -> None:
+    """The UAVs of Table I hover 0.5 m apart; one of them alone has no distance to anybody."""
+    run = runs.setup(HOVER)
+    assert summarise(run, log_of([truth(run, 0)]))["separation_min_m"] == pytest.approx(0.5, rel=ROUNDING)
+    alone = runs.setup(HOVER, *ALONE)
+    assert summarise(alone, log_of([truth(alone, 0)]))["separation_min_m"] is None
+
+
+def test_violations_are_shares_of_the_range() -> None:
+    """An excess over a bound counts against its range, over a rate against twice the step, of distance against it."""
+    run = runs.setup(HOVER)  # thrust in 0..45 N, 5 N per tick; at least 0.4 m
+
+    def above(x: Array, u: Array) -> None:
+        u[0] = 45.0 + 4.5
+
+    def jump(x: Array, u: Array) -> None:
+        u[0] += 5.0 + 2.0
+
+    def close(x: Array, u: Array) -> None:
+        # UAV1 (at y = +0.25 m) leans its rod towards UAV2 until 0.3 m are left.
+        x[state.uav_slice(0)][state.E] = [0.0, 0.2 / 3.2, np.sqrt(1.0 - (0.2 / 3.2) ** 2)]
+
+    def worst(*messages: Message) -> float:
+        value = summarise(run, log_of(messages))["constraint_violation_max"]
+        assert isinstance(value, float)
+        return value
+
+    # After a gap in the record only the bound is judged.
+    assert worst(truth(run, 0), truth(run, 2, above)) == pytest.approx(4.5 / 45.0, rel=ROUNDING)
+    assert worst(truth(run, 0), truth(run, 1, jump)) == pytest.approx(2.0 / 10.0, rel=1e-9)
+    assert worst(truth(run, 0, jump)) == pytest.approx(2.0 / 10.0, rel=1e-9)
+    assert worst(truth(run, 2, jump)) == 0.0
+    distance_m = series_of(run, log_of([truth(run, 0, close)])).separation_m[0]
+    assert distance_m < 0.4
+    assert worst(truth(run, 0, close)) == pytest.approx((0.4 - distance_m) / 0.4, rel=ROUNDING)
+
+
+def test_a_perfect_network_loses_nothing() -> None:
+    """Four agents and five ticks: 4 x 3 plans of each of the first four ticks, all delivered, one tick old."""
+    summary = summarise(runs.setup(HOVER), log_of(perfect(5)))
+    assert summary["messages"] == {"sent": 48, "delivered": 48, "lost": 0, "late": 0, "rejected": 0}
+    assert summary["plan_age_ticks"] == {"mean": 1.0, "max": 1}
+    assert summary["solver"] == {"fallbacks": 0, "failures": 0}
+    assert summary["faults"] == []
+    assert (summary["outcome"], summary["exit_code"], summary["ticks"]) == ("completed", 0, 5)
+    assert summary["sim_time_s"] == pytest.approx(0.25)
+
+
+def test_lost_and_late_plans_are_counted() -> None:
+    """What never became usable to an agent that flew on is lost; late, rejected, fallbacks and failures add up."""
+    run = runs.setup(HOVER)
+    changed: dict[tuple[int, int], dict[str, Any]] = {
+        (1, 1): {"delivered": 2, "plan_ages": (1, -1, 1)},
+        (2, 1): {"delivered": 3, "late": 1, "plan_ages": (1, 2, 1), "rejected": 2},
+        (2, 3): {"status": "numerical", "fallback": True},
+        (3, 3): {"fallback": True},
+    }
+    messages = [
+        replace(message, **changed.get((message.tick, message.agent), {}))
+        if isinstance(message, StepReport)
+        else message
+        for message in perfect(4)
+    ]
+    summary = summarise(run, log_of(messages))
+    assert summary["messages"] == {"sent": 36, "delivered": 35, "lost": 1, "late": 1, "rejected": 2}
+    assert summary["plan_age_ticks"]["max"] == 2
+    assert summary["plan_age_ticks"]["mean"] == pytest.approx((35 + 1) / 35)
+    assert summary["solver"] == {"fallbacks": 2, "failures": 1}
+
+
+def test_a_cut_tick_loses_nothing() -> None:
+    """Reports that the end of the log cut off are not taken for lost plans."""
+    messages = [m for m in perfect(5) if not (m.kind in ("report", "control") and m.tick == 4)]
+    summary = summarise(runs.setup(HOVER), log_of(messages, cut="the log is not whole"))
+    assert summary["messages"] == {"sent": 36, "delivered": 36, "lost": 0, "late": 0, "rejected": 0}
+    assert (summary["outcome"], summary["exit_code"]) == ("unknown", None)
+    assert summary["log_cut"] == "the log is not whole"
+
+
+def test_agents_that_left_receive_nothing() -> None:
+    """Plans to an agent that does not live to its next step are not lost; who left is a fault with its reason."""
+    run = runs.setup(HOVER)
+    left = [1, 2, 3]
+    messages: list[Message] = [runs.roster()]
+    messages += [m for m in perfect(2)[1:-1] if not (m.tick == 1 and getattr(m, "agent", 0) == 4)]
+    messages.append(replace(runs.roster(dict.fromkeys(left, 0), k=1, version=2), reason="agent4 is gone"))
+    messages.append(runs.tick(2, answered=left, members=left, version=2))
+    messages += [plan(run, agent, 2) for agent in left]
+    messages += [report(run, agent, 2, delivered=2) for agent in left]
+    messages += [truth(run, 2), control(2, "aborted", "interrupted")]
+    summary = summarise(run, log_of(messages))
+    assert summary["messages"]["sent"] == 3 * 2 + 3 + 3 * 2
+    assert summary["messages"]["lost"] == 0
+    assert [fault["what"] for fault in summary["faults"]] == ["agent4 is gone", "interrupted"]
+    assert [fault["time_s"] for fault in summary["faults"]] == pytest.approx([0.05, 0.1])
+
+
+def test_times_by_hand() -> None:
+    """Wall time from first tick to control; network is the tick's length minus its slowest step, at least 0."""
+    run = runs.setup(HOVER)
+    slow = report(run, 2, 1, times_ms=np.array([1.0, 1.0, 1.0, 1.0, 4.0, 8.0]))
+    messages = [runs.tick(0), report(run, 1, 0), runs.tick(1), report(run, 1, 1), slow, runs.tick(2), control(2)]
+    log = log_of([*messages, truth(run, 0), truth(run, 1)], [10, 11, 14, 15, 16, 18, 60, 61, 62])
+    assert network_ms(run, log) == pytest.approx({0: 4.0 - 1.5, 1: 0.0})
+    summary = summarise(run, log)
+    assert summary["network_ms"] == pytest.approx({"p50": 1.25, "p99": 2.475, "max": 2.5})
+    assert summary["wall_time_s"] == pytest.approx(0.050)
+    assert summary["startup_s"] == pytest.approx(0.010)
+    assert summary["real_time_factor"] == pytest.approx(0.1 / 0.050)
+    assert summary["agent_step_ms"]["max"] == 8.0
+    assert summary["agent_step_ms"]["p50"] == 1.5
+    assert summary["agent_step_ms"]["by_stage"]["solve"] == 0.5
+    paced = runs.setup(HOVER, "clock.speed=1.0")
+    assert summarise(paced, log)["network_ms"] == {"p50": None, "p99": None, "max": None}
+
+
+def test_an_empty_log_says_nothing() -> None:
+    """Without any message every measured number is null and every count 0."""
+    summary = summarise(runs.setup(HOVER), log_of([]))
+    assert summary["outcome"] == "unknown"
+    assert summary["ticks"] == 0
+    for number in ("wall_time_s", "real_time_factor", "attitude_max_deg", "separation_min_m"):
+        assert summary[number] is None
+    assert set(summary["cost"].values()) == {None}
+    assert summary["messages"]["sent"] == 0
+
+
+def test_one_row_for_each_agent_and_tick() -> None:
+    """Rows are sorted by tick and agent; inputs appear in the columns of the UAVs the agent owns, else nothing."""
+    run = runs.setup(HOVER, "agents.owned=[[1,3],[2,4]]")
+
+    def change(x: Array, u: Array) -> None:
+        u[:] = np.arange(16.0)
+
+    messages = [report(run, 2, 1, plan_ages=(3,)), report(run, 1, 1), report(run, 1, 0), truth(run, 1, change)]
+    rows = steps_rows(run, log_of(messages))
+    assert [(row["tick"], row["agent"]) for row in rows] == [(0, 1), (1, 1), (1, 2)]
+    assert [list(row) for row in rows] == [steps_columns(run)] * 3
+    assert (rows[0]["plan_age_max"], rows[1]["plan_age_max"], rows[2]["plan_age_max"]) == (-1, 1, 3)
+    assert rows[0]["cost"] is None  # the log has no truth of tick 0
+    first, second = rows[1], rows[2]
+    assert (first["thrust1_N"], first["moment3_z_Nm"], first["thrust2_N"]) == (0.0, 11.0, None)
+    assert (second["thrust2_N"], second["moment4_z_Nm"], second["thrust3_N"]) == (4.0, 15.0, None)
+    assert first["cost"] == second["cost"] > 0.0
+
+
+def test_a_log_of_another_team_has_no_flight() -> None:
+    """Truths of another number of UAVs than the scenario's are not mixed in."""
+    run, alone = runs.setup(HOVER), runs.setup(HOVER, *ALONE)
+    assert summarise(run, log_of([truth(alone, 0)]))["ticks"] == 0

@@ -1,0 +1,153 @@
+"""The report of a run folder: the schema it keeps, files that equal runs share, accidents it survives."""
+
+import csv
+import json
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import pytest
+from jsonschema import Draft202012Validator
+from rich.console import Console
+
+from protocol.messages import Message
+from tests import runs
+from tests.transport.logs import ALONE, flown
+from transport.log import LogError
+from transport.report import summary_table, write_report
+from transport.steps import WALL_CLOCK
+
+SCHEMA = json.loads(files("transport").joinpath("summary.schema.json").read_text(encoding="utf-8"))
+
+# What fits a terminal without scrolling.
+MOST_LINES = 18
+
+
+def checked(folder: Path) -> dict[str, Any]:
+    """The summary of a folder, found valid and equal to summary.json."""
+    summary = write_report(folder, figures=False)
+    Draft202012Validator(SCHEMA).validate(summary)
+    assert json.loads((folder / "summary.json").read_text(encoding="utf-8")) == summary
+    return summary
+
+
+def printed(summary: dict[str, Any]) -> str:
+    """The table as a terminal of usual width shows it."""
+    console = Console(width=100, record=True, file=None, quiet=False)
+    with console.capture() as capture:
+        console.print(summary_table(summary))
+    return capture.get()
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Message]]:
+    """A run folder of the paper's scenario, shortened, and the messages in its log."""
+    folder = tmp_path_factory.mktemp("run")
+    return folder, flown(runs.setup(runs.SHORT), folder)
+
+
+def test_the_schema_is_one() -> None:
+    """The schema is valid, describes every field, and allows no field it does not describe."""
+    Draft202012Validator.check_schema(SCHEMA)
+
+    def closed(schema: dict[str, Any]) -> bool:
+        parts = schema.get("properties", {}).values()
+        return "properties" not in schema or (schema["additionalProperties"] is False and all(map(closed, parts)))
+
+    assert closed(SCHEMA)
+    assert set(SCHEMA["required"]) == set(SCHEMA["properties"])
+    assert all("description" in field for field in SCHEMA["properties"].values())
+
+
+def test_a_flight_is_summarised(flight: tuple[Path, list[Message]]) -> None:
+    """The summary of a flown run keeps the schema and says what the run did."""
+    summary = checked(flight[0])
+    assert (summary["outcome"], summary["ticks"], summary["scenario"]) == ("completed", 30, "paper")
+    assert summary["messages"] == {"sent": 29 * 12, "delivered": 29 * 12, "lost": 0, "late": 0, "rejected": 0}
+    assert 0.0 < summary["cost"]["mean"] < summary["cost"]["max"] < 1.0
+    assert summary["versions"] == {"python": "3.12.1", "numpy": "2.0.0"}
+    assert summary["log_cut"] is None
+
+
+@pytest.mark.parametrize(
+    ("settings", "outcome"),
+    [
+        ((runs.SHORT, *ALONE), "completed"),
+        ((runs.SHORT, "agents.owned=[[1,2,3,4]]"), "completed"),
+        ((runs.SHORT, "plant.max_error_m=0.05", "clock.actuation=next_tick"), "diverged"),
+    ],
+    ids=["one-uav", "centralized", "diverged"],
+)
+def test_other_runs_keep_the_schema(tmp_path: Path, settings: tuple[str, ...], outcome: str) -> None:
+    """One UAV, one agent for all, and a run that ends early have summaries of the same form."""
+    run = runs.setup(*settings)
+    flown(run, tmp_path)
+    summary = checked(tmp_path)
+    assert summary["outcome"] == outcome
+    assert (summary["separation_min_m"] is None) == (run.system.N == 1)
+    assert bool(summary["faults"]) == (outcome == "diverged")
+    assert len(printed(summary).splitlines()) <= MOST_LINES
+
+
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.3, 0.9, 0.999])
+def test_a_cut_log_is_reported(tmp_path: Path, flight: tuple[Path, list[Message]], share: float) -> None:
+    """A log cut anywhere, even at nothing, gives a valid summary that says so, and a table."""
+    whole = (flight[0] / "run.mcap").read_bytes()
+    (tmp_path / "run.mcap").write_bytes(whole[: int(share * len(whole))])
+    (tmp_path / "scenario.toml").write_bytes((flight[0] / "scenario.toml").read_bytes())
+    summary = checked(tmp_path)
+    assert summary["log_cut"]
+    text = printed(summary)
+    assert len(text.splitlines()) <= MOST_LINES
+    assert "not whole" in text
+
+
+def test_equal_runs_have_equal_tables(tmp_path: Path) -> None:
+    """steps.csv of two runs of one scenario differs in the *_ms columns only: lockstep is exact."""
+    run = runs.setup(runs.SHORT)
+    tables = []
+    for folder in (tmp_path / "a", tmp_path / "b"):
+        flown(run, folder)
+        write_report(folder, figures=False)
+        with (folder / "steps.csv").open(encoding="utf-8", newline="") as stream:
+            tables.append(list(csv.DictReader(stream)))
+    kept = [
+        [{name: value for name, value in row.items() if not name.endswith(WALL_CLOCK)} for row in table]
+        for table in tables
+    ]
+    assert kept[0] == kept[1]
+    assert len(kept[0]) == 30 * 4
+    # Floats are written so that they read back as the same bits.
+    cost = kept[0][-1]["cost"]
+    assert repr(float(cost)) == cost
+
+
+def test_reports_replace_each_other(flight: tuple[Path, list[Message]]) -> None:
+    """A second report of a folder writes the same bytes and leaves nothing half-written."""
+    folder, _ = flight
+    write_report(folder, figures=False)
+    first = (folder / "summary.json").read_bytes(), (folder / "steps.csv").read_bytes()
+    write_report(folder, figures=False)
+    assert ((folder / "summary.json").read_bytes(), (folder / "steps.csv").read_bytes()) == first
+    assert not list(folder.glob("*.partial"))
+
+
+def test_a_folder_without_a_log_is_refused(tmp_path: Path) -> None:
+    """A folder that holds no log raises a LogError that names it."""
+    with pytest.raises(LogError, match=r"run\.mcap"):
+        write_report(tmp_path)
+
+
+def test_the_table_answers_the_first_questions(flight: tuple[Path, list[Message]]) -> None:
+    """At the end of a run a person reads outcome, speed, cost, attitude, tracking, times, losses, solver."""
+    text = printed(write_report(flight[0], figures=False))
+    for word in ("completed", "real time", "cost", "attitude", "tracking", "agent step", "network", "lost", "solver"):
+        assert word in text
+    assert len(text.splitlines()) <= MOST_LINES
+
+
+def test_reasons_are_no_markup(flight: tuple[Path, list[Message]]) -> None:
+    """Texts from the run are printed as they are, whatever brackets they hold."""
+    summary = write_report(flight[0], figures=False)
+    text = printed(summary | {"outcome": "aborted", "reason": "agent2 [/bold] is gone"})
+    assert "agent2 [/bold] is gone" in text

@@ -1,0 +1,207 @@
+"""The log of a run: every message in one MCAP file that viewers open and that survives a kill.
+
+Messages are JSON, one channel for each key with a schema of its own; `log_time` is scenario time, so that
+viewers show the flight and not the host, `publish_time` is when the recorder received the message. What
+belongs to the run as a whole is in the metadata record "run", ahead of all messages.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import TypeVar
+
+import orjson
+from mcap.writer import CompressionType, Writer
+
+from protocol.keys import Keys
+from protocol.messages import KINDS, Control, Message
+from transport.json_messages import from_json, json_schema, to_json
+from transport.mcap_salvage import NotMcapError, Salvage, salvage
+
+# About one tick of four agents: what a kill costs. Compression still takes off two thirds at this size.
+CHUNK_BYTES = 16 * 1024
+
+_METADATA = "run"
+_KEYS = Keys("log")
+_LAST_TIME_NS = 2**63 - 1
+_SEQUENCES = 2**32  # the format counts with 32 bits; the message itself has all of them
+
+M = TypeVar("M", bound=Message)
+
+
+class LogError(RuntimeError):
+    """A log that cannot be written or is none; the text names the file and the reason."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recorded:
+    """A message and when the recorder received it.
+
+    Attributes:
+        message: As it was sent.
+        received_ns: Wall-clock time, ns since 1970.
+    """
+
+    message: Message
+    received_ns: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunLog:
+    """What a log holds.
+
+    Attributes:
+        header: The run as a whole: run_id, scenario (TOML), versions, machine, ...
+        messages: In the order they were received.
+        cut: Empty for a log that is complete; otherwise a sentence about what is lost.
+    """
+
+    header: dict[str, str]
+    messages: tuple[Recorded, ...]
+    cut: str
+
+    def of(self, kind: type[M]) -> Iterator[M]:
+        """The messages of one kind, in order."""
+        return (entry.message for entry in self.messages if isinstance(entry.message, kind))
+
+    def received_ns(self, kind: type[Message]) -> dict[int, int]:
+        """When the message of one kind was received, by tick; the first one where a tick has several."""
+        times: dict[int, int] = {}
+        for entry in self.messages:
+            if isinstance(entry.message, kind):
+                times.setdefault(entry.message.tick, entry.received_ns)
+        return times
+
+
+class LogWriter:
+    """Writes the log of one run. At any moment the file can be read; a kill costs the last chunk at most.
+
+    Args:
+        path: File to create.
+        header: What belongs to the run as a whole; keys and values are for `read_log` to give back.
+        period_ns: Sampling period, ns: turns ticks into time.
+    Raises: LogError: the file cannot be written.
+    """
+
+    def __init__(self, path: Path, header: Mapping[str, str], *, period_ns: int) -> None:
+        self._path = path
+        self._period_ns = period_ns
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
+        self._closed = False
+        try:
+            self._file = path.open("wb")
+            self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+            self._writer.start(library="payload-transport")
+            self._writer.add_metadata(_METADATA, dict(header))
+            self._file.flush()
+        except OSError as error:
+            raise self._failed(error) from error
+
+    def __enter__(self) -> "LogWriter":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def write(self, message: Message, received_ns: int) -> None:
+        """Append a message.
+
+        Args:
+            message: Of any kind.
+            received_ns: Wall-clock time of its arrival, ns since 1970.
+        Raises: LogError: the file cannot be written, or is closed.
+        """
+        if self._closed:
+            raise LogError(f"{self._path}: the log is closed, got a {message.kind}")
+        try:
+            self._writer.add_message(
+                self._channel(message),
+                log_time=min(message.tick * self._period_ns, _LAST_TIME_NS),
+                data=to_json(message),
+                publish_time=min(max(received_ns, 0), _LAST_TIME_NS),
+                sequence=message.sequence % _SEQUENCES,
+            )
+            if isinstance(message, Control):
+                self._writer.flush()  # type: ignore[no-untyped-call]  # how the run ended is not left to the closing
+            # Finished chunks go to the system at once; without one there is nothing to do.
+            self._file.flush()
+        except OSError as error:
+            raise self._failed(error) from error
+
+    def close(self) -> None:
+        """Write the index and close the file; a second time does nothing."""
+        if self._closed:
+            return
+        self._closed = True
+        try:
+            self._writer.finish()  # type: ignore[no-untyped-call]
+            self._file.close()
+        except OSError as error:
+            raise self._failed(error) from error
+
+    def _channel(self, message: Message) -> int:
+        topic = _KEYS.of(message).removeprefix(_KEYS.prefix)
+        channel = self._channels.get(topic)
+        if channel is None:
+            if message.kind not in self._schemas:
+                data = orjson.dumps(json_schema(message.kind))
+                self._schemas[message.kind] = self._writer.register_schema(
+                    f"transport.{type(message).__name__}", "jsonschema", data
+                )
+            channel = self._writer.register_channel(topic, "json", self._schemas[message.kind])
+            self._channels[topic] = channel
+        return channel
+
+    def _failed(self, error: OSError) -> LogError:
+        return LogError(f"{self._path}: cannot write the log ({error.strerror or error})")
+
+
+def read_log(path: Path) -> RunLog:
+    """Read a log, as much of it as there is.
+
+    A file cut at any byte, or damaged behind its first bytes, gives the messages of every intact chunk and a
+    sentence in `cut`. Messages equal the written ones bit for bit.
+
+    Raises: LogError: no such file, not an MCAP file, or not the log of a run.
+    """
+    try:
+        found = salvage(path.read_bytes())
+    except OSError as error:
+        raise LogError(f"{path}: cannot read the log ({error.strerror or error})") from error
+    except NotMcapError as error:
+        raise LogError(f"{path}: {error}") from error
+    header = found.metadata.get(_METADATA)
+    if header is None and found.ended and not found.damaged:
+        raise LogError(f'{path}: an MCAP file, but not the log of a run (no metadata record "{_METADATA}")')
+    messages: list[Recorded] = []
+    foreign: list[str] = []
+    for topic, entry in found.entries:
+        kind = topic.lstrip("/").split("/", 1)[0]
+        if kind not in KINDS:
+            foreign.append(f"a channel {topic!r}")
+            continue
+        try:
+            messages.append(Recorded(message=from_json(kind, entry.data), received_ns=entry.publish_time))
+        except (ValueError, TypeError) as error:
+            foreign.append(f"{kind}: {error}")
+    return RunLog(header=header or {}, messages=tuple(messages), cut=_cut(messages, foreign, found))
+
+
+def _cut(messages: list[Recorded], foreign: list[str], found: Salvage) -> str:
+    """What is missing, in a sentence; empty for a whole log."""
+    problems = []
+    if not found.ended:
+        problems.append("only its index is missing" if found.data_ended else "it stops before its end")
+    if found.damaged:
+        problems.append(f"{found.damaged} damaged part{'s' if found.damaged > 1 else ''} left out")
+    if foreign:
+        problems.append(f"{len(foreign)} entries are not of this version, the first {foreign[0]}")
+    if not problems:
+        return ""
+    last = max((entry.message.tick for entry in messages), default=None)
+    readable = "no message is readable" if last is None else f"{len(messages)} messages are readable, up to tick {last}"
+    return f"the log is not whole ({'; '.join(problems)}): {readable}"

@@ -1,0 +1,187 @@
+"""The numbers of a run: from its log to the summary that docs/summary.md and summary.schema.json describe."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from model.arrays import Array
+from protocol.messages import STAGES, Control, Plan, Roster, StepReport, Tick
+from protocol.setup import Setup
+from transport.log import RunLog
+from transport.series import Series, series_of
+
+# Exchanges of plans within one tick: the protocol knows one.
+_ROUNDS = 1
+
+
+def summarise(setup: Setup, log: RunLog) -> dict[str, Any]:
+    """The summary of a run, as plain data that JSON can hold.
+
+    Args:
+        setup: The run as it was flown.
+        log: Its log; whatever a log that is not whole cannot tell is None.
+    Returns: The fields of transport/summary.schema.json.
+    """
+    series = series_of(setup, log)
+    control = next(iter(log.of(Control)), None)
+    reports = list(log.of(StepReport))
+    processes = log.header.get("processes", "")
+    return {
+        "run_id": log.header.get("run_id", ""),
+        "scenario": setup.scenario.name,
+        "outcome": control.outcome if control else "unknown",
+        "reason": control.reason if control else "",
+        "exit_code": control.exit_code if control else None,
+        "processes": int(processes) if processes.isdecimal() else None,
+        "controller": _controller(setup),
+        **_durations(setup, log, series),
+        **_flight(setup, series),
+        "agent_step_ms": _step_times(reports),
+        "network_ms": _spread(network_ms(setup, log).values()),
+        # The lockstep clock waits: there is no deadline to miss.
+        "deadline": {"missed": 0, "worst_ms": None},
+        "plan_age_ticks": _ages(reports),
+        "messages": _messages(log, reports),
+        "solver": {
+            "fallbacks": sum(report.fallback for report in reports),
+            "failures": sum(report.status != "solved" for report in reports),
+        },
+        "faults": _faults(setup, log, control),
+        "versions": _versions(log.header.get("versions", "")),
+        "machine": log.header.get("machine", ""),
+        "seed": setup.scenario.seed,
+        "log_cut": log.cut or None,
+    }
+
+
+def network_ms(setup: Setup, log: RunLog) -> dict[int, float]:
+    """What each tick took besides the slowest agent's step, by tick, ms.
+
+    From the recorder's receiving tick k to its receiving tick k + 1, minus the slowest step of tick k, at least
+    0: all ways of the messages there and back, coding, the plant's and the coordinator's work, and waiting for
+    a processor. Empty for a paced run (speed > 0), whose ticks wait for the clock.
+    """
+    if setup.scenario.clock.speed > 0.0:
+        return {}
+    received_ns = log.received_ns(Tick)
+    slowest: dict[int, float] = {}
+    for report in log.of(StepReport):
+        slowest[report.tick] = max(float(report.times_ms[-1]), slowest.get(report.tick, 0.0))
+    return {
+        tick: max(0.0, (received_ns[tick + 1] - at) / 1e6 - slowest[tick])
+        for tick, at in received_ns.items()
+        if tick in slowest and tick + 1 in received_ns
+    }
+
+
+def _controller(setup: Setup) -> dict[str, Any]:
+    return {
+        "agents": len(setup.owned),
+        "owned": [[uav + 1 for uav in group] for group in setup.owned],
+        "prediction": setup.settings.prediction,
+        "relaxation": setup.settings.relaxation,
+        "rounds": _ROUNDS,
+        "sampling_period_s": setup.settings.sampling_period_s,
+        "horizon": setup.settings.horizon,
+        "solver": setup.settings.solver,
+    }
+
+
+def _durations(setup: Setup, log: RunLog, series: Series) -> dict[str, Any]:
+    sim_time_s = len(series.ticks) * setup.settings.sampling_period_s
+    begin_ns = min(log.received_ns(Tick).values(), default=None)
+    end_ns = min(log.received_ns(Control).values(), default=None)
+    if end_ns is None and log.messages:
+        end_ns = log.messages[-1].received_ns
+    wall_time_s = None if begin_ns is None or end_ns is None else (end_ns - begin_ns) / 1e9
+    started = log.header.get("command_started_ns", "")
+    return {
+        "ticks": len(series.ticks),
+        "sim_time_s": sim_time_s,
+        "wall_time_s": wall_time_s,
+        "startup_s": (begin_ns - int(started)) / 1e9 if begin_ns is not None and started.isdecimal() else None,
+        # A run cut off by a crash has no end; how fast it was until then is its last message's to say.
+        "real_time_factor": sim_time_s / wall_time_s if wall_time_s else None,
+    }
+
+
+def _flight(setup: Setup, series: Series) -> dict[str, Any]:
+    # The first phase lets the formation settle about its hover, as in the paper's section V.
+    settled = series.times_s >= setup.maneuver.phases[0].duration_s
+    errors_m = np.linalg.norm(series.payload_error_I, axis=1)
+    return {
+        "cost": {
+            "mean": _number(series.cost.mean()) if len(series.cost) else None,
+            "max": _largest(series.cost),
+            "max_after_hover": _largest(series.cost[settled]),
+        },
+        "attitude_max_deg": _largest(series.attitude_max_deg),
+        "tracking": {
+            "rms_m": _number(np.sqrt(np.mean(errors_m**2))) if len(errors_m) else None,
+            "max_m": _largest(errors_m),
+        },
+        "separation_min_m": _number(series.separation_m.min(initial=np.inf)),
+        "constraint_violation_max": _largest(series.violation),
+    }
+
+
+def _step_times(reports: Iterable[StepReport]) -> dict[str, Any]:
+    times_ms = np.array([report.times_ms for report in reports]).reshape(-1, len(STAGES))
+    medians = {stage: _spread(times_ms[:, i])["p50"] for i, stage in enumerate(STAGES[:-1])}
+    return {**_spread(times_ms[:, -1]), "by_stage": medians}
+
+
+def _ages(reports: Iterable[StepReport]) -> dict[str, float | int | None]:
+    ages = [age for report in reports for age in report.plan_ages if age >= 0]
+    return {"mean": sum(ages) / len(ages) if ages else None, "max": max(ages, default=None)}
+
+
+def _messages(log: RunLog, reports: Iterable[StepReport]) -> dict[str, int]:
+    """Plans between agents: one of tick k counts as sent to every other agent that reports its step k + 1.
+
+    So neither the end of the run nor of the log nor the death of a receiver looks like loss.
+    """
+    receivers: dict[int, set[int]] = {}
+    for report in reports:
+        receivers.setdefault(report.tick, set()).add(report.agent)
+    sent = sum(len(receivers.get(plan.tick + 1, set()) - {plan.agent}) for plan in log.of(Plan))
+    delivered = sum(report.delivered for report in reports)
+    return {
+        "sent": sent,
+        "delivered": delivered,
+        "lost": max(0, sent - delivered),
+        "late": sum(report.late for report in reports),
+        "rejected": sum(report.rejected for report in reports),
+    }
+
+
+def _faults(setup: Setup, log: RunLog, control: Control | None) -> list[dict[str, Any]]:
+    """Every change of the roster after the first, and why the run ended unless it was completed."""
+    events = [(roster.tick, roster.reason) for roster in list(log.of(Roster))[1:]]
+    if control is not None and control.reason:
+        events.append((control.tick, control.reason))
+    period_s = setup.settings.sampling_period_s
+    return [{"tick": tick, "time_s": tick * period_s, "what": reason} for tick, reason in events]
+
+
+def _versions(text: str) -> dict[str, str]:
+    """From "python 3.12.1, numpy 2.0.0" to names and versions."""
+    return dict(part.rsplit(" ", 1) for part in text.split(", ") if " " in part)
+
+
+def _spread(values: Iterable[float] | Array) -> dict[str, float | None]:
+    values = np.fromiter(values, dtype=np.float64)
+    if not len(values):
+        return {"p50": None, "p99": None, "max": None}
+    p50, p99 = np.percentile(values, [50.0, 99.0])
+    return {"p50": float(p50), "p99": float(p99), "max": float(values.max())}
+
+
+def _largest(values: Array) -> float | None:
+    return _number(values.max()) if len(values) else None
+
+
+def _number(value: Any) -> float | None:
+    """A number as JSON can hold it: a diverged run may overflow, and that is no number."""
+    return float(value) if np.isfinite(value) else None

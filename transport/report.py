@@ -1,0 +1,141 @@
+"""The report of a run folder: summary.json, steps.csv and figures from its log, and the table people read."""
+
+import csv
+import io
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import orjson
+from rich.table import Table
+from rich.text import Text
+
+from protocol.scenario_file import read_scenario
+from protocol.setup import Setup
+from transport.log import RunLog, read_log
+from transport.metrics import summarise
+from transport.steps import steps_columns, steps_rows
+
+# Below this share of a constraint's range a violation is the solver's tolerance, nothing to tell people.
+_HELD = 1e-6
+
+_COLOURS = {"completed": "green", "diverged": "red", "aborted": "red", "unknown": "yellow"}
+
+
+def write_report(folder: Path, *, figures: bool = True) -> dict[str, Any]:
+    """Write summary.json, steps.csv and the figures of a recorded run, anew if they are there.
+
+    Args:
+        folder: Run folder with run.mcap and scenario.toml.
+        figures: Whether to draw; it takes most of the time.
+    Returns: The summary.
+    Raises: LogError: there is no log, or it is none; ScenarioError: the folder's scenario cannot be read.
+    """
+    path = folder / "scenario.toml"
+    log = read_log(folder / "run.mcap")
+    setup = Setup.of(read_scenario(path), str(path))
+    summary = summarise(setup, log)
+    _replace(folder / "summary.json", orjson.dumps(summary, option=orjson.OPT_INDENT_2) + b"\n")
+    _replace(folder / "steps.csv", _csv(setup, log))
+    if figures:
+        from transport.figures import draw  # matplotlib takes its time
+
+        draw(setup, log, folder / "figures")
+    return summary
+
+
+def summary_table(summary: Mapping[str, Any]) -> Table:
+    """What a person reads at the end of a run.
+
+    Args:
+        summary: As `write_report` returns it.
+    """
+    table = Table(box=None, show_header=False, title=_title(summary), title_justify="left")
+    table.add_column(style="cyan", no_wrap=True)
+    table.add_column()
+    for name, text in _lines(summary):
+        table.add_row(name, Text(text))
+    return table
+
+
+def _title(summary: Mapping[str, Any]) -> Text:
+    outcome = summary["outcome"]
+    reason = f": {summary['reason']}" if summary["reason"] else ""
+    return Text.assemble((summary["scenario"], "bold"), " ", (f"{outcome}{reason}", f"bold {_COLOURS[outcome]}"))
+
+
+def _lines(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+    cost, tracking, controller, solver = (summary[part] for part in ("cost", "tracking", "controller", "solver"))
+    lines = [
+        (
+            "flown",
+            f"{summary['sim_time_s']:.2f} s in {_text(summary['wall_time_s'], '.2f')} s of wall time "
+            f"({_text(summary['real_time_factor'], '.2f')} x real time)",
+        ),
+        (
+            "controller",
+            f"{controller['agents']} agent{'s' * (controller['agents'] != 1)}, every "
+            f"{1e3 * controller['sampling_period_s']:g} ms over {controller['horizon']} steps, "
+            f"{controller['prediction'].replace('_', ' ')}, relaxation {controller['relaxation']:g}",
+        ),
+        ("cost", f"mean {_text(cost['mean'], '.3g')}, max {_text(cost['max'], '.3g')}"),
+        ("payload attitude", _text(summary["attitude_max_deg"], ".2f", "max {} deg")),
+        ("payload tracking", f"rms {_text(tracking['rms_m'], '.3f')} m, max {_text(tracking['max_m'], '.3f')} m"),
+        ("separation", _text(summary["separation_min_m"], ".3f", "min {} m")),
+        ("constraints", _constraints(summary["constraint_violation_max"])),
+        ("agent step", _milliseconds(summary["agent_step_ms"])),
+        ("network", _milliseconds(summary["network_ms"])),
+        ("plans", _plans(summary["messages"], summary["plan_age_ticks"])),
+        ("solver", f"{solver['fallbacks']} fallbacks, {solver['failures']} failures"),
+    ]
+    # The last fault of a run that failed is already its reason, in the title.
+    faults = [fault for fault in summary["faults"] if fault["what"] != summary["reason"]]
+    if faults:
+        more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
+        lines.append(("faults", faults[0]["what"] + more))
+    if summary["log_cut"]:
+        lines.append(("log", summary["log_cut"]))
+    return lines
+
+
+def _constraints(violation: float | None) -> str:
+    if violation is None:
+        return "-"
+    return "held" if violation < _HELD else f"exceeded by {100.0 * violation:.2g} % of their range"
+
+
+def _plans(messages: Mapping[str, Any], ages: Mapping[str, Any]) -> str:
+    if ages["mean"] is None and not messages["sent"]:
+        return "-"
+    return (
+        f"{messages['lost']} of {messages['sent']} lost, {messages['late']} late, {messages['rejected']} rejected; "
+        f"age {_text(ages['mean'], '.2f')} ticks, max {_text(ages['max'], 'd')}"
+    )
+
+
+def _milliseconds(spread: Mapping[str, Any]) -> str:
+    if spread["p50"] is None:
+        return "-"
+    return f"median {spread['p50']:.2f} ms, p99 {spread['p99']:.2f} ms, max {spread['max']:.1f} ms"
+
+
+def _text(value: float | None, form: str, sentence: str = "{}") -> str:
+    """A number in a sentence, or a dash for one that is not known."""
+    return "-" if value is None else sentence.format(format(value, form))
+
+
+def _csv(setup: Setup, log: RunLog) -> bytes:
+    text = io.StringIO(newline="")
+    # Floats are written by repr: they read back as the same bits.
+    writer = csv.DictWriter(text, steps_columns(setup), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(steps_rows(setup, log))
+    return text.getvalue().encode()
+
+
+def _replace(path: Path, content: bytes) -> None:
+    """Write a file as a whole or not at all: readers never see half of it."""
+    partial = path.with_name(path.name + ".partial")
+    partial.write_bytes(content)
+    os.replace(partial, path)
