@@ -43,8 +43,7 @@ class StateEstimator:
 
     def take(self, plan: Plan) -> None:
         """Take in another agent's state at a tick before the next measurement's, and what it did from then on."""
-        now = self._first + len(self._estimates) - 1
-        if plan.tick > now or plan.tick < self._first:
+        if plan.tick < self._first:
             return
         self._received.setdefault(plan.tick, {})[plan.agent] = plan
         self._newest[plan.agent] = max(plan.tick, self._newest.get(plan.agent, -1))

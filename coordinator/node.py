@@ -30,8 +30,9 @@ class CoordinatorNode:
         self._clock = setup.scenario.clock
         self._ticks, self._period_ns = setup.ticks, setup.period_ns
         self._out = Outbox(self.name, incarnation)
-        self._awaited = {"plant", *(agent_name(agent) for agent in setup.agents), *observers}
-        self._incarnations = dict.fromkeys(setup.agents, 0)
+        self._agents = {agent_name(agent): agent for agent in setup.agents}
+        self._awaited = {"plant", *self._agents, *observers}
+        self._incarnations: dict[str, int] = {}  # of the processes that take part, by name
         self._members: set[int] = set(setup.agents)
         self._answered: set[int] = set()
         self._tick = -1
@@ -39,6 +40,7 @@ class CoordinatorNode:
         self._start_ns = 0  # when tick 0 was opened; paced ticks are due relative to it
         self._roster_version = 0
         self._last_truth = -1
+        self._diverged = ""
         self.rejected: Counter[tuple[str, str]] = Counter()
         self.finished: Control | None = None
 
@@ -62,12 +64,14 @@ class CoordinatorNode:
         if isinstance(event, Presence):
             return self._presence(event, now_ns)
         if isinstance(event, Plan):
-            if event.tick == self._tick and event.agent in self._members and self._is_current(event):
+            if event.incarnation != self._incarnations.get(event.sender):
+                self.rejected[(event.sender, "plan of another incarnation")] += 1
+            elif event.tick == self._tick and event.agent in self._members:
                 self._answered.add(event.agent)
         elif isinstance(event, Truth):
             self._last_truth = event.tick
             if event.diverged:
-                return self._stop("diverged", f"{event.diverged} at {self._time(event.tick)}", EXIT_DIVERGED)
+                self._diverged = f"{event.diverged} at {self._time(event.tick)}"
         return self._advance(now_ns)
 
     def poll(self, now_ns: int) -> Sequence[Message]:
@@ -75,6 +79,8 @@ class CoordinatorNode:
         if self.finished is not None or self._tick < 0:
             return ()
         expired = now_ns >= self._opened_ns + round(self._clock.barrier_timeout_s * 1e9)
+        if expired and self._diverged:
+            return self._stop("diverged", self._diverged, EXIT_DIVERGED)
         if expired and not self._is_complete():
             late = sorted(self._members - self._answered)
             names = ", ".join(agent_name(agent) for agent in late)
@@ -88,18 +94,21 @@ class CoordinatorNode:
         return () if self.finished is not None else self._stop("aborted", reason, EXIT_INTERRUPTED)
 
     def _presence(self, event: Presence, now_ns: int) -> Sequence[Message]:
-        agent = int(event.name.removeprefix("agent")) if event.name.startswith("agent") else None
+        known = self._incarnations.get(event.name, -1)
         if event.alive:
-            self._awaited.discard(event.name)
-            if agent in self._incarnations:
-                self._incarnations[agent] = event.incarnation
-            if self._tick < 0 and not self._awaited:
-                self._start_ns = now_ns
-                return [self._roster("everybody is ready"), self._open(now_ns)]
+            if self._tick < 0 and event.name in {"plant", *self._agents} | self._awaited:
+                self._awaited.discard(event.name)
+                self._incarnations[event.name] = max(event.incarnation, known)
+                if not self._awaited:
+                    self._start_ns = now_ns
+                    return [self._roster("everybody is ready"), self._open(now_ns)]
+            return ()
+        if event.incarnation != known:
             return ()
         if event.name == "plant":
             return self._stop("aborted", "plant is gone", EXIT_LOST)
-        if agent in self._members and event.incarnation == self._incarnations[agent]:
+        agent = self._agents.get(event.name)
+        if agent in self._members:
             return self._lose([agent], f"{event.name} is gone", now_ns)
         return ()
 
@@ -116,9 +125,6 @@ class CoordinatorNode:
     def _is_complete(self) -> bool:
         return self._members <= self._answered
 
-    def _is_current(self, plan: Plan) -> bool:
-        return plan.incarnation == self._incarnations[plan.agent]
-
     def _due_ns(self) -> int:
         """When the next tick may open: paced from the first one, so that delays do not add up."""
         if self._clock.speed == 0.0:
@@ -126,12 +132,22 @@ class CoordinatorNode:
         return self._start_ns + round((self._tick + 1) * self._period_ns / self._clock.speed)
 
     def _advance(self, now_ns: int) -> Sequence[Message]:
+        if self._diverged and self._tick > self._last_truth:
+            # The tick after the last interval is always opened before the end, whichever news came first.
+            return self._stop("diverged", self._diverged, EXIT_DIVERGED)
         if self._tick < 0 or not self._is_complete():
             return ()
         if self._tick + 1 == self._ticks:
             # The record is complete only with the truth of the last interval.
-            return self._stop("completed", "", 0) if self._last_truth == self._tick else ()
-        return [self._open(now_ns)] if now_ns >= self._due_ns() else ()
+            if self._last_truth < self._tick:
+                return ()
+            if self._diverged:
+                return self._stop("diverged", self._diverged, EXIT_DIVERGED)
+            return self._stop("completed", "", 0)
+        if now_ns < self._due_ns():
+            return ()
+        opened = self._open(now_ns)
+        return [opened, *self._advance(now_ns)] if self._diverged else [opened]
 
     def _open(self, now_ns: int) -> Tick:
         answered = tuple(sorted(self._answered))
@@ -154,7 +170,7 @@ class CoordinatorNode:
             tick=max(self._tick, 0),
             version=self._roster_version,
             agents=tuple(members),
-            incarnations=tuple(self._incarnations[agent] for agent in members),
+            incarnations=tuple(self._incarnations[agent_name(agent)] for agent in members),
             reason=reason,
         )
 

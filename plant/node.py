@@ -171,7 +171,7 @@ class PlantNode:
             x=x,
             u=u,
             plan_ticks=sources,
-            local_error=error if math.isfinite(error) else -1.0,
+            local_error=error if np.isfinite(end).all() and math.isfinite(error) else -1.0,
             diverged=reason,
         )
 

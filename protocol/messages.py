@@ -109,7 +109,10 @@ class Roster(Message):
         Message.__post_init__(self)
         self._set("version", _integer("version", self.version, MAX_TICK))
         self._set("agents", _ids("agents", self.agents))
-        self._set("incarnations", tuple(_integer("incarnations", i, MAX_TICK) for i in _sequence(self.incarnations)))
+        self._set(
+            "incarnations",
+            tuple(_integer("incarnations", i, MAX_TICK) for i in _sequence("incarnations", self.incarnations)),
+        )
         self._set("reason", _text("reason", self.reason))
         if len(self.agents) != len(self.incarnations):
             raise MessageError(
@@ -235,7 +238,7 @@ class StepReport(Message):
         self._set("residual", _number("residual", self.residual))
         self._set("peers", _ids("peers", self.peers))
         for field in ("plan_ages", "state_ages"):
-            ages = tuple(_integer(field, age, MAX_TICK, low=-1) for age in _sequence(getattr(self, field)))
+            ages = tuple(_integer(field, age, MAX_TICK, low=-1) for age in _sequence(field, getattr(self, field)))
             if len(ages) != len(self.peers):
                 raise MessageError(f"{field}: expected one for each of {len(self.peers)} peers, got {len(ages)}")
             self._set(field, ages)
@@ -264,7 +267,7 @@ class Truth(Message):
 
     def __post_init__(self) -> None:
         Message.__post_init__(self)
-        N = len(_sequence(self.plan_ticks))
+        N = len(_sequence("plan_ticks", self.plan_ticks))
         self._set("plan_ticks", tuple(_integer("plan_ticks", t, MAX_TICK, low=-2) for t in self.plan_ticks))
         self._set("x", _array("x", self.x, (PAYLOAD + PER_UAV * N,)))
         self._set("u", _array("u", self.u, (INPUTS * N,)))
@@ -346,18 +349,18 @@ def _text(field: str, value: object) -> str:
 
 
 def _choice(field: str, value: object, choices: tuple[str, ...]) -> None:
-    if value not in choices:
+    if not isinstance(value, str) or value not in choices:
         raise MessageError(f"{field}: expected one of {', '.join(choices)}, got {_shown(value)}")
 
 
-def _sequence(value: object) -> tuple[Any, ...] | list[Any]:
+def _sequence(field: str, value: object) -> tuple[Any, ...] | list[Any]:
     if not isinstance(value, tuple | list) or len(value) > MAX_UAVS:
-        raise MessageError(f"expected a list of at most {MAX_UAVS}, got {_shown(value)}")
+        raise MessageError(f"{field}: expected a list of at most {MAX_UAVS}, got {_shown(value)}")
     return value
 
 
 def _ids(field: str, value: object) -> tuple[int, ...]:
-    ids = tuple(_integer(field, i, MAX_UAVS, low=1) for i in _sequence(value))
+    ids = tuple(_integer(field, i, MAX_UAVS, low=1) for i in _sequence(field, value))
     if any(a >= b for a, b in pairwise(ids)):
         raise MessageError(f"{field}: expected ascending ids, got {list(ids)}")
     return ids
@@ -373,5 +376,8 @@ def _array(field: str, value: object, shape: tuple[int | None, ...]) -> Array:
 
 
 def _shown(value: object) -> str:
-    text = repr(value)
+    try:
+        text = " ".join(repr(value).split())
+    except RecursionError:
+        text = "something nested too deeply"
     return text if len(text) <= 60 else f"{text[:57]}..."

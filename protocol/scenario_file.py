@@ -135,9 +135,7 @@ def _apply(tree: dict[str, Any], setting: str) -> None:
 
 
 def _child(node: Any, part: str, setting: str) -> Any:
-    if isinstance(node, list):
-        return node[_index(node, part, setting)]
-    child = node.setdefault(part, {})
+    child = node[_index(node, part, setting)] if isinstance(node, list) else node.setdefault(part, {})
     if not isinstance(child, dict | list):
         raise ScenarioError("--set", setting, f"expected {part!r} to be a section, got the value {child!r}")
     return child
@@ -154,7 +152,10 @@ def _first(error: ValidationError, source: str) -> ScenarioError:
     # Unknown keys first: a mistyped key is also a missing one, and the typo is what helps.
     problems = sorted(error.errors(), key=lambda problem: problem["type"] != "extra_forbidden")
     problem = problems[0]
-    location = [part for part in problem["loc"] if not _is_union_branch(part)]
+    *above, last = problem["loc"]
+    # Pydantic names the branch of a union it tried; an unknown key may be called anything and comes last.
+    known_last = problem["type"] == "extra_forbidden" or not _is_union_branch(last)
+    location = [part for part in above if not _is_union_branch(part)] + ([last] if known_last else [])
     field = ".".join(str(part + 1) if isinstance(part, int) else part for part in location)
     kind, context, value = problem["type"], problem.get("ctx", {}), problem["input"]
     if kind == "extra_forbidden":
@@ -200,7 +201,7 @@ def _expected(kind: str, context: dict[str, Any], message: str) -> str:
 
 
 def _is_union_branch(part: int | str) -> bool:
-    """Pydantic names the branch of a union it tried in the location; people did not write that."""
+    """Whether a part of an error's location is not from the scenario but from the types it was tried against."""
     return isinstance(part, str) and (part in ("float", "constrained-float", "int", "str") or "[" in part)
 
 

@@ -1,5 +1,6 @@
 """From a scenario to the objects of a run: what every process builds for itself, identically."""
 
+import math
 from dataclasses import dataclass
 from functools import cached_property, partial
 
@@ -82,7 +83,9 @@ class Setup:
     @property
     def ticks(self) -> int:
         """Sampling instants of the run: t_k < duration of the maneuver."""
-        return round(self.maneuver.duration_s / self.settings.sampling_period_s)
+        periods = self.maneuver.duration_s / self.settings.sampling_period_s
+        # A duration of a whole number of periods must not gain one by rounding.
+        return max(1, math.ceil(periods - 1e-9 * periods))
 
     @property
     def period_ns(self) -> int:

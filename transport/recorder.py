@@ -90,7 +90,10 @@ class Recorder:
             self.stop("closing")
             self._thread.join()
         self._bus.close()
-        self._writer.close()
+        try:
+            self._writer.close()
+        except LogError as error:
+            self.error = self.error or str(error)
 
     def _run(self) -> None:
         try:
