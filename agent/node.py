@@ -56,6 +56,10 @@ class AgentNode:
         self._uavs = tuple(uav + 1 for uav in owned)
         self._own = input_indices(owned)
         self._controller = Controller(setup.model, setup.hover, setup.settings, owned)
+        # References at every instant any horizon reaches: only looked up in flight.
+        instants = np.arange(setup.ticks + setup.settings.horizon + 2, dtype=np.float64)
+        times = setup.settings.sampling_period_s * instants
+        self._y_ref, self._x_ref = setup.reference.outputs(times), setup.reference.states(times)
         self._announced = AnnouncedInputs(setup.owned, setup.hover.u)
         self._estimator = StateEstimator(setup.model, self._planned, setup.settings.sampling_period_s)
         self._peers = tuple(other for other in setup.agents if other != agent)
@@ -145,10 +149,12 @@ class AgentNode:
             start, u0 = k + 1, self._announced.at(k, before=k)
             x0, _ = self._setup.model.integrate(x, u0, period_s, _AHEAD_STEPS)
         U = self._announced.sequence(start, steps, before=k)
-        y_ref = self._setup.reference.outputs(period_s * np.arange(start, start + steps + 1, dtype=np.float64))
+        y_ref = self._y_ref[start : start + steps + 1]
         x0, u0, U, y_ref = controller.check(x0, u0, U, y_ref)
-        x_ref = self._setup.reference.states(period_s * np.arange(start, start + steps, dtype=np.float64))
-        law = controller.law(x0, x_ref, self._announced.corrections(start, steps, before=k))
+        law = None
+        if controller.gain is not None:
+            c = self._announced.corrections(start, steps, before=k)
+            law = controller.law(x0, self._x_ref[start : start + steps], c)
         watch.append(self._stopwatch())
         linear = controller.linearise(x0, u0)
         watch.append(self._stopwatch())
@@ -183,8 +189,7 @@ class AgentNode:
         return u
 
     def _planned(self, tick: int) -> Array:
-        times = np.array([tick * self._setup.settings.sampling_period_s])
-        planned: Array = self._setup.reference.states(times)[0]
+        planned: Array = self._x_ref[tick].copy()
         return planned
 
     def _report(self, k: int, usable: Sequence[Plan], optimum: Optimum, stages_ms: Array) -> StepReport:
