@@ -65,7 +65,10 @@ class AgentNode:
         self._peers = tuple(other for other in setup.agents if other != agent)
         self._membership = Membership()
         self._measurement: Measurement | None = None  # of the open tick, until it is answered
-        self._undelivered: list[Plan] = []  # received, not yet given to the estimator
+        self._links = {peer: setup.link(peer, agent) for peer in self._peers}
+        self._arrived: dict[int, set[int]] = {}  # whose plans are physically here, by tick
+        self._undelivered: list[tuple[int, Plan]] = []  # plans, with the tick from which the link lets them through
+        self._lost: list[int] = []  # ticks of plans that the links lost
         self._last_tick = -1
         self._reported = 0  # of the rejected messages
         self.rejected: Counter[tuple[str, str]] = Counter()
@@ -108,8 +111,11 @@ class AgentNode:
         if refusal:
             self.rejected[(plan.sender, refusal)] += 1
         elif refusal is not None:
-            self._announced.add(plan)
-            self._undelivered.append(plan)
+            self._arrived.setdefault(plan.tick, set()).add(plan.agent)
+            ticks = self._links[plan.agent].usable_ticks(plan.tick)
+            self._undelivered += [(tick, plan) for tick in ticks]
+            if not ticks:
+                self._lost.append(plan.tick)
 
     def _refusal(self, plan: Plan) -> str | None:
         """Why a plan is not believed: a reason, nothing if it is, None if it waits for its roster."""
@@ -129,7 +135,7 @@ class AgentNode:
         if measurement.roster > self._membership.version:
             return False
         senders = set(measurement.answered) & self._membership.agents - {self._agent}
-        return all(self._announced.has(agent, measurement.tick - 1) for agent in senders)
+        return senders <= self._arrived.get(measurement.tick - 1, set())
 
     def _step(self, measurement: Measurement) -> list[Message]:
         watch = [self._stopwatch()]
@@ -137,10 +143,12 @@ class AgentNode:
         period_s = self._setup.settings.sampling_period_s
         steps = self._setup.settings.horizon
 
-        # A plan is usable from the tick after its own, however early it arrives; in an order of its own.
-        usable = sorted((p for p in self._undelivered if p.tick < k), key=lambda p: (p.tick, p.agent))
-        self._undelivered = [plan for plan in self._undelivered if plan.tick >= k]
+        # A plan is usable from the tick its link says, however early it is here; in an order of its own.
+        usable = sorted((p for tick, p in self._undelivered if tick <= k), key=lambda p: (p.tick, p.agent))
+        self._undelivered = [(tick, plan) for tick, plan in self._undelivered if tick > k]
+        self._arrived = {tick: agents for tick, agents in self._arrived.items() if tick >= k}
         for plan in usable:
+            self._announced.add(plan)
             self._estimator.take(plan)
         x = self._estimator.estimate(measurement, self._announced)
         if self._setup.scenario.clock.actuation == "immediate":
@@ -194,6 +202,8 @@ class AgentNode:
 
     def _report(self, k: int, usable: Sequence[Plan], optimum: Optimum, stages_ms: Array) -> StepReport:
         solution = optimum.solution
+        lost = sum(tick < k for tick in self._lost)
+        self._lost = [tick for tick in self._lost if tick >= k]
         rejected = self.rejected.total()
         new, self._reported = rejected - self._reported, rejected
         newest = [self._announced.newest(agent, before=k) for agent in self._peers]
@@ -211,6 +221,7 @@ class AgentNode:
             plan_ages=tuple(-1 if plan is None else k - plan.tick for plan in newest),
             state_ages=tuple(self._estimator.age(agent, k) for agent in self._peers),
             delivered=len(usable),
+            lost=lost,
             late=sum(plan.tick < k - 1 for plan in usable),
             rejected=new,
             times_ms=np.append(stages_ms, stages_ms.sum()),

@@ -206,7 +206,8 @@ class StepReport(Message):
         state_ages: The same for the newest state of each.
         peers: The other agents, ascending; an age of -1 means nothing was ever received.
         delivered: Plans of others that became usable at this tick.
-        late: How many of them were older than one tick.
+        lost: Plans of earlier ticks that are known from now on not to come: the link lost them.
+        late: How many of the delivered ones were older than one tick.
         rejected: Messages refused since the last report. Unlike the rest, not reproducible.
         times_ms: Wall-clock per stage, in the order of `STAGES`, (6,). Not reproducible, unlike the rest.
     """
@@ -223,6 +224,7 @@ class StepReport(Message):
     plan_ages: tuple[int, ...]
     state_ages: tuple[int, ...]
     delivered: int
+    lost: int
     late: int
     rejected: int
     times_ms: Array
@@ -233,7 +235,7 @@ class StepReport(Message):
         _choice("status", self.status, get_args(PlanStatus))
         self._set("solver", _text("solver", self.solver))
         self._set("fallback", _boolean("fallback", self.fallback))
-        for field in ("iterations", "delivered", "late", "rejected"):
+        for field in ("iterations", "delivered", "lost", "late", "rejected"):
             self._set(field, _integer(field, getattr(self, field), MAX_TICK))
         self._set("residual", _number("residual", self.residual))
         self._set("peers", _ids("peers", self.peers))

@@ -25,6 +25,7 @@ DEFAULT_BASE_PORT = 7447
 
 # Set by a parent that wants its children to end with it: they watch their standard input for its end.
 PARENT_PIPE = "PAYLOAD_TRANSPORT_PARENT_PIPE"
+_SWITCH_INTERVAL_S = 5e-4
 # What a process that has lost its parent gives itself to end in an orderly way.
 _ORPHAN_GRACE_S = 5.0
 
@@ -128,6 +129,8 @@ def drive(node: Node, bus: Bus) -> Interrupted | None:
     # A collection in mid-step is a latency spike; reference counting frees what the loop makes.
     gc.collect()
     gc.freeze()
+    # Zenoh's threads hand over what arrives while this one computes; the default of 5 ms is several ticks' work.
+    sys.setswitchinterval(_SWITCH_INTERVAL_S)
     while node.finished is None:
         wake_ns = node.wake_ns
         timeout_s = None if wake_ns is None else max(0, wake_ns - time.monotonic_ns()) / 1e9

@@ -20,6 +20,7 @@ class Section(BaseModel):
 
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
+Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 def _three_numbers(value: list[float]) -> list[float]:
@@ -153,6 +154,50 @@ class ClockSection(Section):
     on_agent_loss: Literal["abort", "continue"] = "abort"
 
 
+class GilbertElliottSection(Section):
+    """Bursts of loss: a chain between a good state without and a bad state with loss, one step per tick."""
+
+    enter: Probability
+    leave: Probability
+    loss: Probability = 1.0
+
+
+class LinkSection(Section):
+    """What a link does to the plans it carries."""
+
+    delay_s: NotNegative = 0.0
+    jitter_s: NotNegative = 0.0
+    distribution: Literal["uniform", "normal", "exponential", "lognormal", "empirical"] = "uniform"
+    samples: str | None = None
+    loss: Probability = 0.0
+    gilbert_elliott: GilbertElliottSection | None = None
+    duplicate: Probability = 0.0
+    reorder: Probability = 0.0
+    reorder_s: NotNegative = 0.0
+
+
+class LinkOverrideSection(LinkSection):
+    """The same for the links from and to one agent; leaving one out means any."""
+
+    from_: Annotated[str | None, Field(alias="from")] = None
+    to: str | None = None
+
+
+class PartitionSection(Section):
+    """An interval in which the agents named hear nothing of the others, nor the others of them."""
+
+    between: Annotated[list[str], Field(min_length=1)]
+    start_s: NotNegative
+    end_s: Positive
+
+
+class LinksSection(LinkSection):
+    """The links between agents. Measurements and actuation are not impaired."""
+
+    override: list[LinkOverrideSection] = []
+    partition: list[PartitionSection] = []
+
+
 class PlantSection(Section):
     """Integration of the truth, and when a flight counts as lost."""
 
@@ -179,6 +224,7 @@ class Scenario(Section):
     controller: ControllerSection = ControllerSection()
     agents: AgentsSection = AgentsSection()
     clock: ClockSection = ClockSection()
+    links: LinksSection = LinksSection()
     plant: PlantSection = PlantSection()
     network: NetworkSection = NetworkSection()
 

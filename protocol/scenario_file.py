@@ -106,12 +106,33 @@ def _check_relations(scenario: Scenario, source: str) -> None:
     missing = [uav for uav in ids if uav not in owners]
     if missing:
         raise ScenarioError(source, "agents.owned", f"expected each UAV once, got none for UAV{missing[0]}")
+    names = [f"agent{agent}" for agent in range(1, len(scenario.owned) + 1)]
+    _check_links(scenario, source, names)
     low, high = scenario.controller.limits.thrust_N
     if low >= high:
         raise ScenarioError(source, "controller.limits.thrust_N", f"expected smallest < largest, got {[low, high]}")
     period_s, step_s = scenario.controller.sampling_period_s, scenario.plant.step_s
     if step_s > period_s:
         raise ScenarioError(source, "plant.step_s", f"expected at most the sampling period {period_s}, got {step_s}")
+
+
+def _check_links(scenario: Scenario, source: str, names: list[str]) -> None:
+    links = scenario.links
+    expected = f"expected one of {', '.join(names)}"
+    for i, override in enumerate(links.override, start=1):
+        for key, name in (("from", override.from_), ("to", override.to)):
+            if name is not None and name not in names:
+                raise ScenarioError(source, f"links.override.{i}.{key}", f"{expected}, got {name!r}")
+    for i, partition in enumerate(links.partition, start=1):
+        for name in partition.between:
+            if name not in names:
+                raise ScenarioError(source, f"links.partition.{i}.between", f"{expected}, got {name!r}")
+        if partition.end_s <= partition.start_s:
+            expected_end = f"expected more than start_s {partition.start_s}, got {partition.end_s}"
+            raise ScenarioError(source, f"links.partition.{i}.end_s", expected_end)
+    for field, section in [("links", links), *[(f"links.override.{i}", o) for i, o in enumerate(links.override, 1)]]:
+        if section.distribution == "empirical" and section.samples is None:
+            raise ScenarioError(source, f"{field}.samples", "expected a file of measured delays, got nothing")
 
 
 def _apply(tree: dict[str, Any], setting: str) -> None:

@@ -1,8 +1,10 @@
 """From a scenario to the objects of a run: what every process builds for itself, identically."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cached_property, partial
+from pathlib import Path
 
 import numpy as np
 
@@ -12,6 +14,8 @@ from model.maneuver import Maneuver, Phase, Reference
 from model.parameters import Payload, System, Uav
 from mpc.constraints import compile_constraints
 from mpc.settings import Constraint, ControllerSettings, Limits, Separation, Weights
+from protocol.links import Link, link_model
+from protocol.messages import Plan, agent_name
 from protocol.scenario import Scenario, UavSection
 from protocol.scenario_file import ScenarioError, building
 
@@ -27,6 +31,7 @@ class Setup:
         maneuver: The payload's path.
         settings: The same for every agent.
         owned: 0-based UAVs of agent 1, agent 2, ...
+        samples_s: Measured delays of the links, by file.
     """
 
     scenario: Scenario
@@ -35,6 +40,7 @@ class Setup:
     maneuver: Maneuver
     settings: ControllerSettings
     owned: tuple[tuple[int, ...], ...]
+    samples_s: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     @staticmethod
     def of(scenario: Scenario, source: str) -> "Setup":
@@ -60,6 +66,7 @@ class Setup:
             maneuver=maneuver,
             settings=settings,
             owned=tuple(tuple(uav - 1 for uav in group) for group in scenario.owned),
+            samples_s=_samples(scenario, source),
         )
         building(source, "controller.constraint", lambda: compile_constraints(settings.constraints, setup.model))
         setup._check_hover_is_possible(source)
@@ -92,6 +99,18 @@ class Setup:
         """Sampling period, ns."""
         return round(self.settings.sampling_period_s * 1e9)
 
+    def link(self, sender: int, receiver: int) -> Link:
+        """The link that carries one agent's plans to another."""
+        names = agent_name(sender), agent_name(receiver)
+        return Link(
+            link_model(self.scenario.links, *names, self.samples_s),
+            seed=self.scenario.seed,
+            sender=names[0],
+            receiver=names[1],
+            kind=Plan.kind,
+            period_s=self.settings.sampling_period_s,
+        )
+
     def initial_state(self) -> np.ndarray:
         """Hover at the start of the maneuver, at rest, (12 + 12 N,)."""
         x = self.hover.x.copy()
@@ -122,6 +141,25 @@ class Setup:
                 f"expected at most the {distance:.3f} m between UAV{i + 1} and UAV{j + 1} at hover, "
                 f"got {separation.minimum_m}",
             )
+
+
+def _samples(scenario: Scenario, source: str) -> dict[str, tuple[float, ...]]:
+    """Read the files of measured delays that the links name, relative to the scenario's folder."""
+    found: dict[str, tuple[float, ...]] = {}
+    for section in [scenario.links, *scenario.links.override]:
+        if section.distribution != "empirical" or section.samples is None:
+            continue
+        path = Path(source).parent / section.samples
+        try:
+            values = [float(word) for word in path.read_text(encoding="utf-8").replace(",", " ").split()]
+        except OSError as error:
+            raise ScenarioError(source, "links.samples", f"cannot read {path} ({error.strerror})") from error
+        except ValueError as error:
+            raise ScenarioError(source, "links.samples", f"{path}: expected delays in seconds, {error}") from error
+        if not values or not all(0.0 <= value < math.inf for value in values):
+            raise ScenarioError(source, "links.samples", f"{path}: expected delays >= 0 s, got {values[:3]}")
+        found[section.samples] = tuple(sorted(values))
+    return found
 
 
 def _payload(scenario: Scenario) -> Payload:

@@ -140,7 +140,7 @@ def _ages(reports: Iterable[StepReport]) -> dict[str, float | int | None]:
 def _messages(log: RunLog, reports: Iterable[StepReport]) -> dict[str, int]:
     """Plans between agents: one of tick k counts as sent to every other agent that reports its step k + 1.
 
-    So neither the end of the run nor of the log nor the death of a receiver looks like loss.
+    What is neither delivered nor lost was on its way when the run ended.
     """
     receivers: dict[int, set[int]] = {}
     for report in reports:
@@ -150,7 +150,7 @@ def _messages(log: RunLog, reports: Iterable[StepReport]) -> dict[str, int]:
     return {
         "sent": sent,
         "delivered": delivered,
-        "lost": max(0, sent - delivered),
+        "lost": sum(report.lost for report in reports),
         "late": sum(report.late for report in reports),
         "rejected": sum(report.rejected for report in reports),
     }

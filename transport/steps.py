@@ -23,7 +23,7 @@ def steps_columns(setup: Setup) -> list[str]:
     return [
         *("tick", "t_s", "agent"),
         *_REPORT,
-        *("plan_age_max", "state_age_max", "delivered", "late"),
+        *("plan_age_max", "state_age_max", "delivered", "late", "lost"),
         *_FLIGHT,
         *(name.format(uav) for uav in range(1, setup.system.N + 1) for name in _INPUTS),
         *(f"{stage}{WALL_CLOCK}" for stage in STAGES),
@@ -54,7 +54,7 @@ def steps_rows(setup: Setup, log: RunLog) -> list[dict[str, Any]]:
         row |= {name: getattr(report, name) for name in _REPORT}
         row["fallback"] = int(report.fallback)
         row |= {"plan_age_max": _oldest(report.plan_ages), "state_age_max": _oldest(report.state_ages)}
-        row |= {"delivered": report.delivered, "late": report.late}
+        row |= {"delivered": report.delivered, "late": report.late, "lost": report.lost}
         k = at.get(tick)
         owned = setup.owned[agent - 1] if agent <= len(setup.owned) else ()
         if k is not None:

@@ -47,6 +47,7 @@ def fields(kind: type[Message]) -> dict[str, Any]:
             "plan_ages": (1, -1),
             "state_ages": (2, -1),
             "delivered": 2,
+            "lost": 1,
             "late": 1,
             "rejected": 0,
             "times_ms": np.arange(6.0),

@@ -99,6 +99,7 @@ reports = _ids.flatmap(
         plan_ages=_listed(len(ids), _age),
         state_ages=_listed(len(ids), _age),
         delivered=_count,
+        lost=_count,
         late=_count,
         rejected=_count,
         times_ms=_array(len(STAGES)),

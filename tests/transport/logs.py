@@ -58,6 +58,7 @@ def report(run: Setup, agent: int, tick: int, **fields: Any) -> StepReport:
         "plan_ages": tuple(1 if tick else -1 for _ in peers),
         "state_ages": tuple(1 if tick else -1 for _ in peers),
         "delivered": len(peers) if tick else 0,
+        "lost": 0,
         "late": 0,
         "rejected": 0,
         "times_ms": np.array([0.1, 0.2, 0.3, 0.4, 0.5, 1.5]),

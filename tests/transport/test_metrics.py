@@ -147,7 +147,7 @@ def test_lost_and_late_plans_are_counted() -> None:
     """What never became usable to an agent that flew on is lost; late, rejected, fallbacks and failures add up."""
     run = runs.setup(HOVER)
     changed: dict[tuple[int, int], dict[str, Any]] = {
-        (1, 1): {"delivered": 2, "plan_ages": (1, -1, 1)},
+        (1, 1): {"delivered": 2, "lost": 1, "plan_ages": (1, -1, 1)},
         (2, 1): {"delivered": 3, "late": 1, "plan_ages": (1, 2, 1), "rejected": 2},
         (2, 3): {"status": "numerical", "fallback": True},
         (3, 3): {"fallback": True},

@@ -1,0 +1,184 @@
+"""Announced inputs: plans shifted by their true age and held at their end, whatever order they arrive in."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from agent.announced import KEPT_PLANS, AnnouncedInputs
+from model.arrays import Array
+from model.state import input_indices
+from protocol.messages import Plan
+
+OWNED = ((0, 2), (1,))  # agent 1 owns UAV1 and UAV3, agent 2 owns UAV2
+U_HOVER = -np.arange(1.0, 13.0)
+COLUMNS = {agent: input_indices(uavs) for agent, uavs in enumerate(OWNED, start=1)}
+STEPS = 5
+
+
+def labelled(agent: int, k: int, *, steps: int = STEPS, delay: int = 0) -> Plan:
+    """A plan whose every number tells agent, tick, step and input."""
+    uavs = tuple(uav + 1 for uav in OWNED[agent - 1])
+    columns = np.arange(4 * len(uavs))
+    return Plan(
+        sender=f"agent{agent}",
+        incarnation=0,
+        sequence=0,
+        tick=k,
+        agent=agent,
+        start_tick=k + delay,
+        uavs=uavs,
+        uav_states=np.zeros((len(uavs), 12)),
+        inputs=1e6 * agent + 1e3 * k + 10.0 * np.arange(steps)[:, None] + columns / 10.0,
+        corrections=-1e6 * agent - 1e3 * k - 10.0 * np.arange(steps)[:, None] - columns / 10.0,
+        status="solved",
+    )
+
+
+def announced(*plans: Plan) -> AnnouncedInputs:
+    """What an agent knows after some plans."""
+    inputs = AnnouncedInputs(OWNED, U_HOVER)
+    for plan in plans:
+        inputs.add(plan)
+    return inputs
+
+
+def rows(agent: int, U: Array) -> Array:
+    """One agent's part of the inputs."""
+    return U[..., COLUMNS[agent]]
+
+
+def test_hover_before_any_plan() -> None:
+    """Who has announced nothing is taken to hover."""
+    inputs = announced(labelled(1, 0))
+    U = inputs.sequence(1, STEPS, before=1)
+    np.testing.assert_array_equal(rows(2, U), np.tile(U_HOVER[4:8], (STEPS, 1)))
+    np.testing.assert_array_equal(rows(2, inputs.at(0, before=1)), U_HOVER[4:8])
+    np.testing.assert_array_equal(announced().at(0, before=0), U_HOVER)
+
+
+@pytest.mark.parametrize("age", range(STEPS + 3))
+@pytest.mark.parametrize("delay", [0, 1])
+def test_shift_and_hold(age: int, delay: int) -> None:
+    """A plan is shifted by the ticks since its start and held at its last step. Source: docs/equations.md (32)."""
+    made = 7
+    plan = labelled(1, made, delay=delay)
+    start = plan.start_tick + age
+    U = announced(plan).sequence(start, STEPS, before=start + 1)
+    shifted = [plan.inputs[min(age + step, STEPS - 1)] for step in range(STEPS)]
+    np.testing.assert_array_equal(rows(1, U), shifted)
+
+
+def test_one_step_old_is_the_papers_shift() -> None:
+    """One tick later a plan has lost its first step and repeats its last: the paper's section IV-A."""
+    plan = labelled(2, 3)
+    U = announced(plan).sequence(4, STEPS, before=4)
+    np.testing.assert_array_equal(rows(2, U), np.vstack([plan.inputs[1:], plan.inputs[-1:]]))
+
+
+@pytest.mark.parametrize("length", [1, 3, STEPS + 4])
+def test_other_lengths(length: int) -> None:
+    """Shorter plans are held, longer ones cut: the horizon asked for is what comes."""
+    plan = labelled(1, 0, steps=length)
+    U = announced(plan).sequence(2, STEPS, before=2)
+    assert U.shape == (STEPS, len(U_HOVER))
+    np.testing.assert_array_equal(rows(1, U), [plan.inputs[min(2 + step, length - 1)] for step in range(STEPS)])
+
+
+@pytest.mark.parametrize("age", range(STEPS + 3))
+@pytest.mark.parametrize("delay", [0, 1])
+def test_corrections_end(age: int, delay: int) -> None:
+    """Corrections to the shared law are shifted like inputs but zero after their end, and before any plan."""
+    plan = labelled(1, 7, delay=delay)
+    start = plan.start_tick + age
+    c = announced(plan).corrections(start, STEPS, before=start + 1)
+    np.testing.assert_array_equal(rows(2, c), np.zeros((STEPS, 4)))
+    left = plan.corrections[age:]
+    np.testing.assert_array_equal(rows(1, c), np.vstack([left, np.zeros((STEPS - len(left), 8))]))
+
+
+def test_plans_without_corrections() -> None:
+    """With open-loop prediction nobody sends corrections, and none are taken to be in force."""
+    plan = replace(labelled(1, 0), corrections=np.zeros((0, 8)))
+    assert not announced(plan).corrections(1, STEPS, before=1).any()
+
+
+def test_early_plans_wait() -> None:
+    """A plan of tick k that is here before tick k + 1 is not used before: the network's speed must not show."""
+    early, older = labelled(1, 5), labelled(1, 4)
+    inputs = announced(older, early)
+    assert inputs.newest(1, before=5) is older
+    assert inputs.newest(1, before=6) is early
+    np.testing.assert_array_equal(inputs.sequence(5, STEPS, before=5), announced(older).sequence(5, STEPS, before=5))
+    np.testing.assert_array_equal(inputs.at(5, before=5), announced(older).at(5, before=5))
+    np.testing.assert_array_equal(rows(1, inputs.corrections(5, 1, before=5))[0], older.corrections[1])
+    np.testing.assert_array_equal(rows(1, inputs.sequence(6, STEPS, before=6))[0], early.inputs[1])
+
+
+def test_only_early_plans() -> None:
+    """While all there is came early, an agent is taken to hover."""
+    inputs = announced(labelled(1, 5))
+    assert inputs.newest(1, before=5) is None
+    np.testing.assert_array_equal(inputs.sequence(5, 1, before=5), U_HOVER[None])
+
+
+def test_order_of_arrival_does_not_matter() -> None:
+    """Any order of arrival, repeated arrivals included, gives the same inputs bit for bit."""
+    rng = np.random.default_rng(3)
+    plans = [labelled(agent, k, delay=delay) for agent, delay in ((1, 0), (2, 1)) for k in range(0, 12, agent)]
+    in_order = announced(*plans)
+    for _ in range(20):
+        order = rng.permutation(len(plans)).tolist() + rng.integers(len(plans), size=5).tolist()
+        shuffled = announced(*[plans[i] for i in order])
+        for k in range(15):
+            np.testing.assert_array_equal(shuffled.sequence(k, STEPS, before=k), in_order.sequence(k, STEPS, before=k))
+            np.testing.assert_array_equal(shuffled.at(k, before=k + 1), in_order.at(k, before=k + 1))
+            np.testing.assert_array_equal(
+                shuffled.corrections(k, STEPS, before=k), in_order.corrections(k, STEPS, before=k)
+            )
+
+
+def test_in_force_is_the_newest_that_had_started() -> None:
+    """Over [t_k, t_{k+1}) the newest plan started by t_k acts, played on where no newer one came, held at its end."""
+    plans = [labelled(1, 0), labelled(1, 3)]
+    inputs = announced(*plans)
+    expected = [plans[0].inputs[0], plans[0].inputs[1], plans[0].inputs[2]]
+    expected += [plans[1].inputs[min(step, STEPS - 1)] for step in range(STEPS + 2)]
+    for k, u in enumerate(expected):
+        np.testing.assert_array_equal(rows(1, inputs.at(k, before=100)), u)
+
+
+def test_in_force_with_next_tick() -> None:
+    """A plan of tick k for k + 1 on does not act over [t_k, t_{k+1})."""
+    plans = [labelled(1, 0, delay=1), labelled(1, 1, delay=1)]
+    inputs = announced(*plans)
+    np.testing.assert_array_equal(rows(1, inputs.at(0, before=100)), U_HOVER[COLUMNS[1]])
+    np.testing.assert_array_equal(rows(1, inputs.at(1, before=100)), plans[0].inputs[0])
+    np.testing.assert_array_equal(rows(1, inputs.at(2, before=100)), plans[1].inputs[0])
+
+
+def test_has() -> None:
+    """A plan is here if one of exactly that agent and tick arrived."""
+    inputs = announced(labelled(1, 4))
+    assert inputs.has(1, 4)
+    assert not inputs.has(1, 3)
+    assert not inputs.has(2, 4)
+
+
+def test_the_oldest_are_forgotten() -> None:
+    """The newest plans are kept, a fixed number of them, whatever order they came in; too old ones change nothing."""
+    ticks = range(KEPT_PLANS + 10)
+    inputs = announced(*[labelled(1, k) for k in ticks], labelled(1, 2))
+    assert [k for k in ticks if inputs.has(1, k)] == list(ticks)[10:]
+    backwards = announced(*[labelled(1, k) for k in reversed(ticks)])
+    assert [k for k in ticks if backwards.has(1, k)] == list(ticks)[10:]
+
+
+def test_results_are_the_callers() -> None:
+    """Changing a result changes nothing for the next call, and never the hover inputs."""
+    hover = U_HOVER.copy()
+    inputs = announced(labelled(1, 0))
+    inputs.sequence(1, STEPS, before=1)[:] = 0.0
+    inputs.at(0, before=1)[:] = 0.0
+    assert rows(1, inputs.sequence(1, STEPS, before=1)).all()
+    np.testing.assert_array_equal(U_HOVER, hover)

@@ -1,0 +1,251 @@
+"""State estimate: exact without disturbance, whatever the delay and order of what arrives."""
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+from agent.announced import AnnouncedInputs
+from agent.estimator import WINDOW, StateEstimator
+from model import state
+from model.arrays import Array
+from protocol.messages import Plan
+from protocol.setup import Setup
+from tests.runs import measurement, plan, setup
+
+TICKS = 40
+PERIOD_S = 0.05
+
+# Size of the random inputs about hover, N and N m: after two seconds UAVs are tilted by up to 50 deg.
+NOISE = np.tile([2.0, 0.05, 0.05, 0.05], 4)
+
+# The truth takes ten integration steps per period, the estimator two. What they differ by after one period is
+# the estimator's local error, 9e-9 at most on this flight; over ten periods it partly adds up.
+ONE_PERIOD, TEN_PERIODS = 2e-8, 1e-7
+
+FOUR, PAIRS = "agents.owned=[[1],[2],[3],[4]]", "agents.owned=[[1,2],[3,4]]"
+
+Arrivals = dict[int, list[Plan]]
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """What really happens: states at ticks 0..TICKS and the inputs between them."""
+
+    run: Setup
+    X: Array
+    U: Array
+
+    def plan(self, agent: int, k: int, steps: int = 1) -> Plan:
+        """An agent's plan of tick k: its true state, and its true inputs for that many steps."""
+        own = state.input_indices(self.run.owned[agent - 1])
+        return plan(self.run, agent, k, x=self.X[k], inputs=self.U[k : k + steps][:, own])
+
+
+@lru_cache
+def flight(ownership: str, start_error: float = 0.0) -> Flight:
+    """Random inputs about hover from the initial state, moved by `start_error` where others than agent 1 decide."""
+    run = setup(ownership)
+    rng = np.random.default_rng(11)
+    U = run.hover.u + NOISE * rng.uniform(-1.0, 1.0, (TICKS, run.system.m))
+    x = run.initial_state()
+    for uav in set(range(run.system.N)) - set(run.owned[0]):
+        x[state.uav_slice(uav)][state.THETA] += start_error
+    X = [x]
+    for u in U:
+        X.append(run.model.integrate(X[-1], u, PERIOD_S, 10)[0])
+    return Flight(run, np.array(X), U)
+
+
+def estimates(truth: Flight, arrivals: Arrivals, missed: Collection[int] = ()) -> dict[int, Array]:
+    """Agent 1's estimates over the flight, by tick.
+
+    Args:
+        truth: What happens.
+        arrivals: Others' plans, by the tick before whose estimate they arrive.
+        missed: Ticks whose measurement never comes.
+    """
+    run = truth.run
+    estimator = StateEstimator(run.model, lambda k: run.initial_state(), PERIOD_S)
+    announced = AnnouncedInputs(run.owned, run.hover.u)
+    found = {}
+    for k in range(TICKS + 1):
+        for message in arrivals.get(k, []):
+            announced.add(message)
+            estimator.take(message)
+        if k not in missed:
+            found[k] = estimator.estimate(measurement(run, 1, k, x=truth.X[k]), announced)
+        if k < TICKS:
+            announced.add(truth.plan(1, k))  # its own: it knows what it does
+    return found
+
+
+def arriving(truth: Flight, when: Callable[[int], int], steps: int = 1) -> Arrivals:
+    """Everybody's plans: that of tick k arrives before the estimate of tick when(k)."""
+    arrivals: Arrivals = {}
+    for k in range(TICKS):
+        for agent in truth.run.agents[1:]:
+            arrivals.setdefault(when(k), []).append(truth.plan(agent, k, steps))
+    return arrivals
+
+
+def assert_close(found: dict[int, Array], truth: Flight, ticks: Sequence[int], tolerance: float) -> None:
+    """Estimates equal the truth at some ticks."""
+    for k in ticks:
+        np.testing.assert_allclose(found[k], truth.X[k], rtol=0.0, atol=tolerance, err_msg=f"tick {k}")
+
+
+@pytest.mark.parametrize("ownership", [FOUR, PAIRS])
+def test_perfect_network(ownership: str) -> None:
+    """With plans one tick late the estimate is the true state: the paper's perfect information."""
+    truth = flight(ownership)
+    found = estimates(truth, arriving(truth, lambda k: k + 1))
+    assert_close(found, truth, range(TICKS + 1), ONE_PERIOD)
+    assert np.abs(truth.X[-1] - truth.X[0]).max() > 0.1  # the flight has gone somewhere
+
+
+def test_own_measurement_is_taken_as_it_is() -> None:
+    """Payload and owned UAVs are estimated exactly as measured, whatever is known of the others."""
+    truth = flight(PAIRS)
+    for found in (estimates(truth, {}), estimates(truth, arriving(truth, lambda k: k + 3))):
+        for k, x in found.items():
+            measured = 12 + 2 * 12
+            np.testing.assert_array_equal(x[:measured], truth.X[k, :measured])
+
+
+def test_wrong_first_guess() -> None:
+    """Others that do not start as planned are known from the first plans received on."""
+    truth = flight(FOUR, 0.05)
+    found = estimates(truth, arriving(truth, lambda k: k + 1))
+    assert np.abs(found[0] - truth.X[0]).max() > 0.04
+    assert_close(found, truth, range(1, TICKS + 1), ONE_PERIOD)
+
+
+@pytest.mark.parametrize("delay", [2, 5, 10])
+def test_delay_without_disturbance(delay: int) -> None:
+    """Announced inputs that come true make the estimate the true state however late they are."""
+    truth = flight(FOUR)
+    found = estimates(truth, arriving(truth, lambda k: k + delay, steps=delay))
+    assert_close(found, truth, range(delay, TICKS + 1), TEN_PERIODS)
+
+
+def test_loss_without_disturbance() -> None:
+    """The same with two of three plans lost."""
+    truth = flight(FOUR)
+    arrivals = {k: [p for p in ps if p.tick % 3 == 0] for k, ps in arriving(truth, lambda k: k + 1, steps=5).items()}
+    assert_close(estimates(truth, arrivals), truth, range(TICKS + 1), TEN_PERIODS)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("delay", [2, 7, TICKS])
+def test_order_of_arrival_does_not_matter(seed: int, delay: int) -> None:
+    """Once all is there, the estimate is bit for bit the one of plans that came in order and at once."""
+    truth = flight(FOUR, 0.02)
+    in_order = estimates(truth, arriving(truth, lambda k: k + 1))
+    rng = np.random.default_rng(seed)
+    late: Arrivals = {}
+    for k in range(TICKS):
+        for agent in truth.run.agents[1:]:
+            # At the last tick everything is there; until then each at its own random time, some twice.
+            for _ in range(int(rng.integers(1, 3))):
+                when = min(k + int(rng.integers(1, delay + 1)), TICKS)
+                late.setdefault(when, []).append(truth.plan(agent, k))
+    for messages in late.values():
+        rng.shuffle(messages)
+    found = estimates(truth, late)
+    np.testing.assert_array_equal(found[TICKS], in_order[TICKS])
+
+
+def test_late_news_corrects_the_past() -> None:
+    """A state received late is put in at its own tick and carried forward: the next estimate has it."""
+    truth = flight(FOUR, 0.05)
+    arrivals = arriving(truth, lambda k: TICKS, steps=TICKS)
+    first = {agent: truth.plan(agent, 0, TICKS) for agent in (2, 3, 4)}
+    found = estimates(truth, {20: list(first.values()), TICKS: arrivals[TICKS]})
+    assert np.abs(found[19] - truth.X[19]).max() > 0.04
+    np.testing.assert_allclose(found[20], truth.X[20], rtol=0.0, atol=20 * ONE_PERIOD)
+
+
+def test_missed_measurements() -> None:
+    """Ticks without a measurement are predicted over."""
+    truth = flight(FOUR)
+    missed = range(10, 15)
+    found = estimates(truth, arriving(truth, lambda k: k + 1, steps=10), missed)
+    assert not set(missed) & set(found)
+    assert_close(found, truth, sorted(found), TEN_PERIODS)
+
+
+def test_states_received_over_a_gap() -> None:
+    """States of ticks whose own measurement never came are used like any others."""
+    run = setup(FOUR)
+    estimator = StateEstimator(run.model, lambda k: run.initial_state(), PERIOD_S)
+    announced = AnnouncedInputs(run.owned, run.hover.u)
+    estimator.estimate(measurement(run, 1, 0), announced)
+    x = run.initial_state()
+    x[state.uav_slice(1)][state.THETA] = [0.1, 0.0, 0.0]
+    estimator.take(plan(run, 2, 4, x=x))  # before the measurement of tick 5; those of 1..4 are lost
+    found = estimator.estimate(measurement(run, 1, 5), announced)
+    assert estimator.age(2, 5) == 1
+    assert found[state.uav_slice(1)][state.THETA][0] == pytest.approx(0.1, abs=1e-6)  # it does not turn
+
+
+@pytest.mark.parametrize(("age", "known"), [(1, True), (WINDOW, True), (WINDOW + 1, False)])
+def test_window(age: int, known: bool) -> None:
+    """A state is used up to WINDOW ticks back; an older one changes nothing, bit for bit."""
+    run = setup(FOUR)
+    last = 2 * WINDOW
+    x = run.initial_state()
+    x[state.uav_slice(1)][state.THETA] = [0.0, 0.1, 0.0]
+    found = []
+    for news in ([], [plan(run, 2, last - age, x=x)]):
+        estimator = StateEstimator(run.model, lambda k: run.initial_state(), PERIOD_S)
+        announced = AnnouncedInputs(run.owned, run.hover.u)
+        for k in range(last):
+            estimator.estimate(measurement(run, 1, k), announced)
+        for message in news:
+            estimator.take(message)
+        found.append(estimator.estimate(measurement(run, 1, last), announced))
+    assert np.array_equal(found[0], found[1]) is not known
+
+
+def test_age() -> None:
+    """The age of a state counts from the newest one received, in any order; -1 before the first."""
+    run = setup(FOUR)
+    estimator = StateEstimator(run.model, lambda k: run.initial_state(), PERIOD_S)
+    announced = AnnouncedInputs(run.owned, run.hover.u)
+    for k in range(6):
+        estimator.estimate(measurement(run, 1, k), announced)
+    assert estimator.age(2, 6) == -1
+    estimator.take(plan(run, 2, 4))
+    assert estimator.age(2, 6) == 2
+    estimator.take(plan(run, 2, 3))
+    assert estimator.age(2, 6) == 2
+    estimator.take(plan(run, 2, 5))
+    assert (estimator.age(2, 6), estimator.age(2, 9), estimator.age(3, 6)) == (1, 4, -1)
+
+
+def test_estimates_are_read_only() -> None:
+    """An estimate cannot be changed by whoever gets it: it is the past of the next one."""
+    run = setup(FOUR)
+    estimator = StateEstimator(run.model, lambda k: run.initial_state(), PERIOD_S)
+    found = estimator.estimate(measurement(run, 1, 0), AnnouncedInputs(run.owned, run.hover.u))
+    with pytest.raises(ValueError, match="read-only"):
+        found[0] = 0.0
+
+
+def test_joining_late() -> None:
+    """A process that joins at a later tick starts from what the maneuver plans for that tick."""
+    run = setup(FOUR)
+    asked: list[int] = []
+
+    def planned(k: int) -> Array:
+        asked.append(k)
+        return run.initial_state() + 1e-3 * k
+
+    estimator = StateEstimator(run.model, planned, PERIOD_S)
+    found = estimator.estimate(measurement(run, 1, 50), AnnouncedInputs(run.owned, run.hover.u))
+    assert asked == [50]
+    np.testing.assert_array_equal(found[24:], run.initial_state()[24:] + 0.05)
+    np.testing.assert_array_equal(found[:24], run.initial_state()[:24])

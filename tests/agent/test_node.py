@@ -1,0 +1,299 @@
+"""The agent as a state machine: what it waits for, what it answers, what it refuses."""
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from agent.node import AgentNode
+from model import state
+from model.arrays import Array
+from mpc.controller import Controller
+from protocol.messages import Message, Plan, Presence, StepReport
+from protocol.setup import Setup
+from tests.runs import end, measurement, plan, roster, setup, tick, truth
+
+SHORT_HORIZON = "controller.horizon=5"  # a step of a millisecond: these tests are about messages
+OTHERS = (2, 3, 4)
+TWO_UAVS = {
+    "uavs": (2, 3),
+    "uav_states": np.zeros((2, 12)),
+    "inputs": np.zeros((5, 8)),
+    "corrections": np.zeros((0, 8)),
+}
+
+
+@pytest.fixture
+def run() -> Setup:
+    """The paper's four agents with a short horizon."""
+    return setup(SHORT_HORIZON)
+
+
+@pytest.fixture
+def node(run: Setup) -> AgentNode:
+    """Agent 1, told who takes part."""
+    node = AgentNode(run, 1)
+    assert tell(node, roster()) == []
+    return node
+
+
+def tell(node: AgentNode, *events: Message | Presence) -> list[Message]:
+    """Hand events over and return all that comes back."""
+    return [message for event in events for message in node.receive(event, 0)]
+
+
+def answer(messages: list[Message]) -> tuple[Plan, StepReport]:
+    """The one plan and one report of an answer."""
+    made, report = messages
+    assert isinstance(made, Plan)
+    assert isinstance(report, StepReport)
+    return made, report
+
+
+def step(run: Setup, node: AgentNode, k: int) -> tuple[Plan, StepReport]:
+    """A tick as it should be: the others' plans of the tick before, then the measurement."""
+    plans = [plan(run, agent, k - 1) for agent in OTHERS] if k else []
+    assert tell(node, *plans) == []
+    return answer(tell(node, measurement(run, 1, k)))
+
+
+def test_answers_a_measurement_once(run: Setup, node: AgentNode) -> None:
+    """One measurement is answered by one plan and one report; the same again is refused and counted."""
+    made, report = answer(tell(node, measurement(run, 1, 0)))
+    assert (made.sender, made.agent, made.tick, made.start_tick, made.uavs) == ("agent1", 1, 0, 0, (1,))
+    assert (made.sequence, report.sequence) == (0, 1)
+    assert made.inputs.shape == (5, 4)
+    assert made.status == report.status == "solved"
+    np.testing.assert_array_equal(made.uav_states, run.initial_state()[None, state.uav_slice(0)])
+    assert tell(node, measurement(run, 1, 0)) == []
+    assert node.rejected.total() == 1
+
+
+@pytest.mark.parametrize("last", OTHERS)
+@pytest.mark.parametrize("measured_first", [True, False])
+def test_waits_for_measurement_and_plans(run: Setup, node: AgentNode, last: int, measured_first: bool) -> None:
+    """Tick k is answered when its measurement and the plans of k - 1 are in, whichever of them comes last."""
+    step(run, node, 0)
+    plans = [plan(run, agent, 0) for agent in OTHERS if agent != last]
+    if measured_first:
+        assert tell(node, measurement(run, 1, 1), *plans) == []
+        made, _ = answer(tell(node, plan(run, last, 0)))
+    else:
+        assert tell(node, *plans, plan(run, last, 0)) == []
+        made, _ = answer(tell(node, measurement(run, 1, 1)))
+    assert made.tick == 1
+
+
+def test_waits_only_for_whom_the_clock_waited(run: Setup, node: AgentNode) -> None:
+    """Who did not answer tick k - 1 in time is not waited for at tick k."""
+    step(run, node, 0)
+    tell(node, plan(run, 2, 0), plan(run, 4, 0))
+    made, report = answer(tell(node, measurement(run, 1, 1, answered=(1, 2, 4))))
+    assert made.tick == 1
+    assert report.peers == OTHERS
+    assert report.plan_ages == (1, -1, 1)
+    assert report.delivered == 2
+
+
+def test_roster_releases_the_wait(run: Setup, node: AgentNode) -> None:
+    """An agent that is taken off the roster is no longer waited for, and the tick is answered at once."""
+    step(run, node, 0)
+    assert tell(node, measurement(run, 1, 1), plan(run, 2, 0), plan(run, 3, 0)) == []
+    made, _ = answer(tell(node, roster({1: 1, 2: 1, 3: 1}, k=1, version=2)))
+    assert made.tick == 1
+
+
+def test_early_plans_are_for_the_next_tick(run: Setup) -> None:
+    """A plan of tick k that is here before this agent plans for k does not change what it plans for k."""
+    shove = np.tile([30.0, 0.1, 0.1, 0.1], (5, 1))
+    made = []
+    for early in ([], [plan(run, 2, 1, inputs=shove)]):
+        node = AgentNode(run, 1)
+        tell(node, roster())
+        step(run, node, 0)
+        made.append(answer(tell(node, *early, *[plan(run, i, 0) for i in OTHERS], measurement(run, 1, 1)))[0])
+    np.testing.assert_array_equal(made[0].inputs, made[1].inputs)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"agent": 5, "sender": "agent5", "uavs": (1,)}, "plan of an unknown agent"),
+        ({"agent": 1, "sender": "agent1", "uavs": (1,)}, "plan of an unknown agent"),
+        ({"incarnation": 0}, "plan of an incarnation that is not on the roster"),
+        ({"uavs": (3,)}, "plan for UAVs of somebody else"),
+        (TWO_UAVS, "plan for UAVs of somebody else"),
+        ({"tick": 2, "start_tick": 2}, "plan from the future"),
+    ],
+)
+def test_refused_plans(run: Setup, node: AgentNode, changes: dict[str, object], reason: str) -> None:
+    """A plan nobody of the run could have made now is refused, counted, and does not end the wait."""
+    step(run, node, 0)
+    forged = replace(plan(run, 2, 0), **changes)  # type: ignore[arg-type]  # fields of several types
+    assert tell(node, forged) == []
+    assert node.rejected == Counter({(forged.sender, reason): 1})
+    assert tell(node, plan(run, 3, 0), plan(run, 4, 0), measurement(run, 1, 1)) == []
+    _, report = answer(tell(node, plan(run, 2, 0)))
+    assert (report.rejected, report.delivered) == (1, 3)
+
+
+def test_who_left_is_not_believed(run: Setup) -> None:
+    """A plan of an agent that is not on the roster is refused."""
+    node = AgentNode(run, 1)
+    tell(node, roster(), roster({1: 1, 3: 1, 4: 1}, version=2), plan(run, 2, 0))
+    assert node.rejected == Counter({("agent2", "plan of an incarnation that is not on the roster"): 1})
+
+
+def test_measurement_waits_for_its_roster(run: Setup) -> None:
+    """A measurement that names a roster this agent does not have is answered when it is here."""
+    node = AgentNode(run, 1)
+    assert tell(node, measurement(run, 1, 0)) == []
+    answer(tell(node, roster()))
+    plans = [plan(run, agent, 0) for agent in (2, 3)]
+    assert tell(node, *plans, measurement(run, 1, 1, answered=(1, 2, 3), version=2)) == []
+    answer(tell(node, roster({1: 1, 2: 1, 3: 1}, version=2)))
+
+
+@pytest.mark.parametrize("place", range(5))
+def test_roster_is_overtaken(run: Setup, place: int) -> None:
+    """The roster comes from another process than plans and measurements: that they overtake it changes nothing."""
+    shove = np.tile(run.hover.u[:4] + 1.0, (5, 1))
+    events: list[Message] = [
+        measurement(run, 1, 0),
+        *[plan(run, agent, 0, inputs=shove) for agent in OTHERS],
+        measurement(run, 1, 1),
+    ]
+    made = []
+    for at in (0, place):
+        answers = tell(AgentNode(run, 1), *events[:at], roster(), *events[at:])
+        made.append([message.inputs for message in answers if isinstance(message, Plan)])
+    assert len(made[0]) == 2
+    np.testing.assert_array_equal(made[1], made[0])
+
+
+def test_new_incarnation_is_believed(run: Setup, node: AgentNode) -> None:
+    """With a new roster the restarted agent's plans count and the dead one's no longer do."""
+    step(run, node, 0)
+    tell(node, roster({1: 1, 2: 2, 3: 1, 4: 1}, version=2), plan(run, 3, 0), plan(run, 4, 0), measurement(run, 1, 1))
+    assert tell(node, plan(run, 2, 0)) == []
+    made, _ = answer(tell(node, plan(run, 2, 0, incarnation=2)))
+    assert made.tick == 1
+
+
+@pytest.mark.parametrize("kind", ["old", "foreign"])
+def test_refused_measurements(run: Setup, node: AgentNode, kind: str) -> None:
+    """A measurement of a tick already answered, or for other UAVs, is refused and counted."""
+    for k in range(2):
+        step(run, node, k)
+    wrong = measurement(run, 1, 0) if kind == "old" else replace(measurement(run, 2, 2, answered=()), agent=1)
+    assert tell(node, wrong) == []
+    (sender, reason), count = node.rejected.popitem()
+    assert (sender, count) == ("plant", 1)
+    assert reason.startswith(f"measurement of tick {wrong.tick} for UAVs ")
+
+
+def test_rejections_are_reported_once(run: Setup, node: AgentNode) -> None:
+    """Each report counts what was refused since the report before."""
+    counts = []
+    for k, wrong in enumerate([2, 0, 3]):
+        tell(node, *[plan(run, 2, k, incarnation=0)] * wrong)
+        counts.append(step(run, node, k)[1].rejected)
+    assert counts == [2, 0, 3]
+    assert node.rejected.total() == 5
+
+
+def test_report(run: Setup, node: AgentNode) -> None:
+    """The report tells ages of plans and states, how many plans came and how many of them late."""
+    _, first = step(run, node, 0)
+    assert first.plan_ages == first.state_ages == (-1, -1, -1)
+    assert (first.delivered, first.late, first.rejected) == (0, 0, 0)
+    _, second = step(run, node, 1)
+    assert second.plan_ages == second.state_ages == (1, 1, 1)
+    assert (second.delivered, second.late) == (3, 0)
+    tell(node, plan(run, 2, 1), plan(run, 3, 1))
+    _, third = answer(tell(node, measurement(run, 1, 2, answered=(1, 2, 3))))
+    assert third.plan_ages == third.state_ages == (1, 1, 2)
+    assert (third.delivered, third.late) == (2, 0)
+    tell(node, plan(run, 4, 1), *[plan(run, agent, 2) for agent in OTHERS])
+    _, fourth = answer(tell(node, measurement(run, 1, 3)))
+    assert fourth.plan_ages == (1, 1, 1)
+    assert (fourth.delivered, fourth.late) == (4, 1)
+    assert fourth.solver == "daqp"
+    assert 0.0 <= fourth.residual < 1e-6  # passed the solver's residual check
+
+
+def test_stopwatch(run: Setup) -> None:
+    """Times per stage come from the stopwatch alone, in ms; the last is their sum."""
+    now = iter(range(0, 10**9, 2_000_000))
+    node = AgentNode(run, 1, stopwatch=lambda: next(now))
+    _, report = answer(tell(node, roster(), measurement(run, 1, 0)))
+    np.testing.assert_array_equal(report.times_ms, [2.0, 2.0, 2.0, 2.0, 2.0, 10.0])
+
+
+def test_plan_is_the_controllers(run: Setup, node: AgentNode) -> None:
+    """The plan is what the controller finds at the estimate, inputs in force and announced plans of the others."""
+    first, _ = step(run, node, 0)
+    shove: Array = np.tile(run.hover.u[:4], (5, 1)) + np.array([2.0, 0.01, 0.0, 0.0])
+    made, _ = answer(
+        tell(node, plan(run, 2, 0, inputs=shove), plan(run, 3, 0), plan(run, 4, 0), measurement(run, 1, 1))
+    )
+    # All others are measured to be where they started; UAV2 has since done what it announced.
+    u0 = run.hover.u.copy()
+    u0[4:8] = shove[0]
+    x, _ = run.model.integrate(run.initial_state(), np.concatenate([first.inputs[0], u0[4:]]), 0.05, 2)
+    x[:24] = run.initial_state()[:24]
+    U = np.tile(run.hover.u, (5, 1))
+    U[:, :4] = np.vstack([first.inputs[1:], first.inputs[-1:]])
+    U[:, 4:8] = shove
+    y_ref = run.reference.outputs(0.05 * np.arange(1.0, 7.0))
+    expected = Controller(run.model, run.hover, run.settings, (0,)).step(x, u0, U, y_ref)
+    np.testing.assert_array_equal(made.inputs, expected.U)
+
+
+@pytest.mark.parametrize(("actuation", "delay"), [("immediate", 0), ("next_tick", 1)])
+def test_start_of_plans(actuation: str, delay: int) -> None:
+    """Plans start at their own tick with actuation "immediate", one later with "next_tick"."""
+    run = setup(SHORT_HORIZON, f"clock.actuation={actuation}")
+    node = AgentNode(run, 1)
+    tell(node, roster())
+    for k in range(3):
+        plans = [plan(run, agent, k - 1, delay=delay) for agent in OTHERS] if k else []
+        made, _ = answer(tell(node, *plans, measurement(run, 1, k)))
+        assert (made.tick, made.start_tick) == (k, k + delay)
+
+
+def test_end_of_the_run(run: Setup, node: AgentNode) -> None:
+    """The coordinator's word ends the run for an agent, as it is said."""
+    assert node.finished is None
+    assert tell(node, end()) == []
+    assert node.finished == end()
+
+
+@pytest.mark.parametrize("steps", [0, 2])
+def test_coordinator_is_gone(run: Setup, node: AgentNode, steps: int) -> None:
+    """Without a coordinator the run is aborted with exit code 4, before the first tick and later."""
+    for k in range(steps):
+        step(run, node, k)
+    assert tell(node, Presence("coordinator", 0, alive=False)) == []
+    assert node.finished is not None
+    assert (node.finished.outcome, node.finished.exit_code) == ("aborted", 4)
+    assert node.finished.reason == "coordinator is gone"
+    assert node.finished.tick == max(steps - 1, 0)
+
+
+def test_other_events_change_nothing(run: Setup, node: AgentNode) -> None:
+    """Presences of others, messages for others and time itself are no news to an agent."""
+    events: list[Message | Presence] = [
+        Presence("coordinator", 0, alive=True),
+        Presence("agent2", 0, alive=False),
+        Presence("plant", 0, alive=False),
+        tick(0),
+        truth(run, 0),
+    ]
+    assert tell(node, *events) == []
+    assert list(node.poll(10**18)) == []
+    assert node.wake_ns is None
+    assert node.finished is None
+    assert not node.rejected
+    step(run, node, 0)

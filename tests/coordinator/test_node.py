@@ -1,0 +1,247 @@
+"""The coordinator: barrier, pacing, membership, incarnations."""
+
+from collections import Counter
+
+import pytest
+
+from coordinator.node import CoordinatorNode
+from protocol.messages import Control, Roster, Tick
+from protocol.node import Node
+from tests.coordinator.clock import (
+    CONTINUE,
+    MS,
+    START_NS,
+    THREE,
+    TIMEOUT_S,
+    S,
+    answers,
+    coordinator,
+    gone,
+    kinds,
+    ready,
+    started,
+    tell,
+)
+from tests.runs import EVERYBODY, plan, setup, truth
+
+BARRIER_NS = round(TIMEOUT_S * S)
+PACED = "clock.speed=1"
+
+
+def test_waits_for_all_and_the_observers() -> None:
+    """Tick 0 opens when plant, agents and observers are ready, whoever is last; the roster comes before it."""
+    names = ["plant", "agent1", "agent2", "agent3", "agent4", "recorder"]
+    for last in names:
+        node = coordinator(observers=["recorder"])
+        assert tell(node, [ready(name) for name in names if name != last]) == []
+        assert node.tick == -1
+        roster, tick = tell(node, [ready(last)])
+        assert isinstance(roster, Roster)
+        assert (roster.version, roster.agents, roster.incarnations) == (1, EVERYBODY, (1, 1, 1, 1))
+        assert isinstance(tick, Tick)
+        assert (tick.tick, tick.members, tick.answered, tick.roster) == (0, EVERYBODY, (), 1)
+
+
+def test_a_whole_run() -> None:
+    """Each tick opens on the last answer to the one before; the run is over with the last truth and not before."""
+    node = started(coordinator())
+    sent = []
+    for k in range(3):
+        for agent in (3, 1, 4, 2):
+            sent += [(k, agent, text) for text in kinds(tell(node, answers(k, (agent,))))]
+        sent += [(k, 0, text) for text in kinds(tell(node, [truth(setup(), k)]))]
+    assert sent == [(0, 2, "tick 1"), (1, 2, "tick 2"), (2, 0, "control 2")]
+    assert node.finished is not None
+    assert (node.finished.outcome, node.finished.reason, node.finished.exit_code) == ("completed", "", 0)
+
+
+def test_answers_count_once() -> None:
+    """The same answer twice does not stand for another agent's."""
+    node = started(coordinator())
+    assert tell(node, [*answers(0, (1, 2, 3)), *answers(0, (1, 2, 3)), *answers(0, (3,))]) == []
+    assert kinds(tell(node, answers(0, (4,)))) == ["tick 1"]
+
+
+def test_tick_tells_who_answered() -> None:
+    """Tick k + 1 names the agents whose plans of k count, and the roster in force."""
+    node = started(coordinator(CONTINUE))
+    tell(node, answers(0, (1, 4)))
+    roster, tick = node.poll(START_NS + BARRIER_NS)
+    assert isinstance(roster, Roster)
+    assert (roster.version, roster.agents, roster.incarnations) == (2, (1, 4), (1, 1))
+    assert roster.reason == "agent2, agent3 did not answer tick 0 in time at t = 0.00 s"
+    assert isinstance(tick, Tick)
+    assert (tick.tick, tick.members, tick.answered, tick.roster) == (1, (1, 4), (1, 4), 2)
+
+
+def test_who_left_is_not_waited_for() -> None:
+    """After an agent left, ticks open without it, and its answers no longer count."""
+    node = started(coordinator(CONTINUE))
+    tell(node, [gone("agent2")])
+    assert tell(node, answers(0, (1, 2, 3))) == []
+    assert kinds(tell(node, answers(0, (4,)))) == ["tick 1"]
+
+
+def test_an_answer_of_somebody_gone_still_counts_for_the_others() -> None:
+    """An agent that answered and then went is named among the answers: its plan may be used."""
+    node = started(coordinator(CONTINUE))
+    tell(node, [*answers(0, (1, 2)), gone("agent2"), *answers(0, (3,))])
+    (tick,) = tell(node, answers(0, (4,)))
+    assert isinstance(tick, Tick)
+    assert (tick.members, tick.answered) == ((1, 3, 4), (1, 2, 3, 4))
+
+
+def test_the_last_agent() -> None:
+    """Also with policy "continue" a run ends when no agent is left."""
+    node = started(coordinator(CONTINUE))
+    assert kinds(tell(node, [gone("agent1"), gone("agent2"), gone("agent3")])) == ["roster 0"] * 3
+    (control,) = tell(node, [gone("agent4")])
+    assert isinstance(control, Control)
+    assert (control.outcome, control.exit_code) == ("aborted", 4)
+    assert control.reason == "agent4 is gone at t = 0.00 s; no agent is left"
+
+
+def test_barrier_restarts_with_every_tick() -> None:
+    """The barrier timeout counts from the opening of the open tick."""
+    node = started(coordinator())
+    later = START_NS + BARRIER_NS - 1
+    tell(node, answers(0), later)
+    assert list(node.poll(later + BARRIER_NS - 1)) == []
+    assert kinds(node.poll(later + BARRIER_NS)) == ["control 1"]
+
+
+@pytest.mark.parametrize(("speed", "period_ns"), [(1.0, 50 * MS), (2.0, 25 * MS), (0.5, 100 * MS)])
+def test_pacing(speed: float, period_ns: int) -> None:
+    """At speed s tick k opens at the first moment from k T_s / s after tick 0, on the dot when answers are early."""
+    node = started(coordinator(f"clock.speed={speed}"))
+    for k in (1, 2):
+        assert tell(node, answers(k - 1), START_NS + (k - 1) * period_ns + 1) == []
+        due = START_NS + k * period_ns
+        assert node.wake_ns == due
+        assert list(node.poll(due - 1)) == []
+        assert kinds(node.poll(due)) == [f"tick {k}"]
+
+
+def test_pacing_does_not_drift() -> None:
+    """A late tick does not shift those after it: they are due relative to the first."""
+    node = started(coordinator(PACED))
+    assert kinds(tell(node, answers(0), START_NS + 70 * MS)) == ["tick 1"]
+    assert tell(node, answers(1), START_NS + 80 * MS) == []
+    assert node.wake_ns == START_NS + 100 * MS
+    assert list(node.poll(START_NS + 100 * MS - 1)) == []
+    assert kinds(node.poll(START_NS + 100 * MS)) == ["tick 2"]
+
+
+def test_pacing_catches_up() -> None:
+    """Far behind, ticks open as soon as they are answered until the schedule is met again."""
+    node = started(coordinator(PACED))
+    assert kinds(tell(node, answers(0), START_NS + 130 * MS)) == ["tick 1"]
+    assert kinds(tell(node, answers(1), START_NS + 131 * MS)) == ["tick 2"]
+
+
+def test_pacing_outlasts_the_barrier() -> None:
+    """A tick everybody has answered does not time out while the next one is not due."""
+    node = started(coordinator("clock.speed=0.001"))  # 50 s per tick, ten timeouts
+    tell(node, answers(0))
+    assert list(node.poll(START_NS + 2 * BARRIER_NS)) == []
+    assert node.finished is None
+    assert kinds(node.poll(START_NS + 50 * S)) == ["tick 1"]
+
+
+def test_as_fast_as_possible() -> None:
+    """At speed 0 a tick opens with the last answer to the one before, at any time."""
+    node = started(coordinator("clock.speed=0"), 0)
+    assert kinds(tell(node, answers(0), 0)) == ["tick 1"]
+
+
+def test_wake() -> None:
+    """`wake_ns` is the barrier's end, the next tick's time once all have answered, and None outside a run."""
+    node = coordinator(PACED)
+    assert node.wake_ns is None
+    started(node)
+    assert node.wake_ns == START_NS + BARRIER_NS
+    tell(node, answers(0, (1, 2, 3)), START_NS + 5 * MS)
+    assert node.wake_ns == START_NS + BARRIER_NS
+    tell(node, answers(0, (4,)), START_NS + 6 * MS)
+    assert node.wake_ns == START_NS + 50 * MS
+    node.poll(START_NS + 51 * MS)
+    assert node.wake_ns == START_NS + 51 * MS + BARRIER_NS
+    tell(node, answers(1), START_NS + 120 * MS)
+    tell(node, answers(2), START_NS + 130 * MS)
+    assert node.wake_ns == START_NS + 120 * MS + BARRIER_NS  # nothing but the last truth is missing
+    tell(node, [truth(setup(), 2)], START_NS + 140 * MS)
+    assert node.wake_ns is None
+
+
+def test_polling_at_wake_always_does_something() -> None:
+    """Whoever sleeps until `wake_ns` and polls then finds something done: a loop never spins."""
+    node = started(coordinator(PACED, CONTINUE))
+    for k in range(3):
+        tell(node, answers(k, (1, 2, 3) if k == 0 else (1, 2)), START_NS + k)
+        while node.tick == k and node.finished is None:
+            wake = node.wake_ns
+            assert wake is not None
+            assert node.poll(wake - 1) == ()
+            assert len(node.poll(wake)) > 0
+
+
+def test_messages_are_numbered() -> None:
+    """All messages of the coordinator carry its incarnation and count up from 0."""
+    node = CoordinatorNode(setup(THREE), incarnation=3)
+    sent = tell(node, [ready(name) for name in ("plant", "agent1", "agent2", "agent3", "agent4")])
+    for k in range(3):
+        sent += tell(node, [*answers(k), truth(setup(), k)])
+    assert [message.sequence for message in sent] == list(range(len(sent))) == list(range(5))
+    assert {(message.sender, message.incarnation) for message in sent} == {("coordinator", 3)}
+
+
+@pytest.mark.parametrize("incarnations", [(0, 1), (0, 1, 4), (2, 1), (4, 0, 3)])
+def test_newest_incarnation_takes_part(incarnations: tuple[int, ...]) -> None:
+    """Of several starts of an agent the newest is on the roster, in whatever order their tokens are seen."""
+    node = coordinator()
+    tell(node, [ready("agent2", incarnation) for incarnation in incarnations])
+    roster, _ = tell(node, [ready(name) for name in ("plant", "agent1", "agent3", "agent4")])
+    assert isinstance(roster, Roster)
+    assert roster.incarnations == (1, max(incarnations), 1, 1)
+
+
+def test_answers_of_other_incarnations_do_not_count() -> None:
+    """A plan of an earlier or later start than the roster's is no answer."""
+    node = started(coordinator())
+    tell(node, answers(0, (1, 2, 3)))
+    for incarnation in (0, 2):
+        assert tell(node, [plan(setup(), 4, 0, incarnation=incarnation)]) == []
+    assert kinds(tell(node, answers(0, (4,)))) == ["tick 1"]
+
+
+def test_what_is_refused_is_counted() -> None:
+    """A plan that is no answer because of its incarnation is counted by sender and reason. Source: docs/protocol.md."""
+    node: Node = started(coordinator())
+    node.receive(plan(setup(), 4, 0, incarnation=0), START_NS)
+    assert sum(node.rejected.values()) == 1
+    assert isinstance(node.rejected, Counter)
+
+
+def test_a_restarted_agent_does_not_replace_the_lost_one() -> None:
+    """The roster's incarnation leaves when its token does, also if a newer start of it is there before that."""
+    node = started(coordinator(CONTINUE))
+    assert tell(node, [ready("agent2", 2)]) == []
+    assert tell(node, [*answers(0, (1, 3, 4)), plan(setup(), 2, 0, incarnation=2)]) == []
+    assert kinds(tell(node, [gone("agent2", 1)])) == ["roster 0", "tick 1"]
+
+
+def test_a_stale_plant_token() -> None:
+    """That an earlier start of the plant is gone says nothing about the present one."""
+    node = started(coordinator())
+    assert tell(node, [gone("plant", 0)]) == []
+    assert node.finished is None
+
+
+@pytest.mark.parametrize("name", ["agent", "agentx", "agent 1", "agent-1", "agent99", "observer", ""])
+def test_strangers(name: str) -> None:
+    """Tokens of names that are not of this run change nothing."""
+    for node in (coordinator(), started(coordinator())):
+        before = node.tick
+        assert tell(node, [ready(name), gone(name)]) == []
+        assert node.tick == before
+        assert node.finished is None

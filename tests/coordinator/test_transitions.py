@@ -1,0 +1,191 @@
+"""The coordinator's table of transitions: state and event in, messages and outcome out."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import pytest
+
+from coordinator.node import CoordinatorNode
+from protocol.messages import Message, Presence
+from tests.coordinator.clock import (
+    CONTINUE,
+    START_NS,
+    TIMEOUT_S,
+    answers,
+    at_last_tick,
+    coordinator,
+    gone,
+    kinds,
+    ready,
+    started,
+    tell,
+)
+from tests.runs import setup, truth
+
+AGENTS = [f"agent{agent}" for agent in (1, 2, 3, 4)]
+TOO_LATE_NS = START_NS + round(TIMEOUT_S * 1e9)
+
+
+def waiting(*settings: str) -> CoordinatorNode:
+    """Everybody ready but agent 4."""
+    node = coordinator(*settings)
+    tell(node, [ready(name) for name in ("plant", *AGENTS[:3])])
+    return node
+
+
+def opened(*settings: str) -> CoordinatorNode:
+    """Tick 0 open, agents 1 to 3 have answered."""
+    node = started(coordinator(*settings))
+    assert tell(node, answers(0, (1, 2, 3))) == []
+    return node
+
+
+def at_the_end(*settings: str) -> CoordinatorNode:
+    """Last tick open and answered by all, its truth outstanding."""
+    node = at_last_tick(coordinator(*settings))
+    assert tell(node, answers(2)) == []
+    return node
+
+
+def recorded(*settings: str) -> CoordinatorNode:
+    """Last tick open, its truth here, agent 4's answer outstanding."""
+    node = at_last_tick(coordinator(*settings))
+    assert tell(node, [*answers(2, (1, 2, 3)), truth(setup(), 2)]) == []
+    return node
+
+
+def over(*settings: str) -> CoordinatorNode:
+    """A run that was interrupted."""
+    node = opened(*settings)
+    node.interrupt("Ctrl-C")
+    return node
+
+
+def tilted(*settings: str) -> CoordinatorNode:
+    """Opened, and the plant has said that the flight is lost: the tick is still answered and the next one opened."""
+    node = opened(*settings)
+    tell(node, [truth(setup(), 0, "UAV1 roll of 90 deg")])
+    return node
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """One line of the table: in this state, after this event, these messages and this outcome."""
+
+    state: Callable[..., CoordinatorNode]
+    event: Message | Presence | str
+    sent: list[str] = field(default_factory=list)
+    outcome: tuple[str, int] | None = None
+    reason: str = ""
+    settings: tuple[str, ...] = ()
+
+
+ABORTED, DIVERGED, COMPLETED, INTERRUPTED = ("aborted", 4), ("diverged", 6), ("completed", 0), ("aborted", 130)
+LOST, TILTED = truth(setup(), 0, "UAV1 roll of 90 deg"), "UAV1 roll of 90 deg at t = 0.00 s"
+LATE = "agent4 did not answer tick 0 in time at t = 0.00 s"
+
+TABLE = [
+    Case(state=waiting, event=ready("agent4"), sent=["roster 0", "tick 0"]),
+    Case(state=waiting, event=ready("agent3")),
+    Case(state=waiting, event=ready("recorder")),
+    Case(state=waiting, event=answers(0)[0]),
+    Case(state=waiting, event=truth(setup(), 0)),
+    Case(state=waiting, event="a day passes"),
+    Case(state=waiting, event=gone("agent4", 7)),
+    Case(state=waiting, event=gone("recorder")),
+    Case(
+        state=waiting, event=gone("agent3"), sent=["control 0"], outcome=ABORTED, reason="agent3 is gone at t = 0.00 s"
+    ),
+    Case(state=waiting, event=gone("agent3"), sent=["control 0"], outcome=ABORTED, settings=(CONTINUE,)),
+    Case(state=waiting, event=gone("plant"), sent=["control 0"], outcome=ABORTED, reason="plant is gone"),
+    Case(state=waiting, event="interrupt", sent=["control 0"], outcome=INTERRUPTED, reason="Ctrl-C"),
+    #
+    Case(state=opened, event=answers(0)[3], sent=["tick 1"]),
+    Case(state=opened, event=answers(0)[0]),
+    Case(state=opened, event=answers(1)[3]),
+    Case(state=opened, event=truth(setup(), 0)),
+    Case(state=opened, event=ready("agent4")),
+    Case(state=opened, event="time passes"),
+    Case(state=opened, event="timeout", sent=["control 0"], outcome=ABORTED, reason=LATE),
+    Case(state=opened, event="timeout", sent=["roster 0", "tick 1"], settings=(CONTINUE,)),
+    Case(
+        state=opened, event=gone("agent4"), sent=["control 0"], outcome=ABORTED, reason="agent4 is gone at t = 0.00 s"
+    ),
+    Case(state=opened, event=gone("agent4"), sent=["roster 0", "tick 1"], settings=(CONTINUE,)),
+    Case(state=opened, event=gone("agent1"), sent=["roster 0"], settings=(CONTINUE,)),
+    Case(state=opened, event=gone("agent4", 0)),
+    Case(state=opened, event=gone("agent5")),
+    Case(state=opened, event=gone("recorder")),
+    Case(state=opened, event=gone("plant"), sent=["control 0"], outcome=ABORTED, reason="plant is gone"),
+    Case(state=opened, event=gone("plant"), sent=["control 0"], outcome=ABORTED, settings=(CONTINUE,)),
+    Case(state=opened, event=LOST),
+    Case(state=tilted, event=answers(0)[3], sent=["tick 1", "control 1"], outcome=DIVERGED, reason=TILTED),
+    Case(state=tilted, event="timeout", sent=["control 0"], outcome=DIVERGED, reason=TILTED),
+    Case(state=opened, event="interrupt", sent=["control 0"], outcome=INTERRUPTED, reason="Ctrl-C"),
+    #
+    Case(state=at_the_end, event=truth(setup(), 2), sent=["control 2"], outcome=COMPLETED),
+    Case(
+        state=at_the_end,
+        event=truth(setup(), 2, "lost"),
+        sent=["control 2"],
+        outcome=DIVERGED,
+        reason="lost at t = 0.10 s",
+    ),
+    Case(state=at_the_end, event=truth(setup(), 1)),
+    Case(state=at_the_end, event="time passes"),
+    Case(
+        state=at_the_end,
+        event="timeout",
+        sent=["control 2"],
+        outcome=ABORTED,
+        reason="plant did not answer tick 2 in time",
+    ),
+    Case(state=recorded, event=answers(2)[3], sent=["control 2"], outcome=COMPLETED),
+    Case(state=recorded, event=answers(1)[3]),
+    Case(state=recorded, event=gone("agent4"), sent=["roster 2", "control 2"], outcome=COMPLETED, settings=(CONTINUE,)),
+    Case(state=recorded, event="timeout", sent=["roster 2", "control 2"], outcome=COMPLETED, settings=(CONTINUE,)),
+    #
+    *[
+        Case(state=over, event=event, outcome=INTERRUPTED, reason="Ctrl-C")
+        for event in (
+            answers(0)[3],
+            LOST,
+            ready("agent4"),
+            gone("plant"),
+            gone("agent1"),
+            "timeout",
+            "a day passes",
+            "interrupt",
+        )
+    ],
+]
+
+
+def happen(node: CoordinatorNode, event: Message | Presence | str) -> list[Message]:
+    """Let an event of the table happen."""
+    match event:
+        case "time passes":
+            return list(node.poll(TOO_LATE_NS - 1))
+        case "timeout":
+            return list(node.poll(TOO_LATE_NS))
+        case "a day passes":
+            return list(node.poll(START_NS + 86_400 * 10**9))
+        case "interrupt":
+            return list(node.interrupt("Ctrl-C"))
+        case str():
+            raise ValueError(event)
+    return tell(node, [event])
+
+
+@pytest.mark.parametrize("case", TABLE, ids=lambda case: f"{case.state.__name__}-{str(case.event)[:45]}")
+def test_transition(case: Case) -> None:
+    """In each state each event is answered by the messages of the table, and ends the run as it says."""
+    node = case.state(*case.settings)
+    assert kinds(happen(node, case.event)) == case.sent
+    finished = node.finished
+    if case.outcome is None:
+        assert finished is None
+        return
+    assert finished is not None
+    assert (finished.outcome, finished.exit_code) == case.outcome
+    assert case.reason in finished.reason

@@ -1,0 +1,86 @@
+"""When the plant says that a flight is lost, and that nothing follows."""
+
+import numpy as np
+import pytest
+
+from model.arrays import Array
+from plant.node import PlantNode
+from protocol.messages import Truth
+from tests.runs import EVERYBODY, plan, roster, setup, tick
+
+HOVER = np.array([22.0725, 0.0, 0.0, 0.0])  # N: 1.5 kg and a quarter of the payload's 3 kg, under 9.81 m/s^2
+
+
+def last_truth(settings: tuple[str, ...], shoves: dict[int, Array], ticks: int = 1) -> Truth:
+    """The truth after some ticks at hover in which some UAVs do something else."""
+    run = setup(*settings)
+    node = PlantNode(run)
+    messages = list(node.receive(roster(), 0))
+    for k in range(ticks):
+        messages += node.receive(tick(k), 0)
+        for agent in EVERYBODY:
+            inputs = np.tile(shoves.get(agent, run.hover.u[:4]), (2, 1))
+            messages += node.receive(plan(run, agent, k, inputs=inputs), 0)
+    found = [message for message in messages if isinstance(message, Truth)][-1]
+    if found.diverged:
+        # Whatever comes now, the flight is over.
+        after = [*node.receive(tick(found.tick + 1), 0), *node.receive(plan(run, 1, found.tick + 1), 0)]
+        assert after == []
+    return found
+
+
+def test_hover_is_no_divergence() -> None:
+    """An undisturbed flight is not lost, however tight the limits."""
+    found = last_truth(("plant.max_attitude_deg=1e-6", "plant.max_error_m=1e-9"), {}, ticks=20)
+    assert (found.tick, found.diverged) == (19, "")
+
+
+@pytest.mark.parametrize(
+    ("moments", "reason"),
+    [
+        ([1.0, 0.0, 0.0], "UAV2 roll of 2 deg exceeds 1 deg"),
+        ([-1.0, 0.0, 0.0], "UAV2 roll of 2 deg exceeds 1 deg"),
+        ([0.1, -1.0, 0.0], "UAV2 pitch of 2 deg exceeds 1 deg"),
+    ],
+)
+def test_attitude(moments: list[float], reason: str) -> None:
+    """A UAV that tilts beyond the limit, either way, is named with its angle: 1 N m turns it by 2.5 deg in 50 ms."""
+    found = last_truth(("plant.max_attitude_deg=1",), {2: np.array([HOVER[0], *moments])})
+    assert found.diverged == reason
+
+
+def test_yaw_is_free() -> None:
+    """Heading is no reason to end a flight."""
+    found = last_truth(("plant.max_attitude_deg=0.1",), {2: np.array([HOVER[0], 0.0, 0.0, 0.5])}, ticks=2)
+    assert found.diverged == ""
+
+
+def test_payload_attitude() -> None:
+    """A payload that tilts beyond the limit is named: UAVs 1 and 2 lift its front."""
+    more = HOVER + np.array([8.0, 0.0, 0.0, 0.0])
+    found = last_truth(("plant.max_attitude_deg=0.2",), {1: more, 2: more}, ticks=2)
+    assert found.diverged.startswith("payload pitch of 0 deg exceeds 0.2 deg")
+
+
+def test_position() -> None:
+    """A payload too far from its reference ends the flight; the distance is told."""
+    more = HOVER + np.array([10.0, 0.0, 0.0, 0.0])
+    found = last_truth(("plant.max_error_m=0.5",), dict.fromkeys(EVERYBODY, more), ticks=10)
+    # 40 N more on 9 kg: 0.5 m after 0.47 s, in the tenth interval of 50 ms.
+    assert (found.tick, found.diverged) == (9, "payload position error of 0.6 m exceeds 0.5 m")
+
+
+def test_the_reference_moves() -> None:
+    """The error is against the moving reference: standing still while it goes away is an error as well."""
+    away = "maneuver.phase=[{name='go',duration_s=1,displacement_m=[10,0,0]}]"
+    found = last_truth(("plant.max_error_m=0.9", away), {}, ticks=2)
+    assert (found.tick, found.diverged) == (1, "payload position error of 1.0 m exceeds 0.9 m")
+
+
+@pytest.mark.filterwarnings("ignore:overflow")  # that is what is tested
+def test_not_finite() -> None:
+    """A state that is no longer finite ends the flight, and is not sent: the record holds the last finite one."""
+    found = last_truth(("controller.limits.thrust_N=[0,1e308]",), {3: np.array([1e308, 0.0, 0.0, 0.0])})
+    assert found.diverged == "the state is no longer finite"
+    assert np.isfinite(found.x).all()
+    assert found.local_error == -1.0

@@ -1,0 +1,258 @@
+"""The plant as a state machine: measures each tick once, integrates when the inputs are decided, refuses, ends."""
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from model import state
+from plant.node import PlantNode
+from plant.schedule import BEFORE_ANY_PLAN, FAIL_SAFE
+from protocol.messages import Measurement, Message, Presence, Truth
+from protocol.setup import Setup
+from tests.runs import EVERYBODY, end, measurement, plan, roster, setup, tick
+
+IMMEDIATE, NEXT_TICK = "clock.actuation=immediate", "clock.actuation=next_tick"
+
+
+def ready(run: Setup) -> PlantNode:
+    """A plant that knows who takes part."""
+    node = PlantNode(run)
+    assert tell(node, roster()) == []
+    return node
+
+
+def tell(node: PlantNode, *events: Message | Presence) -> list[Message]:
+    """Hand events over and return all that comes back."""
+    return [message for event in events for message in node.receive(event, 0)]
+
+
+def kinds(messages: list[Message]) -> list[str]:
+    """What the messages are, in order."""
+    return [f"{message.kind} {message.tick}" for message in messages]
+
+
+def measured(k: int, agents: int = 4) -> list[str]:
+    """The measurements of one tick, by kind."""
+    return [f"measurement {k}"] * agents
+
+
+def test_measures_a_tick_once() -> None:
+    """An open tick is measured once for every agent: its own UAVs, the payload, and what its actuators do."""
+    run = setup("agents.owned=[[1],[2,4],[3]]")
+    node = PlantNode(run)
+    tell(node, roster({1: 1, 2: 1, 3: 1}))
+    found = tell(node, tick(0, members=(1, 2, 3)))
+    assert kinds(found) == measured(0, 3)
+    for message, agent in zip(found, (1, 2, 3), strict=True):
+        assert isinstance(message, Measurement)
+        expected = measurement(run, agent, 0)
+        assert (message.agent, message.uavs, message.answered) == (agent, expected.uavs, ())
+        for field in ("payload", "uav_states", "inputs"):
+            np.testing.assert_array_equal(getattr(message, field), getattr(expected, field))
+    assert tell(node, tick(0, members=(1, 2, 3))) == []
+
+
+def test_forwards_who_answered() -> None:
+    """Whose plans count and which roster is in force is forwarded with the measurements."""
+    node = ready(setup())
+    run = setup()
+    tell(node, tick(0), *[plan(run, agent, 0) for agent in EVERYBODY])
+    found = tell(node, roster({1: 1, 2: 1, 3: 1}, version=2), tick(1, answered=(1, 3), members=(1, 2, 3), version=2))
+    assert kinds(found) == measured(1, 3)
+    assert {(m.answered, m.roster) for m in found if isinstance(m, Measurement)} == {((1, 3), 2)}
+
+
+@pytest.mark.parametrize("last", EVERYBODY)
+def test_immediate_integrates_with_all_plans(last: int) -> None:
+    """Actuation "immediate": [t_k, t_k+1) is integrated once the last member's plan of tick k is in."""
+    run = setup(IMMEDIATE)
+    node = ready(run)
+    tell(node, tick(0))
+    for agent in EVERYBODY:
+        if agent != last:
+            assert tell(node, plan(run, agent, 0)) == []
+    assert tell(node, tick(1)) == []
+    assert kinds(tell(node, plan(run, last, 0))) == ["truth 0", *measured(1)]
+
+
+def test_immediate_integrates_before_the_next_tick_opens() -> None:
+    """The truth of tick k needs no tick k + 1: the last one has none."""
+    run = setup(IMMEDIATE)
+    node = ready(run)
+    tell(node, tick(0))
+    assert kinds(tell(node, *[plan(run, agent, 0) for agent in EVERYBODY])) == ["truth 0"]
+    assert kinds(tell(node, tick(1))) == measured(1)
+
+
+def test_next_tick_integrates_while_agents_plan() -> None:
+    """Actuation "next_tick": [t_k, t_k+1) needs the plans of k - 1 alone, so it is integrated as tick k is measured."""
+    run = setup(NEXT_TICK)
+    node = ready(run)
+    assert kinds(tell(node, tick(0))) == [*measured(0), "truth 0"]
+    assert tell(node, plan(run, 1, 0, delay=1), plan(run, 2, 0, delay=1), plan(run, 3, 0, delay=1)) == []
+    assert tell(node, plan(run, 4, 0, delay=1)) == []
+    assert kinds(tell(node, tick(1))) == [*measured(1), "truth 1"]
+
+
+def test_next_tick_waits_for_plans_on_their_way() -> None:
+    """A plan the clock has seen and the plant has not is waited for before the interval it decides."""
+    run = setup(NEXT_TICK)
+    node = ready(run)
+    tell(node, tick(0))
+    for agent in (1, 2, 4):
+        tell(node, plan(run, agent, 0, delay=1))
+    assert kinds(tell(node, tick(1))) == measured(1)
+    assert kinds(tell(node, plan(run, 3, 0, delay=1))) == ["truth 1"]
+
+
+@pytest.mark.parametrize("actuation", [IMMEDIATE, NEXT_TICK])
+def test_who_left_is_not_waited_for(actuation: str) -> None:
+    """A roster without the missing agent lets the interval be integrated; its UAV goes on with what it has."""
+    run = setup(actuation)
+    delay = int(actuation == NEXT_TICK)
+    node = ready(run)
+    tell(node, tick(0), *[plan(run, agent, 0, delay=delay) for agent in (1, 2, 3)])
+    tell(node, tick(1))
+    found = tell(node, roster({1: 1, 2: 1, 3: 1}, version=2), tick(1, answered=(1, 2, 3), version=2))
+    truths = [message for message in found if isinstance(message, Truth)]
+    assert [message.tick for message in truths] == [delay]
+    assert truths[0].plan_ticks == (0, 0, 0, BEFORE_ANY_PLAN)
+
+
+def test_an_answer_that_was_lost_with_its_agent() -> None:
+    """An agent that answered and then left is not waited for: its plan may never arrive."""
+    run = setup(IMMEDIATE)
+    node = ready(run)
+    tell(node, tick(0), *[plan(run, agent, 0) for agent in (1, 3, 4)])
+    found = tell(node, tick(1, members=(1, 3, 4), version=2), roster({1: 1, 3: 1, 4: 1}, version=2))
+    assert kinds(found) == ["truth 0", *measured(1, 3)]
+
+
+def test_waits_for_the_roster_of_a_tick() -> None:
+    """A tick that names a roster not yet here is measured when it is."""
+    run = setup()
+    node = PlantNode(run)
+    assert tell(node, tick(0)) == []
+    assert kinds(tell(node, roster())) == measured(0)
+
+
+def test_truth_is_the_integrated_state() -> None:
+    """Truth k holds the state at t_k and the inputs from there; measurement k + 1 the state they lead to."""
+    run = setup(IMMEDIATE)
+    node = ready(run)
+    tell(node, tick(0))
+    x, u = run.initial_state(), run.hover.u + np.tile([1.0, 0.1, -0.1, 0.05], 4) * np.repeat([1.0, 2.0, 3.0, 0.5], 4)
+    plans = [plan(run, a, 0, inputs=np.tile(u[4 * a - 4 : 4 * a], (20, 1))) for a in EVERYBODY]
+    (record,) = tell(node, *plans)
+    assert isinstance(record, Truth)
+    np.testing.assert_array_equal(record.x, x)
+    np.testing.assert_array_equal(record.u, u)
+    assert record.plan_ticks == (0, 0, 0, 0)
+    assert record.diverged == ""
+    assert 0.0 < record.local_error < 1e-9
+    ahead, _ = run.model.integrate(x, u, 0.05, 10)  # plant.step_s = 0.005
+    for message, agent in zip(tell(node, tick(1)), EVERYBODY, strict=True):
+        assert isinstance(message, Measurement)
+        np.testing.assert_array_equal(message.payload, ahead[:12])
+        np.testing.assert_array_equal(message.uav_states, ahead[None, state.uav_slice(agent - 1)])
+        np.testing.assert_array_equal(message.inputs, u[None, 4 * agent - 4 : 4 * agent])
+
+
+@pytest.mark.parametrize(("step_s", "steps"), [(0.005, 10), (0.05, 1), (0.02, 3), (0.0125, 4)])
+def test_integration_steps(step_s: float, steps: int) -> None:
+    """The integration takes the fewest equal steps that are no longer than the scenario's."""
+    run = setup(f"plant.step_s={step_s}")
+    node = ready(run)
+    tell(node, tick(0))
+    shove = np.tile([25.0, 0.1, 0.2, 0.1], (20, 1))
+    tell(node, *[plan(run, agent, 0, inputs=shove) for agent in EVERYBODY])
+    ahead, _ = run.model.integrate(run.initial_state(), np.tile(shove[0], 4), 0.05, steps)
+    first = tell(node, tick(1))[0]
+    assert isinstance(first, Measurement)
+    np.testing.assert_array_equal(first.payload, ahead[:12])
+
+
+def test_lost_agents_uav_plays_on() -> None:
+    """The UAV of an agent that left plays its last plan to the end, then the fail-safe."""
+    run = setup(IMMEDIATE, "controller.horizon=3")
+    node = ready(run)
+    tell(node, tick(0), *[plan(run, agent, 0) for agent in EVERYBODY])
+    tell(node, roster({1: 1, 2: 1, 3: 1}, version=2))
+    sources = []
+    for k in range(1, 5):
+        found = tell(node, tick(k, answered=(1, 2, 3), version=2), *[plan(run, agent, k) for agent in (1, 2, 3)])
+        sources += [message.plan_ticks for message in found if isinstance(message, Truth)]
+    assert sources == [(1, 1, 1, 0), (2, 2, 2, 0), (3, 3, 3, FAIL_SAFE), (4, 4, 4, FAIL_SAFE)]
+
+
+WRONG_INSTANT = "plan for the wrong instant"
+
+
+@pytest.mark.parametrize(
+    ("actuation", "changes", "reason"),
+    [
+        (IMMEDIATE, {"incarnation": 0}, "plan of an incarnation that is not on the roster"),
+        (IMMEDIATE, {"agent": 7, "sender": "agent7"}, "plan of an unknown agent"),
+        (IMMEDIATE, {"uavs": (3,)}, "plan for UAVs of somebody else"),
+        (IMMEDIATE, {"start_tick": 1}, WRONG_INSTANT),
+        (IMMEDIATE, {"tick": 1, "start_tick": 1}, WRONG_INSTANT),
+        (NEXT_TICK, {"start_tick": 0}, WRONG_INSTANT),
+        (NEXT_TICK, {"start_tick": 2}, WRONG_INSTANT),
+        (NEXT_TICK, {"tick": 1, "start_tick": 2}, WRONG_INSTANT),
+        *[
+            (IMMEDIATE, {"inputs": np.array([[22.0, 0.0, 0.0, 0.0], inputs])}, "inputs outside the limits")
+            for inputs in ([45.001, 0.0, 0.0, 0.0], [-1e-9, 0, 0, 0], [22.0, 1.01, 0, 0], [22.0, 0, 0, -0.51])
+        ],
+    ],
+)
+def test_refused_plans(actuation: str, changes: dict[str, object], reason: str) -> None:
+    """What nobody of the run may ask for now is not played, is counted, and does not end the wait."""
+    run = setup(actuation)
+    delay = int(actuation == NEXT_TICK)
+    node = ready(run)
+    tell(node, tick(0))
+    forged = replace(plan(run, 2, 0, delay=delay), **changes)  # type: ignore[arg-type]  # fields of several types
+    assert tell(node, forged) == []
+    assert node.rejected == Counter({(forged.sender, reason): 1})
+    tell(node, *[plan(run, agent, 0, delay=delay) for agent in (1, 3, 4)])
+    assert kinds(tell(node, tick(1))) == measured(1) * delay
+    found = tell(node, plan(run, 2, 0, delay=delay))
+    assert kinds(found)[0] == f"truth {delay}"
+
+
+def test_limits_themselves_are_played() -> None:
+    """Inputs at the limits are played as they are."""
+    run = setup()
+    node = ready(run)
+    tell(node, tick(0))
+    at = np.array([[45.0, 1.0, -1.0, 0.5]])
+    (record,) = tell(node, plan(run, 1, 0, inputs=at), *[plan(run, agent, 0) for agent in (2, 3, 4)])
+    assert isinstance(record, Truth)
+    np.testing.assert_array_equal(record.u[:4], at[0])
+    assert not node.rejected
+
+
+def test_end_of_the_run() -> None:
+    """The coordinator's word ends the run for the plant; without a coordinator it ends with exit code 4."""
+    node = ready(setup())
+    assert tell(node, end()) == []
+    assert node.finished == end()
+    node = ready(setup())
+    assert tell(node, tick(0), Presence("coordinator", 0, alive=False))[4:] == []
+    assert node.finished is not None
+    assert (node.finished.outcome, node.finished.exit_code) == ("aborted", 4)
+    assert node.finished.reason == "coordinator is gone"
+
+
+def test_other_events_change_nothing() -> None:
+    """Ticks out of order, presences of others, others' messages and time itself are no news to the plant."""
+    run = setup()
+    node = ready(run)
+    assert tell(node, tick(1), tick(7), Presence("agent1", 1, alive=False), measurement(run, 1, 0)) == []
+    assert tell(node, Presence("coordinator", 0, alive=True)) == []
+    assert list(node.poll(10**18)) == []
+    assert node.wake_ns is None
+    assert node.finished is None
+    assert kinds(tell(node, tick(0))) == measured(0)

@@ -1,0 +1,173 @@
+"""Key expressions: who hears what, and whose messages travel where."""
+
+import pytest
+
+from protocol.keys import Keys, RunNameError, matches
+from protocol.messages import (
+    KINDS,
+    Control,
+    Measurement,
+    Message,
+    MessageError,
+    Plan,
+    Roster,
+    StepReport,
+    Tick,
+    Truth,
+    agent_name,
+)
+from tests.protocol.samples import sample
+
+KEYS = Keys("run-1")
+AGENTS = (1, 2, 12, 123)  # ids that begin with each other
+NAMES = ("coordinator", "plant", "recorder", *[agent_name(agent) for agent in AGENTS])
+
+OWNERS = {
+    "tick": "coordinator",
+    "roster": "coordinator",
+    "control": "coordinator",
+    "measurement": "plant",
+    "truth": "plant",
+    "plan": "agent2",
+    "report": "agent2",
+}
+
+
+def listeners(message: Message) -> set[str]:
+    """Names of the processes that a message reaches, its sender not counted."""
+    key = KEYS.of(message)
+    hearing = {name for name in NAMES if any(matches(expression, key) for expression in KEYS.subscriptions(name))}
+    return hearing - {message.sender}
+
+
+@pytest.mark.parametrize(
+    ("kind", "expected"),
+    [
+        (Tick, {"plant", "recorder"}),
+        (Roster, {"plant", "recorder", "agent1", "agent2", "agent12", "agent123"}),
+        (Control, {"plant", "recorder", "agent1", "agent2", "agent12", "agent123"}),
+        (Measurement, {"agent2", "recorder"}),
+        (Plan, {"coordinator", "plant", "recorder", "agent1", "agent12", "agent123"}),
+        (StepReport, {"recorder"}),
+        (Truth, {"coordinator", "recorder"}),
+    ],
+)
+def test_who_hears_what(kind: type[Message], expected: set[str]) -> None:
+    """Each message reaches exactly the roles that protocol/keys.py says; the recorder hears everything."""
+    assert listeners(sample(kind)) == expected
+
+
+@pytest.mark.parametrize("agent", AGENTS)
+def test_measurements_reach_their_agent_alone(agent: int) -> None:
+    """A measurement reaches the agent it is for and no agent whose id begins alike."""
+    assert listeners(sample(Measurement, agent=agent)) == {agent_name(agent), "recorder"}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_no_message_arrives_twice(name: str) -> None:
+    """At most one subscription of a process covers a key: on the network two would deliver twice."""
+    for kind in KINDS.values():
+        key = KEYS.of(sample(kind))
+        assert sum(matches(expression, key) for expression in KEYS.subscriptions(name)) <= 1
+
+
+def test_runs_do_not_hear_each_other() -> None:
+    """No subscription of one run covers a key of another, nor a liveliness token of its own run."""
+    other = Keys("run-2")
+    tokens = [KEYS.alive("agent1", 0, "abc"), KEYS.ready("agent1", 0)]
+    for name in NAMES:
+        for expression in KEYS.subscriptions(name):
+            assert not any(matches(expression, other.of(sample(kind))) for kind in KINDS.values())
+            assert not any(matches(expression, token) for token in tokens)
+
+
+def test_keys_are_as_documented() -> None:
+    """Keys and tokens are spelled as the protocol documents them: other programs read them."""
+    expected = {
+        "tick": "transport/run-1/tick",
+        "roster": "transport/run-1/roster",
+        "control": "transport/run-1/control",
+        "measurement": "transport/run-1/measurement/2",
+        "truth": "transport/run-1/truth",
+        "plan": "transport/run-1/plan/2",
+        "report": "transport/run-1/report/2",
+    }
+    assert {kind: KEYS.of(sample(cls)) for kind, cls in KINDS.items()} == expected
+    assert KEYS.alive("agent2", 3, "0123ab") == "transport/run-1/alive/agent2/3/0123ab"
+    assert KEYS.ready("plant", 0) == "transport/run-1/ready/plant/0"
+
+
+@pytest.mark.parametrize("kind", KINDS.values())
+def test_own_messages_are_accepted(kind: type[Message]) -> None:
+    """A message under its own key from the process that owns it passes."""
+    message = sample(kind)
+    KEYS.check_sender(KEYS.of(message), message)
+
+
+@pytest.mark.parametrize("kind", KINDS.values())
+def test_forged_senders_are_refused(kind: type[Message]) -> None:
+    """A message that claims any other sender than its key's owner is refused; the text names both."""
+    for name in NAMES:
+        if name == OWNERS[kind.kind]:
+            continue
+        message = sample(kind, sender=name)
+        with pytest.raises(MessageError, match=f"{kind.kind} from {name}, expected it from {OWNERS[kind.kind]}"):
+            KEYS.check_sender(KEYS.of(message), message)
+
+
+@pytest.mark.parametrize("kind", KINDS.values())
+def test_foreign_keys_are_refused(kind: type[Message]) -> None:
+    """A message under a key of another kind, agent, run, or one that is longer or shorter, is refused."""
+    message = sample(kind)
+    own = KEYS.of(message)
+    foreign = {KEYS.of(sample(other)) for other in KINDS.values()} - {own}
+    foreign |= {Keys("run-2").of(message), f"{own}/2", f"{own}2", own.rpartition("/")[0], own.upper(), "", "tick"}
+    foreign |= {f"{own.rpartition('/')[0]}/*", f"{own.rpartition('/')[0]}/1", f"/{own}"}
+    for key in foreign:
+        with pytest.raises(MessageError, match=f"{kind.kind} of {message.sender} under the key"):
+            KEYS.check_sender(key, message)
+
+
+def test_an_agent_cannot_plan_for_another() -> None:
+    """A plan that says agent 1 but comes from agent 2 is refused under either's key."""
+    forged = sample(Plan, agent=1, sender="agent2")
+    for key in (KEYS.of(forged), KEYS.of(sample(Plan, agent=2))):
+        with pytest.raises(MessageError):
+            KEYS.check_sender(key, forged)
+
+
+@pytest.mark.parametrize("run", ["paper", "a", "A-1_b.c", "0", "x" * 80])
+def test_run_names(run: str) -> None:
+    """Letters, digits, underscore, dot and dash make a run name of up to 80 characters."""
+    assert Keys(run).prefix == f"transport/{run}"
+
+
+@pytest.mark.parametrize("run", ["", "a/b", "a b", "*", "a*", "**", "$*", "a#", "a?b", "\u00e4", "a\n", "x" * 81])
+def test_wrong_run_names(run: str) -> None:
+    """Anything that would change the meaning of a key expression is refused; the text shows it."""
+    with pytest.raises(RunNameError) as caught:
+        Keys(run)
+    assert str(caught.value) == f"run name: expected letters, digits, '_', '.', '-', got {run!r}"
+
+
+@pytest.mark.parametrize(
+    ("expression", "key", "expected"),
+    [
+        ("a/b", "a/b", True),
+        ("a/b", "a/c", False),
+        ("a/b", "a/b/c", False),
+        ("a/b", "a", False),
+        ("a/*", "a/b", True),
+        ("a/*", "a/12", True),
+        ("a/*", "a/b/c", False),
+        ("a/*", "a/", False),
+        ("a/*", "a", False),
+        ("a/*", "ab/c", False),
+        ("a/*", "b/a/c", False),
+        ("a/b/*", "a/b/c", True),
+        ("a/b/*", "a/c/b", False),
+    ],
+)
+def test_matches(expression: str, key: str, expected: bool) -> None:
+    """A key expression covers itself; a trailing star covers exactly one chunk that is not empty."""
+    assert matches(expression, key) is expected

@@ -1,0 +1,253 @@
+"""Reading scenarios: files, defaults, settings, writing back, digest, and what is built from them."""
+
+import copy
+import math
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import tomli_w
+
+from protocol.scenario import Scenario
+from protocol.scenario_file import ScenarioError, read_scenario, validate
+from protocol.setup import Setup
+from tests.runs import PAPER, SCENARIOS, setup, ticks
+
+# A value of the same type that differs, for what cannot simply be counted up.
+OTHER_WORDS = {
+    "profile": "step",
+    "priced": "absolute",
+    "solver": "clarabel",
+    "prediction": "closed_loop",
+    "actuation": "next_tick",
+    "on_agent_loss": "continue",
+    "name": "other",
+    "host": "localhost",
+    "distribution": "normal",
+    "expression": "r0[2] <= 1",
+}
+UNCHANGEABLE = {("schema",), ("clock", "mode")}  # one choice each
+
+EVERYTHING = (
+    "network.base_port=7000",
+    "controller.constraint=[{expression='thrust1 <= 40'}]",
+    "agents.owned=[[1, 2], [4, 3]]",
+)
+
+
+def leaves(node: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
+    """Paths of all plain values in a tree, lists of numbers entry by entry."""
+    if isinstance(node, dict | list):
+        for key, child in node.items() if isinstance(node, dict) else enumerate(node):
+            yield from leaves(child, (*path, key))
+    else:
+        yield path
+
+
+def changed(tree: dict[str, Any], path: tuple[str | int, ...]) -> dict[str, Any]:
+    """The tree with one plain value replaced by another valid one."""
+    tree = copy.deepcopy(tree)
+    node: Any = tree
+    for key in path[:-1]:
+        node = node[key]
+    value = node[path[-1]]
+    if isinstance(value, bool):
+        node[path[-1]] = not value
+    elif isinstance(value, str):
+        node[path[-1]] = OTHER_WORDS[str(path[-1])]
+    elif path[-1] in ("loss", "duplicate", "reorder"):
+        node[path[-1]] = 0.5
+    elif path[-1] == "relaxation":
+        node[path[-1]] = value / 2
+    else:
+        node[path[-1]] = value + 1
+    return tree
+
+
+def minimal() -> dict[str, Any]:
+    """The paper's system and maneuver, everything else left out."""
+    tree = tomllib.loads(PAPER.read_text(encoding="utf-8"))
+    return {
+        "name": tree["name"],
+        "system": {"payload": tree["system"]["payload"], "uav": tree["system"]["uav"]},
+        "maneuver": {"phase": tree["maneuver"]["phase"]},
+    }
+
+
+@pytest.mark.parametrize(("name", "owned"), [("paper", ((0,), (1,), (2,), (3,))), ("centralized", ((0, 1, 2, 3),))])
+def test_ready_scenarios(name: str, owned: tuple[tuple[int, ...], ...]) -> None:
+    """The scenarios that come with the project load and build; they differ only in name and ownership."""
+    path = SCENARIOS / f"{name}.toml"
+    scenario = read_scenario(path)
+    built = Setup.of(scenario, str(path))
+    assert scenario.name == name
+    assert built.owned == owned
+    assert built.agents == tuple(range(1, len(owned) + 1))
+    assert (built.ticks, built.period_ns) == (500, 50_000_000)
+    paper = read_scenario(PAPER).tree()
+    assert scenario.tree() | {"name": "paper", "agents": paper["agents"]} == paper
+
+
+def test_defaults() -> None:
+    """Left out, every key has the value paper.toml spells out, but for the separation, which is off."""
+    tree = validate(minimal(), "minimal").tree()
+    expected = read_scenario(PAPER).tree()
+    del expected["controller"]["separation"]
+    expected["agents"] = {}
+    assert tree == expected
+    assert tree["seed"] == 0
+    assert tree["clock"] == {
+        "mode": "lockstep",
+        "speed": 0.0,
+        "actuation": "immediate",
+        "barrier_timeout_s": 5.0,
+        "join_timeout_s": 30.0,
+        "on_agent_loss": "abort",
+    }
+    assert tree["plant"] == {"step_s": 0.005, "max_attitude_deg": 80.0, "max_error_m": 20.0}
+    assert tree["network"] == {"host": "127.0.0.1"}
+
+
+def test_one_agent_for_each_uav_by_default() -> None:
+    """Without a section on agents each UAV has its own."""
+    assert validate(minimal(), "minimal").owned == ((1,), (2,), (3,), (4,))
+
+
+def test_owned_uavs_are_ascending() -> None:
+    """UAVs of one agent are sorted, whatever order they are written in: messages list them ascending."""
+    assert read_scenario(PAPER, ["agents.owned=[[4, 1], [3, 2]]"]).owned == ((1, 4), (2, 3))
+
+
+@pytest.mark.parametrize("settings", [(), EVERYTHING, ("controller.relaxation=auto",)])
+def test_written_back(settings: tuple[str, ...], tmp_path: Path) -> None:
+    """tree() written as TOML reads back as an equal scenario with an equal digest."""
+    scenario = read_scenario(PAPER, settings)
+    path = tmp_path / "scenario.toml"
+    path.write_text(tomli_w.dumps(scenario.tree()), encoding="utf-8")
+    again = read_scenario(path)
+    assert again == scenario
+    assert again.tree() == scenario.tree()
+    assert again.digest() == scenario.digest()
+
+
+def test_digest_covers_every_field_but_the_network() -> None:
+    """Any value changed anywhere changes the digest, except the network addresses, which may differ per host."""
+    scenario = read_scenario(PAPER, EVERYTHING)
+    tree, digest = scenario.tree(), scenario.digest()
+    seen = {digest}
+    for path in leaves(tree):
+        if path in UNCHANGEABLE:
+            continue
+        other = Scenario.model_validate(changed(tree, path))
+        if path[0] == "network":
+            assert other.digest() == digest
+        else:
+            assert other.digest() not in seen, path
+            seen.add(other.digest())
+    assert len(seen) > 60  # the walk has really been through the tree
+
+
+def test_digest_ignores_the_way_of_writing(tmp_path: Path) -> None:
+    """Comments, order, integers for floats and spelled-out defaults do not change the digest."""
+    tree = minimal()
+    spelled = read_scenario(PAPER, ["controller.separation={minimum_m=1}"]).tree()
+    del spelled["controller"]["separation"]
+    spelled["agents"] = {}
+    path = tmp_path / "other.toml"
+    path.write_text("# a comment\n" + tomli_w.dumps(dict(reversed(spelled.items()))), encoding="utf-8")
+    assert read_scenario(path, ["clock.speed=0"]).digest() == validate(tree, "minimal").digest()
+
+
+@pytest.mark.parametrize(
+    ("setting", "path", "value"),
+    [
+        ("controller.solver=clarabel", ("controller", "solver"), "clarabel"),
+        ('controller.solver="clarabel"', ("controller", "solver"), "clarabel"),
+        ("controller.solver='clarabel'", ("controller", "solver"), "clarabel"),
+        (" controller.horizon = 7 ", ("controller", "horizon"), 7),
+        ("clock.speed=2", ("clock", "speed"), 2.0),
+        ("clock.speed=2.5e-1", ("clock", "speed"), 0.25),
+        ("controller.relaxation=auto", ("controller", "relaxation"), "auto"),
+        (
+            "controller.constraint=[{expression='thrust1<=40', soft=false}]",
+            ("controller", "constraint", 0, "soft"),
+            False,
+        ),
+        ("agents.owned=[[1,2],[3,4]]", ("agents", "owned"), [[1, 2], [3, 4]]),
+        ("agents.owned.2=[2]", ("agents", "owned", 1), [2]),
+        ("system.uav.2.mass_kg=1.6", ("system", "uav", 1, "mass_kg"), 1.6),
+        ("controller.weights.moments.3=0.5", ("controller", "weights", "moments"), [0.01, 0.01, 0.5]),
+        ("maneuver.phase.5.name=wait", ("maneuver", "phase", 4, "name"), "wait"),
+        ("name=run-2", ("name",), "run-2"),
+        ("network.host=plant.local", ("network", "host"), "plant.local"),
+        ("network.host=a=b", ("network", "host"), "a=b"),
+    ],
+)
+def test_settings(setting: str, path: tuple[str | int, ...], value: Any) -> None:
+    """A setting's value is TOML or, if it is none, the bare words; list entries are counted from 1."""
+    node: Any = read_scenario(PAPER, [setting]).tree()
+    for key in path:
+        node = node[key]
+    assert node == value
+    assert type(node) is type(value)
+
+
+def test_settings_in_order() -> None:
+    """Later settings win over earlier ones, and may refer to what earlier ones made."""
+    scenario = read_scenario(
+        PAPER, ["controller.horizon=5", "controller.horizon=6", "agents.owned=[[1],[2,3,4]]", "agents.owned.1=[1]"]
+    )
+    assert scenario.controller.horizon == 6
+    assert scenario.owned == ((1,), (2, 3, 4))
+
+
+def test_scenarios_are_frozen() -> None:
+    """A scenario that was read cannot be changed."""
+    scenario = read_scenario(PAPER)
+    with pytest.raises(ValueError, match="frozen"):
+        scenario.seed = 1
+
+
+def test_automatic_relaxation() -> None:
+    """Relaxation "auto" is 1/M for M agents: the descent guarantee of cooperative distributed MPC."""
+    assert setup("controller.relaxation=auto").settings.relaxation == 0.25
+    assert setup("controller.relaxation=auto", "agents.owned=[[1,2],[3,4]]").settings.relaxation == 0.5
+
+
+def test_initial_state() -> None:
+    """A run starts at rest in hover at the start of its maneuver, an equilibrium."""
+    run = setup()
+    x = run.initial_state()
+    np.testing.assert_array_equal(x[:3], [0.0, 0.0, -10.0])
+    # Accelerations of an equilibrium are rounding: a few ulp of g.
+    np.testing.assert_allclose(run.model.derivative(x, run.hover.u), 0.0, atol=1e-13)
+
+
+@pytest.mark.parametrize("duration_s", [0.05, 0.1, 0.12, 0.125, 0.52, 1.0])
+def test_ticks_of_a_maneuver(duration_s: float) -> None:
+    """The sampling instants of a run are all t_k < duration, also if it is no multiple of the period."""
+    run = setup(f"maneuver.phase=[{{name='hover',duration_s={duration_s},displacement_m=[0,0,0]}}]")
+    slack = 1e-9  # of a period: 0.1 / 0.05 may not make a third tick
+    assert run.ticks == math.ceil(duration_s / 0.05 - slack)
+
+
+@pytest.mark.parametrize("duration_s", [0.001, 0.025])
+def test_shorter_than_a_period(duration_s: float) -> None:
+    """A maneuver shorter than a sampling period still has a tick: a run of none would never end."""
+    run = setup(f"maneuver.phase=[{{name='hover',duration_s={duration_s},displacement_m=[0,0,0]}}]")
+    assert run.ticks == 1
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 7, 30])
+def test_ticks_of_whole_periods(count: int) -> None:
+    """A maneuver of k sampling periods has k ticks, whatever rounding makes of the product."""
+    assert setup(ticks(count)).ticks == count
+
+
+def test_error_text() -> None:
+    """`ScenarioError` joins file, field and problem, leaving out what is empty."""
+    assert str(ScenarioError("a.toml", "b.c", "expected d")) == "a.toml: b.c: expected d"
+    assert str(ScenarioError("a.toml", "", "no such file")) == "a.toml: no such file"

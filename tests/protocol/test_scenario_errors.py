@@ -1,0 +1,246 @@
+"""Wrong scenarios: one line each, with file, field, what was expected and what came."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from protocol.scenario_file import ScenarioError, read_scenario
+from protocol.setup import Setup
+from tests.runs import PAPER
+
+ONE_UAV_ASIDE = (
+    "system.uav=[{id=1,mass_kg=1.5,inertia_kgm2=[0.029,0.029,0.055],rho_m=[0.25,0,-0.1],rod_length_m=3}]",
+    "agents.owned=[[1]]",
+)
+
+# What is set, the field that must be named, what the text must say.
+WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
+    # Keys.
+    ("controller.horizn=20", "controller.horizn", "unknown key; did you mean 'horizon'?"),
+    ("system.uav.2.mas_kg=1", "system.uav.2.mas_kg", "unknown key; did you mean 'mass_kg'?"),
+    ("maneuver.phase.1.duration=1", "maneuver.phase.1.duration", "unknown key; did you mean 'duration_s'?"),
+    ("sytem.payload.mass_kg=1", "sytem", "unknown key; did you mean 'system'?"),
+    ("controller.separation.zzz=1", "controller.separation.zzz", "unknown key; known: minimum_m, penalty"),
+    ("shema=1", "shema", "unknown key; did you mean 'schema'?"),
+    ("zzz=1", "zzz", "unknown key; known: schema, name, seed, system, "),
+    (
+        "maneuver.phase=[{name='hover',duration_s=1}]",
+        "maneuver.phase.1.displacement_m",
+        "expected a value, got nothing",
+    ),
+    ("controller.separation={penalty=1}", "controller.separation.minimum_m", "expected a value, got nothing"),
+    # Types.
+    ("controller.weights=3", "controller.weights", "expected a section, got 3"),
+    ("system.uav=3", "system.uav", "expected a list, got 3"),
+    ("system.uav.1=3", "system.uav.1", "expected a section, got 3"),
+    ("controller.horizon=2.5", "controller.horizon", "expected an integer, got 2.5"),
+    ("controller.horizon=true", "controller.horizon", "expected an integer, got True"),
+    ("controller.sampling_period_s=0.05s", "controller.sampling_period_s", "expected a number, got '0.05s'"),
+    ("controller.sampling_period_s=nan", "controller.sampling_period_s", "expected a finite number, got nan"),
+    ("maneuver.start_m=[0,inf,0]", "maneuver.start_m.2", "expected a finite number, got inf"),
+    ("name=3", "name", "expected text, got 3"),
+    (
+        "controller.constraint=[{expression='r0[2]<=1',soft=1}]",
+        "controller.constraint.1.soft",
+        "expected true or false, got 1",
+    ),
+    # Shapes.
+    ("maneuver.start_m=[0,0]", "maneuver.start_m", "expected 3 numbers, got [0, 0]"),
+    ("system.uav.3.rho_m=[1,2,3,4]", "system.uav.3.rho_m", "expected 3 numbers, got [1, 2, 3, 4]"),
+    ("controller.limits.thrust_N=[1]", "controller.limits.thrust_N", "expected at least 2 list entries, got [1]"),
+    (
+        "controller.limits.thrust_N=[1,2,3]",
+        "controller.limits.thrust_N",
+        "expected at most 2 list entries, got [1, 2, 3]",
+    ),
+    ("maneuver.phase=[]", "maneuver.phase", "expected at least 1 list entries, got []"),
+    (
+        "system.payload.inertia_kgm2=[1,1]",
+        "system.payload.inertia_kgm2",
+        "expected 3 principal moments or 3 rows of 3 numbers, got [1, 1]",
+    ),
+    (
+        "system.payload.inertia_kgm2=[[1,0,0],[0,1]]",
+        "system.payload.inertia_kgm2",
+        "expected 3 principal moments or 3 rows",
+    ),
+    ("system.payload.inertia_kgm2=x", "system.payload.inertia_kgm2", "expected a list, got 'x'"),
+    ("system.payload.inertia_kgm2=[1,1,'a']", "system.payload.inertia_kgm2.3", "expected a number, got 'a'"),
+    # Ranges.
+    ("system.payload.mass_kg=-1", "system.payload.mass_kg", "expected a number > 0.0, got -1"),
+    ("system.uav.2.mass_kg=0", "system.uav.2.mass_kg", "expected a number > 0.0, got 0"),
+    ("system.gravity_mps2=0", "system.gravity_mps2", "expected a number > 0.0, got 0"),
+    ("controller.horizon=0", "controller.horizon", "expected a number >= 1, got 0"),
+    ("controller.relaxation=0", "controller.relaxation", "expected a number > 0.0, got 0"),
+    ("controller.relaxation=1.5", "controller.relaxation", "expected a number <= 1.0, got 1.5"),
+    ("controller.relaxation=x", "controller.relaxation", "expected a number, got 'x'"),
+    ("controller.weights.moments=[1,1,-1]", "controller.weights.moments.3", "expected a number > 0.0, got -1"),
+    ("maneuver.phase.1.duration_s=0", "maneuver.phase.1.duration_s", "expected a number > 0.0, got 0"),
+    ("clock.speed=-1", "clock.speed", "expected a number >= 0.0, got -1"),
+    ("plant.max_attitude_deg=90", "plant.max_attitude_deg", "expected a number < 90.0, got 90"),
+    ("network.base_port=80", "network.base_port", "expected a number >= 1024, got 80"),
+    ("seed=-1", "seed", "expected a number >= 0, got -1"),
+    # Choices.
+    ("maneuver.profile=zigzag", "maneuver.profile", "expected 'ramp', 'min_jerk' or 'step', got 'zigzag'"),
+    ("controller.solver=osqp", "controller.solver", "expected 'daqp' or 'clarabel', got 'osqp'"),
+    ("clock.mode=sloppy", "clock.mode", "got 'sloppy'"),
+    ("schema=2", "schema", "expected 1, got 2"),
+    ("name='a b'", "name", "expected text matching ^[A-Za-z0-9_-]{1,40}$, got 'a b'"),
+    # Relations.
+    ("agents.owned=[[1],[1],[2,3],[4]]", "agents.owned.2", "expected each UAV once, got UAV1, owned by agent 1"),
+    ("agents.owned=[[1,1],[2],[3],[4]]", "agents.owned.1", "expected each UAV once, got UAV1, owned by agent 1"),
+    ("agents.owned=[[1,2],[3]]", "agents.owned", "expected each UAV once, got none for UAV4"),
+    ("agents.owned=[[1,5],[2,3,4]]", "agents.owned.1", "expected ids of UAVs 1..4, got 5"),
+    ("agents.owned=[[1,2,3,4],[]]", "agents.owned.2", "expected at least 1 list entries, got []"),
+    ("agents.owned=[]", "agents.owned", "expected at least 1 list entries, got []"),
+    ("system.uav.1.id=2", "system.uav.id", "expected 1, 2, ... 4 in order, got [2, 2, 3, 4]"),
+    ("plant.step_s=0.1", "plant.step_s", "expected at most the sampling period 0.05, got 0.1"),
+    ("controller.limits.thrust_N=[5,1]", "controller.limits.thrust_N", "expected smallest < largest, got [5.0, 1.0]"),
+    # Physics.
+    (
+        "controller.limits.thrust_N=[0,20]",
+        "controller.limits.thrust_N",
+        "expected a range that contains the hover thrust 22.07 N of UAV1, got [0.0, 20.0]",
+    ),
+    (
+        "controller.limits.thrust_N=[23,40]",
+        "controller.limits.thrust_N",
+        "expected a range that contains the hover thrust 22.07 N of UAV1, got [23.0, 40.0]",
+    ),
+    (
+        "controller.separation.minimum_m=0.6",
+        "controller.separation.minimum_m",
+        "expected at most the 0.500 m between UAV1 and UAV2 at hover, got 0.6",
+    ),
+    (
+        "system.payload.inertia_kgm2=[1,1,3]",
+        "system.payload",
+        "no body has principal moments [1.0, 1.0, 3.0] kg m^2: the largest exceeds the sum",
+    ),
+    ("system.uav.2.inertia_kgm2=[1,1,-1]", "system.uav.2", "expected positive principal moments, got [-1.0, 1.0, 1.0]"),
+    (
+        "system.payload.inertia_kgm2=[[1,0,0],[1,1,0],[0,0,1]]",
+        "system.payload",
+        "expected a symmetric matrix, got [[1.0, ",
+    ),
+    (ONE_UAV_ASIDE, "system.uav", "no hover equilibrium: rods at [[0.25, 0.0, -0.1]] m"),
+    # Constraints.
+    ("controller.constraint=[{expression='r9[2] <= 1'}]", "controller.constraint", "unknown name 'r9'; known: Omega1"),
+    (
+        "controller.constraint=[{expression='r0[2] <='}]",
+        "controller.constraint",
+        "constraint 'r0[2] <=': cannot be read",
+    ),
+    ("controller.constraint=[{expression='r0 <= 1'}]", "controller.constraint", "expected a scalar, got shape (3, 1)"),
+    (
+        "controller.constraint=[{expression='thrust1 <= r0[0]'}]",
+        "controller.constraint",
+        "expected states or inputs, got both",
+    ),
+    ("controller.constraint=[{expression='__import__(1) <= 1'}]", "controller.constraint", "is not allowed"),
+]
+
+WRONG_SETTINGS = [
+    ("nope", "expected key=value"),
+    ("=3", "expected key=value"),
+    ("", "expected key=value"),
+    ("maneuver.phase.9.duration_s=1", "expected an entry from 1 to 5, got '9'"),
+    ("maneuver.phase.0.duration_s=1", "expected an entry from 1 to 5, got '0'"),
+    ("maneuver.phase.-1.duration_s=1", "expected an entry from 1 to 5, got '-1'"),
+    ("maneuver.phase.first.duration_s=1", "expected an entry from 1 to 5, got 'first'"),
+    ("agents.owned.5=[1]", "expected an entry from 1 to 4, got '5'"),
+    ("name.x=1", "expected 'name' to be a section, got the value 'paper'"),
+    ("controller.horizon.x.y=1", "expected 'horizon' to be a section, got the value 20"),
+]
+
+
+def refusal(path: Path, *settings: str) -> str:
+    """What a scenario is refused with, on reading or on building."""
+    with pytest.raises(ScenarioError) as caught:
+        Setup.of(read_scenario(path, settings), str(path))
+    text = str(caught.value)
+    assert "\n" not in text
+    return text
+
+
+@pytest.mark.parametrize(("settings", "field", "problem"), WRONG, ids=lambda value: str(value)[:50])
+def test_wrong_scenario(settings: str | tuple[str, ...], field: str, problem: str) -> None:
+    """What is wrong is refused before anything starts: one line with file, field, expected and got."""
+    text = refusal(PAPER, *([settings] if isinstance(settings, str) else settings))
+    assert text.startswith(f"{PAPER}: {field}: ")
+    assert problem in text
+
+
+@pytest.mark.parametrize(("setting", "problem"), WRONG_SETTINGS)
+def test_wrong_setting(setting: str, problem: str) -> None:
+    """A setting that names no place in the scenario is refused on one line that repeats it."""
+    assert refusal(PAPER, setting) == ": ".join(part for part in ("--set", setting, problem) if part)
+
+
+@pytest.mark.parametrize(
+    "setting", ["controller.weights.moments.1.x=3", "controller.weights.moments.1.x.y=3", "agents.owned.1.1.x=2"]
+)
+def test_setting_below_a_list_entry(setting: str) -> None:
+    """A setting below a list entry that is a plain value is refused like one below any other value."""
+    assert "to be a section, got the value" in refusal(PAPER, setting)
+
+
+@pytest.mark.parametrize("key", ["agents[1]", "float", "int", "str", "controller.weights.float", "agents.owned[1]"])
+def test_unknown_key_of_any_name(key: str) -> None:
+    """A key is unknown by any name, also one that looks like a type or an index."""
+    assert refusal(PAPER, f"{key}=1").startswith(f"{PAPER}: {key}: unknown key; ")
+
+
+def test_missing_file(tmp_path: Path) -> None:
+    """A file that is not there is named."""
+    path = tmp_path / "none.toml"
+    assert refusal(path) == f"{path}: no such file"
+
+
+def test_unreadable_file(tmp_path: Path) -> None:
+    """A folder in the file's place, or bytes that are no text, are refused with the reason."""
+    assert refusal(tmp_path).startswith(f"{tmp_path}: cannot be read (")
+    path = tmp_path / "binary.toml"
+    path.write_bytes(b"\xff\xfe\x00name")
+    assert refusal(path).startswith(f"{path}: cannot be read (")
+
+
+@pytest.mark.parametrize("content", ["name = ", "name = 'a'\nname = 'b'", "[system\n", "\0", "a" * 200])
+def test_invalid_toml(content: str, tmp_path: Path) -> None:
+    """A file that is no TOML is refused with the place in the file."""
+    path = tmp_path / "bad.toml"
+    path.write_text(content, encoding="utf-8")
+    text = refusal(path)
+    assert text.startswith(f"{path}: not valid TOML: ")
+    assert "line 1" in text or "line 2" in text or "end of document" in text
+
+
+def test_empty_file(tmp_path: Path) -> None:
+    """An empty file lacks its first required key."""
+    path = tmp_path / "empty.toml"
+    path.write_text("", encoding="utf-8")
+    assert refusal(path) == f"{path}: name: expected a value, got nothing"
+
+
+def test_any_value_anywhere() -> None:
+    """Any kind of value at any key is accepted or refused with a `ScenarioError` on one line; nothing else happens."""
+    rng = np.random.default_rng(7)
+    values = ["0", "-1", "x", "true", "[]", "{}", "[[1]]", "inf", "nan", "1e400", "9" * 23, "2024-01-01", "''",
+              "[1,2,3]", "[1,'a']", "{a=1}", "[{}]", "[nan,1,1]", "07:30:00"]  # fmt: skip
+    sections: list[str] = ["", "system.", "system.payload.", "system.uav.1.", "maneuver.", "maneuver.phase.2.",
+                "controller.", "controller.weights.", "controller.limits.", "agents.", "clock.", "plant.",
+                "network."]  # fmt: skip
+    keys = ["schema", "name", "seed", "system", "payload", "uav", "uav.2", "id", "mass_kg", "inertia_kgm2", "rho_m",
+            "rho_m.1", "phase", "phase.1", "duration_s", "displacement_m", "profile", "horizon", "relaxation",
+            "constraint", "separation", "solver", "moments", "moments.2", "thrust_N", "owned", "owned.1", "owned.1.1",
+            "mode", "speed", "actuation", "step_s", "host", "base_port", "priced", "zzz"]  # fmt: skip
+    refusals = []
+    for _ in range(800):
+        setting = f"{rng.choice(sections)}{rng.choice(keys)}={rng.choice(values)}"
+        try:
+            read_scenario(PAPER, [setting])
+        except ScenarioError as error:
+            refusals.append(str(error))
+    assert len(refusals) > 500
+    assert all("\n" not in text and len(text) < 400 for text in refusals)

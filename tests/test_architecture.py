@@ -1,0 +1,140 @@
+"""The lines between the packages: who may import whom, who may know a clock, what must be described."""
+
+import ast
+from collections.abc import Iterator
+from functools import lru_cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+# Imports run downwards only: a module may import its own package and those of smaller numbers.
+LAYERS = {"model": 0, "mpc": 1, "protocol": 2, "agent": 3, "plant": 3, "coordinator": 3, "transport": 4}
+
+# What makes a computation depend on more than its arguments.
+OUTSIDE_WORLD = {
+    "asyncio",
+    "datetime",
+    "logging",
+    "multiprocessing",
+    "queue",
+    "random",
+    "select",
+    "signal",
+    "socket",
+    "subprocess",
+    "threading",
+    "time",
+    "zenoh",
+}
+
+SOURCES = sorted(path for package in LAYERS for path in (ROOT / package).rglob("*.py"))
+NODES = [ROOT / role / "node.py" for role in ("agent", "plant", "coordinator")]
+PURE = [path for path in SOURCES if path.relative_to(ROOT).parts[0] in ("model", "mpc")]
+
+
+def named(path: Path) -> str:
+    """A file as people see it."""
+    return path.relative_to(ROOT).as_posix()
+
+
+@lru_cache
+def tree(path: Path) -> ast.Module:
+    """Syntax tree of a file."""
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+@lru_cache
+def imports(path: Path) -> frozenset[str]:
+    """Dotted names of everything a file imports anywhere, inside functions as well."""
+    names: set[str] = set()
+    for node in ast.walk(tree(path)):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{named(path)}:{node.lineno}: relative import"
+            # `from protocol import messages` imports a module, `from protocol.messages import Tick` a name in one.
+            names |= {str(node.module), *[f"{node.module}.{alias.name}" for alias in node.names]}
+    return frozenset(names)
+
+
+def reached(path: Path) -> set[Path]:
+    """A file and all files of the project it imports, directly or through others."""
+    found: set[Path] = set()
+    waiting = [path]
+    while waiting:
+        at = waiting.pop()
+        if at in found:
+            continue
+        found.add(at)
+        for name in imports(at):
+            candidate = ROOT.joinpath(*name.split("."))
+            waiting += [file for file in (candidate.with_suffix(".py"), candidate / "__init__.py") if file.exists()]
+    return found
+
+
+def top(names: frozenset[str]) -> set[str]:
+    """First parts of dotted names."""
+    return {name.partition(".")[0] for name in names}
+
+
+def public(body: list[ast.stmt], prefix: str = "") -> Iterator[tuple[str, ast.FunctionDef | ast.ClassDef]]:
+    """Public functions, classes and methods of a module or class, not those inside functions."""
+    for node in body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
+            yield prefix + node.name, node
+            if isinstance(node, ast.ClassDef):
+                yield from public(node.body, f"{prefix}{node.name}.")
+
+
+def test_the_walk_sees_the_project() -> None:
+    """The files are found, each package has some, and nothing of the project lies outside the layers."""
+    assert {named(path).partition("/")[0] for path in SOURCES} == set(LAYERS)
+    assert all(path in SOURCES for path in NODES)
+    assert ROOT / "model" / "dynamics.py" in reached(ROOT / "agent" / "node.py")
+    assert "casadi" in top(imports(ROOT / "model" / "dynamics.py"))
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=named)
+def test_imports_run_downwards(path: Path) -> None:
+    """transport -> agent, plant, coordinator -> protocol -> mpc -> model; the three roles do not know each other."""
+    own = named(path).partition("/")[0]
+    for other in top(imports(path)) & set(LAYERS) - {own}:
+        assert LAYERS[other] < LAYERS[own], f"{named(path)} imports {other}"
+    assert "tests" not in top(imports(path))
+
+
+@pytest.mark.parametrize("path", PURE, ids=named)
+def test_model_and_controller_are_pure(path: Path) -> None:
+    """model/ and mpc/ are arrays in, arrays out: no network, clock, thread, signal, chance or log."""
+    assert not top(imports(path)) & OUTSIDE_WORLD
+
+
+@pytest.mark.parametrize("path", NODES, ids=named)
+def test_nodes_do_no_io(path: Path) -> None:
+    """A node is a state machine: neither it nor anything of the project below it touches the outside world."""
+    for file in reached(path):
+        assert not top(imports(file)) & OUTSIDE_WORLD, named(file)
+
+
+def test_only_the_bus_knows_zenoh() -> None:
+    """Zenoh is imported in one place."""
+    assert [named(path) for path in SOURCES if "zenoh" in top(imports(path))] == ["protocol/bus.py"]
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=named)
+def test_everything_public_is_described(path: Path) -> None:
+    """Every module and every public class, function and method has a docstring."""
+    assert ast.get_docstring(tree(path)), named(path)
+    bare = [name for name, node in public(tree(path).body) if not ast.get_docstring(node)]
+    assert bare == []
+
+
+@pytest.mark.parametrize(
+    "path", [path for path in SOURCES if path.relative_to(ROOT).parts[0] != "transport"], ids=named
+)
+def test_only_transport_prints(path: Path) -> None:
+    """Results are printed by what a person touches, and nowhere else."""
+    calls = [node.func for node in ast.walk(tree(path)) if isinstance(node, ast.Call)]
+    assert not [call for call in calls if isinstance(call, ast.Name) and call.id == "print"]
