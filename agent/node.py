@@ -158,7 +158,6 @@ class AgentNode:
             x0, _ = self._setup.model.integrate(x, u0, period_s, _AHEAD_STEPS)
         U = self._announced.sequence(start, steps, before=k)
         y_ref = self._y_ref[start : start + steps + 1]
-        x0, u0, U, y_ref = controller.check(x0, u0, U, y_ref)
         law = None
         if controller.gain is not None:
             c = self._announced.corrections(start, steps, before=k)

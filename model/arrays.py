@@ -27,16 +27,17 @@ def checked(name: str, value: ArrayLike, shape: Sequence[int | None]) -> Array:
         array = np.array(value, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
         raise ShapeError(f"{name}: expected an array of numbers, got {value!r}") from error
-    matches = array.ndim == len(shape) and all(
-        want is None or have == want for have, want in zip(array.shape, shape, strict=False)
-    )
-    if not matches:
+    if array.shape != shape and not _matches(array.shape, shape):
         expected = tuple("any" if want is None else want for want in shape)
         raise ShapeError(f"{name}: expected shape {_text(expected)}, got {_text(array.shape)}")
     if not np.isfinite(array).all():
         raise ShapeError(f"{name}: expected finite numbers, got {array[~np.isfinite(array)][0]}")
     array.setflags(write=False)
     return array
+
+
+def _matches(have: Sequence[int], want: Sequence[int | None]) -> bool:
+    return len(have) == len(want) and all(w is None or h == w for h, w in zip(have, want, strict=True))
 
 
 def _text(shape: Sequence[object]) -> str:

@@ -17,7 +17,7 @@ import numpy as np
 from model.arrays import Array, ShapeError
 from model.linearisation import Linearisation
 
-_THETA_MAX = 2.0  # norm of A_c T above which the period is halved: keeps the series short, free of cancellation
+_THETA_MAX = 2.0  # theta (see _terms) above which the period is halved: keeps the series short, free of cancellation
 _REMAINDER = 2.0**-53  # relative to T: below the rounding of the sum itself
 
 
@@ -46,40 +46,57 @@ def zero_order_hold(linear: Linearisation, period_s: float) -> Discrete:
     Raises: ShapeError: A_c holds numbers that are not finite.
     Source: docs/equations.md (16)-(17).
     """
-    A_c = linear.A_c
-    norm = float(np.abs(A_c).sum(axis=0).max()) * period_s
-    if not math.isfinite(norm):
-        raise ShapeError("A_c: expected finite numbers, got nan or inf")
-    halvings = max(0, math.ceil(math.log2(norm / _THETA_MAX))) if norm > 0.0 else 0
-    T = period_s / 2**halvings
     # Row-major for the products below; CasADi hands out column-major.
-    A_c = np.ascontiguousarray(A_c)
-    identity = np.eye(A_c.shape[0])
-    Phi = T * _integrated_exponential(A_c * T, identity, _terms(norm / 2**halvings))
+    A_c = np.ascontiguousarray(linear.A_c)
+    X = A_c * period_s
+    if not math.isfinite(_norm(X)):
+        raise ShapeError("A_c: expected finite numbers, got nan or inf")
+    powers = np.empty((4, *X.shape))
+    powers[0], powers[1] = np.eye(len(X)), X
+    np.matmul(X, X, out=powers[2])
+    np.matmul(powers[2], X, out=powers[3])
+    theta = max(_norm(powers[2]) ** (1 / 2), _norm(powers[3]) ** (1 / 3))
+    halvings = max(0, math.ceil(math.log2(theta / _THETA_MAX))) if theta > 0.0 else 0
+    T = period_s / 2**halvings
+    for k in (1, 2, 3):
+        powers[k] /= 2 ** (k * halvings)
+    Phi = T * _integrated_exponential(powers, _terms(theta / 2**halvings))
     for _ in range(halvings):
         # exp(2 A T) has Phi(2T) = Phi(T) + exp(A T) Phi(T).
         Phi = 2.0 * Phi + (A_c @ Phi) @ Phi
-    return Discrete(A=identity + A_c @ Phi, B=Phi @ linear.B_c, f_d=Phi @ linear.f)
+    return Discrete(A=np.eye(len(X)) + A_c @ Phi, B=Phi @ linear.B_c, f_d=Phi @ linear.f)
 
 
-def _integrated_exponential(X: Array, identity: Array, terms: int) -> Array:
-    """sum_{k < terms} X^k / (k+1)!, four terms for each product of matrices (Paterson, Stockmeyer 1973)."""
-    n, blocks = len(X), -(-terms // 4)
-    powers = np.empty((4, n, n))
-    powers[0], powers[1] = identity, X
-    np.matmul(X, X, out=powers[2])
-    np.matmul(powers[2], X, out=powers[3])
-    X4 = powers[2] @ powers[2]
+def _norm(X: Array) -> float:
+    """Largest column sum of magnitudes."""
+    return float(np.abs(X).sum(axis=0).max())
+
+
+def _integrated_exponential(powers: Array, terms: int) -> Array:
+    """sum_{k < terms} X^k / (k+1)!, four terms for each product of matrices (Paterson, Stockmeyer 1973).
+
+    Args:
+        powers: I, X, X^2, X^3, (4, n, n).
+        terms: How many.
+    """
+    n, blocks = powers.shape[1], -(-terms // 4)
     coefficients = np.array([1.0 / math.factorial(k + 1) for k in range(4 * blocks)]).reshape(blocks, 4)
     sums = (coefficients @ powers.reshape(4, n * n)).reshape(blocks, n, n)
     total: Array = sums[-1]
-    for block in range(blocks - 2, -1, -1):
-        total = total @ X4 + sums[block]
+    if blocks > 1:
+        X4 = powers[2] @ powers[2]
+        for block in range(blocks - 2, -1, -1):
+            total = total @ X4 + sums[block]
     return total
 
 
 def _terms(theta: float) -> int:
-    """Smallest K with sum_{k >= K} theta^k / (k+1)! <= the permitted remainder; bounded by a geometric series."""
+    """Smallest K >= 2 with sum_{k >= K} theta^k / (k+1)! <= the permitted remainder; bounded by a geometric series.
+
+    theta = max(|X^2|^(1/2), |X^3|^(1/3)) stands for the norm: every k >= 2 is a sum of twos and threes, so
+    |X^k| <= theta^k, and for a mechanical system (positions feed on velocities, not the other way) it is
+    several times smaller than |X| (Al-Mohy, Higham 2009).
+    """
     K = 2
     term = theta**2 / 6.0
     while term / (1.0 - theta / (K + 2)) > _REMAINDER:

@@ -25,12 +25,14 @@ def hessian(output_impulse: Array, Q: Array, Q_f: Array) -> Array:
     """
     steps, p, m = output_impulse.shape
     S = output_impulse.transpose(1, 0, 2).reshape(p, steps * m)
-    sums = (S.T @ (Q[:, None] * S)).reshape(steps, m, steps, m)
+    # Blocks side by side in memory, so that a row of them is one contiguous sum.
+    sums = np.ascontiguousarray((S.T @ (Q[:, None] * S)).reshape(steps, m, steps, m).transpose(0, 2, 1, 3))
     for a in range(1, steps):
-        sums[a, :, 1:] += sums[a - 1, :, :-1]
-    H = (S.T @ (Q_f[:, None] * S)).reshape(steps, m, steps, m)[::-1, :, ::-1].copy()
-    H[:-1, :, :-1] += sums[-2::-1, :, -2::-1] if steps > 1 else 0.0
-    H = H.reshape(steps * m, steps * m)
+        sums[a, 1:] += sums[a - 1, :-1]
+    blocks = (S.T @ (Q_f[:, None] * S)).reshape(steps, m, steps, m).transpose(0, 2, 1, 3).copy()
+    # Step k = N_p is priced by Q_f alone, so Q's sums end one step earlier.
+    blocks[1:, 1:] += sums[:-1, :-1]
+    H = blocks[::-1, ::-1].transpose(0, 2, 1, 3).reshape(steps * m, steps * m)
     return (H + H.T) / 2.0
 
 

@@ -98,8 +98,8 @@ class Controller:
         separation_penalty = [self._separation.penalty] if self._separation else []
         self._penalties = np.concatenate([separation_penalty, self._on_state.penalty[soft]])
         self._state_slack = np.where(soft, len(separation_penalty) + np.cumsum(soft) - 1, -1)
-        self._rate_rows = rate_rows(steps, m)
         self._z_scale = np.concatenate([np.tile(self._scale, steps), np.ones(len(self._penalties))])
+        self._rate_rows = rate_rows(steps, m) * self._z_scale[: steps * m]
 
     def step(self, x0: Array, u0: Array, U: Array, y_ref: Array, law: TeamLaw | None = None) -> Optimum:
         """One step of the controller.
@@ -245,7 +245,7 @@ class Controller:
         slacks = len(self._penalties)
         rate = np.tile(self._rate, steps - 1)
         drift = (prediction.U_free[1:] - prediction.U_free[:-1]).reshape(-1)
-        parts: list[_Rows] = [(self._rate_rows * scale, -rate - drift, rate - drift, None)]
+        parts: list[_Rows] = [(self._rate_rows, -rate - drift, rate - drift, None)]
         C = linear.model.C
         if self._separation is not None:
             _, direction = separation_rows(linear.model.y, self.model.system.N, self.owned)

@@ -54,11 +54,12 @@ def open_loop(discrete: Discrete, u0: Array, own: np.ndarray, U: Array) -> Predi
     dU[:, own] = 0.0
     W = discrete.f_d + dU @ discrete.B.T
     B = np.ascontiguousarray(discrete.B[:, own])
+    impulse, dX = responses(discrete.A, B, W)
     return Prediction(
         A=discrete.A,
         B=B,
-        impulse=impulse_response(discrete.A, B, len(U)),
-        dX_free=free_response(discrete.A, W),
+        impulse=impulse,
+        dX_free=dX,
         U_free=np.tile(u0[own], (len(U), 1)),
         W=W,
         U_others=np.delete(U, own, axis=1),
@@ -86,11 +87,11 @@ def closed_loop(discrete: Discrete, u0: Array, own: np.ndarray, law: TeamLaw) ->
     A = discrete.A + B_others @ K
     at_x0 = law.inputs(others)
     W = discrete.f_d + (at_x0 - u0[others]) @ B_others.T
-    dX = free_response(A, W)
+    impulse, dX = responses(A, B, W)
     return Prediction(
         A=A,
         B=B,
-        impulse=impulse_response(A, B, steps),
+        impulse=impulse,
         dX_free=dX,
         U_free=np.tile(u0[own], (steps, 1)),
         W=W,
@@ -113,10 +114,22 @@ def free_response(A: Array, W: Array) -> Array:
     return dX
 
 
-def impulse_response(A: Array, B: Array, steps: int) -> Array:
-    """A^j B for j = 0..steps-1, (steps, n, m): the first block column of H in paper (16)."""
-    response = np.empty((steps, *B.shape))
-    response[0] = B
-    for j in range(1, steps):
-        np.matmul(A, response[j - 1], out=response[j])
-    return response
+def responses(A: Array, B: Array, W: Array) -> tuple[Array, Array]:
+    """Impulse response A^j B and free response together: one product of matrices per step serves both.
+
+    Args:
+        A: State matrix, (n, n).
+        B: Effect of the decision, (n, m).
+        W: Drive per step, (N_p, n).
+    Returns: A^j B for j = 0..N_p-1, (N_p, n, m), the first block column of H in paper (16); dx at steps
+        0..N_p as in `free_response`, (N_p + 1, n).
+    Source: docs/equations.md (23)-(24); paper (15)-(16).
+    """
+    steps, (n, m) = len(W), B.shape
+    columns = np.empty((steps + 1, n, m + 1))  # at step k: A^k B, and dx(k)
+    columns[0, :, :m] = B
+    columns[0, :, m] = 0.0
+    for k in range(steps):
+        np.matmul(A, columns[k], out=columns[k + 1])
+        columns[k + 1, :, m] += W[k]
+    return np.ascontiguousarray(columns[:-1, :, :m]), np.ascontiguousarray(columns[:, :, m])

@@ -38,7 +38,10 @@ class PlantNode:
         self.steps = math.ceil(self._period_s / setup.scenario.plant.step_s - 1e-9)
         self._delay = 0 if setup.scenario.clock.actuation == "immediate" else 1
         inertias = np.array([uav.inertia for uav in setup.system.uavs])
-        self._limits = setup.settings.limits.lower(1), setup.settings.limits.upper(1)
+        limits = setup.settings.limits
+        self._limits = {a: (limits.lower(len(o)), limits.upper(len(o))) for a, o in enumerate(setup.owned, start=1)}
+        instants = np.arange(setup.ticks + 1, dtype=np.float64)
+        self._path, _ = setup.maneuver.path(self._period_s * instants)
         self._schedule = ActuatorSchedule(setup.hover.u, inertias, setup.settings.limits)
         self._x: Array = setup.initial_state()
         self._u: Array = setup.hover.u.copy()  # in force until now
@@ -94,7 +97,7 @@ class PlantNode:
             return "plan for UAVs of somebody else"
         if plan.start_tick != plan.tick + self._delay or plan.tick > self._measured_tick:
             return "plan for the wrong instant"
-        low, high = (np.tile(bound, len(plan.uavs)) for bound in self._limits)
+        low, high = self._limits[plan.agent]
         if (plan.inputs < low).any() or (plan.inputs > high).any():
             return "inputs outside the limits"
         return ""
@@ -187,8 +190,7 @@ class PlantNode:
             who = "payload" if worst[0] == 0 else f"UAV{worst[0]}"
             angle = ("roll", "pitch")[worst[1]]
             return f"{who} {angle} of {attitudes[worst]:.0f} deg exceeds {limits.max_attitude_deg:g} deg"
-        reference, _ = self._setup.maneuver.path(np.array([tick * self._period_s]))
-        error = float(np.linalg.norm(view.r0_I - reference[0]))
+        error = float(np.linalg.norm(view.r0_I - self._path[tick]))
         if error > limits.max_error_m:
             return f"payload position error of {error:.1f} m exceeds {limits.max_error_m:g} m"
         return ""

@@ -327,6 +327,8 @@ def _name(value: object) -> str:
 
 
 def _integer(field: str, value: object, high: int, *, low: int = 0) -> int:
+    if type(value) is int and low <= value <= high:
+        return value
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or not low <= value <= high:
         raise MessageError(f"{field}: expected an integer in [{low}, {high}], got {_shown(value)}")
     return int(value)

@@ -104,7 +104,7 @@ def run_node(
         ) as bus,
     ):
         with_signals(bus)
-        journal.say("listening", at=", ".join(place.endpoints.listen))
+        journal.say("listening", cpu_s=time.process_time(), at=", ".join(place.endpoints.listen))
         interruption = bus.join(expected, place.join_timeout_s)
         if interruption is None:
             journal.say("joined", peers=len(expected))
@@ -120,7 +120,8 @@ def run_node(
         journal.say("rejected", sender=sender, reason=reason, count=count)
     if node.finished is None:
         return EXIT_LOST
-    journal.say("finished", outcome=node.finished.outcome, reason=node.finished.reason, tick=node.finished.tick)
+    end = node.finished
+    journal.say("finished", outcome=end.outcome, reason=end.reason, tick=end.tick, cpu_s=time.process_time())
     return node.finished.exit_code
 
 

@@ -201,7 +201,7 @@ class LinksSection(LinkSection):
 class PlantSection(Section):
     """Integration of the truth, and when a flight counts as lost."""
 
-    step_s: Positive = 0.005
+    step_s: Positive = 0.01
     max_attitude_deg: Annotated[float, Field(gt=0.0, lt=90.0)] = 80.0
     max_error_m: Positive = 20.0
 

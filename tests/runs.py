@@ -1,5 +1,6 @@
 """Runs and messages that the tests of protocol, nodes and runtimes share."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -31,6 +32,12 @@ INCARNATION = 1  # of every agent; 0 is then a start of it that is over, 2 one t
 def setup(*settings: str) -> Setup:
     """The paper's scenario with some settings changed, ready to fly."""
     return Setup.of(read_scenario(PAPER, settings), PAPER.name)
+
+
+def integrated(run: Setup, x: Array, u: Array) -> Array:
+    """The state one sampling period later, by the fewest equal steps no longer than the scenario's `plant.step_s`."""
+    period_s, step_s = run.settings.sampling_period_s, run.scenario.plant.step_s
+    return run.model.integrate(x, u, period_s, math.ceil(period_s / step_s - 1e-9))[0]
 
 
 def ticks(count: int) -> str:

@@ -137,7 +137,7 @@ class Harness:
             stdin=subprocess.PIPE,
             stdout=output,
             stderr=subprocess.STDOUT,
-            env={**os.environ, **_ENVIRONMENT},
+            env={**_ENVIRONMENT, **os.environ, PARENT_PIPE: "1"},
             # A session of its own: Ctrl-C reaches this process, which ends the run in order.
             start_new_session=True,
         )

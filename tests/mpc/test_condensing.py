@@ -6,7 +6,7 @@ import pytest
 from model.arrays import Array
 from model.discretisation import Discrete
 from mpc import condensing
-from mpc.prediction import free_response, impulse_response, open_loop
+from mpc.prediction import free_response, open_loop, responses
 from tests.mpc import naive
 
 # Both sides are sums of the same products in another order: only rounding, relative to the largest entry.
@@ -49,7 +49,7 @@ def test_hessian_is_the_stacked_product(system: Random) -> None:
     """The block-diagonal sums give (C-bar H)' Q-bar (C-bar H) of paper (16)-(17), terminal block included."""
     lifted = naive.stacked_output(system.C, system.steps) @ naive.stacked_input(system.A, system.B, system.steps)
     expected = lifted.T @ naive.stacked_weight(system.Q, system.Q_f, system.steps) @ lifted
-    impulse = impulse_response(system.A, system.B, system.steps)
+    impulse = responses(system.A, system.B, np.zeros((system.steps, system.n)))[0]
     H = condensing.hessian(system.C @ impulse, system.Q, system.Q_f)
     assert close(H, expected)
     assert np.array_equal(H, H.T), "solvers read one triangle only: both must agree to the bit"
@@ -68,14 +68,14 @@ def test_gradient_is_the_stacked_product(system: Random) -> None:
 def test_rows_are_the_stacked_matrix(system: Random) -> None:
     """Rows of a signal s = S x at steps 1..N_p are S-bar H of paper (16) without its first, zero block row."""
     stacked = naive.stacked_output(system.C, system.steps) @ naive.stacked_input(system.A, system.B, system.steps)
-    impulse = impulse_response(system.A, system.B, system.steps)
+    impulse = responses(system.A, system.B, np.zeros((system.steps, system.n)))[0]
     assert not stacked[: system.p].any()
     assert close(condensing.rows(system.C @ impulse), stacked[system.p :])
 
 
 def test_impulse_response_is_the_reaction_to_one_input(system: Random) -> None:
     """A^j B is the state j + 1 steps after a unit input, the first block column of H in paper (16)."""
-    impulse = impulse_response(system.A, system.B, system.steps)
+    impulse = responses(system.A, system.B, np.zeros((system.steps, system.n)))[0]
     zero = np.zeros(system.n)
     for channel in range(system.m):
         dU = np.zeros((system.steps, system.m))

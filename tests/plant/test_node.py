@@ -11,7 +11,7 @@ from plant.node import PlantNode
 from plant.schedule import BEFORE_ANY_PLAN, FAIL_SAFE
 from protocol.messages import Measurement, Message, Presence, Truth
 from protocol.setup import Setup
-from tests.runs import EVERYBODY, end, measurement, plan, roster, setup, tick
+from tests.runs import EVERYBODY, end, integrated, measurement, plan, roster, setup, tick
 
 IMMEDIATE, NEXT_TICK = "clock.actuation=immediate", "clock.actuation=next_tick"
 
@@ -152,7 +152,7 @@ def test_truth_is_the_integrated_state() -> None:
     assert record.plan_ticks == (0, 0, 0, 0)
     assert record.diverged == ""
     assert 0.0 < record.local_error < 1e-9
-    ahead, _ = run.model.integrate(x, u, 0.05, 10)  # plant.step_s = 0.005
+    ahead = integrated(run, x, u)
     for message, agent in zip(tell(node, tick(1)), EVERYBODY, strict=True):
         assert isinstance(message, Measurement)
         np.testing.assert_array_equal(message.payload, ahead[:12])

@@ -97,6 +97,16 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
     ("system.uav.1.id=2", "system.uav.id", "expected 1, 2, ... 4 in order, got [2, 2, 3, 4]"),
     ("plant.step_s=0.1", "plant.step_s", "expected at most the sampling period 0.05, got 0.1"),
     ("controller.limits.thrust_N=[5,1]", "controller.limits.thrust_N", "expected smallest < largest, got [5.0, 1.0]"),
+    ("links.loss=1.5", "links.loss", "expected a number <= 1.0, got 1.5"),
+    ("links.override=[{to='agent5'}]", "links.override.1.to", "expected one of agent1, agent2, agent3, agent4, got "),
+    (
+        "links.override=[{from='plant'}]",
+        "links.override.1.from",
+        "expected one of agent1, agent2, agent3, agent4, got ",
+    ),
+    ("links.partition=[{between=['agent1'],start_s=2,end_s=1}]", "links.partition.1.end_s", "expected more than start"),
+    ("links.partition=[{between=['x'],start_s=1,end_s=2}]", "links.partition.1.between", "expected one of agent1, "),
+    ("links.distribution=empirical", "links.samples", "expected a file of measured delays, got nothing"),
     # Physics.
     (
         "controller.limits.thrust_N=[0,20]",
