@@ -84,6 +84,11 @@ class CoordinatorNode:
         if expired and not self._is_complete():
             late = sorted(self._members - self._answered)
             names = ", ".join(agent_name(agent) for agent in late)
+            if not self._answered and len(late) > 1:
+                # All at once: more likely the one they all depend on.
+                return self._stop(
+                    "aborted", f"no agent answered tick {self._tick} in time: is the plant alive?", EXIT_LOST
+                )
             return self._lose(late, f"{names} did not answer tick {self._tick} in time", now_ns)
         if expired and self._tick + 1 == self._ticks and self._last_truth < self._tick:
             return self._stop("aborted", f"plant did not answer tick {self._tick} in time", EXIT_LOST)

@@ -347,7 +347,8 @@ def _boolean(field: str, value: object) -> bool:
 
 
 def _text(field: str, value: object) -> str:
-    if not isinstance(value, str) or len(value) > MAX_TEXT:
+    # Half of a surrogate pair is text for Python but cannot be sent.
+    if not isinstance(value, str) or len(value) > MAX_TEXT or any("\ud800" <= c <= "\udfff" for c in value):
         raise MessageError(f"{field}: expected text of at most {MAX_TEXT} characters, got {_shown(value)}")
     return value
 

@@ -43,6 +43,12 @@ def _inertia(value: Any) -> Any:
     return value
 
 
+def _relaxation(value: float | str) -> float | str:
+    if value == "auto" or (isinstance(value, float | int) and 0.0 < value <= 1.0):
+        return value
+    raise PydanticCustomError("relaxation", "expected a number in (0, 1] or 'auto'")
+
+
 Inertia = Annotated[list[float] | list[list[float]], AfterValidator(_inertia)]
 
 
@@ -129,7 +135,7 @@ class ControllerSection(Section):
     sampling_period_s: Positive = 0.05
     horizon: Annotated[int, Field(ge=1, le=10_000)] = 20
     prediction: Literal["open_loop", "closed_loop"] = "open_loop"
-    relaxation: Annotated[float, Field(gt=0.0, le=1.0)] | Literal["auto"] = 1.0
+    relaxation: Annotated[float | str, AfterValidator(_relaxation)] = 1.0
     solver: Literal["daqp", "clarabel"] = "daqp"
     weights: WeightsSection = WeightsSection()
     limits: LimitsSection = LimitsSection()

@@ -27,7 +27,8 @@ class ScenarioError(ValueError):
     """
 
     def __init__(self, source: str, field: str, problem: str) -> None:
-        super().__init__(": ".join(part for part in (source, field, problem) if part))
+        text = ": ".join(part for part in (source, field, problem) if part)
+        super().__init__(" ".join(text.splitlines()))
 
 
 def find_scenario(name: str) -> Path:

@@ -181,7 +181,7 @@ def _settings(scenario: Scenario) -> ControllerSettings:
     section = scenario.controller
     weights, limits, separation = section.weights, section.limits, section.separation
     # 1/M of M agents: the descent guarantee of cooperative distributed MPC (docs/decisions.md).
-    relaxation = 1.0 / len(scenario.owned) if section.relaxation == "auto" else section.relaxation
+    relaxation = 1.0 / len(scenario.owned) if section.relaxation == "auto" else float(section.relaxation)
     return ControllerSettings(
         sampling_period_s=section.sampling_period_s,
         horizon=section.horizon,

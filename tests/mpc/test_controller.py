@@ -174,4 +174,4 @@ def test_numbers_that_are_not_finite_are_named(name: str, value: float) -> None:
     arguments = {"x0": good.x.copy(), "u0": good.u.copy(), "U": good.U.copy(), "y_ref": good.y_ref.copy()}
     arguments[name].reshape(-1)[-1] = value
     with pytest.raises(ShapeError, match=f"^{name}: expected finite numbers, got {value}"):
-        controller(setup, settings, (0,)).step(*arguments.values())
+        controller(setup, settings, (0,)).step(arguments["x0"], arguments["u0"], arguments["U"], arguments["y_ref"])
