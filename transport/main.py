@@ -301,7 +301,8 @@ def _report(folder: Path, output: Format, figures: bool) -> None:
         sys.stdout.write(orjson.dumps(summary, option=orjson.OPT_INDENT_2).decode() + "\n")
         return
     Console().print(summary_table(summary))
-    typer.echo(f"{folder}/")
+    for file in ["summary.json", "steps.csv", "run.mcap", *[f"figures/{p.name}" for p in folder.glob("figures/*.png")]]:
+        typer.echo(f" {folder / file}")
 
 
 def _fail(text: str, code: int) -> NoReturn:
