@@ -35,7 +35,8 @@ class Format(StrEnum):
 
 
 ScenarioArgument = Annotated[
-    str, typer.Argument(help="Scenario file, or the name of a ready one: paper, centralized.", show_default=True)
+    str,
+    typer.Argument(help="Scenario file, or the name of a ready one: paper, centralized, resilient.", show_default=True),
 ]
 ScenarioOption = Annotated[str, typer.Option("--scenario", help="Scenario file or name; the same for all processes.")]
 SetOption = Annotated[

@@ -1,0 +1,150 @@
+"""The shared law and the prediction that rests on it."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.linalg import solve_discrete_are
+
+from model import state
+from model.arrays import Array
+from model.discretisation import zero_order_hold
+from model.state import input_indices
+from mpc.controller import Controller
+from mpc.cost import Cost
+from mpc.feedback import TeamLaw, team_gain
+from mpc.prediction import closed_loop
+from mpc.settings import ControllerSettings, Weights
+from tests.mpc.systems import Situation, paper_setup, situation
+
+PERIOD_S = 0.05
+CLOSED = ControllerSettings(prediction="closed_loop", relaxation=1.0)
+
+# Both solve the same Riccati equation to rounding; the gain's entries reach 30.
+GAIN_TOLERANCE = 1e-7
+# The same linear recursion in another order of operations, over 20 steps with states of a few metres.
+ROLLOUT_TOLERANCE = 1e-9
+# Two programs with the same optimum, each solved to residuals of 1e-6 of data of size one.
+OPTIMUM_TOLERANCE = 1e-6
+
+
+@cache
+def gain() -> Array:
+    """The paper system's gain."""
+    setup = paper_setup()
+    return team_gain(setup.model, setup.hover, Cost(Weights(), setup.hover), PERIOD_S)
+
+
+def hover_model() -> tuple[Array, Array, Array]:
+    """A, B, C of the paper system at hover."""
+    setup = paper_setup()
+    linear = setup.model.linearise(setup.hover.x, setup.hover.u)
+    discrete = zero_order_hold(linear, PERIOD_S)
+    return discrete.A, discrete.B, linear.C
+
+
+def test_gain_is_the_regulators() -> None:
+    """K is the LQR gain of an independent solver, which needs free headings and rod lengths taken out by hand."""
+    setup = paper_setup()
+    A, B, C = hover_model()
+    kept = np.ones(setup.system.n, dtype=bool)
+    for i in range(setup.system.N):
+        block = state.uav_slice(i).start
+        # Vertical rods: e and Omega cannot change along z; a heading costs nothing and changes nothing.
+        kept[[block + 2, block + 5, block + 8]] = False
+    cost = Cost(Weights(), setup.hover)
+    a, b, c = A[np.ix_(kept, kept)], B[kept], C[:, kept]
+    P = solve_discrete_are(a, b, c.T @ (cost.Q[:, None] * c), np.diag(cost.R))
+    expected = -np.linalg.solve(np.diag(cost.R) + b.T @ P @ b, b.T @ P @ a)
+    assert np.abs(gain()[:, kept] - expected).max() < GAIN_TOLERANCE
+    assert np.abs(gain()[:, ~kept]).max() < GAIN_TOLERANCE
+
+
+def test_gain_stabilises() -> None:
+    """All modes of A + B K decay but the ones nobody prices or can move: headings, rod lengths and their rates."""
+    A, B, _ = hover_model()
+    moduli = np.sort(np.abs(np.linalg.eigvals(A + B @ gain())))
+    unmoved = 3 * paper_setup().system.N
+    assert moduli[-1] < 1.0 + 1e-6
+    assert moduli[-unmoved - 1] < 1.0 - 1e-6
+
+
+@pytest.mark.parametrize("owned", [(0,), (1, 3)])
+def test_prediction_is_the_team_under_the_law(owned: tuple[int, ...]) -> None:
+    """Stepping the linear model with the others' inputs from the law gives the predicted states and inputs."""
+    setup = paper_setup()
+    rng = np.random.default_rng(3)
+    at = situation(setup, CLOSED, seed=3)
+    steps, own = 20, input_indices(owned)
+    others = np.setdiff1d(np.arange(setup.system.m), own)
+    discrete = zero_order_hold(setup.model.linearise(at.x, at.u), PERIOD_S)
+    x_ref = at.x + 0.1 * rng.standard_normal((steps, setup.system.n))
+    law = TeamLaw(K=gain(), u_hover=setup.hover.u, error=at.x - x_ref, c=rng.standard_normal((steps, setup.system.m)))
+    prediction = closed_loop(discrete, at.u, own, law)
+    v = 0.1 * rng.standard_normal((steps, len(own)))
+
+    dx = np.zeros(setup.system.n)
+    for k in range(steps):
+        u = np.empty(setup.system.m)
+        u[own] = at.u[own] + v[k]
+        u[others] = (setup.hover.u + gain() @ (at.x + dx - x_ref[k]) + law.c[k])[others]
+        dx = discrete.f_d + discrete.A @ dx + discrete.B @ (u - at.u)
+        convolved = sum(prediction.impulse[k - j] @ v[j] for j in range(k + 1))
+        assert np.abs(prediction.dX_free[k + 1] + convolved - dx).max() < ROLLOUT_TOLERANCE
+
+
+def test_owning_all_the_law_changes_nothing() -> None:
+    """One agent that owns all solves the centralized problem, in these coordinates as in the others."""
+    setup = paper_setup()
+    everyone = tuple(range(setup.system.N))
+    at = situation(setup, CLOSED, seed=5)
+    plain = Controller(setup.model, setup.hover, ControllerSettings(), everyone)
+    shared = Controller(setup.model, setup.hover, CLOSED, everyone)
+    found = shared.step(at.x, at.u, at.U, at.y_ref, law_at(shared, at))
+    expected = plain.step(at.x, at.u, at.U, at.y_ref)
+    assert found.solution.status == expected.solution.status == "solved"
+    assert np.abs(found.U - expected.U).max() < OPTIMUM_TOLERANCE
+
+
+def test_corrections_reproduce_the_inputs() -> None:
+    """The announced corrections, run through the law from the present state, give the announced inputs back."""
+    setup = paper_setup()
+    at = situation(setup, CLOSED, seed=7)
+    one = Controller(setup.model, setup.hover, CLOSED, (2,))
+    law = law_at(one, at)
+    assert law is not None
+    linear = one.linearise(at.x, at.u)
+    prediction = one.predict(linear, one.discretise(linear), at.U, law)
+    optimum = one.conclude(one.solve(one.condense(linear, prediction, at.U, at.y_ref)), prediction, at.U, law)
+    dx = np.zeros(setup.system.n)
+    for k, c in enumerate(optimum.c):
+        u = setup.hover.u[one.own] + gain()[one.own] @ (law.error[k] + dx) + c
+        assert np.abs(u - optimum.U[k]).max() < ROLLOUT_TOLERANCE
+        dx = prediction.A @ dx + prediction.W[k] + prediction.B @ (u - at.u[one.own])
+
+
+@pytest.mark.parametrize("w", [0.25, 0.5])
+def test_relaxation_acts_on_the_corrections(w: float) -> None:
+    """c = w c* + (1 - w) c_shifted; the feedback is not slowed."""
+    setup = paper_setup()
+    at = situation(setup, CLOSED, seed=9)
+    full = Controller(setup.model, setup.hover, CLOSED, (1,))
+    part = Controller(setup.model, setup.hover, ControllerSettings(prediction="closed_loop", relaxation=w), (1,))
+    law = law_at(full, at)
+    assert law is not None
+    best = full.step(at.x, at.u, at.U, at.y_ref, law)
+    relaxed = part.step(at.x, at.u, at.U, at.y_ref, law)
+    assert np.abs(relaxed.c - (w * best.c + (1.0 - w) * law.c[:, full.own])).max() < ROLLOUT_TOLERANCE
+    limits = full.settings.limits
+    assert (limits.lower(1) <= relaxed.U).all()
+    assert (limits.upper(1) >= relaxed.U).all()
+
+
+def law_at(controller: Controller, at: Situation) -> TeamLaw | None:
+    """The shared law about a situation, with corrections as small as they are in flight."""
+    setup = paper_setup()
+    rng = np.random.default_rng(1)
+    steps = controller.settings.horizon
+    x_ref = np.tile(setup.hover.x, (steps, 1))
+    x_ref[:, :3] += at.x[:3]
+    return controller.law(at.x, x_ref, 0.01 * rng.standard_normal((steps, setup.system.m)))

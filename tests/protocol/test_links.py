@@ -1,0 +1,154 @@
+"""The link model: each impairment has the statistics its name promises, and depends on nothing but the message."""
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from protocol.links import Link, LinkModel
+from protocol.scenario_file import ScenarioError, validate
+from protocol.setup import Setup
+from tests.runs import setup
+
+PERIOD_S = 0.05
+COUNT = 20_000
+# Bounds of all statistical tests: five standard errors, one false alarm in two million at fixed seeds.
+SIGMAS = 5.0
+
+
+def link(model: LinkModel, seed: int = 0, sender: str = "agent1", receiver: str = "agent2") -> Link:
+    """A link with plans on it."""
+    return Link(model, seed=seed, sender=sender, receiver=receiver, kind="plan", period_s=PERIOD_S)
+
+
+def fates(model: LinkModel, seed: int = 0) -> list[list[float]]:
+    """Delays of many messages."""
+    one = link(model, seed)
+    return [one.delays(tick) for tick in range(COUNT)]
+
+
+def share(happened: list[bool], expected: float) -> None:
+    """Check a share against a probability, for independent events."""
+    error = np.sqrt(expected * (1.0 - expected) / len(happened))
+    assert abs(np.mean(happened) - expected) < SIGMAS * error
+
+
+@pytest.mark.parametrize("loss", [0.1, 0.3, 0.6])
+def test_bernoulli_loss(loss: float) -> None:
+    """The share of lost messages is the probability, and one loss says nothing about the next."""
+    lost = [not delays for delays in fates(LinkModel(loss=loss))]
+    share(lost, loss)
+    share([b for a, b in pairwise(lost) if a], loss)
+
+
+def test_bursts_of_gilbert_elliott() -> None:
+    """Share of time in the bad state is enter / (enter + leave), and a burst lasts 1 / leave ticks on average."""
+    enter, leave = 0.05, 0.25
+    lost = np.array([not delays for delays in fates(LinkModel(burst_enter=enter, burst_leave=leave))])
+    bad = enter / (enter + leave)
+    # Neighbours are correlated by 1 - enter - leave, which widens the error of the mean.
+    correlation = 1.0 - enter - leave
+    error = np.sqrt(bad * (1.0 - bad) / COUNT * (1.0 + correlation) / (1.0 - correlation))
+    assert abs(lost.mean() - bad) < SIGMAS * error
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], lost, [0]])))
+    lengths = edges[1::2] - edges[::2]
+    assert abs(lengths.mean() - 1.0 / leave) < SIGMAS * lengths.std() / np.sqrt(len(lengths))
+
+
+@pytest.mark.parametrize(
+    ("distribution", "mean_s", "deviation_s"),
+    [
+        ("uniform", 1.0, 0.05 / np.sqrt(12.0)),
+        ("normal", 1.0, 0.05),
+        ("exponential", 1.05, 0.05),
+        ("lognormal", 1.0 + 0.05 / np.sqrt(np.e - 1.0), 0.05),
+    ],
+)
+def test_jitter(distribution: str, mean_s: float, deviation_s: float) -> None:
+    """Mean and standard deviation of the delay are those of the distribution about the fixed delay."""
+    model = LinkModel(delay_s=1.0, jitter_s=0.05, distribution=distribution)
+    delays = np.array([delay for fate in fates(model) for delay in fate])
+    fourth = np.mean((delays - delays.mean()) ** 4) / delays.var() ** 2
+    assert abs(delays.mean() - mean_s) < SIGMAS * deviation_s / np.sqrt(COUNT)
+    assert abs(delays.std() / deviation_s - 1.0) < SIGMAS * np.sqrt((fourth - 1.0) / 4.0 / COUNT)
+
+
+def test_delays_are_never_negative() -> None:
+    """Jitter wider than the delay is cut at zero: nothing arrives before it is sent."""
+    delays = [delay for fate in fates(LinkModel(delay_s=0.01, jitter_s=0.1, distribution="normal")) for delay in fate]
+    assert min(delays) == 0.0
+    assert max(delays) > 0.2
+
+
+def test_empirical_delays_are_drawn_evenly() -> None:
+    """Each measured delay is as likely as the others, and nothing else is drawn."""
+    samples = (0.01, 0.02, 0.02, 0.5)
+    delays = [fate[0] for fate in fates(LinkModel(distribution="empirical", samples_s=samples))]
+    assert set(delays) == set(samples)
+    share([delay == 0.02 for delay in delays], 0.5)
+    share([delay == 0.5 for delay in delays], 0.25)
+
+
+def test_duplicates_have_delays_of_their_own() -> None:
+    """The share that arrives twice is the probability; the second delay is drawn anew."""
+    found = fates(LinkModel(delay_s=0.1, jitter_s=0.1, duplicate=0.2))
+    share([len(fate) == 2 for fate in found], 0.2)
+    twice = np.array([fate for fate in found if len(fate) == 2])
+    assert abs(np.corrcoef(twice.T)[0, 1]) < SIGMAS / np.sqrt(len(twice))
+
+
+def test_reordering_holds_back() -> None:
+    """A share of the messages comes later by a fixed time, behind those sent after them."""
+    found = [fate[0] for fate in fates(LinkModel(delay_s=0.02, reorder=0.1, reorder_s=0.2))]
+    assert set(found) == {0.02, 0.02 + 0.2}
+    share([delay > 0.1 for delay in found], 0.1)
+
+
+def test_partition_has_a_start_and_an_end() -> None:
+    """Nothing sent in [start, end) arrives; what is sent before and after does."""
+    one = link(LinkModel(partitions=((0.5, 1.0),)))
+    assert [bool(one.delays(tick)) for tick in (9, 10, 19, 20)] == [True, False, False, True]
+
+
+@pytest.mark.parametrize(
+    ("delay_s", "ticks"), [(0.0, 1), (0.03, 1), (0.05, 1), (0.051, 2), (0.1, 2), (0.15, 3), (0.4, 8)]
+)
+def test_virtual_arrival(delay_s: float, ticks: int) -> None:
+    """A message is usable at the first tick later than its own at or after its arrival. Source: docs/time.md."""
+    assert link(LinkModel(delay_s=delay_s)).usable_ticks(7) == [7 + ticks]
+
+
+def test_the_order_of_questions_does_not_matter() -> None:
+    """What happens to a message is the same whenever it is asked, bursts included."""
+    model = LinkModel(
+        delay_s=0.1, jitter_s=0.1, loss=0.2, burst_enter=0.1, burst_leave=0.3, duplicate=0.2, reorder=0.2, reorder_s=0.1
+    )
+    ticks = np.random.default_rng(0).permutation(500)
+    shuffled = {int(tick): one.delays(int(tick)) for one in [link(model)] for tick in ticks}
+    in_order = link(model)
+    assert all(in_order.delays(tick) == shuffled[tick] for tick in range(500))
+
+
+def test_links_and_seeds_are_independent() -> None:
+    """Another seed, sender or receiver is another sequence of fates."""
+    model = LinkModel(loss=0.5)
+    variants = [link(model), link(model, seed=1), link(model, sender="agent3"), link(model, receiver="agent3")]
+    lost = np.array([[not one.delays(tick) for tick in range(2000)] for one in variants], dtype=float)
+    correlations = np.corrcoef(lost)[np.triu_indices(len(variants), 1)]
+    assert np.abs(correlations).max() < SIGMAS / np.sqrt(2000)
+
+
+def test_measured_delays_come_from_a_file(tmp_path: Path) -> None:
+    """A file of delays is read relative to the scenario; garbage in it is refused with the file and the number."""
+    scenario = setup().scenario
+    (tmp_path / "delays.csv").write_text("0.01, 0.02\n0.03\n")
+    source = str(tmp_path / "scenario.toml")
+    tree = scenario.tree()
+    tree["links"] = {"distribution": "empirical", "samples": "delays.csv"}
+    built = Setup.of(validate(tree, source), source)
+    assert built.link(1, 2).model.samples_s == (0.01, 0.02, 0.03)
+    for content in ("0.01 fast", "", "-0.1", "inf"):
+        (tmp_path / "delays.csv").write_text(content)
+        with pytest.raises(ScenarioError, match="expected delays"):
+            Setup.of(validate(tree, source), source)

@@ -1,0 +1,240 @@
+"""Documents against the code: equations, scenario keys, links and command lines that they name exist."""
+
+import re
+import shlex
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, get_args, get_origin
+
+import pytest
+import typer
+from pydantic.fields import FieldInfo
+from typer.core import TyperGroup
+
+from protocol.scenario import LinkSection, Scenario, Section
+from protocol.scenario_file import find_scenario, read_scenario, validate
+from protocol.setup import Setup
+from tests.runs import PAPER
+from transport.main import app
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGES = ("model", "mpc", "protocol", "agent", "plant", "coordinator", "transport", "tests")
+DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+EQUATIONS = ROOT / "docs" / "equations.md"
+SCENARIO = ROOT / "docs" / "scenario.md"
+
+# A citation is the document's name, as text or as a link, and then numbers and ranges; or one number "in" it.
+NUMBERS = r"\(\d+[a-z]?\)(?:-\(\d+[a-z]?\))?"
+CITATION = re.compile(rf"equations\.md\)?\s+({NUMBERS}(?:,\s+{NUMBERS})*)|({NUMBERS}) (?:of|in) docs/equations\.md")
+RANGE = re.compile(r"\((\d+)([a-z]?)\)(?:-\((\d+)[a-z]?\))?")
+
+SECTION_HEADING = re.compile(r"### `(\[{1,2})([\w.]+)\]{1,2}`")
+TOP_LEVEL = "### Top level"
+KEY_ROW = re.compile(r"\| `(\w+)` \| [^|]+ \| ([^|]+) \| [^|]+ \|")
+# An override has the keys of a link besides its own; the document says so instead of repeating them.
+OVERRIDE = "links.override"
+
+FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+CODE_SPAN = re.compile(r"`([^`\n]+)`")
+LINK = re.compile(r"\]\(([^)\s]+)\)")
+SETTING = re.compile(r"[a-z_]+(\.\w+)+ ?= ?\S.*")
+
+
+def prose(document: Path) -> str:
+    """A document without its fenced blocks."""
+    return FENCE.sub("", document.read_text(encoding="utf-8"))
+
+
+def tags() -> list[str]:
+    """Numbers of the equations, in order."""
+    return re.findall(r"\\tag\{(\w+)\}", EQUATIONS.read_text(encoding="utf-8"))
+
+
+def cited(text: str) -> Iterator[str]:
+    """Every equation a text cites, ranges spelled out."""
+    for behind, ahead in CITATION.findall(text):
+        for first, letter, last in RANGE.findall(behind or ahead):
+            yield from (str(n) for n in range(int(first), int(last) + 1)) if last else (first + letter,)
+
+
+def test_cited_equations_exist() -> None:
+    """Whatever a docstring or document cites as docs/equations.md (n), or as a range of such, has a tag there."""
+    known = set(tags())
+    sources = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
+    found = 0
+    for path in [*sources, *DOCUMENTS]:
+        for number in cited(path.read_text(encoding="utf-8")):
+            assert number in known, f"{path.relative_to(ROOT)} cites equation ({number})"
+            found += 1
+    assert found > 50  # the search does find citations
+
+
+def test_equations_are_numbered_without_gaps() -> None:
+    """Tags count 1, 2, 3, ... up to the number the document opens with, helpers with a letter after their number."""
+    numbers = tags()
+    plain = [int(tag) for tag in numbers if tag.isdecimal()]
+    assert plain == list(range(1, len(plain) + 1))
+    assert f"(1)-({plain[-1]})" in EQUATIONS.read_text(encoding="utf-8")
+    assert len(set(numbers)) == len(numbers)
+    assert {tag[:-1] for tag in numbers if not tag.isdecimal()} <= {str(n) for n in plain}
+
+
+def nested(annotation: Any) -> tuple[type[Section], bool] | None:
+    """The section inside the type of a field, and whether the field is a list of them; None for a value."""
+    if isinstance(annotation, type) and issubclass(annotation, Section):
+        return annotation, False
+    for argument in get_args(annotation):
+        found = nested(argument)
+        if found is not None:
+            return found[0], found[1] or get_origin(annotation) is list
+    return None
+
+
+def sections(
+    section: type[Section] = Scenario, path: str = "", is_list: bool = False
+) -> Iterator[tuple[str, bool, dict[str, FieldInfo]]]:
+    """Every section of a scenario: dotted path, whether it is a list of tables, and its values by key."""
+    values = {}
+    for name, field in section.model_fields.items():
+        if path == OVERRIDE and name in LinkSection.model_fields:
+            continue
+        key = field.alias or name
+        inner = nested(field.annotation)
+        if inner is None:
+            values[key] = field
+        else:
+            yield from sections(inner[0], f"{path}.{key}" if path else key, inner[1])
+    if values:
+        yield path, is_list, values
+
+
+def described() -> dict[str, tuple[bool, dict[str, str]]]:
+    """The same as docs/scenario.md has it: by path, whether it is a list, and the default column by key."""
+    found: dict[str, tuple[bool, dict[str, str]]] = {}
+    rows: dict[str, str] | None = None
+    for line in prose(SCENARIO).splitlines():
+        heading, row = SECTION_HEADING.fullmatch(line), KEY_ROW.fullmatch(line)
+        if heading or line == TOP_LEVEL:
+            path, brackets = (heading[2], heading[1]) if heading else ("", "[")
+            assert path not in found, f"docs/scenario.md describes [{path}] twice"
+            rows = {}
+            found[path] = brackets == "[[", rows
+        elif line.startswith("#"):
+            rows = None
+        elif row and rows is not None:
+            assert row[1] not in rows, f"docs/scenario.md describes {row[1]} twice"
+            rows[row[1]] = row[2]
+    return found
+
+
+def test_scenario_keys_are_described() -> None:
+    """docs/scenario.md has a table for each section of a scenario, with a row for each key and no other."""
+    expected = {path: (is_list, set(values)) for path, is_list, values in sections()}
+    assert {path: (is_list, set(rows)) for path, (is_list, rows) in described().items()} == expected
+    assert sum(len(keys) for _, keys in expected.values()) > 60  # the walk has really been through the tree
+
+
+def test_defaults_are_described() -> None:
+    """The default column of docs/scenario.md is the default: "required", "left out" for none, or the TOML value."""
+    tables = described()
+    for path, _, values in sections():
+        for key, field in values.items():
+            cell = tables[path][1][key]
+            if field.is_required():
+                assert cell == "required", f"{path}.{key}"
+            elif field.default is None:
+                assert cell == "left out", f"{path}.{key}"
+            else:
+                value = tomllib.loads(f"value = {cell.strip('`')}")["value"]
+                assert (value, type(value)) == (field.default, type(field.default)), f"{path}.{key}"
+
+
+def test_scenario_examples_are_valid() -> None:
+    """TOML in docs/scenario.md, put after the paper's scenario, makes one that can be flown."""
+    blocks = [text for language, text in FENCE.findall(SCENARIO.read_text(encoding="utf-8")) if language == "toml"]
+    assert blocks
+    for block in blocks:
+        tree = tomllib.loads(PAPER.read_text(encoding="utf-8") + "\n" + block)
+        Setup.of(validate(tree, "docs/scenario.md"), "docs/scenario.md")
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_settings_in_text_are_valid(document: Path) -> None:
+    """Whatever a document writes as `section.key=value` is a setting that the paper's scenario takes."""
+    for span in CODE_SPAN.findall(prose(document)):
+        if SETTING.fullmatch(span):
+            read_scenario(PAPER, [span])
+
+
+def anchors(document: Path) -> set[str]:
+    """Anchors of a document's headings, as GitHub makes them."""
+    headings = re.findall(r"^#+ (.+)$", prose(document), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_relative_links_resolve(document: Path) -> None:
+    """Links within the project lead to a file of it, and to a heading of that file when they name one."""
+    for target in LINK.findall(CODE_SPAN.sub("", prose(document))):
+        if "://" in target:
+            continue
+        name, _, anchor = target.partition("#")
+        path = (document.parent / name).resolve() if name else document
+        assert path.is_relative_to(ROOT), target
+        assert path.exists(), f"{document.name} links to {target}, which is not there"
+        assert not anchor or anchor in anchors(path), f"{document.name} links to {target}, which has no such heading"
+
+
+def command_lines(document: Path) -> list[list[str]]:
+    """Arguments of every line `transport ...` in the fenced blocks of a document."""
+    blocks = "\n".join(text for _, text in FENCE.findall(document.read_text(encoding="utf-8")))
+    lines = blocks.replace("\\\n", " ").splitlines()
+    return [shlex.split(line, comments=True)[1:] for line in lines if line.startswith("transport ")]
+
+
+def commands() -> TyperGroup:
+    """The command line as users have it."""
+    group = typer.main.get_command(app)
+    assert isinstance(group, TyperGroup)
+    return group
+
+
+WRITTEN = [(document.name, arguments) for document in DOCUMENTS for arguments in command_lines(document)]
+
+
+@pytest.mark.parametrize(("document", "arguments"), WRITTEN, ids=[f"{name}: {' '.join(a)}" for name, a in WRITTEN])
+def test_command_lines_parse(document: str, arguments: list[str]) -> None:
+    """A command line of a document is one: command, options, required arguments and the scenario it asks for."""
+    name, *rest = arguments
+    parameters = commands().commands[name].make_context(name, list(rest)).params
+    scenario, settings = parameters.get("scenario"), parameters.get("settings")
+    if scenario in {path.stem for path in PAPER.parent.glob("*.toml")}:
+        Setup.of(read_scenario(find_scenario(scenario), settings or []), scenario)
+
+
+def test_readme_has_command_lines() -> None:
+    """The search for command lines finds those of the README."""
+    assert sum(document == "README.md" for document, _ in WRITTEN) > 10
+
+
+def options_of(*names: str) -> set[str]:
+    """Options of some commands."""
+    parameters = [parameter for name in names for parameter in commands().commands[name].params]
+    return {"--help"}.union(*([*parameter.opts, *parameter.secondary_opts] for parameter in parameters))
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_commands_in_text_exist(document: Path) -> None:
+    """`transport ...` within a sentence names commands and options that exist, `--option ...` one of some command."""
+    every = tuple(commands().commands)
+    for span in CODE_SPAN.findall(prose(document)):
+        words = span.split()
+        if words[0] == "transport" and len(words) > 1 and not words[1].isupper():  # capitals are placeholders
+            assert words[1] in every, f"{document.name}: {span}"
+            known = options_of(words[1])
+        elif words[0].startswith("--"):
+            known = options_of(*every)
+        else:
+            continue
+        assert {word for word in words if word.startswith("--")} <= known, f"{document.name}: {span}"
