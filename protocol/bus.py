@@ -125,7 +125,7 @@ class Bus:
             try:
                 item = self._inbox.get(timeout=max(0.0, deadline - time.monotonic()))
             except queue.Empty:
-                called = ", ".join(self._endpoints.connect) or "nobody (it listens)"
+                called = ", ".join(self._endpoints.connect) or "none: it is called"
                 raise BusError(
                     f"{self.name}: no sign of {', '.join(sorted(missing))} within {timeout_s:g} s; "
                     f"listening on {', '.join(self._endpoints.listen) or 'nothing'}, connecting to {called}"

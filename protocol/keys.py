@@ -35,7 +35,7 @@ class Keys:
 
     def __post_init__(self) -> None:
         if not self.allows(self.run):
-            raise RunNameError(f"run name: expected letters, digits, '_', '.', '-', got {self.run!r}")
+            raise RunNameError(f"run name: expected at most 80 letters, digits, '_', '.', '-', got {self.run!r}")
 
     @staticmethod
     def allows(run: str) -> bool:

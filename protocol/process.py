@@ -26,6 +26,7 @@ DEFAULT_BASE_PORT = 7447
 # Set by a parent that wants its children to end with it: they watch their standard input for its end.
 PARENT_PIPE = "PAYLOAD_TRANSPORT_PARENT_PIPE"
 _SWITCH_INTERVAL_S = 5e-4
+ORPHANED = "parent is gone"
 # What a process that has lost its parent gives itself to end in an orderly way.
 _ORPHAN_GRACE_S = 5.0
 
@@ -113,16 +114,15 @@ def run_node(
             journal.say("interrupted", reason=interruption.reason)
             for message in on_interrupt(interruption.reason) if on_interrupt else ():
                 bus.publish(message)
-            bus.wait_gone(linger_for)
-            return EXIT_INTERRUPTED if interruption.reason != "parent is gone" else EXIT_LOST
         bus.wait_gone(linger_for)
     for (sender, reason), count in node.rejected.items():
         journal.say("rejected", sender=sender, reason=reason, count=count)
-    if node.finished is None:
-        return EXIT_LOST
     end = node.finished
+    if end is None:
+        orphaned = interruption is not None and interruption.reason == ORPHANED
+        return EXIT_LOST if orphaned or interruption is None else EXIT_INTERRUPTED
     journal.say("finished", outcome=end.outcome, reason=end.reason, tick=end.tick, cpu_s=time.process_time())
-    return node.finished.exit_code
+    return end.exit_code
 
 
 def drive(node: Node, bus: Bus) -> Interrupted | None:
@@ -148,7 +148,7 @@ def with_signals(bus: Bus) -> None:
     """Turn Ctrl-C, SIGTERM and the end of the parent into an interruption of the bus."""
 
     def interrupt(number: int, _: FrameType | None) -> None:
-        bus.interrupt(signal.Signals(number).name)
+        bus.interrupt(f"interrupted ({signal.Signals(number).name})")
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, interrupt)
@@ -159,7 +159,7 @@ def with_signals(bus: Bus) -> None:
 def _watch_parent(bus: Bus) -> None:
     while os.read(sys.stdin.fileno(), 1024):
         pass
-    bus.interrupt("parent is gone")
+    bus.interrupt(ORPHANED)
     time.sleep(_ORPHAN_GRACE_S)
     os._exit(EXIT_LOST)
 

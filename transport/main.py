@@ -1,5 +1,6 @@
 """The command line. Heavy imports are inside the commands: six processes start at once."""
 
+import re
 import sys
 from enum import StrEnum
 from pathlib import Path
@@ -41,7 +42,7 @@ ScenarioArgument = Annotated[
 ScenarioOption = Annotated[str, typer.Option("--scenario", help="Scenario file or name; the same for all processes.")]
 SetOption = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Change a scenario value, e.g. controller.horizon=30. Repeatable."),
+    typer.Option("--set", metavar="KEY=VALUE", help="Change a scenario value, e.g. controller.horizon=10. Repeatable."),
 ]
 RunOption = Annotated[
     str | None, typer.Option("--run", help="Name of the run, part of every key; the scenario's name by default.")
@@ -209,7 +210,7 @@ def validate(scenario: ScenarioArgument, settings: SetOption = None) -> None:
     typer.echo(tomli_w.dumps(setup.scenario.tree()), nl=False)
     hover = ", ".join(f"{thrust:.2f}" for thrust in setup.hover.u[::4])
     sizes = f"{setup.system.N} UAVs, {len(setup.agents)} agents, {setup.ticks} ticks"
-    typer.echo(f"valid: {sizes}, hover thrust {hover} N", err=True)
+    typer.echo(f"valid: {sizes}, hover thrust {hover} N, digest {setup.scenario.digest()}", err=True)
 
 
 @app.command()
@@ -218,6 +219,13 @@ def plot(
     output: Annotated[Format, typer.Option("--format", help="What goes to standard output.")] = Format.text,
 ) -> None:
     """Make metrics and figures of a recorded run anew; works on the log of a run that was cut off, too."""
+    from transport.log import LogError, read_log
+
+    try:
+        if not read_log(folder / "run.mcap").messages:
+            _fail(f"{folder / 'run.mcap'}: not one message can be read", EXIT_USAGE)
+    except LogError as error:
+        _fail(str(error), EXIT_USAGE)
     _report(folder, output, figures=True)
 
 
@@ -262,9 +270,13 @@ def _place(
         Keys(run_name)
     except RunNameError as error:
         _fail(f"--run: {error}", EXIT_USAGE)
+    for option, given in (("--listen", listen), ("--connect", connect)):
+        for endpoint in given or []:
+            if not re.fullmatch(r"[a-z0-9-]+/\S+", endpoint):
+                _fail(f"{option}: expected an endpoint such as tcp/127.0.0.1:7447, got {endpoint!r}", EXIT_USAGE)
     return Place(
         run=run_name,
-        incarnation=int(time.time()) if incarnation is None else incarnation,
+        incarnation=time.time_ns() // 10**6 if incarnation is None else incarnation,
         endpoints=Endpoints(
             listen=endpoints.listen if listen is None else listen,
             connect=endpoints.connect if connect is None and listen is None else connect or [],

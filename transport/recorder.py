@@ -28,6 +28,7 @@ class Recorder:
         control: How the run ended, once it has.
         notices: Roster changes after the start, for people.
         error: Why recording ended early, or None.
+        received: How many messages are in the log.
 
     Args:
         setup: The run.
@@ -52,6 +53,7 @@ class Recorder:
         self.control: Control | None = None
         self.notices: list[str] = []
         self.error: str | None = None
+        self.received = 0
         self.rejected: Counter[tuple[str, str]] = Counter()
         self._writer = writer
         self._join_timeout_s = join_timeout_s
@@ -126,6 +128,7 @@ class Recorder:
 
     def _take(self, message: Message) -> None:
         self._writer.write(message, time.time_ns())
+        self.received += 1
         match message:
             case Truth():
                 if self.started_s is None:

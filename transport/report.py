@@ -41,6 +41,8 @@ def write_report(folder: Path, *, figures: bool = True) -> dict[str, Any]:
     if figures:
         from transport.figures import draw  # matplotlib takes its time
 
+        for old in (folder / "figures").glob("*.png"):
+            old.unlink()  # never an older run's picture beside this run's numbers
         draw(setup, log, folder / "figures")
     return summary
 
@@ -83,7 +85,7 @@ def _lines(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("payload attitude", _text(summary["attitude_max_deg"], ".2f", "max {} deg")),
         ("payload tracking", f"rms {_text(tracking['rms_m'], '.3f')} m, max {_text(tracking['max_m'], '.3f')} m"),
         ("separation", _text(summary["separation_min_m"], ".3f", "min {} m")),
-        ("constraints", _constraints(summary["constraint_violation_max"])),
+        ("limits", _constraints(summary["constraint_violation_max"])),
         ("agent step", _milliseconds(summary["agent_step_ms"])),
         ("network", _milliseconds(summary["network_ms"])),
         ("plans", _plans(summary["messages"], summary["plan_age_ticks"])),

@@ -2,6 +2,7 @@
 
 import os
 import platform
+import shutil
 import signal
 import threading
 import time
@@ -111,6 +112,8 @@ def fly(setup: Setup, folder: Path, console: Console) -> Finished:
                 harness.wait(_LEAVE_S)
         finally:
             recorder.close()
+            if recorder.error is None and not harness.ended():
+                _discard_if_empty(folder, recorder)
     return _finished(folder, recorder)
 
 
@@ -135,6 +138,7 @@ def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finis
             _watch(None, recorder, progress)
         finally:
             recorder.close()
+            _discard_if_empty(folder, recorder)
     return _finished(folder, recorder)
 
 
@@ -191,6 +195,12 @@ def _create(folder: Path, setup: Setup) -> str:
     return text
 
 
+def _discard_if_empty(folder: Path, recorder: Recorder) -> None:
+    """Take back the run folder of a run nobody ever said anything in, so that the same command can be repeated."""
+    if recorder.received == 0:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
 def _open_log(folder: Path, header: Mapping[str, str], period_ns: int) -> LogWriter:
     try:
         return LogWriter(folder / "run.mcap", header, period_ns=period_ns)
@@ -201,6 +211,8 @@ def _open_log(folder: Path, header: Mapping[str, str], period_ns: int) -> LogWri
 def _finished(folder: Path, recorder: Recorder) -> Finished:
     if recorder.error is not None:
         raise RunError(recorder.error, EXIT_LOST)
+    if recorder.control is None and recorder.started_s is not None:
+        return Finished(folder, EXIT_INTERRUPTED, "recording interrupted; the run may go on without it")
     if recorder.control is None:
         raise RunError("the run ended before it began", EXIT_LOST)
     return Finished(folder, recorder.control.exit_code, recorder.control.reason)
@@ -225,7 +237,7 @@ def _watch(harness: Harness | None, recorder: Recorder, progress: RunProgress) -
                     recorder.stop(signals[-1])
                     continue
                 progress.say(f"{signals[-1]}: ending the run; once more to end it at once")
-                harness.signal("coordinator", signal.SIGINT)
+                harness.signal("coordinator", signal.Signals[signals[-1]])
             ended = [] if harness is None else harness.ended()
             if ended and recorder.started_s is None and recorder.control is None:
                 raise _ended_early(ended)

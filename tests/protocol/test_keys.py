@@ -147,7 +147,7 @@ def test_wrong_run_names(run: str) -> None:
     """Anything that would change the meaning of a key expression is refused; the text shows it."""
     with pytest.raises(RunNameError) as caught:
         Keys(run)
-    assert str(caught.value) == f"run name: expected letters, digits, '_', '.', '-', got {run!r}"
+    assert str(caught.value) == f"run name: expected at most 80 letters, digits, '_', '.', '-', got {run!r}"
 
 
 @pytest.mark.parametrize(
