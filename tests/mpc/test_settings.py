@@ -59,9 +59,9 @@ def test_nan_is_refused(fields: dict[str, Any]) -> None:
 
 def test_extremes_are_accepted() -> None:
     """The ends of the ranges belong to them: horizon 1, relaxation 1, thrust from zero."""
-    ControllerSettings(horizon=1, relaxation=1.0)
-    ControllerSettings(relaxation=1e-9, sampling_period_s=1e-6)
-    Limits(thrust_N=(0.0, 1e-3))
+    assert ControllerSettings(horizon=1, relaxation=1.0).horizon == 1
+    assert ControllerSettings(relaxation=1e-9, sampling_period_s=1e-6).relaxation == 1e-9
+    assert Limits(thrust_N=(0.0, 1e-3)).lower(1)[0] == 0.0
 
 
 def test_order_of_the_output_weights() -> None:
