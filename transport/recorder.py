@@ -17,6 +17,10 @@ NAME = "recorder"
 
 # How long messages may trail the end of the run on their way here.
 _TRAIL_S = 2.0
+# How long nothing must come before the record counts as complete, once everybody but the coordinator has left.
+_QUIET_S = 0.05
+# How long the news of the end may come after that of the coordinator's leaving.
+_OVERTAKEN_S = 0.5
 
 
 class Recorder:
@@ -91,7 +95,6 @@ class Recorder:
         if self._thread.is_alive():
             self.stop("closing")
             self._thread.join()
-        self._bus.close()
         try:
             self._writer.close()
         except LogError as error:
@@ -103,28 +106,35 @@ class Recorder:
                 self._record()
         except (BusError, LogError) as error:
             self.error = str(error)
+        finally:
+            self._bus.close()  # the coordinator waits for it
 
     def _record(self) -> None:
         left = set(self._expected)
         deadline: float | None = None
-        while left:
+        # A token's end may overtake the last message of its process, so an end is not believed at once.
+        while left or self.control is None:
             timeout_s = None if deadline is None else max(0.0, deadline - time.monotonic())
+            if self.control is not None and left <= {"coordinator"}:
+                timeout_s = _QUIET_S  # the coordinator leaves last, after this recorder
             event = self._bus.next(timeout_s)
             if event is None:
-                return  # somebody holds on to its session; what it had to say came first
+                break
             match event:
                 case Interrupted():
                     return
                 case Presence(name=name, alive=False):
                     left.discard(name)
                     if name == "coordinator" and self.control is None:
-                        self._end(f"{name} is gone")
+                        deadline = time.monotonic() + _OVERTAKEN_S
                 case Presence():
                     pass
                 case _:
                     self._take(event)
             if self.control is not None and deadline is None:
                 deadline = time.monotonic() + _TRAIL_S
+        if self.control is None:
+            self._end("coordinator is gone")
 
     def _take(self, message: Message) -> None:
         self._writer.write(message, time.time_ns())
