@@ -47,18 +47,22 @@ class StateEstimator:
             return
         self._received.setdefault(plan.tick, {})[plan.agent] = plan
         self._newest[plan.agent] = max(plan.tick, self._newest.get(plan.agent, -1))
-        self._stale_from = plan.tick if self._stale_from is None else min(self._stale_from, plan.tick)
+        self._changed(plan.tick)
 
-    def estimate(self, measurement: Measurement, announced: AnnouncedInputs) -> Array:
-        """Estimate at the measurement's tick.
+    def measure(self, measurement: Measurement) -> None:
+        """Take in what the sensors saw at a tick not later than the one to be estimated."""
+        if measurement.tick >= self._first:
+            self._measured[measurement.tick] = measurement
+            self._changed(measurement.tick)
+
+    def estimate(self, k: int, announced: AnnouncedInputs) -> Array:
+        """Estimate at a tick.
 
         Args:
-            measurement: Of tick k; ticks come in order, gaps are predicted over.
+            k: The tick; ticks come in order, gaps are predicted over.
             announced: Inputs in force between the ticks, as known now.
         Returns: x at tick k, (n,), read-only.
         """
-        k = measurement.tick
-        self._measured[k] = measurement
         if not self._estimates:
             self._first = k
             self._estimates = [self._overwritten(self._planned(k), k)]
@@ -79,6 +83,19 @@ class StateEstimator:
     def age(self, agent: int, tick: int) -> int:
         """Ticks since the newest state received of another agent, -1 for none."""
         return tick - self._newest[agent] if agent in self._newest else -1
+
+    @property
+    def measured(self) -> int:
+        """Tick of the newest measurement taken in, -1 for none."""
+        return max(self._measured, default=-1)
+
+    def reported_inputs(self, tick: int) -> Array | None:
+        """What the own actuators did until a tick, (owned, 4), N and N m, if the measurement of that tick is here."""
+        measurement = self._measured.get(tick)
+        return None if measurement is None else measurement.inputs
+
+    def _changed(self, tick: int) -> None:
+        self._stale_from = tick if self._stale_from is None else min(self._stale_from, tick)
 
     def _overwritten(self, x: Array, tick: int) -> Array:
         """Replace predicted states by what was measured or received for that tick."""

@@ -1,22 +1,34 @@
 """An agent as a state machine: one measurement in, one plan out.
 
-Tick k opens for the agent with its measurement. It waits for the plans of k - 1 that the clock waited for
-(they may still be on their way from their senders), estimates the state, plans, and answers.
+Tick k opens for the agent with its measurement. In lockstep it waits for the plans of k - 1 that the clock
+waited for (they may still be on their way from their senders), estimates the state, plans, and answers; with
+several rounds it exchanges plans with the others within the tick before that. In real time it waits for
+nobody: whatever is here when it gets round to it counts, and of several measurements the newest.
 """
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from agent.announced import AnnouncedInputs
 from agent.estimator import StateEstimator
+from model import state
 from model.arrays import Array
+from model.discretisation import Discrete
 from model.state import input_indices
-from mpc.controller import Controller, Optimum
+from mpc.controller import Controller, Linear, Optimum
+from mpc.feedback import TeamLaw
+from protocol.arrivals import Arrivals
+from protocol.links import LinkChanges, LinkError
 from protocol.membership import Membership
 from protocol.messages import (
+    STAGES,
     Control,
+    Event,
+    LinkChange,
     Measurement,
     Message,
     Plan,
@@ -32,6 +44,26 @@ from protocol.setup import Setup
 _AHEAD_STEPS = 2
 
 
+@dataclass(slots=True, kw_only=True)
+class _Step:
+    """One tick's problem while it is worked on: what all rounds of negotiation have in common, and the last answer."""
+
+    measurement: Measurement
+    usable: Sequence[Plan]
+    lost: int
+    measured: int  # tick of the newest measurement used, -1 for none
+    uav_states: Array
+    start: int
+    y_ref: Array
+    U: Array
+    law: TeamLaw | None
+    linear: Linear
+    discrete: Discrete
+    negotiation: int  # exchanges still to come
+    optimum: Optimum | None = None
+    times_ns: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(len(STAGES), dtype=np.int64))
+
+
 class AgentNode:
     """One agent of a run.
 
@@ -42,51 +74,78 @@ class AgentNode:
         stopwatch: Nanoseconds of a steady clock, for the step report only.
     """
 
-    wake_ns = None
-
     def __init__(
         self, setup: Setup, agent: int, incarnation: int = 0, stopwatch: Callable[[], int] = lambda: 0
     ) -> None:
         self.name = agent_name(agent)
         self._agent = agent
         self._setup = setup
-        self._out = Outbox(self.name, incarnation)
         self._stopwatch = stopwatch
         owned = setup.owned[agent - 1]
         self._uavs = tuple(uav + 1 for uav in owned)
         self._own = input_indices(owned)
+        self._own_states = np.concatenate([np.arange(state.PER_UAV) + state.uav_slice(uav).start for uav in owned])
         self._controller = Controller(setup.model, setup.hover, setup.settings, owned)
         # References at every instant any horizon reaches: only looked up in flight.
         instants = np.arange(setup.ticks + setup.settings.horizon + 2, dtype=np.float64)
         times = setup.settings.sampling_period_s * instants
         self._y_ref, self._x_ref = setup.reference.outputs(times), setup.reference.states(times)
-        self._announced = AnnouncedInputs(setup.owned, setup.hover.u)
-        self._estimator = StateEstimator(setup.model, self._planned, setup.settings.sampling_period_s)
         self._peers = tuple(other for other in setup.agents if other != agent)
+        self._waits = setup.scenario.clock.mode == "lockstep"
         self._membership = Membership()
-        self._measurement: Measurement | None = None  # of the open tick, until it is answered
-        self._links = {peer: setup.link(peer, agent) for peer in self._peers}
-        self._arrived: dict[int, set[int]] = {}  # whose plans are physically here, by tick
-        self._undelivered: list[tuple[int, Plan]] = []  # plans, with the tick from which the link lets them through
-        self._lost: list[int] = []  # ticks of plans that the links lost
-        self._last_tick = -1
-        self._reported = 0  # of the rejected messages
+        self.publish_ns = 0
         self.rejected: Counter[tuple[str, str]] = Counter()
         self.finished: Control | None = None
+        self._begin(incarnation)
 
-    def receive(self, event: Message | Presence, now_ns: int) -> Sequence[Message]:  # noqa: ARG002
+    def _begin(self, incarnation: int) -> None:
+        """Start anew under an incarnation: nothing is remembered of the flight but the roster."""
+        setup, clock = self._setup, self._setup.scenario.clock
+        self.incarnation = incarnation
+        self._out = Outbox(self.name, incarnation)
+        self._announced = AnnouncedInputs(setup.owned, setup.hover.u)
+        self._estimator = StateEstimator(setup.model, self._planned, setup.settings.sampling_period_s)
+        speed = None if self._waits else clock.speed
+        senders = [agent_name(peer) for peer in self._peers]
+        self._plans: Arrivals[Plan] = Arrivals(
+            {sender: setup.link(sender, self.name) for sender in senders}, after=1, speed=speed
+        )
+        self._measurements: Arrivals[Measurement] = Arrivals(
+            {"plant": setup.link("plant", self.name)}, after=0, speed=speed
+        )
+        links = [*self._plans.links.values(), *self._measurements.links.values()]
+        self._link_changes = LinkChanges(links, setup.samples_s)
+        self._measurement: Measurement | None = None  # of the open tick, until it is worked on
+        self._step: _Step | None = None  # being negotiated
+        self._arrived: dict[int, set[int]] = {}  # whose plans are physically here, by tick
+        self._proposals: dict[tuple[int, int], dict[int, Plan]] = {}  # by tick and negotiation, and agent
+        self._last_tick = -1
+        self._reported = 0  # of the rejected messages
+        self._idle_since_ns = self._stopwatch()
+
+    @property
+    def wake_ns(self) -> int | None:
+        """At once when there is a measurement to work on and nobody to wait for."""
+        return 0 if self._measurement is not None and not self._waits else None
+
+    def receive(self, event: Event, now_ns: int) -> Sequence[Message]:
         """Take in the roster, measurements and the others' plans."""
         match event:
             case Control():
                 self.finished = event
                 return ()
             case Roster():
-                for plan in self._membership.update(event):
-                    self._take(plan)
+                self._enlist(event, now_ns)
+            case LinkChange():
+                try:
+                    self._link_changes.apply(event)
+                except LinkError as error:
+                    self.rejected[(event.sender, str(error))] += 1
             case Plan():
-                self._take(event)
+                self._take(event, now_ns)
             case Measurement() if event.tick > self._last_tick and event.uavs == self._uavs:
                 self._measurement = event
+                self._measurements.put(event, now_ns)
             case Measurement():
                 self.rejected[(event.sender, f"measurement of tick {event.tick} for UAVs {event.uavs}")] += 1
                 return ()
@@ -95,69 +154,106 @@ class AgentNode:
                 return ()
             case _:
                 return ()
-        measurement = self._measurement
-        if measurement is None or not self._has_plans_for(measurement):
-            return ()
-        self._measurement = None
-        self._last_tick = measurement.tick
-        return self._step(measurement)
+        return self._work(now_ns) if self._waits else ()
 
-    def poll(self, now_ns: int) -> Sequence[Message]:  # noqa: ARG002
-        """Nothing happens to an agent by time alone: its time is the measurement."""
-        return ()
+    def poll(self, now_ns: int) -> Sequence[Message]:
+        """In real time, work on the newest measurement once everything that is here has been taken in."""
+        return () if self._waits else self._work(now_ns)
 
-    def _take(self, plan: Plan) -> None:
+    def warm_up(self) -> None:
+        """Take a step nobody sees, so that the first one of the flight is not slower than the others."""
+        controller, hover = self._controller, self._setup.hover
+        U = np.tile(hover.u, (self._setup.settings.horizon, 1))
+        law = controller.law(hover.x, np.tile(hover.x, (len(U), 1)), np.zeros_like(U))
+        y_ref = np.tile(self._setup.model.outputs(hover.x), (len(U) + 1, 1))
+        controller.step(hover.x, hover.u, U, y_ref, law)
+        self._setup.model.integrate(hover.x, hover.u, self._setup.settings.sampling_period_s, _AHEAD_STEPS)
+
+    def _enlist(self, roster: Roster, now_ns: int) -> None:
+        was_on_it = self._membership.incarnation(self._agent) == self.incarnation
+        waiting = self._membership.update(roster)
+        if was_on_it and self._membership.incarnation(self._agent) != self.incarnation:
+            # Taken for dead: whatever this process knows may be long out of date. It comes back as a new one.
+            self._begin(self.incarnation + 1)
+        for plan in waiting:
+            self._take(plan, now_ns)
+
+    def _take(self, plan: Plan, now_ns: int) -> None:
         refusal = self._refusal(plan)
         if refusal:
             self.rejected[(plan.sender, refusal)] += 1
-        elif refusal is not None:
+        elif refusal is not None and plan.tick >= self._membership.since.get(self._agent, 0):
+            if plan.negotiation > 0:
+                self._proposals.setdefault((plan.tick, plan.negotiation), {})[plan.agent] = plan
+                return
             self._arrived.setdefault(plan.tick, set()).add(plan.agent)
-            ticks = self._links[plan.agent].usable_ticks(plan.tick)
-            self._undelivered += [(tick, plan) for tick in ticks]
-            if not ticks:
-                self._lost.append(plan.tick)
+            self._plans.put(plan, now_ns)
 
     def _refusal(self, plan: Plan) -> str | None:
         """Why a plan is not believed: a reason, nothing if it is, None if it waits for its roster."""
-        if plan.agent not in self._peers:
+        if plan.sender not in self._plans.links or plan.sender != agent_name(plan.agent):
             return "plan of an unknown agent"
         sender = self._membership.refusal(plan)
         if sender != "":
             return sender
         if plan.uavs != tuple(uav + 1 for uav in self._setup.owned[plan.agent - 1]):
             return "plan for UAVs of somebody else"
-        if plan.tick > self._last_tick + 1:
+        if self._waits and plan.tick > self._last_tick + 1:
             return "plan from the future"
         return ""
 
+    def _work(self, now_ns: int) -> list[Message]:
+        """Do whatever has become possible."""
+        out: list[Message] = []
+        if self._measurement is not None and self._step is None and self._has_plans_for(self._measurement):
+            measurement, self._measurement = self._measurement, None
+            self._step = self._open(measurement, now_ns)
+            out += self._plan(self._step)
+        while self._step is not None and self._has_proposals_for(self._step):
+            self._adopt(self._step)
+            out += self._plan(self._step)
+        return out
+
     def _has_plans_for(self, measurement: Measurement) -> bool:
-        """Whether the roster is, and the plans of the tick before from whoever sent one and is still on it."""
+        """Whether the roster is here, and the plans of the tick before from whoever sent one and is still on it."""
+        if not self._waits:
+            return True
         if measurement.roster > self._membership.version:
             return False
+        if measurement.tick - 1 < self._membership.since.get(self._agent, 0):
+            return True  # what was sent before this process took part is not for it
         senders = set(measurement.answered) & self._membership.agents - {self._agent}
         return senders <= self._arrived.get(measurement.tick - 1, set())
 
-    def _step(self, measurement: Measurement) -> list[Message]:
+    def _has_proposals_for(self, step: _Step) -> bool:
+        """Whether everybody's last plan of this tick's negotiation is here."""
+        here = self._proposals.get((step.measurement.tick, step.negotiation), {})
+        return self._membership.agents - {self._agent} <= here.keys()
+
+    def _open(self, measurement: Measurement, now_ns: int) -> _Step:
+        """What is known at a tick, and the problem that follows from it."""
         watch = [self._stopwatch()]
         k, controller = measurement.tick, self._controller
         period_s = self._setup.settings.sampling_period_s
         steps = self._setup.settings.horizon
+        self._last_tick = k
 
-        # A plan is usable from the tick its link says, however early it is here; in an order of its own.
-        usable = sorted((p for tick, p in self._undelivered if tick <= k), key=lambda p: (p.tick, p.agent))
-        self._undelivered = [(tick, plan) for tick, plan in self._undelivered if tick > k]
+        # A message is usable when its link says, however early it is here; in an order of its own.
+        usable, lost = self._plans.take(k, now_ns)
         self._arrived = {tick: agents for tick, agents in self._arrived.items() if tick >= k}
+        self._proposals = {at: plans for at, plans in self._proposals.items() if at[0] >= k}
         for plan in usable:
             self._announced.add(plan)
             self._estimator.take(plan)
-        x = self._estimator.estimate(measurement, self._announced)
-        if self._setup.scenario.clock.actuation == "immediate":
-            start, x0, u0 = k, x, self._in_force(measurement)
-        else:
+        for seen in self._measurements.take(k, now_ns)[0]:
+            self._estimator.measure(seen)
+        x = self._estimator.estimate(k, self._announced)
+        if self._setup.scenario.clock.next_tick:
             start, u0 = k + 1, self._announced.at(k, before=k)
             x0, _ = self._setup.model.integrate(x, u0, period_s, _AHEAD_STEPS)
+        else:
+            start, x0, u0 = k, x, self._in_force(k)
         U = self._announced.sequence(start, steps, before=k)
-        y_ref = self._y_ref[start : start + steps + 1]
         law = None
         if controller.gain is not None:
             c = self._announced.corrections(start, steps, before=k)
@@ -167,46 +263,97 @@ class AgentNode:
         watch.append(self._stopwatch())
         discrete = controller.discretise(linear)
         watch.append(self._stopwatch())
-        prediction = controller.predict(linear, discrete, U, law)
-        qp = controller.condense(linear, prediction, U, y_ref)
-        watch.append(self._stopwatch())
-        optimum = controller.conclude(controller.solve(qp), prediction, U, law)
-        watch.append(self._stopwatch())
+        step = _Step(
+            measurement=measurement,
+            usable=usable,
+            lost=lost,
+            measured=self._estimator.measured,
+            uav_states=x[self._own_states].reshape(len(self._uavs), -1),
+            start=start,
+            y_ref=self._y_ref[start : start + steps + 1],
+            U=U,
+            law=law,
+            linear=linear,
+            discrete=discrete,
+            negotiation=self._setup.scenario.controller.rounds,
+        )
+        step.times_ns[_stage("wait")] = watch[0] - self._idle_since_ns
+        step.times_ns[_stage("estimate") : _stage("discretise") + 1] = np.diff(watch)
+        return step
 
+    def _plan(self, step: _Step) -> list[Message]:
+        """Solve, and announce the result: to the others' next round, or as the tick's answer."""
+        controller = self._controller
+        watch = [self._stopwatch()]
+        prediction = controller.predict(step.linear, step.discrete, step.U, step.law)
+        qp = controller.condense(step.linear, prediction, step.U, step.y_ref)
+        watch.append(self._stopwatch())
+        step.optimum = optimum = controller.conclude(controller.solve(qp), prediction, step.U, step.law)
+        watch.append(self._stopwatch())
+        step.times_ns[_stage("condense") : _stage("solve") + 1] += np.diff(watch)
+        step.negotiation -= 1
         plan = self._out.stamp(
             Plan,
-            tick=k,
+            tick=step.measurement.tick,
             agent=self._agent,
-            start_tick=start,
+            start_tick=step.start,
             uavs=self._uavs,
-            uav_states=measurement.uav_states,
+            uav_states=step.uav_states,
             inputs=optimum.U,
             corrections=optimum.c,
             status=optimum.solution.status,
+            negotiation=step.negotiation,
         )
-        report = self._report(k, usable, optimum, np.diff(watch) / 1e6)
+        if step.negotiation > 0:
+            return [plan]
+        self._step = None
         self._announced.add(plan)
+        report = self._report(step, optimum)
+        self._idle_since_ns = self._stopwatch()
         return [plan, report]
 
-    def _in_force(self, measurement: Measurement) -> Array:
-        """Inputs until now: what the own actuators report, and what the others announced."""
-        k = measurement.tick
+    def _adopt(self, step: _Step) -> None:
+        """Take the others' last plans, as far as the links pass them at once, and the own one, into the next round."""
+        k = step.measurement.tick
+        proposals = self._proposals.pop((k, step.negotiation))
+        U, c = step.U.copy(), None if step.law is None else step.law.c.copy()
+        known: list[tuple[npt.NDArray[np.intp], Array, Array]] = []
+        for agent, plan in sorted(proposals.items()):
+            if 0.0 in self._plans.links[plan.sender].delays(k, step.negotiation):
+                columns = input_indices(self._setup.owned[agent - 1])
+                known.append((columns, plan.inputs, plan.corrections))
+        if step.optimum is not None:
+            known.append((self._own, step.optimum.U, step.optimum.c))
+        for columns, inputs, corrections in known:
+            if len(inputs) == len(U):
+                U[:, columns] = inputs
+            if c is not None and len(corrections) == len(c):
+                c[:, columns] = corrections
+        step.U = U
+        if step.law is not None and c is not None:
+            step.law = replace(step.law, c=c)
+
+    def _in_force(self, k: int) -> Array:
+        """Inputs until now: what the own actuators report if that is known, and what everybody announced."""
         u = self._announced.at(k - 1, before=k) if k > 0 else self._setup.hover.u.copy()
-        u[self._own] = measurement.inputs.reshape(-1)
+        reported = self._estimator.reported_inputs(k)
+        if reported is not None:
+            u[self._own] = reported.reshape(-1)
         return u
 
     def _planned(self, tick: int) -> Array:
         planned: Array = self._x_ref[tick].copy()
         return planned
 
-    def _report(self, k: int, usable: Sequence[Plan], optimum: Optimum, stages_ms: Array) -> StepReport:
-        solution = optimum.solution
-        lost = sum(tick < k for tick in self._lost)
-        self._lost = [tick for tick in self._lost if tick >= k]
+    def _report(self, step: _Step, optimum: Optimum) -> StepReport:
+        k, solution = step.measurement.tick, optimum.solution
         rejected = self.rejected.total()
         new, self._reported = rejected - self._reported, rejected
         newest = [self._announced.newest(agent, before=k) for agent in self._peers]
         worst = solution.residuals.worst
+        times_ms = step.times_ns / 1e6
+        times_ms[_stage("publish")] = self.publish_ns / 1e6
+        times_ms[_stage("total")] = times_ms[_stage("estimate") : _stage("solve") + 1].sum()
         return self._out.stamp(
             StepReport,
             tick=k,
@@ -219,9 +366,15 @@ class AgentNode:
             peers=self._peers,
             plan_ages=tuple(-1 if plan is None else k - plan.tick for plan in newest),
             state_ages=tuple(self._estimator.age(agent, k) for agent in self._peers),
-            delivered=len(usable),
-            lost=lost,
-            late=sum(plan.tick < k - 1 for plan in usable),
+            measurement_age=-1 if step.measured < 0 else k - step.measured,
+            delivered=len(step.usable),
+            lost=step.lost,
+            late=sum(plan.tick < k - 1 for plan in step.usable),
             rejected=new,
-            times_ms=np.append(stages_ms, stages_ms.sum()),
+            times_ms=times_ms,
         )
+
+
+def _stage(name: str) -> int:
+    """Position of a stage in `StepReport.times_ms`."""
+    return STAGES.index(name)

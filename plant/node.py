@@ -14,8 +14,22 @@ import numpy as np
 from model import state
 from model.arrays import Array
 from plant.schedule import ActuatorSchedule
+from protocol.arrivals import Arrivals
+from protocol.links import LinkChanges, LinkError
 from protocol.membership import Membership
-from protocol.messages import Control, Measurement, Message, Plan, Presence, Roster, Tick, Truth
+from protocol.messages import (
+    Control,
+    Event,
+    LinkChange,
+    Measurement,
+    Message,
+    Plan,
+    Presence,
+    Roster,
+    Tick,
+    Truth,
+    agent_name,
+)
 from protocol.outbox import Outbox, lost
 from protocol.setup import Setup
 
@@ -30,13 +44,23 @@ class PlantNode:
 
     name = "plant"
     wake_ns = None
+    publish_ns = 0
 
     def __init__(self, setup: Setup, incarnation: int = 0) -> None:
         self._setup = setup
+        self.incarnation = incarnation
         self._out = Outbox(self.name, incarnation)
         self._period_s = setup.settings.sampling_period_s
         self.steps = math.ceil(self._period_s / setup.scenario.plant.step_s - 1e-9)
-        self._delay = 0 if setup.scenario.clock.actuation == "immediate" else 1
+        clock = setup.scenario.clock
+        self._delay = 1 if clock.next_tick else 0
+        self._waits = clock.mode == "lockstep"
+        self._plans: Arrivals[Plan] = Arrivals(
+            {agent_name(agent): setup.link(agent_name(agent), self.name) for agent in setup.agents},
+            after=self._delay,
+            speed=None if self._waits else clock.speed,
+        )
+        self._link_changes = LinkChanges(self._plans.links.values(), setup.samples_s)
         inertias = np.array([uav.inertia for uav in setup.system.uavs])
         limits = setup.settings.limits
         self._limits = {a: (limits.lower(len(o)), limits.upper(len(o))) for a, o in enumerate(setup.owned, start=1)}
@@ -54,7 +78,7 @@ class PlantNode:
         self.rejected: Counter[tuple[str, str]] = Counter()
         self.finished: Control | None = None
 
-    def receive(self, event: Message | Presence, now_ns: int) -> Sequence[Message]:  # noqa: ARG002
+    def receive(self, event: Event, now_ns: int) -> Sequence[Message]:
         """Take in ticks, plans and the roster."""
         match event:
             case Control():
@@ -62,9 +86,14 @@ class PlantNode:
                 return ()
             case Roster():
                 for plan in self._membership.update(event):
-                    self._take(plan)
+                    self._take(plan, now_ns)
+            case LinkChange():
+                try:
+                    self._link_changes.apply(event)
+                except LinkError as error:
+                    self.rejected[(event.sender, str(error))] += 1
             case Plan():
-                self._take(event)
+                self._take(event, now_ns)
             case Tick() if event.tick == self._measured_tick + 1:
                 self._pending = event
             case Presence(name="coordinator", alive=False):
@@ -72,23 +101,23 @@ class PlantNode:
                 return ()
             case _:
                 return ()
-        return self._work()
+        return self._work(now_ns)
 
     def poll(self, now_ns: int) -> Sequence[Message]:  # noqa: ARG002
         """Nothing happens to the plant by time alone: its time is the tick."""
         return ()
 
-    def _take(self, plan: Plan) -> None:
+    def _take(self, plan: Plan, now_ns: int) -> None:
         refusal = self._refusal(plan)
         if refusal:
             self.rejected[(plan.sender, refusal)] += 1
-        elif refusal is not None:
-            self._schedule.add(plan)
+        elif refusal is not None and plan.negotiation == 0:
+            self._plans.put(plan, now_ns)
             self._arrived.setdefault(plan.tick, set()).add(plan.agent)
 
     def _refusal(self, plan: Plan) -> str | None:
         """Why a plan is not played: a reason, nothing if it is, None if it waits for its roster."""
-        if plan.agent not in self._setup.agents:
+        if plan.sender not in self._plans.links or plan.sender != agent_name(plan.agent):
             return "plan of an unknown agent"
         sender = self._membership.refusal(plan)
         if sender != "":
@@ -102,14 +131,14 @@ class PlantNode:
             return "inputs outside the limits"
         return ""
 
-    def _work(self) -> list[Message]:
+    def _work(self, now_ns: int) -> list[Message]:
         """Do whatever has become possible, in the order of time."""
         out: list[Message] = []
         while True:
             if self._can_measure():
                 out += self._measure()
             elif self._can_integrate():
-                out.append(self._integrate())
+                out.append(self._integrate(now_ns))
             else:
                 return out
 
@@ -128,7 +157,7 @@ class PlantNode:
         if self._measured_tick != k or self._diverged:
             return False
         decisive = k - self._delay
-        if decisive < 0:
+        if decisive < 0 or not self._waits:
             return True
         arrived = self._arrived.get(decisive, set())
         # The tick after the decisive one says for whom the clock waited; before it comes, wait for all.
@@ -160,8 +189,10 @@ class PlantNode:
             if agent in self._membership.agents
         ]
 
-    def _integrate(self) -> Truth:
+    def _integrate(self, now_ns: int) -> Truth:
         k, x = self._state_tick, self._x
+        for plan in self._plans.take(k, now_ns)[0]:
+            self._schedule.add(plan)
         u, sources = self._schedule.inputs(k, x)
         end, error = self._setup.model.integrate(x, u, self._period_s, self.steps)
         reason = self._divergence(k + 1, end)

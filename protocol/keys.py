@@ -3,7 +3,7 @@
 transport/{run}/tick                     coordinator -> plant
 transport/{run}/measurement/{agent}      plant -> that agent
 transport/{run}/plan/{agent}             agent -> other agents, plant, coordinator
-transport/{run}/roster, .../control      coordinator -> everybody
+transport/{run}/roster, .../link, .../control     coordinator -> everybody
 transport/{run}/truth                    plant -> coordinator, recorder
 transport/{run}/report/{agent}           agent -> recorder
 transport/{run}/alive/{name}/{incarnation}/{digest}     liveliness token: the process is up
@@ -13,7 +13,18 @@ transport/{run}/ready/{name}/{incarnation}              liveliness token: it has
 import re
 from dataclasses import dataclass
 
-from protocol.messages import Control, Measurement, Message, MessageError, Plan, Roster, StepReport, Tick, Truth
+from protocol.messages import (
+    Control,
+    LinkChange,
+    Measurement,
+    Message,
+    MessageError,
+    Plan,
+    Roster,
+    StepReport,
+    Tick,
+    Truth,
+)
 
 _RUN = re.compile(r"[A-Za-z0-9_.-]{1,80}")
 _PER_AGENT = ("measurement", "plan", "report")
@@ -56,7 +67,7 @@ class Keys:
 
     def subscriptions(self, name: str) -> list[str]:
         """Key expressions a process listens to, by its name."""
-        everybody = [f"{self.prefix}/{kind}" for kind in (Roster.kind, Control.kind)]
+        everybody = [f"{self.prefix}/{kind}" for kind in (Roster.kind, LinkChange.kind, Control.kind)]
         plans = f"{self.prefix}/{Plan.kind}/*"
         if name == "recorder":
             return [
@@ -101,6 +112,7 @@ def matches(expression: str, key: str) -> bool:
 _OWNERS = {
     Tick.kind: "coordinator",
     Roster.kind: "coordinator",
+    LinkChange.kind: "coordinator",
     Control.kind: "coordinator",
     Measurement.kind: "plant",
     Truth.kind: "plant",

@@ -16,10 +16,12 @@ class Membership:
     Attributes:
         version: Of the newest roster, 0 before the first.
         agents: Agents on it.
+        since: From which tick on each of them is on the roster in its present incarnation.
     """
 
     def __init__(self) -> None:
         self.version = 0
+        self.since: dict[int, int] = {}
         self._incarnations: dict[int, int] = {}
         self._newest: dict[int, int] = {}  # highest incarnation ever on a roster
         self._early: list[Plan] = []
@@ -29,6 +31,10 @@ class Membership:
         """Agents on the roster."""
         return set(self._incarnations)
 
+    def incarnation(self, agent: int) -> int | None:
+        """The incarnation in which an agent is on the roster, or None."""
+        return self._incarnations.get(agent)
+
     def update(self, roster: Roster) -> list[Plan]:
         """Take in a roster.
 
@@ -37,7 +43,12 @@ class Membership:
         if roster.version <= self.version:
             return []
         self.version = roster.version
+        before = self._incarnations
         self._incarnations = dict(zip(roster.agents, roster.incarnations, strict=True))
+        self.since = {
+            agent: self.since[agent] if before.get(agent) == incarnation else roster.tick
+            for agent, incarnation in self._incarnations.items()
+        }
         for agent, incarnation in self._incarnations.items():
             self._newest[agent] = max(incarnation, self._newest.get(agent, incarnation))
         waiting, self._early = self._early, []

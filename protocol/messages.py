@@ -6,6 +6,7 @@ everybody `Plan`. For the record: plant `Truth`, agents `StepReport`. Around the
 """
 
 import re
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, ClassVar, Literal, get_args
@@ -18,6 +19,7 @@ from model.state import INPUTS, PAYLOAD, PER_UAV
 # Limits of what a message may claim; beyond them it is garbage, whoever sent it.
 MAX_UAVS = 256
 MAX_HORIZON = 10_000
+MAX_ROUNDS = 20
 MAX_TICK = 2**48
 MAX_TEXT = 1_000
 
@@ -25,7 +27,8 @@ _NAME = re.compile(r"coordinator|plant|recorder|agent[1-9][0-9]{0,2}")
 
 Outcome = Literal["completed", "diverged", "aborted"]
 PlanStatus = Literal["solved", "infeasible", "limit", "numerical"]
-STAGES = ("estimate", "linearise", "discretise", "condense", "solve", "total")
+# Of an agent's step: waiting for the measurement, the work, publishing; the total is of the work alone.
+STAGES = ("wait", "estimate", "linearise", "discretise", "condense", "solve", "publish", "total")
 
 
 class MessageError(ValueError):
@@ -72,6 +75,9 @@ class Tick(Message):
         members: Agents whose plans of this tick the clock will wait for.
         answered: Agents whose plans of tick k - 1 count: whoever uses plans of k - 1 waits for these.
         roster: Version of the roster in force: whoever has an older one waits for it.
+        late_ns: In real time, how long after its deadline the tick was opened; else 0.
+        overrun_ns: In real time, by how much the latest plan that came since the tick before missed its
+            deadline, the opening of the tick after its own; else 0.
     """
 
     kind: ClassVar[str] = "tick"
@@ -79,12 +85,15 @@ class Tick(Message):
     members: tuple[int, ...]
     answered: tuple[int, ...]
     roster: int
+    late_ns: int
+    overrun_ns: int
 
     def __post_init__(self) -> None:
         Message.__post_init__(self)
         self._set("members", _ids("members", self.members))
         self._set("answered", _ids("answered", self.answered))
-        self._set("roster", _integer("roster", self.roster, MAX_TICK))
+        for field in ("roster", "late_ns", "overrun_ns"):
+            self._set(field, _integer(field, getattr(self, field), MAX_TICK))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -167,12 +176,14 @@ class Plan(Message):
         inputs: Absolute inputs per step from `start_tick`, (N_p, 4 owned), N and N m.
         corrections: Corrections to the shared law that go with them, (N_p, 4 owned); no rows without that law.
         status: How the solve went; anything but "solved" means the shifted previous plan.
+        negotiation: 0 for the plan a tick ends with; otherwise how many exchanges within the tick follow.
     """
 
     kind: ClassVar[str] = "plan"
 
     agent: int
     start_tick: int
+    negotiation: int
     uavs: tuple[int, ...]
     uav_states: Array
     inputs: Array
@@ -183,6 +194,7 @@ class Plan(Message):
         Message.__post_init__(self)
         self._set("agent", _integer("agent", self.agent, MAX_UAVS, low=1))
         self._set("start_tick", _integer("start_tick", self.start_tick, MAX_TICK))
+        self._set("negotiation", _integer("negotiation", self.negotiation, MAX_ROUNDS - 1))
         self._set("uavs", _ids("uavs", self.uavs))
         self._set("uav_states", _array("uav_states", self.uav_states, (len(self.uavs), PER_UAV)))
         for field in ("inputs", "corrections"):
@@ -205,11 +217,13 @@ class StepReport(Message):
         plan_ages: Age in ticks of the newest plan used of each other agent, in the order of `peers`.
         state_ages: The same for the newest state of each.
         peers: The other agents, ascending; an age of -1 means nothing was ever received.
+        measurement_age: The same for the newest measurement used.
         delivered: Plans of others that became usable at this tick.
         lost: Plans of earlier ticks that are known from now on not to come: the link lost them.
         late: How many of the delivered ones were older than one tick.
         rejected: Messages refused since the last report. Unlike the rest, not reproducible.
-        times_ms: Wall-clock per stage, in the order of `STAGES`, (6,). Not reproducible, unlike the rest.
+        times_ms: Wall-clock per stage, in the order of `STAGES`, (8,); "publish" is that of the step before.
+            Not reproducible, unlike the rest.
     """
 
     kind: ClassVar[str] = "report"
@@ -223,6 +237,7 @@ class StepReport(Message):
     peers: tuple[int, ...]
     plan_ages: tuple[int, ...]
     state_ages: tuple[int, ...]
+    measurement_age: int
     delivered: int
     lost: int
     late: int
@@ -237,6 +252,7 @@ class StepReport(Message):
         self._set("fallback", _boolean("fallback", self.fallback))
         for field in ("iterations", "delivered", "lost", "late", "rejected"):
             self._set(field, _integer(field, getattr(self, field), MAX_TICK))
+        self._set("measurement_age", _integer("measurement_age", self.measurement_age, MAX_TICK, low=-1))
         self._set("residual", _number("residual", self.residual))
         self._set("peers", _ids("peers", self.peers))
         for field in ("plan_ages", "state_ages"):
@@ -278,6 +294,32 @@ class Truth(Message):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class LinkChange(Message):
+    """Coordinator to everybody: from this tick on links treat what is sent over them differently.
+
+    Attributes:
+        number: Of the change in its run, from 1: whoever joins late is told all of them again.
+        source, target: Names of the ends; empty for any agent.
+        settings: Keys of a link and their new values, a JSON object (docs/scenario.md, `links`).
+    """
+
+    kind: ClassVar[str] = "link"
+
+    number: int
+    source: str
+    target: str
+    settings: str
+
+    def __post_init__(self) -> None:
+        Message.__post_init__(self)
+        self._set("number", _integer("number", self.number, MAX_TICK, low=1))
+        for field in ("source", "target"):
+            if getattr(self, field) != "":
+                self._set(field, _name(getattr(self, field)))
+        self._set("settings", _text("settings", self.settings))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Control(Message):
     """Coordinator to everybody: the run ends here.
 
@@ -301,7 +343,7 @@ class Control(Message):
 
 
 KINDS: dict[str, type[Message]] = {
-    cls.kind: cls for cls in (Tick, Roster, Measurement, Plan, StepReport, Truth, Control)
+    cls.kind: cls for cls in (Tick, Roster, LinkChange, Measurement, Plan, StepReport, Truth, Control)
 }
 
 
@@ -318,6 +360,24 @@ class Presence:
     name: str
     incarnation: int
     alive: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """Event for a node: somebody asks for something and waits for the answer.
+
+    Attributes:
+        what: "status" or "link".
+        given: Its arguments.
+        reply: To be called once, with the answer.
+    """
+
+    what: str
+    given: Mapping[str, Any]
+    reply: Callable[[Mapping[str, Any]], None]
+
+
+Event = Message | Presence | Request
 
 
 def _name(value: object) -> str:

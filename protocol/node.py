@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Protocol
 
-from protocol.messages import Control, Message, Presence
+from protocol.messages import Control, Event, Message
 
 
 class Node(Protocol):
@@ -13,10 +13,13 @@ class Node(Protocol):
     `rejected` counts the messages it refused, by sender and reason; the bus adds those it could not read.
 
     Times are nanoseconds of any clock that only goes forward; in lockstep nothing in the messages depends
-    on them.
+    on them. A node that starts anew by itself has a higher incarnation from then on; whoever runs it tells the
+    others. `publish_ns` is for the runtime to fill in: what sending the last messages took.
     """
 
     name: str
+    incarnation: int
+    publish_ns: int
     rejected: Counter[tuple[str, str]]
 
     @property
@@ -27,7 +30,7 @@ class Node(Protocol):
     def wake_ns(self) -> int | None:
         """When `poll` must be called next at the latest; None while only events matter."""
 
-    def receive(self, event: Message | Presence, now_ns: int) -> Sequence[Message]:
+    def receive(self, event: Event, now_ns: int) -> Sequence[Message]:
         """Take in one event and return what to send because of it."""
 
     def poll(self, now_ns: int) -> Sequence[Message]:

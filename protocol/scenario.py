@@ -8,7 +8,7 @@ import json
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer
 from pydantic_core import PydanticCustomError
 
 
@@ -135,6 +135,7 @@ class ControllerSection(Section):
     sampling_period_s: Positive = 0.05
     horizon: Annotated[int, Field(ge=1, le=10_000)] = 20
     prediction: Literal["open_loop", "closed_loop"] = "open_loop"
+    rounds: Annotated[int, Field(ge=1, le=20)] = 1
     relaxation: Annotated[float | str, AfterValidator(_relaxation)] = 1.0
     solver: Literal["daqp", "clarabel"] = "daqp"
     weights: WeightsSection = WeightsSection()
@@ -152,12 +153,20 @@ class AgentsSection(Section):
 class ClockSection(Section):
     """Sampling clock and membership."""
 
-    mode: Literal["lockstep"] = "lockstep"
+    mode: Literal["lockstep", "realtime"] = "lockstep"
     speed: NotNegative = 0.0
-    actuation: Literal["immediate", "next_tick"] = "immediate"
+    actuation: Literal["immediate", "next_tick"] | None = None
     barrier_timeout_s: Positive = 5.0
     join_timeout_s: Positive = 30.0
     on_agent_loss: Literal["abort", "continue"] = "abort"
+    on_overrun: Literal["continue", "hold", "abort"] = "continue"
+    overrun_limit: Annotated[int, Field(ge=0)] = 0
+    overrun_limit_s: Positive | None = None
+
+    @property
+    def next_tick(self) -> bool:
+        """Whether inputs act one tick after the state they are for: what hardware can do, and always in real time."""
+        return self.mode == "realtime" if self.actuation is None else self.actuation == "next_tick"
 
 
 class GilbertElliottSection(Section):
@@ -169,7 +178,7 @@ class GilbertElliottSection(Section):
 
 
 class LinkSection(Section):
-    """What a link does to the plans it carries."""
+    """What a link does to the messages it carries."""
 
     delay_s: NotNegative = 0.0
     jitter_s: NotNegative = 0.0
@@ -180,17 +189,40 @@ class LinkSection(Section):
     duplicate: Probability = 0.0
     reorder: Probability = 0.0
     reorder_s: NotNegative = 0.0
+    rate_hz: Positive | None = None
+
+    def settings(self) -> dict[str, Any]:
+        """The keys of a link that were given, as plain data."""
+        given = self.model_dump(mode="json", exclude_unset=True)
+        return {key: value for key, value in given.items() if key in LinkSection.model_fields}
 
 
 class LinkOverrideSection(LinkSection):
-    """The same for the links from and to one agent; leaving one out means any."""
+    """The same for the links from and to one process; leaving one out means any agent."""
 
     from_: Annotated[str | None, Field(alias="from")] = None
     to: str | None = None
 
+    def covers(self, sender: str, receiver: str) -> bool:
+        """Whether it concerns the link from one process to another; the plant has to be named."""
+        ends = ((self.from_, sender), (self.to, receiver))
+        return all(name == end if name is not None else end != "plant" for name, end in ends)
+
+
+class LinkChangeSection(LinkOverrideSection):
+    """Changes links in flight: what is sent from `at_s` on is treated by the keys given, the others stay."""
+
+    at_s: NotNegative
+
+    @model_serializer(mode="wrap")
+    def _given(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Only what was given: a default written out would be a change."""
+        given = {*self.model_fields_set, *({"from"} if "from_" in self.model_fields_set else ())}
+        return {key: value for key, value in dump(self).items() if key in given}
+
 
 class PartitionSection(Section):
-    """An interval in which the agents named hear nothing of the others, nor the others of them."""
+    """An interval in which the processes named hear nothing of the agents that are not, nor those of them."""
 
     between: Annotated[list[str], Field(min_length=1)]
     start_s: NotNegative
@@ -198,10 +230,37 @@ class PartitionSection(Section):
 
 
 class LinksSection(LinkSection):
-    """The links between agents. Measurements and actuation are not impaired."""
+    """The links between agents; measurement and actuation are those from and to the plant, ideal by default."""
 
+    measurement: LinkSection = LinkSection()
+    actuation: LinkSection = LinkSection()
     override: list[LinkOverrideSection] = []
     partition: list[PartitionSection] = []
+    change: list[LinkChangeSection] = []
+
+    def all(self) -> dict[str, LinkSection]:
+        """Every section of a link by its place below `links`, such as "override.1"."""
+        lists = {"override": self.override, "change": self.change}
+        return {
+            "": self,
+            "measurement": self.measurement,
+            "actuation": self.actuation,
+            **{f"{name}.{i}": entry for name, entries in lists.items() for i, entry in enumerate(entries, start=1)},
+        }
+
+
+class FaultSection(Section):
+    """Something done to a process at an instant of the flight."""
+
+    at_s: NotNegative
+    do: Literal["kill", "stop", "continue", "restart"]
+    target: str
+
+
+class FaultsSection(Section):
+    """Scripted faults."""
+
+    event: list[FaultSection] = []
 
 
 class PlantSection(Section):
@@ -231,6 +290,7 @@ class Scenario(Section):
     agents: AgentsSection = AgentsSection()
     clock: ClockSection = ClockSection()
     links: LinksSection = LinksSection()
+    faults: FaultsSection = FaultsSection()
     plant: PlantSection = PlantSection()
     network: NetworkSection = NetworkSection()
 

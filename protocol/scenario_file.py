@@ -12,7 +12,7 @@ from pydantic import BaseModel, ValidationError
 from model.arrays import ShapeError
 from model.parameters import ParameterError
 from mpc.settings import SettingsError
-from protocol.scenario import Scenario
+from protocol.scenario import LinkOverrideSection, Scenario
 
 T = TypeVar("T")
 
@@ -109,6 +109,8 @@ def _check_relations(scenario: Scenario, source: str) -> None:
         raise ScenarioError(source, "agents.owned", f"expected each UAV once, got none for UAV{missing[0]}")
     names = [f"agent{agent}" for agent in range(1, len(scenario.owned) + 1)]
     _check_links(scenario, source, names)
+    _check_clock(scenario, source)
+    _check_faults(scenario, source, names)
     low, high = scenario.controller.limits.thrust_N
     if low >= high:
         raise ScenarioError(source, "controller.limits.thrust_N", f"expected smallest < largest, got {[low, high]}")
@@ -117,13 +119,17 @@ def _check_relations(scenario: Scenario, source: str) -> None:
         raise ScenarioError(source, "plant.step_s", f"expected at most the sampling period {period_s}, got {step_s}")
 
 
-def _check_links(scenario: Scenario, source: str, names: list[str]) -> None:
-    links = scenario.links
+def _check_links(scenario: Scenario, source: str, agents: list[str]) -> None:
+    links, names = scenario.links, ["plant", *agents]
     expected = f"expected one of {', '.join(names)}"
-    for i, override in enumerate(links.override, start=1):
-        for key, name in (("from", override.from_), ("to", override.to)):
-            if name is not None and name not in names:
-                raise ScenarioError(source, f"links.override.{i}.{key}", f"{expected}, got {name!r}")
+    for place, section in links.all().items():
+        field = ".".join(part for part in ("links", place) if part)
+        if isinstance(section, LinkOverrideSection):
+            for key, name in (("from", section.from_), ("to", section.to)):
+                if name is not None and name not in names:
+                    raise ScenarioError(source, f"{field}.{key}", f"{expected}, got {name!r}")
+        if section.distribution == "empirical" and section.samples is None:
+            raise ScenarioError(source, f"{field}.samples", "expected a file of measured delays, got nothing")
     for i, partition in enumerate(links.partition, start=1):
         for name in partition.between:
             if name not in names:
@@ -131,9 +137,50 @@ def _check_links(scenario: Scenario, source: str, names: list[str]) -> None:
         if partition.end_s <= partition.start_s:
             expected_end = f"expected more than start_s {partition.start_s}, got {partition.end_s}"
             raise ScenarioError(source, f"links.partition.{i}.end_s", expected_end)
-    for field, section in [("links", links), *[(f"links.override.{i}", o) for i, o in enumerate(links.override, 1)]]:
-        if section.distribution == "empirical" and section.samples is None:
-            raise ScenarioError(source, f"{field}.samples", "expected a file of measured delays, got nothing")
+
+
+def _check_clock(scenario: Scenario, source: str) -> None:
+    clock = scenario.clock
+    if clock.mode != "realtime":
+        return
+    if clock.speed == 0.0:
+        raise ScenarioError(source, "clock.speed", "expected a number > 0 with mode realtime, such as 1, got 0")
+    if clock.actuation == "immediate":
+        expected = "expected 'next_tick' with mode realtime, where a step takes time, got 'immediate'"
+        raise ScenarioError(source, "clock.actuation", expected)
+    if scenario.controller.rounds > 1:
+        raise ScenarioError(
+            source,
+            "controller.rounds",
+            f"expected 1 with mode realtime, where nobody waits, got {scenario.controller.rounds}",
+        )
+
+
+def _check_faults(scenario: Scenario, source: str, agents: list[str]) -> None:
+    names = ["coordinator", "plant", *agents]
+    state = dict.fromkeys(names, "running")
+    # What may follow what: nothing can be stopped that is not running.
+    allowed = {
+        "kill": ("running", "stopped"),
+        "stop": ("running",),
+        "continue": ("stopped",),
+        "restart": ("running", "stopped", "killed"),
+    }
+    after = {"kill": "killed", "stop": "stopped", "continue": "running", "restart": "running"}
+    events = list(enumerate(scenario.faults.event, start=1))
+    for i, event in sorted(events, key=lambda entry: entry[1].at_s):
+        field = f"faults.event.{i}"
+        if event.target not in names:
+            raise ScenarioError(
+                source, f"{field}.target", f"expected one of {', '.join(names)}, got {event.target!r}"
+            )
+        if event.do == "restart" and event.target not in agents:
+            expected = f"expected an agent to restart, as a run ends with its {event.target}, got 'restart'"
+            raise ScenarioError(source, f"{field}.do", expected)
+        if state[event.target] not in allowed[event.do]:
+            expected = f"expected what can be done to {event.target}, which is {state[event.target]} by then"
+            raise ScenarioError(source, f"{field}.do", f"{expected}, got {event.do!r}")
+        state[event.target] = after[event.do]
 
 
 def _apply(tree: dict[str, Any], setting: str) -> None:

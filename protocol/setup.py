@@ -14,8 +14,9 @@ from model.maneuver import Maneuver, Phase, Reference
 from model.parameters import Payload, System, Uav
 from mpc.constraints import compile_constraints
 from mpc.settings import Constraint, ControllerSettings, Limits, Separation, Weights
-from protocol.links import Link, link_model
-from protocol.messages import Plan, agent_name
+from protocol.faults import Fault, scripted
+from protocol.links import Link, link
+from protocol.messages import Measurement, Plan
 from protocol.scenario import Scenario, UavSection
 from protocol.scenario_file import ScenarioError, building
 
@@ -99,17 +100,22 @@ class Setup:
         """Sampling period, ns."""
         return round(self.settings.sampling_period_s * 1e9)
 
-    def link(self, sender: int, receiver: int) -> Link:
-        """The link that carries one agent's plans to another."""
-        names = agent_name(sender), agent_name(receiver)
-        return Link(
-            link_model(self.scenario.links, *names, self.samples_s),
+    def link(self, sender: str, receiver: str) -> Link:
+        """The link that carries one process's messages to another: plans, or from the plant measurements."""
+        return link(
+            self.scenario.links,
+            sender,
+            receiver,
+            kind=Measurement.kind if sender == "plant" else Plan.kind,
             seed=self.scenario.seed,
-            sender=names[0],
-            receiver=names[1],
-            kind=Plan.kind,
             period_s=self.settings.sampling_period_s,
+            samples_s=self.samples_s,
         )
+
+    @cached_property
+    def faults(self) -> tuple[Fault, ...]:
+        """Scripted faults, in the order of time."""
+        return scripted(self.scenario)
 
     def initial_state(self) -> np.ndarray:
         """Hover at the start of the maneuver, at rest, (12 + 12 N,)."""
@@ -146,7 +152,7 @@ class Setup:
 def _samples(scenario: Scenario, source: str) -> dict[str, tuple[float, ...]]:
     """Read the files of measured delays that the links name, relative to the scenario's folder."""
     found: dict[str, tuple[float, ...]] = {}
-    for section in [scenario.links, *scenario.links.override]:
+    for section in scenario.links.all().values():
         if section.distribution != "empirical" or section.samples is None:
             continue
         path = Path(source).parent / section.samples

@@ -11,7 +11,7 @@ from agent.announced import AnnouncedInputs
 from agent.estimator import WINDOW, StateEstimator
 from model import state
 from model.arrays import Array
-from protocol.messages import Plan
+from protocol.messages import Measurement, Plan
 from protocol.setup import Setup
 from tests.runs import measurement, plan, setup
 
@@ -59,6 +59,12 @@ def flight(ownership: str, start_error: float = 0.0) -> Flight:
     return Flight(run, np.array(X), U)
 
 
+def estimated(estimator: StateEstimator, seen: Measurement, announced: AnnouncedInputs) -> Array:
+    """Measure, and estimate at once."""
+    estimator.measure(seen)
+    return estimator.estimate(seen.tick, announced)
+
+
 def estimates(truth: Flight, arrivals: Arrivals, missed: Collection[int] = ()) -> dict[int, Array]:
     """Agent 1's estimates over the flight, by tick.
 
@@ -76,7 +82,7 @@ def estimates(truth: Flight, arrivals: Arrivals, missed: Collection[int] = ()) -
             announced.add(message)
             estimator.take(message)
         if k not in missed:
-            found[k] = estimator.estimate(measurement(run, 1, k, x=truth.X[k]), announced)
+            found[k] = estimated(estimator, measurement(run, 1, k, x=truth.X[k]), announced)
         if k < TICKS:
             announced.add(truth.plan(1, k))  # its own: it knows what it does
     return found
@@ -182,11 +188,11 @@ def test_states_received_over_a_gap() -> None:
     run = setup(FOUR)
     estimator = StateEstimator(run.model, lambda k: run.initial_state(), PERIOD_S)
     announced = AnnouncedInputs(run.owned, run.hover.u)
-    estimator.estimate(measurement(run, 1, 0), announced)
+    estimated(estimator, measurement(run, 1, 0), announced)
     x = run.initial_state()
     x[state.uav_slice(1)][state.THETA] = [0.1, 0.0, 0.0]
     estimator.take(plan(run, 2, 4, x=x))  # before the measurement of tick 5; those of 1..4 are lost
-    found = estimator.estimate(measurement(run, 1, 5), announced)
+    found = estimated(estimator, measurement(run, 1, 5), announced)
     assert estimator.age(2, 5) == 1
     assert found[state.uav_slice(1)][state.THETA][0] == pytest.approx(0.1, abs=1e-6)  # it does not turn
 
@@ -203,10 +209,10 @@ def test_window(age: int, known: bool) -> None:
         estimator = StateEstimator(run.model, lambda k: run.initial_state(), PERIOD_S)
         announced = AnnouncedInputs(run.owned, run.hover.u)
         for k in range(last):
-            estimator.estimate(measurement(run, 1, k), announced)
+            estimated(estimator, measurement(run, 1, k), announced)
         for message in news:
             estimator.take(message)
-        found.append(estimator.estimate(measurement(run, 1, last), announced))
+        found.append(estimated(estimator, measurement(run, 1, last), announced))
     assert np.array_equal(found[0], found[1]) is not known
 
 
@@ -216,7 +222,7 @@ def test_age() -> None:
     estimator = StateEstimator(run.model, lambda k: run.initial_state(), PERIOD_S)
     announced = AnnouncedInputs(run.owned, run.hover.u)
     for k in range(6):
-        estimator.estimate(measurement(run, 1, k), announced)
+        estimated(estimator, measurement(run, 1, k), announced)
     assert estimator.age(2, 6) == -1
     estimator.take(plan(run, 2, 4))
     assert estimator.age(2, 6) == 2
@@ -230,7 +236,7 @@ def test_estimates_are_read_only() -> None:
     """An estimate cannot be changed by whoever gets it: it is the past of the next one."""
     run = setup(FOUR)
     estimator = StateEstimator(run.model, lambda k: run.initial_state(), PERIOD_S)
-    found = estimator.estimate(measurement(run, 1, 0), AnnouncedInputs(run.owned, run.hover.u))
+    found = estimated(estimator, measurement(run, 1, 0), AnnouncedInputs(run.owned, run.hover.u))
     with pytest.raises(ValueError, match="read-only"):
         found[0] = 0.0
 
@@ -245,7 +251,7 @@ def test_joining_late() -> None:
         return run.initial_state() + 1e-3 * k
 
     estimator = StateEstimator(run.model, planned, PERIOD_S)
-    found = estimator.estimate(measurement(run, 1, 50), AnnouncedInputs(run.owned, run.hover.u))
+    found = estimated(estimator, measurement(run, 1, 50), AnnouncedInputs(run.owned, run.hover.u))
     assert asked == [50]
     np.testing.assert_array_equal(found[24:], run.initial_state()[24:] + 0.05)
     np.testing.assert_array_equal(found[:24], run.initial_state()[:24])
