@@ -19,5 +19,6 @@ def run(setup: Setup, place: Place, agent: int) -> int:
     Raises: BusError: see `protocol.process.run_node`.
     """
     node = AgentNode(setup, agent, place.incarnation, time.perf_counter_ns)
+    node.warm_up()
     others = [agent_name(other) for other in setup.agents if other != agent]
-    return run_node(node, place, setup.scenario, ["coordinator", "plant", *others])
+    return run_node(node, place, setup, ["coordinator", "plant", *others])

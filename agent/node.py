@@ -198,7 +198,8 @@ class AgentNode:
             return sender
         if plan.uavs != tuple(uav + 1 for uav in self._setup.owned[plan.agent - 1]):
             return "plan for UAVs of somebody else"
-        if self._waits and plan.tick > self._last_tick + 1:
+        # A process that has just joined is as far as the tick it joined at.
+        if self._waits and plan.tick > max(self._last_tick + 1, self._membership.since.get(self._agent, 0)):
             return "plan from the future"
         return ""
 

@@ -20,4 +20,4 @@ def run(setup: Setup, place: Place, observers: Sequence[str] = ()) -> int:
     """
     node = CoordinatorNode(setup, place.incarnation, observers)
     team = ["plant", *[agent_name(agent) for agent in setup.agents]]
-    return run_node(node, place, setup.scenario, [*team, *observers], node.interrupt, [*team, *observers])
+    return run_node(node, place, setup, [*team, *observers], node.interrupt, [*team, *observers])

@@ -73,11 +73,11 @@ class Compiled:
 def functions(N: int) -> dict[str, ca.Function]:
     """The CasADi functions of a system of N UAVs, from the cache when it holds them.
 
-    derivative  (x, u, p) -> x'
-    tensions    (x, u, p) -> rod tensions
+    derivative  (x, u, p, F) -> x'
+    tensions    (x, u, p, F) -> rod tensions
     outputs     (x, p) -> y
-    linearise   (x, u, p) -> x', A_c, B_c, y, C
-    step        (x, u, p, h) -> x after h seconds of constant u by one Dormand-Prince step and projection
+    linearise   (x, u, p, F) -> x', A_c, B_c, y, C
+    step        (x, u, p, F, h) -> x after h seconds of constant u and F by one Dormand-Prince step and projection
                 of the rods, and the local error estimate before projection
     """
     path = _cache_path(N)
@@ -93,13 +93,13 @@ def _build(N: int) -> dict[str, ca.Function]:
     s = Symbols.of(N)
     derivative, tensions = dynamics.state_derivative(s)
     y = dynamics.outputs(s)
-    f = ca.Function("derivative", [s.x, s.u, s.p], [derivative])
+    f = ca.Function("derivative", [s.x, s.u, s.p, s.F], [derivative])
 
     h = ca.SX.sym("h")
     slopes: list[ca.SX] = []
     for coefficients in _DP_STAGES:
         at = s.x + h * sum((a * k for a, k in zip(coefficients, slopes, strict=True)), start=ca.SX.zeros(s.x.shape))
-        slopes.append(f(at, s.u, s.p))
+        slopes.append(f(at, s.u, s.p, s.F))
     fifth = s.x + h * sum((b * k for b, k in zip(_DP_FIFTH, slopes, strict=True)), start=ca.SX.zeros(s.x.shape))
     error = h * sum(
         ((b5 - b4) * k for b5, b4, k in zip(_DP_FIFTH, _DP_FOURTH, slopes, strict=True)),
@@ -108,10 +108,10 @@ def _build(N: int) -> dict[str, ca.Function]:
     linearised = [derivative, ca.jacobian(derivative, s.x), ca.jacobian(derivative, s.u), y, ca.jacobian(y, s.x)]
     return {
         "derivative": f,
-        "tensions": ca.Function("tensions", [s.x, s.u, s.p], [tensions]),
+        "tensions": ca.Function("tensions", [s.x, s.u, s.p, s.F], [tensions]),
         "outputs": ca.Function("outputs", [s.x, s.p], [y]),
-        "linearise": ca.Function("linearise", [s.x, s.u, s.p], [ca.densify(value) for value in linearised]),
-        "step": ca.Function("step", [s.x, s.u, s.p, h], [dynamics.project(fifth, N), error]),
+        "linearise": ca.Function("linearise", [s.x, s.u, s.p, s.F], [ca.densify(value) for value in linearised]),
+        "step": ca.Function("step", [s.x, s.u, s.p, s.F, h], [dynamics.project(fifth, N), error]),
     }
 
 

@@ -16,22 +16,30 @@ from model.rotations import euler_rates, rotation
 
 @dataclass(frozen=True, slots=True)
 class Symbols:
-    """The symbols of a system of N UAVs: state x, input u and parameter vector p, in their named parts.
+    """The symbols of a system of N UAVs: state x, input u, parameters p and external forces F, in their named parts.
 
     p holds g, m0, the upper triangle of J0, and for each UAV m_i, the upper triangle of J_i, rho_i, l_i
     (`System.vector` fills it): the expressions depend on N only, so compiled functions serve any system
-    of N UAVs.
+    of N UAVs. F holds the external force on the payload's centre of mass and on that of each UAV, in the inertial
+    frame, N.
     """
 
     N: int
     x: ca.SX
     u: ca.SX
     p: ca.SX
+    F: ca.SX
 
     @staticmethod
     def of(N: int) -> "Symbols":
         """Fresh symbols for N UAVs."""
-        return Symbols(N, ca.SX.sym("x", 12 + 12 * N), ca.SX.sym("u", 4 * N), ca.SX.sym("p", 8 + 11 * N))
+        return Symbols(
+            N,
+            ca.SX.sym("x", 12 + 12 * N),
+            ca.SX.sym("u", 4 * N),
+            ca.SX.sym("p", 8 + 11 * N),
+            ca.SX.sym("F", 3 + 3 * N),
+        )
 
     @property
     def gravity(self) -> ca.SX:
@@ -53,12 +61,16 @@ class Symbols:
         q = self.p[8 + 11 * i : 8 + 11 * (i + 1)]
         return q[0], _symmetric(q[1:7]), q[7:10], q[10]
 
+    def force(self, body: int) -> ca.SX:
+        """External force on the payload (0) or on UAV 1..N, (3,), inertial frame, N."""
+        return self.F[3 * body : 3 * (body + 1)]
+
 
 def state_derivative(symbols: Symbols) -> tuple[ca.SX, ca.SX]:
-    """Right-hand side f(x, u) and the rod tensions.
+    """Right-hand side f(x, u, F) and the rod tensions.
 
     Returns: x' (12 + 12 N), SI; tensions (N,), N, positive when the rod pulls.
-    Source: docs/equations.md (4)-(13); paper (2)-(11).
+    Source: docs/equations.md (4)-(13), (37); paper (2)-(11).
     """
     x, u, N = symbols.x, symbols.u, symbols.N
     v0, omega0 = x[state.V0], x[state.OMEGA0]
@@ -68,15 +80,15 @@ def state_derivative(symbols: Symbols) -> tuple[ca.SX, ca.SX]:
 
     # 6 x 6 system in the payload's acceleration a0 = v0' + omega0 x v0 and omega0', both in payload frame.
     M = ca.diagcat(symbols.payload_mass * ca.SX.eye(3), J0)
-    b = ca.vertcat(symbols.payload_mass * g_P, -ca.cross(omega0, J0 @ omega0))
+    b = ca.vertcat(symbols.payload_mass * g_P + R0.T @ symbols.force(0), -ca.cross(omega0, J0 @ omega0))
     rods = []
     for i in range(N):
         m, _, rho, length = symbols.uav(i)
         block = x[state.uav_slice(i)]
         e, Omega = block[state.E], block[state.ROD_RATE]
         thrust = u[state.INPUTS * i]
-        # Specific force of the UAV alone: lift along -b3 of its body, and gravity.
-        s_P = g_P - thrust / m * (R0.T @ rotation(block[state.THETA])[:, 2])
+        # Specific force of the UAV alone: lift along -b3 of its body, gravity, and what pushes it from outside.
+        s_P = g_P - thrust / m * (R0.T @ rotation(block[state.THETA])[:, 2]) + R0.T @ symbols.force(i + 1) / m
         centripetal = ca.cross(omega0, ca.cross(omega0, rho))
         along = ca.dot(e, centripetal - s_P) + length * ca.dot(Omega, Omega)
         wrench = ca.vertcat(e, ca.cross(rho, e))

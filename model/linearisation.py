@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import casadi as ca
+import numpy as np
 
 from model.arrays import Array
 from model.compiled import Compiled, functions
@@ -32,6 +33,9 @@ class Linearisation:
 class Model:
     """Equations of motion of one system, evaluated numerically.
 
+    External forces, where a method takes them, are (F_0, F_1, .., F_N): on the centres of mass of payload and
+    UAVs, (3 + 3 N,), inertial frame, N; none when left out.
+
     Args:
         system: Physical parameters.
     """
@@ -45,25 +49,37 @@ class Model:
         self._outputs = Compiled(self._functions["outputs"])
         self._linearise = Compiled(self._functions["linearise"])
         self._steps: dict[int, Compiled] = {}
+        self._no_forces = np.zeros(3 + 3 * system.N)
 
-    def derivative(self, x: Array, u: Array) -> Array:
-        """x' = f(x, u), (n,), SI. Source: docs/equations.md (4)-(13)."""
-        return self._derivative(x, u, self._p)[0]
+    def derivative(self, x: Array, u: Array, *, forces: Array | None = None) -> Array:
+        """x' = f(x, u, F), (n,), SI. Source: docs/equations.md (4)-(13), (37)."""
+        return self._derivative(x, u, self._p, self._no_forces if forces is None else forces)[0]
 
-    def tensions(self, x: Array, u: Array) -> Array:
-        """Rod tensions, (N,), N; positive when the rod pulls. Source: docs/equations.md (9)."""
-        return self._tensions(x, u, self._p)[0]
+    def tensions(self, x: Array, u: Array, *, forces: Array | None = None) -> Array:
+        """Rod tensions, (N,), N; positive when the rod pulls. Source: docs/equations.md (9), (37)."""
+        return self._tensions(x, u, self._p, self._no_forces if forces is None else forces)[0]
 
     def outputs(self, x: Array) -> Array:
         """y = h(x), (4 N + 3,), SI. Source: docs/equations.md (14)."""
         return self._outputs(x, self._p)[0]
 
-    def linearise(self, x: Array, u: Array) -> Linearisation:
-        """Exact derivatives about (x, u). Source: docs/equations.md (15); paper (13)."""
-        f, A_c, B_c, y, C = self._linearise(x, u, self._p)
+    def linearise(self, x: Array, u: Array, *, forces: Array | None = None) -> Linearisation:
+        """Exact derivatives about (x, u) under constant forces. Source: docs/equations.md (15), (37); paper (13)."""
+        f, A_c, B_c, y, C = self._linearise(x, u, self._p, self._no_forces if forces is None else forces)
         return Linearisation(f=f, A_c=A_c, B_c=B_c, y=y, C=C)
 
-    def integrate(self, x: Array, u: Array, duration_s: float, steps: int) -> tuple[Array, float]:
+    def payload_force_effect(self, x: Array, u: Array) -> Array:
+        """df/dF_0, (n, 3), SI per N. f is affine in the forces, so differences are exact.
+
+        Source: docs/equations.md (38).
+        """
+        f = self.derivative(x, u)
+        columns = [self.derivative(x, u, forces=unit) - f for unit in np.eye(3, len(self._no_forces))]
+        return np.column_stack(columns)
+
+    def integrate(
+        self, x: Array, u: Array, duration_s: float, steps: int, *, forces: Array | None = None
+    ) -> tuple[Array, float]:
         """State after `duration_s` of constant input, by `steps` Dormand-Prince steps of order 5.
 
         Args:
@@ -71,17 +87,19 @@ class Model:
             u: Input, held, (m,).
             duration_s: s.
             steps: Number of equal steps, >= 1; the rods are projected back after each.
+            forces: Held, too.
         Returns: State, (n,), and the largest local error estimate of any step and component, SI.
         """
         if steps not in self._steps:
             chained = self._functions["step"].mapaccum(steps)
             self._steps[steps] = Compiled(_last_and_errors(chained, self.system, steps))
-        end, errors = self._steps[steps](x, u, self._p, duration_s / steps)
+        held = self._no_forces if forces is None else forces
+        end, errors = self._steps[steps](x, u, self._p, held, duration_s / steps)
         return end, float(errors[0])
 
 
 def _last_and_errors(chained: ca.Function, system: System, steps: int) -> ca.Function:
     x, u = ca.MX.sym("x", system.n), ca.MX.sym("u", system.m)
-    p, h = ca.MX.sym("p", 8 + 11 * system.N), ca.MX.sym("h")
-    states, errors = chained(x, ca.repmat(u, 1, steps), ca.repmat(p, 1, steps), ca.repmat(h, 1, steps))
-    return ca.Function("integrate", [x, u, p, h], [states[:, -1], ca.mmax(ca.fabs(errors))])
+    p, F, h = ca.MX.sym("p", 8 + 11 * system.N), ca.MX.sym("F", 3 + 3 * system.N), ca.MX.sym("h")
+    states, errors = chained(x, *[ca.repmat(held, 1, steps) for held in (u, p, F, h)])
+    return ca.Function("integrate", [x, u, p, F, h], [states[:, -1], ca.mmax(ca.fabs(errors))])

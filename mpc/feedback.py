@@ -65,7 +65,7 @@ def team_gain(model: Model, hover: Hover, cost: Cost, period_s: float) -> Array:
     """
     linear = model.linearise(hover.x, hover.u)
     discrete = zero_order_hold(linear, period_s)
-    T = _tangent(hover.x)
+    T = tangent(hover.x)
     A, B = T.T @ discrete.A @ T, T.T @ discrete.B
     C = linear.C @ T
     P = _riccati(A, B, C.T @ (cost.Q[:, None] * C), cost.R)
@@ -94,7 +94,7 @@ def _riccati(A: Array, B: Array, Q: Array, R: Array) -> Array:
     raise FeedbackError(f"the Riccati recursion has not converged after 2^{_DOUBLINGS} steps")
 
 
-def _tangent(x: Array) -> Array:
+def tangent(x: Array) -> Array:
     """Orthonormal basis of the directions the state can take at x, (n, n - 2 N)."""
     blocks = [np.eye(state.PAYLOAD)]
     for e in state.StateView(x).e_P:

@@ -18,4 +18,4 @@ def run(setup: Setup, place: Place) -> int:
     node = PlantNode(setup, place.incarnation)
     # The first integration compiles the chain of steps; the first tick should not wait for it.
     setup.model.integrate(setup.initial_state(), setup.hover.u, setup.settings.sampling_period_s, node.steps)
-    return run_node(node, place, setup.scenario, ["coordinator", *[agent_name(agent) for agent in setup.agents]])
+    return run_node(node, place, setup, ["coordinator", *[agent_name(agent) for agent in setup.agents]])

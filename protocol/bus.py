@@ -9,7 +9,7 @@ import queue
 import threading
 import time
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any
@@ -18,7 +18,7 @@ import zenoh
 
 from protocol.codec import decode, encode
 from protocol.keys import Keys
-from protocol.messages import Message, MessageError, Presence
+from protocol.messages import Event, Message, MessageError, Presence, Request
 
 # Closing can block for as long as a peer does not read (zenoh issue 2675); a process that has said all it
 # had to say does not wait for that longer than this.
@@ -36,7 +36,7 @@ class Interrupted:
     reason: str
 
 
-Event = Message | Presence | Interrupted
+BusEvent = Event | Interrupted
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,6 +62,8 @@ class Bus:
         digest: Fingerprint of the scenario; processes with different ones refuse each other.
         endpoints: Where to listen and whom to connect to.
         rejected: Where refused messages are counted: the node's own counter.
+        serves: Whether it answers requests (`ask`).
+        patience_s: How long sending may wait for a peer that does not read before the link to it is closed.
     Raises: BusError: the endpoint cannot be listened on.
     """
 
@@ -74,6 +76,8 @@ class Bus:
         digest: str,
         endpoints: Endpoints,
         rejected: Counter[tuple[str, str]],
+        serves: bool = False,
+        patience_s: float = 1.0,
     ) -> None:
         self.name, self.incarnation, self._digest = name, incarnation, digest
         self._keys = Keys(run)
@@ -85,13 +89,16 @@ class Bus:
         self.rejected = rejected
         zenoh.init_log_from_env_or("error")
         try:
-            self._session = zenoh.open(zenoh.Config.from_json5(json.dumps(_configuration(endpoints))))
+            self._session = zenoh.open(zenoh.Config.from_json5(json.dumps(_configuration(endpoints, patience_s))))
         except zenoh.ZError as error:
             raise BusError(_listen_problem(endpoints, str(error))) from error
         # Subscribers before the token: whoever sees the token may send at once, and nothing is lost.
         self._subscribers = [
             self._session.declare_subscriber(key, self._inbox.put) for key in self._keys.subscriptions(name)
         ]
+        self._queryable = (
+            self._session.declare_queryable(self._keys.requests(name), self._inbox.put) if serves else None
+        )
         self._watch = self._session.liveliness().declare_subscriber(
             f"{self._keys.prefix}/alive/**", self._inbox.put, history=True
         )
@@ -117,8 +124,7 @@ class Bus:
         Returns: None when everybody is there, or the interruption that came first.
         Raises: BusError: somebody did not show up, runs another scenario, or runs under this name already.
         """
-        token = self._keys.alive(self.name, self.incarnation, self._digest)
-        self._tokens.append(self._session.liveliness().declare_token(token))
+        self._declare(self._keys.alive(self.name, self.incarnation, self._digest))
         deadline = time.monotonic() + timeout_s
         early: list[Any] = []
         while missing := set(expected) - set(self._alive) - {self.name}:
@@ -132,11 +138,35 @@ class Bus:
                 ) from None
             if isinstance(item, Interrupted):
                 return item
-            if not self._note_alive(item):
+            if isinstance(item, zenoh.Query) or not self._note_alive(item):
                 early.append(item)
-        self._tokens.append(self._session.liveliness().declare_token(self._keys.ready(self.name, self.incarnation)))
+                if not isinstance(item, zenoh.Query) and str(item.key_expr).startswith(self._keys.ready_prefix):
+                    expected = self._still_expected(expected, deadline)
+        self._declare(self._keys.ready(self.name, self.incarnation))
         for item in early:
             self._inbox.put(item)
+        return None
+
+    def renew(self, incarnation: int) -> None:
+        """Announce that this process has started anew by itself, ready at once."""
+        old, self._tokens = self._tokens, []
+        self.incarnation = incarnation
+        self._declare(self._keys.alive(self.name, incarnation, self._digest))
+        self._declare(self._keys.ready(self.name, incarnation))
+        for token in old:
+            token.undeclare()  # type: ignore[no-untyped-call]
+
+    def ask(
+        self, name: str, what: str, given: Mapping[str, Any] | None = None, timeout_s: float = 5.0
+    ) -> Mapping[str, Any] | None:
+        """Ask a process for something and wait for its answer, or None if it does not give one in time."""
+        replies = self._session.get(
+            self._keys.requests(name), payload=json.dumps({"what": what, **(given or {})}), timeout=timeout_s
+        )
+        for reply in replies:
+            if reply.ok is not None:
+                answer: Mapping[str, Any] = json.loads(reply.ok.payload.to_string())
+                return answer
         return None
 
     def publish(self, message: Message) -> None:
@@ -152,7 +182,7 @@ class Bus:
             )
         publisher.put(encode(message))
 
-    def next(self, timeout_s: float | None) -> Event | None:
+    def next(self, timeout_s: float | None) -> BusEvent | None:
         """The next event, or None after the timeout (None waits for ever). Bad messages are counted, not returned."""
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
         while True:
@@ -161,7 +191,13 @@ class Bus:
                 item = self._inbox.get(timeout=left)
             except queue.Empty:
                 return None
-            event = item if isinstance(item, Interrupted) else self._event(item)
+            event: BusEvent | None
+            if isinstance(item, Interrupted):
+                event = item
+            elif isinstance(item, zenoh.Query):
+                event = self._request(item)
+            else:
+                event = self._event(item)
             if event is not None:
                 return event
 
@@ -184,9 +220,41 @@ class Bus:
     def _close(self) -> None:
         for token in self._tokens:
             token.undeclare()  # type: ignore[no-untyped-call]
+        if self._queryable is not None:
+            self._queryable.undeclare()  # type: ignore[no-untyped-call]
         for subscriber in [self._watch, self._watch_ready, *self._subscribers]:
             subscriber.undeclare()  # type: ignore[no-untyped-call]
         self._session.close()  # type: ignore[no-untyped-call]
+
+    def _declare(self, token: str) -> None:
+        self._tokens.append(self._session.liveliness().declare_token(token))
+
+    def _still_expected(self, expected: Collection[str], deadline: float) -> Collection[str]:
+        """Whom to wait for: of a run that has begun only those who take part, for the others may be gone for good."""
+        if "coordinator" not in self._alive or "coordinator" not in expected:
+            return expected
+        status = self.ask("coordinator", "status", timeout_s=max(0.1, min(2.0, deadline - time.monotonic())))
+        if status is None or status.get("tick", -1) < 0:
+            return expected
+        return {"coordinator", "plant", *(f"agent{agent}" for agent in status["members"])} & set(expected)
+
+    def _request(self, query: zenoh.Query) -> Request | None:
+        """A question from the network as an event."""
+        try:
+            content = json.loads(query.payload.to_string()) if query.payload is not None else None
+            if not (isinstance(content, dict) and isinstance(content.get("what"), str)):
+                raise MessageError('expected a JSON object with "what"')
+        except (ValueError, RecursionError, MessageError, zenoh.ZError) as error:
+            self.rejected[("request", f"not a request ({type(error).__name__})")] += 1
+            query.reply_err(json.dumps({"error": "expected a JSON object with what is asked for"}))
+            query.drop()  # type: ignore[no-untyped-call]
+            return None
+
+        def reply(answer: Mapping[str, Any]) -> None:
+            query.reply(self._keys.requests(self.name), json.dumps(answer))
+            query.drop()  # type: ignore[no-untyped-call]
+
+        return Request(content.pop("what"), content, reply)
 
     def _event(self, sample: zenoh.Sample) -> Event | None:
         key = str(sample.key_expr)
@@ -237,7 +305,7 @@ class Bus:
         return True
 
 
-def _configuration(endpoints: Endpoints) -> dict[str, Any]:
+def _configuration(endpoints: Endpoints, patience_s: float) -> dict[str, Any]:
     """Explicit mesh on fixed endpoints: no discovery, fast retries, patience until `join` gives up."""
     return {
         "mode": "peer",
@@ -247,6 +315,11 @@ def _configuration(endpoints: Endpoints) -> dict[str, Any]:
             "timeout_ms": -1,
             "exit_on_failure": False,
             "retry": {"period_init_ms": 50, "period_max_ms": 200, "period_increase_factor": 1.5},
+        },
+        "transport": {
+            "link": {
+                "tx": {"queue": {"congestion_control": {"block": {"wait_before_close": round(patience_s * 1e6)}}}}
+            }
         },
         "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
     }

@@ -6,6 +6,7 @@ transport/{run}/plan/{agent}             agent -> other agents, plant, coordinat
 transport/{run}/roster, .../link, .../control     coordinator -> everybody
 transport/{run}/truth                    plant -> coordinator, recorder
 transport/{run}/report/{agent}           agent -> recorder
+transport/{run}/ask/{name}               queryable: coordinator and recorder answer requests
 transport/{run}/alive/{name}/{incarnation}/{digest}     liveliness token: the process is up
 transport/{run}/ready/{name}/{incarnation}              liveliness token: it has seen all the others
 """
@@ -15,6 +16,7 @@ from dataclasses import dataclass
 
 from protocol.messages import (
     Control,
+    FaultNote,
     LinkChange,
     Measurement,
     Message,
@@ -89,6 +91,15 @@ class Keys:
         """Liveliness token of a process that has seen all the others."""
         return f"{self.prefix}/ready/{name}/{incarnation}"
 
+    @property
+    def ready_prefix(self) -> str:
+        """Of every `ready` token."""
+        return f"{self.prefix}/ready/"
+
+    def requests(self, name: str) -> str:
+        """Where a process answers requests."""
+        return f"{self.prefix}/ask/{name}"
+
     def check_sender(self, key: str, message: Message) -> None:
         """Refuse a message that travels under a key its sender does not own.
 
@@ -114,6 +125,7 @@ _OWNERS = {
     Roster.kind: "coordinator",
     LinkChange.kind: "coordinator",
     Control.kind: "coordinator",
+    FaultNote.kind: "recorder",
     Measurement.kind: "plant",
     Truth.kind: "plant",
 }

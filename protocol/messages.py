@@ -26,6 +26,7 @@ MAX_TEXT = 1_000
 _NAME = re.compile(r"coordinator|plant|recorder|agent[1-9][0-9]{0,2}")
 
 Outcome = Literal["completed", "diverged", "aborted"]
+FaultOrigin = Literal["script", "person", "unknown"]
 PlanStatus = Literal["solved", "infeasible", "limit", "numerical"]
 # Of an agent's step: waiting for the measurement, the work, publishing; the total is of the work alone.
 STAGES = ("wait", "estimate", "linearise", "discretise", "condense", "solve", "publish", "total")
@@ -342,8 +343,31 @@ class Control(Message):
         self._set("exit_code", _integer("exit_code", self.exit_code, 255))
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FaultNote(Message):
+    """For the record alone: something was done, or happened, to a process.
+
+    Attributes:
+        target: The process.
+        what: "killed", "stopped", "continued", "started" or how it ended.
+        origin: By whom: the scenario's script, a person, or nobody the recorder knows of.
+    """
+
+    kind: ClassVar[str] = "fault"
+
+    target: str
+    what: str
+    origin: FaultOrigin
+
+    def __post_init__(self) -> None:
+        Message.__post_init__(self)
+        self._set("target", _name(self.target))
+        self._set("what", _text("what", self.what))
+        _choice("origin", self.origin, get_args(FaultOrigin))
+
+
 KINDS: dict[str, type[Message]] = {
-    cls.kind: cls for cls in (Tick, Roster, LinkChange, Measurement, Plan, StepReport, Truth, Control)
+    cls.kind: cls for cls in (Tick, Roster, LinkChange, Measurement, Plan, StepReport, Truth, FaultNote, Control)
 }
 
 

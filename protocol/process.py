@@ -7,7 +7,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from types import FrameType
 from typing import Any
@@ -15,10 +15,12 @@ from typing import Any
 import threadpoolctl
 
 from protocol.bus import Bus, Endpoints, Interrupted
-from protocol.messages import agent_name
+from protocol.faults import Fault, due
+from protocol.messages import Message, agent_name
 from protocol.node import Node
 from protocol.outbox import EXIT_LOST
 from protocol.scenario import Scenario
+from protocol.setup import Setup
 
 EXIT_INTERRUPTED = 130
 DEFAULT_BASE_PORT = 7447
@@ -26,6 +28,10 @@ DEFAULT_BASE_PORT = 7447
 # Set by a parent that wants its children to end with it: they watch their standard input for its end.
 PARENT_PIPE = "PAYLOAD_TRANSPORT_PARENT_PIPE"
 _SWITCH_INTERVAL_S = 5e-4
+# Between collections of what reference counting does not free.
+_COLLECT_EVERY = 256
+# How long a peer that does not read may hold up the others before the link to it is closed, by clock mode.
+_PATIENCE_S = {"lockstep": 1.0, "realtime": 0.1}
 ORPHANED = "parent is gone"
 # What a process that has lost its parent gives itself to end in an orderly way.
 _ORPHAN_GRACE_S = 5.0
@@ -75,7 +81,7 @@ def default_mesh(scenario: Scenario) -> dict[str, Endpoints]:
 def run_node(
     node: Node,
     place: Place,
-    scenario: Scenario,
+    setup: Setup,
     expected: Collection[str],
     on_interrupt: Callable[[str], Any] | None = None,
     linger_for: Collection[str] = (),
@@ -85,7 +91,7 @@ def run_node(
     Args:
         node: The state machine.
         place: Where it runs.
-        scenario: For its digest.
+        setup: The run.
         expected: Processes to wait for before starting.
         on_interrupt: What the node wants to send when a signal ends it.
         linger_for: Processes to see off before leaving, so that the last messages reach them.
@@ -99,9 +105,11 @@ def run_node(
             name=node.name,
             incarnation=place.incarnation,
             run=place.run,
-            digest=scenario.digest(),
+            digest=setup.scenario.digest(),
             endpoints=place.endpoints,
             rejected=node.rejected,
+            serves=node.name == "coordinator",
+            patience_s=_PATIENCE_S[setup.scenario.clock.mode],
         ) as bus,
     ):
         with_signals(bus)
@@ -109,7 +117,7 @@ def run_node(
         interruption = bus.join(expected, place.join_timeout_s)
         if interruption is None:
             journal.say("joined", peers=len(expected))
-            interruption = drive(node, bus)
+            interruption = drive(node, bus, setup.faults)
         if interruption is not None and node.finished is None:
             journal.say("interrupted", reason=interruption.reason)
             for message in on_interrupt(interruption.reason) if on_interrupt else ():
@@ -125,23 +133,53 @@ def run_node(
     return end.exit_code
 
 
-def drive(node: Node, bus: Bus) -> Interrupted | None:
-    """Feed events and time to a node until it is finished or somebody interrupts."""
-    # A collection in mid-step is a latency spike; reference counting frees what the loop makes.
+def drive(node: Node, bus: Bus, faults: Sequence[Fault] = ()) -> Interrupted | None:
+    """Feed events and time to a node until it is finished or somebody interrupts.
+
+    Args:
+        node: The state machine.
+        bus: Its place on the network.
+        faults: Scripted ones; those of this process happen here.
+    """
+    # A collection in mid-step is a latency spike; reference counting frees what the loop makes, and what little
+    # is left is collected where the node has nothing to do.
     gc.collect()
     gc.freeze()
+    gc.disable()
     # Zenoh's threads hand over what arrives while this one computes; the default of 5 ms is several ticks' work.
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
+    handled = 0
     while node.finished is None:
         wake_ns = node.wake_ns
         timeout_s = None if wake_ns is None else max(0, wake_ns - time.monotonic_ns()) / 1e9
         event = bus.next(timeout_s)
         if isinstance(event, Interrupted):
             return event
+        if isinstance(event, Message):
+            _fail_if_due(faults, node.name, event)
         now_ns = time.monotonic_ns()
-        for message in node.poll(now_ns) if event is None else node.receive(event, now_ns):
+        messages = node.poll(now_ns) if event is None else node.receive(event, now_ns)
+        if node.incarnation != bus.incarnation:
+            bus.renew(node.incarnation)
+        if not messages:
+            continue
+        publishing_ns = time.monotonic_ns()
+        for message in messages:
+            if message.sender == "coordinator":
+                _fail_if_due(faults, node.name, message)
             bus.publish(message)
+        node.publish_ns = time.monotonic_ns() - publishing_ns
+        handled += 1
+        if handled % _COLLECT_EVERY == 0:
+            gc.collect(1)
     return None
+
+
+def _fail_if_due(faults: Sequence[Fault], name: str, message: Message) -> None:
+    """Do to this process what a script says happens to it on this message."""
+    fault = due(faults, name, message)
+    if fault is not None:
+        os.kill(os.getpid(), signal.SIGKILL if fault == "kill" else signal.SIGSTOP)
 
 
 def with_signals(bus: Bus) -> None:

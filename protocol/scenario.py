@@ -240,13 +240,9 @@ class LinksSection(LinkSection):
 
     def all(self) -> dict[str, LinkSection]:
         """Every section of a link by its place below `links`, such as "override.1"."""
-        lists = {"override": self.override, "change": self.change}
-        return {
-            "": self,
-            "measurement": self.measurement,
-            "actuation": self.actuation,
-            **{f"{name}.{i}": entry for name, entries in lists.items() for i, entry in enumerate(entries, start=1)},
-        }
+        overrides = {f"override.{i}": section for i, section in enumerate(self.override, start=1)}
+        changes = {f"change.{i}": section for i, section in enumerate(self.change, start=1)}
+        return {"": self, "measurement": self.measurement, "actuation": self.actuation, **overrides, **changes}
 
 
 class FaultSection(Section):

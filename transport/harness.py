@@ -42,11 +42,13 @@ class Child:
         name: Process name.
         process: Its handle.
         log: File that holds what it wrote.
+        incarnation: Which start of it.
     """
 
     name: str
     process: subprocess.Popen[bytes]
     log: Path
+    incarnation: int = 0
 
     def last_words(self) -> str:
         """The last line it wrote that is not empty."""
@@ -88,8 +90,8 @@ class Harness:
     def start(self, observers: Sequence[str] = ()) -> None:
         """Start all processes of the mesh."""
         self.logs.mkdir(parents=True, exist_ok=True)
-        for name, endpoints in self.mesh.items():
-            self.children.append(self._start(name, endpoints, observers))
+        for name in self.mesh:
+            self.children.append(self._start(name, observers))
 
     def alive(self) -> list[Child]:
         """Children that are running."""
@@ -99,11 +101,25 @@ class Harness:
         """Children that are not."""
         return [child for child in self.children if child.process.poll() is not None]
 
-    def signal(self, name: str, number: int) -> None:
-        """Send a signal to one child, if it is running."""
-        for child in self.alive():
-            if child.name == name:
-                child.process.send_signal(number)
+    def child(self, name: str) -> Child | None:
+        """The process of that name that was started last."""
+        return next((child for child in reversed(self.children) if child.name == name), None)
+
+    def signal(self, name: str, number: int) -> bool:
+        """Send a signal to one child; whether it is running."""
+        child = self.child(name)
+        if child is None or child.process.poll() is not None:
+            return False
+        child.process.send_signal(number)
+        return True
+
+    def restart(self, name: str) -> None:
+        """Start a process of the mesh again, under a higher incarnation; one that is left over is killed first."""
+        old = self.child(name)
+        if old is not None:
+            old.process.kill()
+            old.process.wait()
+        self.children.append(self._start(name, (), 0 if old is None else old.incarnation + 1))
 
     def wait(self, timeout_s: float) -> bool:
         """Wait for all children to end; whether they did."""
@@ -129,11 +145,11 @@ class Harness:
                 child.process.stdin.close()
         self._files.close()
 
-    def _start(self, name: str, endpoints: Endpoints, observers: Sequence[str]) -> Child:
-        log = self.logs / f"{name}.log"
+    def _start(self, name: str, observers: Sequence[str], incarnation: int = 0) -> Child:
+        log = self.logs / (f"{name}.log" if incarnation == 0 else f"{name}-{incarnation}.log")
         output: IO[bytes] = self._files.enter_context(log.open("wb"))
         process = subprocess.Popen(
-            [sys.executable, "-m", "transport", *self._arguments(name, endpoints, observers)],
+            [sys.executable, "-m", "transport", *self._arguments(name, observers, incarnation)],
             stdin=subprocess.PIPE,
             stdout=output,
             stderr=subprocess.STDOUT,
@@ -141,11 +157,13 @@ class Harness:
             # A session of its own: Ctrl-C reaches this process, which ends the run in order.
             start_new_session=True,
         )
-        return Child(name, process, log)
+        return Child(name, process, log, incarnation)
 
-    def _arguments(self, name: str, endpoints: Endpoints, observers: Sequence[str]) -> list[str]:
+    def _arguments(self, name: str, observers: Sequence[str], incarnation: int) -> list[str]:
+        endpoints = self.mesh[name]
         role = ["agent", "--id", name.removeprefix("agent")] if name.startswith("agent") else [name]
-        arguments = [*role, "--scenario", str(self.scenario), "--run", self.run, "--incarnation", "0"]
+        arguments = [*role, "--scenario", str(self.scenario), "--run", self.run]
+        arguments += ["--incarnation", str(incarnation)]
         for endpoint in endpoints.listen:
             arguments += ["--listen", endpoint]
         for endpoint in endpoints.connect:

@@ -49,7 +49,8 @@ class _Flight:
         self._keys = Keys(setup.scenario.name)
         self._coordinator = CoordinatorNode(setup)
         agents = [AgentNode(setup, agent, stopwatch=stopwatch) for agent in setup.agents]
-        self._nodes: dict[str, Node] = {n.name: n for n in [self._coordinator, PlantNode(setup), *agents]}
+        nodes: list[Node] = [self._coordinator, PlantNode(setup), *agents]
+        self._nodes = {node.name: node for node in nodes}
         self._subscriptions = {name: self._keys.subscriptions(name) for name in self._nodes}
         self._listeners: dict[str, list[str]] = {}
         self._frozen: dict[str, Node] = {}

@@ -3,13 +3,15 @@
 It runs on a thread of its own and always drains its inbox; the loop never waits for the disk.
 """
 
+import queue
 import threading
 import time
 from collections import Counter
 from collections.abc import Collection
 
 from protocol.bus import Bus, BusError, Endpoints, Interrupted
-from protocol.messages import Control, Message, Presence, Roster, Truth
+from protocol.messages import Control, FaultNote, FaultOrigin, Message, Presence, Request, Roster, Tick, Truth
+from protocol.outbox import Outbox
 from protocol.setup import Setup
 from transport.log import LogError, LogWriter
 
@@ -33,6 +35,8 @@ class Recorder:
         notices: Roster changes after the start, for people.
         error: Why recording ended early, or None.
         received: How many messages are in the log.
+        tick: The newest open tick, -1 before the first.
+        requests: What people have asked of whoever runs this run's processes.
 
     Args:
         setup: The run.
@@ -58,6 +62,8 @@ class Recorder:
         self.notices: list[str] = []
         self.error: str | None = None
         self.received = 0
+        self.tick = -1
+        self.requests: queue.SimpleQueue[Request] = queue.SimpleQueue()
         self.rejected: Counter[tuple[str, str]] = Counter()
         self._writer = writer
         self._join_timeout_s = join_timeout_s
@@ -68,7 +74,10 @@ class Recorder:
             digest=setup.scenario.digest(),
             endpoints=endpoints,
             rejected=self.rejected,
+            serves=True,
         )
+        self._out = Outbox(NAME, incarnation)
+        self._writing = threading.Lock()  # notes come from another thread
         self._thread = threading.Thread(target=self._run, name=NAME, daemon=True)
         self._expected: Collection[str] = ()
 
@@ -89,6 +98,10 @@ class Recorder:
     def join(self, timeout_s: float | None = None) -> None:
         """Wait for it to end."""
         self._thread.join(timeout_s)
+
+    def note(self, target: str, what: str, origin: FaultOrigin) -> None:
+        """Put into the log what was done, or happened, to a process."""
+        self._take(self._out.stamp(FaultNote, tick=max(self.tick, 0), target=target, what=what, origin=origin))
 
     def close(self) -> None:
         """Leave the network and finish the log."""
@@ -129,6 +142,8 @@ class Recorder:
                         deadline = time.monotonic() + _OVERTAKEN_S
                 case Presence():
                     pass
+                case Request():
+                    self.requests.put(event)
                 case _:
                     self._take(event)
             if self.control is not None and deadline is None:
@@ -137,17 +152,22 @@ class Recorder:
             self._end("coordinator is gone")
 
     def _take(self, message: Message) -> None:
-        self._writer.write(message, time.time_ns())
+        with self._writing:
+            self._writer.write(message, time.time_ns())
         self.received += 1
         match message:
             case Truth():
                 if self.started_s is None:
                     self.started_s = time.monotonic()
                 self.truth = message
+            case Tick():
+                self.tick = message.tick
             case Control():
                 self.control = message
             case Roster(version=version, reason=reason) if version > 1:
-                self.notices.append(reason)
+                self.notices.append(f"roster: {reason}")
+            case FaultNote():
+                self.notices.append(f"fault: {message.target} {message.what}")
 
     def _end(self, reason: str) -> None:
         """Write the end of a run that nobody is left to declare."""

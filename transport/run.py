@@ -21,6 +21,8 @@ from protocol.bus import Endpoints
 from protocol.keys import Keys
 from protocol.process import EXIT_INTERRUPTED, Place, mesh, process_names
 from protocol.setup import Setup
+from transport import live
+from transport.fault_script import FaultScript
 from transport.harness import Child, Harness, check_ports, free_ports
 from transport.log import LogError, LogWriter
 from transport.progress import RunProgress
@@ -107,11 +109,13 @@ def fly(setup: Setup, folder: Path, console: Console) -> Finished:
         recorder = Recorder(setup, run, writer, everybody, scenario.clock.join_timeout_s)
         try:
             recorder.start(names)
-            _watch(harness, recorder, progress)
+            live.write(folder, live.LiveRun(run, tuple(everybody.connect), os.getpid()))
+            _watch(harness, recorder, progress, FaultScript(setup, harness, recorder))
             if recorder.control is not None:
                 harness.wait(_LEAVE_S)
         finally:
             recorder.close()
+            live.remove(folder)
             if recorder.error is None and not harness.ended():
                 _discard_if_empty(folder, recorder)
     return _finished(folder, recorder)
@@ -135,7 +139,7 @@ def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finis
         recorder = Recorder(setup, place.run, writer, place.endpoints, place.join_timeout_s, place.incarnation)
         try:
             recorder.start(names)
-            _watch(None, recorder, progress)
+            _watch(None, recorder, progress, None)
         finally:
             recorder.close()
             _discard_if_empty(folder, recorder)
@@ -218,7 +222,7 @@ def _finished(folder: Path, recorder: Recorder) -> Finished:
     return Finished(folder, recorder.control.exit_code, recorder.control.reason)
 
 
-def _watch(harness: Harness | None, recorder: Recorder, progress: RunProgress) -> None:
+def _watch(harness: Harness | None, recorder: Recorder, progress: RunProgress, faults: FaultScript | None) -> None:
     """Show progress until the run has ended; pass Ctrl-C on; notice processes that end too early."""
     shown = 0
     with _signals() as signals:
@@ -226,8 +230,10 @@ def _watch(harness: Harness | None, recorder: Recorder, progress: RunProgress) -
         while recorder.running:
             recorder.join(_POLL_S)
             progress.show(recorder.truth, recorder.started_s)
+            if faults is not None:
+                faults.work()
             for notice in recorder.notices[shown:]:
-                progress.say(f"roster: {notice}")
+                progress.say(notice)
             shown = len(recorder.notices)
             if len(signals) > interrupted:
                 interrupted = len(signals)

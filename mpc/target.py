@@ -1,0 +1,64 @@
+"""Where the team should rest while a constant force acts on the payload: the target calculation of offset-free MPC.
+
+A controller that steers towards hover under a force that hover does not know of stops short of the reference.
+Moving the state and the input it steers to by what the force takes removes the offset (Pannocchia, Rawlings 2003;
+Maeder, Borrelli, Morari 2009).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from model.arrays import Array
+from model.hover import Hover
+from model.linearisation import Model
+from mpc.cost import Cost
+from mpc.feedback import tangent
+
+# Free directions that change a quantity by less than this share of the most that any does count as changing nothing.
+_RANK = 1e-9
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Target:
+    """Deviation from hover of the steady state under a force F_0 on the payload, linear in it.
+
+    Attributes:
+        M_x: State per newton, (n, 3), SI.
+        M_u: Input per newton, (m, 3), SI.
+    """
+
+    M_x: Array
+    M_u: Array
+
+
+def target(model: Model, hover: Hover, cost: Cost) -> Target:
+    """Of all steady states of the linearisation about hover, those of least output error, of these least input effort.
+
+    What is still free then, such as the headings of the UAVs, stays as it is at hover. A steady state exists for any
+    force: the rods lean in parallel or pull in proportion, and what moment is left tilts the payload.
+
+    Args:
+        model: The system as the controller knows it.
+        hover: Its equilibrium.
+        cost: Q weighs the output error, R the input deviation.
+    Source: docs/equations.md (39).
+    """
+    linear = model.linearise(hover.x, hover.u)
+    E = model.payload_force_effect(hover.x, hover.u)
+    T = tangent(hover.x)
+    states, inputs = T.shape[1], len(hover.u)
+    rest = T.T @ np.hstack([linear.A_c @ T, linear.B_c])
+    error = np.hstack([np.sqrt(cost.Q)[:, None] * (linear.C @ T), np.zeros((len(cost.Q), inputs))])
+    effort = np.hstack([np.zeros((inputs, states)), np.diag(np.sqrt(cost.R))])
+    z = np.zeros((states + inputs, 3))
+    free = np.eye(states + inputs)  # directions in which z may still move
+    for G, h in ((rest, -T.T @ E), (error, 0.0), (effort, 0.0)):
+        U, s, Vt = np.linalg.svd(G @ free)
+        rank = int((s > _RANK * np.linalg.norm(G)).sum())
+        z += free @ Vt[:rank].T @ ((U[:, :rank].T @ (h - G @ z)) / s[:rank, None])
+        free = free @ Vt[rank:].T
+    M_x, M_u = T @ z[:states], z[states:]
+    M_x.setflags(write=False)
+    M_u.setflags(write=False)
+    return Target(M_x=M_x, M_u=M_u)

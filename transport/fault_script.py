@@ -1,0 +1,94 @@
+"""What the parent of a run's processes does to them: by script, or because a person asks for it.
+
+Processes that are to be killed or stopped at a tick do that themselves (`protocol.faults`); bringing them back
+is left to their parent, and so is everything a person asks for. All of it goes into the log.
+"""
+
+import signal
+import time
+from collections.abc import Callable, Mapping
+
+from protocol.messages import FaultOrigin, Request
+from protocol.setup import Setup
+from transport.harness import Harness
+from transport.recorder import Recorder
+
+
+class FaultScript:
+    """Faults of one run of local processes.
+
+    Args:
+        setup: The run.
+        harness: Its processes.
+        recorder: Where they are noted.
+    """
+
+    def __init__(self, setup: Setup, harness: Harness, recorder: Recorder) -> None:
+        self._setup, self._harness, self._recorder = setup, harness, recorder
+        self._faults = list(setup.faults)
+        self._dead: set[int] = set()  # children whose end is noted
+        self._actions: Mapping[str, Callable[[str], bool]] = {
+            "kill": lambda name: harness.signal(name, signal.SIGKILL),
+            "stop": lambda name: harness.signal(name, signal.SIGSTOP),
+            "continue": lambda name: harness.signal(name, signal.SIGCONT),
+            "restart": self._restart,
+        }
+
+    def work(self) -> None:
+        """Do what is due: to be called often."""
+        while self._faults and self._is_due(self._faults[0].tick - (self._faults[0].do in ("continue", "start"))):
+            fault = self._faults.pop(0)
+            if fault.do in ("kill", "stop"):
+                self._note(fault.target, fault.do, "script")
+            else:
+                self._do(fault.target, "restart" if fault.do == "start" else "continue", "script")
+        while not self._recorder.requests.empty():
+            self._answer(self._recorder.requests.get())
+        for child in self._harness.ended():
+            code = child.process.returncode
+            if child.process.pid not in self._dead and code < 0:
+                self._dead.add(child.process.pid)
+                self._recorder.note(child.name, f"ended by {signal.Signals(-code).name}", "unknown")
+
+    def _is_due(self, tick: int) -> bool:
+        if self._recorder.tick >= tick:
+            return True
+        # Without a clock that ticks there is still one on the wall.
+        speed, started_s = self._setup.scenario.clock.speed, self._recorder.started_s
+        if speed == 0.0 or started_s is None:
+            return False
+        return (time.monotonic() - started_s) * speed >= (tick + 1) * self._setup.settings.sampling_period_s
+
+    def _answer(self, request: Request) -> None:
+        action, target = (str(request.given.get(key, "")) for key in ("do", "target"))
+        names = list(self._harness.mesh)
+        if request.what != "fault" or action not in self._actions:
+            request.reply({"error": f"do: expected one of {', '.join(self._actions)}, got {action!r}"})
+        elif target not in names:
+            request.reply({"error": f"target: expected one of {', '.join(names)}, got {target!r}"})
+        elif action == "restart" and not target.startswith("agent"):
+            request.reply({"error": f"target: expected an agent to restart, as a run ends with its {target}"})
+        elif not self._do(target, action, "person"):
+            request.reply({"error": f"{target} is not running"})
+        else:
+            request.reply({"tick": self._recorder.tick})
+
+    def _do(self, target: str, action: str, origin: FaultOrigin) -> bool:
+        done = self._actions[action](target)
+        if done:
+            self._note(target, action, origin)
+        return done
+
+    def _note(self, target: str, action: str, origin: FaultOrigin) -> None:
+        words = {"kill": "killed", "stop": "stopped", "continue": "continued", "restart": "restarted"}
+        self._recorder.note(target, words[action], origin)
+        child = self._harness.child(target)
+        if action == "kill" and child is not None:
+            self._dead.add(child.process.pid)
+
+    def _restart(self, name: str) -> bool:
+        old = self._harness.child(name)
+        if old is not None:
+            self._dead.add(old.process.pid)
+        self._harness.restart(name)
+        return True
