@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from agent.announced import AnnouncedInputs
+from agent.disturbance import PayloadForce
 from agent.estimator import StateEstimator
 from model import state
 from model.arrays import Array
@@ -104,7 +105,11 @@ class AgentNode:
         self.incarnation = incarnation
         self._out = Outbox(self.name, incarnation)
         self._announced = AnnouncedInputs(setup.owned, setup.hover.u)
-        self._estimator = StateEstimator(setup.model, self._planned, setup.settings.sampling_period_s)
+        period_s, disturbance = setup.settings.sampling_period_s, setup.scenario.controller.disturbance
+        self._force: PayloadForce | None = None
+        if disturbance.estimate:
+            self._force = PayloadForce(setup.model, setup.hover, period_s, disturbance.time_constant_s)
+        self._estimator = StateEstimator(setup.model, self._planned, period_s, self._force)
         speed = None if self._waits else clock.speed
         senders = [agent_name(peer) for peer in self._peers]
         self._plans: Arrivals[Plan] = Arrivals(
@@ -164,9 +169,10 @@ class AgentNode:
         """Take a step nobody sees, so that the first one of the flight is not slower than the others."""
         controller, hover = self._controller, self._setup.hover
         U = np.tile(hover.u, (self._setup.settings.horizon, 1))
-        law = controller.law(hover.x, np.tile(hover.x, (len(U), 1)), np.zeros_like(U))
+        force = None if self._force is None else self._force.force_I
+        law = controller.law(hover.x, np.tile(hover.x, (len(U), 1)), np.zeros_like(U), force)
         y_ref = np.tile(self._setup.model.outputs(hover.x), (len(U) + 1, 1))
-        controller.step(hover.x, hover.u, U, y_ref, law)
+        controller.step(hover.x, hover.u, U, y_ref, law, force)
         self._setup.model.integrate(hover.x, hover.u, self._setup.settings.sampling_period_s, _AHEAD_STEPS)
 
     def _enlist(self, roster: Roster, now_ns: int) -> None:
@@ -249,18 +255,20 @@ class AgentNode:
         for seen in self._measurements.take(k, now_ns)[0]:
             self._estimator.measure(seen)
         x = self._estimator.estimate(k, self._announced)
+        force = None if self._force is None else self._force.force_I
         if self._setup.scenario.clock.next_tick:
             start, u0 = k + 1, self._announced.at(k, before=k)
-            x0, _ = self._setup.model.integrate(x, u0, period_s, _AHEAD_STEPS)
+            forces = None if self._force is None else self._force.forces
+            x0, _ = self._setup.model.integrate(x, u0, period_s, _AHEAD_STEPS, forces=forces)
         else:
             start, x0, u0 = k, x, self._in_force(k)
         U = self._announced.sequence(start, steps, before=k)
         law = None
         if controller.gain is not None:
             c = self._announced.corrections(start, steps, before=k)
-            law = controller.law(x0, self._x_ref[start : start + steps], c)
+            law = controller.law(x0, self._x_ref[start : start + steps], c, force)
         watch.append(self._stopwatch())
-        linear = controller.linearise(x0, u0)
+        linear = controller.linearise(x0, u0, force)
         watch.append(self._stopwatch())
         discrete = controller.discretise(linear)
         watch.append(self._stopwatch())

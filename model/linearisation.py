@@ -98,6 +98,11 @@ class Model:
         return end, float(errors[0])
 
 
+def payload_force(force: Array, N: int) -> Array:
+    """External forces of which only that on the payload is not zero, (3 + 3 N,), inertial frame, N."""
+    return np.concatenate([force, np.zeros(3 * N)])
+
+
 def _last_and_errors(chained: ca.Function, system: System, steps: int) -> ca.Function:
     x, u = ca.MX.sym("x", system.n), ca.MX.sym("u", system.m)
     p, F, h = ca.MX.sym("p", 8 + 11 * system.N), ca.MX.sym("F", 3 + 3 * system.N), ca.MX.sym("h")

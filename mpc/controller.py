@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -9,7 +10,7 @@ import numpy.typing as npt
 from model.arrays import Array, checked
 from model.discretisation import Discrete, zero_order_hold
 from model.hover import Hover
-from model.linearisation import Linearisation, Model
+from model.linearisation import Linearisation, Model, payload_force
 from model.state import input_indices
 from mpc import condensing
 from mpc.constraints import Affine, compile_constraints, rate_rows, separation_rows
@@ -19,6 +20,7 @@ from mpc.prediction import Prediction, closed_loop, free_response, open_loop
 from mpc.qp import QP, Solution
 from mpc.settings import ControllerSettings, SettingsError
 from mpc.solvers import solve
+from mpc.target import Target, target
 
 # Rows on the decision, their bounds, and the slack column that softens each row (-1: hard; None: all hard).
 _Rows = tuple[Array, Array, Array, npt.NDArray[np.intp] | None]
@@ -32,12 +34,14 @@ class Linear:
         u0: Input of the linearisation, (m,).
         model: f, A_c, B_c, y, C.
         on_state, on_input: The user's constraints.
+        u_target: Input that costs nothing, (m,).
     """
 
     u0: Array
     model: Linearisation
     on_state: Affine
     on_input: Affine
+    u_target: Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,7 +85,7 @@ class Controller:
         self.gain: Array | None = None
         if settings.prediction == "closed_loop":
             self.gain = team_gain(model, hover, self.cost, settings.sampling_period_s)
-        self._u_hover = hover.u
+        self._hover = hover
         self._on_state, self._on_input = compile_constraints(settings.constraints, model)
         # What the others do to a constraint without owned inputs is theirs to keep.
         depends = self._on_input.depends
@@ -101,7 +105,15 @@ class Controller:
         self._z_scale = np.concatenate([np.tile(self._scale, steps), np.ones(len(self._penalties))])
         self._rate_rows = rate_rows(steps, m) * self._z_scale[: steps * m]
 
-    def step(self, x0: Array, u0: Array, U: Array, y_ref: Array, law: TeamLaw | None = None) -> Optimum:
+    def step(
+        self,
+        x0: Array,
+        u0: Array,
+        U: Array,
+        y_ref: Array,
+        law: TeamLaw | None = None,
+        force: Array | None = None,
+    ) -> Optimum:
         """One step of the controller.
 
         Args:
@@ -111,26 +123,37 @@ class Controller:
                 previous plan, shifted.
             y_ref: Reference outputs at steps 0..N_p, (N_p + 1, p).
             law: With closed-loop prediction, the shared law over the horizon (`law`).
+            force: Estimated force on the payload, (3,), inertial frame, N; None when nobody estimates one.
         Returns: The plan and how it was found. Never raises for a problem without solution.
         Raises: ShapeError: an argument of the wrong shape or not finite.
         """
         x0, u0, U, y_ref = self.check(x0, u0, U, y_ref)
-        linear = self.linearise(x0, u0)
+        linear = self.linearise(x0, u0, force)
         prediction = self.predict(linear, self.discretise(linear), U, law)
         qp = self.condense(linear, prediction, U, y_ref)
         return self.conclude(self.solve(qp), prediction, U, law)
 
-    def law(self, x0: Array, x_ref: Array, c: Array) -> TeamLaw | None:
+    @cached_property
+    def target(self) -> Target:
+        """Where the team is to rest under a force on the payload."""
+        return target(self.model, self._hover, self.cost)
+
+    def law(self, x0: Array, x_ref: Array, c: Array, force: Array | None = None) -> TeamLaw | None:
         """The shared law over the horizon, or None with open-loop prediction.
 
         Args:
             x0: State at the first step of the horizon, (n,).
             x_ref: Reference states at steps 0..N_p-1, (N_p, n).
             c: Announced corrections of all UAVs, (N_p, m).
+            force: Estimated force on the payload, (3,), inertial frame, N; None when nobody estimates one.
+        Source: docs/equations.md (35), (40).
         """
         if self.gain is None:
             return None
-        return TeamLaw(K=self.gain, u_hover=self._u_hover, error=x0 - x_ref, c=c)
+        u_rest, error = self._hover.u, x0 - x_ref
+        if force is not None:
+            u_rest, error = u_rest + self.target.M_u @ force, error - self.target.M_x @ force
+        return TeamLaw(K=self.gain, u_rest=u_rest, error=error, c=c)
 
     def check(self, x0: Array, u0: Array, U: Array, y_ref: Array) -> tuple[Array, Array, Array, Array]:
         """The arguments of `step`, their shapes and values checked."""
@@ -142,13 +165,22 @@ class Controller:
             checked("y_ref", y_ref, (steps + 1, 4 * system.N + 3)),
         )
 
-    def linearise(self, x0: Array, u0: Array) -> Linear:
-        """Expand model and constraints about (x0, u0). Source: docs/equations.md (15), (30); paper (13), (20)."""
+    def linearise(self, x0: Array, u0: Array, force: Array | None = None) -> Linear:
+        """Expand model and constraints about (x0, u0), under an estimated force on the payload.
+
+        Source: docs/equations.md (15), (30), (37), (40); paper (13), (20).
+        """
+        u_target, forces = self.cost.u_target, None
+        if force is not None:
+            forces = payload_force(force, self.model.system.N)
+            if self.settings.weights.priced == "deviation":
+                u_target = u_target + self.target.M_u @ force
         return Linear(
             u0=u0,
-            model=self.model.linearise(x0, u0),
+            model=self.model.linearise(x0, u0, forces=forces),
             on_state=self._on_state.at(x0),
             on_input=self._on_input.at(u0),
+            u_target=u_target,
         )
 
     def discretise(self, linear: Linear) -> Discrete:
@@ -179,7 +211,7 @@ class Controller:
         H[np.arange(decisions), np.arange(decisions)] += R
         g = np.zeros(decisions + slacks)
         g[:decisions] = condensing.gradient(prediction.A, prediction.B, weighted @ C)
-        g[:decisions] += R * (prediction.U_free - cost.u_target[self.own]).reshape(-1)
+        g[:decisions] += R * (prediction.U_free - linear.u_target[self.own]).reshape(-1)
         scale = self._z_scale
         H = 2.0 * (scale[:, None] * H * scale)
         g = 2.0 * scale * g
@@ -217,9 +249,11 @@ class Controller:
         # Relax the corrections only, so that the stabilising feedback acts in full, and see what inputs follow.
         c = w * c_best + (1.0 - w) * law.c[:, self.own]
         inputs = np.empty((steps, m))
-        dx = np.zeros(len(prediction.A))
+        dx, before = np.zeros(len(prediction.A)), prediction.U_free[0]
         for k in range(steps):
-            inputs[k] = np.clip(at_x0[k] + K @ dx + c[k], self._lower, self._upper)
+            # What is mixed in may be of another team than now flies: rates hold all the same.
+            wanted = np.clip(at_x0[k] + K @ dx + c[k], before - self._rate, before + self._rate)
+            inputs[k] = before = np.clip(wanted, self._lower, self._upper)
             dx = prediction.A @ dx + prediction.W[k] + prediction.B @ (inputs[k] - prediction.U_free[k])
         return Optimum(U=inputs, c=c, solution=solution)
 

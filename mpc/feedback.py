@@ -1,4 +1,4 @@
-"""The stabilising law all agents share, and what it needs: u = u_hover + K (x - x_ref) + c.
+"""The stabilising law all agents share, and what it needs: u = u_rest + K (x - x_ref) + c.
 
 K is the infinite-horizon optimum of the team's cost at hover, the same for every agent. Each agent decides
 its own corrections c and takes the others' as announced; near the unconstrained optimum they are small,
@@ -32,19 +32,19 @@ class TeamLaw:
 
     Attributes:
         K: Feedback gain, (m, n).
-        u_hover: Input at hover, (m,).
-        error: x0 - x_ref at steps 0..N_p-1, (N_p, n).
+        u_rest: Input that holds the reference state: at hover, or as moved by a force on the payload, (m,).
+        error: x0 - x_ref, x_ref moved likewise, at steps 0..N_p-1, (N_p, n).
         c: Announced corrections of all UAVs, (N_p, m); the owned columns hold the previous ones, shifted.
     """
 
     K: Array
-    u_hover: Array
+    u_rest: Array
     error: Array
     c: Array
 
     def inputs(self, columns: np.ndarray) -> Array:
         """Inputs of the given columns while the state stays at x0, (N_p, columns)."""
-        inputs: Array = self.u_hover[columns] + self.error @ self.K[columns].T + self.c[:, columns]
+        inputs: Array = self.u_rest[columns] + self.error @ self.K[columns].T + self.c[:, columns]
         return inputs
 
 

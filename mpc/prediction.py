@@ -67,7 +67,7 @@ def open_loop(discrete: Discrete, u0: Array, own: np.ndarray, U: Array) -> Predi
 
 
 def closed_loop(discrete: Discrete, u0: Array, own: np.ndarray, law: TeamLaw) -> Prediction:
-    """The others follow the shared law, u_j = u_hover + K_j (x - x_ref) + c_j; the owned inputs are free.
+    """The others follow the shared law, u_j = u_rest + K_j (x - x_ref) + c_j; the owned inputs are free.
 
     The others' answer to what the owned UAVs do is part of the prediction: nobody takes their inputs as
     given, so nobody corrects an error that the others are already correcting.

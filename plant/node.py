@@ -13,6 +13,7 @@ import numpy as np
 
 from model import state
 from model.arrays import Array
+from plant.environment import Environment
 from plant.schedule import ActuatorSchedule
 from protocol.arrivals import Arrivals
 from protocol.links import LinkChanges, LinkError
@@ -50,6 +51,7 @@ class PlantNode:
         self._setup = setup
         self.incarnation = incarnation
         self._out = Outbox(self.name, incarnation)
+        self.environment = Environment(setup)
         self._period_s = setup.settings.sampling_period_s
         self.steps = math.ceil(self._period_s / setup.scenario.plant.step_s - 1e-9)
         clock = setup.scenario.clock
@@ -66,7 +68,7 @@ class PlantNode:
         self._limits = {a: (limits.lower(len(o)), limits.upper(len(o))) for a, o in enumerate(setup.owned, start=1)}
         instants = np.arange(setup.ticks + 1, dtype=np.float64)
         self._path, _ = setup.maneuver.path(self._period_s * instants)
-        self._schedule = ActuatorSchedule(setup.hover.u, inertias, setup.settings.limits)
+        self._schedule = ActuatorSchedule(setup.hover.u, inertias, setup.settings.limits, self._period_s)
         self._x: Array = setup.initial_state()
         self._u: Array = setup.hover.u.copy()  # in force until now
         self._state_tick = 0  # self._x is the state at this tick
@@ -171,7 +173,7 @@ class PlantNode:
             return []
         self._pending = None
         self._measured_tick = tick.tick
-        uavs = state.StateView(self._x).uavs
+        seen = {a: self.environment.measured(tick.tick, a, self._x) for a in self._membership.agents}
         u = self._u.reshape(-1, state.INPUTS)
         return [
             self._out.stamp(
@@ -180,9 +182,9 @@ class PlantNode:
                 agent=agent,
                 answered=tick.answered,
                 roster=tick.roster,
-                payload=self._x[: state.PAYLOAD],
+                payload=seen[agent][: state.PAYLOAD],
                 uavs=tuple(i + 1 for i in owned),
-                uav_states=uavs[list(owned)],
+                uav_states=state.StateView(seen[agent]).uavs[list(owned)],
                 inputs=u[list(owned)],
             )
             for agent, owned in enumerate(self._setup.owned, start=1)
@@ -193,8 +195,9 @@ class PlantNode:
         k, x = self._state_tick, self._x
         for plan in self._plans.take(k, now_ns)[0]:
             self._schedule.add(plan)
-        u, sources = self._schedule.inputs(k, x)
-        end, error = self._setup.model.integrate(x, u, self._period_s, self.steps)
+        u, sources = self._schedule.inputs(k, x, self._u)
+        forces = self.environment.forces(k, x)
+        end, error = self.environment.model.integrate(x, u, self._period_s, self.steps, forces=forces)
         reason = self._divergence(k + 1, end)
         self._diverged = bool(reason)
         self._x, self._u, self._state_tick = end, u, k + 1

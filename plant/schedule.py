@@ -23,12 +23,14 @@ class ActuatorSchedule:
         u_hover: Inputs before any plan, and the thrust of the fail-safe, (4 N,).
         inertias: UAV inertias, (N, 3, 3), kg m^2.
         limits: Bounds of the actuators.
+        period_s: Sampling period, s.
     """
 
-    def __init__(self, u_hover: Array, inertias: Array, limits: Limits) -> None:
+    def __init__(self, u_hover: Array, inertias: Array, limits: Limits, period_s: float) -> None:
         self._u_hover = u_hover
         self._inertias = inertias
         self._lower, self._upper = limits.lower(1), limits.upper(1)
+        self._step = limits.step(1, period_s)
         self._plans: list[list[Plan]] = [[] for _ in inertias]
 
     def add(self, plan: Plan) -> None:
@@ -38,12 +40,13 @@ class ActuatorSchedule:
             plans.append(plan)
             plans.sort(key=lambda p: (p.start_tick, p.tick))
 
-    def inputs(self, tick: int, x: Array) -> tuple[Array, tuple[int, ...]]:
+    def inputs(self, tick: int, x: Array, u_before: Array) -> tuple[Array, tuple[int, ...]]:
         """Inputs over [t_k, t_{k+1}) and where they come from.
 
         Args:
             tick: k; plans that only cover earlier instants are forgotten.
             x: State at t_k, (n,), for the fail-safe.
+            u_before: Inputs until t_k, (4 N,), from which the fail-safe departs no faster than the actuators may.
         Returns: u (4 N,); per UAV the tick of the plan it follows, or `BEFORE_ANY_PLAN`, `FAIL_SAFE`.
         """
         u = self._u_hover.copy()
@@ -61,15 +64,16 @@ class ActuatorSchedule:
                 u[state.input_slice(i)] = newest.inputs[step, state.input_slice(at)]
                 sources.append(newest.tick)
             else:
-                u[state.input_slice(i)] = self._fail_safe(i, x[state.uav_slice(i)])
+                u[state.input_slice(i)] = self._fail_safe(i, x[state.uav_slice(i)], u_before[state.input_slice(i)])
                 sources.append(FAIL_SAFE)
         return u, tuple(sources)
 
-    def _fail_safe(self, i: int, block: Array) -> Array:
+    def _fail_safe(self, i: int, block: Array, before: Array) -> Array:
         """Hover thrust and moments that level the UAV and stop its rotation. Source: docs/equations.md (31)."""
         roll, pitch, _ = block[state.THETA]
         stiffness, damping = _FREQUENCY_RAD_S**2, 2.0 * _DAMPING * _FREQUENCY_RAD_S
         wanted = -stiffness * np.array([roll, pitch, 0.0]) - damping * block[state.OMEGA]
         thrust = self._u_hover[state.input_slice(i)][:1]
         inputs: Array = np.concatenate([thrust, self._inertias[i] @ wanted])
+        np.clip(inputs, before - self._step, before + self._step, out=inputs)
         return np.clip(inputs, self._lower, self._upper, out=inputs)

@@ -21,6 +21,7 @@ class Section(BaseModel):
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
+MassFactor = Annotated[float, Field(gt=0.0, le=100.0)]
 
 
 def _three_numbers(value: list[float]) -> list[float]:
@@ -31,6 +32,7 @@ def _three_numbers(value: list[float]) -> list[float]:
 
 Vector = Annotated[list[float], AfterValidator(_three_numbers)]
 PositiveVector = Annotated[list[Positive], AfterValidator(_three_numbers)]
+NotNegativeVector = Annotated[list[NotNegative], AfterValidator(_three_numbers)]
 
 
 def _inertia(value: Any) -> Any:
@@ -129,6 +131,13 @@ class ConstraintSection(Section):
     penalty: Positive = 1000.0
 
 
+class DisturbanceSection(Section):
+    """Estimate of a constant force on the payload, and whether the controller allows for it."""
+
+    estimate: bool = False
+    time_constant_s: Positive = 1.0
+
+
 class ControllerSection(Section):
     """The controller every agent runs."""
 
@@ -142,6 +151,7 @@ class ControllerSection(Section):
     limits: LimitsSection = LimitsSection()
     separation: SeparationSection | None = None
     constraint: list[ConstraintSection] = []
+    disturbance: DisturbanceSection = DisturbanceSection()
 
 
 class AgentsSection(Section):
@@ -259,12 +269,37 @@ class FaultsSection(Section):
     event: list[FaultSection] = []
 
 
+class WindSection(Section):
+    """Moving air, inertial frame, and the drag of the bodies in it."""
+
+    speed_mps: Vector = [0.0, 0.0, 0.0]
+    gust_mps: NotNegativeVector = [0.0, 0.0, 0.0]
+    gust_time_constant_s: Positive = 2.0
+    drag_payload_kgps: NotNegative = 0.4
+    drag_uav_kgps: NotNegative = 0.2
+
+
+class NoiseSection(Section):
+    """Standard deviations of the measurements."""
+
+    position_m: NotNegative = 0.0
+    velocity_mps: NotNegative = 0.0
+    attitude_rad: NotNegative = 0.0
+    rate_rads: NotNegative = 0.0
+    rod_direction_rad: NotNegative = 0.0
+    rod_rate_rads: NotNegative = 0.0
+
+
 class PlantSection(Section):
-    """Integration of the truth, and when a flight counts as lost."""
+    """The truth: its integration, how it differs from what the controller knows, when a flight counts as lost."""
 
     step_s: Positive = 0.01
     max_attitude_deg: Annotated[float, Field(gt=0.0, lt=90.0)] = 80.0
     max_error_m: Positive = 20.0
+    payload_mass_factor: MassFactor = 1.0
+    uav_mass_factor: MassFactor = 1.0
+    wind: WindSection = WindSection()
+    noise: NoiseSection = NoiseSection()
 
 
 class NetworkSection(Section):

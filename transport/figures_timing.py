@@ -43,7 +43,7 @@ def draw_timing(setup: Setup, log: RunLog, path: Path) -> Path | None:
     medians = {agent: np.median(np.array(times), axis=0) for agent, times in steps.items() if times}
     names = [f"agent {agent}" for agent in medians]
     left = np.zeros(len(names))
-    stages = STAGES[:-1]
+    stages = STAGES[STAGES.index("estimate") : -1]  # waiting is no work
     for stage, colour in zip(stages, mpl.colormaps["cividis"](np.linspace(0.1, 0.95, len(stages))), strict=True):
         widths = np.array([median[STAGES.index(stage)] for median in medians.values()])
         by_agent.barh(names, widths, left=left, color=colour, label=stage, height=0.7)

@@ -6,14 +6,10 @@ from typing import Any
 import numpy as np
 
 from model.arrays import Array
-from protocol.messages import STAGES, Control, Plan, Roster, StepReport, Tick
+from protocol.messages import STAGES, Control, FaultNote, Message, Plan, Roster, StepReport, Tick, agent_name
 from protocol.setup import Setup
 from transport.log import RunLog
 from transport.series import Series, series_of
-
-# Exchanges of plans within one tick: the protocol knows one.
-_ROUNDS = 1
-
 
 def summarise(setup: Setup, log: RunLog) -> dict[str, Any]:
     """The summary of a run, as plain data that JSON can hold.
@@ -39,8 +35,7 @@ def summarise(setup: Setup, log: RunLog) -> dict[str, Any]:
         **_flight(setup, series),
         "agent_step_ms": _step_times(reports),
         "network_ms": _spread(network_ms(setup, log).values()),
-        # The lockstep clock waits: there is no deadline to miss.
-        "deadline": {"missed": 0, "worst_ms": None},
+        "deadline": _deadline(setup, log),
         "plan_age_ticks": _ages(reports),
         "messages": _messages(log, reports),
         "solver": {
@@ -81,7 +76,7 @@ def _controller(setup: Setup) -> dict[str, Any]:
         "owned": [[uav + 1 for uav in group] for group in setup.owned],
         "prediction": setup.settings.prediction,
         "relaxation": setup.settings.relaxation,
-        "rounds": _ROUNDS,
+        "rounds": setup.scenario.controller.rounds,
         "sampling_period_s": setup.settings.sampling_period_s,
         "horizon": setup.settings.horizon,
         "solver": setup.settings.solver,
@@ -145,7 +140,7 @@ def _messages(log: RunLog, reports: Iterable[StepReport]) -> dict[str, int]:
     receivers: dict[int, set[int]] = {}
     for report in reports:
         receivers.setdefault(report.tick, set()).add(report.agent)
-    sent = sum(len(receivers.get(plan.tick + 1, set()) - {plan.agent}) for plan in log.of(Plan))
+    sent = sum(len(receivers.get(plan.tick + 1, set()) - {plan.agent}) for plan in log.of(Plan) if not plan.negotiation)
     delivered = sum(report.delivered for report in reports)
     return {
         "sent": sent,
@@ -156,13 +151,58 @@ def _messages(log: RunLog, reports: Iterable[StepReport]) -> dict[str, int]:
     }
 
 
+def _deadline(setup: Setup, log: RunLog) -> dict[str, Any]:
+    """How well real time was kept: plans that came after their deadline, and ticks that were opened late."""
+    if setup.scenario.clock.mode != "realtime":
+        # The lockstep clock waits: there is no deadline to miss.
+        return {"plans": 0, "missed": 0, "share": None, "worst_ms": None, "tick_late_ms": _spread([])}
+    ticks = {tick.tick: tick for tick in log.of(Tick)}
+    followed = [(tick, ticks[k + 1]) for k, tick in sorted(ticks.items()) if k + 1 in ticks]
+    missed = sum(len(set(tick.members) - set(after.answered)) for tick, after in followed)
+    plans = sum(len(tick.members) for tick, _ in followed)
+    overruns_ms = [tick.overrun_ns / 1e6 for tick in ticks.values()]
+    return {
+        "plans": plans,
+        "missed": missed,
+        "share": missed / plans if plans else None,
+        "worst_ms": max(overruns_ms, default=None),
+        "tick_late_ms": _spread(tick.late_ns / 1e6 for tick in ticks.values()),
+    }
+
+
 def _faults(setup: Setup, log: RunLog, control: Control | None) -> list[dict[str, Any]]:
-    """Every change of the roster after the first, and why the run ended unless it was completed."""
-    events = [(roster.tick, roster.reason) for roster in list(log.of(Roster))[1:]]
+    """What was done to processes, every change of the roster after the first, and why the run ended if it failed."""
+    began_ns = min(log.received_ns(Tick).values(), default=None)
+    events: list[dict[str, Any]] = []
+    members: set[int] | None = None
+
+    def note(message: Message, received_ns: int | None, kind: str, what: str, who: Iterable[str]) -> None:
+        events.append(
+            {
+                "tick": message.tick,
+                "time_s": message.tick * setup.settings.sampling_period_s,
+                "wall_s": None if began_ns is None or received_ns is None else (received_ns - began_ns) / 1e9,
+                "kind": kind,
+                "processes": list(who),
+                "what": what,
+            }
+        )
+
+    for entry in log.messages:
+        message = entry.message
+        if isinstance(message, FaultNote):
+            by = {"script": " by script", "person": " by hand", "unknown": ""}[message.origin]
+            note(message, entry.received_ns, "fault", f"{message.target} {message.what}{by}", [message.target])
+        elif isinstance(message, Roster):
+            now = set(message.agents)
+            if members is not None:
+                left, joined = (sorted(map(agent_name, names)) for names in (members - now, now - members))
+                kind = "detected" if left else "rejoined" if joined else "notice"
+                note(message, entry.received_ns, kind, message.reason, left or joined)
+            members = now
     if control is not None and control.reason:
-        events.append((control.tick, control.reason))
-    period_s = setup.settings.sampling_period_s
-    return [{"tick": tick, "time_s": tick * period_s, "what": reason} for tick, reason in events]
+        note(control, log.received_ns(Control).get(control.tick), "end", control.reason, [])
+    return events
 
 
 def _versions(text: str) -> dict[str, str]:

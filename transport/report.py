@@ -20,6 +20,9 @@ from transport.steps import steps_columns, steps_rows
 # Below this share of a constraint's range a violation is the solver's tolerance, nothing to tell people.
 _HELD = 1e-6
 
+# More would push the rest of the table off the screen.
+_SHOWN_FAULTS = 8
+
 _COLOURS = {"completed": "green", "diverged": "red", "aborted": "red", "unknown": "yellow"}
 
 
@@ -88,14 +91,16 @@ def _lines(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("limits", _constraints(summary["constraint_violation_max"])),
         ("agent step", _milliseconds(summary["agent_step_ms"])),
         ("network", _milliseconds(summary["network_ms"])),
+        *([("deadlines", _deadlines(summary["deadline"]))] if summary["deadline"]["plans"] else []),
         ("plans", _plans(summary["messages"], summary["plan_age_ticks"])),
         ("solver", f"{solver['fallbacks']} fallbacks, {solver['failures']} failures"),
     ]
     # The last fault of a run that failed is already its reason, in the title.
     faults = [fault for fault in summary["faults"] if fault["what"] != summary["reason"]]
-    if faults:
-        more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
-        lines.append(("faults", faults[0]["what"] + more))
+    for i, fault in enumerate(faults[:_SHOWN_FAULTS]):
+        lines.append(("faults" if i == 0 else "", f"{fault['time_s']:6.2f} s  {fault['what']}"))
+    if len(faults) > _SHOWN_FAULTS:
+        lines.append(("", f"and {len(faults) - _SHOWN_FAULTS} more in summary.json"))
     if summary["log_cut"]:
         lines.append(("log", summary["log_cut"]))
     return lines
@@ -113,6 +118,14 @@ def _plans(messages: Mapping[str, Any], ages: Mapping[str, Any]) -> str:
     return (
         f"{messages['lost']} of {messages['sent']} lost, {messages['late']} late, {messages['rejected']} rejected; "
         f"age {_text(ages['mean'], '.2f')} ticks, max {_text(ages['max'], 'd')}"
+    )
+
+
+def _deadlines(deadline: Mapping[str, Any]) -> str:
+    share = _text(deadline["share"], ".2%", "{} missed")
+    worst = f", worst {deadline['worst_ms']:.1f} ms late" if deadline["missed"] else ""
+    return f"{deadline['missed']} of {deadline['plans']} plans late ({share}){worst}; ticks opened late: " + _milliseconds(
+        deadline["tick_late_ms"]
     )
 
 

@@ -1,0 +1,129 @@
+"""What the truth does that nobody models: other masses than the controller knows, wind, sensors that err.
+
+All chance is drawn from counters (Philox) keyed by the seed and a purpose, the counter being the tick: what
+happens at a tick does not depend on what was asked before, or by whom.
+"""
+
+import hashlib
+import math
+
+import numpy as np
+from numpy.random import Generator, Philox
+
+from model import state
+from model.arrays import Array
+from model.linearisation import Model
+from model.parameters import Payload, System, Uav
+from model.rotations import rotation
+from model.state import StateView
+from protocol.setup import Setup
+
+
+class Environment:
+    """The physics of the truth.
+
+    Args:
+        setup: The run.
+
+    Attributes:
+        model: Equations of motion of the system as it really is.
+    """
+
+    def __init__(self, setup: Setup) -> None:
+        section = setup.scenario.plant
+        nominal = section.payload_mass_factor == section.uav_mass_factor == 1.0
+        self.model = (
+            setup.model
+            if nominal
+            else Model(_scaled(setup.system, section.payload_mass_factor, section.uav_mass_factor))
+        )
+        self._seed = setup.scenario.seed
+        wind = section.wind
+        self._mean_I, self._gust_I = np.array(wind.speed_mps), np.array(wind.gust_mps)
+        self._is_windy = bool(self._mean_I.any() or self._gust_I.any())
+        self._gust_decay = math.exp(-setup.settings.sampling_period_s / wind.gust_time_constant_s)
+        self._drag = np.array([wind.drag_payload_kgps, *[wind.drag_uav_kgps] * setup.system.N])
+        self._gusts: list[Array] = []  # in units of their standard deviation, by tick
+        noise = section.noise
+        self._payload_noise = np.repeat(
+            [noise.position_m, noise.velocity_mps, noise.attitude_rad, noise.rate_rads], 3
+        )
+        self._uav_noise = np.repeat(
+            [noise.rod_direction_rad, noise.rod_rate_rads, noise.attitude_rad, noise.rate_rads], 3
+        )
+        self._is_noisy = bool(self._payload_noise.any() or self._uav_noise.any())
+
+    def wind(self, tick: int) -> Array:
+        """Velocity of the air, (3,), inertial frame, m/s. Source: docs/equations.md (43)."""
+        while len(self._gusts) <= tick:
+            k = len(self._gusts)
+            fresh = self._normal("wind", k, 3)
+            # Stationary from the first tick on.
+            before = self._gusts[-1] if k else fresh
+            weight = math.sqrt(1.0 - self._gust_decay**2) if k else 1.0 - self._gust_decay
+            self._gusts.append(self._gust_decay * before + weight * fresh)
+        return self._mean_I + self._gust_I * self._gusts[tick]
+
+    def forces(self, tick: int, x: Array) -> Array | None:
+        """External forces over [t_k, t_{k+1}): drag of the bodies in the wind, None while there is no wind.
+
+        Args:
+            tick: k.
+            x: State at t_k, (n,).
+        Returns: On payload and UAVs, (3 + 3 N,), inertial frame, N.
+        Source: docs/equations.md (42).
+        """
+        if not self._is_windy:
+            return None
+        forces: Array = (self._drag[:, None] * (self.wind(tick) - _velocities(self.model.system, x))).reshape(-1)
+        return forces
+
+    def measured(self, tick: int, agent: int, x: Array) -> Array:
+        """What an agent's sensors see of a state: every one errs by a normal number of its own.
+
+        Args:
+            tick: k.
+            agent: Whose sensors, 1-based.
+            x: State at t_k, (n,).
+        Returns: (n,), with |e| = 1 and e . Omega = 0; x itself without noise.
+        Source: docs/equations.md (44).
+        """
+        if not self._is_noisy:
+            return x
+        deviations = np.concatenate([self._payload_noise, np.tile(self._uav_noise, self.model.system.N)])
+        noise = deviations * self._normal(f"noise/{agent}", tick, len(x))
+        seen = x + noise
+        true, error, rods = StateView(x), StateView(noise), StateView(seen)
+        # A rod direction can only turn: by a small angle about each axis, the one along the rod without effect.
+        turned = true.e_P + np.cross(error.e_P, true.e_P)
+        rods.e_P[:] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
+        rods.Omega_P[:] -= rods.e_P * (rods.e_P * rods.Omega_P).sum(axis=1, keepdims=True)
+        return seen
+
+    def _normal(self, purpose: str, tick: int, count: int) -> Array:
+        """Standard normal numbers that belong to a purpose and a tick, (count,)."""
+        digest = hashlib.sha256(f"{self._seed}/plant/{purpose}".encode()).digest()
+        key = np.frombuffer(digest[:16], dtype="<u8")
+        return Generator(Philox(key=key, counter=np.array([0, 0, 0, tick], dtype=np.uint64))).standard_normal(count)
+
+
+def _scaled(system: System, payload: float, uavs: float) -> System:
+    """The system with masses and inertias of payload and UAVs multiplied."""
+    return System(
+        payload=Payload(mass=payload * system.payload.mass, inertia=payload * system.payload.inertia),
+        uavs=[
+            Uav(mass=uavs * uav.mass, inertia=uavs * uav.inertia, rho=uav.rho, rod_length=uav.rod_length)
+            for uav in system.uavs
+        ],
+        gravity=system.gravity,
+    )
+
+
+def _velocities(system: System, x: Array) -> Array:
+    """Of the centres of mass of payload and UAVs, (1 + N, 3), inertial frame, m/s; the derivative of (14)."""
+    view = StateView(x)
+    rho = np.array([uav.rho for uav in system.uavs])
+    lengths = np.array([[uav.rod_length] for uav in system.uavs])
+    uavs_P = view.v0_P + np.cross(view.omega0_P, rho) - lengths * np.cross(view.Omega_P, view.e_P)
+    velocities: Array = np.vstack([view.v0_P, uavs_P]) @ rotation(view.Theta0).T
+    return velocities
