@@ -169,10 +169,10 @@ class AgentNode:
         """Take a step nobody sees, so that the first one of the flight is not slower than the others."""
         controller, hover = self._controller, self._setup.hover
         U = np.tile(hover.u, (self._setup.settings.horizon, 1))
-        force = None if self._force is None else self._force.force_I
-        law = controller.law(hover.x, np.tile(hover.x, (len(U), 1)), np.zeros_like(U), force)
+        forces = None if self._force is None else self._force.forces
+        law = controller.law(hover.x, np.tile(hover.x, (len(U), 1)), np.zeros_like(U), forces)
         y_ref = np.tile(self._setup.model.outputs(hover.x), (len(U) + 1, 1))
-        controller.step(hover.x, hover.u, U, y_ref, law, force)
+        controller.step(hover.x, hover.u, U, y_ref, law, forces)
         self._setup.model.integrate(hover.x, hover.u, self._setup.settings.sampling_period_s, _AHEAD_STEPS)
 
     def _enlist(self, roster: Roster, now_ns: int) -> None:
@@ -255,10 +255,9 @@ class AgentNode:
         for seen in self._measurements.take(k, now_ns)[0]:
             self._estimator.measure(seen)
         x = self._estimator.estimate(k, self._announced)
-        force = None if self._force is None else self._force.force_I
+        forces = None if self._force is None else self._force.forces
         if self._setup.scenario.clock.next_tick:
             start, u0 = k + 1, self._announced.at(k, before=k)
-            forces = None if self._force is None else self._force.forces
             x0, _ = self._setup.model.integrate(x, u0, period_s, _AHEAD_STEPS, forces=forces)
         else:
             start, x0, u0 = k, x, self._in_force(k)
@@ -266,9 +265,9 @@ class AgentNode:
         law = None
         if controller.gain is not None:
             c = self._announced.corrections(start, steps, before=k)
-            law = controller.law(x0, self._x_ref[start : start + steps], c, force)
+            law = controller.law(x0, self._x_ref[start : start + steps], c, forces)
         watch.append(self._stopwatch())
-        linear = controller.linearise(x0, u0, force)
+        linear = controller.linearise(x0, u0, forces)
         watch.append(self._stopwatch())
         discrete = controller.discretise(linear)
         watch.append(self._stopwatch())

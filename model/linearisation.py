@@ -68,14 +68,13 @@ class Model:
         f, A_c, B_c, y, C = self._linearise(x, u, self._p, self._no_forces if forces is None else forces)
         return Linearisation(f=f, A_c=A_c, B_c=B_c, y=y, C=C)
 
-    def payload_force_effect(self, x: Array, u: Array) -> Array:
-        """df/dF_0, (n, 3), SI per N. f is affine in the forces, so differences are exact.
+    def force_effect(self, x: Array, u: Array) -> Array:
+        """df/dF, (n, 3 + 3 N), SI per N; the first three columns are those of the payload.
 
-        Source: docs/equations.md (38).
+        f is affine in the forces, so that differences are exact. Source: docs/equations.md (38).
         """
         f = self.derivative(x, u)
-        columns = [self.derivative(x, u, forces=unit) - f for unit in np.eye(3, len(self._no_forces))]
-        return np.column_stack(columns)
+        return np.column_stack([self.derivative(x, u, forces=unit) - f for unit in np.eye(len(self._no_forces))])
 
     def integrate(
         self, x: Array, u: Array, duration_s: float, steps: int, *, forces: Array | None = None
@@ -96,11 +95,6 @@ class Model:
         held = self._no_forces if forces is None else forces
         end, errors = self._steps[steps](x, u, self._p, held, duration_s / steps)
         return end, float(errors[0])
-
-
-def payload_force(force: Array, N: int) -> Array:
-    """External forces of which only that on the payload is not zero, (3 + 3 N,), inertial frame, N."""
-    return np.concatenate([force, np.zeros(3 * N)])
 
 
 def _last_and_errors(chained: ca.Function, system: System, steps: int) -> ca.Function:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from model.arrays import Array, checked
 from model.discretisation import Discrete, zero_order_hold
 from model.hover import Hover
-from model.linearisation import Linearisation, Model, payload_force
+from model.linearisation import Linearisation, Model
 from model.state import input_indices
 from mpc import condensing
 from mpc.constraints import Affine, compile_constraints, rate_rows, separation_rows
@@ -112,7 +112,7 @@ class Controller:
         U: Array,
         y_ref: Array,
         law: TeamLaw | None = None,
-        force: Array | None = None,
+        forces: Array | None = None,
     ) -> Optimum:
         """One step of the controller.
 
@@ -123,36 +123,36 @@ class Controller:
                 previous plan, shifted.
             y_ref: Reference outputs at steps 0..N_p, (N_p + 1, p).
             law: With closed-loop prediction, the shared law over the horizon (`law`).
-            force: Estimated force on the payload, (3,), inertial frame, N; None when nobody estimates one.
+            forces: Estimated external forces, (3 + 3 N,), inertial frame, N; None when nobody estimates them.
         Returns: The plan and how it was found. Never raises for a problem without solution.
         Raises: ShapeError: an argument of the wrong shape or not finite.
         """
         x0, u0, U, y_ref = self.check(x0, u0, U, y_ref)
-        linear = self.linearise(x0, u0, force)
+        linear = self.linearise(x0, u0, forces)
         prediction = self.predict(linear, self.discretise(linear), U, law)
         qp = self.condense(linear, prediction, U, y_ref)
         return self.conclude(self.solve(qp), prediction, U, law)
 
     @cached_property
     def target(self) -> Target:
-        """Where the team is to rest under a force on the payload."""
+        """Where the team is to rest under external forces."""
         return target(self.model, self._hover, self.cost)
 
-    def law(self, x0: Array, x_ref: Array, c: Array, force: Array | None = None) -> TeamLaw | None:
+    def law(self, x0: Array, x_ref: Array, c: Array, forces: Array | None = None) -> TeamLaw | None:
         """The shared law over the horizon, or None with open-loop prediction.
 
         Args:
             x0: State at the first step of the horizon, (n,).
             x_ref: Reference states at steps 0..N_p-1, (N_p, n).
             c: Announced corrections of all UAVs, (N_p, m).
-            force: Estimated force on the payload, (3,), inertial frame, N; None when nobody estimates one.
+            forces: Estimated external forces, (3 + 3 N,), inertial frame, N; None when nobody estimates them.
         Source: docs/equations.md (35), (40).
         """
         if self.gain is None:
             return None
         u_rest, error = self._hover.u, x0 - x_ref
-        if force is not None:
-            u_rest, error = u_rest + self.target.M_u @ force, error - self.target.M_x @ force
+        if forces is not None:
+            u_rest, error = u_rest + self.target.M_u @ forces, error - self.target.M_x @ forces
         return TeamLaw(K=self.gain, u_rest=u_rest, error=error, c=c)
 
     def check(self, x0: Array, u0: Array, U: Array, y_ref: Array) -> tuple[Array, Array, Array, Array]:
@@ -165,16 +165,14 @@ class Controller:
             checked("y_ref", y_ref, (steps + 1, 4 * system.N + 3)),
         )
 
-    def linearise(self, x0: Array, u0: Array, force: Array | None = None) -> Linear:
-        """Expand model and constraints about (x0, u0), under an estimated force on the payload.
+    def linearise(self, x0: Array, u0: Array, forces: Array | None = None) -> Linear:
+        """Expand model and constraints about (x0, u0), under estimated external forces.
 
         Source: docs/equations.md (15), (30), (37), (40); paper (13), (20).
         """
-        u_target, forces = self.cost.u_target, None
-        if force is not None:
-            forces = payload_force(force, self.model.system.N)
-            if self.settings.weights.priced == "deviation":
-                u_target = u_target + self.target.M_u @ force
+        u_target = self.cost.u_target
+        if forces is not None and self.settings.weights.priced == "deviation":
+            u_target = u_target + self.target.M_u @ forces
         return Linear(
             u0=u0,
             model=self.model.linearise(x0, u0, forces=forces),

@@ -32,7 +32,7 @@ class TeamLaw:
 
     Attributes:
         K: Feedback gain, (m, n).
-        u_rest: Input that holds the reference state: at hover, or as moved by a force on the payload, (m,).
+        u_rest: Input that holds the reference state: at hover, or as moved by external forces, (m,).
         error: x0 - x_ref, x_ref moved likewise, at steps 0..N_p-1, (N_p, n).
         c: Announced corrections of all UAVs, (N_p, m); the owned columns hold the previous ones, shifted.
     """

@@ -1,7 +1,7 @@
-"""Where the team should rest while a constant force acts on the payload: the target calculation of offset-free MPC.
+"""Where the team should rest while constant forces act from outside: the target calculation of offset-free MPC.
 
-A controller that steers towards hover under a force that hover does not know of stops short of the reference.
-Moving the state and the input it steers to by what the force takes removes the offset (Pannocchia, Rawlings 2003;
+A controller that steers towards hover under forces that hover does not know of stops short of the reference.
+Moving the state and the input it steers to by what the forces take removes the offset (Pannocchia, Rawlings 2003;
 Maeder, Borrelli, Morari 2009).
 """
 
@@ -21,11 +21,11 @@ _RANK = 1e-9
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Target:
-    """Deviation from hover of the steady state under a force F_0 on the payload, linear in it.
+    """Deviation from hover of the steady state under external forces, linear in them.
 
     Attributes:
-        M_x: State per newton, (n, 3), SI.
-        M_u: Input per newton, (m, 3), SI.
+        M_x: State per newton, (n, 3 + 3 N), SI.
+        M_u: Input per newton, (m, 3 + 3 N), SI.
     """
 
     M_x: Array
@@ -36,7 +36,8 @@ def target(model: Model, hover: Hover, cost: Cost) -> Target:
     """Of all steady states of the linearisation about hover, those of least output error, of these least input effort.
 
     What is still free then, such as the headings of the UAVs, stays as it is at hover. A steady state exists for any
-    force: the rods lean in parallel or pull in proportion, and what moment is left tilts the payload.
+    forces: rods lean in parallel or pull in proportion, what moment is left tilts the payload, and each UAV's thrust
+    takes whatever its rod and the air ask.
 
     Args:
         model: The system as the controller knows it.
@@ -45,13 +46,13 @@ def target(model: Model, hover: Hover, cost: Cost) -> Target:
     Source: docs/equations.md (39).
     """
     linear = model.linearise(hover.x, hover.u)
-    E = model.payload_force_effect(hover.x, hover.u)
+    E = model.force_effect(hover.x, hover.u)
     T = tangent(hover.x)
     states, inputs = T.shape[1], len(hover.u)
     rest = T.T @ np.hstack([linear.A_c @ T, linear.B_c])
     error = np.hstack([np.sqrt(cost.Q)[:, None] * (linear.C @ T), np.zeros((len(cost.Q), inputs))])
     effort = np.hstack([np.zeros((inputs, states)), np.diag(np.sqrt(cost.R))])
-    z = np.zeros((states + inputs, 3))
+    z = np.zeros((states + inputs, E.shape[1]))
     free = np.eye(states + inputs)  # directions in which z may still move
     for G, h in ((rest, -T.T @ E), (error, 0.0), (effort, 0.0)):
         U, s, Vt = np.linalg.svd(G @ free)

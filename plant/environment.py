@@ -57,11 +57,10 @@ class Environment:
         """Velocity of the air, (3,), inertial frame, m/s. Source: docs/equations.md (43)."""
         while len(self._gusts) <= tick:
             k = len(self._gusts)
-            fresh = self._normal("wind", k, 3)
-            # Stationary from the first tick on.
-            before = self._gusts[-1] if k else fresh
-            weight = math.sqrt(1.0 - self._gust_decay**2) if k else 1.0 - self._gust_decay
-            self._gusts.append(self._gust_decay * before + weight * fresh)
+            gust = self._normal("wind", k, 3)
+            if k > 0:
+                gust = self._gust_decay * self._gusts[-1] + math.sqrt(1.0 - self._gust_decay**2) * gust
+            self._gusts.append(gust)
         return self._mean_I + self._gust_I * self._gusts[tick]
 
     def forces(self, tick: int, x: Array) -> Array | None:

@@ -17,5 +17,5 @@ def run(setup: Setup, place: Place) -> int:
     """
     node = PlantNode(setup, place.incarnation)
     # The first integration compiles the chain of steps; the first tick should not wait for it.
-    setup.model.integrate(setup.initial_state(), setup.hover.u, setup.settings.sampling_period_s, node.steps)
+    node.environment.model.integrate(setup.initial_state(), setup.hover.u, setup.settings.sampling_period_s, node.steps)
     return run_node(node, place, setup, ["coordinator", *[agent_name(agent) for agent in setup.agents]])

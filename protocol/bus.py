@@ -24,6 +24,9 @@ from protocol.messages import Event, Message, MessageError, Presence, Request
 # had to say does not wait for that longer than this.
 _CLOSE_S = 2.0
 
+# How often a process that joins a run that has begun asks whom it still has to wait for.
+_ASK_EVERY_S = 0.5
+
 
 class BusError(RuntimeError):
     """The network cannot be used: the text says what was tried and what to do."""
@@ -127,10 +130,15 @@ class Bus:
         self._declare(self._keys.alive(self.name, self.incarnation, self._digest))
         deadline = time.monotonic() + timeout_s
         early: list[Any] = []
+        begun = False  # the run: the coordinator has seen everybody once
         while missing := set(expected) - set(self._alive) - {self.name}:
+            left_s = deadline - time.monotonic()
             try:
-                item = self._inbox.get(timeout=max(0.0, deadline - time.monotonic()))
+                item = self._inbox.get(timeout=max(0.0, min(left_s, _ASK_EVERY_S) if begun else left_s))
             except queue.Empty:
+                if begun and left_s > 0.0:
+                    expected = self._still_expected(expected)
+                    continue
                 called = ", ".join(self._endpoints.connect) or "none: it is called"
                 raise BusError(
                     f"{self.name}: no sign of {', '.join(sorted(missing))} within {timeout_s:g} s; "
@@ -140,8 +148,9 @@ class Bus:
                 return item
             if isinstance(item, zenoh.Query) or not self._note_alive(item):
                 early.append(item)
-                if not isinstance(item, zenoh.Query) and str(item.key_expr).startswith(self._keys.ready_prefix):
-                    expected = self._still_expected(expected, deadline)
+                if not isinstance(item, zenoh.Query) and self._keys.is_ready(str(item.key_expr), "coordinator"):
+                    begun = True
+                    expected = self._still_expected(expected)
         self._declare(self._keys.ready(self.name, self.incarnation))
         for item in early:
             self._inbox.put(item)
@@ -160,14 +169,7 @@ class Bus:
         self, name: str, what: str, given: Mapping[str, Any] | None = None, timeout_s: float = 5.0
     ) -> Mapping[str, Any] | None:
         """Ask a process for something and wait for its answer, or None if it does not give one in time."""
-        replies = self._session.get(
-            self._keys.requests(name), payload=json.dumps({"what": what, **(given or {})}), timeout=timeout_s
-        )
-        for reply in replies:
-            if reply.ok is not None:
-                answer: Mapping[str, Any] = json.loads(reply.ok.payload.to_string())
-                return answer
-        return None
+        return _asked(self._session, self._keys.requests(name), {"what": what, **(given or {})}, timeout_s)
 
     def publish(self, message: Message) -> None:
         """Send a message to whoever listens; blocks rather than drops when a peer is slow."""
@@ -229,11 +231,9 @@ class Bus:
     def _declare(self, token: str) -> None:
         self._tokens.append(self._session.liveliness().declare_token(token))
 
-    def _still_expected(self, expected: Collection[str], deadline: float) -> Collection[str]:
+    def _still_expected(self, expected: Collection[str]) -> Collection[str]:
         """Whom to wait for: of a run that has begun only those who take part, for the others may be gone for good."""
-        if "coordinator" not in self._alive or "coordinator" not in expected:
-            return expected
-        status = self.ask("coordinator", "status", timeout_s=max(0.1, min(2.0, deadline - time.monotonic())))
+        status = self.ask("coordinator", "status", timeout_s=1.0)
         if status is None or status.get("tick", -1) < 0:
             return expected
         return {"coordinator", "plant", *(f"agent{agent}" for agent in status["members"])} & set(expected)
@@ -305,6 +305,44 @@ class Bus:
         return True
 
 
+def ask(
+    run: str, connect: Sequence[str], name: str, what: str, given: Mapping[str, Any], timeout_s: float = 5.0
+) -> Mapping[str, Any]:
+    """Ask a process of a run for something, from outside.
+
+    Args:
+        run: Name of the run.
+        connect: Endpoints of its processes.
+        name: Process to ask.
+        what: Request; see docs/protocol.md.
+        given: Its arguments.
+        timeout_s: How long to look for the process, and how long to wait for its answer.
+    Raises: BusError: there is no such process, or it does not answer.
+    """
+    keys = Keys(run)
+    zenoh.init_log_from_env_or("error")
+    configuration = _configuration(Endpoints(listen=[], connect=connect), 1.0)
+    with zenoh.open(zenoh.Config.from_json5(json.dumps(configuration))) as session:
+        deadline = time.monotonic() + timeout_s
+        while not any(reply.ok for reply in session.liveliness().get(f"{keys.prefix}/alive/{name}/**", timeout=1.0)):
+            if time.monotonic() > deadline:
+                raise BusError(f"no sign of {name} of run {run} within {timeout_s:g} s; tried {', '.join(connect)}")
+            time.sleep(0.02)
+        answer = _asked(session, keys.requests(name), {"what": what, **given}, timeout_s)
+    if answer is None:
+        raise BusError(f"{name} of run {run} does not answer")
+    return answer
+
+
+def _asked(session: zenoh.Session, key: str, request: Mapping[str, Any], timeout_s: float) -> Mapping[str, Any] | None:
+    """The answer to a request, or None if there is none in time."""
+    for reply in session.get(key, payload=json.dumps(request), timeout=timeout_s):
+        if reply.ok is not None:
+            answer: Mapping[str, Any] = json.loads(reply.ok.payload.to_string())
+            return answer
+    return None
+
+
 def _configuration(endpoints: Endpoints, patience_s: float) -> dict[str, Any]:
     """Explicit mesh on fixed endpoints: no discovery, fast retries, patience until `join` gives up."""
     return {
@@ -317,9 +355,7 @@ def _configuration(endpoints: Endpoints, patience_s: float) -> dict[str, Any]:
             "retry": {"period_init_ms": 50, "period_max_ms": 200, "period_increase_factor": 1.5},
         },
         "transport": {
-            "link": {
-                "tx": {"queue": {"congestion_control": {"block": {"wait_before_close": round(patience_s * 1e6)}}}}
-            }
+            "link": {"tx": {"queue": {"congestion_control": {"block": {"wait_before_close": round(patience_s * 1e6)}}}}}
         },
         "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
     }

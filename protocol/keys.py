@@ -91,10 +91,9 @@ class Keys:
         """Liveliness token of a process that has seen all the others."""
         return f"{self.prefix}/ready/{name}/{incarnation}"
 
-    @property
-    def ready_prefix(self) -> str:
-        """Of every `ready` token."""
-        return f"{self.prefix}/ready/"
+    def is_ready(self, key: str, name: str) -> bool:
+        """Whether a key is the `ready` token of a process."""
+        return key.startswith(f"{self.prefix}/ready/{name}/")
 
     def requests(self, name: str) -> str:
         """Where a process answers requests."""

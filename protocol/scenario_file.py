@@ -21,7 +21,7 @@ class ScenarioError(ValueError):
     """A scenario that cannot be flown: `file: field: expected ..., got ...`.
 
     Args:
-        source: File it comes from.
+        source: File it comes from, or the option.
         field: Dotted path of the key, list entries counted from 1; may be empty.
         problem: What was expected and what came.
     """
@@ -29,6 +29,26 @@ class ScenarioError(ValueError):
     def __init__(self, source: str, field: str, problem: str) -> None:
         text = ": ".join(part for part in (source, field, problem) if part)
         super().__init__(" ".join(text.splitlines()))
+        self.field, self.problem = field, problem
+
+    def blaming(self, settings: Sequence[str]) -> "ScenarioError":
+        """The same error, naming the settings in place of the file if they gave the field, or part of it.
+
+        Args:
+            settings: As `read_scenario` takes them.
+        """
+        given: list[str] = []
+        for setting in reversed(settings):
+            key = _key(setting)
+            around = f"{self.field}.".startswith(f"{key}.")
+            if around or key.startswith(f"{self.field}."):
+                given.insert(0, setting)
+            if around:
+                break  # it replaced whatever settings before it had given
+        if not given:
+            return self
+        field = "" if [_key(setting) for setting in given] == [self.field] else self.field
+        return ScenarioError(" ".join(map(_option, given)), field, self.problem)
 
 
 def find_scenario(name: str) -> Path:
@@ -54,7 +74,7 @@ def read_scenario(path: Path, settings: Sequence[str] = ()) -> Scenario:
     Args:
         path: TOML file.
         settings: Changes on top of it, "dotted.key=value" with a TOML value; list entries by number from 1.
-    Raises: ScenarioError: naming file, field, expected and got.
+    Raises: ScenarioError: naming file, field, expected and got; the setting in place of the file if it gave the field.
     """
     source = str(path)
     try:
@@ -67,7 +87,10 @@ def read_scenario(path: Path, settings: Sequence[str] = ()) -> Scenario:
         raise ScenarioError(source, "", f"not valid TOML: {error}") from error
     for setting in settings:
         _apply(tree, setting)
-    return validate(tree, source)
+    try:
+        return validate(tree, source)
+    except ScenarioError as error:
+        raise error.blaming(settings) from error.__cause__
 
 
 def validate(tree: dict[str, Any], source: str) -> Scenario:
@@ -184,10 +207,9 @@ def _check_faults(scenario: Scenario, source: str, agents: list[str]) -> None:
 
 
 def _apply(tree: dict[str, Any], setting: str) -> None:
-    key, separator, text = setting.partition("=")
-    key = key.strip()
+    key, (_, separator, text) = _key(setting), setting.partition("=")
     if not separator or not key:
-        raise ScenarioError("--set", setting, "expected key=value")
+        raise ScenarioError(_option(setting), "", "expected key=value")
     try:
         value = tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
@@ -206,14 +228,27 @@ def _apply(tree: dict[str, Any], setting: str) -> None:
 def _child(node: Any, part: str, setting: str) -> Any:
     child = node[_index(node, part, setting)] if isinstance(node, list) else node.setdefault(part, {})
     if not isinstance(child, dict | list):
-        raise ScenarioError("--set", setting, f"expected {part!r} to be a section, got the value {child!r}")
+        raise ScenarioError(_option(setting), "", f"expected {part!r} to be a section, got the value {child!r}")
     return child
 
 
 def _index(node: list[Any], part: str, setting: str) -> int:
     if not (part.isdecimal() and 1 <= int(part) <= len(node)):
-        raise ScenarioError("--set", setting, f"expected an entry from 1 to {len(node)}, got {part!r}")
+        raise ScenarioError(_option(setting), "", f"expected an entry from 1 to {len(node)}, got {part!r}")
     return int(part) - 1
+
+
+def _key(setting: str) -> str:
+    return setting.partition("=")[0].strip()
+
+
+def _option(setting: str) -> str:
+    """A setting as it was given on the command line, shortened when it is long."""
+    return f"--set {_short(setting) or repr(setting)}"
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= 80 else text[:77] + "..."
 
 
 def _first(error: ValidationError, source: str) -> ScenarioError:
@@ -235,8 +270,7 @@ def _first(error: ValidationError, source: str) -> ScenarioError:
     if kind == "missing":
         return ScenarioError(source, field, "expected a value, got nothing")
     expected = _expected(kind, context, problem["msg"])
-    shown = repr(value)
-    return ScenarioError(source, field, f"{expected}, got {shown if len(shown) <= 80 else shown[:77] + '...'}")
+    return ScenarioError(source, field, f"{expected}, got {_short(repr(value))}")
 
 
 def _expected(kind: str, context: dict[str, Any], message: str) -> str:

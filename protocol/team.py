@@ -4,6 +4,7 @@ The system is made anew, everything else is taken from a scenario that exists (d
 """
 
 import math
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +24,8 @@ def ring(N: int, gravity_mps2: float) -> SystemSection:
 
     Neighbours are as far apart as the paper's, 0.5 m, and each carries as much, 0.75 kg. The payload's lengths,
     the height of the attachment points among them, grow with the radius, its inertia with mass times radius^2.
-    UAV 1 is ahead on the right; they count clockwise seen from below (x forward, y right, z down), mirrored
-    about the x axis. Four of them are Table I.
+    They count counter-clockwise seen from above, from the right of the x axis, which is an axis of symmetry.
+    Four of them are Table I.
 
     Args:
         N: Number of UAVs, 2 or more.
@@ -84,3 +85,18 @@ def resized(template: Scenario, folder: Path, uavs: int, *, group: int | None, n
 def _given(scenario: Scenario) -> dict[str, Any]:
     """A scenario as plain data without the values nobody gave."""
     return scenario.model_dump(mode="json", by_alias=True, exclude_unset=True, exclude_none=True)
+
+
+def _anchor(node: Any, folder: Path) -> None:
+    """Make the files of measured delays absolute, wherever in the tree they are named."""
+    if isinstance(node, dict):
+        if "samples" in node:
+            node["samples"] = str((folder / node["samples"]).resolve())
+        node = list(node.values())
+    if isinstance(node, list):
+        for child in node:
+            _anchor(child, folder)
+
+
+def _rounded(values: Iterable[float]) -> list[float]:
+    return [round(float(value), _DECIMALS) + 0.0 for value in values]  # + 0.0: no -0.0 in the file

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
+from transport.operate import fault, link_app, status
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -24,8 +26,11 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
-    epilog="Exit codes: 0 done, 2 usage, 3 scenario, 4 peer lost or not reachable, 6 diverged, 130 interrupted.",
+    epilog="Exit codes: 0 done, 2 usage, 3 scenario, 4 peer lost or not reachable, 5 deadlines missed, 6 diverged, 130 interrupted.",
 )
+app.add_typer(link_app, name="link")
+app.command()(fault)
+app.command()(status)
 
 
 class Format(StrEnum):
@@ -242,7 +247,7 @@ def _setup(scenario: str, settings: list[str] | None) -> "Setup":
         path = find_scenario(scenario)
         return Setup.of(read_scenario(path, settings or []), str(path))
     except ScenarioError as error:
-        _fail(str(error), EXIT_SCENARIO)
+        _fail(str(error.blaming(settings or [])), EXIT_SCENARIO)
 
 
 def _place(

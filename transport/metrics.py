@@ -11,6 +11,7 @@ from protocol.setup import Setup
 from transport.log import RunLog
 from transport.series import Series, series_of
 
+
 def summarise(setup: Setup, log: RunLog) -> dict[str, Any]:
     """The summary of a run, as plain data that JSON can hold.
 

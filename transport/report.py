@@ -124,8 +124,9 @@ def _plans(messages: Mapping[str, Any], ages: Mapping[str, Any]) -> str:
 def _deadlines(deadline: Mapping[str, Any]) -> str:
     share = _text(deadline["share"], ".2%", "{} missed")
     worst = f", worst {deadline['worst_ms']:.1f} ms late" if deadline["missed"] else ""
-    return f"{deadline['missed']} of {deadline['plans']} plans late ({share}){worst}; ticks opened late: " + _milliseconds(
-        deadline["tick_late_ms"]
+    return (
+        f"{deadline['missed']} of {deadline['plans']} plans late ({share}){worst}; ticks opened late: "
+        + _milliseconds(deadline["tick_late_ms"])
     )
 
 

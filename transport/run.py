@@ -98,7 +98,9 @@ def fly(setup: Setup, folder: Path, console: Console) -> Finished:
     run = folder.name if Keys.allows(folder.name) else scenario.name
     text = _create(folder, setup)
     header = run_header(setup, run, len(names), text)
-    everybody = Endpoints(listen=[], connect=[e for place in places.values() for e in place.listen])
+    # The recorder is called by nobody but people who want something of this run's parent.
+    own = f"tcp/{host}:{free_ports(host, 1)[0]}"
+    everybody = Endpoints(listen=[own], connect=[e for place in places.values() for e in place.listen])
 
     with (
         Harness(run, folder / "scenario.toml", places, folder / "logs") as harness,
@@ -109,7 +111,7 @@ def fly(setup: Setup, folder: Path, console: Console) -> Finished:
         recorder = Recorder(setup, run, writer, everybody, scenario.clock.join_timeout_s)
         try:
             recorder.start(names)
-            live.write(folder, live.LiveRun(run, tuple(everybody.connect), os.getpid()))
+            live.write(folder, live.LiveRun(run, (*everybody.connect, own), os.getpid()))
             _watch(harness, recorder, progress, FaultScript(setup, harness, recorder))
             if recorder.control is not None:
                 harness.wait(_LEAVE_S)

@@ -1,0 +1,129 @@
+"""Commands that act on a run in flight: links, faults, status."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any, NoReturn
+
+import typer
+
+# What `transport run` chooses when nothing is said: the newest run that flies below this folder.
+_RUNS = Path("runs")
+
+RunOption = Annotated[
+    str | None,
+    typer.Option("--run", help="Run folder, or name of a run; by default the newest below runs/ that flies."),
+]
+ConnectOption = Annotated[
+    list[str] | None, typer.Option("--connect", help="Zenoh endpoint of one of its processes, with a run's name.")
+]
+
+link_app = typer.Typer(help="Change the links of a run in flight.", no_args_is_help=True)
+
+
+@link_app.command("set")
+def link_set(
+    sender: Annotated[str | None, typer.Option("--from", help="Agent's number or plant; else any agent.")] = None,
+    receiver: Annotated[str | None, typer.Option("--to", help="The same for the other end.")] = None,
+    delay: Annotated[float | None, typer.Option("--delay", min=0.0, help="Fixed delay, s.")] = None,
+    jitter: Annotated[float | None, typer.Option("--jitter", min=0.0, help="Scale of the random delay, s.")] = None,
+    distribution: Annotated[str | None, typer.Option("--distribution", help="Of the random delay.")] = None,
+    loss: Annotated[float | None, typer.Option("--loss", min=0.0, max=1.0, help="Probability of loss.")] = None,
+    duplicate: Annotated[float | None, typer.Option("--duplicate", min=0.0, max=1.0, help="Of arriving twice.")] = None,
+    reorder: Annotated[float | None, typer.Option("--reorder", min=0.0, max=1.0, help="Of being held back.")] = None,
+    reorder_s: Annotated[float | None, typer.Option("--reorder-s", min=0.0, help="By how much more, s.")] = None,
+    rate: Annotated[float | None, typer.Option("--rate", help="Messages per second at most.")] = None,
+    run: RunOption = None,
+    connect: ConnectOption = None,
+) -> None:
+    """Impair or repair links from the next tick on; keys that are not given stay as they are.
+
+    Example: transport link set --from 1 --to 2 --delay 0.1
+    """
+    keys = {
+        "delay_s": delay,
+        "jitter_s": jitter,
+        "distribution": distribution,
+        "loss": loss,
+        "duplicate": duplicate,
+        "reorder": reorder,
+        "reorder_s": reorder_s,
+        "rate_hz": rate,
+    }
+    settings = {key: value for key, value in keys.items() if value is not None}
+    if not settings:
+        _fail("expected at least one of --delay, --jitter, --loss, ..., got none", 2)
+    ends = {"from": _process_name(sender), "to": _process_name(receiver)}
+    answer = _ask(run, connect, "coordinator", "link", {**ends, "settings": settings})
+    typer.echo(f"links change with tick {answer['tick']} (t = {answer['t_s']:.2f} s)")
+
+
+@link_app.command("clear")
+def link_clear(run: RunOption = None, connect: ConnectOption = None) -> None:
+    """Make all links between agents, and from and to the plant, perfect again."""
+    perfect = {
+        "delay_s": 0.0,
+        "jitter_s": 0.0,
+        "distribution": "uniform",
+        "loss": 0.0,
+        "gilbert_elliott": {"enter": 0.0, "leave": 1.0},
+        "duplicate": 0.0,
+        "reorder": 0.0,
+        "rate_hz": 1e9,
+    }
+    for ends in ({}, {"from": "plant"}, {"to": "plant"}):
+        answer = _ask(run, connect, "coordinator", "link", {**ends, "settings": perfect})
+    typer.echo(f"links are perfect from tick {answer['tick']} on (t = {answer['t_s']:.2f} s)")
+
+
+def fault(
+    action: Annotated[str, typer.Argument(help="kill, stop, continue or restart.")],
+    target: Annotated[str, typer.Argument(help="Process: agent1, agent2, ..., plant, coordinator.")],
+    run: RunOption = None,
+    connect: ConnectOption = None,
+) -> None:
+    """Kill, stop, continue or restart a process of a run in flight; noted in its log.
+
+    Example: transport fault kill agent3
+    """
+    answer = _ask(run, connect, "recorder", "fault", {"do": action, "target": target})
+    typer.echo(f"{action} {target}: done at tick {answer['tick']}")
+
+
+def status(run: RunOption = None, connect: ConnectOption = None) -> None:
+    """Say how far a run in flight is and who takes part, as JSON."""
+    typer.echo(json.dumps(_ask(run, connect, "coordinator", "status", {})))
+
+
+def _process_name(end: str | None) -> str:
+    """A process name from what people write: 2, agent2, plant, or nothing for any agent."""
+    return "" if end is None else f"agent{end}" if end.isdecimal() else end
+
+
+def _ask(run: str | None, connect: list[str] | None, name: str, what: str, given: dict[str, Any]) -> dict[str, Any]:
+    from protocol.bus import BusError, ask
+    from protocol.keys import Keys
+    from transport import live
+
+    if connect and not (run and Keys.allows(run)):
+        _fail(f"--run: expected the name of a run with --connect, got {run!r}", 2)
+    if connect and run:
+        found = live.LiveRun(run=run, connect=tuple(connect), pid=0)
+    else:
+        there = live.newest(_RUNS) if run is None else live.read(Path(run)) or live.read(_RUNS / run)
+        if there is None:
+            where = f"below {_RUNS}/" if run is None else f"in {run}"
+            _fail(f"no run that flies {where}; name its folder with --run, or its endpoints with --connect", 2)
+        found = there
+    try:
+        answer = dict(ask(found.run, found.connect, name, what, given))
+    except BusError as error:
+        _fail(str(error), 4)
+    if "error" in answer:
+        _fail(str(answer["error"]), 2)
+    return answer
+
+
+def _fail(text: str, code: int) -> NoReturn:
+    typer.echo(f"transport: {text}", err=True)
+    sys.exit(code)

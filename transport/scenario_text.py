@@ -1,0 +1,42 @@
+"""A scenario as a file for people: a comment on top, every list on one line."""
+
+import textwrap
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import tomli_w
+
+_WIDTH = 120  # of comments, columns
+
+
+def scenario_text(tree: dict[str, Any], comment: Sequence[str]) -> str:
+    """A scenario in TOML.
+
+    Args:
+        tree: The scenario as plain data; its keys are bare words.
+        comment: Paragraphs for the top. What cannot be printed becomes a question mark: TOML forbids most of it.
+    """
+    printable = ["".join(c if c.isprintable() else "?" for c in paragraph) for paragraph in comment]
+    top = [line for text in printable for line in textwrap.wrap(text, _WIDTH - 2, break_on_hyphens=False)]
+    return "\n".join([*(f"# {line}" for line in top), *_table(tree, ""), ""])
+
+
+def _table(tree: dict[str, Any], path: str) -> Iterator[str]:
+    """Values first, then the tables below: what follows a table's heading belongs to it."""
+    below = {}
+    for key, value in tree.items():
+        if isinstance(value, dict) or (isinstance(value, list) and value and isinstance(value[0], dict)):
+            below[path + key] = value
+        else:
+            yield f"{key} = {_value(value)}"
+    for name, value in below.items():
+        one = isinstance(value, dict)
+        for table in [value] if one else value:
+            yield from ("", f"[{name}]" if one else f"[[{name}]]")
+            yield from _table(table, f"{name}.")
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, list):
+        return f"[{', '.join(map(_value, value))}]"
+    return tomli_w.dumps({"_": value}).removeprefix("_ = ").rstrip("\n")
