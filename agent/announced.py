@@ -7,6 +7,7 @@ import numpy as np
 
 from model.arrays import Array
 from model.state import input_indices
+from mpc.fail_safe import FailSafe
 from protocol.messages import Plan
 
 # Plans kept per agent: enough to know the inputs of the past over any delay worth flying with.
@@ -19,10 +20,16 @@ class AnnouncedInputs:
     Args:
         owned: 0-based UAVs of agent 1, agent 2, ...
         u_hover: What a UAV is taken to do before its first plan arrives, (4 N,).
+        fail_safe: What a UAV does after the last plan of an agent that is gone.
+
+    Attributes:
+        gone: Agents that make no more plans.
     """
 
-    def __init__(self, owned: Sequence[Sequence[int]], u_hover: Array) -> None:
+    def __init__(self, owned: Sequence[Sequence[int]], u_hover: Array, fail_safe: FailSafe | None = None) -> None:
+        self.gone: set[int] = set()
         self._u_hover = u_hover
+        self._owned, self._fail_safe = owned, fail_safe
         self._columns = {agent: input_indices(uavs) for agent, uavs in enumerate(owned, start=1)}
         # By agent, ascending in the tick they were made at; the end is what is asked for.
         self._plans: dict[int, list[Plan]] = {agent: [] for agent in self._columns}
@@ -35,6 +42,10 @@ class AnnouncedInputs:
             plans.insert(at, plan)
         if len(plans) > KEPT_PLANS:
             del plans[0]
+
+    def forget(self, agent: int) -> None:
+        """An agent starts anew: what it planned before does not count any more."""
+        self._plans[agent].clear()
 
     def has(self, agent: int, tick: int) -> bool:
         """Whether the plan an agent made at a tick is here."""
@@ -49,6 +60,8 @@ class AnnouncedInputs:
     def sequence(self, start: int, steps: int, before: int) -> Array:
         """Announced inputs of all UAVs from a tick on, each agent's newest plan shifted and held at its end.
 
+        Of an agent that is gone, hover follows the end.
+
         Args:
             start: First instant.
             steps: N_p.
@@ -61,8 +74,15 @@ class AnnouncedInputs:
             plan = self.newest(agent, before)
             if plan is not None:
                 at = np.clip(np.arange(start, start + steps) - plan.start_tick, 0, len(plan.inputs) - 1)
-                U[:, columns] = plan.inputs[at]
+                if agent in self.gone:  # after its end the actuators hold hover thrust
+                    at = at[np.arange(start, start + steps) - plan.start_tick < len(plan.inputs)]
+                U[: len(at), columns] = plan.inputs[at]
         return U
+
+    def of_another_law(self, since: int, before: int) -> list[int]:
+        """Agents whose newest plan is from before the shared law last changed, and who still follow it."""
+        newest = {agent: self.newest(agent, before) for agent in self._columns if agent not in self.gone}
+        return [agent for agent, plan in newest.items() if plan is not None and plan.tick < since]
 
     def corrections(self, start: int, steps: int, before: int) -> Array:
         """Announced corrections to the shared law from a tick on, shifted, zero after their end.
@@ -77,26 +97,32 @@ class AnnouncedInputs:
         c = np.zeros((steps, len(self._u_hover)))
         for agent, columns in self._columns.items():
             plan = self.newest(agent, before)
-            if plan is not None:
+            if plan is not None and agent not in self.gone:
                 skipped = start - plan.start_tick
                 announced = plan.corrections[skipped : skipped + steps] if skipped >= 0 else plan.corrections[:0]
                 c[: len(announced), columns] = announced
         return c
 
-    def at(self, tick: int, before: int) -> Array:
+    def at(self, tick: int, before: int, x: Array | None = None) -> Array:
         """Inputs taken to be in force over [t_k, t_{k+1}): of each agent's plans that had started, the newest.
 
         Args:
             tick: k.
             before: Only plans made before this tick count.
+            x: State at t_k, (n,), if the fail-safe of those that are gone is to be part of it.
         Returns: (4 N,).
         """
         u = self._u_hover.copy()
         for agent, columns in self._columns.items():
             plans = reversed(self._plans[agent])
             plan = next((p for p in plans if p.tick < before and p.start_tick <= tick), None)
-            if plan is not None:
-                u[columns] = plan.inputs[min(tick - plan.start_tick, len(plan.inputs) - 1)]
+            if plan is None:
+                continue
+            if agent in self.gone and tick - plan.start_tick >= len(plan.inputs):
+                if x is not None and self._fail_safe is not None:
+                    u[columns] = np.concatenate([self._fail_safe.inputs(uav, x) for uav in self._owned[agent - 1]])
+                continue
+            u[columns] = plan.inputs[min(tick - plan.start_tick, len(plan.inputs) - 1)]
         return u
 
 

@@ -1,10 +1,10 @@
 """Estimate of constant forces from outside: what the model did not foresee of the velocities, filtered.
 
 A payload heavier than the controller knows and wind look alike to it: as a force on the payload. Wind pushes the
-UAVs as well, sideways; that force is taken to be the same on all of them. What pushes the UAVs up or down cannot be
-told from what pushes the payload, to which stiff rods hand it on, and is counted there. The forces enter the
-prediction, so that what is left to explain vanishes once they are right (the disturbance model of offset-free MPC:
-Pannocchia, Rawlings 2003; Maeder, Borrelli, Morari 2009).
+UAVs as well; sideways that shows in their own motion, and is taken to be the same for all of them. What pushes them
+up or down cannot be told from what pushes the payload, to which stiff rods hand it on, and is counted there. The
+forces enter the prediction, so that what is left to explain vanishes once they are right (the disturbance model of
+offset-free MPC: Pannocchia, Rawlings 2003; Maeder, Borrelli, Morari 2009).
 """
 
 import math
@@ -18,8 +18,9 @@ from model.arrays import Array
 from model.discretisation import zero_order_hold
 from model.hover import Hover
 from model.linearisation import Model
-from model.rotations import rotation
-from model.state import StateView
+
+# Unknowns: the force on the payload (3), and the horizontal force on each UAV (2).
+_UNKNOWNS = 5
 
 
 class DisturbanceEstimator:
@@ -28,7 +29,7 @@ class DisturbanceEstimator:
     Args:
         model: The system as the controller knows it.
         hover: Its equilibrium.
-        owned: UAVs whose motion it sees, 0-based.
+        owned: UAVs whose motion the agent measures, 0-based.
         period_s: Sampling period, s.
         time_constant_s: Of the first-order low-pass filter, s.
 
@@ -39,15 +40,34 @@ class DisturbanceEstimator:
     def __init__(
         self, model: Model, hover: Hover, owned: Sequence[int], period_s: float, time_constant_s: float
     ) -> None:
-        self._model, self._owned = model, list(owned)
+        self._model, self._bodies = model, [1 + uav for uav in owned]
         N = model.system.N
-        # Unknowns: the force on the payload, and sideways the one on every UAV.
-        self._spread = np.vstack([np.eye(3, 5), np.tile(np.eye(3, 5, 3), (N, 1))])
-        self._spread[5::3] = 0
+        spread = np.vstack([np.eye(3, _UNKNOWNS), np.tile(np.eye(3, _UNKNOWNS, k=3), (N, 1))])
         linear = model.linearise(hover.x, hover.u)
-        E = model.force_effect(hover.x, hover.u) @ self._spread
+        # At rest, velocities follow the state as positions follow what they are the derivative of.
+        velocities = np.vstack([linear.A_c[state.R0], linear.C[: 3 * N] @ linear.A_c]).reshape(1 + N, 3, -1)
         # The hold that turns inputs into states turns constant forces into them as well.
-        effect = zero_order_hold(replace(linear, B_c=E), period_s).B
-        per_period = self._velocity_changes(hover.x, effect)
-        self._gain = (1.0 - math.exp(-period_s / time_constant_s)) * np.linalg.inv(per_period)
+        effect = zero_order_hold(replace(linear, B_c=model.force_effect(hover.x, hover.u) @ spread), period_s).B
+        share = 1.0 - math.exp(-period_s / time_constant_s)
+        self._gain = spread @ (share * np.linalg.inv(self._seen(velocities @ effect)))
         self.forces: Array = np.zeros(3 + 3 * N)
+
+    def learn(self, predicted: Array, measured: Array) -> None:
+        """Take in the state after a period for which this estimate was part of the prediction.
+
+        Args:
+            predicted: State at the end of the period, (n,).
+            measured: The same with what was measured in its place, (n,).
+        Source: docs/equations.md (41).
+        """
+        missed = self._model.velocities(measured) - self._model.velocities(predicted)
+        self.forces = self.forces + self._gain @ self._seen(missed)
+
+    def _seen(self, velocities: Array) -> Array:
+        """Of the velocities of payload and UAVs, what is explained by a force: the payload's, sideways the own UAVs'.
+
+        Args:
+            velocities: (1 + N, 3, ...), inertial frame.
+        Returns: (5, ...).
+        """
+        return np.concatenate([velocities[0], velocities[self._bodies, :2].mean(axis=0)])

@@ -9,7 +9,7 @@ disturbance the result is the true state, whatever the delay.
 from collections.abc import Callable
 
 from agent.announced import AnnouncedInputs
-from agent.disturbance import PayloadForce
+from agent.disturbance import DisturbanceEstimator
 from model import state
 from model.arrays import Array
 from model.linearisation import Model
@@ -29,17 +29,21 @@ class StateEstimator:
         model: The system as the controller knows it.
         planned: State the maneuver plans for a tick, (n,): the first guess of a process that joins then.
         period_s: Sampling period, s.
-        force: Estimate of a force on the payload to predict with and to be told what the prediction missed, if any.
+        disturbance: Estimate of the forces to predict with, to be told what the prediction missed; None for no forces.
     """
 
     def __init__(
-        self, model: Model, planned: Callable[[int], Array], period_s: float, force: PayloadForce | None = None
+        self,
+        model: Model,
+        planned: Callable[[int], Array],
+        period_s: float,
+        disturbance: DisturbanceEstimator | None = None,
     ) -> None:
         self._model = model
         self._planned = planned
         self._period_s = period_s
-        self._force = force
-        self._learned = -1  # newest tick whose measurement the force has been told
+        self._disturbance = disturbance
+        self._learned = -1  # newest tick whose measurement the disturbance's estimate has been told
         self._first = 0  # tick of the oldest estimate kept
         self._estimates: list[Array] = []
         self._received: dict[int, dict[int, Plan]] = {}  # plans whose states are known, by tick and agent
@@ -59,7 +63,8 @@ class StateEstimator:
         """Take in what the sensors saw at a tick not later than the one to be estimated."""
         if measurement.tick >= self._first:
             self._measured[measurement.tick] = measurement
-            self._changed(measurement.tick)
+            # The disturbance shows in the period before: that is predicted again, too.
+            self._changed(measurement.tick - (self._disturbance is not None))
 
     def estimate(self, k: int, announced: AnnouncedInputs) -> Array:
         """Estimate at a tick.
@@ -80,12 +85,12 @@ class StateEstimator:
         del self._estimates[at + 1 :]
         self._estimates[at] = self._overwritten(self._estimates[at].copy(), begin)
         for tick in range(begin, k):
-            u = announced.at(tick, before=k)
-            if self._force is None:
+            u = announced.at(tick, before=k, x=self._estimates[-1])
+            if self._disturbance is None:
                 ahead, _ = self._model.integrate(self._estimates[-1], u, self._period_s, _STEPS)
+                self._estimates.append(self._overwritten(ahead, tick + 1))
             else:
-                ahead = self._learned_from(tick, u, self._force)
-            self._estimates.append(self._overwritten(ahead, tick + 1))
+                self._estimates.append(self._disturbed(tick, u, self._disturbance))
         self._forget()
         return self._estimates[-1]
 
@@ -106,21 +111,23 @@ class StateEstimator:
     def _changed(self, tick: int) -> None:
         self._stale_from = tick if self._stale_from is None else min(self._stale_from, tick)
 
-    def _learned_from(self, tick: int, u: Array, force: PayloadForce) -> Array:
-        """Predict from a tick to the next under the force, and tell it what the prediction missed.
+    def _disturbed(self, tick: int, u: Array, disturbance: DisturbanceEstimator) -> Array:
+        """Estimate at the tick after one, under the disturbance, which is told what the prediction missed.
 
         It is told once for each period that has a measurement at either end.
         """
         end = self._measured.get(tick + 1)
         if end is not None:
-            # A false input would look like a force: what the actuators report counts, not what was announced.
+            # A wrong input would look like a force: what the actuators report counts, not what was announced.
             for uav, inputs in zip(end.uavs, end.inputs, strict=True):
                 u[state.input_slice(uav - 1)] = inputs
-        ahead, _ = self._model.integrate(self._estimates[-1], u, self._period_s, _STEPS, forces=force.forces)
+        forces = disturbance.forces
+        ahead, _ = self._model.integrate(self._estimates[-1], u, self._period_s, _STEPS, forces=forces)
+        found = self._overwritten(ahead.copy(), tick + 1)
         if end is not None and tick in self._measured and tick >= self._learned:
             self._learned = tick + 1
-            force.learn(ahead[: state.PAYLOAD], end.payload)
-        return ahead
+            disturbance.learn(ahead, found)
+        return found
 
     def _overwritten(self, x: Array, tick: int) -> Array:
         """Replace predicted states by what was measured or received for that tick."""

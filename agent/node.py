@@ -14,13 +14,14 @@ import numpy as np
 import numpy.typing as npt
 
 from agent.announced import AnnouncedInputs
-from agent.disturbance import PayloadForce
+from agent.disturbance import DisturbanceEstimator
 from agent.estimator import StateEstimator
 from model import state
 from model.arrays import Array
 from model.discretisation import Discrete
 from model.state import input_indices
 from mpc.controller import Controller, Linear, Optimum
+from mpc.fail_safe import FailSafe
 from mpc.feedback import TeamLaw
 from protocol.arrivals import Arrivals
 from protocol.links import LinkChanges, LinkError
@@ -104,12 +105,14 @@ class AgentNode:
         setup, clock = self._setup, self._setup.scenario.clock
         self.incarnation = incarnation
         self._out = Outbox(self.name, incarnation)
-        self._announced = AnnouncedInputs(setup.owned, setup.hover.u)
+        self._announced = AnnouncedInputs(setup.owned, setup.hover.u, FailSafe(setup.system, setup.hover.u))
         period_s, disturbance = setup.settings.sampling_period_s, setup.scenario.controller.disturbance
-        self._force: PayloadForce | None = None
+        self._disturbance: DisturbanceEstimator | None = None
         if disturbance.estimate:
-            self._force = PayloadForce(setup.model, setup.hover, period_s, disturbance.time_constant_s)
-        self._estimator = StateEstimator(setup.model, self._planned, period_s, self._force)
+            self._disturbance = DisturbanceEstimator(
+                setup.model, setup.hover, setup.owned[self._agent - 1], period_s, disturbance.time_constant_s
+            )
+        self._estimator = StateEstimator(setup.model, self._planned, period_s, self._disturbance)
         speed = None if self._waits else clock.speed
         senders = [agent_name(peer) for peer in self._peers]
         self._plans: Arrivals[Plan] = Arrivals(
@@ -124,6 +127,7 @@ class AgentNode:
         self._step: _Step | None = None  # being negotiated
         self._arrived: dict[int, set[int]] = {}  # whose plans are physically here, by tick
         self._proposals: dict[tuple[int, int], dict[int, Plan]] = {}  # by tick and negotiation, and agent
+        self._law_since = 0  # tick from which on the shared law is the present team's
         self._last_tick = -1
         self._reported = 0  # of the rejected messages
         self._idle_since_ns = self._stopwatch()
@@ -169,7 +173,7 @@ class AgentNode:
         """Take a step nobody sees, so that the first one of the flight is not slower than the others."""
         controller, hover = self._controller, self._setup.hover
         U = np.tile(hover.u, (self._setup.settings.horizon, 1))
-        forces = None if self._force is None else self._force.forces
+        forces = None if self._disturbance is None else self._disturbance.forces
         law = controller.law(hover.x, np.tile(hover.x, (len(U), 1)), np.zeros_like(U), forces)
         y_ref = np.tile(self._setup.model.outputs(hover.x), (len(U) + 1, 1))
         controller.step(hover.x, hover.u, U, y_ref, law, forces)
@@ -221,6 +225,16 @@ class AgentNode:
             out += self._plan(self._step)
         return out
 
+    def _meet_team(self, measurement: Measurement) -> None:
+        """Take note of who takes part from this tick on: the same for everybody at the same tick."""
+        gone = set(self._setup.agents) - self._membership.agents_at(measurement.roster)
+        if gone == self._announced.gone:
+            return
+        for agent in self._announced.gone - gone:
+            self._announced.forget(agent)
+        self._announced.gone, self._law_since = gone, measurement.tick
+        self._controller.without([uav for agent in sorted(gone) for uav in self._setup.owned[agent - 1]])
+
     def _has_plans_for(self, measurement: Measurement) -> bool:
         """Whether the roster is here, and the plans of the tick before from whoever sent one and is still on it."""
         if not self._waits:
@@ -244,6 +258,7 @@ class AgentNode:
         period_s = self._setup.settings.sampling_period_s
         steps = self._setup.settings.horizon
         self._last_tick = k
+        self._meet_team(measurement)
 
         # A message is usable when its link says, however early it is here; in an order of its own.
         usable, lost = self._plans.take(k, now_ns)
@@ -255,9 +270,9 @@ class AgentNode:
         for seen in self._measurements.take(k, now_ns)[0]:
             self._estimator.measure(seen)
         x = self._estimator.estimate(k, self._announced)
-        forces = None if self._force is None else self._force.forces
+        forces = None if self._disturbance is None else self._disturbance.forces
         if self._setup.scenario.clock.next_tick:
-            start, u0 = k + 1, self._announced.at(k, before=k)
+            start, u0 = k + 1, self._announced.at(k, before=k, x=x)
             x0, _ = self._setup.model.integrate(x, u0, period_s, _AHEAD_STEPS, forces=forces)
         else:
             start, x0, u0 = k, x, self._in_force(k)
@@ -270,6 +285,10 @@ class AgentNode:
         linear = controller.linearise(x0, u0, forces)
         watch.append(self._stopwatch())
         discrete = controller.discretise(linear)
+        if law is not None:
+            foreign = self._announced.of_another_law(self._law_since, before=k)
+            columns = [input_indices(self._setup.owned[agent - 1]) for agent in foreign]
+            law = controller.adapted(law, discrete, u0, U, np.concatenate(columns)) if columns else law
         watch.append(self._stopwatch())
         step = _Step(
             measurement=measurement,

@@ -5,9 +5,11 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from model import state
 from model.arrays import Array
 from model.compiled import Compiled, functions
 from model.parameters import System
+from model.rotations import rotation
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,6 +52,8 @@ class Model:
         self._linearise = Compiled(self._functions["linearise"])
         self._steps: dict[int, Compiled] = {}
         self._no_forces = np.zeros(3 + 3 * system.N)
+        self._rho = np.array([uav.rho for uav in system.uavs])
+        self._lengths = np.array([[uav.rod_length] for uav in system.uavs])
 
     def derivative(self, x: Array, u: Array, *, forces: Array | None = None) -> Array:
         """x' = f(x, u, F), (n,), SI. Source: docs/equations.md (4)-(13), (37)."""
@@ -62,6 +66,13 @@ class Model:
     def outputs(self, x: Array) -> Array:
         """y = h(x), (4 N + 3,), SI. Source: docs/equations.md (14)."""
         return self._outputs(x, self._p)[0]
+
+    def velocities(self, x: Array) -> Array:
+        """Of the centres of mass of payload and UAVs, (1 + N, 3), inertial frame, m/s. Source: docs/equations.md (39)."""
+        view = state.StateView(x)
+        uavs_P = view.v0_P + np.cross(view.omega0_P, self._rho) - self._lengths * np.cross(view.Omega_P, view.e_P)
+        velocities: Array = np.vstack([view.v0_P, uavs_P]) @ rotation(view.Theta0).T
+        return velocities
 
     def linearise(self, x: Array, u: Array, *, forces: Array | None = None) -> Linearisation:
         """Exact derivatives about (x, u) under constant forces. Source: docs/equations.md (15), (37); paper (13)."""

@@ -1,7 +1,8 @@
 """One controller for any set of owned UAVs: one is the paper's distributed controller, all the centralized one."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import contextlib
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -15,7 +16,8 @@ from model.state import input_indices
 from mpc import condensing
 from mpc.constraints import Affine, compile_constraints, rate_rows, separation_rows
 from mpc.cost import Cost
-from mpc.feedback import TeamLaw, team_gain
+from mpc.fail_safe import FailSafe
+from mpc.feedback import FeedbackError, TeamLaw, team_gain
 from mpc.prediction import Prediction, closed_loop, free_response, open_loop
 from mpc.qp import QP, Solution
 from mpc.settings import ControllerSettings, SettingsError
@@ -82,6 +84,7 @@ class Controller:
         self.own = input_indices(self.owned)
         self._others = np.setdiff1d(np.arange(model.system.m), self.own)
         self.cost = Cost(settings.weights, hover)
+        self._hover, self._fail_safe = hover, FailSafe(model.system, hover.u)
         self.gain: Array | None = None
         if settings.prediction == "closed_loop":
             self.gain = team_gain(model, hover, self.cost, settings.sampling_period_s)
@@ -154,6 +157,35 @@ class Controller:
         if forces is not None:
             u_rest, error = u_rest + self.target.M_u @ forces, error - self.target.M_x @ forces
         return TeamLaw(K=self.gain, u_rest=u_rest, error=error, c=c)
+
+    def without(self, uavs: Collection[int]) -> None:
+        """From now on some UAVs, 0-based, are on their own: they are left to the fail-safe, and predicted so.
+
+        Source: docs/equations.md (31), (33)-(34).
+        """
+        if self.gain is None:
+            return
+        alone = {uav: self._fail_safe.gain(uav) for uav in uavs}
+        # Where the others cannot stabilise what is left, the law of the whole team is as good as any.
+        with contextlib.suppress(FeedbackError):
+            self.gain = team_gain(self.model, self._hover, self.cost, self.settings.sampling_period_s, alone)
+
+    def adapted(self, law: TeamLaw, discrete: Discrete, u0: Array, U: Array, columns: npt.NDArray[np.intp]) -> TeamLaw:
+        """The law with corrections that make some inputs what they were announced to be, whatever law that was under.
+
+        Args:
+            law: The shared law over the horizon.
+            discrete: Zero-order hold about (x0, u0).
+            u0: Input of the linearisation, (m,).
+            U: Announced inputs of all UAVs over the horizon, (N_p, m).
+            columns: Inputs whose corrections to find.
+        Source: docs/equations.md (36).
+        """
+        dX = free_response(discrete.A, discrete.f_d + (U - u0) @ discrete.B.T)
+        c = law.c.copy()
+        without = replace(law, c=np.zeros_like(c)).inputs(columns)
+        c[:, columns] = U[:, columns] - without - dX[:-1] @ law.K[columns].T
+        return replace(law, c=c)
 
     def check(self, x0: Array, u0: Array, U: Array, y_ref: Array) -> tuple[Array, Array, Array, Array]:
         """The arguments of `step`, their shapes and values checked."""

@@ -5,6 +5,7 @@ its own corrections c and takes the others' as announced; near the unconstrained
 so little depends on the network.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,7 @@ from model.arrays import Array
 from model.discretisation import zero_order_hold
 from model.hover import Hover
 from model.linearisation import Model
+from model.state import input_indices
 from mpc.cost import Cost
 
 # Doublings of the Riccati recursion: 2^k steps after k of them. The slowest mode of a load on rods of a few
@@ -48,8 +50,12 @@ class TeamLaw:
         return inputs
 
 
-def team_gain(model: Model, hover: Hover, cost: Cost, period_s: float) -> Array:
+def team_gain(
+    model: Model, hover: Hover, cost: Cost, period_s: float, alone: Mapping[int, Array] | None = None
+) -> Array:
     """Feedback gain of the linear-quadratic regulator for the whole team about hover.
+
+    UAVs that nobody decides for any more follow a law of their own; the others' gain is the optimum given that.
 
     Rod directions move on a sphere: the directions off |e| = 1 and e . Omega = 0 can be neither reached nor
     left, so the recursion runs in coordinates without them.
@@ -59,18 +65,22 @@ def team_gain(model: Model, hover: Hover, cost: Cost, period_s: float) -> Array:
         hover: Its equilibrium.
         cost: Q on the outputs, R on all inputs.
         period_s: Sampling period, s.
+        alone: Feedback from its own state, (4, 12), of each UAV without an agent, by its 0-based number.
     Returns: K with u = u_hover + K (x - x_ref), (m, n).
     Raises: FeedbackError: the recursion does not converge.
     Source: docs/equations.md (33)-(34).
     """
     linear = model.linearise(hover.x, hover.u)
     discrete = zero_order_hold(linear, period_s)
+    K: Array = np.zeros((len(hover.u), len(hover.x)))
+    for uav, own in (alone or {}).items():
+        K[state.input_slice(uav), state.uav_slice(uav)] = own
+    led = np.setdiff1d(np.arange(len(hover.u)), input_indices(sorted(alone or {})))
     T = tangent(hover.x)
-    A, B = T.T @ discrete.A @ T, T.T @ discrete.B
-    C = linear.C @ T
-    P = _riccati(A, B, C.T @ (cost.Q[:, None] * C), cost.R)
-    gain = np.linalg.solve(np.diag(cost.R) + B.T @ P @ B, B.T @ P @ A)
-    K: Array = -gain @ T.T
+    A, B = T.T @ (discrete.A + discrete.B @ K) @ T, T.T @ discrete.B[:, led]
+    C, R = linear.C @ T, cost.R[led]
+    P = _riccati(A, B, C.T @ (cost.Q[:, None] * C), R)
+    K[led] = -np.linalg.solve(np.diag(R) + B.T @ P @ B, B.T @ P @ A) @ T.T
     K.setflags(write=False)
     return K
 

@@ -10,11 +10,9 @@ import math
 import numpy as np
 from numpy.random import Generator, Philox
 
-from model import state
 from model.arrays import Array
 from model.linearisation import Model
 from model.parameters import Payload, System, Uav
-from model.rotations import rotation
 from model.state import StateView
 from protocol.setup import Setup
 
@@ -74,7 +72,7 @@ class Environment:
         """
         if not self._is_windy:
             return None
-        forces: Array = (self._drag[:, None] * (self.wind(tick) - _velocities(self.model.system, x))).reshape(-1)
+        forces: Array = (self._drag[:, None] * (self.wind(tick) - self.model.velocities(x))).reshape(-1)
         return forces
 
     def measured(self, tick: int, agent: int, x: Array) -> Array:
@@ -116,13 +114,3 @@ def _scaled(system: System, payload: float, uavs: float) -> System:
         ],
         gravity=system.gravity,
     )
-
-
-def _velocities(system: System, x: Array) -> Array:
-    """Of the centres of mass of payload and UAVs, (1 + N, 3), inertial frame, m/s; the derivative of (14)."""
-    view = StateView(x)
-    rho = np.array([uav.rho for uav in system.uavs])
-    lengths = np.array([[uav.rod_length] for uav in system.uavs])
-    uavs_P = view.v0_P + np.cross(view.omega0_P, rho) - lengths * np.cross(view.Omega_P, view.e_P)
-    velocities: Array = np.vstack([view.v0_P, uavs_P]) @ rotation(view.Theta0).T
-    return velocities

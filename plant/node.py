@@ -13,6 +13,7 @@ import numpy as np
 
 from model import state
 from model.arrays import Array
+from mpc.fail_safe import FailSafe
 from plant.environment import Environment
 from plant.schedule import ActuatorSchedule
 from protocol.arrivals import Arrivals
@@ -63,12 +64,12 @@ class PlantNode:
             speed=None if self._waits else clock.speed,
         )
         self._link_changes = LinkChanges(self._plans.links.values(), setup.samples_s)
-        inertias = np.array([uav.inertia for uav in setup.system.uavs])
+        fail_safe = FailSafe(setup.system, setup.hover.u)
         limits = setup.settings.limits
         self._limits = {a: (limits.lower(len(o)), limits.upper(len(o))) for a, o in enumerate(setup.owned, start=1)}
         instants = np.arange(setup.ticks + 1, dtype=np.float64)
         self._path, _ = setup.maneuver.path(self._period_s * instants)
-        self._schedule = ActuatorSchedule(setup.hover.u, inertias, setup.settings.limits, self._period_s)
+        self._schedule = ActuatorSchedule(setup.hover.u, fail_safe, setup.settings.limits, self._period_s)
         self._x: Array = setup.initial_state()
         self._u: Array = setup.hover.u.copy()  # in force until now
         self._state_tick = 0  # self._x is the state at this tick

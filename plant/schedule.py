@@ -4,34 +4,30 @@ import numpy as np
 
 from model import state
 from model.arrays import Array
+from mpc.fail_safe import FailSafe
 from mpc.settings import Limits
 from protocol.messages import Plan
 
 # Sources of an input that is not from a plan (`Truth.plan_ticks`).
 BEFORE_ANY_PLAN, FAIL_SAFE = -1, -2
 
-# Fail-safe: level attitude hold at hover thrust. Natural frequency and damping of the attitude loop; slow
-# enough for the moment limits of small quadrotors, fast against the pendulum of a rod of a few metres.
-_FREQUENCY_RAD_S = 6.0
-_DAMPING = 0.8
-
 
 class ActuatorSchedule:
     """What each UAV's actuators do, tick by tick.
 
     Args:
-        u_hover: Inputs before any plan, and the thrust of the fail-safe, (4 N,).
-        inertias: UAV inertias, (N, 3, 3), kg m^2.
+        u_hover: Inputs before any plan, (4 N,).
+        fail_safe: What follows the end of a plan.
         limits: Bounds of the actuators.
         period_s: Sampling period, s.
     """
 
-    def __init__(self, u_hover: Array, inertias: Array, limits: Limits, period_s: float) -> None:
+    def __init__(self, u_hover: Array, fail_safe: FailSafe, limits: Limits, period_s: float) -> None:
         self._u_hover = u_hover
-        self._inertias = inertias
+        self._fail_safe = fail_safe
         self._lower, self._upper = limits.lower(1), limits.upper(1)
         self._step = limits.step(1, period_s)
-        self._plans: list[list[Plan]] = [[] for _ in inertias]
+        self._plans: list[list[Plan]] = [[] for _ in range(len(u_hover) // state.INPUTS)]
 
     def add(self, plan: Plan) -> None:
         """Put a plan on the schedule of the UAVs it is for; plans that arrive out of order find their place."""
@@ -64,16 +60,11 @@ class ActuatorSchedule:
                 u[state.input_slice(i)] = newest.inputs[step, state.input_slice(at)]
                 sources.append(newest.tick)
             else:
-                u[state.input_slice(i)] = self._fail_safe(i, x[state.uav_slice(i)], u_before[state.input_slice(i)])
+                u[state.input_slice(i)] = self._limited(self._fail_safe.inputs(i, x), u_before[state.input_slice(i)])
                 sources.append(FAIL_SAFE)
         return u, tuple(sources)
 
-    def _fail_safe(self, i: int, block: Array, before: Array) -> Array:
-        """Hover thrust and moments that level the UAV and stop its rotation. Source: docs/equations.md (31)."""
-        roll, pitch, _ = block[state.THETA]
-        stiffness, damping = _FREQUENCY_RAD_S**2, 2.0 * _DAMPING * _FREQUENCY_RAD_S
-        wanted = -stiffness * np.array([roll, pitch, 0.0]) - damping * block[state.OMEGA]
-        thrust = self._u_hover[state.input_slice(i)][:1]
-        inputs: Array = np.concatenate([thrust, self._inertias[i] @ wanted])
+    def _limited(self, inputs: Array, before: Array) -> Array:
+        """Inputs as far as the actuators can follow."""
         np.clip(inputs, before - self._step, before + self._step, out=inputs)
         return np.clip(inputs, self._lower, self._upper, out=inputs)

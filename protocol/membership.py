@@ -25,11 +25,19 @@ class Membership:
         self._incarnations: dict[int, int] = {}
         self._newest: dict[int, int] = {}  # highest incarnation ever on a roster
         self._early: list[Plan] = []
+        self._history: dict[int, frozenset[int]] = {0: frozenset()}  # agents by version of the roster
 
     @property
     def agents(self) -> set[int]:
-        """Agents on the roster."""
+        """Agents on the newest roster."""
         return set(self._incarnations)
+
+    def agents_at(self, version: int) -> frozenset[int]:
+        """Agents on the roster of a version: what everybody knows at a tick that names it, whatever has come since."""
+        known = max((v for v in self._history if v <= version), default=min(self._history))
+        for old in [v for v in self._history if v < known]:
+            del self._history[old]
+        return self._history[known]
 
     def incarnation(self, agent: int) -> int | None:
         """The incarnation in which an agent is on the roster, or None."""
@@ -43,6 +51,7 @@ class Membership:
         if roster.version <= self.version:
             return []
         self.version = roster.version
+        self._history[roster.version] = frozenset(roster.agents)
         before = self._incarnations
         self._incarnations = dict(zip(roster.agents, roster.incarnations, strict=True))
         self.since = {

@@ -57,7 +57,9 @@ def ring(N: int, gravity_mps2: float) -> SystemSection:
     )
 
 
-def resized(template: Scenario, folder: Path, uavs: int, *, group: int | None, name: str | None, source: str) -> Scenario:
+def resized(
+    template: Scenario, folder: Path, uavs: int, *, group: int | None, name: str | None, source: str
+) -> Scenario:
     """A scenario for N UAVs: a ring of them, and every other section of the template.
 
     Args:
@@ -74,7 +76,7 @@ def resized(template: Scenario, folder: Path, uavs: int, *, group: int | None, n
     if group is None:
         group = uavs if len(template.owned) == 1 else len(template.owned[0])
     ids = list(range(1, uavs + 1))
-    tree = _given(template)
+    tree = given(template)
     tree["name"] = f"{template.name}-{uavs}" if name is None else name
     tree["system"] = ring(uavs, template.system.gravity_mps2).model_dump(mode="json")
     tree["agents"] = {"owned": [ids[i : i + group] for i in range(0, uavs, group)]}
@@ -82,7 +84,7 @@ def resized(template: Scenario, folder: Path, uavs: int, *, group: int | None, n
     return validate(tree, source)
 
 
-def _given(scenario: Scenario) -> dict[str, Any]:
+def given(scenario: Scenario) -> dict[str, Any]:
     """A scenario as plain data without the values nobody gave."""
     return scenario.model_dump(mode="json", by_alias=True, exclude_unset=True, exclude_none=True)
 

@@ -1,6 +1,7 @@
 """The command line. Heavy imports are inside the commands: six processes start at once."""
 
 import re
+import shlex
 import sys
 from enum import StrEnum
 from pathlib import Path
@@ -29,6 +30,8 @@ app = typer.Typer(
     epilog="Exit codes: 0 done, 2 usage, 3 scenario, 4 peer lost or not reachable, 5 deadlines missed, 6 diverged, 130 interrupted.",
 )
 app.add_typer(link_app, name="link")
+scenario_app = typer.Typer(help="Make scenarios.", no_args_is_help=True, rich_markup_mode=None)
+app.add_typer(scenario_app, name="scenario")
 app.command()(fault)
 app.command()(status)
 
@@ -67,6 +70,23 @@ JoinOption = Annotated[
 ]
 
 
+def _version(asked: bool) -> None:
+    if asked:
+        from importlib.metadata import version
+
+        typer.echo(f"transport {version('payload-transport')}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool, typer.Option("--version", help="Show the version and exit.", callback=_version, is_eager=True)
+    ] = False,
+) -> None:
+    """What can be asked without a command."""
+
+
 @app.command()
 def run(
     scenario: ScenarioArgument = "paper",
@@ -77,7 +97,9 @@ def run(
     output: Annotated[Format, typer.Option("--format", help="What goes to standard output.")] = Format.text,
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw the figures at the end.")] = True,
 ) -> None:
-    """Fly a scenario: one process per agent, a plant, a coordinator; log, metrics and figures in a run folder.
+    """Fly a scenario with all its processes, record and report it.
+
+    One process per agent, a plant, a coordinator; log, metrics and figures in a run folder.
 
     Example: transport run paper --set controller.relaxation=0.5 --out runs/relaxed
     """
@@ -111,7 +133,7 @@ def agent(
     incarnation: IncarnationOption = None,
     join_timeout: JoinOption = None,
 ) -> None:
-    """Run one agent: the controller of the UAVs it owns, in this process.
+    """Run one agent: the controller of the UAVs it owns.
 
     Example: transport agent --id 2
     """
@@ -139,7 +161,7 @@ def plant(
     incarnation: IncarnationOption = None,
     join_timeout: JoinOption = None,
 ) -> None:
-    """Run the plant: the physics, and the actuators that play the agents' plans."""
+    """Run the plant: the physics and the actuators."""
     setup = _setup(scenario, settings)
     place = _place(setup, "plant", run_name, listen, connect, incarnation, join_timeout)
 
@@ -186,7 +208,7 @@ def record(
     join_timeout: JoinOption = None,
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw the figures at the end.")] = True,
 ) -> None:
-    """Record a run whose processes were started by hand, and report it like `transport run`.
+    """Record and report a run whose processes were started by hand.
 
     Start it before the coordinator opens the first tick: transport coordinator --observer recorder
     """
@@ -208,7 +230,7 @@ def record(
 
 @app.command()
 def validate(scenario: ScenarioArgument, settings: SetOption = None) -> None:
-    """Check a scenario without flying it, and print it with every default spelled out."""
+    """Check a scenario and print it with every default."""
     import tomli_w
 
     setup = _setup(scenario, settings)
@@ -223,7 +245,10 @@ def plot(
     folder: Annotated[Path, typer.Argument(help="Run folder.")],
     output: Annotated[Format, typer.Option("--format", help="What goes to standard output.")] = Format.text,
 ) -> None:
-    """Make metrics and figures of a recorded run anew; works on the log of a run that was cut off, too."""
+    """Make metrics and figures of a recorded run anew.
+
+    Works on the log of a run that was cut off, too.
+    """
     from transport.log import LogError, read_log
 
     try:
@@ -232,6 +257,76 @@ def plot(
     except LogError as error:
         _fail(str(error), EXIT_USAGE)
     _report(folder, output, figures=True)
+
+
+@scenario_app.command("new")
+def scenario_new(
+    uavs: Annotated[int, typer.Option("--uavs", help="Number of UAVs, 2 to 256.")],
+    template: Annotated[
+        str, typer.Option("--from", help="Scenario file or name that everything but the system is taken from.")
+    ] = "resilient",
+    group: Annotated[
+        int | None,
+        typer.Option("--groups", help="UAVs per agent: 1 for one agent each, 2 for pairs; by default as in --from."),
+    ] = None,
+    name: Annotated[
+        str | None, typer.Option("--name", help="Name of the scenario; by default that of --from and the number.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="File to write; by default standard output.")] = None,
+) -> None:
+    """Write a scenario for a team of any size.
+
+    UAVs in a ring, neighbours as far apart as the paper's four, 0.75 kg of payload for each.
+
+    Example: transport scenario new --uavs 6 --out six.toml
+    """
+    from protocol.scenario_file import ScenarioError, find_scenario, read_scenario
+    from protocol.setup import Setup
+    from protocol.team import FEWEST, MOST, given, resized
+    from transport.scenario_text import scenario_text
+
+    if uavs < FEWEST:
+        why = ": a payload on one rod turns freely about it, and no UAV can turn it back" if uavs == 1 else ""
+        _fail(f"--uavs: expected {FEWEST} to {MOST}, got {uavs}{why}", EXIT_USAGE)
+    if uavs > MOST:
+        _fail(f"--uavs: expected {FEWEST} to {MOST}, got {uavs}", EXIT_USAGE)
+    if group is not None and not 1 <= group <= uavs:
+        _fail(f"--groups: expected 1 to {uavs} UAVs per agent, got {group}", EXIT_USAGE)
+    if out is not None and out.exists():
+        _fail(f"--out: expected a file that does not exist yet, got {out}", EXIT_USAGE)
+    try:
+        path = find_scenario(template)
+        ready = read_scenario(path)
+    except ScenarioError as error:
+        _fail(f"--from: {error}", EXIT_SCENARIO)
+    source = f"--from {template}"
+    try:
+        scenario = resized(ready, path.parent, uavs, group=group, name=name, source=source)
+        setup = Setup.of(scenario, source)
+    except ScenarioError as error:
+        if error.field == "name":
+            _fail(f"--name: {error.problem}", EXIT_USAGE)
+        _fail(str(error), EXIT_SCENARIO)
+    made_by = ["transport", "scenario", "new", "--uavs", str(uavs), "--from", template]
+    made_by += [] if group is None else ["--groups", str(group)]
+    made_by += [] if name is None else ["--name", name]
+    text = scenario_text(
+        given(scenario),
+        comment=[
+            f"Made by: {shlex.join(made_by)}",
+            f"{uavs} UAVs in a ring over a payload that fits; all but [system], owned and name is from {ready.name}.",
+        ],
+    )
+    if out is None:
+        typer.echo(text, nl=False)
+        return
+    try:
+        with out.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except OSError as error:
+        _fail(f"--out: cannot write {out} ({error.strerror})", EXIT_USAGE)
+    sizes = f"{setup.system.N} UAVs, {len(setup.agents)} agents, hover thrust {setup.hover.u[0]:.2f} N"
+    typer.echo(f"{sizes}; fly it with: transport run {shlex.quote(str(out))}", err=True)
 
 
 def main() -> None:

@@ -36,7 +36,9 @@ def link_set(
     run: RunOption = None,
     connect: ConnectOption = None,
 ) -> None:
-    """Impair or repair links from the next tick on; keys that are not given stay as they are.
+    """Impair or repair links from the next tick on.
+
+    Keys that are not given stay as they are.
 
     Example: transport link set --from 1 --to 2 --delay 0.1
     """
@@ -60,7 +62,7 @@ def link_set(
 
 @link_app.command("clear")
 def link_clear(run: RunOption = None, connect: ConnectOption = None) -> None:
-    """Make all links between agents, and from and to the plant, perfect again."""
+    """Make all links perfect again: between agents, from the plant and to it."""
     perfect = {
         "delay_s": 0.0,
         "jitter_s": 0.0,
@@ -82,7 +84,9 @@ def fault(
     run: RunOption = None,
     connect: ConnectOption = None,
 ) -> None:
-    """Kill, stop, continue or restart a process of a run in flight; noted in its log.
+    """Kill, stop, continue or restart a process of a run in flight.
+
+    It is noted in the run's log.
 
     Example: transport fault kill agent3
     """

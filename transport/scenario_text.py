@@ -1,12 +1,9 @@
 """A scenario as a file for people: a comment on top, every list on one line."""
 
-import textwrap
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 import tomli_w
-
-_WIDTH = 120  # of comments, columns
 
 
 def scenario_text(tree: dict[str, Any], comment: Sequence[str]) -> str:
@@ -14,11 +11,10 @@ def scenario_text(tree: dict[str, Any], comment: Sequence[str]) -> str:
 
     Args:
         tree: The scenario as plain data; its keys are bare words.
-        comment: Paragraphs for the top. What cannot be printed becomes a question mark: TOML forbids most of it.
+        comment: Lines for the top. What cannot be printed becomes a question mark: TOML forbids most of it.
     """
-    printable = ["".join(c if c.isprintable() else "?" for c in paragraph) for paragraph in comment]
-    top = [line for text in printable for line in textwrap.wrap(text, _WIDTH - 2, break_on_hyphens=False)]
-    return "\n".join([*(f"# {line}" for line in top), *_table(tree, ""), ""])
+    top = ["# " + "".join(c if c.isprintable() else "?" for c in line) for line in comment]
+    return "\n".join([*top, *_table(tree, ""), ""])
 
 
 def _table(tree: dict[str, Any], path: str) -> Iterator[str]:
@@ -30,9 +26,9 @@ def _table(tree: dict[str, Any], path: str) -> Iterator[str]:
         else:
             yield f"{key} = {_value(value)}"
     for name, value in below.items():
-        one = isinstance(value, dict)
-        for table in [value] if one else value:
-            yield from ("", f"[{name}]" if one else f"[[{name}]]")
+        single = isinstance(value, dict)
+        for table in [value] if single else value:
+            yield from ("", f"[{name}]" if single else f"[[{name}]]")
             yield from _table(table, f"{name}.")
 
 

@@ -1,0 +1,189 @@
+"""Teams of any size: the ring is an equilibrium of equals, four are the paper's, the rest is the template's."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from model import state
+from model.arrays import Array
+from model.hover import hover
+from model.linearisation import Model
+from model.parameters import Payload, System, Uav
+from protocol.scenario import Scenario
+from protocol.scenario_file import ScenarioError, read_scenario
+from protocol.setup import Setup
+from protocol.team import FEWEST, MOST, given, resized, ring
+from tests.runs import PAPER, SCENARIOS
+
+SIZES = [*range(FEWEST, 17), 24]
+NEIGHBOURS_M, GRAVITY = 0.5, 9.81
+
+# Lengths and inertias are rounded to the sixth decimal, half a unit of it at most; a distance is made of two
+# points in a plane. Thrusts share what the rounding of the points does to their balance, relative to 0.25 m.
+ROUNDING, DISTANCE_ROUNDING, SHARE_ROUNDING = 0.5e-6, 2e-6, 1e-5
+
+
+def scenario_of(uavs: int, template: Path = PAPER, group: int | None = None, name: str | None = None) -> Scenario:
+    """A team that flies as a scenario does."""
+    return resized(read_scenario(template), template.parent, uavs, group=group, name=name, source="--from paper")
+
+
+def points(uavs: int) -> Array:
+    """Attachment points of a ring, (N, 3), payload frame, m."""
+    return np.array([uav.rho_m for uav in ring(uavs, GRAVITY).uav])
+
+
+def test_four_are_the_papers() -> None:
+    """A ring of four is the system of paper.toml, number by number and in the same order."""
+    assert ring(4, GRAVITY) == read_scenario(PAPER).system
+    assert scenario_of(4, name="paper").digest() == read_scenario(PAPER).digest()
+
+
+@pytest.mark.parametrize("uavs", SIZES)
+def test_neighbours_are_as_far_apart_as_the_papers(uavs: int) -> None:
+    """Around the ring every UAV is 0.5 m from the next, at the same height, and no two are closer."""
+    rho = points(uavs)
+    distances = np.linalg.norm(rho[:, None] - rho[None], axis=2)
+    np.testing.assert_allclose(
+        [distances[i, (i + 1) % uavs] for i in range(uavs)], NEIGHBOURS_M, atol=DISTANCE_ROUNDING
+    )
+    assert distances[~np.eye(uavs, dtype=bool)].min() > NEIGHBOURS_M - DISTANCE_ROUNDING
+    assert len(set(rho[:, 2])) == 1
+
+
+@pytest.mark.parametrize("uavs", SIZES)
+def test_the_ring_is_symmetric(uavs: int) -> None:
+    """Turned by one place, and mirrored about the x axis, the ring is the same: all UAVs are equals."""
+    rho = points(uavs)
+    turn = -2.0 * math.pi / uavs
+    R = np.array([[math.cos(turn), -math.sin(turn), 0.0], [math.sin(turn), math.cos(turn), 0.0], [0.0, 0.0, 1.0]])
+    np.testing.assert_allclose(rho @ R.T, np.roll(rho, -1, axis=0), atol=DISTANCE_ROUNDING)
+    mirrored = rho * [1.0, -1.0, 1.0]
+    np.testing.assert_array_equal(mirrored, rho[[(1 - i) % uavs for i in range(uavs)]])
+
+
+@pytest.mark.parametrize("uavs", SIZES)
+def test_the_payload_keeps_its_shape(uavs: int) -> None:
+    """0.75 kg for each UAV; inertia over mass grows with the square of the lengths, heights included."""
+    paper, system = ring(4, GRAVITY), ring(uavs, GRAVITY)
+    scale = NEIGHBOURS_M / (2.0 * math.sin(math.pi / uavs)) / math.hypot(0.25, 0.25)
+    assert system.payload.mass_kg == 0.75 * uavs
+    inertia = np.array(paper.payload.inertia_kgm2) * (uavs / 4 * scale**2)
+    np.testing.assert_allclose(system.payload.inertia_kgm2, inertia, atol=ROUNDING * 1.01)
+    np.testing.assert_allclose(points(uavs)[:, 2], -0.125 * scale, atol=ROUNDING * 1.01)
+
+
+@pytest.mark.parametrize("template", ["paper", "centralized", "resilient"])
+@pytest.mark.parametrize("uavs", SIZES)
+def test_every_size_is_valid(uavs: int, template: str) -> None:
+    """Every size builds with every ready scenario; the start is an equilibrium with the same thrust for all."""
+    scenario = scenario_of(uavs, SCENARIOS / f"{template}.toml")
+    run = Setup.of(scenario, "team")  # refuses a hover outside the thrust limits or closer than the separation
+    assert len(run.hover.tensions) == uavs
+    # (1.5 + 0.75) kg for each: 22.07 N of the 45 N there are.
+    np.testing.assert_allclose(run.hover.u[::4], 2.25 * GRAVITY, rtol=SHARE_ROUNDING)
+    # Accelerations of an equilibrium are rounding: a few ulp of g.
+    np.testing.assert_allclose(run.model.derivative(run.initial_state(), run.hover.u), 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("template", ["paper", "centralized", "resilient"])
+def test_the_rest_is_the_templates(template: str) -> None:
+    """Everything but name, system and ownership is what the template says, and no default is added."""
+    path = SCENARIOS / f"{template}.toml"
+    own = ("name", "system", "agents")
+
+    def rest(tree: dict[str, Any]) -> dict[str, Any]:
+        return {key: value for key, value in tree.items() if key not in own}
+
+    scenario, ready = scenario_of(6, path), read_scenario(path)
+    assert rest(scenario.tree()) == rest(ready.tree())
+    assert rest(given(scenario)) == rest(given(ready))
+    assert scenario.name == f"{template}-6"
+
+
+@pytest.mark.parametrize(
+    ("template", "uavs", "group", "owned"),
+    [
+        ("paper", 3, None, [[1], [2], [3]]),
+        ("paper", 5, 2, [[1, 2], [3, 4], [5]]),
+        ("paper", 3, 3, [[1, 2, 3]]),
+        ("centralized", 6, None, [[1, 2, 3, 4, 5, 6]]),
+        ("centralized", 3, 1, [[1], [2], [3]]),
+    ],
+)
+def test_ownership(template: str, uavs: int, group: int | None, owned: list[list[int]]) -> None:
+    """Agents own neighbours, as many as asked for or as in the template; one that owns all still does."""
+    scenario = scenario_of(uavs, SCENARIOS / f"{template}.toml", group)
+    assert [list(ids) for ids in scenario.owned] == owned
+
+
+def test_pairs_stay_pairs(tmp_path: Path) -> None:
+    """A template whose agents own pairs makes a team whose agents do."""
+    path = tmp_path / "pairs.toml"
+    path.write_text(PAPER.read_text().replace("[[1], [2], [3], [4]]", "[[1, 2], [3, 4]]"))
+    assert scenario_of(6, path).owned == ((1, 2), (3, 4), (5, 6))
+
+
+def test_gravity_is_the_templates(tmp_path: Path) -> None:
+    """A template on the Moon makes a team on the Moon."""
+    path = tmp_path / "moon.toml"
+    path.write_text(PAPER.read_text().replace("9.81", "1.62"))
+    assert scenario_of(3, path).system.gravity_mps2 == 1.62
+
+
+def test_files_of_delays_are_still_found(tmp_path: Path) -> None:
+    """Measured delays, named relative to the template's folder, are found from wherever the new scenario is."""
+    (tmp_path / "delays.txt").write_text("0.01, 0.02")
+    path = tmp_path / "measured.toml"
+    links = {"distribution": "empirical", "samples": "delays.txt"}
+    path.write_text(
+        PAPER.read_text() + "".join(f"\n[{name}]\n" + _toml(links) for name in ("links", "links.measurement"))
+    )
+    run = Setup.of(scenario_of(3, path), "elsewhere/team.toml")
+    assert list(run.samples_s.values()) == [(0.01, 0.02)]
+
+
+def test_what_names_agents_that_are_gone_is_refused(tmp_path: Path) -> None:
+    """A template whose links name agent 4 makes no team of three; the text names template, field and agents."""
+    path = tmp_path / "links.toml"
+    path.write_text(PAPER.read_text() + '\n[[links.override]]\nto = "agent4"\nloss = 0.1\n')
+    assert scenario_of(4, path).links.override[0].to == "agent4"
+    with pytest.raises(ScenarioError, match=r"^--from paper: links\.override\.1\.to: expected one of .*, got 'agent4'"):
+        scenario_of(3, path)
+
+
+@pytest.mark.parametrize("name", ["a b", "", "x" * 41])
+def test_a_name_that_cannot_be_is_refused(name: str) -> None:
+    """A name no scenario can have is refused as the field it is."""
+    with pytest.raises(ScenarioError) as caught:
+        scenario_of(3, name=name)
+    assert caught.value.field == "name"
+
+
+def test_the_largest_team_is_the_largest_scenario() -> None:
+    """The largest team is the largest a scenario can have."""
+    assert len(scenario_of(MOST).owned) == MOST
+    with pytest.raises(ValueError, match="256"):
+        scenario_of(MOST + 1)
+
+
+def test_one_uav_cannot_turn_the_payload() -> None:
+    """Why there is no team of one: whatever a UAV above the centre of mass does, the payload's yaw rate stays 0."""
+    uav, payload = ring(4, GRAVITY).uav[0], ring(4, GRAVITY).payload
+    alone = Uav(mass=uav.mass_kg, inertia=uav.inertia_kgm2, rho=[0.0, 0.0, -0.125], rod_length=uav.rod_length_m)
+    system = System(payload=Payload(mass=payload.mass_kg, inertia=payload.inertia_kgm2), uavs=[alone])
+    model, x = Model(system), hover(system).x
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        u = hover(system).u + rng.uniform(-1.0, 1.0, 4) * [10.0, 0.2, 0.2, 0.2]
+        x = model.integrate(x, u, 0.05, 5)[0]
+    assert np.abs(x[state.OMEGA0][:2]).max() > 1e-2  # it does swing
+    assert abs(x[state.OMEGA0][2]) < 1e-12  # rounding
+
+
+def _toml(values: dict[str, str]) -> str:
+    return "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items())

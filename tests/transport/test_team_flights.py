@@ -1,0 +1,46 @@
+"""Teams of other sizes fly the paper's maneuver as the four do: what `transport scenario new` promises."""
+
+import numpy as np
+import pytest
+
+from protocol.messages import Message, StepReport
+from protocol.scenario_file import read_scenario
+from protocol.setup import Setup
+from protocol.team import resized
+from tests.runs import SCENARIOS
+from tests.transport.logs import log_of
+from transport.memory import fly
+from transport.series import series_of
+
+
+def team(uavs: int, template: str, *settings: str) -> Setup:
+    """A team that flies as a ready scenario does, with some of its settings changed."""
+    ready = read_scenario(SCENARIOS / f"{template}.toml", settings)
+    return Setup.of(resized(ready, SCENARIOS, uavs, group=None, name=None, source=template), template)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("delay_s", [0.0, 0.1])
+@pytest.mark.parametrize("uavs", [6, 8])
+def test_larger_teams_complete_the_maneuver(uavs: int, delay_s: float) -> None:
+    """Section V with six and eight UAVs: all 25 s, level and apart, on a perfect network and 0.1 s late."""
+    run = team(uavs, "resilient", f"links.delay_s={delay_s}")
+    messages: list[Message] = []
+    assert fly(run, messages.append).outcome == "completed"
+    series = series_of(run, log_of(messages))
+    assert len(series.ticks) == run.ticks == 500
+    reports = [message for message in messages if isinstance(message, StepReport)]
+    assert {report.status for report in reports} == {"solved"}
+    assert max(report.plan_ages[0] for report in reports) == max(1, round(delay_s / 0.05))
+    # The four are held to 2.5 deg and 0.4 m (test_processes.py); measured here: 1.7 deg and 0.496 m.
+    assert series.attitude_max_deg.max() < 2.5
+    assert series.separation_m.min() > 0.45
+    # The cost is a sum over the UAVs: for each it stays what it is for one of the paper's four, 0.0005 to 0.0006.
+    assert series.cost.mean() / uavs < 8e-4
+    assert np.linalg.norm(series.payload_error_I, axis=1).max() < 0.7
+
+
+def test_the_papers_settings_do_not_carry_over() -> None:
+    """Why teams are made from `resilient`: eight agents that each correct the whole error lose the load."""
+    control = fly(team(8, "paper"))
+    assert control.outcome == "diverged"
