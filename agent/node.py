@@ -6,6 +6,7 @@ several rounds it exchanges plans with the others within the tick before that. I
 nobody: whatever is here when it gets round to it counts, and of several measurements the newest.
 """
 
+import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -54,6 +55,7 @@ class _Step:
     usable: Sequence[Plan]
     lost: int
     measured: int  # tick of the newest measurement used, -1 for none
+    force: Array  # estimated external force on the payload
     uav_states: Array
     start: int
     y_ref: Array
@@ -93,8 +95,13 @@ class AgentNode:
         times = setup.settings.sampling_period_s * instants
         self._y_ref, self._x_ref = setup.reference.outputs(times), setup.reference.states(times)
         self._peers = tuple(other for other in setup.agents if other != agent)
-        self._waits = setup.scenario.clock.mode == "lockstep"
+        clock = setup.scenario.clock
+        self._waits = clock.mode == "lockstep"
+        # In real time the others may be ahead of this process by as much as it may be late before it is given up.
+        late_s = 0.0 if self._waits else clock.barrier_timeout_s * clock.speed
+        self._ahead = math.ceil(late_s / setup.settings.sampling_period_s)
         self._membership = Membership()
+        self._gone: set[int] = set()  # agents the controller does not count on
         self.publish_ns = 0
         self.rejected: Counter[tuple[str, str]] = Counter()
         self.finished: Control | None = None
@@ -152,7 +159,7 @@ class AgentNode:
                     self.rejected[(event.sender, str(error))] += 1
             case Plan():
                 self._take(event, now_ns)
-            case Measurement() if event.tick > self._last_tick and event.uavs == self._uavs:
+            case Measurement() if self._last_tick < event.tick < self._setup.ticks and event.uavs == self._uavs:
                 self._measurement = event
                 self._measurements.put(event, now_ns)
             case Measurement():
@@ -209,8 +216,10 @@ class AgentNode:
         if plan.uavs != tuple(uav + 1 for uav in self._setup.owned[plan.agent - 1]):
             return "plan for UAVs of somebody else"
         # A process that has just joined is as far as the tick it joined at.
-        if self._waits and plan.tick > max(self._last_tick + 1, self._membership.since.get(self._agent, 0)):
+        if plan.tick > max(self._last_tick + 1, self._membership.since.get(self._agent, 0)) + self._ahead:
             return "plan from the future"
+        if plan.negotiation >= self._setup.scenario.controller.rounds:
+            return "plan of a negotiation with more rounds"
         return ""
 
     def _work(self, now_ns: int) -> list[Message]:
@@ -228,11 +237,12 @@ class AgentNode:
     def _meet_team(self, measurement: Measurement) -> None:
         """Take note of who takes part from this tick on: the same for everybody at the same tick."""
         gone = set(self._setup.agents) - self._membership.agents_at(measurement.roster)
-        if gone == self._announced.gone:
+        self._announced.gone = gone
+        if gone == self._gone:
             return
-        for agent in self._announced.gone - gone:
+        for agent in self._gone - gone:
             self._announced.forget(agent)
-        self._announced.gone, self._law_since = gone, measurement.tick
+        self._gone, self._law_since = gone, measurement.tick
         self._controller.without([uav for agent in sorted(gone) for uav in self._setup.owned[agent - 1]])
 
     def _has_plans_for(self, measurement: Measurement) -> bool:
@@ -295,6 +305,7 @@ class AgentNode:
             usable=usable,
             lost=lost,
             measured=self._estimator.measured,
+            force=np.zeros(3) if forces is None else forces[:3],
             uav_states=x[self._own_states].reshape(len(self._uavs), -1),
             start=start,
             y_ref=self._y_ref[start : start + steps + 1],
@@ -398,6 +409,7 @@ class AgentNode:
             lost=step.lost,
             late=sum(plan.tick < k - 1 for plan in step.usable),
             rejected=new,
+            force=step.force,
             times_ms=times_ms,
         )
 

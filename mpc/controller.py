@@ -88,7 +88,6 @@ class Controller:
         self.gain: Array | None = None
         if settings.prediction == "closed_loop":
             self.gain = team_gain(model, hover, self.cost, settings.sampling_period_s)
-        self._hover = hover
         self._on_state, self._on_input = compile_constraints(settings.constraints, model)
         # What the others do to a constraint without owned inputs is theirs to keep.
         depends = self._on_input.depends

@@ -60,7 +60,7 @@ class Message:
     tick: int
 
     def __post_init__(self) -> None:
-        self._set("sender", _name(self.sender))
+        self._set("sender", _name("sender", self.sender))
         for field in ("incarnation", "sequence", "tick"):
             self._set(field, _integer(field, getattr(self, field), MAX_TICK))
 
@@ -223,6 +223,7 @@ class StepReport(Message):
         lost: Plans of earlier ticks that are known from now on not to come: the link lost them.
         late: How many of the delivered ones were older than one tick.
         rejected: Messages refused since the last report. Unlike the rest, not reproducible.
+        force: Estimated external force on the payload, (3,), inertial frame, N; zero when nobody estimates it.
         times_ms: Wall-clock per stage, in the order of `STAGES`, (8,); "publish" is that of the step before.
             Not reproducible, unlike the rest.
     """
@@ -243,6 +244,7 @@ class StepReport(Message):
     lost: int
     late: int
     rejected: int
+    force: Array
     times_ms: Array
 
     def __post_init__(self) -> None:
@@ -261,6 +263,7 @@ class StepReport(Message):
             if len(ages) != len(self.peers):
                 raise MessageError(f"{field}: expected one for each of {len(self.peers)} peers, got {len(ages)}")
             self._set(field, ages)
+        self._set("force", _array("force", self.force, (3,)))
         self._set("times_ms", _array("times_ms", self.times_ms, (len(STAGES),)))
 
 
@@ -315,8 +318,9 @@ class LinkChange(Message):
         Message.__post_init__(self)
         self._set("number", _integer("number", self.number, MAX_TICK, low=1))
         for field in ("source", "target"):
-            if getattr(self, field) != "":
-                self._set(field, _name(getattr(self, field)))
+            end = getattr(self, field)
+            if not isinstance(end, str) or end:
+                self._set(field, _name(field, end))
         self._set("settings", _text("settings", self.settings))
 
 
@@ -361,7 +365,7 @@ class FaultNote(Message):
 
     def __post_init__(self) -> None:
         Message.__post_init__(self)
-        self._set("target", _name(self.target))
+        self._set("target", _name("target", self.target))
         self._set("what", _text("what", self.what))
         _choice("origin", self.origin, get_args(FaultOrigin))
 
@@ -404,9 +408,9 @@ class Request:
 Event = Message | Presence | Request
 
 
-def _name(value: object) -> str:
+def _name(field: str, value: object) -> str:
     if not (isinstance(value, str) and _NAME.fullmatch(value)):
-        raise MessageError(f"sender: expected a process name, got {_shown(value)}")
+        raise MessageError(f"{field}: expected a process name, got {_shown(value)}")
     return value
 
 

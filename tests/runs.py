@@ -10,7 +10,7 @@ import numpy as np
 
 from model import state
 from model.arrays import Array
-from protocol.messages import Control, Measurement, Message, Plan, Roster, StepReport, Tick, Truth, agent_name
+from protocol.messages import STAGES, Control, Measurement, Message, Plan, Roster, StepReport, Tick, Truth, agent_name
 from protocol.scenario_file import read_scenario
 from protocol.setup import Setup
 from transport.memory import fly
@@ -60,7 +60,7 @@ def truths(messages: Sequence[Message]) -> list[Truth]:
 
 def reproducible(message: Message) -> Message:
     """The message without its wall-clock times, the one thing that differs between two equal runs."""
-    return replace(message, times_ms=np.zeros(6)) if isinstance(message, StepReport) else message
+    return replace(message, times_ms=np.zeros(len(STAGES))) if isinstance(message, StepReport) else message
 
 
 def tick(k: int, answered: Sequence[int] = EVERYBODY, members: Sequence[int] = EVERYBODY, version: int = 1) -> Tick:
@@ -73,6 +73,8 @@ def tick(k: int, answered: Sequence[int] = EVERYBODY, members: Sequence[int] = E
         members=tuple(members),
         answered=tuple(answered) if k else (),
         roster=version,
+        late_ns=0,
+        overrun_ns=0,
     )
 
 
@@ -144,6 +146,7 @@ def plan(
         tick=k,
         agent=agent,
         start_tick=k + delay,
+        negotiation=0,
         uavs=tuple(uav + 1 for uav in owned),
         uav_states=state.StateView(x).uavs[list(owned)],
         inputs=hover if inputs is None else inputs,

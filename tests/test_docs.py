@@ -3,14 +3,14 @@
 import re
 import shlex
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, get_args, get_origin
 
 import pytest
 import typer
 from pydantic.fields import FieldInfo
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 from protocol.scenario import LinkSection, Scenario, Section
 from protocol.scenario_file import find_scenario, read_scenario, validate
@@ -34,6 +34,8 @@ TOP_LEVEL = "### Top level"
 KEY_ROW = re.compile(r"\| `(\w+)` \| [^|]+ \| ([^|]+) \| [^|]+ \|")
 # An override has the keys of a link besides its own; the document says so instead of repeating them.
 OVERRIDE = "links.override"
+
+Command = TyperCommand | TyperGroup
 
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 CODE_SPAN = re.compile(r"`([^`\n]+)`")
@@ -200,14 +202,42 @@ def commands() -> TyperGroup:
     return group
 
 
+def below(group: TyperGroup) -> dict[str, Command]:
+    """The commands of a group by name."""
+    found: dict[str, Command] = {}
+    for name, command in group.commands.items():
+        assert isinstance(command, TyperCommand | TyperGroup)
+        found[name] = command
+    return found
+
+
+def command_of(words: Sequence[str]) -> tuple[Command, list[str], list[str]]:
+    """The command that words name, with the names on the way to it and the words left; a group if they name no more."""
+    found: Command = commands()
+    names: list[str] = []
+    rest = list(words)
+    while isinstance(found, TyperGroup) and rest and rest[0] in found.commands:
+        names.append(rest.pop(0))
+        found = below(found)[names[-1]]
+    return found, names, rest
+
+
+def every_command(group: TyperGroup) -> Iterator[Command]:
+    """A group and all commands below it."""
+    yield group
+    for command in below(group).values():
+        yield from every_command(command) if isinstance(command, TyperGroup) else (command,)
+
+
 WRITTEN = [(document.name, arguments) for document in DOCUMENTS for arguments in command_lines(document)]
 
 
 @pytest.mark.parametrize(("document", "arguments"), WRITTEN, ids=[f"{name}: {' '.join(a)}" for name, a in WRITTEN])
 def test_command_lines_parse(document: str, arguments: list[str]) -> None:
     """A command line of a document is one: command, options, required arguments and the scenario it asks for."""
-    name, *rest = arguments
-    parameters = commands().commands[name].make_context(name, list(rest)).params
+    found, names, rest = command_of(arguments)
+    assert not isinstance(found, TyperGroup), f"{document}: {arguments} is no whole command"
+    parameters = found.make_context(names[-1], rest).params
     scenario, settings = parameters.get("scenario"), parameters.get("settings")
     if scenario in {path.stem for path in PAPER.parent.glob("*.toml")}:
         Setup.of(read_scenario(find_scenario(scenario), settings or []), scenario)
@@ -218,23 +248,34 @@ def test_readme_has_command_lines() -> None:
     assert sum(document == "README.md" for document, _ in WRITTEN) > 10
 
 
-def options_of(*names: str) -> set[str]:
+def options_of(*some: Command) -> set[str]:
     """Options of some commands."""
-    parameters = [parameter for name in names for parameter in commands().commands[name].params]
+    parameters = [parameter for command in some for parameter in command.params]
     return {"--help"}.union(*([*parameter.opts, *parameter.secondary_opts] for parameter in parameters))
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
 def test_commands_in_text_exist(document: Path) -> None:
     """`transport ...` within a sentence names commands and options that exist, `--option ...` one of some command."""
-    every = tuple(commands().commands)
+    every = tuple(every_command(commands()))
     for span in CODE_SPAN.findall(prose(document)):
         words = span.split()
         if words[0] == "transport" and len(words) > 1 and not words[1].isupper():  # capitals are placeholders
-            assert words[1] in every, f"{document.name}: {span}"
-            known = options_of(words[1])
+            found, names, _ = command_of(words[1:])
+            assert names or words[1].startswith("--"), f"{document.name}: {span}"
+            known = options_of(found)
         elif words[0].startswith("--"):
             known = options_of(*every)
         else:
             continue
         assert {word for word in words if word.startswith("--")} <= known, f"{document.name}: {span}"
+
+
+def test_help_shows_whole_sentences() -> None:
+    """The lists of commands in `--help` cut nothing off on a terminal of 80 columns."""
+    for group in every_command(commands()):
+        if not isinstance(group, TyperGroup):
+            continue
+        room = 80 - 8 - max(map(len, group.commands))  # 8: blanks before and between the columns, and at the right
+        for name, command in below(group).items():
+            assert not command.get_short_help_str(room).endswith("..."), name

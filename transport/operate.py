@@ -62,7 +62,7 @@ def link_set(
 
 @link_app.command("clear")
 def link_clear(run: RunOption = None, connect: ConnectOption = None) -> None:
-    """Make all links perfect again: between agents, from the plant and to it."""
+    """Make all links perfect again, the plant's as well."""
     perfect = {
         "delay_s": 0.0,
         "jitter_s": 0.0,

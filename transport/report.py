@@ -39,8 +39,8 @@ def write_report(folder: Path, *, figures: bool = True) -> dict[str, Any]:
     log = read_log(folder / "run.mcap")
     setup = Setup.of(read_scenario(path), str(path))
     summary = summarise(setup, log)
-    _replace(folder / "summary.json", orjson.dumps(summary, option=orjson.OPT_INDENT_2) + b"\n")
-    _replace(folder / "steps.csv", _csv(setup, log))
+    write_whole(folder / "summary.json", orjson.dumps(summary, option=orjson.OPT_INDENT_2) + b"\n")
+    write_whole(folder / "steps.csv", _csv(setup, log))
     if figures:
         from transport.figures import draw  # matplotlib takes its time
 
@@ -150,7 +150,7 @@ def _csv(setup: Setup, log: RunLog) -> bytes:
     return text.getvalue().encode()
 
 
-def _replace(path: Path, content: bytes) -> None:
+def write_whole(path: Path, content: bytes) -> None:
     """Write a file as a whole or not at all: readers never see half of it."""
     partial = path.with_name(path.name + ".partial")
     partial.write_bytes(content)

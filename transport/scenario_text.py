@@ -19,17 +19,18 @@ def scenario_text(tree: dict[str, Any], comment: Sequence[str]) -> str:
 
 def _table(tree: dict[str, Any], path: str) -> Iterator[str]:
     """Values first, then the tables below: what follows a table's heading belongs to it."""
-    below = {}
+    tables: list[tuple[str, str, dict[str, Any]]] = []
     for key, value in tree.items():
-        if isinstance(value, dict) or (isinstance(value, list) and value and isinstance(value[0], dict)):
-            below[path + key] = value
+        name = path + key
+        if isinstance(value, dict):
+            tables.append((f"[{name}]", name, value))
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            tables += [(f"[[{name}]]", name, entry) for entry in value]
         else:
             yield f"{key} = {_value(value)}"
-    for name, value in below.items():
-        single = isinstance(value, dict)
-        for table in [value] if single else value:
-            yield from ("", f"[{name}]" if single else f"[[{name}]]")
-            yield from _table(table, f"{name}.")
+    for heading, name, table in tables:
+        yield from ("", heading)
+        yield from _table(table, f"{name}.")
 
 
 def _value(value: Any) -> str:

@@ -15,6 +15,7 @@ WALL_CLOCK = "_ms"
 
 _REPORT = ("status", "solver", "fallback", "iterations", "residual")
 _FLIGHT = ("cost", "attitude_deg", "payload_error_m", "uav_error_m", "separation_min_m", "constraint_violation")
+_FORCE = ("force_x_N", "force_y_N", "force_z_N")
 _INPUTS = ("thrust{}_N", "moment{}_x_Nm", "moment{}_y_Nm", "moment{}_z_Nm")
 
 
@@ -24,6 +25,7 @@ def steps_columns(setup: Setup) -> list[str]:
         *("tick", "t_s", "agent"),
         *_REPORT,
         *("plan_age_max", "state_age_max", "delivered", "late", "lost"),
+        *_FORCE,
         *_FLIGHT,
         *(name.format(uav) for uav in range(1, setup.system.N + 1) for name in _INPUTS),
         *(f"{stage}{WALL_CLOCK}" for stage in STAGES),
@@ -55,6 +57,7 @@ def steps_rows(setup: Setup, log: RunLog) -> list[dict[str, Any]]:
         row["fallback"] = int(report.fallback)
         row |= {"plan_age_max": _oldest(report.plan_ages), "state_age_max": _oldest(report.state_ages)}
         row |= {"delivered": report.delivered, "late": report.late, "lost": report.lost}
+        row |= {name: float(value) for name, value in zip(_FORCE, report.force, strict=True)}
         k = at.get(tick)
         owned = setup.owned[agent - 1] if agent <= len(setup.owned) else ()
         if k is not None:

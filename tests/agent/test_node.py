@@ -10,7 +10,7 @@ from agent.node import AgentNode
 from model import state
 from model.arrays import Array
 from mpc.controller import Controller
-from protocol.messages import Message, Plan, Presence, StepReport
+from protocol.messages import STAGES, Message, Plan, Presence, StepReport
 from protocol.setup import Setup
 from tests.runs import end, measurement, plan, roster, setup, tick, truth
 
@@ -225,11 +225,14 @@ def test_report(run: Setup, node: AgentNode) -> None:
 
 
 def test_stopwatch(run: Setup) -> None:
-    """Times per stage come from the stopwatch alone, in ms; the last is their sum."""
+    """Times per stage come from the stopwatch alone, in ms; the last is the work's: neither waiting nor publishing."""
     now = iter(range(0, 10**9, 2_000_000))
     node = AgentNode(run, 1, stopwatch=lambda: next(now))
     _, report = answer(tell(node, roster(), measurement(run, 1, 0)))
-    np.testing.assert_array_equal(report.times_ms, [2.0, 2.0, 2.0, 2.0, 2.0, 10.0])
+    np.testing.assert_array_equal(report.times_ms, [2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 0.0, 10.0])
+    node.publish_ns = 500_000  # told by whoever sends, of this step in the report of the next
+    _, report = answer(tell(node, *[plan(run, agent, 0) for agent in OTHERS], measurement(run, 1, 1)))
+    assert report.times_ms[STAGES.index("publish")] == 0.5
 
 
 def test_plan_is_the_controllers(run: Setup, node: AgentNode) -> None:

@@ -222,12 +222,24 @@ def test_what_is_refused_is_counted() -> None:
     assert isinstance(node.rejected, Counter)
 
 
-def test_a_restarted_agent_does_not_replace_the_lost_one() -> None:
-    """The roster's incarnation leaves when its token does, also if a newer start of it is there before that."""
+def test_a_restarted_agent_joins_at_the_next_tick() -> None:
+    """A newer start of an agent ends the older one, is not waited for in the open tick, and takes part from the next.
+
+    That the older one's token disappears only after that says nothing about the newer one.
+    """
     node = started(coordinator(CONTINUE))
-    assert tell(node, [ready("agent2", 2)]) == []
-    assert tell(node, [*answers(0, (1, 3, 4)), plan(setup(), 2, 0, incarnation=2)]) == []
-    assert kinds(tell(node, [gone("agent2", 1)])) == ["roster 0", "tick 1"]
+    (left,) = tell(node, [ready("agent2", 2)])
+    assert isinstance(left, Roster)
+    assert (left.agents, left.reason) == ((1, 3, 4), "agent2 is gone at t = 0.00 s")
+    assert tell(node, [plan(setup(), 2, 0, incarnation=2)]) == []
+    joined, tick = tell(node, answers(0, (1, 3, 4)))
+    assert isinstance(joined, Roster)
+    assert (joined.tick, joined.agents, joined.incarnations) == (1, EVERYBODY, (1, 2, 1, 1))
+    assert joined.reason == "agent2 joined at t = 0.05 s"
+    assert isinstance(tick, Tick)
+    assert (tick.tick, tick.members, tick.answered, tick.roster) == (1, EVERYBODY, (1, 3, 4), 3)
+    assert tell(node, [gone("agent2", 1)]) == []
+    assert node.finished is None
 
 
 def test_a_stale_plant_token() -> None:

@@ -5,7 +5,9 @@ import pytest
 
 from model import state
 from model.arrays import Array
+from model.parameters import Payload, System, Uav
 from model.rotations import euler_rates, rotation
+from mpc.fail_safe import FailSafe
 from mpc.settings import Limits
 from plant.schedule import BEFORE_ANY_PLAN, FAIL_SAFE, ActuatorSchedule
 from protocol.messages import Plan
@@ -14,6 +16,10 @@ N, STEPS = 3, 4
 OWNED = {1: (1, 3), 2: (2,)}
 U_HOVER = np.tile([20.0, 0.0, 0.0, 0.0], N) + np.repeat([0.0, 1.0, 2.0], 4) * np.tile([1.0, 0.0, 0.0, 0.0], N)
 J = np.diag([0.029, 0.029, 0.055])
+SYSTEM = System(
+    payload=Payload(mass=3.0, inertia=[0.556, 0.556, 0.556]),
+    uavs=[Uav(mass=1.5, inertia=J, rho=[x, 0.0, -0.125], rod_length=3.2) for x in (-0.25, 0.0, 0.25)],
+)
 LIMITS = Limits()
 X = np.zeros(12 + 12 * N)
 
@@ -22,11 +28,12 @@ PERIOD_S, SUBSTEPS = 0.05, 50  # 1 ms: Euler steps are then accurate to a fracti
 # The loop's real part is 0.8 x 6 / s and saturation costs some tenths of a second: three seconds are many of its
 # time constants, and what is left is far below a degree.
 SETTLING_S, LEVEL_RAD, STILL_RAD_S = 3.0, np.radians(0.5), 0.02
+RATE_SLACK = 1e-12  # N and N m: rounding of a sum and a difference
 
 
-def schedule(*plans: Plan) -> ActuatorSchedule:
+def schedule(*plans: Plan, limits: Limits = LIMITS) -> ActuatorSchedule:
     """A schedule with some plans on it."""
-    found = ActuatorSchedule(U_HOVER, np.array([J] * N), LIMITS)
+    found = ActuatorSchedule(U_HOVER, FailSafe(SYSTEM, U_HOVER), limits, PERIOD_S)
     for plan in plans:
         found.add(plan)
     return found
@@ -43,6 +50,7 @@ def labelled(agent: int, k: int, delay: int = 0) -> Plan:
         tick=k,
         agent=agent,
         start_tick=k + delay,
+        negotiation=0,
         uavs=uavs,
         uav_states=np.zeros((len(uavs), 12)),
         inputs=1000.0 * k + np.arange(STEPS)[:, None] + columns,
@@ -53,14 +61,14 @@ def labelled(agent: int, k: int, delay: int = 0) -> Plan:
 
 def played(plans: ActuatorSchedule, k: int, x: Array = X) -> tuple[list[float], tuple[int, ...]]:
     """Thrust of each UAV at a tick, and where its inputs come from."""
-    u, sources = plans.inputs(k, x)
+    u, sources = plans.inputs(k, x, U_HOVER)
     return u[::4].tolist(), sources
 
 
 def test_hover_before_any_plan() -> None:
     """Until its first plan starts a UAV does what it does in hover."""
     plans = schedule(labelled(2, 0, delay=1))
-    u, sources = plans.inputs(0, X)
+    u, sources = plans.inputs(0, X, U_HOVER)
     np.testing.assert_array_equal(u, U_HOVER)
     assert sources == (BEFORE_ANY_PLAN,) * N
     assert played(plans, 1) == ([20.0, 200.0, 22.0], (-1, 0, -1))
@@ -70,7 +78,7 @@ def test_plan_is_played_step_by_step() -> None:
     """A plan acts from its start tick on, one step per tick, on exactly the UAVs it is for."""
     plans = schedule(labelled(1, 0), labelled(2, 0))
     for k in range(STEPS):
-        u, sources = plans.inputs(k, X)
+        u, sources = plans.inputs(k, X, U_HOVER)
         np.testing.assert_array_equal(u[state.input_slice(0)], labelled(1, 0).inputs[k, :4])
         np.testing.assert_array_equal(u[state.input_slice(1)], labelled(2, 0).inputs[k])
         np.testing.assert_array_equal(u[state.input_slice(2)], labelled(1, 0).inputs[k, 4:])
@@ -109,7 +117,7 @@ def test_fail_safe_hovers() -> None:
     """A level UAV at rest is left at hover thrust without moments, whatever its yaw."""
     x = X.copy()
     x[state.uav_slice(1)][state.THETA] = [0.0, 0.0, 2.0]
-    u, sources = schedule(labelled(1, 0), labelled(2, 0)).inputs(STEPS, x)
+    u, sources = schedule(labelled(1, 0), labelled(2, 0)).inputs(STEPS, x, U_HOVER)
     np.testing.assert_array_equal(u, U_HOVER)
     assert sources == (FAIL_SAFE,) * N
 
@@ -119,7 +127,7 @@ def test_fail_safe_law() -> None:
     x = X.copy()
     x[state.uav_slice(1)][state.THETA] = [0.02, -0.01, 1.0]
     x[state.uav_slice(1)][state.OMEGA] = [0.1, 0.2, -0.3]
-    u, _ = schedule(labelled(2, 0)).inputs(STEPS, x)
+    u, _ = schedule(labelled(2, 0)).inputs(STEPS, x, U_HOVER)
     expected = J @ (-36.0 * np.array([0.02, -0.01, 0.0]) - 9.6 * np.array([0.1, 0.2, -0.3]))
     # Same arithmetic in another order: rounding only.
     np.testing.assert_allclose(u[state.input_slice(1)], [21.0, *expected], rtol=1e-14)
@@ -133,10 +141,10 @@ def test_fail_safe_levels(seed: int) -> None:
     Theta = np.array([tilt * np.cos(heading), tilt * np.sin(heading), rng.uniform(-np.pi, np.pi)])
     omega = rng.uniform(-3.0, 3.0, 3)
     plans = schedule(labelled(2, 0))
-    x = X.copy()
+    x, u = X.copy(), U_HOVER
     for k in range(round(SETTLING_S / PERIOD_S)):
         x[state.uav_slice(1)][state.THETA], x[state.uav_slice(1)][state.OMEGA] = Theta, omega
-        u, _ = plans.inputs(STEPS + k, x)
+        u, _ = plans.inputs(STEPS + k, x, u)
         Theta, omega = attitude_after(Theta, omega, u[state.input_slice(1)][1:])
     upright = rotation(Theta)[2, 2]
     assert np.arccos(min(upright, 1.0)) < LEVEL_RAD
@@ -154,26 +162,42 @@ def attitude_after(Theta: Array, omega: Array, tau: Array) -> tuple[Array, Array
 
 @pytest.mark.parametrize("seed", range(5))
 def test_fail_safe_keeps_the_limits(seed: int) -> None:
-    """However it tumbles, the fail-safe asks the actuators for nothing they cannot do."""
+    """However it tumbles, the fail-safe asks the actuators for nothing they cannot do: bounds and rates."""
     rng = np.random.default_rng(seed)
-    low, high = LIMITS.lower(N), LIMITS.upper(N)
+    low, high, step = LIMITS.lower(N), LIMITS.upper(N), LIMITS.step(N, PERIOD_S)
     plans = schedule(labelled(1, 0), labelled(2, 0))
+    before = rng.uniform(low, high)
     for _ in range(50):
-        u, _ = plans.inputs(STEPS, rng.normal(0.0, 30.0, len(X)))
+        u, _ = plans.inputs(STEPS, rng.normal(0.0, 30.0, len(X)), before)
         assert (low <= u).all()
         assert (u <= high).all()
+        assert (np.abs(u - before) <= step + RATE_SLACK).all()
+        before = u
+
+
+def test_fail_safe_goes_over_at_the_actuators_rate() -> None:
+    """From the inputs a plan ended with, the fail-safe goes to its own at the fastest rate allowed, and stays there."""
+    plans = schedule(labelled(2, 0))
+    before = U_HOVER + np.tile([12.0, 0.9, 0.0, 0.0], N)
+    thrusts, moments = [], []
+    for k in range(4):
+        before, _ = plans.inputs(STEPS + k, X, before)
+        thrusts.append(before[4])
+        moments.append(before[5])
+    # 100 N/s and 10 N m/s: 5 N and 0.5 N m in 50 ms.
+    assert thrusts == pytest.approx([28.0, 23.0, 21.0, 21.0], abs=RATE_SLACK)
+    assert moments == pytest.approx([0.4, 0.0, 0.0, 0.0], abs=RATE_SLACK)
 
 
 def test_limits_of_the_hover_thrust() -> None:
     """Hover thrust at a limit is not moved by the fail-safe."""
-    tight = ActuatorSchedule(U_HOVER, np.array([J] * N), Limits(thrust_N=(20.0, 22.0)))
-    tight.add(labelled(1, 0))
-    assert tight.inputs(STEPS, X)[0][::4].tolist() == [20.0, 21.0, 22.0]
+    tight = schedule(labelled(1, 0), limits=Limits(thrust_N=(20.0, 22.0)))
+    assert tight.inputs(STEPS, X, U_HOVER)[0][::4].tolist() == [20.0, 21.0, 22.0]
 
 
 def test_results_are_the_callers() -> None:
     """Changing a result changes neither the hover inputs nor a plan."""
     plans = schedule(labelled(2, 0))
-    before = plans.inputs(0, X)[0].copy()
-    plans.inputs(0, X)[0][:] = 0.0
-    np.testing.assert_array_equal(plans.inputs(0, X)[0], before)
+    before = plans.inputs(0, X, U_HOVER)[0].copy()
+    plans.inputs(0, X, U_HOVER)[0][:] = 0.0
+    np.testing.assert_array_equal(plans.inputs(0, X, U_HOVER)[0], before)

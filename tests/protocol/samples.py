@@ -4,7 +4,20 @@ from typing import Any
 
 import numpy as np
 
-from protocol.messages import KINDS, Control, Measurement, Message, Plan, Roster, StepReport, Tick, Truth
+from protocol.messages import (
+    KINDS,
+    STAGES,
+    Control,
+    FaultNote,
+    LinkChange,
+    Measurement,
+    Message,
+    Plan,
+    Roster,
+    StepReport,
+    Tick,
+    Truth,
+)
 
 HEAD: dict[str, Any] = {"incarnation": 1, "sequence": 7, "tick": 3}
 
@@ -13,8 +26,22 @@ def fields(kind: type[Message]) -> dict[str, Any]:
     """Valid fields of a message class, fresh on every call."""
     states, inputs = np.arange(24.0).reshape(2, 12), np.arange(8.0).reshape(2, 4)
     own: dict[type[Message], dict[str, Any]] = {
-        Tick: {"sender": "coordinator", "members": (1, 2), "answered": (2,), "roster": 3},
+        Tick: {
+            "sender": "coordinator",
+            "members": (1, 2),
+            "answered": (2,),
+            "roster": 3,
+            "late_ns": 50_000,
+            "overrun_ns": 1_200_000,
+        },
         Roster: {"sender": "coordinator", "version": 2, "agents": (1, 3), "incarnations": (0, 5), "reason": "ready"},
+        LinkChange: {
+            "sender": "coordinator",
+            "number": 2,
+            "source": "agent1",
+            "target": "",
+            "settings": '{"delay_s": 0.1}',
+        },
         Measurement: {
             "sender": "plant",
             "agent": 2,
@@ -29,6 +56,7 @@ def fields(kind: type[Message]) -> dict[str, Any]:
             "sender": "agent2",
             "agent": 2,
             "start_tick": 4,
+            "negotiation": 1,
             "uavs": (2, 4),
             "uav_states": states,
             "inputs": np.arange(24.0).reshape(3, 8),
@@ -46,11 +74,13 @@ def fields(kind: type[Message]) -> dict[str, Any]:
             "peers": (1, 3),
             "plan_ages": (1, -1),
             "state_ages": (2, -1),
+            "measurement_age": 1,
             "delivered": 2,
             "lost": 1,
             "late": 1,
             "rejected": 0,
-            "times_ms": np.arange(6.0),
+            "force": np.array([0.5, -1.0, 4.4]),
+            "times_ms": np.arange(float(len(STAGES))),
         },
         Truth: {
             "sender": "plant",
@@ -60,6 +90,7 @@ def fields(kind: type[Message]) -> dict[str, Any]:
             "local_error": 1e-12,
             "diverged": "",
         },
+        FaultNote: {"sender": "recorder", "target": "agent3", "what": "killed", "origin": "person"},
         Control: {"sender": "coordinator", "outcome": "aborted", "reason": "agent1 is gone", "exit_code": 4},
     }
     return HEAD | own[kind]

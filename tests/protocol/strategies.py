@@ -8,10 +8,14 @@ from hypothesis.strategies import SearchStrategy
 
 from model.arrays import Array
 from protocol.messages import (
+    MAX_ROUNDS,
     MAX_TICK,
     MAX_UAVS,
     STAGES,
     Control,
+    FaultNote,
+    FaultOrigin,
+    LinkChange,
     Measurement,
     Message,
     Outcome,
@@ -32,8 +36,9 @@ _age = st.integers(-1, MAX_TICK)
 _text = st.text(max_size=40)
 _number = st.floats(allow_nan=False, allow_infinity=False)
 _ids = st.lists(_agent, max_size=_UAVS, unique=True).map(sorted)
+_name = st.sampled_from(["coordinator", "plant", "recorder"]) | _agent.map(lambda agent: f"agent{agent}")
 _head = {
-    "sender": st.sampled_from(["coordinator", "plant", "recorder"]) | _agent.map(lambda agent: f"agent{agent}"),
+    "sender": _name,
     "incarnation": _count,
     "sequence": _count,
     "tick": _count,
@@ -49,7 +54,9 @@ def _listed(length: int, entries: SearchStrategy[int]) -> SearchStrategy[list[in
     return st.lists(entries, min_size=length, max_size=length)
 
 
-ticks = st.builds(Tick, members=_ids, answered=_ids, roster=_count, **_head)
+ticks = st.builds(
+    Tick, members=_ids, answered=_ids, roster=_count, late_ns=_count, overrun_ns=_count, **_head
+)
 rosters = _ids.flatmap(
     lambda ids: st.builds(
         Roster,
@@ -59,6 +66,14 @@ rosters = _ids.flatmap(
         reason=_text,
         **_head,
     )
+)
+link_changes = st.builds(
+    LinkChange,
+    number=st.integers(1, MAX_TICK),
+    source=_name | st.just(""),
+    target=_name | st.just(""),
+    settings=_text,
+    **_head,
 )
 measurements = _ids.flatmap(
     lambda ids: st.builds(
@@ -78,6 +93,7 @@ plans = st.tuples(_ids, st.integers(1, _STEPS), st.booleans()).flatmap(
         Plan,
         agent=_agent,
         start_tick=_count,
+        negotiation=st.integers(0, MAX_ROUNDS - 1),
         uavs=st.just(drawn[0]),
         uav_states=_array(len(drawn[0]), 12),
         inputs=_array(drawn[1], 4 * len(drawn[0])),
@@ -98,10 +114,12 @@ reports = _ids.flatmap(
         peers=st.just(ids),
         plan_ages=_listed(len(ids), _age),
         state_ages=_listed(len(ids), _age),
+        measurement_age=_age,
         delivered=_count,
         lost=_count,
         late=_count,
         rejected=_count,
+        force=_array(3),
         times_ms=_array(len(STAGES)),
         **_head,
     )
@@ -117,8 +135,11 @@ truths = st.integers(0, _UAVS).flatmap(
         **_head,
     )
 )
+fault_notes = st.builds(FaultNote, target=_name, what=_text, origin=st.sampled_from(get_args(FaultOrigin)), **_head)
 controls = st.builds(
     Control, outcome=st.sampled_from(get_args(Outcome)), reason=_text, exit_code=st.integers(0, 255), **_head
 )
 
-messages: SearchStrategy[Message] = st.one_of(ticks, rosters, measurements, plans, reports, truths, controls)
+messages: SearchStrategy[Message] = st.one_of(
+    ticks, rosters, link_changes, measurements, plans, reports, truths, fault_notes, controls
+)

@@ -6,6 +6,8 @@ from protocol.keys import Keys, RunNameError, matches
 from protocol.messages import (
     KINDS,
     Control,
+    FaultNote,
+    LinkChange,
     Measurement,
     Message,
     MessageError,
@@ -25,9 +27,11 @@ NAMES = ("coordinator", "plant", "recorder", *[agent_name(agent) for agent in AG
 OWNERS = {
     "tick": "coordinator",
     "roster": "coordinator",
+    "link": "coordinator",
     "control": "coordinator",
     "measurement": "plant",
     "truth": "plant",
+    "fault": "recorder",
     "plan": "agent2",
     "report": "agent2",
 }
@@ -45,6 +49,8 @@ def listeners(message: Message) -> set[str]:
     [
         (Tick, {"plant", "recorder"}),
         (Roster, {"plant", "recorder", "agent1", "agent2", "agent12", "agent123"}),
+        (LinkChange, {"plant", "recorder", "agent1", "agent2", "agent12", "agent123"}),
+        (FaultNote, set()),
         (Control, {"plant", "recorder", "agent1", "agent2", "agent12", "agent123"}),
         (Measurement, {"agent2", "recorder"}),
         (Plan, {"coordinator", "plant", "recorder", "agent1", "agent12", "agent123"}),
@@ -86,6 +92,8 @@ def test_keys_are_as_documented() -> None:
     expected = {
         "tick": "transport/run-1/tick",
         "roster": "transport/run-1/roster",
+        "link": "transport/run-1/link",
+        "fault": "transport/run-1/fault",
         "control": "transport/run-1/control",
         "measurement": "transport/run-1/measurement/2",
         "truth": "transport/run-1/truth",

@@ -9,10 +9,13 @@ import pytest
 from protocol.messages import (
     KINDS,
     MAX_HORIZON,
+    MAX_ROUNDS,
     MAX_TEXT,
     MAX_TICK,
     MAX_UAVS,
     Control,
+    FaultNote,
+    LinkChange,
     Measurement,
     Message,
     MessageError,
@@ -43,12 +46,15 @@ WRONG: dict[str, list[Any]] = {
         b"plant",
     ],
     "count": [-1, MAX_TICK + 1, 1.0, NAN, True, "1", None, [1], np.float64(1.0), np.bool_(True)],
+    "number": [0, -1, MAX_TICK + 1, 1.0, True, "1", None],
+    "rounds": [-1, MAX_ROUNDS, 1.0, True, "1", None],
+    "end": ["agent", "agent0", "Plant", "any", "*", " ", 3, None, b"plant"],
     "age": [-2, MAX_TICK + 1, 1.0, True, "1", None],
     "source": [-3, MAX_TICK + 1, 1.0, True, "1", None],
     "agent": [0, -1, MAX_UAVS + 1, 1.0, True, "1", None],
     "code": [-1, 256, 4.0, True, "4", None],
     "ids": [(2, 1), (1, 1), (0, 1), (1, MAX_UAVS + 1), (1.0,), (True,), ("1",), (None,), ((1,),)],
-    "number": [NAN, INF, -INF, "1", None, True, [1.0], np.float64(NAN), 1j],
+    "float": [NAN, INF, -INF, "1", None, True, [1.0], np.float64(NAN), 1j],
     "flag": [0, 1, "true", None, np.bool_(True)],
     "text": ["x" * (MAX_TEXT + 1), 3, None, b"x", ["x"]],
     "word": ["", "Solved", "completed ", 1, None, b"solved", ["solved"], ("solved", "limit")],
@@ -57,8 +63,15 @@ WRONG: dict[str, list[Any]] = {
 }
 
 SORTS: dict[type[Message], dict[str, str]] = {
-    Tick: {"members": "ids", "answered": "ids", "roster": "count"},
+    Tick: {
+        "members": "ids",
+        "answered": "ids",
+        "roster": "count",
+        "late_ns": "count",
+        "overrun_ns": "count",
+    },
     Roster: {"version": "count", "agents": "ids", "incarnations": "list", "reason": "text"},
+    LinkChange: {"number": "number", "source": "end", "target": "end", "settings": "text"},
     Measurement: {
         "agent": "agent",
         "answered": "ids",
@@ -71,6 +84,7 @@ SORTS: dict[type[Message], dict[str, str]] = {
     Plan: {
         "agent": "agent",
         "start_tick": "count",
+        "negotiation": "rounds",
         "uavs": "ids",
         "uav_states": "array",
         "inputs": "array",
@@ -83,17 +97,20 @@ SORTS: dict[type[Message], dict[str, str]] = {
         "solver": "text",
         "fallback": "flag",
         "iterations": "count",
-        "residual": "number",
+        "residual": "float",
         "peers": "ids",
         "plan_ages": "list",
         "state_ages": "list",
+        "measurement_age": "age",
         "delivered": "count",
         "lost": "count",
         "late": "count",
         "rejected": "count",
+        "force": "array",
         "times_ms": "array",
     },
-    Truth: {"x": "array", "u": "array", "plan_ticks": "list", "local_error": "number", "diverged": "text"},
+    Truth: {"x": "array", "u": "array", "plan_ticks": "list", "local_error": "float", "diverged": "text"},
+    FaultNote: {"target": "name", "what": "text", "origin": "word"},
     Control: {"outcome": "word", "reason": "text", "exit_code": "code"},
 }
 HEAD = {"sender": "name", "incarnation": "count", "sequence": "count", "tick": "count"}
@@ -170,7 +187,7 @@ def test_what_is_no_list_is_named(kind: type[Message], field: str) -> None:
 @pytest.mark.parametrize("value", [np.zeros(2), np.zeros(0), np.array(["solved", "completed"])])
 def test_an_array_is_no_word(value: object) -> None:
     """An array where one of several words belongs is refused like any other wrong value."""
-    for kind, field in ((Plan, "status"), (StepReport, "status"), (Control, "outcome")):
+    for kind, field in ((Plan, "status"), (StepReport, "status"), (FaultNote, "origin"), (Control, "outcome")):
         assert refusal(kind, **{field: value}).startswith(f"{field}: expected one of ")
 
 
@@ -268,6 +285,8 @@ def test_fields_agree_with_each_other(kind: type[Message], changes: dict[str, An
         (Tick, {"incarnation": MAX_TICK, "sequence": MAX_TICK, "tick": MAX_TICK, "members": (), "answered": ()}),
         (Tick, {"members": tuple(range(1, MAX_UAVS + 1))}),
         (Roster, {"reason": "x" * MAX_TEXT, "agents": (), "incarnations": ()}),
+        (LinkChange, {"number": 1, "source": "plant", "target": "agent4", "settings": "{}"}),
+        (Plan, {"negotiation": MAX_ROUNDS - 1}),
         (Control, {"exit_code": 255}),
         (Control, {"exit_code": 0, "outcome": "diverged", "reason": "\N{GREEK SMALL LETTER TAU} > 0"}),
         (Plan, {"inputs": np.zeros((MAX_HORIZON, 8)), "corrections": np.zeros((0, 8)), "agent": MAX_UAVS}),

@@ -57,11 +57,13 @@ def report(run: Setup, agent: int, tick: int, **fields: Any) -> StepReport:
         "peers": peers,
         "plan_ages": tuple(1 if tick else -1 for _ in peers),
         "state_ages": tuple(1 if tick else -1 for _ in peers),
+        "measurement_age": 0,
         "delivered": len(peers) if tick else 0,
         "lost": 0,
         "late": 0,
         "rejected": 0,
-        "times_ms": np.array([0.1, 0.2, 0.3, 0.4, 0.5, 1.5]),
+        "force": np.zeros(3),
+        "times_ms": np.array([0.6, 0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 1.5]),
     }
     return StepReport(
         sender=agent_name(agent), incarnation=0, sequence=tick, tick=tick, agent=agent, **(usual | fields)
@@ -78,6 +80,7 @@ def plan(run: Setup, agent: int, k: int) -> Plan:
         tick=k,
         agent=agent,
         start_tick=k,
+        negotiation=0,
         uavs=tuple(uav + 1 for uav in owned),
         uav_states=state.StateView(run.hover.x).uavs[list(owned)],
         inputs=np.tile(run.hover.u[state.input_indices(owned)], (2, 1)),

@@ -1,0 +1,21 @@
+"""What stops an experiment."""
+
+EXIT_USAGE, EXIT_SCENARIO, EXIT_LOST, EXIT_CASES = 2, 3, 4, 7
+
+
+class ExperimentError(RuntimeError):
+    """An experiment that cannot be flown, or not to its end.
+
+    Args:
+        text: One line for the user.
+        exit_code: For the process (docs/command-line.md).
+    """
+
+    def __init__(self, text: str, exit_code: int = EXIT_USAGE) -> None:
+        super().__init__(text)
+        self.exit_code = exit_code
+
+
+def refused(option: str, expected: str, got: object) -> ExperimentError:
+    """An option that cannot be."""
+    return ExperimentError(f"{option}: expected {expected}, got {got}")

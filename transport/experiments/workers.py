@@ -1,0 +1,110 @@
+"""Where the flights of an experiment are flown: here one by one, on this machine's cores, or on a cluster.
+
+Each way gives the results as they come, in any order, and ends what it has started however it is left.
+"""
+
+import os
+import re
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import cache
+
+from transport.experiments.cases import Case
+from transport.experiments.errors import EXIT_LOST, ExperimentError, refused
+from transport.experiments.flight import ERROR, Result, fly_in_memory
+
+# How long a cluster may take to answer, and how often a worker looks whether its command is still there, s.
+_ANSWER_S, _LOOK_S = 15.0, 0.5
+
+_ADDRESS = re.compile(r"[a-z]+://\S+")
+
+
+def one_by_one(cases: Iterable[Case], fly: Callable[[Case], Result]) -> Iterator[Result]:
+    """Fly in this process, one after the other."""
+    return map(fly, cases)
+
+
+def on_cores(cases: Sequence[Case], jobs: int) -> Iterator[Result]:
+    """Fly on several cores of this machine, in a process each.
+
+    Args:
+        cases: What to fly.
+        jobs: How many at a time.
+    Raises: ExperimentError: a worker process has died.
+    """
+    import joblib
+    from joblib.externals.loky import get_reusable_executor
+    from joblib.externals.loky.process_executor import TerminatedWorkerError
+
+    team = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1, max_nbytes=None)
+    try:
+        yield from team(joblib.delayed(_fly_as_worker)(case, os.getpid()) for case in cases)
+    except TerminatedWorkerError as error:
+        raise ExperimentError(f"a worker process died: {str(error).splitlines()[0]}", EXIT_LOST) from error
+    finally:
+        get_reusable_executor().shutdown(wait=True, kill_workers=True)
+
+
+def on_cluster(cases: Sequence[Case], address: str) -> Iterator[Result]:
+    """Fly on the workers of a Dask cluster; a worker that dies takes no flight with it, the others repeat it.
+
+    Args:
+        cases: What to fly.
+        address: Of the scheduler.
+    Raises: ExperimentError: no such cluster, or one that is of no use.
+    """
+    if not _ADDRESS.fullmatch(address):
+        raise refused("--dask", "an address such as tcp://host:8786", repr(address))
+    try:
+        from distributed import Client, as_completed
+    except ImportError as error:
+        expected = "the package distributed (pip install 'payload-transport[cluster]')"
+        raise refused("--dask", expected, "none") from error
+    try:
+        client = Client(address, timeout=_ANSWER_S, set_as_default=False)
+    except (OSError, ValueError) as error:
+        text = refused("--dask", f"a scheduler at {address}", f"no answer ({error})")
+        raise ExperimentError(str(text), EXIT_LOST) from error
+    with client:
+        _check_workers(client.scheduler_info(n_workers=-1)["workers"], address)
+        futures = {client.submit(fly_in_memory, case, pure=False): case for case in cases}
+        try:
+            for future in as_completed(futures):
+                error = future.exception()
+                if error is None:
+                    yield future.result()
+                elif future.cancelled():
+                    raise ExperimentError(f"--dask: the cluster at {address} is gone", EXIT_LOST)
+                else:
+                    yield Result(key=futures[future].key, outcome=ERROR, reason=f"on the cluster: {error}", numbers={})
+        finally:
+            client.cancel(list(futures))
+
+
+def _check_workers(workers: dict[str, dict[str, object]], address: str) -> None:
+    if not workers:
+        text = refused("--dask", f"workers at {address} (dask worker {address} --nthreads 1)", "none")
+        raise ExperimentError(str(text), EXIT_LOST)
+    for name, worker in workers.items():
+        if worker["nthreads"] != 1:
+            raise refused("--dask", "workers with one thread each (--nthreads 1)", f"{name} with {worker['nthreads']}")
+
+
+def _fly_as_worker(case: Case, parent: int) -> Result:
+    _serve(parent)
+    return fly_in_memory(case)
+
+
+@cache
+def _serve(parent: int) -> None:
+    """Once per worker: leave Ctrl-C to the command, and end when it is gone, however that came."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    def look() -> None:
+        while os.getppid() == parent:
+            time.sleep(_LOOK_S)
+        os._exit(EXIT_LOST)
+
+    threading.Thread(target=look, daemon=True).start()
