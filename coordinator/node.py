@@ -18,6 +18,7 @@ from protocol.messages import (
     Event,
     LinkChange,
     Message,
+    MessageError,
     Outcome,
     Plan,
     Presence,
@@ -175,6 +176,9 @@ class CoordinatorNode:
         if request.what == "status":
             request.reply({"tick": self._tick, "ticks": self._ticks, "members": sorted(self._members)})
             return ()
+        if request.what != "link":
+            request.reply({"error": f"what: expected status or link, got {request.what!r}"})
+            return ()
         source, target = (str(request.given.get(end, "")) for end in ("from", "to"))
         names = ["plant", *self._agents]
         try:
@@ -190,17 +194,17 @@ class CoordinatorNode:
                 raise LinkError(f"samples: expected a file the scenario names ({known}), got {change.samples!r}")
             if self._tick < 0 or self._tick + 1 >= self._ticks:
                 raise LinkError("expected a run in flight")
-        except LinkError as error:
+            message = self._out.stamp(
+                LinkChange,
+                tick=self._tick + 1,
+                number=len(self._changes) + 1,
+                source=source,
+                target=target,
+                settings=settings,
+            )
+        except (LinkError, MessageError) as error:
             request.reply({"error": str(error)})
             return ()
-        message = self._out.stamp(
-            LinkChange,
-            tick=self._tick + 1,
-            number=len(self._changes) + 1,
-            source=source,
-            target=target,
-            settings=settings,
-        )
         self._changes.append(message)
         request.reply({"tick": message.tick, "t_s": message.tick * self._period_ns / 1e9})
         ends = f"from {source or 'any agent'} to {target or 'any agent'}"

@@ -3,7 +3,6 @@
 import contextlib
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -85,6 +84,8 @@ class Controller:
         self._others = np.setdiff1d(np.arange(model.system.m), self.own)
         self.cost = Cost(settings.weights, hover)
         self._hover, self._fail_safe = hover, FailSafe(model.system, hover.u)
+        self._alone: dict[int, Array] = {}  # feedback of the UAVs left to the fail-safe
+        self._target: Target | None = None
         self.gain: Array | None = None
         if settings.prediction == "closed_loop":
             self.gain = team_gain(model, hover, self.cost, settings.sampling_period_s)
@@ -135,10 +136,12 @@ class Controller:
         qp = self.condense(linear, prediction, U, y_ref)
         return self.conclude(self.solve(qp), prediction, U, law)
 
-    @cached_property
+    @property
     def target(self) -> Target:
-        """Where the team is to rest under external forces."""
-        return target(self.model, self._hover, self.cost)
+        """Where the team is to rest under external forces; found when it is first asked for."""
+        if self._target is None:
+            self._target = target(self.model, self._hover, self.cost, self._alone)
+        return self._target
 
     def law(self, x0: Array, x_ref: Array, c: Array, forces: Array | None = None) -> TeamLaw | None:
         """The shared law over the horizon, or None with open-loop prediction.
@@ -160,11 +163,12 @@ class Controller:
     def without(self, uavs: Collection[int]) -> None:
         """From now on some UAVs, 0-based, are on their own: they are left to the fail-safe, and predicted so.
 
-        Source: docs/equations.md (31), (33)-(34).
+        Source: docs/equations.md (31), (33)-(34), (40).
         """
+        alone = {uav: self._fail_safe.gain(uav) for uav in uavs}
+        self._alone, self._target = alone, None
         if self.gain is None:
             return
-        alone = {uav: self._fail_safe.gain(uav) for uav in uavs}
         # Where the others cannot stabilise what is left, the law of the whole team is as good as any.
         with contextlib.suppress(FeedbackError):
             self.gain = team_gain(self.model, self._hover, self.cost, self.settings.sampling_period_s, alone)

@@ -5,10 +5,12 @@ Moving the state and the input it steers to by what the forces take removes the 
 Maeder, Borrelli, Morari 2009).
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
+from model import state
 from model.arrays import Array
 from model.hover import Hover
 from model.linearisation import Model
@@ -32,7 +34,7 @@ class Target:
     M_u: Array
 
 
-def target(model: Model, hover: Hover, cost: Cost) -> Target:
+def target(model: Model, hover: Hover, cost: Cost, alone: Mapping[int, Array] | None = None) -> Target:
     """Of all steady states of the linearisation about hover, those of least output error, of these least input effort.
 
     What is still free then, such as the headings of the UAVs, stays as it is at hover. A steady state exists for any
@@ -43,18 +45,24 @@ def target(model: Model, hover: Hover, cost: Cost) -> Target:
         model: The system as the controller knows it.
         hover: Its equilibrium.
         cost: Q weighs the output error, R the input deviation.
-    Source: docs/equations.md (39).
+        alone: Feedback from its own state, (4, 12), of each UAV without an agent, by its 0-based number: its inputs
+            are no means to reach the target.
+    Source: docs/equations.md (40).
     """
     linear = model.linearise(hover.x, hover.u)
     E = model.force_effect(hover.x, hover.u)
     T = tangent(hover.x)
     states, inputs = T.shape[1], len(hover.u)
-    rest = T.T @ np.hstack([linear.A_c @ T, linear.B_c])
+    at_rest = [(T.T @ np.hstack([linear.A_c @ T, linear.B_c]), -T.T @ E)]
+    for uav, K in (alone or {}).items():
+        led_by_itself = np.hstack([-K @ T[state.uav_slice(uav)], np.eye(inputs)[state.input_slice(uav)]])
+        at_rest.append((led_by_itself, np.zeros((len(K), E.shape[1]))))
+    rest, pushed = (np.vstack(rows) for rows in zip(*at_rest, strict=True))
     error = np.hstack([np.sqrt(cost.Q)[:, None] * (linear.C @ T), np.zeros((len(cost.Q), inputs))])
     effort = np.hstack([np.zeros((inputs, states)), np.diag(np.sqrt(cost.R))])
     z = np.zeros((states + inputs, E.shape[1]))
     free = np.eye(states + inputs)  # directions in which z may still move
-    for G, h in ((rest, -T.T @ E), (error, 0.0), (effort, 0.0)):
+    for G, h in ((rest, pushed), (error, 0.0), (effort, 0.0)):
         U, s, Vt = np.linalg.svd(G @ free)
         rank = int((s > _RANK * np.linalg.norm(G)).sum())
         z += free @ Vt[:rank].T @ ((U[:, :rank].T @ (h - G @ z)) / s[:rank, None])

@@ -8,8 +8,10 @@ not depend on when or in which order anything arrives.
 import hashlib
 import json
 import math
+from bisect import insort
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -88,13 +90,16 @@ class Link:
     def __init__(self, model: LinkModel, *, seed: int, sender: str, receiver: str, kind: str, period_s: float) -> None:
         self.sender, self.receiver = sender, receiver
         self._models = [(0, model)]  # from which tick on
+        self._changes: list[tuple[int, dict[str, Any]]] = []  # the same as they are asked for: fields of a model
         self._period_s = period_s
         digest = hashlib.sha256(f"{seed}/{sender}/{receiver}/{kind}".encode()).digest()
         self._key = np.frombuffer(digest[:16], dtype="<u8").copy()
         self._bad: list[bool] = []  # Gilbert-Elliott state by tick
 
     def change(self, tick: int, change: LinkOverrideSection, samples_s: Mapping[str, tuple[float, ...]]) -> None:
-        """Treat the messages of a tick and later ones by the keys given, if they concern this link; in tick order.
+        """Treat the messages of a tick and later ones by the keys given, if they concern this link.
+
+        Of changes of one key the one of the latest tick is in force, and of one tick the one told last.
 
         Args:
             tick: From which on.
@@ -104,7 +109,10 @@ class Link:
         if change.covers(self.sender, self.receiver):
             fields = _fields(change, samples_s)
             given = {field: fields[field] for name in change.settings() for field in _FIELDS.get(name, (name,))}
-            self._models.append((tick, replace(self._models[-1][1], **given)))
+            insort(self._changes, (tick, given), key=itemgetter(0))
+            del self._models[1:]
+            for start, changed in self._changes:
+                self._models.append((start, replace(self._models[-1][1], **changed)))
 
     def model(self, tick: int) -> LinkModel:
         """The impairments in force for the message of a tick."""
@@ -238,6 +246,8 @@ class LinkChanges:
         """
         if message.number == self._applied + 1:
             change = link_change(message.source, message.target, message.settings)
+            if change.samples is not None and change.samples not in self._samples_s:
+                raise LinkError(f"samples: expected a file that the scenario names, got {change.samples!r}")
             self._applied += 1
             for link in self._links:
                 link.change(message.tick, change, self._samples_s)
@@ -260,9 +270,12 @@ def link_change(source: str, target: str, settings: str) -> LinkOverrideSection:
         raise LinkError(f"expected a JSON object of a link's keys, got {settings[:60]!r}")
     ends = {key: name for key, name in (("from", source), ("to", target)) if name}
     try:
-        return LinkOverrideSection.model_validate({**given, **ends})
+        change = LinkOverrideSection.model_validate({**given, **ends})
     except ValidationError as error:
         raise LinkError(" ".join(str(error).split())[:200]) from error
+    if (change.samples is not None) != (change.distribution == "empirical"):
+        raise LinkError("expected samples and distribution empirical with each other")
+    return change
 
 
 # Fields of a model that a key of a section decides, where they are not called the same.

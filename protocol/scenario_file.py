@@ -12,7 +12,7 @@ from pydantic import BaseModel, ValidationError
 from model.arrays import ShapeError
 from model.parameters import ParameterError
 from mpc.settings import SettingsError
-from protocol.scenario import LinkOverrideSection, Scenario
+from protocol.scenario import LinkChangeSection, LinkOverrideSection, Scenario
 
 T = TypeVar("T")
 
@@ -140,6 +140,7 @@ def _check_relations(scenario: Scenario, source: str) -> None:
     period_s, step_s = scenario.controller.sampling_period_s, scenario.plant.step_s
     if step_s > period_s:
         raise ScenarioError(source, "plant.step_s", f"expected at most the sampling period {period_s}, got {step_s}")
+    _check_drag(scenario, source)
 
 
 def _check_links(scenario: Scenario, source: str, agents: list[str]) -> None:
@@ -153,6 +154,9 @@ def _check_links(scenario: Scenario, source: str, agents: list[str]) -> None:
                     raise ScenarioError(source, f"{field}.{key}", f"{expected}, got {name!r}")
         if section.distribution == "empirical" and section.samples is None:
             raise ScenarioError(source, f"{field}.samples", "expected a file of measured delays, got nothing")
+        if isinstance(section, LinkChangeSection) and section.samples is not None and section.distribution != "empirical":
+            expected = "expected 'empirical' with samples, as a change says all that is to be other"
+            raise ScenarioError(source, f"{field}.distribution", f"{expected}, got {section.distribution!r}")
     for i, partition in enumerate(links.partition, start=1):
         for name in partition.between:
             if name not in names:
@@ -204,6 +208,20 @@ def _check_faults(scenario: Scenario, source: str, agents: list[str]) -> None:
             expected = f"expected what can be done to {event.target}, which is {state[event.target]} by then"
             raise ScenarioError(source, f"{field}.do", f"{expected}, got {event.do!r}")
         state[event.target] = after[event.do]
+
+
+def _check_drag(scenario: Scenario, source: str) -> None:
+    """Drag is held over a period: more than this would turn the motion it brakes around."""
+    plant, system, period_s = scenario.plant, scenario.system, scenario.controller.sampling_period_s
+    lightest = min(uav.mass_kg for uav in system.uav)
+    for key, drag, mass in (
+        ("drag_payload_kgps", plant.wind.drag_payload_kgps, plant.payload_mass_factor * system.payload.mass_kg),
+        ("drag_uav_kgps", plant.wind.drag_uav_kgps, plant.uav_mass_factor * lightest),
+    ):
+        if drag * period_s > mass:
+            raise ScenarioError(
+                source, f"plant.wind.{key}", f"expected at most mass over sampling period {mass / period_s:g}, got {drag}"
+            )
 
 
 def _apply(tree: dict[str, Any], setting: str) -> None:

@@ -24,8 +24,8 @@ def ring(N: int, gravity_mps2: float) -> SystemSection:
 
     Neighbours are as far apart as the paper's, 0.5 m, and each carries as much, 0.75 kg. The payload's lengths,
     the height of the attachment points among them, grow with the radius, its inertia with mass times radius^2.
-    They count counter-clockwise seen from above, from the right of the x axis, which is an axis of symmetry.
-    Four of them are Table I.
+    UAV 1 is the first to the right of the x axis (forward), an axis of symmetry; they count counter-clockwise seen
+    from above. Four of them are Table I.
 
     Args:
         N: Number of UAVs, 2 or more.

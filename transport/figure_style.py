@@ -94,6 +94,7 @@ def shade_phases(setup: Setup, panels: list["Axes"], until_s: float) -> None:
 
 
 def save(figure: "Figure", path: Path, *, cropped: bool = False) -> Path:
-    """Write a figure as PNG, without naming the program, so that equal runs give equal files."""
-    figure.savefig(path, metadata={"Software": None}, bbox_inches="tight" if cropped else None, pad_inches=0.05)
+    """Write a figure as PNG or SVG, without naming program and date, so that equal runs give equal files."""
+    unnamed = {"Date": None, "Creator": None} if path.suffix == ".svg" else {"Software": None}
+    figure.savefig(path, metadata=unnamed, bbox_inches="tight" if cropped else None, pad_inches=0.05)
     return path

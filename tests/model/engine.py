@@ -40,8 +40,8 @@ class Accelerations:
     uavs_turn_I: Array
 
 
-def accelerations(system: System, x: Array, u: Array) -> Accelerations:
-    """Evaluate MuJoCo's forward dynamics at one state and input."""
+def accelerations(system: System, x: Array, u: Array, forces: Array | None = None) -> Accelerations:
+    """Evaluate MuJoCo's forward dynamics at one state and input, under forces on payload and UAVs, (3 + 3 N,)."""
     engine = mujoco.MjModel.from_xml_string(_xml(system))
     for i in range(system.N):
         rod = engine.body(f"rod{i}").id
@@ -50,7 +50,9 @@ def accelerations(system: System, x: Array, u: Array) -> Accelerations:
     data = mujoco.MjData(engine)
     _place(system, engine, data, x)
     attitudes = [attitude(Theta) for Theta in StateView(x).Theta]
-    for i, (force_I, R) in enumerate(zip(thrust_forces(x, u), attitudes, strict=True)):
+    external = np.zeros((1 + system.N, 3)) if forces is None else forces.reshape(-1, 3)
+    data.xfrc_applied[engine.body("payload").id][:3] = external[0]
+    for i, (force_I, R) in enumerate(zip(thrust_forces(x, u) + external[1:], attitudes, strict=True)):
         data.xfrc_applied[engine.body(f"uav{i}").id] = [*force_I, *(R @ u[state.input_slice(i)][1:])]
     mujoco.mj_forward(engine, data)
     mujoco.mj_rnePostConstraint(engine, data)

@@ -60,6 +60,11 @@ def random_attitude(rng: np.random.Generator) -> Array:
     return rng.uniform([-np.pi, -PITCH_MAX, -np.pi], [np.pi, PITCH_MAX, np.pi])
 
 
+def random_forces(rng: np.random.Generator, N: int) -> Array:
+    """External forces of around 5 N on payload and UAVs in all directions, (3 + 3 N,), inertial frame."""
+    return rng.normal(0.0, 5.0, 3 + 3 * N)
+
+
 def random_input(rng: np.random.Generator, N: int) -> Array:
     """Thrusts of up to 30 N and moments around 0.3 N m, (4 N,)."""
     return np.column_stack([rng.uniform(0.0, 30.0, N), rng.normal(0.0, 0.3, (N, 3))]).reshape(-1)

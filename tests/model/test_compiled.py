@@ -14,7 +14,7 @@ import pytest
 import model
 from model.arrays import Array, ShapeError
 from model.compiled import Compiled, cache_folder, functions
-from tests.model.random_systems import random_input, random_state, random_system
+from tests.model.random_systems import random_forces, random_input, random_state, random_system
 
 N = 2
 
@@ -37,13 +37,13 @@ def results(built: dict[str, ca.Function]) -> list[Array]:
     """Every output of every function at one random point."""
     rng = np.random.default_rng(2700)
     p = random_system(rng, N).vector()
-    x, u = random_state(rng, N), random_input(rng, N)
+    x, u, F = random_state(rng, N), random_input(rng, N), random_forces(rng, N)
     arguments: dict[str, tuple[Array | float, ...]] = {
-        "derivative": (x, u, p),
-        "tensions": (x, u, p),
+        "derivative": (x, u, p, F),
+        "tensions": (x, u, p, F),
         "outputs": (x, p),
-        "linearise": (x, u, p),
-        "step": (x, u, p, 0.05),
+        "linearise": (x, u, p, F),
+        "step": (x, u, p, F, 0.05),
     }
     assert built.keys() == arguments.keys()
     return [array for name, function in built.items() for array in Compiled(function)(*arguments[name])]

@@ -9,7 +9,7 @@ from model.linearisation import Model
 from model.parameters import System, table_1
 from model.state import StateView
 from tests.model import invariants, paper_form, reference
-from tests.model.random_systems import random_input, random_state, random_system
+from tests.model.random_systems import random_forces, random_input, random_state, random_system
 
 # Stored energies and momenta carry the engines' rounding; ours are sums of a few dozen terms.
 REFERENCE_TOLERANCE = 1e-9
@@ -107,6 +107,27 @@ def test_inputs_account_for_energy_and_momentum(N: int) -> None:
     change = invariants.linear_momentum(system, ahead) - invariants.linear_momentum(system, behind)
     force = system.total_mass * system.gravity * paper_form.K + force_I.sum(axis=0)
     assert np.abs(change / (2.0 * BALANCE_STEP_S) - force).max() < BALANCE_TOLERANCE * np.abs(force).max()
+
+
+@pytest.mark.parametrize("N", [1, 3, 6])
+def test_external_forces_account_for_energy_and_momentum(N: int) -> None:
+    """E' gains F_0 . r_0' + sum F_i . r_i' and P' gains sum F_j, docs/equations.md (37), (39)."""
+    rng = np.random.default_rng(1250 + N)
+    system = random_system(rng, N)
+    model = Model(system)
+    x, u, F = random_state(rng, N), random_input(rng, N), random_forces(rng, N)
+    gains = []
+    for forces in (None, F):
+        x_dot = model.derivative(x, u, forces=forces)
+        ahead, behind = x + BALANCE_STEP_S * x_dot, x - BALANCE_STEP_S * x_dot
+        energy = invariants.energy(system, ahead) - invariants.energy(system, behind)
+        momentum = invariants.linear_momentum(system, ahead) - invariants.linear_momentum(system, behind)
+        gains.append(np.append(momentum, energy) / (2.0 * BALANCE_STEP_S))
+    view = StateView(x)
+    _, uavs = invariants.vehicle_motion(system, x)
+    velocities = np.vstack([paper_form.attitude(view.Theta0) @ view.v0_P, uavs])
+    expected = np.append(F.reshape(-1, 3).sum(axis=0), F @ velocities.reshape(-1))
+    assert np.abs(gains[1] - gains[0] - expected).max() < BALANCE_TOLERANCE * np.abs(expected).max()
 
 
 def test_hover_stays_put() -> None:

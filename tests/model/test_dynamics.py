@@ -5,9 +5,10 @@ import pytest
 
 from model.arrays import Array
 from model.linearisation import Model
+from model.parameters import System
 from model.state import StateView
 from tests.model import paper_form, reference
-from tests.model.random_systems import random_input, random_state, random_system
+from tests.model.random_systems import random_forces, random_input, random_state, random_system
 
 # The stored values carry up to 1.3e-11 of the engines' own error, in the same measure.
 REFERENCE_TOLERANCE = 1e-8
@@ -87,6 +88,45 @@ def test_tensions_close_newtons_law_of_each_vehicle(N: int) -> None:
     masses = np.array([[uav.mass] for uav in system.uavs])
     pull_I = tensions[:, None] * view.e_P @ paper_form.attitude(view.Theta0).T
     assert deviation(masses * a_I, force_I + masses * system.gravity * paper_form.K + pull_I) < PAPER_TOLERANCE
+
+
+@pytest.mark.parametrize("N", [1, 4, 8])
+def test_forces_like_weights_are_more_gravity(N: int) -> None:
+    """Forces m_j a k on all bodies are a gravity larger by a, in the motion and in the tensions, (37)."""
+    rng = np.random.default_rng(250 + N)
+    system, a = random_system(rng, N), 2.5
+    heavier = System(payload=system.payload, uavs=system.uavs, gravity=system.gravity + a)
+    x, u = random_state(rng, N), random_input(rng, N)
+    masses = [system.payload.mass, *[uav.mass for uav in system.uavs]]
+    F = np.concatenate([mass * a * paper_form.K for mass in masses])
+    model = Model(system)
+    assert deviation(model.derivative(x, u, forces=F), Model(heavier).derivative(x, u)) < PAPER_TOLERANCE
+    assert deviation(model.tensions(x, u, forces=F), Model(heavier).tensions(x, u)) < PAPER_TOLERANCE
+
+
+@pytest.mark.parametrize("N", [1, 4, 8])
+def test_forces_on_the_vehicles_are_thrust(N: int) -> None:
+    """The paper's f_i, a force on UAV i, may come from outside: without thrust the forces on UAVs do the same."""
+    rng = np.random.default_rng(260 + N)
+    system = random_system(rng, N)
+    x, u, F = random_state(rng, N), random_input(rng, N), random_forces(rng, N)
+    F[:3] = 0.0
+    pushed = StateView(Model(system).derivative(x, u * np.tile([0.0, 1.0, 1.0, 1.0], N), forces=F))
+    expected = paper_form.accelerations(system, x, F[3:].reshape(N, 3))
+    for value, wanted in zip((pushed.v0_P, pushed.omega0_P, pushed.Omega_P), expected, strict=True):
+        assert deviation(value, wanted) < PAPER_TOLERANCE
+
+
+@pytest.mark.parametrize("N", [1, 4])
+def test_no_forces_are_zero_forces(N: int) -> None:
+    """Leaving the forces out is the same, bit for bit, as giving zeros."""
+    rng = np.random.default_rng(270 + N)
+    model = Model(random_system(rng, N))
+    x, u, none = random_state(rng, N), random_input(rng, N), np.zeros(3 + 3 * N)
+    assert model.derivative(x, u).tobytes() == model.derivative(x, u, forces=none).tobytes()
+    assert model.tensions(x, u).tobytes() == model.tensions(x, u, forces=none).tobytes()
+    assert model.linearise(x, u).A_c.tobytes() == model.linearise(x, u, forces=none).A_c.tobytes()
+    assert model.integrate(x, u, 0.05, 2)[0].tobytes() == model.integrate(x, u, 0.05, 2, forces=none)[0].tobytes()
 
 
 @pytest.mark.parametrize("N", [1, 4, 8])

@@ -9,15 +9,15 @@ from model.parameters import System
 from model.state import StateView
 from tests.model import engine
 from tests.model.paper_form import attitude, vehicle_accelerations
-from tests.model.random_systems import random_input, random_state, random_system
+from tests.model.random_systems import random_forces, random_input, random_state, random_system
 
 # The engine's rods are exactly massless, so only rounding is left: 1e-12 in the draws, relative to the largest entry.
 ENGINE_TOLERANCE = 1e-10
 
 
-def own_accelerations(system: System, x: Array, u: Array) -> engine.Accelerations:
+def own_accelerations(system: System, x: Array, u: Array, forces: Array | None = None) -> engine.Accelerations:
     """The model's derivative turned into the engine's quantities: absolute derivatives, inertial components."""
-    derivative = Model(system).derivative(x, u)
+    derivative = Model(system).derivative(x, u, forces=forces)
     view, rate = StateView(x), StateView(derivative)
     R0, omega0 = attitude(view.Theta0), view.omega0_P
     turns = zip(view.Theta, rate.omega_B, strict=True)
@@ -46,6 +46,16 @@ def test_accelerations_are_mujocos(N: int) -> None:
         system = random_system(rng, N)
         x, u = random_state(rng, N), random_input(rng, N)
         assert_same(own_accelerations(system, x, u), engine.accelerations(system, x, u))
+
+
+@pytest.mark.parametrize("N", range(1, 7))
+def test_external_forces_are_mujocos(N: int) -> None:
+    """Forces on the centres of mass, inertial, accelerate everything as MuJoCo's applied forces do."""
+    rng = np.random.default_rng(650 + N)
+    for _ in range(4):
+        system = random_system(rng, N)
+        x, u, F = random_state(rng, N), random_input(rng, N), random_forces(rng, N)
+        assert_same(own_accelerations(system, x, u, F), engine.accelerations(system, x, u, F))
 
 
 @pytest.mark.parametrize("gravity", [0.0, 1.62])

@@ -11,7 +11,7 @@ from model.parameters import System
 from model.state import INPUTS, StateView
 from tests.model import reference
 from tests.model.paper_form import attitude
-from tests.model.random_systems import random_input, random_state, random_system
+from tests.model.random_systems import random_forces, random_input, random_state, random_system
 
 # Absolute, in the units of each state. The stored samples are good to 1.6e-9, our steps to 1e-9 on the fastest motion.
 TRAJECTORY_TOLERANCE = 1e-6
@@ -34,10 +34,10 @@ SAME_ROUNDING = 1e-13
 SAME_ESTIMATE = 1e-6
 
 
-def exact(model: Model, x: Array, u: Array, duration_s: float) -> Array:
+def exact(model: Model, x: Array, u: Array, duration_s: float, forces: Array | None = None) -> Array:
     """Solution by SciPy's DOP853, an integrator and a step control that are not ours."""
     solution = solve_ivp(
-        lambda _, y: model.derivative(y, u), (0.0, duration_s), x, method="DOP853", rtol=EXACT, atol=EXACT
+        lambda _, y: model.derivative(y, u, forces=forces), (0.0, duration_s), x, method="DOP853", rtol=EXACT, atol=EXACT
     )
     return np.asarray(solution.y[:, -1])
 
@@ -128,7 +128,7 @@ def test_estimate_is_the_local_error_of_the_embedded_method(N: int) -> None:
     """The estimate is x5 - x4, so x5 minus it misses the exact solution by itself, up to higher order."""
     model, system, x, u = moving_system(N)
     step = Compiled(functions(N)["step"])
-    end, estimate = step(x, u, system.vector(), SHORT_STEP_S)
+    end, estimate = step(x, u, system.vector(), np.zeros(3 + 3 * N), SHORT_STEP_S)
     missed = end - estimate - exact(model, x, u, SHORT_STEP_S)
     assert np.abs(missed + estimate).max() < ESTIMATE_TOLERANCE * np.abs(estimate).max()
 
@@ -156,11 +156,22 @@ def test_several_steps_are_single_steps_in_a_row(N: int) -> None:
     estimates = []
     for _ in range(5):
         _, single = model.integrate(x, u, 0.05, 1)
-        x, estimate = step(x, u, system.vector(), 0.05)
+        x, estimate = step(x, u, system.vector(), np.zeros(3 + 3 * N), 0.05)
         assert single == pytest.approx(np.abs(estimate).max(), rel=SAME_ESTIMATE)
         estimates.append(single)
     assert np.abs(end - x).max() < SAME_ROUNDING * np.abs(end).max()
     assert worst == pytest.approx(max(estimates), rel=SAME_ESTIMATE)
+
+
+def test_forces_are_held_over_all_steps() -> None:
+    """Under external forces the end is that of the derivative under the same forces, over one step and several."""
+    model, _, x, u = moving_system(3)
+    F = random_forces(np.random.default_rng(1350), 3)
+    end = exact(model, x, u, SHORT_STEP_S, F)
+    for steps in (1, 4):
+        found, estimate = model.integrate(x, u, SHORT_STEP_S, steps, forces=F)
+        assert np.abs(found - end).max() < estimate
+    assert np.abs(end - exact(model, x, u, SHORT_STEP_S)).max() > 1e3 * estimate  # they do something
 
 
 def test_integrate_leaves_its_arguments_alone() -> None:

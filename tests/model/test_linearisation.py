@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from model.arrays import Array, ShapeError
+from model.hover import hover
 from model.linearisation import Model
-from model.parameters import System
-from model.state import INPUTS, StateView
+from model.parameters import System, table_1
+from model.state import INPUTS, OMEGA0, V0, StateView
 from tests.model.invariants import vehicle_motion
-from tests.model.random_systems import random_input, random_state, random_system
+from tests.model.paper_form import attitude
+from tests.model.random_systems import random_forces, random_input, random_state, random_system
 
 # Sixth-order central differences: truncation ~ h^6 = 6e-17, rounding ~ eps / h = 1e-13 of the largest entry of f.
 STEP = 2e-3
@@ -53,6 +55,39 @@ def test_jacobians_are_those_of_finite_differences(N: int) -> None:
     assert deviation(linear.A_c, jacobian(lambda z: model.derivative(z, u), x)) < JACOBIAN_TOLERANCE
     assert deviation(linear.B_c, jacobian(lambda z: model.derivative(x, z), u)) < JACOBIAN_TOLERANCE
     assert deviation(linear.C, jacobian(model.outputs, x)) < JACOBIAN_TOLERANCE
+
+
+@pytest.mark.parametrize("N", [1, 4])
+def test_jacobians_under_external_forces(N: int) -> None:
+    """The same with forces from outside, which turn with the payload in (37); df/dF is (38) at any forces."""
+    _, model, x, u = drawn(N)
+    F = random_forces(np.random.default_rng(1450 + N), N)
+    linear = model.linearise(x, u, forces=F)
+    assert deviation(linear.f, model.derivative(x, u, forces=F)) < OUTPUT_TOLERANCE
+    assert deviation(linear.A_c, jacobian(lambda z: model.derivative(z, u, forces=F), x)) < JACOBIAN_TOLERANCE
+    assert deviation(linear.B_c, jacobian(lambda z: model.derivative(x, z, forces=F), u)) < JACOBIAN_TOLERANCE
+    effect = jacobian(lambda z: model.derivative(x, u, forces=z), F)
+    assert deviation(model.force_effect(x, u), effect) < JACOBIAN_TOLERANCE
+
+
+def test_force_on_the_payload_at_hover() -> None:
+    """Sideways it accelerates the payload alone, along the rods the whole team, and it turns nothing, (38)."""
+    system = table_1()
+    at = hover(system)
+    effect = Model(system).force_effect(at.x, at.u)[:, :3]
+    m0, m_T = system.payload.mass, system.total_mass
+    assert deviation(effect[V0], np.diag([1.0 / m0, 1.0 / m0, 1.0 / m_T])) < OUTPUT_TOLERANCE
+    assert not effect[OMEGA0].any()
+
+
+@pytest.mark.parametrize("N", [1, 4, 8])
+def test_velocities_are_those_of_the_centres_of_mass(N: int) -> None:
+    """(39): R0 v0 of the payload, and of the UAVs paper (4) summed by hand."""
+    system, model, x, _ = drawn(N)
+    view = StateView(x)
+    _, uavs = vehicle_motion(system, x)
+    expected = np.vstack([attitude(view.Theta0) @ view.v0_P, uavs])
+    assert deviation(model.velocities(x), expected) < OUTPUT_TOLERANCE
 
 
 @pytest.mark.parametrize("N", [1, 4, 8])

@@ -147,7 +147,7 @@ def test_measured_delays_come_from_a_file(tmp_path: Path) -> None:
     tree = scenario.tree()
     tree["links"] = {"distribution": "empirical", "samples": "delays.csv"}
     built = Setup.of(validate(tree, source), source)
-    assert built.link(1, 2).model.samples_s == (0.01, 0.02, 0.03)
+    assert built.link("agent1", "agent2").model(0).samples_s == (0.01, 0.02, 0.03)
     for content in ("0.01 fast", "", "-0.1", "inf"):
         (tmp_path / "delays.csv").write_text(content)
         with pytest.raises(ScenarioError, match="expected delays"):

@@ -22,19 +22,43 @@ OTHER_WORDS = {
     "priced": "absolute",
     "solver": "clarabel",
     "prediction": "closed_loop",
-    "actuation": "next_tick",
+    "actuation": "immediate",
+    "mode": "realtime",
     "on_agent_loss": "continue",
+    "on_overrun": "hold",
+    "between": "agent4",
+    "from": "agent3",
+    "to": "agent4",
+    "samples": "other.csv",
+    "do": "continue",
+    "target": "agent4",
     "name": "other",
     "host": "localhost",
     "distribution": "normal",
     "expression": "r0[2] <= 1",
 }
-UNCHANGEABLE = {("schema",), ("clock", "mode")}  # one choice each
+UNCHANGEABLE = {("schema",)}  # one choice
+
+LINKS = (
+    "links={delay_s=0.1,jitter_s=0.05,loss=0.1,gilbert_elliott={enter=0.1,leave=0.2},duplicate=0.1,reorder=0.1,"
+    "reorder_s=0.2,rate_hz=10.0,measurement={delay_s=0.1},actuation={loss=0.2},"
+    "override=[{from='agent1',to='plant',loss=0.3},{from='agent2'}],"
+    "partition=[{between=['agent1','plant'],start_s=1.0,end_s=2.0}],"
+    "change=[{at_s=1.0,to='agent2',loss=0.0},{at_s=2.0,from='plant',delay_s=0.0,gilbert_elliott={enter=0.0,leave=1.0}}]}"
+)
+FAULTS = (
+    "faults.event=[{at_s=1.0,do='kill',target='agent1'},{at_s=2.0,do='restart',target='agent1'},"
+    "{at_s=3.0,do='stop',target='plant'}]"
+)
 
 EVERYTHING = (
     "network.base_port=7000",
     "controller.constraint=[{expression='thrust1 <= 40'}]",
     "agents.owned=[[1, 2], [4, 3]]",
+    "clock.actuation=next_tick",
+    "clock.overrun_limit_s=0.5",
+    LINKS,
+    FAULTS,
 )
 
 
@@ -57,8 +81,8 @@ def changed(tree: dict[str, Any], path: tuple[str | int, ...]) -> dict[str, Any]
     if isinstance(value, bool):
         node[path[-1]] = not value
     elif isinstance(value, str):
-        node[path[-1]] = OTHER_WORDS[str(path[-1])]
-    elif path[-1] in ("loss", "duplicate", "reorder"):
+        node[path[-1]] = OTHER_WORDS[next(key for key in reversed(path) if isinstance(key, str))]
+    elif path[-1] in ("loss", "duplicate", "reorder", "enter", "leave"):
         node[path[-1]] = 0.5
     elif path[-1] == "relaxation":
         node[path[-1]] = value / 2
@@ -102,13 +126,15 @@ def test_defaults() -> None:
     assert tree["clock"] == {
         "mode": "lockstep",
         "speed": 0.0,
-        "actuation": "immediate",
         "barrier_timeout_s": 5.0,
         "join_timeout_s": 30.0,
         "on_agent_loss": "abort",
+        "on_overrun": "continue",
+        "overrun_limit": 0,
     }
     assert tree["plant"].pop("step_s") <= 0.01
-    assert tree["plant"] == {"max_attitude_deg": 80.0, "max_error_m": 20.0}
+    assert (tree["plant"]["max_attitude_deg"], tree["plant"]["max_error_m"]) == (80.0, 20.0)
+    assert tree["faults"] == {"event": []}
     assert tree["network"] == {"host": "127.0.0.1"}
 
 
@@ -132,6 +158,35 @@ def test_written_back(settings: tuple[str, ...], tmp_path: Path) -> None:
     assert again == scenario
     assert again.tree() == scenario.tree()
     assert again.digest() == scenario.digest()
+
+
+def test_changes_are_written_back_as_given(tmp_path: Path) -> None:
+    """A scripted change of links is written with the keys it was given and no others: a default would be a change."""
+    path = tmp_path / "scenario.toml"
+    path.write_text(tomli_w.dumps(read_scenario(PAPER, EVERYTHING).tree()), encoding="utf-8")
+    assert tomllib.loads(path.read_text(encoding="utf-8"))["links"]["change"] == [
+        {"at_s": 1.0, "to": "agent2", "loss": 0.0},
+        {"at_s": 2.0, "from": "plant", "delay_s": 0.0, "gilbert_elliott": {"enter": 0.0, "leave": 1.0, "loss": 1.0}},
+    ]
+    once, again = setup(*EVERYTHING), Setup.of(read_scenario(path), str(path))
+    for ends in (("agent1", "agent2"), ("plant", "agent1"), ("agent3", "plant")):
+        for tick in (0, 19, 20, 39, 40):
+            assert again.link(*ends).model(tick) == once.link(*ends).model(tick)
+
+
+@pytest.mark.parametrize(
+    ("settings", "next_tick"),
+    [
+        ((), False),
+        (("clock.actuation=immediate",), False),
+        (("clock.actuation=next_tick",), True),
+        (("clock.mode=realtime", "clock.speed=1"), True),
+        (("clock.mode=realtime", "clock.speed=1", "clock.actuation=next_tick"), True),
+    ],
+)
+def test_default_of_the_actuation(settings: tuple[str, ...], next_tick: bool) -> None:
+    """Inputs act at once in lockstep, as in the paper, and at the next tick in real time, unless the scenario says."""
+    assert read_scenario(PAPER, settings).clock.next_tick == next_tick
 
 
 def test_digest_covers_every_field_but_the_network() -> None:

@@ -14,6 +14,12 @@ ONE_UAV_ASIDE = (
     "agents.owned=[[1]]",
 )
 
+# A setting is repeated in the refusal as far as that fits a line.
+LONGEST_SHOWN = 80
+
+ENDS = "expected one of plant, agent1, agent2, agent3, agent4, got "
+REALTIME = "clock.mode=realtime"
+
 # What is set, the field that must be named, what the text must say.
 WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
     # Keys.
@@ -98,15 +104,102 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
     ("plant.step_s=0.1", "plant.step_s", "expected at most the sampling period 0.05, got 0.1"),
     ("controller.limits.thrust_N=[5,1]", "controller.limits.thrust_N", "expected smallest < largest, got [5.0, 1.0]"),
     ("links.loss=1.5", "links.loss", "expected a number <= 1.0, got 1.5"),
-    ("links.override=[{to='agent5'}]", "links.override.1.to", "expected one of agent1, agent2, agent3, agent4, got "),
-    (
-        "links.override=[{from='plant'}]",
-        "links.override.1.from",
-        "expected one of agent1, agent2, agent3, agent4, got ",
-    ),
-    ("links.partition=[{between=['agent1'],start_s=2,end_s=1}]", "links.partition.1.end_s", "expected more than start"),
-    ("links.partition=[{between=['x'],start_s=1,end_s=2}]", "links.partition.1.between", "expected one of agent1, "),
+    # Links.
+    ("links.delay_s=-0.1", "links.delay_s", "expected a number >= 0.0, got -0.1"),
+    ("links.jitter_s=-1", "links.jitter_s", "expected a number >= 0.0, got -1"),
+    ("links.loss=-0.5", "links.loss", "expected a number >= 0.0, got -0.5"),
+    ("links.duplicate=1.01", "links.duplicate", "expected a number <= 1.0, got 1.01"),
+    ("links.reorder=2", "links.reorder", "expected a number <= 1.0, got 2"),
+    ("links.reorder_s=-1", "links.reorder_s", "expected a number >= 0.0, got -1"),
+    ("links.rate_hz=0", "links.rate_hz", "expected a number > 0.0, got 0"),
+    ("links.delay=0.1", "links.delay", "unknown key; did you mean 'delay_s'?"),
+    ("links.distribution=gauss", "links.distribution", "expected 'uniform', 'normal', 'exponential', 'lognormal' or"),
     ("links.distribution=empirical", "links.samples", "expected a file of measured delays, got nothing"),
+    ("links.measurement.loss=1.5", "links.measurement.loss", "expected a number <= 1.0, got 1.5"),
+    ("links.measurement.distribution=empirical", "links.measurement.samples", "expected a file of measured delays"),
+    ("links.actuation.delay_s=-1", "links.actuation.delay_s", "expected a number >= 0.0, got -1"),
+    ("links.actuation.from=plant", "links.actuation.from", "unknown key; known: delay_s"),
+    ("links.gilbert_elliott={enter=0.1}", "links.gilbert_elliott.leave", "expected a value, got nothing"),
+    ("links.gilbert_elliott={enter=2,leave=1}", "links.gilbert_elliott.enter", "expected a number <= 1.0, got 2"),
+    (
+        "links.gilbert_elliott={enter=0.1,leave=0.1,loss=-1}",
+        "links.gilbert_elliott.loss",
+        "expected a number >= 0.0, got -1",
+    ),
+    ("links.override=[{to='agent5'}]", "links.override.1.to", f"{ENDS}'agent5'"),
+    ("links.override=[{from='coordinator'}]", "links.override.1.from", f"{ENDS}'coordinator'"),
+    ("links.override=[{},{from='recorder'}]", "links.override.2.from", f"{ENDS}'recorder'"),
+    ("links.override=[{distribution='empirical'}]", "links.override.1.samples", "expected a file of measured delays"),
+    ("links.partition=[{between=['agent1'],start_s=2,end_s=1}]", "links.partition.1.end_s", "expected more than start"),
+    ("links.partition=[{between=['agent1'],start_s=2,end_s=2}]", "links.partition.1.end_s", "start_s 2.0, got 2.0"),
+    ("links.partition=[{between=['agent1'],start_s=-1,end_s=2}]", "links.partition.1.start_s", ">= 0.0, got -1"),
+    ("links.partition=[{between=['x'],start_s=1,end_s=2}]", "links.partition.1.between", f"{ENDS}'x'"),
+    ("links.partition=[{between=[],start_s=1,end_s=2}]", "links.partition.1.between", "expected at least 1 list entries"),
+    ("links.change=[{loss=0.1}]", "links.change.1.at_s", "expected a value, got nothing"),
+    ("links.change=[{at_s=-1,loss=0.1}]", "links.change.1.at_s", "expected a number >= 0.0, got -1"),
+    ("links.change=[{at_s=1,loss=7}]", "links.change.1.loss", "expected a number <= 1.0, got 7"),
+    ("links.change=[{at_s=1,from='agent0'}]", "links.change.1.from", f"{ENDS}'agent0'"),
+    ("links.change=[{at_s=1,distribution='empirical'}]", "links.change.1.samples", "expected a file of measured delays"),
+    # Clock.
+    ((REALTIME,), "clock.speed", "expected a number > 0 with mode realtime, such as 1, got 0"),
+    (("clock.speed=0", REALTIME), "clock.speed", "expected a number > 0 with mode realtime, such as 1, got 0"),
+    (
+        ("clock.actuation=immediate", REALTIME, "clock.speed=1"),
+        "clock.actuation",
+        "expected 'next_tick' with mode realtime, where a step takes time, got 'immediate'",
+    ),
+    (
+        ("controller.rounds=2", REALTIME, "clock.speed=1"),
+        "controller.rounds",
+        "expected 1 with mode realtime, where nobody waits, got 2",
+    ),
+    ("controller.rounds=0", "controller.rounds", "expected a number >= 1, got 0"),
+    ("controller.rounds=21", "controller.rounds", "expected a number <= 20, got 21"),
+    ("clock.on_overrun=panic", "clock.on_overrun", "expected 'continue', 'hold' or 'abort', got 'panic'"),
+    ("clock.overrun_limit=-1", "clock.overrun_limit", "expected a number >= 0, got -1"),
+    ("clock.overrun_limit=1.5", "clock.overrun_limit", "expected an integer, got 1.5"),
+    ("clock.overrun_limit_s=0", "clock.overrun_limit_s", "expected a number > 0.0, got 0"),
+    ("clock.barrier_timeout_s=0", "clock.barrier_timeout_s", "expected a number > 0.0, got 0"),
+    # Faults.
+    ("faults.event=[{at_s=1,do='kill'}]", "faults.event.1.target", "expected a value, got nothing"),
+    ("faults.event=[{at_s=-1,do='kill',target='plant'}]", "faults.event.1.at_s", "expected a number >= 0.0, got -1"),
+    ("faults.event=[{at_s=1,do='stab',target='plant'}]", "faults.event.1.do", "or 'restart', got 'stab'"),
+    (
+        "faults.event=[{at_s=1,do='kill',target='agent5'}]",
+        "faults.event.1.target",
+        "expected one of coordinator, plant, agent1, agent2, agent3, agent4, got 'agent5'",
+    ),
+    ("faults.event=[{at_s=1,do='kill',target='recorder'}]", "faults.event.1.target", "expected one of coordinator, "),
+    (
+        "faults.event=[{at_s=1,do='restart',target='plant'}]",
+        "faults.event.1.do",
+        "expected an agent to restart, as a run ends with its plant, got 'restart'",
+    ),
+    (
+        "faults.event=[{at_s=1,do='restart',target='coordinator'}]",
+        "faults.event.1.do",
+        "expected an agent to restart, as a run ends with its coordinator, got 'restart'",
+    ),
+    (
+        "faults.event=[{at_s=1,do='continue',target='agent1'}]",
+        "faults.event.1.do",
+        "expected what can be done to agent1, which is running by then, got 'continue'",
+    ),
+    (
+        "faults.event=[{at_s=1,do='kill',target='agent1'},{at_s=2,do='kill',target='agent1'}]",
+        "faults.event.2.do",
+        "expected what can be done to agent1, which is killed by then, got 'kill'",
+    ),
+    (
+        "faults.event=[{at_s=2,do='continue',target='agent1'},{at_s=1,do='kill',target='agent1'}]",
+        "faults.event.1.do",
+        "expected what can be done to agent1, which is killed by then, got 'continue'",
+    ),
+    (
+        "faults.event=[{at_s=1,do='stop',target='agent1'},{at_s=2,do='stop',target='agent1'}]",
+        "faults.event.2.do",
+        "expected what can be done to agent1, which is stopped by then, got 'stop'",
+    ),
     # Physics.
     (
         "controller.limits.thrust_N=[0,20]",
@@ -151,6 +244,7 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
     ("controller.constraint=[{expression='__import__(1) <= 1'}]", "controller.constraint", "is not allowed"),
 ]
 
+EMPTY = "''"
 WRONG_SETTINGS = [
     ("nope", "expected key=value"),
     ("=3", "expected key=value"),
@@ -169,23 +263,57 @@ def refusal(path: Path, *settings: str) -> str:
     """What a scenario is refused with, on reading or on building."""
     with pytest.raises(ScenarioError) as caught:
         Setup.of(read_scenario(path, settings), str(path))
-    text = str(caught.value)
+    text = str(caught.value.blaming(settings))
     assert "\n" not in text
     return text
 
 
 @pytest.mark.parametrize(("settings", "field", "problem"), WRONG, ids=lambda value: str(value)[:50])
 def test_wrong_scenario(settings: str | tuple[str, ...], field: str, problem: str) -> None:
-    """What is wrong is refused before anything starts: one line with file, field, expected and got."""
-    text = refusal(PAPER, *([settings] if isinstance(settings, str) else settings))
-    assert text.startswith(f"{PAPER}: {field}: ")
-    assert problem in text
+    """What is wrong is refused before anything starts: one line with setting or file, field, expected and got."""
+    given = [settings] if isinstance(settings, str) else list(settings)
+    text = refusal(PAPER, *given)
+    key, shown = given[0].partition("=")[0], given[0]
+    if f"{key}.".startswith(f"{field}.") or f"{field}.".startswith(f"{key}."):
+        # The setting says which field it is for, so that is repeated only when something else is wrong.
+        shown = shown if len(shown) <= LONGEST_SHOWN else f"{shown[: LONGEST_SHOWN - 3]}..."
+        begin = f"--set {shown}: " + (f"{field}: " if key != field else "")
+    else:
+        begin = f"{PAPER}: {field}: "  # it does not go with what the file says, or does not
+    assert text.startswith(begin)
+    assert problem in text.removeprefix(begin)
+
+
+@pytest.mark.parametrize(
+    ("line", "wrong", "problem"),
+    [
+        ("horizon = 20", "horizon = 0", "controller.horizon: expected a number >= 1, got 0"),
+        ("horizon = 20", "horizn = 20", "controller.horizn: unknown key; did you mean 'horizon'?"),
+        ("mass_kg = 3.0", "", "system.payload.mass_kg: expected a value, got nothing"),
+        ("[0.0, 45.0]", "[0.0, 20.0]", "controller.limits.thrust_N: expected a range that contains the hover thrust"),
+    ],
+)
+def test_wrong_file(line: str, wrong: str, problem: str, tmp_path: Path) -> None:
+    """What is wrong in the file is said of the file, settings of other keys or not."""
+    path = tmp_path / "wrong.toml"
+    path.write_text(PAPER.read_text(encoding="utf-8").replace(line, wrong, 1), encoding="utf-8")
+    for settings in ((), ("controller.solver=clarabel",)):
+        assert refusal(path, *settings).startswith(f"{path}: {problem}")
+
+
+def test_the_last_setting_is_blamed() -> None:
+    """Of several settings of a key the one that decides is named, and all that make up what is wrong."""
+    horizons = ["controller.horizon=0", "controller.horizon=-1"]
+    assert refusal(PAPER, *horizons).startswith("--set controller.horizon=-1: expected")
+    thrusts = ["controller.limits.thrust_N.1=50", "controller.limits.thrust_N.2=40"]
+    both = " ".join(f"--set {setting}" for setting in thrusts)
+    assert refusal(PAPER, *thrusts).startswith(f"{both}: controller.limits.thrust_N: expected smallest < largest")
 
 
 @pytest.mark.parametrize(("setting", "problem"), WRONG_SETTINGS)
 def test_wrong_setting(setting: str, problem: str) -> None:
     """A setting that names no place in the scenario is refused on one line that repeats it."""
-    assert refusal(PAPER, setting) == ": ".join(part for part in ("--set", setting, problem) if part)
+    assert refusal(PAPER, setting) == f"--set {setting or EMPTY}: {problem}"
 
 
 @pytest.mark.parametrize(
@@ -199,7 +327,7 @@ def test_setting_below_a_list_entry(setting: str) -> None:
 @pytest.mark.parametrize("key", ["agents[1]", "float", "int", "str", "controller.weights.float", "agents.owned[1]"])
 def test_unknown_key_of_any_name(key: str) -> None:
     """A key is unknown by any name, also one that looks like a type or an index."""
-    assert refusal(PAPER, f"{key}=1").startswith(f"{PAPER}: {key}: unknown key; ")
+    assert refusal(PAPER, f"{key}=1").startswith(f"--set {key}=1: unknown key; ")
 
 
 def test_missing_file(tmp_path: Path) -> None:

@@ -10,15 +10,15 @@ from tests.transport.commands import processes_of, settings, transport
 USAGE, SCENARIO, LOST = 2, 3, 4
 
 REFUSED_SCENARIOS = [
-    ("controller.horizn=3", "controller.horizn: unknown key; did you mean 'horizon'?"),
-    ("clok.speed=1.0", "clok: unknown key; did you mean 'clock'?"),
-    ("controller.horizon=0", "controller.horizon: expected a number >= 1, got 0"),
-    ("controller.relaxation=0.0", "controller.relaxation: expected a number in (0, 1] or 'auto', got 0.0"),
-    ("controller.relaxation=1.5", "controller.relaxation: expected a number in (0, 1] or 'auto', got 1.5"),
-    ("system.payload.mass_kg=-3.0", "system.payload.mass_kg: expected a number > 0.0, got -3.0"),
-    ("system.uav.2.rho_m=[0.1, 0.2]", "system.uav.2.rho_m: expected 3 numbers, got [0.1, 0.2]"),
+    ("controller.horizn=3", "unknown key; did you mean 'horizon'?"),
+    ("clok.speed=1.0", "unknown key; did you mean 'clock'?"),
+    ("controller.horizon=0", "expected a number >= 1, got 0"),
+    ("controller.relaxation=0.0", "expected a number in (0, 1] or 'auto', got 0.0"),
+    ("controller.relaxation=1.5", "expected a number in (0, 1] or 'auto', got 1.5"),
+    ("system.payload.mass_kg=-3.0", "expected a number > 0.0, got -3.0"),
+    ("system.uav.2.rho_m=[0.1, 0.2]", "expected 3 numbers, got [0.1, 0.2]"),
     ("agents.owned=[[1], [2], [3], [3, 4]]", "agents.owned.4: expected each UAV once, got UAV3, owned by agent 3"),
-    ("agents.owned=[[1], [2], [3]]", "agents.owned: expected each UAV once, got none for UAV4"),
+    ("agents.owned=[[1], [2], [3]]", "expected each UAV once, got none for UAV4"),
     ("controller.limits.thrust_N=[0.0, 20.0]", "expected a range that contains the hover thrust 22.07 N"),
     ("controller.constraint=[{expression='r0[2] <= x'}]", "unknown name 'x'"),
 ]
@@ -26,11 +26,11 @@ REFUSED_SCENARIOS = [
 
 @pytest.mark.parametrize(("change", "expected"), REFUSED_SCENARIOS)
 def test_scenario_that_cannot_be_is_refused_in_one_line(change: str, expected: str, tmp_path: Path) -> None:
-    """A wrong value ends with exit code 3 and one line of file, field, expected and got; no run folder appears."""
+    """A wrong value ends with exit code 3 and one line of setting, expected and got; no run folder appears."""
     result = transport("run", "paper", *settings(change), "--out", "out", cwd=tmp_path)
     assert result.returncode == SCENARIO
+    assert result.stderr.startswith(f"transport: --set {change}: ")
     assert expected in result.stderr
-    assert "paper.toml" in result.stderr
     assert len(result.stderr.strip().splitlines()) == 1
     assert result.stdout == ""
     assert list(tmp_path.iterdir()) == []

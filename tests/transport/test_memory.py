@@ -1,5 +1,6 @@
 """The in-memory runtime: whole runs, their reproducibility, and what they must be equal to."""
 
+import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
@@ -229,14 +230,31 @@ def test_a_diverged_record_is_reproducible(actuation: str) -> None:
     assert all(record == records[0] for record in records)
 
 
-def test_a_standstill_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nodes that wait for each other for ever are a bug, said with the tick, not an endless loop."""
+@pytest.fixture
+def deaf_plant(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A plant that hears no plans, and so never comes to the second tick."""
     receive = PlantNode.receive
 
     def deaf(self: PlantNode, event: Message | Presence, now_ns: int) -> Sequence[Message]:
         return () if isinstance(event, Plan) else receive(self, event, now_ns)
 
     monkeypatch.setattr(PlantNode, "receive", deaf)
+
+
+@pytest.mark.usefixtures("deaf_plant")
+def test_timeouts_cost_nothing() -> None:
+    """A run that a timeout ends, here of 1000 hours, is over at once: the clock jumps to what the nodes wait for."""
+    began_s = time.monotonic()
+    end = memory.fly(setup(SHORT, "clock.barrier_timeout_s=3.6e6"))
+    assert (end.outcome, end.exit_code, end.tick) == ("aborted", 4, 1)
+    assert end.reason == "no agent answered tick 1 in time: is the plant alive?"
+    assert time.monotonic() - began_s < 60.0
+
+
+@pytest.mark.usefixtures("deaf_plant")
+def test_a_standstill_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nodes that wait for each other for ever are a bug, said with the tick, not an endless loop."""
+    monkeypatch.setattr(CoordinatorNode, "wake_ns", None)
     with pytest.raises(RuntimeError, match="stands still at tick 1"):
         memory.fly(setup(SHORT))
 

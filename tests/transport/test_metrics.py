@@ -195,7 +195,7 @@ def test_agents_that_left_receive_nothing() -> None:
 def test_times_by_hand() -> None:
     """Wall time from first tick to control; network is the tick's length minus its slowest step, at least 0."""
     run = runs.setup(HOVER)
-    slow = report(run, 2, 1, times_ms=np.array([1.0, 1.0, 1.0, 1.0, 4.0, 8.0]))
+    slow = report(run, 2, 1, times_ms=np.array([2.0, 1.0, 1.0, 1.0, 1.0, 4.0, 0.5, 8.0]))
     messages = [runs.tick(0), report(run, 1, 0), runs.tick(1), report(run, 1, 1), slow, runs.tick(2), control(2)]
     log = log_of([*messages, truth(run, 0), truth(run, 1)], [10, 11, 14, 15, 16, 18, 60, 61, 62])
     assert network_ms(run, log) == pytest.approx({0: 4.0 - 1.5, 1: 0.0})

@@ -1,0 +1,263 @@
+"""The experiments: what each changes from flight to flight, and what is refused."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+from transport.experiments.cases import Point
+from transport.experiments.errors import refused
+
+T = TypeVar("T", str, float)
+
+NEVER, NOBODY = "never", "none"
+
+# Standard deviation of one unit of `links.jitter_s`, and the mean it adds, by distribution (docs/scenario.md).
+# A lognormal number whose logarithm has unit variance has a mean of 1 / sqrt(e - 1) standard deviations.
+JITTER = {
+    "uniform": (1.0 / math.sqrt(12.0), 0.0),
+    "normal": (1.0, 0.0),
+    "exponential": (1.0, 1.0),
+    "lognormal": (1.0, 1.0 / math.sqrt(math.e - 1.0)),
+}
+
+# The smallest mean of a delay of each distribution whose random part is never cut off at zero, in standard
+# deviations; the normal distribution has no such mean, 2 cut off 2 %.
+SMALLEST_MEAN = {"uniform": math.sqrt(3.0), "normal": 2.0, "exponential": 1.0, "lognormal": JITTER["lognormal"][1]}
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """The column that a figure has along an axis.
+
+    Attributes:
+        label: Name of the column.
+        title: With the unit.
+        factor: From the column to that unit.
+    """
+
+    label: str
+    title: str
+    factor: float = 1.0
+
+
+DELAY_AXIS, LOSS_AXIS = Axis("delay_s", "delay (ms)", 1e3), Axis("loss", "loss of plans (%)", 100.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Experiment:
+    """A sweep and how it is drawn.
+
+    Attributes:
+        name: Of the command.
+        points: What is flown.
+        x: Along the horizontal axis.
+        y: Along the vertical axis of a map; without it the figure has curves.
+        curves: Column that tells the curves of a scenario from each other; points with "none" in it belong to all.
+        legend: What its values are called in the figure.
+    """
+
+    name: str
+    points: tuple[Point, ...]
+    x: Axis
+    y: Axis | None = None
+    curves: str | None = None
+    legend: Mapping[str | float, str] = field(default_factory=dict)
+
+
+def latency(scenarios: Sequence[str], delays_s: Sequence[float]) -> Experiment:
+    """A fixed delay of every plan."""
+    _check_numbers("--delay", delays_s, "a delay >= 0 s", 0.0, math.inf)
+    points = [
+        Point(
+            scenario=scenario,
+            labels={"delay_s": delay_s},
+            text=_ms(delay_s),
+            settings=(f"links.delay_s={delay_s!r}",),
+            baseline=delay_s == 0.0,
+        )
+        for scenario in _distinct("--scenario", scenarios)
+        for delay_s in sorted({0.0, *_distinct("--delay", delays_s)})
+    ]
+    return Experiment(name="latency", points=tuple(points), x=DELAY_AXIS)
+
+
+def loss(scenarios: Sequence[str], shares: Sequence[float], burst_ticks: float) -> Experiment:
+    """Plans lost independently of each other, and the same share of them lost in bursts (Gilbert-Elliott).
+
+    Args:
+        scenarios: What is flown.
+        shares: Of lost plans, on average.
+        burst_ticks: Mean length of a burst, in which everything is lost, ticks.
+    """
+    _check_numbers("--loss", shares, "a share from 0 to below 1", 0.0, 1.0)
+    _check_numbers("--burst", [burst_ticks], "a mean length >= 1 tick", 1.0, math.inf)
+    some = sorted(share for share in _distinct("--loss", shares) if share > 0.0)
+    points: list[Point] = []
+    for scenario in _distinct("--scenario", scenarios):
+        points.append(
+            Point(
+                scenario=scenario,
+                labels={"model": NOBODY, "loss": 0.0},
+                text="no loss",
+                settings=("links.loss=0.0",),
+                baseline=True,
+            )
+        )
+        points += [
+            Point(
+                scenario=scenario,
+                labels={"model": model, "loss": share},
+                text=f"{_percent(share)} {how}",
+                settings=(setting(share),),
+            )
+            for model, how, setting in (
+                ("bernoulli", "at random", lambda share: f"links.loss={share!r}"),
+                ("bursts", "in bursts", lambda share: _bursts(share, burst_ticks)),
+            )
+            for share in some
+        ]
+    legend = {"bernoulli": "each on its own", "bursts": f"in bursts of {burst_ticks:g} ticks"}
+    return Experiment(name="loss", points=tuple(points), x=LOSS_AXIS, curves="model", legend=legend)
+
+
+def jitter(
+    scenarios: Sequence[str], distributions: Sequence[str], deviations_s: Sequence[float], mean_s: float
+) -> Experiment:
+    """Random delays of different distributions, all of the same mean and standard deviation.
+
+    Args:
+        scenarios: What is flown.
+        distributions: Of the delays.
+        deviations_s: Standard deviations of the delay, s.
+        mean_s: Mean delay, s.
+    """
+    for distribution in distributions:
+        if distribution not in JITTER:
+            raise refused("--distribution", f"one of {', '.join(JITTER)}", distribution)
+    _check_numbers("--mean", [mean_s], "a delay >= 0 s", 0.0, math.inf)
+    for distribution in _distinct("--distribution", distributions):
+        largest_s = mean_s / SMALLEST_MEAN[distribution]
+        expected = f"a standard deviation from 0 to {largest_s:.3g} s ({distribution}, mean {mean_s:g} s)"
+        _check_numbers("--std", deviations_s, expected, 0.0, math.nextafter(largest_s, math.inf))
+    points: list[Point] = []
+    for scenario in _distinct("--scenario", scenarios):
+        for text, delay_s in (("no delay", 0.0), (f"constant {_ms(mean_s)}", mean_s)):
+            points.append(
+                Point(
+                    scenario=scenario,
+                    labels={"distribution": NOBODY, "std_s": 0.0, "mean_s": delay_s},
+                    text=text,
+                    settings=(f"links.delay_s={delay_s!r}",),
+                    baseline=delay_s == 0.0,
+                )
+            )
+            if mean_s == 0.0:
+                break
+        for distribution in distributions:
+            unit, mean_of_unit = JITTER[distribution]
+            for deviation_s in sorted(std_s for std_s in _distinct("--std", deviations_s) if std_s > 0.0):
+                scale_s = deviation_s / unit
+                links = {"delay_s": mean_s - mean_of_unit * scale_s, "jitter_s": scale_s}
+                points.append(
+                    Point(
+                        scenario=scenario,
+                        labels={"distribution": distribution, "std_s": deviation_s, "mean_s": mean_s},
+                        text=f"{distribution} with {_ms(deviation_s)}",
+                        settings=(
+                            *(f"links.{key}={max(0.0, value)!r}" for key, value in links.items()),
+                            f"links.distribution={distribution}",
+                        ),
+                    )
+                )
+    return Experiment(name="jitter", points=tuple(points), x=Axis("std_s", "jitter, std (ms)", 1e3), curves="distribution")
+
+
+def kill(agents: Mapping[str, int], kill_s: float, restart_s: float) -> Experiment:
+    """Each agent in turn is killed, and comes back or does not.
+
+    Args:
+        agents: Number of agents of each scenario that is flown.
+        kill_s: When the agent is killed, scenario time.
+        restart_s: When it is started again.
+    """
+    _check_numbers("--at", [kill_s], "a time >= 0 s", 0.0, math.inf)
+    if not kill_s < restart_s < math.inf:
+        raise refused("--restart", f"a time after --at {kill_s:g} s", f"{restart_s:g}")
+    points: list[Point] = []
+    for scenario, count in agents.items():
+        continued = "clock.on_agent_loss=continue"
+        points.append(
+            Point(
+                scenario=scenario,
+                labels={"agent": NOBODY, "restart_s": NOBODY},
+                text="nobody killed",
+                settings=(continued,),
+                baseline=True,
+            )
+        )
+        for back_s in (restart_s, None):
+            for agent in (f"agent{number}" for number in range(1, count + 1)):
+                events = [(kill_s, "kill")] + ([] if back_s is None else [(back_s, "restart")])
+                script = ",".join(f'{{at_s={at_s!r},do="{do}",target="{agent}"}}' for at_s, do in events)
+                points.append(
+                    Point(
+                        scenario=scenario,
+                        labels={"agent": agent, "restart_s": NEVER if back_s is None else back_s},
+                        text=f"{agent} {'gone for good' if back_s is None else f'back after {back_s - kill_s:g} s'}",
+                        settings=(continued, f"faults.event=[{script}]"),
+                    )
+                )
+    legend: dict[str | float, str] = {restart_s: f"started again at {restart_s:g} s", NEVER: "not started again"}
+    axis = Axis("agent", f"killed at {kill_s:g} s")
+    return Experiment(name="kill", points=tuple(points), x=axis, curves="restart_s", legend=legend)
+
+
+def matrix(scenarios: Sequence[str], delays_s: Sequence[float], shares: Sequence[float]) -> Experiment:
+    """Every delay with every loss."""
+    _check_numbers("--delay", delays_s, "a delay >= 0 s", 0.0, math.inf)
+    _check_numbers("--loss", shares, "a share from 0 to 1", 0.0, math.nextafter(1.0, 2.0))
+    points = [
+        Point(
+            scenario=scenario,
+            labels={"delay_s": delay_s, "loss": share},
+            text=f"{_ms(delay_s)} and {_percent(share)} lost",
+            settings=(f"links.delay_s={delay_s!r}", f"links.loss={share!r}"),
+            baseline=delay_s == share == 0.0,
+        )
+        for scenario in _distinct("--scenario", scenarios)
+        for delay_s in sorted({0.0, *_distinct("--delay", delays_s)})
+        for share in sorted({0.0, *_distinct("--loss", shares)})
+    ]
+    return Experiment(name="matrix", points=tuple(points), x=DELAY_AXIS, y=LOSS_AXIS)
+
+
+def _bursts(share: float, burst_ticks: float) -> str:
+    """Setting of a link that is bad, and then loses everything, for a share of the ticks in the long run."""
+    leave = 1.0 / burst_ticks
+    enter = leave * share / (1.0 - share)  # from share = enter / (enter + leave)
+    if enter > 1.0:
+        expected = f"at most {burst_ticks / (1.0 + burst_ticks):.3g} with bursts of {burst_ticks:g} ticks on average"
+        raise refused("--loss", expected, f"{share:g}")
+    return f"links.gilbert_elliott={{enter={enter!r},leave={leave!r},loss=1.0}}"
+
+
+def _check_numbers(option: str, values: Sequence[float], expected: str, low: float, below: float) -> None:
+    for value in values:
+        if not low <= value < below:
+            raise refused(option, expected, f"{value:g}")
+
+
+def _distinct(option: str, values: Sequence[T]) -> Sequence[T]:
+    for value in values:
+        if values.count(value) > 1:
+            raise refused(option, "each value once", f"{value} {values.count(value)} times")
+    return values
+
+
+def _ms(seconds: float) -> str:
+    return f"{1e3 * seconds:g} ms"
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:g} %"

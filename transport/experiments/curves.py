@@ -1,0 +1,122 @@
+"""Curves over what an experiment changed: survival, cost, attitude, with confidence intervals."""
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from transport.experiments.catalogue import NOBODY, Experiment
+from transport.experiments.statistics import Measured
+from transport.figure_style import WIDTH_IN
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# Colour (Okabe and Ito 2008), marker and line of each curve: told apart without colour as well.
+_CURVES = (
+    ("#0072B2", "o", "-"),
+    ("#D55E00", "s", "--"),
+    ("#009E73", "^", "-."),
+    ("#CC79A7", "D", ":"),
+    ("#000000", "v", "-"),
+)
+_MARKER = 4.0
+
+# What is drawn against the sweep: title, number, factor.
+_PANELS = (("mean cost ($10^{-3}$)", "cost_mean", 1e3), ("payload attitude,\nlargest (deg)", "attitude_max_deg", 1.0))
+
+# Height of a panel and of all that is around them, in; height of the panel of survival, in panels.
+_PANEL_IN, _AROUND_IN, _LOW = 1.55, 0.9, 0.6
+
+# Curves are drawn this share of the axis apart, so that error bars do not hide each other.
+_APART = 0.015
+
+
+def draw_curves(figure: "Figure", experiment: Experiment, measured: Sequence[Measured]) -> None:
+    """A column of panels for each scenario, or one column for all when each is a single curve.
+
+    Args:
+        figure: Empty.
+        experiment: What was flown.
+        measured: What came of each point.
+    """
+    scenarios = list(dict.fromkeys(m.point.scenario for m in measured))
+    columns = [scenarios] if experiment.curves is None else [[scenario] for scenario in scenarios]
+    some_lost = any(m.completed < m.flights for m in measured)
+    heights = [_LOW] * some_lost + [1.0] * len(_PANELS)
+    figure.set_size_inches(WIDTH_IN, _PANEL_IN * sum(heights) + _AROUND_IN)
+    panels = figure.subplots(
+        len(heights), len(columns), sharex=True, sharey="row", squeeze=False, height_ratios=heights
+    )
+    for names, column in zip(columns, panels.T, strict=True):
+        shown = [m for m in measured if m.point.scenario in names]
+        values = list(dict.fromkeys(m.point.labels[experiment.x.label] for m in shown))
+        places = {value: value if isinstance(value, float) else float(i) for i, value in enumerate(values)}
+        curves = _curves(experiment, shown)
+        for index, (name, points) in enumerate(curves.items()):
+            style = _style(index)
+            if isinstance(values[0], str):
+                style["linestyle"] = "none"  # nothing lies between two names
+            shift = _APART * (max(places.values()) or 1.0) * (index - (len(curves) - 1) / 2.0)
+            x = [places[m.point.labels[experiment.x.label]] + shift for m in points]
+            if some_lost:
+                _draw_survival(column[0], x, points, style)
+            for panel, (_, number, factor) in zip(column[some_lost:], _PANELS, strict=True):
+                _draw_means(panel, x, points, number, factor, {**style, "label": name})
+        column[-1].set_xlabel(experiment.x.title)
+        column[-1].set_xticks(list(places.values()), [_tick(value, experiment.x.factor) for value in values])
+        if len(columns) > 1:
+            column[0].set_title(names[0])
+    for panel, title in zip(panels[some_lost:, 0], (title for title, _, _ in _PANELS), strict=True):
+        panel.set_ylabel(title)
+        panel.set_ylim(bottom=0.0)
+    if some_lost:
+        panels[0, 0].set_ylabel("flights\ncompleted (%)")
+        panels[0, 0].set_ylim(-15.0, 130.0)
+        panels[0, 0].set_yticks([0, 50, 100])
+    figure.align_ylabels(panels[:, 0])
+    handles, labels = panels[-1, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=min(len(labels), 4))
+
+
+def _curves(experiment: Experiment, measured: Sequence[Measured]) -> dict[str, list[Measured]]:
+    """The points of each curve by its name in the legend, in the order of the horizontal axis."""
+    column = experiment.curves
+    if column is None:
+        names = dict.fromkeys(m.point.scenario for m in measured)
+        return {name: [m for m in measured if m.point.scenario == name] for name in names}
+    values = dict.fromkeys(m.point.labels[column] for m in measured)
+    curves = {}
+    for value in (value for value in values if value != NOBODY):
+        # Of points at one place the last is nearest to the curve: a constant delay rather than none.
+        own = {m.point.labels[experiment.x.label]: m for m in measured if m.point.labels[column] in (NOBODY, value)}
+        curves[experiment.legend.get(value, str(value))] = list(own.values())
+    return curves
+
+
+def _draw_survival(axes: "Axes", x: Sequence[float], points: Sequence[Measured], style: dict[str, Any]) -> None:
+    """Share of the flights that were completed; a cross where any was lost."""
+    shares = [100.0 * m.completed / m.flights if m.flights else math.nan for m in points]
+    axes.plot(x, shares, **style, markersize=_MARKER)
+    crossed = [(at, share) for at, share in zip(x, shares, strict=True) if share < 100.0]
+    axes.plot([at for at, _ in crossed], [share for _, share in crossed], "kx", markersize=2.0 * _MARKER)
+
+
+def _draw_means(
+    axes: "Axes", x: Sequence[float], points: Sequence[Measured], number: str, factor: float, style: dict[str, Any]
+) -> None:
+    """Means over the completed flights with their confidence intervals; nothing where none was."""
+    means, halves = [], []
+    for m in points:
+        value = m.numbers[number]
+        means.append(math.nan if value is None else factor * value.mean)
+        halves.append(0.0 if value is None or value.half_width is None else factor * value.half_width)
+    axes.errorbar(x, means, halves, **style, markersize=_MARKER, capsize=2.0, elinewidth=0.8)
+
+
+def _style(index: int) -> dict[str, Any]:
+    return dict(zip(("color", "marker", "linestyle"), _CURVES[index % len(_CURVES)], strict=True))
+
+
+def _tick(value: str | float, factor: float) -> str:
+    return value if isinstance(value, str) else f"{factor * value:g}"

@@ -1,0 +1,31 @@
+"""The figure of an experiment: figure.png to look at, figure.svg for a paper."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from transport.experiments.catalogue import Experiment
+from transport.experiments.curves import draw_curves
+from transport.experiments.maps import draw_maps
+from transport.experiments.statistics import Measured
+from transport.figure_style import RC, save
+
+
+def draw(experiment: Experiment, measured: Sequence[Measured], folder: Path) -> list[Path]:
+    """Draw an experiment.
+
+    Args:
+        experiment: What was flown.
+        measured: What came of each point.
+        folder: Where to; older figures are replaced.
+    Returns: The files.
+    """
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context({**RC, "svg.hashsalt": experiment.name}):
+        figure = Figure(layout="constrained")
+        if experiment.y is None:
+            draw_curves(figure, experiment, measured)
+        else:
+            draw_maps(figure, experiment.x, experiment.y, measured)
+        return [save(figure, folder / f"figure.{kind}") for kind in ("png", "svg")]

@@ -1,0 +1,59 @@
+"""What an experiment found, in one sentence per scenario made from its numbers."""
+
+from collections.abc import Sequence
+
+from transport.experiments.statistics import Measured
+
+# Points named one by one in a sentence; of more, the outermost.
+_NAMED = 4
+
+
+def findings(measured: Sequence[Measured]) -> list[str]:
+    """One sentence for each scenario, in the order of the sweep."""
+    scenarios = dict.fromkeys(m.point.scenario for m in measured)
+    return [f"{name}: {_sentence([m for m in measured if m.point.scenario == name])}" for name in scenarios]
+
+
+def _sentence(measured: Sequence[Measured]) -> str:
+    parts = [_survival(measured), _attitude(measured), _cost(measured)]
+    errors = sum(m.errors for m in measured)
+    if errors:
+        parts.append(f"{errors} flight{'s' * (errors > 1)} could not be flown")
+    return "; ".join(part for part in parts if part)
+
+
+def _survival(measured: Sequence[Measured]) -> str:
+    flown = [m for m in measured if m.flights]
+    held = [m for m in flown if m.completed == m.flights]
+    flights, completed = sum(m.flights for m in flown), sum(m.completed for m in flown)
+    count = f"{completed} of {flights} flights"
+    if len(held) == len(flown):
+        return f"completes all {len(flown)} points ({count})"
+    lost = [m for m in flown if m.completed < m.flights]
+    named = [f"{m.point.text}: {_loss(m)}" for m in lost[:_NAMED]]
+    more = f" and {len(lost) - _NAMED} more" if len(lost) > _NAMED else ""
+    return f"completes {len(held)} of {len(flown)} points ({count}), not {', '.join(named)}{more}"
+
+
+def _loss(m: Measured) -> str:
+    if m.flights == 1:
+        return f"lost at {m.lost_s[0]:.1f} s"
+    return f"{len(m.lost_s)} of {m.flights} lost, first at {m.lost_s[0]:.1f} s"
+
+
+def _attitude(measured: Sequence[Measured]) -> str:
+    found = [(value.mean, m) for m in measured if (value := m.numbers["attitude_max_deg"]) is not None]
+    if not found:
+        return ""
+    worst, m = max(found, key=lambda entry: entry[0])
+    mean = "on average " if m.completed > 1 else ""
+    return f"largest payload attitude {mean}{worst:.2f} deg ({m.point.text})"
+
+
+def _cost(measured: Sequence[Measured]) -> str:
+    """Cost against the flight without impairment, at the points where anything was completed."""
+    found = [(m.cost_ratio, m.point.text) for m in measured if m.cost_ratio is not None and not m.point.baseline]
+    if not found:
+        return ""
+    named = found if len(found) <= _NAMED else [min(found), max(found)]
+    return "cost " + ", ".join(f"x{ratio:.2f} ({text})" for ratio, text in named)

@@ -1,0 +1,84 @@
+"""A map of two things an experiment changed: cost by colour, survival in numbers."""
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from transport.experiments.catalogue import Axis
+from transport.experiments.statistics import Measured
+from transport.figure_style import WIDTH_IN
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.figure import Figure
+
+_ACROSS = 2  # maps beside each other
+_CELL_IN, _AROUND_IN = 0.46, 0.85
+_PRINT = 7.0
+
+# A cell in which no flight was completed.
+_LOST = {"facecolor": "#e3e3e3", "edgecolor": "#a0a0a0", "hatch": "////", "linewidth": 0.0}
+_LIGHT, _DARK = "#ffffff", "#000000"
+_MIDDLE = 0.55  # of the colour scale: below, text is light
+
+
+def draw_maps(figure: "Figure", x: Axis, y: Axis, measured: Sequence[Measured]) -> None:
+    """A map for each scenario, with one scale of colours.
+
+    Args:
+        figure: Empty.
+        x: Along the horizontal axis.
+        y: Along the vertical axis.
+        measured: What came of each point.
+    """
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import LogNorm
+
+    scenarios = list(dict.fromkeys(m.point.scenario for m in measured))
+    down, across = math.ceil(len(scenarios) / _ACROSS), min(len(scenarios), _ACROSS)
+    rows = len({m.point.labels[y.label] for m in measured})
+    figure.set_size_inches(WIDTH_IN, down * (_CELL_IN * rows + _AROUND_IN))
+    panels = figure.subplots(down, across, sharex=True, sharey=True, squeeze=False)
+    costs = [value.mean for m in measured if (value := m.numbers["cost_mean"]) is not None]
+    low, high = (1e3 * min(costs), 1e3 * max(costs)) if costs else (1.0, 10.0)
+    colours = ScalarMappable(LogNorm(low, max(high, 1.001 * low)), "viridis")
+    for axes, scenario in zip(panels.flat, scenarios, strict=False):
+        _draw_map(axes, x, y, [m for m in measured if m.point.scenario == scenario], colours)
+        axes.set_title(scenario)
+    for axes in panels.flat[len(scenarios) :]:
+        axes.set_visible(False)
+    for axes in panels[-1]:
+        axes.set_xlabel(x.title)
+    for axes in panels[:, 0]:
+        axes.set_ylabel(y.title)
+    bar = figure.colorbar(colours, ax=panels, label="mean cost ($10^{-3}$)", pad=0.02, aspect=25)
+    bar.outline.set_visible(False)
+
+
+def _draw_map(axes: "Axes", x: Axis, y: Axis, measured: Sequence[Measured], colours: "ScalarMappable") -> None:
+    from matplotlib.patches import Rectangle
+
+    columns = sorted({float(m.point.labels[x.label]) for m in measured})
+    rows = sorted({float(m.point.labels[y.label]) for m in measured})
+    for m in measured:
+        column, row = columns.index(float(m.point.labels[x.label])), rows.index(float(m.point.labels[y.label]))
+        cost = m.numbers["cost_mean"]
+        if cost is None:
+            style, ink = _LOST, _DARK
+            text = f"lost\n{m.lost_s[0]:.1f} s" if m.lost_s else "-"
+        else:
+            value = 1e3 * cost.mean
+            style = {"facecolor": colours.to_rgba(value), "linewidth": 0.0}
+            ink = _LIGHT if colours.norm(value) < _MIDDLE else _DARK
+            text = f"{value:.2f}" + (f"\n{m.completed}/{m.flights}" if m.completed < m.flights else "")
+        axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1.0, 1.0, **style))
+        axes.text(column, row, text, ha="center", va="center", color=ink, fontsize=_PRINT, linespacing=1.1)
+    axes.set_xlim(-0.5, len(columns) - 0.5)
+    axes.set_ylim(-0.5, len(rows) - 0.5)
+    axes.set_xticks(range(len(columns)), [f"{x.factor * value:g}" for value in columns])
+    axes.set_yticks(range(len(rows)), [f"{y.factor * value:g}" for value in rows])
+    axes.tick_params(length=0.0)
+    axes.grid(visible=False)
+    for spine in axes.spines.values():
+        spine.set_visible(False)

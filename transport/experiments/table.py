@@ -1,0 +1,109 @@
+"""The tables of an experiment: one of its flights, one of its points, and the one people read."""
+
+import csv
+import io
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from rich.table import Table
+
+from transport.experiments.cases import Case, Point
+from transport.experiments.flight import NUMBERS, Result
+from transport.experiments.statistics import Estimate, Measured
+
+# Means of these are in the table of points, each with its confidence interval.
+MEANS = NUMBERS[1:]
+
+# What people read: heading, name of the number, factor, digits.
+_SHOWN = (
+    ("cost mean\n(1e-3)", "cost_mean", 1e3, 2),
+    ("cost max\n(1e-3)", "cost_max", 1e3, 1),
+    ("attitude\n(deg)", "attitude_max_deg", 1.0, 2),
+    ("tracking\nrms (m)", "tracking_rms_m", 1.0, 3),
+    ("apart\n(m)", "separation_min_m", 1.0, 3),
+    ("plan age\n(ticks)", "plan_age_mean_ticks", 1.0, 2),
+)
+
+
+def cases_csv(points: Sequence[Point], cases: Iterable[Case], results: Iterable[Result]) -> bytes:
+    """One row for each flight, in the order of the sweep. Floats are written so that they read back as the same bits.
+
+    Args:
+        points: Of the sweep.
+        cases: Its flights.
+        results: What came of them.
+    """
+    rows = [
+        {"scenario": point.scenario, **point.labels, "seed": case.scenario.seed}
+        | {"outcome": result.outcome, "reason": result.reason, **result.numbers}
+        for case, result in zip(cases, results, strict=True)
+        for point in [points[case.point]]
+    ]
+    return _csv(["scenario", *points[0].labels, "seed", "outcome", "reason", *NUMBERS], rows)
+
+
+def points_csv(measured: Sequence[Measured]) -> bytes:
+    """One row for each point: flights, and means over those that were completed with 95 % confidence intervals."""
+    rows = []
+    for m in measured:
+        row: dict[str, Any] = {"scenario": m.point.scenario, **m.point.labels, "flights": m.flights}
+        row |= {"completed": m.completed, "errors": m.errors, "first_lost_s": m.first_lost_s}
+        row["cost_ratio"] = m.cost_ratio
+        for name, value in m.numbers.items():
+            row |= {name: value and value.mean, f"{name}_ci95": value and value.half_width}
+        rows.append(row)
+    means = [column for name in MEANS for column in (name, f"{name}_ci95")]
+    counts = ["flights", "completed", "errors", "first_lost_s", "cost_ratio"]
+    return _csv(["scenario", *measured[0].point.labels, *counts, *means], rows)
+
+
+def table_of(title: str, measured: Sequence[Measured]) -> Table:
+    """What a person reads, in 100 columns.
+
+    Args:
+        title: Above the table.
+        measured: The points, in the order of the sweep.
+    """
+    table = Table(box=None, title=title, title_justify="left", title_style="bold", pad_edge=False)
+    for heading in ("scenario", *(name.replace("_", "\n", 1) for name in measured[0].point.labels)):
+        table.add_column(heading, no_wrap=True)
+    headings = ["done", "lost at\n(s)", *[shown[0] for shown in _SHOWN]]
+    headings.insert(3, "cost\nratio")
+    for heading in headings:
+        table.add_column(heading, justify="right", no_wrap=True)
+    for m in measured:
+        cells = [_shown(m.numbers[name], factor, digits) for _, name, factor, digits in _SHOWN]
+        cells.insert(1, "-" if m.cost_ratio is None else f"{m.cost_ratio:.2f}")
+        labels = [m.point.scenario, *(_label(value) for value in m.point.labels.values())]
+        table.add_row(*labels, _done(m), _lost(m.lost_s), *cells)
+    return table
+
+
+def _done(m: Measured) -> str:
+    errors = f" {m.errors}!" if m.errors else ""
+    return f"{m.completed}/{m.flights}{errors}"
+
+
+def _lost(lost_s: Sequence[float]) -> str:
+    if not lost_s:
+        return "-"
+    return f"{lost_s[0]:.1f}" if len(lost_s) == 1 else f"{lost_s[0]:.1f}..{lost_s[-1]:.1f}"
+
+
+def _label(value: str | float) -> str:
+    return value if isinstance(value, str) else f"{value:g}"
+
+
+def _shown(value: Estimate | None, factor: float, digits: int) -> str:
+    if value is None:
+        return "-"
+    text = f"{factor * value.mean:.{digits}f}"
+    return text if value.half_width is None else f"{text} ±{factor * value.half_width:.{digits}f}"
+
+
+def _csv(columns: Sequence[str], rows: Iterable[dict[str, Any]]) -> bytes:
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, columns, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue().encode()
