@@ -6,8 +6,7 @@ several rounds it exchanges plans with the others within the tick before that. I
 nobody: whatever is here when it gets round to it counts, and of several measurements the newest.
 """
 
-import math
-from collections import Counter
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -25,7 +24,8 @@ from mpc.controller import Controller, Linear, Optimum
 from mpc.fail_safe import FailSafe
 from mpc.feedback import TeamLaw
 from protocol.arrivals import Arrivals
-from protocol.links import LinkChanges, LinkError
+from protocol.claims import Claims, check_moment, window
+from protocol.links import LinkChanges
 from protocol.membership import Membership
 from protocol.messages import (
     STAGES,
@@ -34,6 +34,7 @@ from protocol.messages import (
     LinkChange,
     Measurement,
     Message,
+    MessageError,
     Plan,
     Presence,
     Roster,
@@ -41,6 +42,7 @@ from protocol.messages import (
     agent_name,
 )
 from protocol.outbox import Outbox, lost
+from protocol.rejections import Rejections
 from protocol.setup import Setup
 
 # Integration steps for looking one period ahead with actuation "next_tick"; see `agent.estimator`.
@@ -97,13 +99,11 @@ class AgentNode:
         self._peers = tuple(other for other in setup.agents if other != agent)
         clock = setup.scenario.clock
         self._waits = clock.mode == "lockstep"
-        # In real time the others may be ahead of this process by as much as it may be late before it is given up.
-        late_s = 0.0 if self._waits else clock.barrier_timeout_s * clock.speed
-        self._ahead = math.ceil(late_s / setup.settings.sampling_period_s)
         self._membership = Membership()
         self._gone: set[int] = set()  # agents the controller does not count on
         self.publish_ns = 0
-        self.rejected: Counter[tuple[str, str]] = Counter()
+        self._claims, self._window = Claims(setup), window(setup)
+        self.rejected = Rejections()
         self.finished: Control | None = None
         self._begin(incarnation)
 
@@ -136,7 +136,8 @@ class AgentNode:
         self._proposals: dict[tuple[int, int], dict[int, Plan]] = {}  # by tick and negotiation, and agent
         self._law_since = 0  # tick from which on the shared law is the present team's
         self._last_tick = -1
-        self._reported = 0  # of the rejected messages
+        # Plans that came while it was not on the roster as it knows it: those of two ticks.
+        self._early: deque[Plan] = deque(maxlen=2 * len(self._peers) * setup.scenario.controller.rounds)
         self._idle_since_ns = self._stopwatch()
 
     @property
@@ -147,30 +148,11 @@ class AgentNode:
     def receive(self, event: Event, now_ns: int) -> Sequence[Message]:
         """Take in the roster, measurements and the others' plans."""
         match event:
-            case Control():
-                self.finished = event
-                return ()
-            case Roster():
-                self._enlist(event, now_ns)
-            case LinkChange():
-                try:
-                    self._link_changes.apply(event)
-                except LinkError as error:
-                    self.rejected[(event.sender, str(error))] += 1
-            case Plan():
-                self._take(event, now_ns)
-            case Measurement() if self._last_tick < event.tick < self._setup.ticks and event.uavs == self._uavs:
-                self._measurement = event
-                self._measurements.put(event, now_ns)
-            case Measurement():
-                self.rejected[(event.sender, f"measurement of tick {event.tick} for UAVs {event.uavs}")] += 1
-                return ()
+            case Message():
+                self._hear(event, now_ns)
             case Presence(name="coordinator", alive=False):
                 self.finished = lost(self._out, self._last_tick, "coordinator is gone")
-                return ()
-            case _:
-                return ()
-        return self._work(now_ns) if self._waits else ()
+        return self._work(now_ns) if self._waits and self.finished is None else ()
 
     def poll(self, now_ns: int) -> Sequence[Message]:
         """In real time, work on the newest measurement once everything that is here has been taken in."""
@@ -186,41 +168,80 @@ class AgentNode:
         controller.step(hover.x, hover.u, U, y_ref, law, forces)
         self._setup.model.integrate(hover.x, hover.u, self._setup.settings.sampling_period_s, _AHEAD_STEPS)
 
-    def _enlist(self, roster: Roster, now_ns: int) -> None:
+    def _hear(self, message: Message, now_ns: int) -> None:
+        """Take in a message that is for now; count any other."""
+        try:
+            self._claims.check(message)
+            match message:
+                case Control():
+                    self._check_moment(message)
+                    self.finished = message
+                case Roster():
+                    self._check_moment(message)
+                    for plan in self._enlist(message):
+                        self._hear(plan, now_ns)
+                case LinkChange():
+                    self._link_changes.apply(message)
+                case Measurement():
+                    self._measure(message, now_ns)
+                case Plan() if self._membership.admits(message):
+                    self._take(message, now_ns)
+        except MessageError as error:
+            self.rejected.add(message.sender, error)
+
+    def _now(self) -> int | None:
+        """The tick the run is at as far as this process knows; None while it does not take part."""
+        joined = self._membership.since.get(self._agent)
+        return None if joined is None else max(self._last_tick, joined - 1)
+
+    def _check_moment(self, message: Message) -> None:
+        """Refuse what the coordinator cannot say at the tick it is likely to be at."""
+        now = self._now()
+        if now is not None:
+            check_moment(message, now - self._window, now + 1 + self._window)
+
+    def _enlist(self, roster: Roster) -> list[Plan]:
+        """Take in a roster and return the plans that were ahead of it."""
         was_on_it = self._membership.incarnation(self._agent) == self.incarnation
         waiting = self._membership.update(roster)
         if was_on_it and self._membership.incarnation(self._agent) != self.incarnation:
             # Taken for dead: whatever this process knows may be long out of date. It comes back as a new one.
             self._begin(self.incarnation + 1)
-        for plan in waiting:
-            self._take(plan, now_ns)
+        early = list(self._early)
+        self._early.clear()
+        return [*early, *waiting]
+
+    def _measure(self, measurement: Measurement, now_ns: int) -> None:
+        if measurement.uavs != self._uavs:
+            raise MessageError("wrong_uavs", f"measurement of UAVs {list(measurement.uavs)}")
+        newest = self._last_tick if self._measurement is None else self._measurement.tick
+        last = self._setup.ticks
+        now = self._now()
+        if now is not None:
+            last = now + self._window
+        elif measurement.roster <= self._membership.version:
+            raise MessageError("past", f"measurement of tick {measurement.tick}, without this start on the roster")
+        if self._waits and self._measurement is not None:
+            last = newest  # nothing comes before that is answered
+        check_moment(measurement, newest + 1, last)
+        self._measurement = measurement
+        self._measurements.put(measurement, now_ns)
 
     def _take(self, plan: Plan, now_ns: int) -> None:
-        refusal = self._refusal(plan)
-        if refusal:
-            self.rejected[(plan.sender, refusal)] += 1
-        elif refusal is not None and plan.tick >= self._membership.since.get(self._agent, 0):
-            if plan.negotiation > 0:
-                self._proposals.setdefault((plan.tick, plan.negotiation), {})[plan.agent] = plan
-                return
-            self._arrived.setdefault(plan.tick, set()).add(plan.agent)
-            self._plans.put(plan, now_ns)
-
-    def _refusal(self, plan: Plan) -> str | None:
-        """Why a plan is not believed: a reason, nothing if it is, None if it waits for its roster."""
-        if plan.sender not in self._plans.links or plan.sender != agent_name(plan.agent):
-            return "plan of an unknown agent"
-        sender = self._membership.refusal(plan)
-        if sender != "":
-            return sender
-        if plan.uavs != tuple(uav + 1 for uav in self._setup.owned[plan.agent - 1]):
-            return "plan for UAVs of somebody else"
-        # A process that has just joined is as far as the tick it joined at.
-        if plan.tick > max(self._last_tick + 1, self._membership.since.get(self._agent, 0)) + self._ahead:
-            return "plan from the future"
-        if plan.negotiation >= self._setup.scenario.controller.rounds:
-            return "plan of a negotiation with more rounds"
-        return ""
+        if plan.agent == self._agent:
+            raise MessageError("wrong_sender", "plan of this process itself")
+        now = self._now()
+        if now is None:
+            self._early.append(plan)
+            return
+        check_moment(plan, 0, now + self._window)
+        if plan.tick < self._membership.since[self._agent]:
+            return
+        if plan.negotiation > 0:
+            self._proposals.setdefault((plan.tick, plan.negotiation), {})[plan.agent] = plan
+            return
+        self._arrived.setdefault(plan.tick, set()).add(plan.agent)
+        self._plans.put(plan, now_ns)
 
     def _work(self, now_ns: int) -> list[Message]:
         """Do whatever has become possible."""
@@ -253,7 +274,7 @@ class AgentNode:
             return False
         if measurement.tick - 1 < self._membership.since.get(self._agent, 0):
             return True  # what was sent before this process took part is not for it
-        senders = set(measurement.answered) & self._membership.agents - {self._agent}
+        senders = set(measurement.answered) & self._membership.took_part(measurement.tick - 1) - {self._agent}
         return senders <= self._arrived.get(measurement.tick - 1, set())
 
     def _has_proposals_for(self, step: _Step) -> bool:
@@ -385,8 +406,6 @@ class AgentNode:
 
     def _report(self, step: _Step, optimum: Optimum) -> StepReport:
         k, solution = step.measurement.tick, optimum.solution
-        rejected = self.rejected.total()
-        new, self._reported = rejected - self._reported, rejected
         newest = [self._announced.newest(agent, before=k) for agent in self._peers]
         worst = solution.residuals.worst
         times_ms = step.times_ns / 1e6
@@ -408,7 +427,6 @@ class AgentNode:
             delivered=len(step.usable),
             lost=step.lost,
             late=sum(plan.tick < k - 1 for plan in step.usable),
-            rejected=new,
             force=step.force,
             times_ms=times_ms,
         )

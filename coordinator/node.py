@@ -9,9 +9,9 @@ waiting  --everybody ready-->  running  --last tick answered and recorded-->  st
 """
 
 import json
-from collections import Counter
 from collections.abc import Sequence
 
+from protocol.claims import Claims, check_moment
 from protocol.links import LinkError, link_change
 from protocol.messages import (
     Control,
@@ -29,6 +29,7 @@ from protocol.messages import (
     agent_name,
 )
 from protocol.outbox import EXIT_LOST, Outbox
+from protocol.rejections import Rejections
 from protocol.setup import Setup
 
 # Exit codes a run can end with (docs/command-line.md).
@@ -58,6 +59,7 @@ class CoordinatorNode:
         self._members: set[int] = set(setup.agents)
         self._joining: dict[int, int] = {}  # agents to be put on the roster, with their incarnations
         self._answered: set[int] = set()
+        self._negotiating: dict[int, int] = {}  # exchanges still to come in the open tick, of who has proposed in it
         self._answered_ns: dict[int, int] = {}  # when each agent last answered any tick
         self._waits = self._clock.mode == "lockstep"
         self._barrier_ns = round(self._clock.barrier_timeout_s * 1e9)
@@ -74,7 +76,8 @@ class CoordinatorNode:
         self._last_truth = -1
         self._truth_ns = 0  # when it came
         self._diverged = ""
-        self.rejected: Counter[tuple[str, str]] = Counter()
+        self._claims = Claims(setup)
+        self.rejected = Rejections()
         self.finished: Control | None = None
 
     @property
@@ -104,15 +107,11 @@ class CoordinatorNode:
             return self._presence(event, now_ns)
         if isinstance(event, Request):
             return self._request(event)
-        if isinstance(event, Plan):
-            if event.incarnation != self._incarnations.get(event.sender):
-                self.rejected[(event.sender, "plan of another incarnation")] += 1
-            elif event.negotiation == 0 and event.agent in self._members:
-                self._answer(event, now_ns)
-        elif isinstance(event, Truth):
-            self._last_truth, self._truth_ns = max(event.tick, self._last_truth), now_ns
-            if event.diverged:
-                self._diverged = f"{event.diverged} at {self._time(event.tick)}"
+        try:
+            self._hear(event, now_ns)
+        except MessageError as error:
+            self.rejected.add(event.sender, error)
+            return ()
         return self._advance(now_ns)
 
     def poll(self, now_ns: int) -> Sequence[Message]:
@@ -130,6 +129,12 @@ class CoordinatorNode:
             return self._stop("aborted", f"plant has not answered since tick {self._last_truth}", EXIT_LOST)
         late = self._late(now_ns)
         if late:
+            # Of those that negotiate, whoever is behind keeps the others waiting; they get as long again without it.
+            rounds = self._setup.scenario.controller.rounds
+            left = {agent: self._negotiating.get(agent, rounds) for agent in late}
+            behind = {agent for agent in late if left[agent] == max(left.values())}
+            if behind < late:
+                late, self._opened_ns = behind, now_ns
             if self._answered.isdisjoint(self._members) and len(late) > 1 and late == self._members:
                 # All at once: more likely the one they all depend on.
                 return self._stop(
@@ -144,6 +149,27 @@ class CoordinatorNode:
     def interrupt(self, reason: str) -> Sequence[Message]:
         """End the run on a person's wish."""
         return () if self.finished is not None else self._stop("aborted", reason, EXIT_INTERRUPTED)
+
+    def _hear(self, message: Message, now_ns: int) -> None:
+        """Take in an answer or the plant's record.
+
+        Raises: MessageError: it is not for now.
+        """
+        self._claims.check(message)
+        if isinstance(message, Truth):
+            check_moment(message, self._last_truth + 1, self._tick)
+            self._last_truth, self._truth_ns = message.tick, now_ns
+            if message.diverged:
+                self._diverged = f"{message.diverged} at {self._time(message.tick)}"
+        elif isinstance(message, Plan):
+            on_it = message.agent in self._members
+            if not on_it or message.incarnation != self._incarnations.get(message.sender):
+                raise MessageError("wrong_incarnation", "plan of an incarnation that is not on the roster")
+            check_moment(message, self._tick if self._waits else 0, self._tick)
+            if message.negotiation == 0:
+                self._answer(message, now_ns)
+            else:
+                self._negotiating[message.agent] = message.negotiation
 
     def _presence(self, event: Presence, now_ns: int) -> Sequence[Message]:
         known = self._incarnations.get(event.name, -1)
@@ -318,14 +344,15 @@ class CoordinatorNode:
                 self._answered_ns[agent] = now_ns
             self._members |= self._joining.keys()
             self._joining = {}
-            news = [*self._changes, self._roster(f"{names} joined at {self._time(self._tick + 1)}", self._tick + 1)]
+            changes = [self._out.again(change) for change in self._changes]
+            news = [*changes, self._roster(f"{names} joined at {self._time(self._tick + 1)}", self._tick + 1)]
         answered = tuple(sorted(self._answered))
         late_ns = 0 if self._waits or self._tick < 0 else max(0, now_ns - self._due_ns())
         if self._clock.on_overrun == "hold" and not self._waits:
             self._start_ns += late_ns  # the deadlines move by what was waited
         overrun_ns, self._overrun_ns = self._overrun_ns, 0
         self._tick += 1
-        self._answered = set()
+        self._answered, self._negotiating = set(), {}
         self._opened_ns = now_ns
         return [
             *news,

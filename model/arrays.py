@@ -13,6 +13,10 @@ class ShapeError(ValueError):
     """An array of the wrong shape or not finite; the text names it, what was expected and what came."""
 
 
+class NotFiniteError(ShapeError):
+    """An array of the right shape with an entry that is infinite or no number."""
+
+
 def checked(name: str, value: ArrayLike, shape: Sequence[int | None]) -> Array:
     """Copy `value` into a read-only float64 array of the given shape.
 
@@ -21,7 +25,7 @@ def checked(name: str, value: ArrayLike, shape: Sequence[int | None]) -> Array:
         value: Anything numpy can turn into an array.
         shape: Expected length per axis; None accepts any length.
     Returns: A C-contiguous, read-only copy.
-    Raises: ShapeError: wrong number of axes, wrong length, not numeric, or not finite.
+    Raises: ShapeError: wrong number of axes, wrong length, not numeric; NotFiniteError: not finite.
     """
     try:
         array = np.array(value, dtype=np.float64, order="C")
@@ -31,7 +35,7 @@ def checked(name: str, value: ArrayLike, shape: Sequence[int | None]) -> Array:
         expected = tuple("any" if want is None else want for want in shape)
         raise ShapeError(f"{name}: expected shape {_text(expected)}, got {_text(array.shape)}")
     if not np.isfinite(array).all():
-        raise ShapeError(f"{name}: expected finite numbers, got {array[~np.isfinite(array)][0]}")
+        raise NotFiniteError(f"{name}: expected finite numbers, got {array[~np.isfinite(array)][0]}")
     array.setflags(write=False)
     return array
 

@@ -6,7 +6,6 @@ k, with "next_tick" those of k - 1, so that the plant works while the agents do.
 """
 
 import math
-from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -17,7 +16,8 @@ from mpc.fail_safe import FailSafe
 from plant.environment import Environment
 from plant.schedule import ActuatorSchedule
 from protocol.arrivals import Arrivals
-from protocol.links import LinkChanges, LinkError
+from protocol.claims import Claims, check_moment, window
+from protocol.links import LinkChanges
 from protocol.membership import Membership
 from protocol.messages import (
     Control,
@@ -25,6 +25,7 @@ from protocol.messages import (
     LinkChange,
     Measurement,
     Message,
+    MessageError,
     Plan,
     Presence,
     Roster,
@@ -33,6 +34,7 @@ from protocol.messages import (
     agent_name,
 )
 from protocol.outbox import Outbox, lost
+from protocol.rejections import Rejections
 from protocol.setup import Setup
 
 
@@ -65,8 +67,6 @@ class PlantNode:
         )
         self._link_changes = LinkChanges(self._plans.links.values(), setup.samples_s)
         fail_safe = FailSafe(setup.system, setup.hover.u)
-        limits = setup.settings.limits
-        self._limits = {a: (limits.lower(len(o)), limits.upper(len(o))) for a, o in enumerate(setup.owned, start=1)}
         instants = np.arange(setup.ticks + 1, dtype=np.float64)
         self._path, _ = setup.maneuver.path(self._period_s * instants)
         self._schedule = ActuatorSchedule(setup.hover.u, fail_safe, setup.settings.limits, self._period_s)
@@ -78,61 +78,58 @@ class PlantNode:
         self._arrived: dict[int, set[int]] = {}  # agents whose plans are in, by tick
         self._membership = Membership()
         self._diverged = False
-        self.rejected: Counter[tuple[str, str]] = Counter()
+        self._claims, self._window = Claims(setup), window(setup)
+        self.rejected = Rejections()
         self.finished: Control | None = None
 
     def receive(self, event: Event, now_ns: int) -> Sequence[Message]:
         """Take in ticks, plans and the roster."""
         match event:
-            case Control():
-                self.finished = event
-                return ()
-            case Roster():
-                for plan in self._membership.update(event):
-                    self._take(plan, now_ns)
-            case LinkChange():
-                try:
-                    self._link_changes.apply(event)
-                except LinkError as error:
-                    self.rejected[(event.sender, str(error))] += 1
-            case Plan():
-                self._take(event, now_ns)
-            case Tick() if event.tick == self._measured_tick + 1:
-                self._pending = event
+            case Message():
+                self._hear(event, now_ns)
             case Presence(name="coordinator", alive=False):
                 self.finished = lost(self._out, self._state_tick, "coordinator is gone")
-                return ()
-            case _:
-                return ()
-        return self._work(now_ns)
+        return self._work(now_ns) if self.finished is None else ()
 
     def poll(self, now_ns: int) -> Sequence[Message]:  # noqa: ARG002
         """Nothing happens to the plant by time alone: its time is the tick."""
         return ()
 
+    def _hear(self, message: Message, now_ns: int) -> None:
+        """Take in a message that is for now; count any other."""
+        try:
+            self._claims.check(message)
+            match message:
+                case Control():
+                    self._check_moment(message)
+                    self.finished = message
+                case Roster():
+                    self._check_moment(message)
+                    for plan in self._membership.update(message):
+                        self._hear(plan, now_ns)
+                case LinkChange():
+                    self._link_changes.apply(message)
+                case Tick():
+                    self._open(message)
+                case Plan() if self._membership.admits(message):
+                    self._take(message, now_ns)
+        except MessageError as error:
+            self.rejected.add(message.sender, error)
+
+    def _check_moment(self, message: Message) -> None:
+        """Refuse what the coordinator cannot say at the tick it is likely to be at."""
+        check_moment(message, self._measured_tick - self._window, self._measured_tick + 1 + self._window)
+
+    def _open(self, tick: Tick) -> None:
+        newest = self._measured_tick if self._pending is None else self._pending.tick
+        check_moment(tick, newest + 1, self._measured_tick + 1)
+        self._pending = tick
+
     def _take(self, plan: Plan, now_ns: int) -> None:
-        refusal = self._refusal(plan)
-        if refusal:
-            self.rejected[(plan.sender, refusal)] += 1
-        elif refusal is not None and plan.negotiation == 0:
+        check_moment(plan, 0, self._measured_tick)
+        if plan.negotiation == 0:
             self._plans.put(plan, now_ns)
             self._arrived.setdefault(plan.tick, set()).add(plan.agent)
-
-    def _refusal(self, plan: Plan) -> str | None:
-        """Why a plan is not played: a reason, nothing if it is, None if it waits for its roster."""
-        if plan.sender not in self._plans.links or plan.sender != agent_name(plan.agent):
-            return "plan of an unknown agent"
-        sender = self._membership.refusal(plan)
-        if sender != "":
-            return sender
-        if plan.uavs != tuple(uav + 1 for uav in self._setup.owned[plan.agent - 1]):
-            return "plan for UAVs of somebody else"
-        if plan.start_tick != plan.tick + self._delay or plan.tick > self._measured_tick:
-            return "plan for the wrong instant"
-        low, high = self._limits[plan.agent]
-        if (plan.inputs < low).any() or (plan.inputs > high).any():
-            return "inputs outside the limits"
-        return ""
 
     def _work(self, now_ns: int) -> list[Message]:
         """Do whatever has become possible, in the order of time."""
@@ -165,8 +162,8 @@ class PlantNode:
         arrived = self._arrived.get(decisive, set())
         # The tick after the decisive one says for whom the clock waited; before it comes, wait for all.
         if self._pending is not None and self._pending.tick == decisive + 1:
-            return set(self._pending.answered) & self._membership.agents <= arrived
-        return self._membership.agents <= arrived
+            return set(self._pending.answered) & self._membership.took_part(decisive) <= arrived
+        return self._membership.took_part(decisive) <= arrived
 
     def _measure(self) -> list[Message]:
         tick = self._pending

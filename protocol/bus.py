@@ -8,7 +8,6 @@ import json
 import queue
 import threading
 import time
-from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from types import TracebackType
@@ -16,13 +15,20 @@ from typing import Any
 
 import zenoh
 
-from protocol.codec import decode, encode
+from protocol.codec import MAX_BYTES, encode
+from protocol.gate import Gate
 from protocol.keys import Keys
 from protocol.messages import Event, Message, MessageError, Presence, Request
 
 # Closing can block for as long as a peer does not read (zenoh issue 2675); a process that has said all it
 # had to say does not wait for that longer than this.
 _CLOSE_S = 2.0
+
+# How long messages that are all refused may keep a process from what it has to do at a certain time.
+_FLOOD_S = 0.01
+
+# What Zenoh puts together for us at most; from the gate's limit up to here it is counted, beyond it just dropped.
+_MAX_RECEIVED_BYTES = 2 * MAX_BYTES
 
 # How often a process that joins a run that has begun asks whom it still has to wait for.
 _ASK_EVERY_S = 0.5
@@ -40,6 +46,14 @@ class Interrupted:
 
 
 BusEvent = Event | Interrupted
+
+
+@dataclass(frozen=True, slots=True)
+class _Oversized:
+    """In the place of a sample that is too large to be kept."""
+
+    key_expr: str
+    size: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,7 +78,7 @@ class Bus:
         run: Name of the run, part of every key.
         digest: Fingerprint of the scenario; processes with different ones refuse each other.
         endpoints: Where to listen and whom to connect to.
-        rejected: Where refused messages are counted: the node's own counter.
+        gate: What it lets in; refuses and counts the rest.
         serves: Whether it answers requests (`ask`).
         patience_s: How long sending may wait for a peer that does not read before the link to it is closed.
     Raises: BusError: the endpoint cannot be listened on.
@@ -78,7 +92,7 @@ class Bus:
         run: str,
         digest: str,
         endpoints: Endpoints,
-        rejected: Counter[tuple[str, str]],
+        gate: Gate,
         serves: bool = False,
         patience_s: float = 1.0,
     ) -> None:
@@ -88,8 +102,7 @@ class Bus:
         self._inbox: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._tokens: list[zenoh.LivelinessToken] = []
-        # Everything refused on arrival, by key and reason; nothing is dropped without a trace.
-        self.rejected = rejected
+        self._gate = gate
         zenoh.init_log_from_env_or("error")
         try:
             self._session = zenoh.open(zenoh.Config.from_json5(json.dumps(_configuration(endpoints, patience_s))))
@@ -97,7 +110,7 @@ class Bus:
             raise BusError(_listen_problem(endpoints, str(error))) from error
         # Subscribers before the token: whoever sees the token may send at once, and nothing is lost.
         self._subscribers = [
-            self._session.declare_subscriber(key, self._inbox.put) for key in self._keys.subscriptions(name)
+            self._session.declare_subscriber(key, self._arrived) for key in self._keys.subscriptions(name)
         ]
         self._queryable = (
             self._session.declare_queryable(self._keys.requests(name), self._inbox.put) if serves else None
@@ -108,7 +121,7 @@ class Bus:
         self._watch_ready = self._session.liveliness().declare_subscriber(
             f"{self._keys.prefix}/ready/**", self._inbox.put, history=True
         )
-        self._alive: dict[str, tuple[int, str]] = {}
+        self._alive: dict[str, int] = {}  # incarnations of the processes that are up, by name
 
     def __enter__(self) -> "Bus":
         return self
@@ -160,6 +173,7 @@ class Bus:
         """Announce that this process has started anew by itself, ready at once."""
         old, self._tokens = self._tokens, []
         self.incarnation = incarnation
+        self._gate.announce(self.name, incarnation)
         self._declare(self._keys.alive(self.name, incarnation, self._digest))
         self._declare(self._keys.ready(self.name, incarnation))
         for token in old:
@@ -188,6 +202,9 @@ class Bus:
         """The next event, or None after the timeout (None waits for ever). Bad messages are counted, not returned."""
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
         while True:
+            kept = self._gate.released()
+            if kept is not None:
+                return kept
             left = None if deadline is None else max(0.0, deadline - time.monotonic())
             try:
                 item = self._inbox.get(timeout=left)
@@ -202,6 +219,8 @@ class Bus:
                 event = self._event(item)
             if event is not None:
                 return event
+            if deadline is not None and time.monotonic() > deadline + _FLOOD_S:
+                return None
 
     def wait_gone(self, names: Collection[str]) -> None:
         """Wait, within bounded time, until the named processes have left: what was said last has reached them."""
@@ -243,9 +262,10 @@ class Bus:
         try:
             content = json.loads(query.payload.to_string()) if query.payload is not None else None
             if not (isinstance(content, dict) and isinstance(content.get("what"), str)):
-                raise MessageError('expected a JSON object with "what"')
+                raise MessageError("malformed", 'expected a JSON object with "what"')
         except (ValueError, RecursionError, MessageError, zenoh.ZError) as error:
-            self.rejected[("request", f"not a request ({type(error).__name__})")] += 1
+            text = f"not a request ({type(error).__name__})"
+            self._gate.refuse(self._keys.requests(self.name), MessageError("malformed", text))
             query.reply_err(json.dumps({"error": "expected a JSON object with what is asked for"}))
             query.drop()  # type: ignore[no-untyped-call]
             return None
@@ -256,52 +276,58 @@ class Bus:
 
         return Request(content.pop("what"), content, reply)
 
-    def _event(self, sample: zenoh.Sample) -> Event | None:
+    def _arrived(self, sample: zenoh.Sample) -> None:
+        """On a thread of Zenoh's: put a sample into the inbox, unless it is too large to wait there."""
+        size = len(sample.payload)
+        self._inbox.put(sample if size <= self._gate.max_bytes else _Oversized(str(sample.key_expr), size))
+
+    def _event(self, sample: zenoh.Sample | _Oversized) -> Event | None:
         key = str(sample.key_expr)
-        kind = key[len(self._keys.prefix) + 1 :].split("/", 1)[0]
-        if kind == "alive":
-            return self._presence_from_alive(sample)
-        if kind == "ready":
-            if sample.kind != zenoh.SampleKind.PUT:
-                return None
-            name, incarnation = key.rsplit("/", 2)[1:]
-            return Presence(name, int(incarnation), alive=True)
+        if isinstance(sample, _Oversized):
+            self._gate.refuse(key, self._gate.oversized(sample.size))
+            return None
+        if self._keys.is_token(key):
+            return self._presence(key, here=sample.kind == zenoh.SampleKind.PUT)
+        return self._gate.read(key, sample.payload.to_bytes())
+
+    def _presence(self, key: str, *, here: bool) -> Presence | None:
+        """What a token that has appeared or disappeared says about its process."""
         try:
-            message = decode(sample.payload.to_bytes())
-            self._keys.check_sender(key, message)
+            token = self._keys.token(key)
         except MessageError as error:
-            self.rejected[(key.removeprefix(self._keys.prefix + "/"), str(error))] += 1
+            self._gate.refuse(key, error)
             return None
-        return message
-
-    def _presence_from_alive(self, sample: zenoh.Sample) -> Presence | None:
-        name, incarnation, digest = str(sample.key_expr).rsplit("/", 3)[1:]
-        if sample.kind == zenoh.SampleKind.PUT:
-            self._alive[name] = (int(incarnation), digest)
+        if token.digest is None:
+            return Presence(token.name, token.incarnation, alive=True) if here else None
+        if token.digest != self._digest:
+            return None  # of another scenario: it finds out by itself that it does not belong here
+        if here:
+            self._alive[token.name] = token.incarnation
+            self._gate.announce(token.name, token.incarnation)
             return None
-        known = self._alive.get(name)
-        if known is not None and known[0] == int(incarnation):
-            del self._alive[name]
-        return Presence(name, int(incarnation), alive=False)
+        if self._alive.get(token.name) == token.incarnation:
+            del self._alive[token.name]
+        return Presence(token.name, token.incarnation, alive=False)
 
-    def _note_alive(self, item: zenoh.Sample) -> bool:
+    def _note_alive(self, item: zenoh.Sample | _Oversized) -> bool:
         """Take in one liveliness sample while joining; False for anything else."""
         key = str(item.key_expr)
-        if not key.startswith(f"{self._keys.prefix}/alive/"):
+        if isinstance(item, _Oversized) or not key.startswith(f"{self._keys.prefix}/alive/"):
             return False
-        if item.kind != zenoh.SampleKind.PUT:
-            self._presence_from_alive(item)
-            return True
-        name, incarnation, digest = key.rsplit("/", 3)[1:]
-        if name == self.name:
-            if int(incarnation) != self.incarnation:
-                raise BusError(f"{self.name} is already running in this run (incarnation {incarnation})")
-            return True
-        if digest != self._digest:
-            raise BusError(
-                f"{name} flies another scenario (digest {digest}, here {self._digest}): start all from the same file"
-            )
-        self._alive[name] = (int(incarnation), digest)
+        here = item.kind == zenoh.SampleKind.PUT
+        try:
+            token = self._keys.token(key)
+        except MessageError:
+            token = None
+        if here and token is not None:
+            if token.name == self.name and token.incarnation != self.incarnation:
+                raise BusError(f"{self.name} is already running in this run (incarnation {token.incarnation})")
+            if token.digest != self._digest:
+                raise BusError(
+                    f"{token.name} flies another scenario (digest {token.digest}, here {self._digest}): "
+                    f"start all from the same file"
+                )
+        self._presence(key, here=here)
         return True
 
 
@@ -355,7 +381,10 @@ def _configuration(endpoints: Endpoints, patience_s: float) -> dict[str, Any]:
             "retry": {"period_init_ms": 50, "period_max_ms": 200, "period_increase_factor": 1.5},
         },
         "transport": {
-            "link": {"tx": {"queue": {"congestion_control": {"block": {"wait_before_close": round(patience_s * 1e6)}}}}}
+            "link": {
+                "rx": {"max_message_size": _MAX_RECEIVED_BYTES},
+                "tx": {"queue": {"congestion_control": {"block": {"wait_before_close": round(patience_s * 1e6)}}}},
+            }
         },
         "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
     }

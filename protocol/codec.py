@@ -13,7 +13,7 @@ import msgpack
 import numpy as np
 
 from model.arrays import Array
-from protocol.messages import KINDS, Message, MessageError
+from protocol.messages import KINDS, Message, MessageError, is_name
 
 VERSION = 2
 MAX_BYTES = 4 * 1024 * 1024  # a plan for 256 UAVs over 400 steps; anything larger is not ours
@@ -38,26 +38,30 @@ def decode(data: bytes) -> Message:
     Raises: MessageError: for anything that is not a valid message of this version, with the reason.
     """
     if not data:
-        raise MessageError("empty message")
+        raise MessageError("malformed", "empty message")
     if len(data) > MAX_BYTES:
-        raise MessageError(f"message of {len(data)} bytes, at most {MAX_BYTES} allowed")
+        raise MessageError("oversized", f"message of {len(data)} bytes, at most {MAX_BYTES} allowed")
     if data[0] != VERSION:
-        raise MessageError(f"protocol version {data[0]}, expected {VERSION}")
+        raise MessageError("wrong_version", f"protocol version {data[0]}, expected {VERSION}")
     try:
         content = msgpack.unpackb(memoryview(data)[1:], ext_hook=_unpack_array, raw=False, strict_map_key=True)
     except MessageError:
         raise
     except (ValueError, TypeError, RecursionError, msgpack.UnpackException) as error:
-        raise MessageError(f"not msgpack ({type(error).__name__})") from error
+        raise MessageError("malformed", f"not msgpack ({type(error).__name__})") from error
     if not (isinstance(content, list) and content and isinstance(content[0], str)):
-        raise MessageError("expected a list that starts with a message kind")
+        raise MessageError("malformed", "expected a list that starts with a message kind")
     kind, values = content[0], content[1:]
     if kind not in KINDS:
-        raise MessageError(f"unknown message kind {kind[:40]!r}")
+        raise MessageError("unknown_kind", f"unknown message kind {kind[:40]!r}")
     names = _FIELDS[kind]
     if len(values) != len(names):
-        raise MessageError(f"{kind}: expected {len(names)} fields, got {len(values)}")
-    return KINDS[kind](**dict(zip(names, values, strict=True)))
+        raise MessageError("wrong_shape", f"{kind}: expected {len(names)} fields, got {len(values)}")
+    try:
+        return KINDS[kind](**dict(zip(names, values, strict=True)))
+    except MessageError as error:
+        error.sender = values[0] if is_name(values[0]) else ""
+        raise
 
 
 def _pack_array(value: Any) -> msgpack.ExtType:
@@ -69,14 +73,14 @@ def _pack_array(value: Any) -> msgpack.ExtType:
 
 def _unpack_array(code: int, data: bytes) -> Array:
     if code != _ARRAY or len(data) < _HEADER.size:
-        raise MessageError(f"unknown extension type {code} of {len(data)} bytes")
+        raise MessageError("malformed", f"unknown extension type {code} of {len(data)} bytes")
     axes, *lengths = _HEADER.unpack_from(data)
     if axes > _AXES:
-        raise MessageError(f"array of {axes} axes, at most {_AXES} allowed")
+        raise MessageError("malformed", f"array of {axes} axes, at most {_AXES} allowed")
     shape = tuple(lengths[:axes])
     count = 1
     for length in shape:
         count *= length
     if len(data) - _HEADER.size != 8 * count:
-        raise MessageError(f"array of shape {shape} in {len(data) - _HEADER.size} bytes")
+        raise MessageError("malformed", f"array of shape {shape} in {len(data) - _HEADER.size} bytes")
     return np.frombuffer(data, dtype="<f8", offset=_HEADER.size).reshape(shape)

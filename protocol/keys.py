@@ -6,6 +6,7 @@ transport/{run}/plan/{agent}             agent -> other agents, plant, coordinat
 transport/{run}/roster, .../link, .../control     coordinator -> everybody
 transport/{run}/truth                    plant -> coordinator, recorder
 transport/{run}/report/{agent}           agent -> recorder
+transport/{run}/rejected/{name}          anybody -> recorder
 transport/{run}/ask/{name}               queryable: coordinator and recorder answer requests
 transport/{run}/alive/{name}/{incarnation}/{digest}     liveliness token: the process is up
 transport/{run}/ready/{name}/{incarnation}              liveliness token: it has seen all the others
@@ -22,6 +23,7 @@ from protocol.messages import (
     Message,
     MessageError,
     Plan,
+    Rejected,
     Roster,
     StepReport,
     Tick,
@@ -29,11 +31,28 @@ from protocol.messages import (
 )
 
 _RUN = re.compile(r"[A-Za-z0-9_.-]{1,80}")
-_PER_AGENT = ("measurement", "plan", "report")
+_ALIVE = re.compile(r"alive/([^/]+)/([0-9]{1,15})/([^/]+)")
+_READY = re.compile(r"ready/([^/]+)/([0-9]{1,15})()")
+_SEVERAL = (Measurement.kind, Plan.kind, StepReport.kind, Rejected.kind)  # one key per agent or process
 
 
 class RunNameError(ValueError):
     """A run name that cannot be part of a key expression."""
+
+
+@dataclass(frozen=True, slots=True)
+class Token:
+    """What a liveliness token says.
+
+    Attributes:
+        name: Process name.
+        incarnation: Which start of it.
+        digest: Of its scenario, or None for a token that does not say.
+    """
+
+    name: str
+    incarnation: int
+    digest: str | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +84,8 @@ class Keys:
         match message:
             case Measurement(agent=agent) | Plan(agent=agent) | StepReport(agent=agent):
                 return f"{self.prefix}/{message.kind}/{agent}"
+            case Rejected(sender=sender):
+                return f"{self.prefix}/{message.kind}/{sender}"
         return f"{self.prefix}/{message.kind}"
 
     def subscriptions(self, name: str) -> list[str]:
@@ -75,7 +96,7 @@ class Keys:
             return [
                 *everybody,
                 *[f"{self.prefix}/{kind}" for kind in (Tick.kind, Truth.kind)],
-                *[f"{self.prefix}/{kind}/*" for kind in _PER_AGENT],
+                *[f"{self.prefix}/{kind}/*" for kind in _SEVERAL],
             ]
         if name == "coordinator":
             return [plans, f"{self.prefix}/{Truth.kind}"]
@@ -91,6 +112,10 @@ class Keys:
         """Liveliness token of a process that has seen all the others."""
         return f"{self.prefix}/ready/{name}/{incarnation}"
 
+    def is_token(self, key: str) -> bool:
+        """Whether a key is that of a liveliness token."""
+        return self.end(key).startswith(("alive/", "ready/"))
+
     def is_ready(self, key: str, name: str) -> bool:
         """Whether a key is the `ready` token of a process."""
         return key.startswith(f"{self.prefix}/ready/{name}/")
@@ -99,16 +124,35 @@ class Keys:
         """Where a process answers requests."""
         return f"{self.prefix}/ask/{name}"
 
+    def token(self, key: str) -> Token:
+        """What the key of a liveliness token says.
+
+        Raises: MessageError: it is none of this run.
+        """
+        end = self.end(key)
+        found = _ALIVE.fullmatch(end) or _READY.fullmatch(end)
+        if found is None:
+            raise MessageError("malformed", f"expected the key of a token, got {key}")
+        return Token(found[1], int(found[2]), found[3] or None)
+
+    def end(self, key: str) -> str:
+        """A key without what is the same for all keys of the run."""
+        return key.removeprefix(f"{self.prefix}/")
+
     def check_sender(self, key: str, message: Message) -> None:
         """Refuse a message that travels under a key its sender does not own.
 
         Raises: MessageError: with the key and the sender.
         """
         if key != self.of(message):
-            raise MessageError(f"{message.kind} of {message.sender} under the key {key}")
+            text = f"{message.kind} of {message.sender} under the key {key}"
+            raise MessageError("wrong_sender", text, message.sender)
+        if isinstance(message, Rejected):
+            return  # the key is the sender's
         owner = _OWNERS.get(message.kind) or f"agent{key.rsplit('/', 1)[1]}"
         if message.sender != owner:
-            raise MessageError(f"{message.kind} from {message.sender}, expected it from {owner}")
+            text = f"{message.kind} from {message.sender}, expected it from {owner}"
+            raise MessageError("wrong_sender", text, message.sender)
 
 
 def matches(expression: str, key: str) -> bool:

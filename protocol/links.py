@@ -19,7 +19,7 @@ from numpy.random import Generator, Philox
 from pydantic import ValidationError
 
 from model.arrays import Array
-from protocol.messages import LinkChange
+from protocol.messages import LinkChange, MessageError
 from protocol.scenario import LinkOverrideSection, LinkSection, LinksSection
 
 # Random numbers a message may need: loss, burst, jitter (two), duplicate, its jitter (two), reorder.
@@ -242,12 +242,18 @@ class LinkChanges:
     def apply(self, message: LinkChange) -> None:
         """Apply a change, unless it is told again for somebody who has just joined.
 
-        Raises: LinkError: it is none.
+        Raises: MessageError: it is none, or not the next one.
         """
+        if message.number > self._applied + 1:
+            raise MessageError("future", f"change {message.number} of the links after {self._applied}")
         if message.number == self._applied + 1:
-            change = link_change(message.source, message.target, message.settings)
+            try:
+                change = link_change(message.source, message.target, message.settings)
+            except LinkError as error:
+                raise MessageError("out_of_range", str(error)) from error
             if change.samples is not None and change.samples not in self._samples_s:
-                raise LinkError(f"samples: expected a file that the scenario names, got {change.samples!r}")
+                text = f"samples: expected a file that the scenario names, got {change.samples!r}"
+                raise MessageError("out_of_range", text)
             self._applied += 1
             for link in self._links:
                 link.change(message.tick, change, self._samples_s)
@@ -274,7 +280,7 @@ def link_change(source: str, target: str, settings: str) -> LinkOverrideSection:
     except ValidationError as error:
         raise LinkError(" ".join(str(error).split())[:200]) from error
     if (change.samples is not None) != (change.distribution == "empirical"):
-        raise LinkError("expected samples and distribution empirical with each other")
+        raise LinkError(f"samples: expected a file with distribution empirical and with no other, got {change.samples!r}")
     return change
 
 

@@ -4,7 +4,7 @@ Plans and rosters come over different connections, so a plan may overtake the ro
 Such a plan is kept until the roster is here; a plan of an earlier incarnation is refused.
 """
 
-from protocol.messages import Plan, Roster
+from protocol.messages import MessageError, Plan, Roster
 
 # Plans kept for a roster to come: a few ticks of a large team. Beyond that somebody is talking out of turn.
 _KEPT = 1024
@@ -32,6 +32,10 @@ class Membership:
         """Agents on the newest roster."""
         return set(self._incarnations)
 
+    def took_part(self, tick: int) -> set[int]:
+        """Agents that take part and did so at a tick, in the same incarnation: only these can have a plan of it."""
+        return {agent for agent, since in self.since.items() if since <= tick}
+
     def agents_at(self, version: int) -> frozenset[int]:
         """Agents on the roster of a version: what everybody knows at a tick that names it, whatever has come since."""
         known = max((v for v in self._history if v <= version), default=min(self._history))
@@ -47,9 +51,10 @@ class Membership:
         """Take in a roster.
 
         Returns: Plans that were ahead of it, to be received again.
+        Raises: MessageError: it is not newer than the one in force.
         """
         if roster.version <= self.version:
-            return []
+            raise MessageError("past", f"roster of version {roster.version} after version {self.version}")
         self.version = roster.version
         self._history[roster.version] = frozenset(roster.agents)
         before = self._incarnations
@@ -63,13 +68,16 @@ class Membership:
         waiting, self._early = self._early, []
         return waiting
 
-    def refusal(self, plan: Plan) -> str | None:
-        """Why a plan's sender is not believed: a reason, nothing ("") if it is, None if the plan is kept for later."""
+    def admits(self, plan: Plan) -> bool:
+        """Whether a plan's sender is on the roster; otherwise the plan is kept for a roster to come.
+
+        Raises: MessageError: no roster to come will admit it, or too many wait for one.
+        """
         if self._incarnations.get(plan.agent) == plan.incarnation:
-            return ""
+            return True
         if plan.incarnation <= self._newest.get(plan.agent, -1):
-            return "plan of an incarnation that is not on the roster"
+            raise MessageError("wrong_incarnation", "plan of an incarnation that is not on the roster")
         if len(self._early) >= _KEPT:
-            return "plan of an incarnation that no roster has admitted"
+            raise MessageError("wrong_incarnation", "plan of an incarnation that no roster has admitted")
         self._early.append(plan)
-        return None
+        return False

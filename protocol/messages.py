@@ -1,19 +1,23 @@
 """The messages of a run: frozen, validated at construction, equal on every runtime.
 
 Who sends what to whom, per tick: coordinator -> plant `Tick`; plant -> each agent `Measurement`; agent ->
-everybody `Plan`. For the record: plant `Truth`, agents `StepReport`. Around them: coordinator `Roster` and
-`Control`. Presence is not a message: it comes from liveliness tokens, and nodes are told as an event.
+everybody `Plan`. For the record: plant `Truth`, agents `StepReport`, anybody `Rejected`. Around them:
+coordinator `Roster` and `Control`. Presence is not a message: it comes from liveliness tokens, and nodes are told
+as an event.
 """
 
+import math
 import re
+import reprlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
+from types import UnionType
 from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 
-from model.arrays import Array, ShapeError, checked
+from model.arrays import Array, NotFiniteError, ShapeError, checked
 from model.state import INPUTS, PAYLOAD, PER_UAV
 
 # Limits of what a message may claim; beyond them it is garbage, whoever sent it.
@@ -23,17 +27,49 @@ MAX_ROUNDS = 20
 MAX_TICK = 2**48
 MAX_TEXT = 1_000
 
+# Values in error texts: a few entries of a few levels, however much there is.
+_BRIEFLY = reprlib.Repr()
+_BRIEFLY.maxstring = _BRIEFLY.maxother = _BRIEFLY.maxlong = 60
+
 _NAME = re.compile(r"coordinator|plant|recorder|agent[1-9][0-9]{0,2}")
 
 Outcome = Literal["completed", "diverged", "aborted"]
 FaultOrigin = Literal["script", "person", "unknown"]
 PlanStatus = Literal["solved", "infeasible", "limit", "numerical"]
+# Why a message is refused: docs/protocol.md says what each means.
+Reason = Literal[
+    "oversized",
+    "wrong_version",
+    "malformed",
+    "unknown_kind",
+    "wrong_shape",
+    "not_finite",
+    "out_of_range",
+    "wrong_sender",
+    "unknown_agent",
+    "wrong_incarnation",
+    "replayed",
+    "past",
+    "future",
+    "wrong_uavs",
+    "outside_limits",
+]
 # Of an agent's step: waiting for the measurement, the work, publishing; the total is of the work alone.
 STAGES = ("wait", "estimate", "linearise", "discretise", "condense", "solve", "publish", "total")
 
 
 class MessageError(ValueError):
-    """A message that is not one: the text names the field, what was expected and what came."""
+    """A message that is refused.
+
+    Args:
+        reason: Why, one of a few.
+        text: The field, what was expected and what came.
+        sender: Who sent it by its own account, where that could be read.
+    """
+
+    def __init__(self, reason: Reason, text: str, sender: str = "") -> None:
+        super().__init__(text)
+        self.reason, self.sender = reason, sender
 
 
 def agent_name(agent: int) -> str:
@@ -126,7 +162,8 @@ class Roster(Message):
         self._set("reason", _text("reason", self.reason))
         if len(self.agents) != len(self.incarnations):
             raise MessageError(
-                f"incarnations: expected one for each of {len(self.agents)} agents, got {len(self.incarnations)}"
+                "wrong_shape",
+                f"incarnations: expected one for each of {len(self.agents)} agents, got {len(self.incarnations)}",
             )
 
 
@@ -202,9 +239,12 @@ class Plan(Message):
             self._set(field, _array(field, getattr(self, field), (None, INPUTS * len(self.uavs))))
         _choice("status", self.status, get_args(PlanStatus))
         if not 1 <= len(self.inputs) <= MAX_HORIZON:
-            raise MessageError(f"inputs: expected 1 to {MAX_HORIZON} steps, got {len(self.inputs)}")
+            raise MessageError("out_of_range", f"inputs: expected 1 to {MAX_HORIZON} steps, got {len(self.inputs)}")
         if len(self.corrections) not in (0, len(self.inputs)):
-            raise MessageError(f"corrections: expected none or {len(self.inputs)} steps, got {len(self.corrections)}")
+            raise MessageError(
+                "wrong_shape",
+                f"corrections: expected none or {len(self.inputs)} steps, got {len(self.corrections)}",
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -222,7 +262,6 @@ class StepReport(Message):
         delivered: Plans of others that became usable at this tick.
         lost: Plans of earlier ticks that are known from now on not to come: the link lost them.
         late: How many of the delivered ones were older than one tick.
-        rejected: Messages refused since the last report. Unlike the rest, not reproducible.
         force: Estimated external force on the payload, (3,), inertial frame, N; zero when nobody estimates it.
         times_ms: Wall-clock per stage, in the order of `STAGES`, (8,); "publish" is that of the step before.
             Not reproducible, unlike the rest.
@@ -243,7 +282,6 @@ class StepReport(Message):
     delivered: int
     lost: int
     late: int
-    rejected: int
     force: Array
     times_ms: Array
 
@@ -253,7 +291,7 @@ class StepReport(Message):
         _choice("status", self.status, get_args(PlanStatus))
         self._set("solver", _text("solver", self.solver))
         self._set("fallback", _boolean("fallback", self.fallback))
-        for field in ("iterations", "delivered", "lost", "late", "rejected"):
+        for field in ("iterations", "delivered", "lost", "late"):
             self._set(field, _integer(field, getattr(self, field), MAX_TICK))
         self._set("measurement_age", _integer("measurement_age", self.measurement_age, MAX_TICK, low=-1))
         self._set("residual", _number("residual", self.residual))
@@ -261,7 +299,9 @@ class StepReport(Message):
         for field in ("plan_ages", "state_ages"):
             ages = tuple(_integer(field, age, MAX_TICK, low=-1) for age in _sequence(field, getattr(self, field)))
             if len(ages) != len(self.peers):
-                raise MessageError(f"{field}: expected one for each of {len(self.peers)} peers, got {len(ages)}")
+                raise MessageError(
+                    "wrong_shape", f"{field}: expected one for each of {len(self.peers)} peers, got {len(ages)}"
+                )
             self._set(field, ages)
         self._set("force", _array("force", self.force, (3,)))
         self._set("times_ms", _array("times_ms", self.times_ms, (len(STAGES),)))
@@ -325,6 +365,34 @@ class LinkChange(Message):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Rejected(Message):
+    """Any process to the record: it has refused messages. Sent only when there were any; not reproducible.
+
+    Its sequence numbers count messages of this kind alone, so that they do not change those of the others.
+
+    Attributes:
+        offender: Who sent them by their own account, or the key they came under.
+        reason: Why they were refused.
+        count: How many since the last message about this offender and reason.
+        example: What was wrong with the first of all of them, for people.
+    """
+
+    kind: ClassVar[str] = "rejected"
+
+    offender: str
+    reason: Reason
+    count: int
+    example: str
+
+    def __post_init__(self) -> None:
+        Message.__post_init__(self)
+        for field in ("offender", "example"):
+            self._set(field, _text(field, getattr(self, field)))
+        _choice("reason", self.reason, get_args(Reason))
+        self._set("count", _integer("count", self.count, MAX_TICK, low=1))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Control(Message):
     """Coordinator to everybody: the run ends here.
 
@@ -371,7 +439,8 @@ class FaultNote(Message):
 
 
 KINDS: dict[str, type[Message]] = {
-    cls.kind: cls for cls in (Tick, Roster, LinkChange, Measurement, Plan, StepReport, Truth, FaultNote, Control)
+    cls.kind: cls
+    for cls in (Tick, Roster, LinkChange, Measurement, Plan, StepReport, Truth, FaultNote, Rejected, Control)
 }
 
 
@@ -408,9 +477,14 @@ class Request:
 Event = Message | Presence | Request
 
 
+def is_name(value: object) -> bool:
+    """Whether something is the name of a process."""
+    return isinstance(value, str) and _NAME.fullmatch(value) is not None
+
+
 def _name(field: str, value: object) -> str:
-    if not (isinstance(value, str) and _NAME.fullmatch(value)):
-        raise MessageError(f"{field}: expected a process name, got {_shown(value)}")
+    if not isinstance(value, str) or not _NAME.fullmatch(value):
+        raise MessageError(_sort(value, str), f"{field}: expected a process name, got {_shown(value)}")
     return value
 
 
@@ -418,59 +492,74 @@ def _integer(field: str, value: object, high: int, *, low: int = 0) -> int:
     if type(value) is int and low <= value <= high:
         return value
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or not low <= value <= high:
-        raise MessageError(f"{field}: expected an integer in [{low}, {high}], got {_shown(value)}")
+        text = f"{field}: expected an integer in [{low}, {high}], got {_shown(value)}"
+        raise MessageError(_sort(value, int | np.integer), text)
     return int(value)
 
 
 def _number(field: str, value: object) -> float:
+    if type(value) is float and math.isfinite(value):
+        return value
     if isinstance(value, bool) or not isinstance(value, int | float | np.floating) or not np.isfinite(value):
-        raise MessageError(f"{field}: expected a finite number, got {_shown(value)}")
+        reason: Reason = "not_finite" if isinstance(value, float | np.floating) else "wrong_shape"
+        raise MessageError(reason, f"{field}: expected a finite number, got {_shown(value)}")
     return float(value)
 
 
 def _boolean(field: str, value: object) -> bool:
     if not isinstance(value, bool):
-        raise MessageError(f"{field}: expected true or false, got {_shown(value)}")
+        raise MessageError("wrong_shape", f"{field}: expected true or false, got {_shown(value)}")
     return value
 
 
 def _text(field: str, value: object) -> str:
     # Half of a surrogate pair is text for Python but cannot be sent.
-    if not isinstance(value, str) or len(value) > MAX_TEXT or any("\ud800" <= c <= "\udfff" for c in value):
-        raise MessageError(f"{field}: expected text of at most {MAX_TEXT} characters, got {_shown(value)}")
+    if (
+        not isinstance(value, str)
+        or len(value) > MAX_TEXT
+        or not (value.isascii() or all(not "\ud800" <= c <= "\udfff" for c in value))
+    ):
+        text = f"{field}: expected text of at most {MAX_TEXT} characters, got {_shown(value)}"
+        raise MessageError(_sort(value, str), text)
     return value
 
 
 def _choice(field: str, value: object, choices: tuple[str, ...]) -> None:
     if not isinstance(value, str) or value not in choices:
-        raise MessageError(f"{field}: expected one of {', '.join(choices)}, got {_shown(value)}")
+        raise MessageError(_sort(value, str), f"{field}: expected one of {', '.join(choices)}, got {_shown(value)}")
 
 
 def _sequence(field: str, value: object) -> tuple[Any, ...] | list[Any]:
     if not isinstance(value, tuple | list) or len(value) > MAX_UAVS:
-        raise MessageError(f"{field}: expected a list of at most {MAX_UAVS}, got {_shown(value)}")
+        text = f"{field}: expected a list of at most {MAX_UAVS}, got {_shown(value)}"
+        raise MessageError(_sort(value, tuple | list), text)
     return value
 
 
 def _ids(field: str, value: object) -> tuple[int, ...]:
     ids = tuple(_integer(field, i, MAX_UAVS, low=1) for i in _sequence(field, value))
     if any(a >= b for a, b in pairwise(ids)):
-        raise MessageError(f"{field}: expected ascending ids, got {list(ids)}")
+        raise MessageError("out_of_range", f"{field}: expected ascending ids, got {list(ids)}")
     return ids
 
 
 def _array(field: str, value: object, shape: tuple[int | None, ...]) -> Array:
     if not isinstance(value, np.ndarray):
-        raise MessageError(f"{field}: expected an array, got {_shown(value)}")
+        raise MessageError("wrong_shape", f"{field}: expected an array, got {_shown(value)}")
     try:
         return checked(field, value, shape)
+    except NotFiniteError as error:
+        raise MessageError("not_finite", str(error)) from error
     except ShapeError as error:
-        raise MessageError(str(error)) from error
+        raise MessageError("wrong_shape", str(error)) from error
+
+
+def _sort(value: object, expected: type | UnionType) -> Reason:
+    """Why a value is refused: its type, or else its size."""
+    right = isinstance(value, expected) and not isinstance(value, bool)
+    return "out_of_range" if right else "wrong_shape"
 
 
 def _shown(value: object) -> str:
-    try:
-        text = " ".join(repr(value).split())
-    except RecursionError:
-        text = "something nested too deeply"
+    text = " ".join(_BRIEFLY.repr(value).split())
     return text if len(text) <= 60 else f"{text[:57]}..."

@@ -1,16 +1,16 @@
 """What a node is: a state machine without I/O. Two runtimes drive the same nodes."""
 
-from collections import Counter
 from collections.abc import Sequence
 from typing import Protocol
 
 from protocol.messages import Control, Event, Message
+from protocol.rejections import Rejections
 
 
 class Node(Protocol):
     """A role in a run as a state machine: events and time in, messages out.
 
-    `rejected` counts the messages it refused, by sender and reason; the bus adds those it could not read.
+    `rejected` counts the messages it refused, by sender and reason, and those that never got as far as to it.
 
     Times are nanoseconds of any clock that only goes forward; in lockstep nothing in the messages depends
     on them. A node that starts anew by itself has a higher incarnation from then on; whoever runs it tells the
@@ -20,7 +20,7 @@ class Node(Protocol):
     name: str
     incarnation: int
     publish_ns: int
-    rejected: Counter[tuple[str, str]]
+    rejected: Rejections
 
     @property
     def finished(self) -> Control | None:

@@ -1,5 +1,6 @@
 """Numbering of a process's own messages."""
 
+from dataclasses import replace
 from typing import Any, TypeVar
 
 from protocol.messages import Control, Message
@@ -26,6 +27,12 @@ class Outbox:
         message = kind(sender=self.sender, incarnation=self.incarnation, sequence=self._sequence, **fields)
         self._sequence += 1
         return message
+
+    def again(self, message: M) -> M:
+        """A message that was sent before, for those who were not there, with a number of its own."""
+        again = replace(message, sequence=self._sequence)
+        self._sequence += 1
+        return again
 
 
 def lost(outbox: Outbox, tick: int, reason: str) -> Control:

@@ -16,9 +16,12 @@ import threadpoolctl
 
 from protocol.bus import Bus, Endpoints, Interrupted
 from protocol.faults import Fault, due
+from protocol.gate import Gate
+from protocol.keys import Keys
 from protocol.messages import Message, agent_name
 from protocol.node import Node
 from protocol.outbox import EXIT_LOST
+from protocol.rejections import Notices
 from protocol.scenario import Scenario
 from protocol.setup import Setup
 
@@ -99,6 +102,8 @@ def run_node(
     Raises: BusError: the network cannot be used or somebody did not show up.
     """
     journal = Journal(place.run, node.name)
+    gate = Gate(node.name, Keys(place.run), setup, node.rejected)
+    notices = Notices(node.name, node.rejected)
     with (
         threadpoolctl.threadpool_limits(1),
         Bus(
@@ -107,7 +112,7 @@ def run_node(
             run=place.run,
             digest=setup.scenario.digest(),
             endpoints=place.endpoints,
-            rejected=node.rejected,
+            gate=gate,
             serves=node.name == "coordinator",
             patience_s=_PATIENCE_S[setup.scenario.clock.mode],
         ) as bus,
@@ -117,14 +122,17 @@ def run_node(
         interruption = bus.join(expected, place.join_timeout_s)
         if interruption is None:
             journal.say("joined", peers=len(expected))
-            interruption = drive(node, bus, setup.faults)
+            interruption = drive(node, bus, setup.faults, gate, notices)
         if interruption is not None and node.finished is None:
             journal.say("interrupted", reason=interruption.reason)
             for message in on_interrupt(interruption.reason) if on_interrupt else ():
                 bus.publish(message)
+        gate.close()
+        for message in notices.rest(node.incarnation, gate.tick):
+            bus.publish(message)
         bus.wait_gone(linger_for)
-    for (sender, reason), count in node.rejected.items():
-        journal.say("rejected", sender=sender, reason=reason, count=count)
+    for entry in node.rejected:
+        journal.say("rejected", sender=entry.sender, reason=entry.reason, count=entry.count, example=entry.example)
     end = node.finished
     if end is None:
         orphaned = interruption is not None and interruption.reason == ORPHANED
@@ -133,13 +141,15 @@ def run_node(
     return end.exit_code
 
 
-def drive(node: Node, bus: Bus, faults: Sequence[Fault] = ()) -> Interrupted | None:
+def drive(node: Node, bus: Bus, faults: Sequence[Fault], gate: Gate, notices: Notices) -> Interrupted | None:
     """Feed events and time to a node until it is finished or somebody interrupts.
 
     Args:
         node: The state machine.
         bus: Its place on the network.
         faults: Scripted ones; those of this process happen here.
+        gate: What the bus lets in.
+        notices: What there is to say about messages that are refused.
     """
     # A collection in mid-step is a latency spike; reference counting frees what the loop makes, and what little
     # is left is collected where the node has nothing to do.
@@ -161,6 +171,8 @@ def drive(node: Node, bus: Bus, faults: Sequence[Fault] = ()) -> Interrupted | N
         messages = node.poll(now_ns) if event is None else node.receive(event, now_ns)
         if node.incarnation != bus.incarnation:
             bus.renew(node.incarnation)
+        for notice in notices.due(now_ns, node.incarnation, gate.tick):
+            bus.publish(notice)
         if not messages:
             continue
         publishing_ns = time.monotonic_ns()

@@ -11,6 +11,7 @@ import numpy as np
 from model import state
 from model.arrays import Array
 from protocol.messages import STAGES, Control, Measurement, Message, Plan, Roster, StepReport, Tick, Truth, agent_name
+from protocol.node import Node
 from protocol.scenario_file import read_scenario
 from protocol.setup import Setup
 from transport.memory import fly
@@ -93,9 +94,14 @@ def roster(incarnations: dict[int, int] | None = None, k: int = 0, version: int 
     )
 
 
-def end() -> Control:
-    """The coordinator ends the run."""
-    return Control(sender="coordinator", incarnation=0, sequence=9, tick=3, outcome="completed", reason="", exit_code=0)
+def end(k: int = 0) -> Control:
+    """The coordinator ends the run at tick k."""
+    return Control(sender="coordinator", incarnation=0, sequence=9, tick=k, outcome="completed", reason="", exit_code=0)
+
+
+def refused(node: Node) -> list[tuple[str, str, int]]:
+    """What a node has refused: sender, reason, how many."""
+    return [(entry.sender, entry.reason, entry.count) for entry in node.rejected]
 
 
 def measurement(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
+from transport.experiments.commands import experiment_app
 from transport.operate import fault, link_app, status
 
 if TYPE_CHECKING:
@@ -27,9 +28,11 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
-    epilog="Exit codes: 0 done, 2 usage, 3 scenario, 4 peer lost or not reachable, 5 deadlines missed, 6 diverged, 130 interrupted.",
+    epilog="Exit codes: 0 done, 2 usage, 3 scenario, 4 peer lost or not reachable, "
+    "5 deadlines missed, 6 diverged, 130 interrupted.",
 )
 app.add_typer(link_app, name="link")
+app.add_typer(experiment_app, name="experiment")
 scenario_app = typer.Typer(help="Make scenarios.", no_args_is_help=True, rich_markup_mode=None)
 app.add_typer(scenario_app, name="scenario")
 app.command()(fault)
@@ -285,11 +288,9 @@ def scenario_new(
     from protocol.team import FEWEST, MOST, given, resized
     from transport.scenario_text import scenario_text
 
-    if uavs < FEWEST:
+    if not FEWEST <= uavs <= MOST:
         why = ": a payload on one rod turns freely about it, and no UAV can turn it back" if uavs == 1 else ""
         _fail(f"--uavs: expected {FEWEST} to {MOST}, got {uavs}{why}", EXIT_USAGE)
-    if uavs > MOST:
-        _fail(f"--uavs: expected {FEWEST} to {MOST}, got {uavs}", EXIT_USAGE)
     if group is not None and not 1 <= group <= uavs:
         _fail(f"--groups: expected 1 to {uavs} UAVs per agent, got {group}", EXIT_USAGE)
     if out is not None and out.exists():

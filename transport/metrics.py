@@ -1,12 +1,13 @@
 """The numbers of a run: from its log to the summary that docs/summary.md and summary.schema.json describe."""
 
+from collections import Counter
 from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
 from model.arrays import Array
-from protocol.messages import STAGES, Control, FaultNote, Message, Plan, Roster, StepReport, Tick, agent_name
+from protocol.messages import STAGES, Control, FaultNote, Message, Plan, Rejected, Roster, StepReport, Tick, agent_name
 from protocol.setup import Setup
 from transport.log import RunLog
 from transport.series import Series, series_of
@@ -39,6 +40,7 @@ def summarise(setup: Setup, log: RunLog) -> dict[str, Any]:
         "deadline": _deadline(setup, log),
         "plan_age_ticks": _ages(reports),
         "messages": _messages(log, reports),
+        "rejections": _rejections(log),
         "solver": {
             "fallbacks": sum(report.fallback for report in reports),
             "failures": sum(report.status != "solved" for report in reports),
@@ -148,8 +150,19 @@ def _messages(log: RunLog, reports: Iterable[StepReport]) -> dict[str, int]:
         "delivered": delivered,
         "lost": sum(report.lost for report in reports),
         "late": sum(report.late for report in reports),
-        "rejected": sum(report.rejected for report in reports),
+        "rejected": sum(notice.count for notice in log.of(Rejected)),
     }
+
+
+def _rejections(log: RunLog) -> list[dict[str, Any]]:
+    """Messages refused, by who refused them, who sent them and why; most of them first."""
+    counts: Counter[tuple[str, str, str]] = Counter()
+    for notice in log.of(Rejected):
+        counts[notice.sender, notice.offender, notice.reason] += notice.count
+    return [
+        {"by": by, "sender": sender, "reason": reason, "count": count}
+        for (by, sender, reason), count in sorted(counts.items(), key=lambda entry: (-entry[1], entry[0]))
+    ]
 
 
 def _deadline(setup: Setup, log: RunLog) -> dict[str, Any]:

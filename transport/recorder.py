@@ -6,12 +6,28 @@ It runs on a thread of its own and always drains its inbox; the loop never waits
 import queue
 import threading
 import time
-from collections import Counter
 from collections.abc import Collection
 
 from protocol.bus import Bus, BusError, Endpoints, Interrupted
-from protocol.messages import Control, FaultNote, FaultOrigin, Message, Presence, Request, Roster, Tick, Truth
+from protocol.claims import Claims, check_moment
+from protocol.gate import Gate
+from protocol.keys import Keys
+from protocol.links import LinkChanges
+from protocol.messages import (
+    Control,
+    FaultNote,
+    FaultOrigin,
+    LinkChange,
+    Message,
+    MessageError,
+    Presence,
+    Request,
+    Roster,
+    Tick,
+    Truth,
+)
 from protocol.outbox import Outbox
+from protocol.rejections import Notices, Rejections
 from protocol.setup import Setup
 from transport.log import LogError, LogWriter
 
@@ -64,7 +80,11 @@ class Recorder:
         self.received = 0
         self.tick = -1
         self.requests: queue.SimpleQueue[Request] = queue.SimpleQueue()
-        self.rejected: Counter[tuple[str, str]] = Counter()
+        self.rejected = Rejections()
+        self._claims = Claims(setup)
+        self._link_changes = LinkChanges((), setup.samples_s)  # to see whether changes are such
+        self._gate = Gate(NAME, Keys(run), setup, self.rejected)
+        self._notices = Notices(NAME, self.rejected)
         self._writer = writer
         self._join_timeout_s = join_timeout_s
         self._bus = Bus(
@@ -73,7 +93,7 @@ class Recorder:
             run=run,
             digest=setup.scenario.digest(),
             endpoints=endpoints,
-            rejected=self.rejected,
+            gate=self._gate,
             serves=True,
         )
         self._out = Outbox(NAME, incarnation)
@@ -117,6 +137,9 @@ class Recorder:
         try:
             if self._bus.join(self._expected, self._join_timeout_s) is None:
                 self._record()
+                self._gate.close()
+                for notice in self._notices.rest(self._out.incarnation, self._gate.tick):
+                    self._take(notice)
         except (BusError, LogError) as error:
             self.error = str(error)
         finally:
@@ -145,11 +168,26 @@ class Recorder:
                 case Request():
                     self.requests.put(event)
                 case _:
-                    self._take(event)
+                    self.hear(event)
+            for notice in self._notices.due(time.monotonic_ns(), self._out.incarnation, self._gate.tick):
+                self._take(notice)
             if self.control is not None and deadline is None:
                 deadline = time.monotonic() + _TRAIL_S
         if self.control is None:
             self._end("coordinator is gone")
+
+    def hear(self, message: Message) -> None:
+        """Record a message that came from the network, unless it cannot be of this run or of now."""
+        try:
+            self._claims.check(message)
+            if isinstance(message, Control):
+                check_moment(message, self._gate.tick - self._gate.window, self._gate.tick + self._gate.window)
+            if isinstance(message, LinkChange):
+                self._link_changes.apply(message)
+        except MessageError as error:
+            self.rejected.add(message.sender, error)
+            return
+        self._take(message)
 
     def _take(self, message: Message) -> None:
         with self._writing:

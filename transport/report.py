@@ -3,7 +3,8 @@
 import csv
 import io
 import os
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from rich.text import Text
 
 from protocol.scenario_file import read_scenario
 from protocol.setup import Setup
+from transport.counted import counted
 from transport.log import RunLog, read_log
 from transport.metrics import summarise
 from transport.steps import steps_columns, steps_rows
@@ -36,8 +38,9 @@ def write_report(folder: Path, *, figures: bool = True) -> dict[str, Any]:
     Raises: LogError: there is no log, or it is none; ScenarioError: the folder's scenario cannot be read.
     """
     path = folder / "scenario.toml"
-    log = read_log(folder / "run.mcap")
+    whole = read_log(folder / "run.mcap")
     setup = Setup.of(read_scenario(path), str(path))
+    log = counted(setup, whole)
     summary = summarise(setup, log)
     write_whole(folder / "summary.json", orjson.dumps(summary, option=orjson.OPT_INDENT_2) + b"\n")
     write_whole(folder / "steps.csv", _csv(setup, log))
@@ -95,6 +98,8 @@ def _lines(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("plans", _plans(summary["messages"], summary["plan_age_ticks"])),
         ("solver", f"{solver['fallbacks']} fallbacks, {solver['failures']} failures"),
     ]
+    if summary["rejections"]:
+        lines.append(("rejected", _rejected(summary["messages"]["rejected"], summary["rejections"])))
     # The last fault of a run that failed is already its reason, in the title.
     faults = [fault for fault in summary["faults"] if fault["what"] != summary["reason"]]
     for i, fault in enumerate(faults[:_SHOWN_FAULTS]):
@@ -116,9 +121,19 @@ def _plans(messages: Mapping[str, Any], ages: Mapping[str, Any]) -> str:
     if ages["mean"] is None and not messages["sent"]:
         return "-"
     return (
-        f"{messages['lost']} of {messages['sent']} lost, {messages['late']} late, {messages['rejected']} rejected; "
+        f"{messages['lost']} of {messages['sent']} lost, {messages['late']} late; "
         f"age {_text(ages['mean'], '.2f')} ticks, max {_text(ages['max'], 'd')}"
     )
+
+
+def _rejected(total: int, rejections: Sequence[Mapping[str, Any]]) -> str:
+    """The total, and who was refused most."""
+    counts: Counter[str] = Counter()
+    for entry in rejections:
+        counts[entry["sender"]] += entry["count"]
+    sender, most = counts.most_common(1)[0]
+    worst = next(entry for entry in rejections if entry["sender"] == sender)
+    return f"{total} messages, {most} of {sender} ({worst['reason'].replace('_', ' ')})"
 
 
 def _deadlines(deadline: Mapping[str, Any]) -> str:

@@ -47,7 +47,6 @@ def steps_rows(setup: Setup, log: RunLog) -> list[dict[str, Any]]:
     payload_m = np.linalg.norm(series.payload_error_I, axis=1)
     uavs_m = np.linalg.norm(series.uav_errors_I, axis=2)
     attitude_deg = series.attitude_max_deg
-    # An agent that was restarted within a tick reports it twice; the later report stands.
     reports = {(report.tick, report.agent): report for report in log.of(StepReport)}
     rows = []
     for (tick, agent), report in sorted(reports.items()):

@@ -13,6 +13,7 @@ from protocol.messages import (
     Measurement,
     Message,
     Plan,
+    Rejected,
     Roster,
     StepReport,
     Tick,
@@ -78,7 +79,6 @@ def fields(kind: type[Message]) -> dict[str, Any]:
             "delivered": 2,
             "lost": 1,
             "late": 1,
-            "rejected": 0,
             "force": np.array([0.5, -1.0, 4.4]),
             "times_ms": np.arange(float(len(STAGES))),
         },
@@ -91,6 +91,13 @@ def fields(kind: type[Message]) -> dict[str, Any]:
             "diverged": "",
         },
         FaultNote: {"sender": "recorder", "target": "agent3", "what": "killed", "origin": "person"},
+        Rejected: {
+            "sender": "agent2",
+            "offender": "agent3",
+            "reason": "not_finite",
+            "count": 3,
+            "example": "inputs: expected finite numbers, got nan",
+        },
         Control: {"sender": "coordinator", "outcome": "aborted", "reason": "agent1 is gone", "exit_code": 4},
     }
     return HEAD | own[kind]

@@ -21,6 +21,8 @@ from protocol.messages import (
     Outcome,
     Plan,
     PlanStatus,
+    Reason,
+    Rejected,
     Roster,
     StepReport,
     Tick,
@@ -118,7 +120,6 @@ reports = _ids.flatmap(
         delivered=_count,
         lost=_count,
         late=_count,
-        rejected=_count,
         force=_array(3),
         times_ms=_array(len(STAGES)),
         **_head,
@@ -136,10 +137,18 @@ truths = st.integers(0, _UAVS).flatmap(
     )
 )
 fault_notes = st.builds(FaultNote, target=_name, what=_text, origin=st.sampled_from(get_args(FaultOrigin)), **_head)
+rejections = st.builds(
+    Rejected,
+    offender=_text,
+    reason=st.sampled_from(get_args(Reason)),
+    count=st.integers(1, MAX_TICK),
+    example=_text,
+    **_head,
+)
 controls = st.builds(
     Control, outcome=st.sampled_from(get_args(Outcome)), reason=_text, exit_code=st.integers(0, 255), **_head
 )
 
 messages: SearchStrategy[Message] = st.one_of(
-    ticks, rosters, link_changes, measurements, plans, reports, truths, fault_notes, controls
+    ticks, rosters, link_changes, measurements, plans, reports, truths, fault_notes, rejections, controls
 )

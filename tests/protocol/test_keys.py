@@ -12,6 +12,7 @@ from protocol.messages import (
     Message,
     MessageError,
     Plan,
+    Rejected,
     Roster,
     StepReport,
     Tick,
@@ -34,6 +35,7 @@ OWNERS = {
     "fault": "recorder",
     "plan": "agent2",
     "report": "agent2",
+    "rejected": "agent2",
 }
 
 
@@ -55,6 +57,7 @@ def listeners(message: Message) -> set[str]:
         (Measurement, {"agent2", "recorder"}),
         (Plan, {"coordinator", "plant", "recorder", "agent1", "agent12", "agent123"}),
         (StepReport, {"recorder"}),
+        (Rejected, {"recorder"}),
         (Truth, {"coordinator", "recorder"}),
     ],
 )
@@ -99,6 +102,7 @@ def test_keys_are_as_documented() -> None:
         "truth": "transport/run-1/truth",
         "plan": "transport/run-1/plan/2",
         "report": "transport/run-1/report/2",
+        "rejected": "transport/run-1/rejected/agent2",
     }
     assert {kind: KEYS.of(sample(cls)) for kind, cls in KINDS.items()} == expected
     assert KEYS.alive("agent2", 3, "0123ab") == "transport/run-1/alive/agent2/3/0123ab"
@@ -112,7 +116,7 @@ def test_own_messages_are_accepted(kind: type[Message]) -> None:
     KEYS.check_sender(KEYS.of(message), message)
 
 
-@pytest.mark.parametrize("kind", KINDS.values())
+@pytest.mark.parametrize("kind", [kind for kind in KINDS.values() if kind is not Rejected])
 def test_forged_senders_are_refused(kind: type[Message]) -> None:
     """A message that claims any other sender than its key's owner is refused; the text names both."""
     for name in NAMES:
@@ -121,6 +125,15 @@ def test_forged_senders_are_refused(kind: type[Message]) -> None:
         message = sample(kind, sender=name)
         with pytest.raises(MessageError, match=f"{kind.kind} from {name}, expected it from {OWNERS[kind.kind]}"):
             KEYS.check_sender(KEYS.of(message), message)
+
+
+def test_each_speaks_of_refusals_under_a_key_of_its_own() -> None:
+    """What one process refuses is not told under another's key."""
+    message = sample(Rejected, sender="agent12")
+    KEYS.check_sender(KEYS.of(message), message)
+    for name in set(NAMES) - {"agent12"}:
+        with pytest.raises(MessageError, match="rejected of agent12 under the key"):
+            KEYS.check_sender(KEYS.of(sample(Rejected, sender=name)), message)
 
 
 @pytest.mark.parametrize("kind", KINDS.values())

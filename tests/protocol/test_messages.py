@@ -20,6 +20,7 @@ from protocol.messages import (
     Message,
     MessageError,
     Plan,
+    Rejected,
     Roster,
     StepReport,
     Tick,
@@ -105,12 +106,12 @@ SORTS: dict[type[Message], dict[str, str]] = {
         "delivered": "count",
         "lost": "count",
         "late": "count",
-        "rejected": "count",
         "force": "array",
         "times_ms": "array",
     },
     Truth: {"x": "array", "u": "array", "plan_ticks": "list", "local_error": "float", "diverged": "text"},
     FaultNote: {"target": "name", "what": "text", "origin": "word"},
+    Rejected: {"offender": "text", "reason": "word", "count": "number", "example": "text"},
     Control: {"outcome": "word", "reason": "text", "exit_code": "code"},
 }
 HEAD = {"sender": "name", "incarnation": "count", "sequence": "count", "tick": "count"}
@@ -187,7 +188,8 @@ def test_what_is_no_list_is_named(kind: type[Message], field: str) -> None:
 @pytest.mark.parametrize("value", [np.zeros(2), np.zeros(0), np.array(["solved", "completed"])])
 def test_an_array_is_no_word(value: object) -> None:
     """An array where one of several words belongs is refused like any other wrong value."""
-    for kind, field in ((Plan, "status"), (StepReport, "status"), (FaultNote, "origin"), (Control, "outcome")):
+    words = ((Plan, "status"), (StepReport, "status"), (FaultNote, "origin"), (Rejected, "reason"), (Control, "outcome"))
+    for kind, field in words:
         assert refusal(kind, **{field: value}).startswith(f"{field}: expected one of ")
 
 

@@ -200,6 +200,21 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
         "faults.event.2.do",
         "expected what can be done to agent1, which is stopped by then, got 'stop'",
     ),
+    # The truth, and what is to be estimated of it.
+    ("plant.payload_mass_factor=0", "plant.payload_mass_factor", "expected a number > 0.0, got 0"),
+    ("plant.uav_mass_factor=1000", "plant.uav_mass_factor", "expected a number <= 100.0, got 1000"),
+    ("plant.wind.speed_mps=[1,2]", "plant.wind.speed_mps", "expected 3 numbers, got [1, 2]"),
+    ("plant.wind.gust_mps=[1,-1,1]", "plant.wind.gust_mps.2", "expected a number >= 0.0, got -1"),
+    ("plant.wind.drag_uav_kgps=31", "plant.wind.drag_uav_kgps", "expected at most mass over sampling period 30, got 31.0"),
+    (
+        ("plant.payload_mass_factor=0.5", "plant.wind.drag_payload_kgps=31"),
+        "plant.wind.drag_payload_kgps",
+        "expected at most mass over sampling period 30, got 31.0",
+    ),
+    ("plant.noise.position_m=-0.1", "plant.noise.position_m", "expected a number >= 0.0, got -0.1"),
+    ("plant.noise.atitude_rad=1", "plant.noise.atitude_rad", "unknown key; did you mean 'attitude_rad'?"),
+    ("controller.disturbance.estimate=1", "controller.disturbance.estimate", "expected true or false, got 1"),
+    ("controller.disturbance.time_constant_s=0", "controller.disturbance.time_constant_s", "expected a number > 0.0, got 0"),
     # Physics.
     (
         "controller.limits.thrust_N=[0,20]",
@@ -308,6 +323,9 @@ def test_the_last_setting_is_blamed() -> None:
     thrusts = ["controller.limits.thrust_N.1=50", "controller.limits.thrust_N.2=40"]
     both = " ".join(f"--set {setting}" for setting in thrusts)
     assert refusal(PAPER, *thrusts).startswith(f"{both}: controller.limits.thrust_N: expected smallest < largest")
+    whole = ["agents.owned.1=[9]", "agents.owned=[[1],[2],[3,4]]", "seed=1", "agents.owned.3=[4]"]
+    last = f"--set {whole[1]} --set {whole[3]}: agents.owned: expected each UAV once, got none for UAV3"
+    assert refusal(PAPER, *whole) == last  # the first was overwritten, the third is about something else
 
 
 @pytest.mark.parametrize(("setting", "problem"), WRONG_SETTINGS)

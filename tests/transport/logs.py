@@ -61,7 +61,6 @@ def report(run: Setup, agent: int, tick: int, **fields: Any) -> StepReport:
         "delivered": len(peers) if tick else 0,
         "lost": 0,
         "late": 0,
-        "rejected": 0,
         "force": np.zeros(3),
         "times_ms": np.array([0.6, 0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 1.5]),
     }

@@ -98,7 +98,7 @@ def _has_chance(tree: Any) -> bool:
         return False
     if tree.get("distribution") == "empirical" or "gilbert_elliott" in tree:
         return True
-    return any(name in _CHANCE and _is_more_than_zero(part) or _has_chance(part) for name, part in tree.items())
+    return any((name in _CHANCE and _is_more_than_zero(part)) or _has_chance(part) for name, part in tree.items())
 
 
 def _is_more_than_zero(part: Any) -> bool:

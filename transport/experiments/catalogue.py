@@ -93,6 +93,8 @@ def loss(scenarios: Sequence[str], shares: Sequence[float], burst_ticks: float) 
     _check_numbers("--loss", shares, "a share from 0 to below 1", 0.0, 1.0)
     _check_numbers("--burst", [burst_ticks], "a mean length >= 1 tick", 1.0, math.inf)
     some = sorted(share for share in _distinct("--loss", shares) if share > 0.0)
+    alone = {share: f"links.loss={share!r}" for share in some}
+    bursts = {share: _bursts(share, burst_ticks) for share in some}
     points: list[Point] = []
     for scenario in _distinct("--scenario", scenarios):
         points.append(
@@ -109,15 +111,12 @@ def loss(scenarios: Sequence[str], shares: Sequence[float], burst_ticks: float) 
                 scenario=scenario,
                 labels={"model": model, "loss": share},
                 text=f"{_percent(share)} {how}",
-                settings=(setting(share),),
+                settings=(setting,),
             )
-            for model, how, setting in (
-                ("bernoulli", "at random", lambda share: f"links.loss={share!r}"),
-                ("bursts", "in bursts", lambda share: _bursts(share, burst_ticks)),
-            )
-            for share in some
+            for model, how, settings in (("bernoulli", "at random", alone), ("bursts", "in bursts", bursts))
+            for share, setting in settings.items()
         ]
-    legend = {"bernoulli": "each on its own", "bursts": f"in bursts of {burst_ticks:g} ticks"}
+    legend: dict[str | float, str] = {"bernoulli": "each on its own", "bursts": f"in bursts of {burst_ticks:g} ticks"}
     return Experiment(name="loss", points=tuple(points), x=LOSS_AXIS, curves="model", legend=legend)
 
 
@@ -170,7 +169,8 @@ def jitter(
                         ),
                     )
                 )
-    return Experiment(name="jitter", points=tuple(points), x=Axis("std_s", "jitter, std (ms)", 1e3), curves="distribution")
+    axis = Axis("std_s", "jitter, std (ms)", 1e3)
+    return Experiment(name="jitter", points=tuple(points), x=axis, curves="distribution")
 
 
 def kill(agents: Mapping[str, int], kill_s: float, restart_s: float) -> Experiment:

@@ -27,7 +27,7 @@ _QUICK = (
 _QUICK_SEEDS = 2
 
 experiment_app = typer.Typer(
-    help="Fly many variations of a scenario and compare them: tables, confidence intervals, a figure.",
+    help="Fly many variations of a scenario and compare them.\n\nTables, confidence intervals, a figure.",
     no_args_is_help=True,
     rich_markup_mode=None,
     epilog="Exit codes: 0 done, whatever was found; 2 usage, 3 scenario, 4 cluster or worker lost, "
@@ -59,3 +59,304 @@ ProcessesOption = Annotated[
     bool, typer.Option("--processes", help="Fly each as `transport run` does, recorded, one after the other.")
 ]
 QuickOption = Annotated[bool, typer.Option("--quick", help="Short flights and few of them: a trial, no measurement.")]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Options:
+    """What all experiments can be told."""
+
+    scenarios: list[str] | None
+    settings: list[str] | None
+    seeds: int
+    out: Path | None
+    jobs: int | None
+    dask: str | None
+    processes: bool
+    quick: bool
+
+    def named(self) -> list[str]:
+        """Scenarios to fly."""
+        return self.scenarios or ["paper", "resilient"]
+
+    def changes(self) -> list[str]:
+        """Changes of every scenario, those of a trial first."""
+        return [*([_QUICK] if self.quick else []), *(self.settings or [])]
+
+
+@experiment_app.command()
+def latency(
+    delays: Annotated[
+        list[float] | None, typer.Option("--delay", help="Delay of every plan, s; by default 0 to 0.4. Repeatable.")
+    ] = None,
+    scenarios: ScenariosOption = None,
+    settings: SetOption = None,
+    seeds: SeedsOption = None,
+    out: OutOption = None,
+    jobs: JobsOption = None,
+    dask: DaskOption = None,
+    processes: ProcessesOption = False,
+    quick: QuickOption = False,
+) -> None:
+    """How late plans may be: a fixed delay on every link.
+
+    Example: transport experiment latency --delay 0.1 --delay 0.3 --scenario resilient
+    """
+    options = _options(scenarios, settings, seeds, out, jobs, dask, processes, quick, usual_seeds=1)
+
+    def build() -> "Experiment":
+        from transport.experiments import catalogue
+
+        return catalogue.latency(options.named(), delays or ([0.0, 0.2] if quick else [0.0, 0.05, 0.1, 0.2, 0.4]))
+
+    _conduct(build, options)
+
+
+@experiment_app.command()
+def loss(
+    shares: Annotated[
+        list[float] | None, typer.Option("--loss", help="Share of lost plans; by default 0.1, 0.3, 0.6. Repeatable.")
+    ] = None,
+    burst: Annotated[float, typer.Option("--burst", help="Mean length of a burst, ticks.")] = 5.0,
+    scenarios: ScenariosOption = None,
+    settings: SetOption = None,
+    seeds: SeedsOption = None,
+    out: OutOption = None,
+    jobs: JobsOption = None,
+    dask: DaskOption = None,
+    processes: ProcessesOption = False,
+    quick: QuickOption = False,
+) -> None:
+    """How many plans may be lost: on their own, as many in bursts."""
+    options = _options(scenarios, settings, seeds, out, jobs, dask, processes, quick, usual_seeds=5)
+
+    def build() -> "Experiment":
+        from transport.experiments import catalogue
+
+        return catalogue.loss(options.named(), shares or ([0.3] if quick else [0.1, 0.3, 0.6]), burst)
+
+    _conduct(build, options)
+
+
+@experiment_app.command()
+def jitter(
+    distributions: Annotated[
+        list[str] | None,
+        typer.Option("--distribution", help="uniform, normal, exponential, lognormal; by default all. Repeatable."),
+    ] = None,
+    deviations: Annotated[
+        list[float] | None,
+        typer.Option("--std", help="Standard deviation of the delay, s; by default 0.02, 0.05, 0.08. Repeatable."),
+    ] = None,
+    mean: Annotated[float, typer.Option("--mean", help="Mean delay, s.")] = 0.16,
+    scenarios: ScenariosOption = None,
+    settings: SetOption = None,
+    seeds: SeedsOption = None,
+    out: OutOption = None,
+    jobs: JobsOption = None,
+    dask: DaskOption = None,
+    processes: ProcessesOption = False,
+    quick: QuickOption = False,
+) -> None:
+    """How irregular delays may be.
+
+    Several distributions of the same mean and standard deviation.
+    """
+    options = _options(scenarios, settings, seeds, out, jobs, dask, processes, quick, usual_seeds=3)
+
+    def build() -> "Experiment":
+        from transport.experiments import catalogue
+
+        chosen = distributions or (["uniform", "exponential"] if quick else list(catalogue.JITTER))
+        return catalogue.jitter(options.named(), chosen, deviations or ([0.05] if quick else [0.02, 0.05, 0.08]), mean)
+
+    _conduct(build, options)
+
+
+@experiment_app.command()
+def kill(
+    at: Annotated[float | None, typer.Option("--at", help="When the agent is killed, s; by default 8.")] = None,
+    restart: Annotated[
+        float | None, typer.Option("--restart", help="When it is started again, s; by default 10.")
+    ] = None,
+    scenarios: ScenariosOption = None,
+    settings: SetOption = None,
+    seeds: SeedsOption = None,
+    out: OutOption = None,
+    jobs: JobsOption = None,
+    dask: DaskOption = None,
+    processes: ProcessesOption = False,
+    quick: QuickOption = False,
+) -> None:
+    """What an agent's death does.
+
+    Each in turn is killed, and started again or not; the others fly on.
+    """
+    options = _options(scenarios, settings, seeds, out, jobs, dask, processes, quick, usual_seeds=1)
+
+    def build() -> "Experiment":
+        from protocol.scenario_file import find_scenario, read_scenario
+        from transport.experiments import catalogue
+
+        names = options.named()
+        agents = {name: len(read_scenario(find_scenario(name), options.changes()).owned) for name in names}
+        if len(agents) < len(names):
+            raise refused("--scenario", "each value once", ", ".join(names))
+        usual = (0.5, 1.0) if quick else (8.0, 10.0)
+        kill_s, restart_s = (then if given is None else given for given, then in zip((at, restart), usual, strict=True))
+        return catalogue.kill(agents, kill_s, restart_s)
+
+    _conduct(build, options)
+
+
+@experiment_app.command()
+def matrix(
+    delays: Annotated[
+        list[float] | None,
+        typer.Option("--delay", help="Delay of every plan, s; by default 0, 0.1, 0.2, 0.4. Repeatable."),
+    ] = None,
+    shares: Annotated[
+        list[float] | None, typer.Option("--loss", help="Share of lost plans; by default 0, 0.1, 0.3, 0.6. Repeatable.")
+    ] = None,
+    scenarios: ScenariosOption = None,
+    settings: SetOption = None,
+    seeds: SeedsOption = None,
+    out: OutOption = None,
+    jobs: JobsOption = None,
+    dask: DaskOption = None,
+    processes: ProcessesOption = False,
+    quick: QuickOption = False,
+) -> None:
+    """Delay and loss together, as a map for each algorithm.
+
+    Of cost and survival.
+    """
+    options = _options(scenarios, settings, seeds, out, jobs, dask, processes, quick, usual_seeds=3)
+
+    def build() -> "Experiment":
+        from transport.experiments import catalogue
+
+        delays_s = delays or ([0.0, 0.2] if quick else [0.0, 0.1, 0.2, 0.4])
+        return catalogue.matrix(options.named(), delays_s, shares or ([0.0, 0.3] if quick else [0.0, 0.1, 0.3, 0.6]))
+
+    _conduct(build, options)
+
+
+def _options(
+    scenarios: list[str] | None,
+    settings: list[str] | None,
+    seeds: int | None,
+    out: Path | None,
+    jobs: int | None,
+    dask: str | None,
+    processes: bool,
+    quick: bool,
+    *,
+    usual_seeds: int,
+) -> _Options:
+    return _Options(
+        scenarios=scenarios,
+        settings=settings,
+        seeds=seeds if seeds is not None else min(usual_seeds, _QUICK_SEEDS) if quick else usual_seeds,
+        out=out,
+        jobs=jobs,
+        dask=dask,
+        processes=processes,
+        quick=quick,
+    )
+
+
+def _conduct(build: "Callable[[], Experiment]", options: _Options) -> None:
+    """Fly an experiment, from its options to its exit code."""
+    from protocol.scenario_file import ScenarioError
+
+    code = 0
+    try:
+        with _terminated_like_interrupted():
+            _fly(build(), options)
+    except ExperimentError as error:
+        typer.echo(f"transport: {error}", err=True)
+        code = error.exit_code
+    except ScenarioError as error:
+        typer.echo(f"transport: {error}", err=True)
+        code = EXIT_SCENARIO
+    except KeyboardInterrupt:
+        typer.echo("transport: interrupted", err=True)
+        code = _INTERRUPTED
+    raise typer.Exit(code)
+
+
+def _fly(experiment: "Experiment", options: _Options) -> None:
+    from datetime import UTC, datetime
+
+    from rich.console import Console
+
+    from transport.experiments.cases import cases_of
+    from transport.experiments.findings import findings
+    from transport.experiments.results import Results
+    from transport.experiments.sweep import report, sweep
+    from transport.experiments.table import WIDTH, table_of
+    from transport.run import machine
+
+    _check(options)
+    stamp = datetime.now(UTC).strftime("%Y%m%d-%H%M%S")
+    folder = options.out or Path("runs") / f"experiment-{experiment.name}-{stamp}"
+    cases = cases_of(experiment.points, options.changes(), options.seeds)
+    console = Console(stderr=True)
+    trial = "trial, no measurement" if options.quick else ""
+    if trial:
+        console.print(f"--quick: a {trial}", highlight=False)
+    with Results(folder, experiment.name, machine()) as results:
+        for notice in results.notices:
+            console.print(notice, highlight=False, soft_wrap=True)
+        done = sum(results.done(case.key) for case in cases)
+        if done:
+            console.print(f"{done} of {len(cases)} flights are done already", highlight=False)
+        try:
+            found = sweep(experiment, cases, _way(options, folder), results, console)
+        except (KeyboardInterrupt, ExperimentError):
+            done = sum(results.done(case.key) for case in cases)
+            hint = f"{done} of {len(cases)} flights are kept; go on with: --out {folder}"
+            console.print(hint, highlight=False, soft_wrap=True)
+            raise
+        measured, files = report(experiment, cases, found, folder)
+    title = f"{experiment.name}: means of completed flights, ± 95 % confidence" + (f" ({trial})" if trial else "")
+    output = Console()
+    output.width = max(output.width, WIDTH)
+    output.print(table_of(title, measured))
+    lines = ["", *findings(measured), "", f"machine: {machine()}", *(f" {path}" for path in files)]
+    sys.stdout.write("\n".join(lines) + "\n")
+    failed = [result for result in found if result.outcome == "error"]
+    if failed:
+        more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
+        raise ExperimentError(f"a flight could not be flown{more}: {failed[0].reason}", EXIT_CASES)
+
+
+def _check(options: _Options) -> None:
+    """Refuse ways of flying that exclude each other."""
+    given = {"--processes": options.processes, "--dask": options.dask is not None, "--jobs": options.jobs is not None}
+    chosen = [name for name, is_given in given.items() if is_given]
+    if len(chosen) > 1:
+        raise refused(chosen[0], "no other of --processes, --dask, --jobs", f"{chosen[1]} as well")
+
+
+def _way(options: _Options, folder: Path) -> "Fly":
+    """How the cases are flown."""
+    from transport.experiments import flight, workers
+
+    if options.dask is not None:
+        address = options.dask
+        return lambda cases: workers.on_cluster(cases, address)
+    if options.processes:
+        return lambda cases: (flight.fly_in_processes(case, folder / "runs") for case in cases)
+    jobs = options.jobs or len(os.sched_getaffinity(0))
+    return lambda cases: workers.on_cores(cases, min(jobs, len(cases)))
+
+
+@contextmanager
+def _terminated_like_interrupted() -> Iterator[None]:
+    """Let SIGTERM end the command as Ctrl-C does."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

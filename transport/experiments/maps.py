@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from transport.experiments.catalogue import Axis
 from transport.experiments.statistics import Measured
@@ -10,15 +10,15 @@ from transport.figure_style import WIDTH_IN
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.cm import ScalarMappable
     from matplotlib.figure import Figure
 
 _ACROSS = 2  # maps beside each other
 _CELL_IN, _AROUND_IN = 0.46, 0.85
 _PRINT = 7.0
+_COLOURS = "viridis"
 
 # A cell in which no flight was completed.
-_LOST = {"facecolor": "#e3e3e3", "edgecolor": "#a0a0a0", "hatch": "////", "linewidth": 0.0}
+_LOST: dict[str, Any] = {"facecolor": "#e3e3e3", "edgecolor": "#a0a0a0", "hatch": "////", "linewidth": 0.0}
 _LIGHT, _DARK = "#ffffff", "#000000"
 _MIDDLE = 0.55  # of the colour scale: below, text is light
 
@@ -41,10 +41,10 @@ def draw_maps(figure: "Figure", x: Axis, y: Axis, measured: Sequence[Measured]) 
     figure.set_size_inches(WIDTH_IN, down * (_CELL_IN * rows + _AROUND_IN))
     panels = figure.subplots(down, across, sharex=True, sharey=True, squeeze=False)
     costs = [value.mean for m in measured if (value := m.numbers["cost_mean"]) is not None]
-    low, high = (1e3 * min(costs), 1e3 * max(costs)) if costs else (1.0, 10.0)
-    colours = ScalarMappable(LogNorm(low, max(high, 1.001 * low)), "viridis")
+    low, high = (1e3 * min(costs), 1e3 * max(costs)) if costs else (1.0, 1.0)
+    high = max(high, 1.001 * low)
     for axes, scenario in zip(panels.flat, scenarios, strict=False):
-        _draw_map(axes, x, y, [m for m in measured if m.point.scenario == scenario], colours)
+        _draw_map(axes, x, y, [m for m in measured if m.point.scenario == scenario], low, high)
         axes.set_title(scenario)
     for axes in panels.flat[len(scenarios) :]:
         axes.set_visible(False)
@@ -52,11 +52,13 @@ def draw_maps(figure: "Figure", x: Axis, y: Axis, measured: Sequence[Measured]) 
         axes.set_xlabel(x.title)
     for axes in panels[:, 0]:
         axes.set_ylabel(y.title)
-    bar = figure.colorbar(colours, ax=panels, label="mean cost ($10^{-3}$)", pad=0.02, aspect=25)
+    scale = ScalarMappable(LogNorm(low, high), _COLOURS)
+    bar = figure.colorbar(scale, ax=panels, label="mean cost ($10^{-3}$)", pad=0.02, aspect=25)
     bar.outline.set_visible(False)
 
 
-def _draw_map(axes: "Axes", x: Axis, y: Axis, measured: Sequence[Measured], colours: "ScalarMappable") -> None:
+def _draw_map(axes: "Axes", x: Axis, y: Axis, measured: Sequence[Measured], low: float, high: float) -> None:
+    import matplotlib as mpl
     from matplotlib.patches import Rectangle
 
     columns = sorted({float(m.point.labels[x.label]) for m in measured})
@@ -69,8 +71,9 @@ def _draw_map(axes: "Axes", x: Axis, y: Axis, measured: Sequence[Measured], colo
             text = f"lost\n{m.lost_s[0]:.1f} s" if m.lost_s else "-"
         else:
             value = 1e3 * cost.mean
-            style = {"facecolor": colours.to_rgba(value), "linewidth": 0.0}
-            ink = _LIGHT if colours.norm(value) < _MIDDLE else _DARK
+            share = math.log(value / low) / math.log(high / low)
+            style = {"facecolor": mpl.colormaps[_COLOURS](share), "linewidth": 0.0}
+            ink = _LIGHT if share < _MIDDLE else _DARK
             text = f"{value:.2f}" + (f"\n{m.completed}/{m.flights}" if m.completed < m.flights else "")
         axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1.0, 1.0, **style))
         axes.text(column, row, text, ha="center", va="center", color=ink, fontsize=_PRINT, linespacing=1.1)

@@ -52,4 +52,5 @@ class SweepProgress:
             self._bar.update(self._task, completed=self._done, last=last)
         elif time.monotonic() >= self._next_line_s or self._done == self._total:
             self._next_line_s = time.monotonic() + _LINE_EVERY_S
-            self._console.print(f"{self._done} of {self._total} flights done, the last {last}", highlight=False)
+            line = f"{self._done} of {self._total} flights done, the last {last}"
+            self._console.print(line, highlight=False, soft_wrap=True)

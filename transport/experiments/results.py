@@ -48,9 +48,9 @@ class Results:
     ) -> None:
         os.close(self._file)
 
-    def of(self, key: str) -> Result | None:
-        """What came of a flight, if it was flown."""
-        return self._by_key.get(key)
+    def __getitem__(self, key: str) -> Result:
+        """What came of a flight that was flown."""
+        return self._by_key[key]
 
     def done(self, key: str) -> bool:
         """Whether a flight need not be flown again."""

@@ -3,7 +3,7 @@
 import csv
 import io
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from rich.table import Table
 
@@ -14,15 +14,26 @@ from transport.experiments.statistics import Estimate, Measured
 # Means of these are in the table of points, each with its confidence interval.
 MEANS = NUMBERS[1:]
 
-# What people read: heading, name of the number, factor, digits.
-_SHOWN = (
-    ("cost mean\n(1e-3)", "cost_mean", 1e3, 2),
-    ("cost max\n(1e-3)", "cost_max", 1e3, 1),
-    ("attitude\n(deg)", "attitude_max_deg", 1.0, 2),
-    ("tracking\nrms (m)", "tracking_rms_m", 1.0, 3),
-    ("apart\n(m)", "separation_min_m", 1.0, 3),
-    ("plan age\n(ticks)", "plan_age_mean_ticks", 1.0, 2),
-)
+WIDTH = 100
+
+
+class _Shown(NamedTuple):
+    """A column that people read: heading, name of the number, factor, digits, whether there is room for intervals."""
+
+    heading: str
+    name: str
+    factor: float
+    digits: int
+    interval: bool
+
+
+_SHOWN = [
+    _Shown("cost mean\n(1e-3)", "cost_mean", 1e3, 2, True),
+    _Shown("max\n(1e-3)", "cost_max", 1e3, 1, False),
+    _Shown("attitude\n(deg)", "attitude_max_deg", 1.0, 2, True),
+    _Shown("apart\n(m)", "separation_min_m", 1.0, 3, False),
+    _Shown("age\n(ticks)", "plan_age_mean_ticks", 1.0, 2, False),
+]
 
 
 def cases_csv(points: Sequence[Point], cases: Iterable[Case], results: Iterable[Result]) -> bytes:
@@ -33,12 +44,19 @@ def cases_csv(points: Sequence[Point], cases: Iterable[Case], results: Iterable[
         cases: Its flights.
         results: What came of them.
     """
-    rows = [
-        {"scenario": point.scenario, **point.labels, "seed": case.scenario.seed}
-        | {"outcome": result.outcome, "reason": result.reason, **result.numbers}
-        for case, result in zip(cases, results, strict=True)
-        for point in [points[case.point]]
-    ]
+    rows: list[dict[str, Any]] = []
+    for case, result in zip(cases, results, strict=True):
+        point = points[case.point]
+        rows.append(
+            {
+                "scenario": point.scenario,
+                **point.labels,
+                "seed": case.scenario.seed,
+                "outcome": result.outcome,
+                "reason": result.reason,
+                **result.numbers,
+            }
+        )
     return _csv(["scenario", *points[0].labels, "seed", "outcome", "reason", *NUMBERS], rows)
 
 
@@ -58,24 +76,24 @@ def points_csv(measured: Sequence[Measured]) -> bytes:
 
 
 def table_of(title: str, measured: Sequence[Measured]) -> Table:
-    """What a person reads, in 100 columns.
+    """What a person reads, in `WIDTH` columns.
 
     Args:
         title: Above the table.
         measured: The points, in the order of the sweep.
     """
-    table = Table(box=None, title=title, title_justify="left", title_style="bold", pad_edge=False)
+    table = Table(box=None, title=title, title_justify="left", title_style="bold", padding=(0, 1, 0, 0))
     for heading in ("scenario", *(name.replace("_", "\n", 1) for name in measured[0].point.labels)):
         table.add_column(heading, no_wrap=True)
-    headings = ["done", "lost at\n(s)", *[shown[0] for shown in _SHOWN]]
+    headings = ["done", "lost at\n(s)", *[shown.heading for shown in _SHOWN]]
     headings.insert(3, "cost\nratio")
     for heading in headings:
         table.add_column(heading, justify="right", no_wrap=True)
     for m in measured:
-        cells = [_shown(m.numbers[name], factor, digits) for _, name, factor, digits in _SHOWN]
-        cells.insert(1, "-" if m.cost_ratio is None else f"{m.cost_ratio:.2f}")
+        cells = [_cell(m.numbers[shown.name], shown) for shown in _SHOWN]
+        cells.insert(1, _number(m.cost_ratio, 2))
         labels = [m.point.scenario, *(_label(value) for value in m.point.labels.values())]
-        table.add_row(*labels, _done(m), _lost(m.lost_s), *cells)
+        table.add_row(*labels, _done(m), _number(m.first_lost_s, 1), *cells)
     return table
 
 
@@ -84,21 +102,21 @@ def _done(m: Measured) -> str:
     return f"{m.completed}/{m.flights}{errors}"
 
 
-def _lost(lost_s: Sequence[float]) -> str:
-    if not lost_s:
-        return "-"
-    return f"{lost_s[0]:.1f}" if len(lost_s) == 1 else f"{lost_s[0]:.1f}..{lost_s[-1]:.1f}"
+def _number(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"
 
 
 def _label(value: str | float) -> str:
     return value if isinstance(value, str) else f"{value:g}"
 
 
-def _shown(value: Estimate | None, factor: float, digits: int) -> str:
+def _cell(value: Estimate | None, shown: _Shown) -> str:
     if value is None:
         return "-"
-    text = f"{factor * value.mean:.{digits}f}"
-    return text if value.half_width is None else f"{text} ±{factor * value.half_width:.{digits}f}"
+    text = f"{shown.factor * value.mean:.{shown.digits}f}"
+    if value.half_width is None or not shown.interval:
+        return text
+    return f"{text} ±{shown.factor * value.half_width:.{shown.digits}f}"
 
 
 def _csv(columns: Sequence[str], rows: Iterable[dict[str, Any]]) -> bytes:

@@ -1,4 +1,4 @@
-"""Where the flights of an experiment are flown: here one by one, on this machine's cores, or on a cluster.
+"""Where the flights of an experiment are flown: on this machine's cores or on a cluster.
 
 Each way gives the results as they come, in any order, and ends what it has started however it is left.
 """
@@ -8,7 +8,7 @@ import re
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from functools import cache
 
 from transport.experiments.cases import Case
@@ -21,19 +21,17 @@ _ANSWER_S, _LOOK_S = 15.0, 0.5
 _ADDRESS = re.compile(r"[a-z]+://\S+")
 
 
-def one_by_one(cases: Iterable[Case], fly: Callable[[Case], Result]) -> Iterator[Result]:
-    """Fly in this process, one after the other."""
-    return map(fly, cases)
-
-
 def on_cores(cases: Sequence[Case], jobs: int) -> Iterator[Result]:
-    """Fly on several cores of this machine, in a process each.
+    """Fly on this machine.
 
     Args:
         cases: What to fly.
-        jobs: How many at a time.
+        jobs: How many at a time, in a process each; a single one in this process.
     Raises: ExperimentError: a worker process has died.
     """
+    if jobs == 1:
+        yield from map(fly_in_memory, cases)
+        return
     import joblib
     from joblib.externals.loky import get_reusable_executor
     from joblib.externals.loky.process_executor import TerminatedWorkerError
@@ -72,13 +70,14 @@ def on_cluster(cases: Sequence[Case], address: str) -> Iterator[Result]:
         futures = {client.submit(fly_in_memory, case, pure=False): case for case in cases}
         try:
             for future in as_completed(futures):
-                error = future.exception()
-                if error is None:
+                failure = future.exception()
+                if failure is None:
                     yield future.result()
                 elif future.cancelled():
                     raise ExperimentError(f"--dask: the cluster at {address} is gone", EXIT_LOST)
                 else:
-                    yield Result(key=futures[future].key, outcome=ERROR, reason=f"on the cluster: {error}", numbers={})
+                    reason = f"on the cluster: {failure}"
+                    yield Result(key=futures[future].key, outcome=ERROR, reason=reason, numbers={})
         finally:
             client.cancel(list(futures))
 

@@ -1,0 +1,207 @@
+"""What the truth does that nobody models: masses, wind, noise, each a function of the scenario and the tick alone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from model import state
+from model.arrays import Array
+from model.state import StateView
+from plant.environment import Environment
+from plant.node import PlantNode
+from protocol.messages import Measurement, Message
+from protocol.setup import Setup
+from tests.runs import EVERYBODY, measurement, plan, roster, setup, tick
+
+MEAN = "plant.wind.speed_mps=[3.0,-1.0,0.5]"
+GUSTS = "plant.wind.gust_mps=[2.0,1.0,0.5]"
+LEVELS = {
+    "position_m": 0.01,
+    "velocity_mps": 0.02,
+    "attitude_rad": 0.003,
+    "rate_rads": 0.004,
+    "rod_direction_rad": 0.005,
+    "rod_rate_rads": 0.006,
+}
+NOISE = tuple(f"plant.noise.{key}={level}" for key, level in LEVELS.items())
+
+# Standard deviations of thousands of normal numbers, of which some hang together.
+STATISTICS = 0.1
+ROUNDING = 1e-12
+
+
+def state_in_motion(run: Setup) -> Array:
+    """The initial state with every velocity and rate of some size, the rods kept at e . Omega = 0."""
+    x = run.initial_state() + 0.1 * np.random.default_rng(3).standard_normal(run.system.n)
+    view = StateView(x)
+    view.e_P[:] /= np.linalg.norm(view.e_P, axis=1, keepdims=True)
+    view.Omega_P[:] -= view.e_P * (view.e_P * view.Omega_P).sum(axis=1, keepdims=True)
+    return x
+
+
+def flown(run: Setup, ticks: int) -> list[Message]:
+    """What the plant says while everybody asks for hover."""
+    node = PlantNode(run)
+    messages = list(node.receive(roster(), 0))
+    for k in range(ticks):
+        messages += node.receive(tick(k), 0)
+        for agent in EVERYBODY:
+            messages += node.receive(plan(run, agent, k), 0)
+    return [*messages, *node.receive(tick(ticks), 0)]
+
+
+def test_by_default_the_truth_is_what_the_controller_knows() -> None:
+    """No forces, the same model, and measurements that are the state itself: not one bit differs."""
+    run = setup()
+    environment = Environment(run)
+    x = state_in_motion(run)
+    assert environment.model is run.model
+    assert environment.forces(7, x) is None
+    assert environment.measured(7, 1, x) is x
+
+
+def test_drag_alone_is_no_wind() -> None:
+    """Without mean wind and gusts there is no air, whatever the drag coefficients."""
+    environment = Environment(setup("plant.wind.drag_payload_kgps=5.0", "plant.wind.drag_uav_kgps=3.0"))
+    assert environment.forces(0, state_in_motion(setup())) is None
+
+
+@pytest.mark.parametrize(("payload", "uavs"), [(1.15, 1.0), (1.0, 0.9), (2.0, 3.0)])
+def test_masses(payload: float, uavs: float) -> None:
+    """Mass and inertia of payload and UAVs are multiplied in the truth, and nothing else, nor anywhere else."""
+    run = setup(f"plant.payload_mass_factor={payload}", f"plant.uav_mass_factor={uavs}")
+    true, known = Environment(run).model.system, run.system
+    assert known.payload.mass == 3.0
+    assert true.payload.mass == payload * known.payload.mass
+    np.testing.assert_array_equal(true.payload.inertia, payload * known.payload.inertia)
+    for found, uav in zip(true.uavs, known.uavs, strict=True):
+        assert (found.mass, found.rod_length) == (uavs * uav.mass, uav.rod_length)
+        np.testing.assert_array_equal(found.inertia, uavs * uav.inertia)
+        np.testing.assert_array_equal(found.rho, uav.rho)
+    assert true.gravity == known.gravity
+
+
+def test_drag_is_that_of_the_air_past_each_body() -> None:
+    """F_j = c_j (W - velocity), docs/equations.md (42): none on a body that moves with the air, any body."""
+    run = setup(MEAN, "plant.wind.drag_payload_kgps=0.7", "plant.wind.drag_uav_kgps=0.3")
+    environment = Environment(run)
+    wind = np.array([3.0, -1.0, 0.5])
+    at_rest = environment.forces(0, run.initial_state())
+    assert at_rest is not None
+    assert np.abs(at_rest.reshape(5, 3) - np.outer([0.7, 0.3, 0.3, 0.3, 0.3], wind)).max() < ROUNDING
+    drifting = run.initial_state()
+    drifting[state.V0] = wind  # level: payload frame and inertial frame agree
+    carried = environment.forces(0, drifting)
+    assert carried is not None
+    assert np.abs(carried).max() < ROUNDING
+    x = state_in_motion(run)
+    moving = environment.forces(0, x)
+    assert moving is not None
+    positions = run.model.outputs(x + 1e-6 * run.model.derivative(x, run.hover.u)) - run.model.outputs(x)
+    velocity = positions[:3] / 1e-6  # of the first UAV
+    assert np.abs(moving[3:6] - 0.3 * (wind - velocity)).max() < 1e-5
+
+
+def test_gusts_are_a_gauss_markov_process() -> None:
+    """Mean, standard deviation and correlation of (43) over time, here 4 ticks long."""
+    environment = Environment(setup(MEAN, GUSTS, "plant.wind.gust_time_constant_s=0.2"))
+    W = np.array([environment.wind(k) for k in range(6000)])
+    scaled = (W - np.array([3.0, -1.0, 0.5])) / np.array([2.0, 1.0, 0.5])
+    assert np.abs(scaled.mean(axis=0)).max() < STATISTICS
+    assert np.abs(scaled.std(axis=0) - 1.0).max() < STATISTICS
+    for ticks in (1, 4, 40):
+        correlation = (scaled[:-ticks] * scaled[ticks:]).mean(axis=0)
+        assert np.abs(correlation - np.exp(-0.05 * ticks / 0.2)).max() < STATISTICS
+    assert np.abs(np.corrcoef(scaled.T) - np.eye(3)).max() < STATISTICS
+
+
+def test_gusts_blow_from_the_start() -> None:
+    """The first gust is as strong as any: no run begins in a lull."""
+    run = setup(GUSTS)
+    first = [
+        Environment(replace(run, scenario=run.scenario.model_copy(update={"seed": seed}))).wind(0) for seed in range(20)
+    ]
+    assert 0.7 < (np.array(first) / np.array([2.0, 1.0, 0.5])).std() < 1.3  # of 60 numbers
+
+
+def test_gusts_do_not_depend_on_what_was_asked_before() -> None:
+    """The wind of a tick is a function of seed and tick: in any order, bit for bit; another seed is other wind."""
+    run = setup(MEAN, GUSTS)
+    forwards, backwards = Environment(run), Environment(run)
+    found = [forwards.wind(k) for k in range(30)]
+    again = [backwards.wind(k) for k in reversed(range(30))][::-1]
+    np.testing.assert_array_equal(found, again)
+    assert np.abs(found[3] - Environment(setup(MEAN, GUSTS, "seed=1")).wind(3)).min() > 0.0
+
+
+def test_noise_has_the_standard_deviations_asked_for() -> None:
+    """Each kind of measurement errs by its own level, every axis and every agent for itself."""
+    run = setup(*NOISE)
+    environment = Environment(run)
+    x = state_in_motion(run)
+    seen = np.array([environment.measured(k, agent, x) for k in range(400) for agent in (1, 2)])
+    error, true = StateView(seen - x), StateView(x)
+    levels = LEVELS
+    for found, level in (
+        (error.r0_I, levels["position_m"]),
+        (error.v0_P, levels["velocity_mps"]),
+        (error.Theta0, levels["attitude_rad"]),
+        (error.omega0_P, levels["rate_rads"]),
+        (error.Theta, levels["attitude_rad"]),
+        (error.omega_B, levels["rate_rads"]),
+    ):
+        assert np.abs(found.std(axis=0) / level - 1.0).max() < STATISTICS
+    # A rod's direction and rate only err across the rod: two of three axes.
+    for vectors, level in ((error.e_P, levels["rod_direction_rad"]), (error.Omega_P, levels["rod_rate_rads"])):
+        across = vectors - true.e_P * (true.e_P * vectors).sum(axis=-1, keepdims=True)
+        assert np.abs(np.sqrt((across**2).sum(axis=-1).mean(axis=0) / 2.0) / level - 1.0).max() < STATISTICS
+
+
+def test_noisy_rods_are_rods() -> None:
+    """|e| = 1 and e . Omega = 0 hold in every measurement."""
+    run = setup(*NOISE)
+    environment = Environment(run)
+    view = StateView(np.array([environment.measured(k, 1, state_in_motion(run)) for k in range(50)]))
+    assert np.abs(np.linalg.norm(view.e_P, axis=-1) - 1.0).max() < ROUNDING
+    assert np.abs((view.e_P * view.Omega_P).sum(axis=-1)).max() < ROUNDING
+
+
+def test_noise_is_of_seed_agent_and_tick() -> None:
+    """The same again whenever asked, and something else for another tick, agent or seed."""
+    run = setup(*NOISE)
+    x = run.initial_state()
+    first = Environment(run).measured(4, 1, x)
+    late = Environment(run)
+    late.measured(9, 2, x)
+    np.testing.assert_array_equal(first, late.measured(4, 1, x))
+    others = [late.measured(5, 1, x), late.measured(4, 2, x), Environment(setup(*NOISE, "seed=1")).measured(4, 1, x)]
+    assert all(np.abs(first - other)[: state.PAYLOAD].min() > 0.0 for other in others)
+
+
+def test_the_plant_lives_in_it() -> None:
+    """A payload 10 % too heavy under hover thrusts falls as it must, and is measured as the sensors have it."""
+    run = setup("plant.payload_mass_factor=1.1", "plant.noise.position_m=0.01")
+    seen = [m for m in flown(run, 4) if isinstance(m, Measurement)]
+    last = [m for m in seen if m.tick == 4]
+    # 0.3 kg too much for 9.3 kg: 0.316 m/s^2 for 0.2 s.
+    assert last[0].payload[state.V0][2] == pytest.approx(0.3 * 9.81 / 9.3 * 0.2, rel=1e-6)
+    heights = [m.payload[2] for m in last]
+    assert len(set(heights)) == 4
+    assert np.abs(np.array(heights) + 10.0 - 0.5 * 0.316 * 0.2**2).max() < 0.05
+
+
+def test_wind_moves_the_plant() -> None:
+    """A wind pushes from the first interval on: v = c W / m_0 t for the payload on its rods."""
+    run = setup("plant.wind.speed_mps=[5.0,0.0,0.0]", "plant.wind.drag_uav_kgps=0.0")
+    last = next(m for m in flown(run, 1) if isinstance(m, Measurement) and m.tick == 1)
+    assert last.payload[state.V0][0] == pytest.approx(0.4 * 5.0 / 3.0 * 0.05, rel=1e-2)
+
+
+def test_measurements_are_the_environments() -> None:
+    """Payload and own UAVs of one agent come from one draw."""
+    run = setup(*NOISE)
+    found = next(m for m in flown(run, 0) if isinstance(m, Measurement) and m.agent == 3)
+    expected = measurement(run, 3, 0, x=Environment(run).measured(0, 3, run.initial_state()))
+    np.testing.assert_array_equal(found.payload, expected.payload)
+    np.testing.assert_array_equal(found.uav_states, expected.uav_states)
