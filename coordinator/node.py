@@ -55,6 +55,7 @@ class CoordinatorNode:
         self._out = Outbox(self.name, incarnation)
         self._agents = {agent_name(agent): agent for agent in setup.agents}
         self._awaited = {"plant", *self._agents, *observers}
+        self._observers = set(observers)  # that are there
         self._incarnations: dict[str, int] = {}  # of the processes that take part, by name
         self._members: set[int] = set(setup.agents)
         self._joining: dict[int, int] = {}  # agents to be put on the roster, with their incarnations
@@ -191,6 +192,7 @@ class CoordinatorNode:
             del self._joining[agent]
         if event.incarnation != known:
             return ()
+        self._observers.discard(event.name)
         if event.name == "plant":
             return self._stop("aborted", "plant is gone", EXIT_LOST)
         if agent in self._members:
@@ -200,7 +202,14 @@ class CoordinatorNode:
     def _request(self, request: Request) -> Sequence[Message]:
         """Answer a request of a person or a process: who takes part, or a change of links from the next tick on."""
         if request.what == "status":
-            request.reply({"tick": self._tick, "ticks": self._ticks, "members": sorted(self._members)})
+            request.reply(
+                {
+                    "tick": self._tick,
+                    "ticks": self._ticks,
+                    "members": sorted(self._members),
+                    "observers": sorted(self._observers),
+                }
+            )
             return ()
         if request.what != "link":
             request.reply({"error": f"what: expected status or link, got {request.what!r}"})

@@ -68,7 +68,10 @@ class Model:
         return self._outputs(x, self._p)[0]
 
     def velocities(self, x: Array) -> Array:
-        """Of the centres of mass of payload and UAVs, (1 + N, 3), inertial frame, m/s. Source: docs/equations.md (39)."""
+        """Of the centres of mass of payload and UAVs, (1 + N, 3), inertial frame, m/s.
+
+        Source: docs/equations.md (39).
+        """
         view = state.StateView(x)
         uavs_P = view.v0_P + np.cross(view.omega0_P, self._rho) - self._lengths * np.cross(view.Omega_P, view.e_P)
         velocities: Array = np.vstack([view.v0_P, uavs_P]) @ rotation(view.Theta0).T

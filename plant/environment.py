@@ -43,9 +43,7 @@ class Environment:
         self._drag = np.array([wind.drag_payload_kgps, *[wind.drag_uav_kgps] * setup.system.N])
         self._gusts: list[Array] = []  # in units of their standard deviation, by tick
         noise = section.noise
-        self._payload_noise = np.repeat(
-            [noise.position_m, noise.velocity_mps, noise.attitude_rad, noise.rate_rads], 3
-        )
+        self._payload_noise = np.repeat([noise.position_m, noise.velocity_mps, noise.attitude_rad, noise.rate_rads], 3)
         self._uav_noise = np.repeat(
             [noise.rod_direction_rad, noise.rod_rate_rads, noise.attitude_rad, noise.rate_rads], 3
         )

@@ -255,7 +255,8 @@ class Bus:
         status = self.ask("coordinator", "status", timeout_s=1.0)
         if status is None or status.get("tick", -1) < 0:
             return expected
-        return {"coordinator", "plant", *(f"agent{agent}" for agent in status["members"])} & set(expected)
+        team = {"coordinator", "plant", *(f"agent{agent}" for agent in status["members"])} & set(expected)
+        return team | set(status.get("observers", ()))  # nor may the record miss what this process says first
 
     def _request(self, query: zenoh.Query) -> Request | None:
         """A question from the network as an event."""

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ValidationError
 
 from model.arrays import ShapeError
 from model.parameters import ParameterError
+from mpc.feedback import FeedbackError
 from mpc.settings import SettingsError
 from protocol.scenario import LinkChangeSection, LinkOverrideSection, Scenario
 
@@ -107,7 +108,7 @@ def building(source: str, field: str, build: Callable[[], T]) -> T:
     """Build a model object from a scenario's values; what it refuses becomes a `ScenarioError` of that field."""
     try:
         return build()
-    except (ParameterError, SettingsError, ShapeError) as error:
+    except (FeedbackError, ParameterError, SettingsError, ShapeError) as error:
         raise ScenarioError(source, field, str(error)) from error
 
 
@@ -219,9 +220,8 @@ def _check_drag(scenario: Scenario, source: str) -> None:
         ("drag_uav_kgps", plant.wind.drag_uav_kgps, plant.uav_mass_factor * lightest),
     ):
         if drag * period_s > mass:
-            raise ScenarioError(
-                source, f"plant.wind.{key}", f"expected at most mass over sampling period {mass / period_s:g}, got {drag}"
-            )
+            expected = f"expected at most mass over sampling period {mass / period_s:g}"
+            raise ScenarioError(source, f"plant.wind.{key}", f"{expected}, got {drag}")
 
 
 def _apply(tree: dict[str, Any], setting: str) -> None:

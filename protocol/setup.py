@@ -13,6 +13,8 @@ from model.linearisation import Model
 from model.maneuver import Maneuver, Phase, Reference
 from model.parameters import Payload, System, Uav
 from mpc.constraints import compile_constraints
+from mpc.cost import Cost
+from mpc.feedback import team_gain
 from mpc.settings import Constraint, ControllerSettings, Limits, Separation, Weights
 from protocol.faults import Fault, scripted
 from protocol.links import Link, link
@@ -70,6 +72,10 @@ class Setup:
             samples_s=_samples(scenario, source),
         )
         building(source, "controller.constraint", lambda: compile_constraints(settings.constraints, setup.model))
+        if settings.prediction == "closed_loop":
+            cost = Cost(settings.weights, equilibrium)
+            law = partial(team_gain, setup.model, equilibrium, cost, settings.sampling_period_s)
+            building(source, "controller.prediction", law)
         setup._check_hover_is_possible(source)
         return setup
 
@@ -155,6 +161,9 @@ def _samples(scenario: Scenario, source: str) -> dict[str, tuple[float, ...]]:
     for section in scenario.links.all().values():
         if section.distribution != "empirical" or section.samples is None:
             continue
+        if ".." in Path(section.samples).parts:
+            expected = "expected an absolute path or one below the scenario's folder"
+            raise ScenarioError(source, "links.samples", f"{expected}, got {section.samples!r}")
         path = Path(source).parent / section.samples
         try:
             values = [float(word) for word in path.read_text(encoding="utf-8").replace(",", " ").split()]

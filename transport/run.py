@@ -196,6 +196,10 @@ def _create(folder: Path, setup: Setup) -> str:
     try:
         folder.mkdir(parents=True)
         (folder / "scenario.toml").write_text(text, encoding="utf-8")
+        for name, delays_s in setup.samples_s.items():
+            if not Path(name).is_absolute():  # the folder stands for itself
+                (folder / name).parent.mkdir(parents=True, exist_ok=True)
+                (folder / name).write_text("\n".join(map(repr, delays_s)) + "\n", encoding="utf-8")
     except OSError as error:
         raise RunError(f"--out: cannot create {folder} ({error.strerror})", EXIT_USAGE) from error
     return text

@@ -36,9 +36,11 @@ SAME_ESTIMATE = 1e-6
 
 def exact(model: Model, x: Array, u: Array, duration_s: float, forces: Array | None = None) -> Array:
     """Solution by SciPy's DOP853, an integrator and a step control that are not ours."""
-    solution = solve_ivp(
-        lambda _, y: model.derivative(y, u, forces=forces), (0.0, duration_s), x, method="DOP853", rtol=EXACT, atol=EXACT
-    )
+
+    def derivative(_: float, y: Array) -> Array:
+        return model.derivative(y, u, forces=forces)
+
+    solution = solve_ivp(derivative, (0.0, duration_s), x, method="DOP853", rtol=EXACT, atol=EXACT)
     return np.asarray(solution.y[:, -1])
 
 

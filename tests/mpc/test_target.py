@@ -89,7 +89,7 @@ def test_a_heavier_payload() -> None:
 
 
 def test_wind_on_the_payload() -> None:
-    """Outputs keep their reference under any force; the payload hangs off by l / (m_0 g) and each UAV leans a quarter."""
+    """Outputs keep their reference under any force; the payload hangs off by l / (m_0 g), each UAV leans a quarter."""
     setup, at = paper_setup(), found("paper")
     _, _, C = equations(setup)
     assert np.abs(C @ at.M_x).max() < ROUNDING

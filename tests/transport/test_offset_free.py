@@ -43,7 +43,7 @@ class Flown:
         self.messages: list[Message] = []
         self.outcome = fly(self.run, self.messages.append).outcome
         truths = [message for message in self.messages if isinstance(message, Truth)]
-        times_s = self.run.settings.sampling_period_s * np.arange(len(truths))
+        times_s = self.run.settings.sampling_period_s * np.arange(len(truths), dtype=np.float64)
         x, u = np.array([truth.x for truth in truths]), np.array([truth.u for truth in truths])
         y, y_ref = np.array([self.run.model.outputs(row) for row in x]), self.run.reference.outputs(times_s)
         cost = Cost(self.run.settings.weights, self.run.hover)

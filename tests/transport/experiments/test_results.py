@@ -1,0 +1,99 @@
+"""The folder of an experiment: kept results survive, damage is told, other people's folders are left alone."""
+
+from pathlib import Path
+
+import pytest
+
+from transport.experiments.errors import EXIT_USAGE, ExperimentError
+from transport.experiments.flight import ERROR, Result
+from transport.experiments.results import Results
+
+
+def result(key: str, outcome: str = "completed", cost: float = 0.1 + 0.2) -> Result:
+    """What came of a flight."""
+    return Result(key=key, outcome=outcome, reason="", numbers={"cost_mean": cost, "lost_s": None})
+
+
+def opened(folder: Path, experiment: str = "latency") -> Results:
+    """The folder of an experiment."""
+    return Results(folder, experiment, "a machine")
+
+
+def test_results_are_read_back_as_the_same_bits(tmp_path: Path) -> None:
+    """What was added is there when the folder is opened again; nothing is said."""
+    with opened(tmp_path / "new" / "out") as results:
+        results.add(result("a"))
+        results.add(result("b", ERROR))
+    with opened(tmp_path / "new" / "out") as results:
+        assert results["a"] == result("a")
+        assert (results.done("a"), results.done("b"), results.done("c")) == (True, False, False)
+        assert results.notices == []
+
+
+def test_an_error_is_replaced_by_a_later_result(tmp_path: Path) -> None:
+    """A flight that could not be flown may be flown later; the later line counts."""
+    with opened(tmp_path) as results:
+        results.add(result("a", ERROR))
+        results.add(result("a"))
+    with opened(tmp_path) as results:
+        assert results.done("a")
+
+
+@pytest.mark.parametrize("left", [1, 20, -1])
+def test_a_half_written_line_is_told_and_removed(tmp_path: Path, left: int) -> None:
+    """A last line cut anywhere costs its own flight only, and does not spoil the next line."""
+    with opened(tmp_path) as results:
+        results.add(result("a"))
+        results.add(result("b"))
+    path = tmp_path / "results.jsonl"
+    first, second = path.read_bytes().splitlines(keepends=True)
+    path.write_bytes(first + second[:left])
+    with opened(tmp_path) as results:
+        assert results.notices == [f"{path}: the last line is not whole; its flight is flown again"]
+        assert (results.done("a"), results.done("b")) == (True, False)
+        results.add(result("c"))
+    with opened(tmp_path) as results:
+        assert (results.done("a"), results.done("b"), results.done("c")) == (True, False, True)
+        assert results.notices == []
+
+
+def test_a_foreign_line_is_told(tmp_path: Path) -> None:
+    """A line in the middle that is no result is named and skipped."""
+    with opened(tmp_path) as results:
+        results.add(result("a"))
+    path = tmp_path / "results.jsonl"
+    path.write_bytes(b"what?\n" + path.read_bytes())
+    with opened(tmp_path) as results:
+        assert results.notices == [f"{path}: line 1 is no result; its flight is flown again"]
+        assert results.done("a")
+
+
+def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
+    """Another experiment's folder, one with other things in it, and a file are refused with what was expected."""
+    expected = "--out: expected a folder that does not exist yet, or one of experiment loss, got"
+    with opened(tmp_path / "late"), pytest.raises(ExperimentError, match=expected) as refusal:
+        opened(tmp_path / "late", "loss")
+    assert str(refusal.value).endswith("late, which is one of latency")
+    assert refusal.value.exit_code == EXIT_USAGE
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.tex").write_text("mine")
+    with pytest.raises(ExperimentError, match="which holds something else"):
+        opened(tmp_path / "mine", "loss")
+    assert [path.name for path in (tmp_path / "mine").iterdir()] == ["thesis.tex"]
+    with pytest.raises(ExperimentError, match="which is a file"):
+        opened(tmp_path / "mine" / "thesis.tex", "loss")
+
+
+def test_a_folder_killed_at_its_first_moment_is_taken(tmp_path: Path) -> None:
+    """An empty folder, or one with a half-written identity, is what a kill leaves behind."""
+    (tmp_path / "experiment.json.partial").write_text('{"exp')
+    with opened(tmp_path) as results:
+        results.add(result("a"))
+
+
+def test_two_commands_at_one_folder_are_refused(tmp_path: Path) -> None:
+    """While a command is at an experiment nobody else can go on with it."""
+    with opened(tmp_path), pytest.raises(ExperimentError, match="expected an experiment that nobody else is at"):
+        opened(tmp_path)
+    with opened(tmp_path):
+        pass

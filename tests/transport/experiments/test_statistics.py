@@ -1,0 +1,86 @@
+"""Repetitions into numbers: the confidence interval against theory and scipy.stats, and what counts for a point."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from transport.experiments.cases import Point
+from transport.experiments.flight import ERROR, NUMBERS, Result
+from transport.experiments.statistics import estimate, measure
+
+# Rounding of sums of a few numbers of order one.
+ROUNDING = 1e-12
+
+BASELINE = Point(scenario="a", labels={"delay_s": 0.0}, text="0 ms", baseline=True)
+LATE = Point(scenario="a", labels={"delay_s": 0.1}, text="100 ms")
+OTHER = Point(scenario="b", labels={"delay_s": 0.1}, text="100 ms")
+
+
+def result(outcome: str = "completed", cost: float = 1.0, lost_s: float | None = None) -> Result:
+    """What came of a flight."""
+    numbers: dict[str, float | None] = dict.fromkeys(NUMBERS)
+    numbers |= {"cost_mean": cost, "lost_s": lost_s}
+    return Result(key="k", outcome=outcome, reason="", numbers={} if outcome == ERROR else numbers)
+
+
+def test_interval_by_hand() -> None:
+    """1, 2, 3: mean 2, s = 1, and t = 4.3027 of two degrees of freedom (any table) over the root of three."""
+    found = estimate([1.0, 2.0, 3.0])
+    assert found is not None
+    assert (found.mean, found.n) == (2.0, 3)
+    assert found.half_width == pytest.approx(4.302653 / np.sqrt(3.0), abs=1e-6)
+
+
+@pytest.mark.parametrize("n", [2, 3, 5, 10, 200])
+def test_interval_is_students(n: int) -> None:
+    """The interval is that of scipy.stats for any number of repetitions, also of numbers far from zero."""
+    values = 100.0 + np.random.default_rng(n).normal(size=n)
+    found = estimate(list(values))
+    assert found is not None
+    assert found.half_width is not None
+    low, high = stats.t.interval(0.95, n - 1, loc=values.mean(), scale=stats.sem(values))
+    tolerance = 1e-9  # scipy subtracts the mean in another order
+    assert found.mean - found.half_width == pytest.approx(low, abs=tolerance)
+    assert found.mean + found.half_width == pytest.approx(high, abs=tolerance)
+
+
+def test_interval_covers() -> None:
+    """Of 2000 intervals from three normally distributed values each, 95 % hold the true mean."""
+    rng = np.random.default_rng(0)
+    draws = rng.normal(3.0, 2.0, size=(2000, 3))
+    found = [estimate(list(row)) for row in draws]
+    held = [e is not None and e.half_width is not None and abs(e.mean - 3.0) <= e.half_width for e in found]
+    deviation = np.sqrt(0.95 * 0.05 / len(draws))
+    assert abs(np.mean(held) - 0.95) < 4.0 * deviation
+
+
+def test_few_repetitions() -> None:
+    """One value has a mean and no interval, none has neither; equal values have an interval of zero."""
+    single = estimate([7.0])
+    assert single is not None
+    assert (single.mean, single.half_width, single.n) == (7.0, None, 1)
+    assert estimate([]) is None
+    equal = estimate([0.1, 0.1, 0.1])
+    assert equal is not None
+    assert equal.half_width == pytest.approx(0.0, abs=ROUNDING)
+
+
+def test_lost_flights_count_but_are_not_averaged() -> None:
+    """Cost is averaged over completed flights; a lost one counts as flown, with its time; errors are apart."""
+    flights = [result(cost=2.0), result("diverged", cost=9.0, lost_s=14.3), result(cost=4.0), result(ERROR)]
+    base, late = measure([BASELINE, LATE], [[result(cost=1.5)], flights], NUMBERS[1:])
+    assert (late.flights, late.completed, late.errors, late.lost_s) == (3, 2, 1, (14.3,))
+    cost = late.numbers["cost_mean"]
+    assert cost is not None
+    assert (cost.mean, cost.n) == (3.0, 2)
+    assert (base.cost_ratio, late.cost_ratio) == (1.0, 2.0)
+
+
+def test_ratio_needs_both() -> None:
+    """The ratio is to the same scenario's baseline; without one, or without a completed flight, there is none."""
+    lost = [result("diverged", lost_s=1.0)]
+    _, late, other = measure([BASELINE, LATE, OTHER], [[result()], lost, [result()]], NUMBERS[1:])
+    assert late.cost_ratio is None
+    assert late.first_lost_s == 1.0
+    assert other.cost_ratio is None
+    assert measure([BASELINE, LATE], [lost, [result()]], NUMBERS[1:])[1].cost_ratio is None
