@@ -8,6 +8,8 @@ disturbance the result is the true state, whatever the delay.
 
 from collections.abc import Callable
 
+import numpy as np
+
 from agent.announced import AnnouncedInputs
 from agent.disturbance import DisturbanceEstimator
 from model import state
@@ -87,8 +89,7 @@ class StateEstimator:
         for tick in range(begin, k):
             u = announced.at(tick, before=k, x=self._estimates[-1])
             if self._disturbance is None:
-                ahead, _ = self._model.integrate(self._estimates[-1], u, self._period_s, _STEPS)
-                self._estimates.append(self._overwritten(ahead, tick + 1))
+                self._estimates.append(self._overwritten(self._predicted(tick, u), tick + 1))
             else:
                 self._estimates.append(self._disturbed(tick, u, self._disturbance))
         self._forget()
@@ -122,12 +123,20 @@ class StateEstimator:
             for uav, inputs in zip(end.uavs, end.inputs, strict=True):
                 u[state.input_slice(uav - 1)] = inputs
         forces = disturbance.forces
-        ahead, _ = self._model.integrate(self._estimates[-1], u, self._period_s, _STEPS, forces=forces)
+        ahead = self._predicted(tick, u, forces)
         found = self._overwritten(ahead.copy(), tick + 1)
         if end is not None and tick in self._measured and tick >= self._learned:
             self._learned = tick + 1
             disturbance.learn(ahead, found)
         return found
+
+    def _predicted(self, tick: int, u: Array, forces: Array | None = None) -> Array:
+        """State at the tick after one, from the estimate there.
+
+        What somebody says of itself may be a state from which there is no going on: then what was planned.
+        """
+        ahead, _ = self._model.integrate(self._estimates[-1], u, self._period_s, _STEPS, forces=forces)
+        return ahead if np.isfinite(ahead).all() else self._planned(tick + 1)
 
     def _overwritten(self, x: Array, tick: int) -> Array:
         """Replace predicted states by what was measured or received for that tick."""

@@ -17,7 +17,7 @@ from agent.announced import AnnouncedInputs
 from agent.disturbance import DisturbanceEstimator
 from agent.estimator import StateEstimator
 from model import state
-from model.arrays import Array
+from model.arrays import Array, ShapeError
 from model.discretisation import Discrete
 from model.state import input_indices
 from mpc.controller import Controller, Linear, Optimum
@@ -64,7 +64,7 @@ class _Step:
     U: Array
     law: TeamLaw | None
     linear: Linear
-    discrete: Discrete
+    discrete: Discrete | None
     negotiation: int  # exchanges still to come
     optimum: Optimum | None = None
     times_ns: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(len(STAGES), dtype=np.int64))
@@ -315,8 +315,11 @@ class AgentNode:
         watch.append(self._stopwatch())
         linear = controller.linearise(x0, u0, forces)
         watch.append(self._stopwatch())
-        discrete = controller.discretise(linear)
-        if law is not None:
+        try:
+            discrete = controller.discretise(linear)
+        except ShapeError:
+            discrete = None  # the others' states, or this flight, are beyond all bounds
+        if law is not None and discrete is not None:
             foreign = self._announced.of_another_law(self._law_since, before=k)
             columns = [input_indices(self._setup.owned[agent - 1]) for agent in foreign]
             law = controller.adapted(law, discrete, u0, U, np.concatenate(columns)) if columns else law
@@ -344,11 +347,17 @@ class AgentNode:
         """Solve, and announce the result: to the others' next round, or as the tick's answer."""
         controller = self._controller
         watch = [self._stopwatch()]
-        prediction = controller.predict(step.linear, step.discrete, step.U, step.law)
-        qp = controller.condense(step.linear, prediction, step.U, step.y_ref)
-        watch.append(self._stopwatch())
-        step.optimum = optimum = controller.conclude(controller.solve(qp), prediction, step.U, step.law)
-        watch.append(self._stopwatch())
+        if step.discrete is None:
+            optimum = controller.give_up(step.U, step.law)
+            watch += [self._stopwatch(), self._stopwatch()]
+        else:
+            with np.errstate(over="ignore", invalid="ignore"):
+                prediction = controller.predict(step.linear, step.discrete, step.U, step.law)
+                qp = controller.condense(step.linear, prediction, step.U, step.y_ref)
+                watch.append(self._stopwatch())
+                optimum = controller.conclude(controller.solve(qp), prediction, step.U, step.law)
+                watch.append(self._stopwatch())
+        step.optimum = optimum
         step.times_ns[_stage("condense") : _stage("solve") + 1] += np.diff(watch)
         step.negotiation -= 1
         plan = self._out.stamp(

@@ -18,6 +18,7 @@ from model.arrays import Array, ShapeError
 from model.linearisation import Linearisation
 
 _THETA_MAX = 2.0  # theta (see _terms) above which the period is halved: keeps the series short, free of cancellation
+_THETA_POSSIBLE = 300.0  # exp of it, and products of that, are far from what a float64 can hold
 _REMAINDER = 2.0**-53  # relative to T: below the rounding of the sum itself
 
 
@@ -43,19 +44,21 @@ def zero_order_hold(linear: Linearisation, period_s: float) -> Discrete:
         linear: Expansion about (x0, u0).
         period_s: Sampling period T_s, > 0, s.
     Returns: A, B, f_d.
-    Raises: ShapeError: A_c holds numbers that are not finite.
+    Raises: ShapeError: A_c holds numbers that are not finite, or so large that what follows would not be.
     Source: docs/equations.md (16)-(17).
     """
     # Row-major for the products below; CasADi hands out column-major.
     A_c = np.ascontiguousarray(linear.A_c)
     X = A_c * period_s
-    if not math.isfinite(_norm(X)):
-        raise ShapeError("A_c: expected finite numbers, got nan or inf")
     powers = np.empty((4, *X.shape))
     powers[0], powers[1] = np.eye(len(X)), X
-    np.matmul(X, X, out=powers[2])
-    np.matmul(powers[2], X, out=powers[3])
-    theta = max(_norm(powers[2]) ** (1 / 2), _norm(powers[3]) ** (1 / 3))
+    with np.errstate(over="ignore", invalid="ignore"):
+        np.matmul(X, X, out=powers[2])
+        np.matmul(powers[2], X, out=powers[3])
+        theta = float(np.maximum(_norm(powers[2]) ** (1 / 2), _norm(powers[3]) ** (1 / 3)))
+    if not theta <= _THETA_POSSIBLE:
+        growth = f"growth by exp({theta:g}) in {period_s:g} s"
+        raise ShapeError(f"A_c: expected finite numbers with a finite exponential, got {growth}")
     halvings = max(0, math.ceil(math.log2(theta / _THETA_MAX))) if theta > 0.0 else 0
     T = period_s / 2**halvings
     for k in (1, 2, 3):

@@ -20,7 +20,7 @@ from mpc.feedback import FeedbackError, TeamLaw, team_gain
 from mpc.prediction import Prediction, closed_loop, free_response, open_loop
 from mpc.qp import QP, Solution
 from mpc.settings import ControllerSettings, SettingsError
-from mpc.solvers import solve
+from mpc.solvers import solve, unsolved
 from mpc.target import Target, target
 
 # Rows on the decision, their bounds, and the slack column that softens each row (-1: hard; None: all hard).
@@ -262,6 +262,21 @@ class Controller:
 
     def conclude(self, solution: Solution, prediction: Prediction, U: Array, law: TeamLaw | None) -> Optimum:
         """Turn an answer into the plan to announce: relaxed, or the shifted previous plan after a failure."""
+        optimum = self._optimum(solution, prediction, U, law)
+        if np.isfinite(optimum.U).all() and np.isfinite(optimum.c).all():
+            return optimum
+        return replace(self.give_up(U, law), solution=solution)
+
+    def give_up(self, U: Array, law: TeamLaw | None) -> Optimum:
+        """The answer where there is no problem to solve, its numbers being beyond all bounds: the previous plan."""
+        m = len(self.own)
+        return Optimum(
+            U=np.clip(U[:, self.own], self._lower, self._upper),
+            c=np.zeros((0, m)) if law is None else law.c[:, self.own],
+            solution=unsolved(0, 0, self.settings.solver),
+        )
+
+    def _optimum(self, solution: Solution, prediction: Prediction, U: Array, law: TeamLaw | None) -> Optimum:
         steps, m = prediction.U_free.shape
         solved = solution.status == "solved"
         w = self.settings.relaxation if solved else 0.0

@@ -21,10 +21,26 @@ def solve(qp: QP, solver: SolverName) -> Solution:
         solver: Asked first.
     Returns: A solution with status "solved", or the last failure.
     """
+    if not (np.isfinite(qp.g).all() and np.isfinite(qp.H).all()):
+        return unsolved(len(qp.g), len(qp.A), solver)
     first = _SOLVERS[solver](qp)
     if first.status == "solved" or solver == "clarabel":
         return first
     return replace(solve_clarabel(qp), fallback=True)
+
+
+def unsolved(n: int, rows: int, solver: str) -> Solution:
+    """The answer to a program nobody was asked to solve, because its numbers are beyond all bounds."""
+    none = Residuals(stationarity=np.inf, primal=np.inf, complementarity=np.inf)
+    return Solution(
+        status="numerical",
+        z=np.zeros(n),
+        bound_multipliers=np.zeros(n),
+        row_multipliers=np.zeros(rows),
+        residuals=none,
+        iterations=0,
+        solver=solver,
+    )
 
 
 def solve_daqp(qp: QP) -> Solution:

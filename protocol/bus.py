@@ -144,7 +144,13 @@ class Bus:
         deadline = time.monotonic() + timeout_s
         early: list[Any] = []
         begun = False  # the run: the coordinator has seen everybody once
-        while missing := set(expected) - set(self._alive) - {self.name}:
+        asked = self.name == "coordinator"  # it knows
+        while (missing := set(expected) - set(self._alive) - {self.name}) or not asked:
+            if not missing:
+                # Everybody may have been there for long, in a run that has begun; then whoever records it is, too.
+                asked, still = True, self._still_expected(expected)
+                begun, expected = begun or still is not expected, still
+                continue
             left_s = deadline - time.monotonic()
             try:
                 item = self._inbox.get(timeout=max(0.0, min(left_s, _ASK_EVERY_S) if begun else left_s))

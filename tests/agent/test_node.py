@@ -14,7 +14,9 @@ from protocol.setup import Setup
 from tests.runs import end, measurement, plan, refused, roster, setup, tick, truth
 
 SHORT_HORIZON = "controller.horizon=5"  # a step of a millisecond: these tests are about messages
+CLOSED_LOOP = "controller.prediction=closed_loop"
 OTHERS = (2, 3, 4)
+SEED, LIES = 20240611, 12
 ESTIMATE_TOLERANCE = 1e-8  # N and N m: the agent's integration steps are its own, 1e-12 apart from those here
 TWO_UAVS = {
     "uavs": (2, 3),
@@ -216,6 +218,44 @@ def test_refused_measurements(run: Setup, node: AgentNode, changes: dict[str, ob
     assert tell(node, wrong) == []
     assert refused(node) == [("plant", reason, 1)]
     step(run, node, 2)
+
+
+@pytest.mark.parametrize("size", [1e1, 1e2, 1e4, 1e6])
+@pytest.mark.parametrize("law", [(), (CLOSED_LOOP, "controller.relaxation=0.5")], ids=["open-loop", "closed-loop"])
+def test_a_peer_that_lies_is_survived(size: float, law: tuple[str, ...]) -> None:
+    """Whatever another agent may say of itself, each tick is answered by a plan within the limits; then all is well."""
+    run = setup(SHORT_HORIZON, *law)
+    low, high = run.settings.limits.lower(1), run.settings.limits.upper(1)
+    rng = np.random.default_rng(SEED)
+    for _ in range(LIES):
+        node = AgentNode(run, 1)
+        tell(node, roster())
+        for k in range(4):
+            lies = [lie(run, agent, k - 1, size, rng) for agent in OTHERS] if k else []
+            made, _ = answer(tell(node, *lies, measurement(run, 1, k)))
+            assert ((low <= made.inputs) & (made.inputs <= high)).all()
+        assert refused(node) == []
+        for k in range(4, 7):
+            _, report = step(run, node, k)
+        assert report.status == "solved"
+
+
+def lie(run: Setup, agent: int, k: int, size: float, rng: np.random.Generator) -> Plan:
+    """A plan from a state that is none, as far from one as it may be without being refused."""
+    honest = plan(run, agent, k)
+    states = rng.uniform(-size, size, (1, state.PER_UAV))
+    states[:, state.E] = rng.choice([[1.0, 0, 0], [0, -1, 0], [0, 0, 1.15], [0.6, 0, -0.8]])
+    if rng.random() < 0.5:
+        states[:, state.THETA] = [0.0, np.pi / 2, 0.0]  # where roll and yaw are the same
+    steps, inputs = len(honest.inputs), honest.inputs.shape[1]
+    corrections = rng.uniform(-size, size, (steps * (run.settings.prediction == "closed_loop"), inputs))
+    limits = run.settings.limits
+    return replace(
+        honest,
+        uav_states=states,
+        inputs=rng.uniform(limits.lower(1), limits.upper(1), (steps, inputs)),
+        corrections=corrections,
+    )
 
 
 def test_the_next_measurement_waits_its_turn(run: Setup, node: AgentNode) -> None:

@@ -229,7 +229,8 @@ def test_one_row_for_each_agent_and_tick() -> None:
     def change(x: Array, u: Array) -> None:
         u[:] = np.arange(16.0)
 
-    messages = [report(run, 2, 1, plan_ages=(3,)), report(run, 1, 1), report(run, 1, 0), truth(run, 1, change)]
+    pulled = report(run, 2, 1, plan_ages=(3,), force=np.array([0.5, -1.0, 4.4]))
+    messages = [pulled, report(run, 1, 1), report(run, 1, 0), truth(run, 1, change)]
     rows = steps_rows(run, log_of(messages))
     assert [(row["tick"], row["agent"]) for row in rows] == [(0, 1), (1, 1), (1, 2)]
     assert [list(row) for row in rows] == [steps_columns(run)] * 3
@@ -239,6 +240,8 @@ def test_one_row_for_each_agent_and_tick() -> None:
     assert (first["thrust1_N"], first["moment3_z_Nm"], first["thrust2_N"]) == (0.0, 11.0, None)
     assert (second["thrust2_N"], second["moment4_z_Nm"], second["thrust3_N"]) == (4.0, 15.0, None)
     assert first["cost"] == second["cost"] > 0.0
+    assert [second[f"force_{axis}_N"] for axis in "xyz"] == [0.5, -1.0, 4.4]
+    assert [first[f"force_{axis}_N"] for axis in "xyz"] == [0.0, 0.0, 0.0]
 
 
 def test_a_log_of_another_team_has_no_flight() -> None:

@@ -197,19 +197,20 @@ def kill(agents: Mapping[str, int], kill_s: float, restart_s: float) -> Experime
             )
         )
         for back_s in (restart_s, None):
-            for agent in (f"agent{number}" for number in range(1, count + 1)):
+            for number in range(1, count + 1):
+                agent = f"agent{number}"
                 events = [(kill_s, "kill")] + ([] if back_s is None else [(back_s, "restart")])
                 script = ",".join(f'{{at_s={at_s!r},do="{do}",target="{agent}"}}' for at_s, do in events)
                 points.append(
                     Point(
                         scenario=scenario,
-                        labels={"agent": agent, "restart_s": NEVER if back_s is None else back_s},
+                        labels={"agent": str(number), "restart_s": NEVER if back_s is None else back_s},
                         text=f"{agent} {'gone for good' if back_s is None else f'back after {back_s - kill_s:g} s'}",
                         settings=(continued, f"faults.event=[{script}]"),
                     )
                 )
     legend: dict[str | float, str] = {restart_s: f"started again at {restart_s:g} s", NEVER: "not started again"}
-    axis = Axis("agent", f"killed at {kill_s:g} s")
+    axis = Axis("agent", f"agent killed at {kill_s:g} s")
     return Experiment(name="kill", points=tuple(points), x=axis, curves="restart_s", legend=legend)
 
 
@@ -221,7 +222,7 @@ def matrix(scenarios: Sequence[str], delays_s: Sequence[float], shares: Sequence
         Point(
             scenario=scenario,
             labels={"delay_s": delay_s, "loss": share},
-            text=f"{_ms(delay_s)} and {_percent(share)} lost",
+            text=f"{_ms(delay_s)} and {_percent(share)} loss",
             settings=(f"links.delay_s={delay_s!r}", f"links.loss={share!r}"),
             baseline=delay_s == share == 0.0,
         )

@@ -23,13 +23,16 @@ _CURVES = (
 _MARKER = 4.0
 
 # What is drawn against the sweep: title, number, factor.
-_PANELS = (("mean cost ($10^{-3}$)", "cost_mean", 1e3), ("payload attitude,\nlargest (deg)", "attitude_max_deg", 1.0))
+_PANELS = (("mean cost ($10^{-3}$)", "cost_mean", 1e3), ("largest payload\nattitude (deg)", "attitude_max_deg", 1.0))
 
 # Height of a panel and of all that is around them, in; height of the panel of survival, in panels.
 _PANEL_IN, _AROUND_IN, _LOW = 1.55, 0.9, 0.6
 
 # Curves are drawn this share of the axis apart, so that error bars do not hide each other.
-_APART = 0.015
+_APART = 0.02
+
+# An interval of two flights may be wider than all there is to see; then it leaves the panel, at this many means.
+_HIGHEST = 2.0
 
 
 def draw_curves(figure: "Figure", experiment: Experiment, measured: Sequence[Measured]) -> None:
@@ -53,11 +56,12 @@ def draw_curves(figure: "Figure", experiment: Experiment, measured: Sequence[Mea
         values = list(dict.fromkeys(m.point.labels[experiment.x.label] for m in shown))
         places = {value: value if isinstance(value, float) else float(i) for i, value in enumerate(values)}
         curves = _curves(experiment, shown)
+        apart = _APART * max(places.values()) if len(columns) > 1 else 0.0
         for index, (name, points) in enumerate(curves.items()):
-            style = _style(index)
+            style = dict(zip(("color", "marker", "linestyle"), _CURVES[index % len(_CURVES)], strict=True))
             if isinstance(values[0], str):
                 style["linestyle"] = "none"  # nothing lies between two names
-            shift = _APART * (max(places.values()) or 1.0) * (index - (len(curves) - 1) / 2.0)
+            shift = apart * (index - (len(curves) - 1) / 2.0)
             x = [places[m.point.labels[experiment.x.label]] + shift for m in points]
             if some_lost:
                 _draw_survival(column[0], x, points, style)
@@ -67,9 +71,10 @@ def draw_curves(figure: "Figure", experiment: Experiment, measured: Sequence[Mea
         column[-1].set_xticks(list(places.values()), [_tick(value, experiment.x.factor) for value in values])
         if len(columns) > 1:
             column[0].set_title(names[0])
-    for panel, title in zip(panels[some_lost:, 0], (title for title, _, _ in _PANELS), strict=True):
+    for panel, (title, number, factor) in zip(panels[some_lost:, 0], _PANELS, strict=True):
+        highest = max((factor * value.mean for m in measured if (value := m.numbers[number]) is not None), default=1.0)
         panel.set_ylabel(title)
-        panel.set_ylim(bottom=0.0)
+        panel.set_ylim(0.0, min(panel.get_ylim()[1], _HIGHEST * highest) or 1.0)
     if some_lost:
         panels[0, 0].set_ylabel("flights\ncompleted (%)")
         panels[0, 0].set_ylim(-15.0, 130.0)
@@ -95,11 +100,12 @@ def _curves(experiment: Experiment, measured: Sequence[Measured]) -> dict[str, l
 
 
 def _draw_survival(axes: "Axes", x: Sequence[float], points: Sequence[Measured], style: dict[str, Any]) -> None:
-    """Share of the flights that were completed; a cross where any was lost."""
+    """Share of the flights that were completed; a cross instead of the marker where any was lost."""
     shares = [100.0 * m.completed / m.flights if m.flights else math.nan for m in points]
-    axes.plot(x, shares, **style, markersize=_MARKER)
-    crossed = [(at, share) for at, share in zip(x, shares, strict=True) if share < 100.0]
-    axes.plot([at for at, _ in crossed], [share for _, share in crossed], "kx", markersize=2.0 * _MARKER)
+    axes.plot(x, shares, color=style["color"], linestyle=style["linestyle"])
+    for at, share in zip(x, shares, strict=True):
+        marker = "x" if share < 100.0 else style["marker"]
+        axes.plot([at], [share], color=style["color"], marker=marker, markersize=_MARKER, markeredgewidth=1.5)
 
 
 def _draw_means(
@@ -111,11 +117,8 @@ def _draw_means(
         value = m.numbers[number]
         means.append(math.nan if value is None else factor * value.mean)
         halves.append(0.0 if value is None or value.half_width is None else factor * value.half_width)
-    axes.errorbar(x, means, halves, **style, markersize=_MARKER, capsize=2.0, elinewidth=0.8)
-
-
-def _style(index: int) -> dict[str, Any]:
-    return dict(zip(("color", "marker", "linestyle"), _CURVES[index % len(_CURVES)], strict=True))
+    axes.plot(x, means, **style, markersize=_MARKER)
+    axes.errorbar(x, means, halves, color=style["color"], linestyle="none", capsize=2.0, elinewidth=0.8)
 
 
 def _tick(value: str | float, factor: float) -> str:

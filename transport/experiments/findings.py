@@ -24,21 +24,24 @@ def _sentence(measured: Sequence[Measured]) -> str:
 
 def _survival(measured: Sequence[Measured]) -> str:
     flown = [m for m in measured if m.flights]
-    held = [m for m in flown if m.completed == m.flights]
+    lost = [m for m in flown if m.completed < m.flights]
     flights, completed = sum(m.flights for m in flown), sum(m.completed for m in flown)
     count = f"{completed} of {flights} flights"
-    if len(held) == len(flown):
+    if not lost:
         return f"completes all {len(flown)} points ({count})"
-    lost = [m for m in flown if m.completed < m.flights]
-    named = [f"{m.point.text}: {_loss(m)}" for m in lost[:_NAMED]]
-    more = f" and {len(lost) - _NAMED} more" if len(lost) > _NAMED else ""
-    return f"completes {len(held)} of {len(flown)} points ({count}), not {', '.join(named)}{more}"
+    if len(lost) <= _NAMED:
+        which = ", ".join(f"{m.point.text} ({_loss(m)})" for m in lost)
+        return f"completes {count}, all but at {which}"
+    first = min(lost, key=lambda m: m.lost_s)
+    return f"completes {count}, all at {len(flown) - len(lost)} of {len(flown)} points; first loss at {_when(first)}"
 
 
 def _loss(m: Measured) -> str:
-    if m.flights == 1:
-        return f"lost at {m.lost_s[0]:.1f} s"
-    return f"{len(m.lost_s)} of {m.flights} lost, first at {m.lost_s[0]:.1f} s"
+    return f"lost at {m.lost_s[0]:.1f} s" if m.flights == 1 else f"{m.completed} of {m.flights}"
+
+
+def _when(m: Measured) -> str:
+    return f"{m.lost_s[0]:.1f} s ({m.point.text})"
 
 
 def _attitude(measured: Sequence[Measured]) -> str:

@@ -18,7 +18,7 @@ _PRINT = 7.0
 _COLOURS = "viridis"
 
 # A cell in which no flight was completed.
-_LOST: dict[str, Any] = {"facecolor": "#e3e3e3", "edgecolor": "#a0a0a0", "hatch": "////", "linewidth": 0.0}
+_LOST: dict[str, Any] = {"facecolor": "#e3e3e3", "edgecolor": "#ffffff", "hatch": "////", "linewidth": 1.0}
 _LIGHT, _DARK = "#ffffff", "#000000"
 _MIDDLE = 0.55  # of the colour scale: below, text is light
 
@@ -34,6 +34,7 @@ def draw_maps(figure: "Figure", x: Axis, y: Axis, measured: Sequence[Measured]) 
     """
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LogNorm
+    from matplotlib.ticker import FormatStrFormatter, LogLocator
 
     scenarios = list(dict.fromkeys(m.point.scenario for m in measured))
     down, across = math.ceil(len(scenarios) / _ACROSS), min(len(scenarios), _ACROSS)
@@ -54,6 +55,9 @@ def draw_maps(figure: "Figure", x: Axis, y: Axis, measured: Sequence[Measured]) 
         axes.set_ylabel(y.title)
     scale = ScalarMappable(LogNorm(low, high), _COLOURS)
     bar = figure.colorbar(scale, ax=panels, label="mean cost ($10^{-3}$)", pad=0.02, aspect=25)
+    bar.ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 3.0, 5.0, 7.0)))
+    bar.ax.yaxis.set_major_formatter(FormatStrFormatter("%g"))
+    bar.ax.minorticks_off()
     bar.outline.set_visible(False)
 
 
@@ -72,7 +76,7 @@ def _draw_map(axes: "Axes", x: Axis, y: Axis, measured: Sequence[Measured], low:
         else:
             value = 1e3 * cost.mean
             share = math.log(value / low) / math.log(high / low)
-            style = {"facecolor": mpl.colormaps[_COLOURS](share), "linewidth": 0.0}
+            style = {"facecolor": mpl.colormaps[_COLOURS](share), "edgecolor": "#ffffff", "linewidth": 1.0}
             ink = _LIGHT if share < _MIDDLE else _DARK
             text = f"{value:.2f}" + (f"\n{m.completed}/{m.flights}" if m.completed < m.flights else "")
         axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1.0, 1.0, **style))
