@@ -18,7 +18,7 @@ from model import dynamics, rotations, state
 from model.arrays import Array, ShapeError
 from model.dynamics import Symbols
 
-_FUNCTIONS = ("derivative", "tensions", "outputs", "linearise", "step")
+_FUNCTIONS = ("derivative", "tensions", "velocities", "outputs", "linearise", "step")
 
 # Coefficients of the Dormand-Prince 5(4) pair (J. Comput. Appl. Math. 6, 1980): stages, 5th order, 4th order.
 _DP_STAGES: tuple[tuple[float, ...], ...] = (
@@ -75,6 +75,7 @@ def functions(N: int) -> dict[str, ca.Function]:
 
     derivative  (x, u, p, F) -> x'
     tensions    (x, u, p, F) -> rod tensions
+    velocities  (x, p) -> velocities of the centres of mass
     outputs     (x, p) -> y
     linearise   (x, u, p, F) -> x', A_c, B_c, y, C
     step        (x, u, p, F, h) -> x after h seconds of constant u and F by one Dormand-Prince step and projection
@@ -109,6 +110,7 @@ def _build(N: int) -> dict[str, ca.Function]:
     return {
         "derivative": f,
         "tensions": ca.Function("tensions", [s.x, s.u, s.p, s.F], [tensions]),
+        "velocities": ca.Function("velocities", [s.x, s.p], [dynamics.velocities(s)]),
         "outputs": ca.Function("outputs", [s.x, s.p], [y]),
         "linearise": ca.Function("linearise", [s.x, s.u, s.p, s.F], [ca.densify(value) for value in linearised]),
         "step": ca.Function("step", [s.x, s.u, s.p, s.F, h], [dynamics.project(fifth, N), error]),
@@ -141,6 +143,8 @@ def _read_cache(path: Path) -> dict[str, ca.Function] | None:
     if hashlib.sha256(body).hexdigest().encode() != checksum:
         return None  # cut or damaged: CasADi must never see it
     parts = body.decode("latin-1").split("\n")
+    if len(parts) != len(_FUNCTIONS):
+        return None  # written by a process whose source was changed while it ran
     return {name: ca.Function.deserialize(part) for name, part in zip(_FUNCTIONS, parts, strict=True)}
 
 

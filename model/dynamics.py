@@ -124,6 +124,19 @@ def uav_positions(symbols: Symbols) -> list[ca.SX]:
     return positions
 
 
+def velocities(symbols: Symbols) -> ca.SX:
+    """Of the centres of mass of payload and UAVs, (1 + N, 3), inertial frame, m/s. Source: docs/equations.md (39)."""
+    x = symbols.x
+    R0, v0, omega0 = rotation(x[state.THETA0]), x[state.V0], x[state.OMEGA0]
+    rows = [(R0 @ v0).T]
+    for i in range(symbols.N):
+        _, _, rho, length = symbols.uav(i)
+        block = x[state.uav_slice(i)]
+        swing = length * ca.cross(block[state.ROD_RATE], block[state.E])
+        rows.append((R0 @ (v0 + ca.cross(omega0, rho) - swing)).T)
+    return ca.vertcat(*rows)
+
+
 def outputs(symbols: Symbols) -> ca.SX:
     """y = h(x) = [r_1..r_N, Theta_0, yaw rates of the UAVs], (4 N + 3), SI. Source: docs/equations.md (14)."""
     yaw_rates = [symbols.x[state.uav_slice(i)][state.OMEGA][2] for i in range(symbols.N)]

@@ -5,11 +5,9 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from model import state
 from model.arrays import Array
 from model.compiled import Compiled, functions
 from model.parameters import System
-from model.rotations import rotation
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,12 +46,11 @@ class Model:
         self._functions = functions(system.N)
         self._derivative = Compiled(self._functions["derivative"])
         self._tensions = Compiled(self._functions["tensions"])
+        self._velocities = Compiled(self._functions["velocities"])
         self._outputs = Compiled(self._functions["outputs"])
         self._linearise = Compiled(self._functions["linearise"])
         self._steps: dict[int, Compiled] = {}
         self._no_forces = np.zeros(3 + 3 * system.N)
-        self._rho = np.array([uav.rho for uav in system.uavs])
-        self._lengths = np.array([[uav.rod_length] for uav in system.uavs])
 
     def derivative(self, x: Array, u: Array, *, forces: Array | None = None) -> Array:
         """x' = f(x, u, F), (n,), SI. Source: docs/equations.md (4)-(13), (37)."""
@@ -72,10 +69,7 @@ class Model:
 
         Source: docs/equations.md (39).
         """
-        view = state.StateView(x)
-        uavs_P = view.v0_P + np.cross(view.omega0_P, self._rho) - self._lengths * np.cross(view.Omega_P, view.e_P)
-        velocities: Array = np.vstack([view.v0_P, uavs_P]) @ rotation(view.Theta0).T
-        return velocities
+        return self._velocities(x, self._p)[0]
 
     def linearise(self, x: Array, u: Array, *, forces: Array | None = None) -> Linearisation:
         """Exact derivatives about (x, u) under constant forces. Source: docs/equations.md (15), (37); paper (13)."""

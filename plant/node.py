@@ -89,6 +89,8 @@ class PlantNode:
                 self._hear(event, now_ns)
             case Presence(name="coordinator", alive=False):
                 self.finished = lost(self._out, self._state_tick, "coordinator is gone")
+            case Presence(alive=False):
+                self._membership.close(event.name, event.incarnation)
         return self._work(now_ns) if self.finished is None else ()
 
     def poll(self, now_ns: int) -> Sequence[Message]:  # noqa: ARG002

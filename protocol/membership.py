@@ -25,6 +25,8 @@ class Membership:
         self._incarnations: dict[int, int] = {}
         self._newest: dict[int, int] = {}  # highest incarnation ever on a roster
         self._early: list[Plan] = []
+        self._left: dict[int, tuple[int, int]] = {}  # last incarnation of those that left, and the tick they did at
+        self._closed: dict[int, int] = {}  # newest incarnation of each agent that is known to be gone
         self._history: dict[int, frozenset[int]] = {0: frozenset()}  # agents by version of the roster
 
     @property
@@ -33,8 +35,23 @@ class Membership:
         return set(self._incarnations)
 
     def took_part(self, tick: int) -> set[int]:
-        """Agents that take part and did so at a tick, in the same incarnation: only these can have a plan of it."""
-        return {agent for agent, since in self.since.items() if since <= tick}
+        """Agents whose plans of a tick are here or still to come, also of those that have left since.
+
+        Of those that have left, what they said before is on its way until their connection is closed.
+        """
+        present = {agent for agent, since in self.since.items() if since <= tick}
+        left = {
+            agent
+            for agent, (incarnation, at) in self._left.items()
+            if tick < at and incarnation > self._closed.get(agent, -1)
+        }
+        return present | left
+
+    def close(self, name: str, incarnation: int) -> None:
+        """A process is gone: whatever it has said has arrived, or never will."""
+        agent = name.removeprefix("agent")
+        if agent != name and agent.isdecimal():
+            self._closed[int(agent)] = max(incarnation, self._closed.get(int(agent), -1))
 
     def agents_at(self, version: int) -> frozenset[int]:
         """Agents on the roster of a version: what everybody knows at a tick that names it, whatever has come since."""
@@ -59,6 +76,9 @@ class Membership:
         self._history[roster.version] = frozenset(roster.agents)
         before = self._incarnations
         self._incarnations = dict(zip(roster.agents, roster.incarnations, strict=True))
+        for agent, incarnation in before.items():
+            if self._incarnations.get(agent) != incarnation:
+                self._left[agent] = incarnation, roster.tick
         self.since = {
             agent: self.since[agent] if before.get(agent) == incarnation else roster.tick
             for agent, incarnation in self._incarnations.items()
@@ -75,6 +95,9 @@ class Membership:
         """
         if self._incarnations.get(plan.agent) == plan.incarnation:
             return True
+        incarnation, at = self._left.get(plan.agent, (-1, 0))
+        if plan.incarnation == incarnation and plan.tick < at:
+            return True  # said while it took part: on every connection it counts
         if plan.incarnation <= self._newest.get(plan.agent, -1):
             raise MessageError("wrong_incarnation", "plan of an incarnation that is not on the roster")
         if len(self._early) >= _KEPT:

@@ -32,8 +32,8 @@ RANGE = re.compile(r"\((\d+)([a-z]?)\)(?:-\((\d+)[a-z]?\))?")
 SECTION_HEADING = re.compile(r"### `(\[{1,2})([\w.]+)\]{1,2}`")
 TOP_LEVEL = "### Top level"
 KEY_ROW = re.compile(r"\| `(\w+)` \| [^|]+ \| ([^|]+) \| [^|]+ \|")
-# An override has the keys of a link besides its own; the document says so instead of repeating them.
-OVERRIDE = "links.override"
+# These have the keys of a link besides their own; the document says so instead of repeating them.
+LIKE_LINKS = ("links.measurement", "links.actuation", "links.override", "links.change")
 
 Command = TyperCommand | TyperGroup
 
@@ -99,7 +99,7 @@ def sections(
     """Every section of a scenario: dotted path, whether it is a list of tables, and its values by key."""
     values = {}
     for name, field in section.model_fields.items():
-        if path == OVERRIDE and name in LinkSection.model_fields:
+        if path in LIKE_LINKS and name in LinkSection.model_fields:
             continue
         key = field.alias or name
         inner = nested(field.annotation)
@@ -107,7 +107,7 @@ def sections(
             values[key] = field
         else:
             yield from sections(inner[0], f"{path}.{key}" if path else key, inner[1])
-    if values:
+    if values or path in LIKE_LINKS:
         yield path, is_list, values
 
 

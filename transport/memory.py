@@ -85,7 +85,8 @@ class _Flight:
     def _tell(self, event: Presence) -> None:
         self._send(self._coordinator.receive(event, self._now_ns))
 
-    def _deliver(self, message: Message) -> None:
+    def _heard_by(self, message: Message) -> list[str]:
+        """Names of the processes a message is for."""
         key = self._keys.of(message)
         if key not in self._listeners:
             self._listeners[key] = [
@@ -93,7 +94,10 @@ class _Flight:
                 for name, expressions in self._subscriptions.items()
                 if name != message.sender and any(matches(expression, key) for expression in expressions)
             ]
-        for name in self._listeners[key]:
+        return self._listeners[key]
+
+    def _deliver(self, message: Message) -> None:
+        for name in self._heard_by(message):
             node = self._nodes.get(name)
             if node is not None and not self._fails(name, message):
                 self._send(node.receive(message, self._now_ns))

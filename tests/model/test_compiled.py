@@ -1,5 +1,6 @@
 """Compiled models on disk: the cache may be missing, damaged or unwritable, and never changes a bit of a result."""
 
+import hashlib
 import os
 import shutil
 import subprocess
@@ -41,6 +42,7 @@ def results(built: dict[str, ca.Function]) -> list[Array]:
     arguments: dict[str, tuple[Array | float, ...]] = {
         "derivative": (x, u, p, F),
         "tensions": (x, u, p, F),
+        "velocities": (x, p),
         "outputs": (x, p),
         "linearise": (x, u, p, F),
         "step": (x, u, p, F, 0.05),
@@ -93,12 +95,18 @@ def empty(_: bytes) -> bytes:
     return b""
 
 
+def of_another_version(content: bytes) -> bytes:
+    """One function less, with the checksum that belongs to it: from a process whose source has changed since."""
+    body = b"\n".join(content.split(b"\n")[1:-1])
+    return hashlib.sha256(body).hexdigest().encode() + b"\n" + body
+
+
 def foreign(_: bytes) -> bytes:
     """Something else under the same name, without a line break."""
     return bytes(range(11, 256))
 
 
-@pytest.mark.parametrize("damage", [truncated, flipped, wrong_checksum, empty, foreign])
+@pytest.mark.parametrize("damage", [truncated, flipped, wrong_checksum, empty, of_another_version, foreign])
 def test_damaged_files_are_rebuilt(cache: Path, damage: Callable[[bytes], bytes]) -> None:
     """CasADi never sees a file that is not what was written; the result is as fresh and the file is repaired."""
     fresh = functions(N)

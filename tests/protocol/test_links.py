@@ -111,12 +111,44 @@ def test_partition_has_a_start_and_an_end() -> None:
     assert [bool(one.delays(tick)) for tick in (9, 10, 19, 20)] == [True, False, False, True]
 
 
+@pytest.mark.parametrize("rate_hz", [0.5, 3.0, 7.0, 10.0, 15.0, 19.9])
+def test_rate_limit(rate_hz: float) -> None:
+    """Of 20 messages a second a link of r Hz carries r in every whole second, as evenly spread as ticks allow."""
+    carried = np.array([bool(delays) for delays in fates(LinkModel(rate_hz=rate_hz))])
+    assert carried[0]
+    at = np.flatnonzero(carried)
+    # Seconds since the first message times the rate, rounded: at most one message from a steady flow at any instant.
+    assert np.abs(np.cumsum(carried) - 1.0 - np.arange(COUNT) * PERIOD_S * rate_hz).max() <= 1.0
+    apart = 1.0 / (PERIOD_S * rate_hz)
+    assert set(np.diff(at)) <= {int(np.floor(apart)), int(np.ceil(apart))}
+
+
+@pytest.mark.parametrize("rate_hz", [20.0, 21.0, 1e9, np.inf])
+def test_rate_above_the_sampling_rate(rate_hz: float) -> None:
+    """A link that could carry as many messages as are sent, or more, carries all of them."""
+    assert all(delays == [0.0] for delays in fates(LinkModel(rate_hz=rate_hz))[:1000])
+
+
 @pytest.mark.parametrize(
     ("delay_s", "ticks"), [(0.0, 1), (0.03, 1), (0.05, 1), (0.051, 2), (0.1, 2), (0.15, 3), (0.4, 8)]
 )
 def test_virtual_arrival(delay_s: float, ticks: int) -> None:
     """A message is usable at the first tick later than its own at or after its arrival. Source: docs/time.md."""
     assert link(LinkModel(delay_s=delay_s)).usable_ticks(7) == [7 + ticks]
+
+
+def test_within_the_tick() -> None:
+    """What may be used in its own tick, as measurements are, is usable there over a perfect link and no later."""
+    for delay_s, ticks in ((0.0, 0), (0.01, 1), (0.05, 1), (0.051, 2)):
+        assert link(LinkModel(delay_s=delay_s)).usable_ticks(7, after=0) == [7 + ticks]
+
+
+def test_negotiations_have_fates_of_their_own() -> None:
+    """Plans exchanged within one tick are lost independently of each other and of the tick's last one."""
+    one = link(LinkModel(loss=0.5))
+    lost = np.array([[not one.delays(tick, negotiation) for tick in range(2000)] for negotiation in range(4)])
+    correlations = np.corrcoef(lost)[np.triu_indices(4, 1)]
+    assert np.abs(correlations).max() < SIGMAS / np.sqrt(2000)
 
 
 def test_the_order_of_questions_does_not_matter() -> None:
@@ -137,6 +169,85 @@ def test_links_and_seeds_are_independent() -> None:
     lost = np.array([[not one.delays(tick) for tick in range(2000)] for one in variants], dtype=float)
     correlations = np.corrcoef(lost)[np.triu_indices(len(variants), 1)]
     assert np.abs(correlations).max() < SIGMAS / np.sqrt(2000)
+
+
+ENDS = (("agent1", "agent2"), ("agent2", "agent1"), ("plant", "agent1"), ("plant", "agent2"), ("agent1", "plant"))
+
+
+def delays_ms(*settings: str, tick: int = 0) -> list[int]:
+    """The fixed delays of some links of a scenario, in the order of `ENDS`."""
+    run = setup(*settings)
+    return [round(1e3 * run.link(*ends).model(tick).delay_s) for ends in ENDS]
+
+
+@pytest.mark.parametrize(
+    ("settings", "expected"),
+    [
+        ((), [0, 0, 0, 0, 0]),
+        (("links.delay_s=0.1",), [100, 100, 0, 0, 0]),
+        (("links.measurement.delay_s=0.1",), [0, 0, 100, 100, 0]),
+        (("links.actuation.delay_s=0.1",), [0, 0, 0, 0, 100]),
+        # An override concerns the plant only by name.
+        (("links.override=[{delay_s=0.1}]",), [100, 100, 0, 0, 0]),
+        (("links.override=[{from='agent1',delay_s=0.1}]",), [100, 0, 0, 0, 0]),
+        (("links.override=[{to='agent1',delay_s=0.1}]",), [0, 100, 0, 0, 0]),
+        (("links.override=[{from='plant',delay_s=0.1}]",), [0, 0, 100, 100, 0]),
+        (("links.override=[{from='plant',to='agent2',delay_s=0.1}]",), [0, 0, 0, 100, 0]),
+        (("links.override=[{to='plant',delay_s=0.1}]",), [0, 0, 0, 0, 100]),
+        # It replaces what is said of all such links, and the last one counts.
+        (("links.measurement={delay_s=0.1}", "links.override=[{from='plant',to='agent1',loss=0.5}]"), [0, 0, 0, 100, 0]),
+        (("links.override=[{from='agent1',delay_s=0.1},{to='agent2',delay_s=0.2}]",), [200, 0, 0, 0, 0]),
+    ],
+)
+def test_which_links_a_section_is_for(settings: tuple[str, ...], expected: list[int]) -> None:
+    """Plans, measurements and actuation have a section each; an override has what fits its ends."""
+    assert delays_ms(*settings) == expected
+
+
+def test_partition_with_the_plant() -> None:
+    """A partition cuts links between its members and the rest; the plant's only if it is named."""
+
+    def cut(between: str) -> list[bool]:
+        run = setup(f"links.partition=[{{between={between},start_s=0.0,end_s=1.0}}]")
+        return [not run.link(*ends).delays(0) for ends in ENDS]
+
+    assert cut("['agent1']") == [True, True, False, False, False]
+    assert cut("['plant']") == [False, False, True, True, True]
+    assert cut("['agent1','plant']") == [True, True, False, True, False]
+    assert cut("['agent1','agent2']") == [False, False, False, False, False]
+
+
+def test_scripted_change() -> None:
+    """From its instant on a change holds for the links it names; keys that it does not give stay as they are."""
+    settings = (
+        "links={delay_s=0.1,loss=0.25}",
+        "links.change=[{at_s=0.5,delay_s=0.2},{at_s=1.0,to='agent1',loss=0.5},{at_s=0.75,from='plant',delay_s=0.3}]",
+    )
+    assert [delays_ms(*settings, tick=tick) for tick in (9, 10, 14, 15, 100)] == [
+        [100, 100, 0, 0, 0],
+        [200, 200, 0, 0, 0],
+        [200, 200, 0, 0, 0],
+        [200, 200, 300, 300, 0],
+        [200, 200, 300, 300, 0],
+    ]
+    one = setup(*settings).link("agent2", "agent1")
+    assert [one.model(tick).loss for tick in (0, 19, 20)] == [0.25, 0.25, 0.5]
+
+
+def test_change_within_a_period() -> None:
+    """What is sent before the instant of a change is treated as before: the first tick at or after it is the first."""
+    one = setup("links.change=[{at_s=0.51,loss=1.0}]").link("agent1", "agent2")
+    assert [bool(one.delays(tick)) for tick in (10, 11)] == [True, False]
+
+
+def test_a_change_does_not_rewrite_the_past() -> None:
+    """Fates of messages sent before a change are those of a link that never changes, bursts included."""
+    bursts = "links={loss=0.1,gilbert_elliott={enter=0.1,leave=0.2}}"
+    before = setup(bursts).link("agent1", "agent2")
+    after = setup(bursts, "links.change=[{at_s=10.0,gilbert_elliott={enter=0.5,leave=0.1}}]").link("agent1", "agent2")
+    fates_before, fates_after = ([one.delays(tick) for tick in range(400)] for one in (before, after))
+    assert fates_before[:200] == fates_after[:200]
+    assert sum(map(bool, fates_after[200:])) < sum(map(bool, fates_before[200:])) - 50
 
 
 def test_measured_delays_come_from_a_file(tmp_path: Path) -> None:

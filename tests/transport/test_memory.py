@@ -1,8 +1,7 @@
 """The in-memory runtime: whole runs, their reproducibility, and what they must be equal to."""
 
 import time
-from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from itertools import pairwise
 
@@ -15,11 +14,11 @@ from model.arrays import Array
 from mpc.controller import Controller
 from plant.node import PlantNode
 from protocol.codec import decode, encode
-from protocol.keys import Keys, matches
-from protocol.messages import KINDS, STAGES, Control, Message, Plan, Presence, StepReport, agent_name
-from protocol.node import Node
+from protocol.keys import Keys
+from protocol.messages import KINDS, STAGES, Control, Message, Plan, Presence, StepReport
 from protocol.setup import Setup
 from tests.runs import SHORT, integrated, plan, recorded, reproducible, setup, truths
+from tests.transport.shuffled import fly_shuffled
 from transport import memory
 
 PERIOD_S = 0.05
@@ -109,33 +108,6 @@ def test_every_message_could_travel() -> None:
         numbers = [message.sequence for message in messages if message.sender == sender]
         assert numbers == list(range(len(numbers)))
     assert {message.kind for message in messages} == set(KINDS) - {"link", "fault", "rejected"}  # nothing happened to it
-
-
-def fly_shuffled(setup: Setup, record: Callable[[Message], None], seed: int) -> Control:
-    """Fly with messages delivered in random order, each sender's to each receiver in the order sent."""
-    rng = np.random.default_rng(seed)
-    coordinator = CoordinatorNode(setup)
-    nodes: dict[str, Node] = {"coordinator": coordinator, "plant": PlantNode(setup)}
-    nodes |= {agent_name(agent): AgentNode(setup, agent) for agent in setup.agents}
-    keys = Keys(setup.scenario.name)
-    channels: dict[tuple[str, str], deque[Message | Presence]] = {}
-
-    def send(messages: Sequence[Message]) -> None:
-        for message in messages:
-            record(message)
-            key = keys.of(message)
-            for name in nodes:
-                if name != message.sender and any(matches(e, key) for e in keys.subscriptions(name)):
-                    channels.setdefault((message.sender, name), deque()).append(message)
-
-    for name in nodes:
-        if name != "coordinator":
-            channels[(name, "coordinator")] = deque([Presence(name, 0, alive=True)])
-    while busy := [channel for channel, waiting in channels.items() if waiting]:
-        channel = busy[rng.integers(len(busy))]
-        send(nodes[channel[1]].receive(channels[channel].popleft(), 0))
-    assert coordinator.finished is not None, f"the run stands still at tick {coordinator.tick}"
-    return coordinator.finished
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -69,7 +69,7 @@ def on_cluster(cases: Sequence[Case], address: str) -> Iterator[Result]:
         _check_workers(client.scheduler_info(n_workers=-1)["workers"], address)
         futures = {client.submit(fly_in_memory, case, pure=False): case for case in cases}
         try:
-            for future in as_completed(futures):
+            for future in as_completed(futures, loop=client.loop):
                 failure = future.exception()
                 if failure is None:
                     yield future.result()

@@ -95,7 +95,7 @@ def test_a_killed_experiment_is_gone_on_with(reference: Path) -> None:
 def cluster() -> Iterator[str]:
     """Address of a cluster of two workers on this machine."""
     with LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None
+        n_workers=2, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address="127.0.0.1:0"
     ) as found:
         yield found.scheduler_address
 

@@ -1,0 +1,186 @@
+"""Changes of links in flight: each applied once, in the order of time, by whoever has the link."""
+
+import json
+from typing import Any
+
+import pytest
+
+from protocol.links import Link, LinkChanges, LinkError, link_change
+from protocol.messages import LinkChange, MessageError
+from tests.runs import setup
+
+SAMPLES = {"a.csv": (0.1, 0.2), "b.csv": (0.3,)}
+
+
+def links(*settings: str) -> dict[str, Link]:
+    """The links to agent 1, by sender."""
+    run = setup(*settings)
+    return {sender: run.link(sender, "agent1") for sender in ("agent2", "agent3", "plant")}
+
+
+def change(number: int, tick: int, source: str = "", target: str = "", **settings: Any) -> LinkChange:
+    """The coordinator changes links from a tick on."""
+    return LinkChange(
+        sender="coordinator",
+        incarnation=0,
+        sequence=number,
+        tick=tick,
+        number=number,
+        source=source,
+        target=target,
+        settings=json.dumps(settings),
+    )
+
+
+def told(found: dict[str, Link], *changes: LinkChange) -> dict[str, Link]:
+    """The links after some changes."""
+    changed = LinkChanges(found.values(), SAMPLES)
+    for message in changes:
+        changed.apply(message)
+    return found
+
+
+def losses(found: dict[str, Link], tick: int) -> list[float]:
+    """Probability of loss of each of the links."""
+    return [one.model(tick).loss for one in found.values()]
+
+
+def test_from_its_tick_on() -> None:
+    """A change holds for what is sent from its tick on, and leaves the keys it does not give as they were."""
+    found = told(links("links={delay_s=0.1,loss=0.2}"), change(1, 10, loss=0.5))
+    assert losses(found, 9) == [0.2, 0.2, 0.0]
+    assert losses(found, 10) == losses(found, 999) == [0.5, 0.5, 0.0]
+    assert found["agent2"].model(10).delay_s == 0.1
+
+
+@pytest.mark.parametrize(
+    ("ends", "expected"),
+    [
+        ({}, [0.5, 0.5, 0.0]),
+        ({"source": "agent2"}, [0.5, 0.0, 0.0]),
+        ({"target": "agent1"}, [0.5, 0.5, 0.0]),
+        ({"target": "agent2"}, [0.0, 0.0, 0.0]),
+        ({"source": "plant"}, [0.0, 0.0, 0.5]),
+        ({"source": "plant", "target": "agent1"}, [0.0, 0.0, 0.5]),
+        ({"target": "plant"}, [0.0, 0.0, 0.0]),
+    ],
+)
+def test_which_links(ends: dict[str, str], expected: list[float]) -> None:
+    """A change concerns the links it names; those of the plant only by name."""
+    assert losses(told(links(), change(1, 0, loss=0.5, **ends)), 0) == expected
+
+
+def test_told_again() -> None:
+    """All changes are told again for whoever joins: those that are known change nothing, by number."""
+    once = change(1, 5, loss=0.5)
+    twice = told(links(), once, change(2, 6, loss=0.7), once, change(1, 9, loss=1.0), change(2, 6, loss=0.7))
+    assert [losses(twice, tick)[0] for tick in (4, 5, 6, 100)] == [0.0, 0.5, 0.7, 0.7]
+
+
+def test_a_newcomer_knows_as_much() -> None:
+    """Who is told all changes at once, and late, treats every message like those who heard them as they came."""
+    changes = [change(i, 10 * i, loss=0.1 * i, delay_s=0.01 * i) for i in range(1, 9)]
+    early, late = links("links={loss=0.3}"), links("links={loss=0.3}")
+    heard = LinkChanges(early.values(), SAMPLES)
+    fates = []
+    for tick in range(120):
+        for message in changes:
+            if message.tick == tick:
+                heard.apply(message)
+        fates.append(early["agent2"].delays(tick))
+    told(late, *changes)
+    assert [late["agent2"].delays(tick) for tick in range(120)] == fates
+
+
+def test_scripted_changes_stay_where_they_are() -> None:
+    """A change by hand does not bring those forward that the scenario has for later, nor does it undo them."""
+    found = told(links("links.change=[{at_s=2.0,delay_s=0.5}]"), change(1, 10, loss=0.3))
+    models = [found["agent2"].model(tick) for tick in (9, 10, 39, 40, 100)]
+    assert [model.loss for model in models] == [0.0, 0.3, 0.3, 0.3, 0.3]
+    assert [model.delay_s for model in models] == [0.0, 0.0, 0.0, 0.5, 0.5]
+
+
+def test_a_change_by_hand_ends_with_the_next_scripted_one() -> None:
+    """Of changes of one key the one of the latest tick is in force."""
+    found = told(links("links.change=[{at_s=2.0,delay_s=0.5}]"), change(1, 10, delay_s=0.2), change(2, 50, delay_s=0.1))
+    assert [found["agent2"].model(tick).delay_s for tick in (9, 10, 39, 40, 49, 50)] == [0.0, 0.2, 0.2, 0.5, 0.5, 0.1]
+
+
+def test_partial_keys() -> None:
+    """A burst chain, a rate or measured delays are changed alone and as a whole."""
+    model = told(
+        links("links={delay_s=0.1,loss=0.2,gilbert_elliott={enter=0.1,leave=0.3,loss=0.9}}"),
+        change(1, 1, gilbert_elliott={"enter": 0.0, "leave": 1.0}),
+        change(2, 2, rate_hz=5.0),
+        change(3, 3, distribution="empirical", samples="a.csv"),
+        change(4, 4, distribution="normal", jitter_s=0.1),
+    )["agent2"].model
+    assert (model(0).burst_enter, model(0).burst_leave, model(0).burst_loss) == (0.1, 0.3, 0.9)
+    assert (model(1).burst_enter, model(1).burst_leave, model(1).burst_loss) == (0.0, 1.0, 1.0)
+    assert model(2).rate_hz == 5.0
+    assert (model(3).distribution, model(3).samples_s) == ("empirical", SAMPLES["a.csv"])
+    assert (model(4).distribution, model(4).samples_s, model(4).jitter_s) == ("normal", (), 0.1)
+    assert {(model(k).loss, model(k).delay_s) for k in range(5)} == {(0.2, 0.1)}
+
+
+WRONG = [
+    "",
+    "loss",
+    "[]",
+    "3",
+    "null",
+    '"loss"',
+    "[" * 999,
+    '{"los": 0.1}',
+    '{"loss": 1.5}',
+    '{"loss": "much"}',
+    '{"loss": NaN}',
+    '{"delay_s": -1}',
+    '{"rate_hz": 0}',
+    '{"gilbert_elliott": {"enter": 0.1}}',
+    '{"distribution": "gauss"}',
+    '{"from": 3}',
+    '{"partition": []}',
+    '{"at_s": 1.0}',
+    '{"samples": "a.csv"}',
+    '{"distribution": "empirical"}',
+    '{"distribution": "normal", "samples": "a.csv"}',
+]
+
+
+@pytest.mark.parametrize("settings", WRONG)
+def test_what_is_no_change_is_refused(settings: str) -> None:
+    """Whatever is no JSON object of a link's keys is refused on one line, changes nothing, and does not count."""
+    with pytest.raises(LinkError) as caught:
+        link_change("", "", settings)
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 300
+    found = links()
+    changes = LinkChanges(found.values(), SAMPLES)
+    wrong = LinkChange(
+        sender="coordinator", incarnation=0, sequence=0, tick=0, number=1, source="", target="", settings=settings
+    )
+    with pytest.raises(MessageError) as refused:
+        changes.apply(wrong)
+    assert refused.value.reason == "out_of_range"
+    changes.apply(change(1, 3, loss=0.4))
+    assert losses(found, 3) == [0.4, 0.4, 0.0]
+
+
+def test_measured_delays_that_nobody_has() -> None:
+    """Measured delays travel with the scenario: a file that it does not name is refused by whoever is told of it."""
+    found = links()
+    changes = LinkChanges(found.values(), SAMPLES)
+    with pytest.raises(MessageError, match=r"samples: expected a file that the scenario names, got 'c.csv'"):
+        changes.apply(change(1, 0, distribution="empirical", samples="c.csv"))
+    assert found["agent2"].model(0).perfect
+
+
+def test_changes_come_in_order() -> None:
+    """A change is not taken in before those with lower numbers: whoever misses one would fly over other links."""
+    found = links()
+    changes = LinkChanges(found.values(), SAMPLES)
+    with pytest.raises(MessageError) as caught:
+        changes.apply(change(2, 0, loss=0.2))
+    assert caught.value.reason == "future"
+    assert losses(found, 0) == [0.0, 0.0, 0.0]

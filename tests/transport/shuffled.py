@@ -1,0 +1,74 @@
+"""The in-memory runtime on a network whose connections differ in speed, anew with every message."""
+
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from protocol.messages import Control, Message, Presence
+from protocol.setup import Setup
+from tests.runs import end
+from transport import memory
+
+# Stands in the runtime's queue for "one delivery more"; which one, chance decides.
+_SOMETHING = end()
+
+
+class _Shuffled(memory._Flight):
+    """A flight whose messages arrive in random order, each sender's at each receiver in the order sent."""
+
+    def __init__(self, setup: Setup, record: Callable[[Message], None], seed: int) -> None:
+        super().__init__(setup, record, time.perf_counter_ns)
+        self._rng = np.random.default_rng(seed)
+        self._channels: dict[tuple[str, str], deque[Message | Presence]] = {}
+
+    def _send(self, messages: Sequence[Message]) -> None:
+        for message in messages:
+            if message.sender == self._coordinator.name and self._fails(message.sender, message):
+                return
+            self._record(message)
+            for name in self._heard_by(message):
+                self._put(message.sender, name, message)
+
+    def _tell(self, event: Presence) -> None:
+        self._put(event.name, self._coordinator.name, event)
+        if not event.alive:  # everybody sees the connection close, each in its own time
+            for name in self._nodes.keys() - {self._coordinator.name, event.name}:
+                self._put(event.name, name, event)
+
+    def _fails(self, name: str, message: Message) -> bool:
+        failed = super()._fails(name, message)
+        if failed:
+            for (_, receiver), waiting in self._channels.items():
+                if receiver == name:
+                    waiting.clear()  # it is not there any more to hear them
+        return failed
+
+    def _put(self, sender: str, receiver: str, event: Message | Presence) -> None:
+        if receiver not in self._nodes:
+            return
+        self._channels.setdefault((sender, receiver), deque()).append(event)
+        self._queue.append(_SOMETHING)
+
+    def _deliver(self, message: Message) -> None:
+        assert message is _SOMETHING
+        busy = [channel for channel, waiting in self._channels.items() if waiting]
+        if not busy:
+            return
+        sender, name = busy[self._rng.integers(len(busy))]
+        event = self._channels[sender, name].popleft()
+        node = self._nodes.get(name)
+        if node is not None and not (isinstance(event, Message) and self._fails(name, event)):
+            self._send(node.receive(event, self._now_ns))
+
+
+def fly_shuffled(setup: Setup, record: Callable[[Message], None], seed: int) -> Control:
+    """Fly with messages delivered in random order, each sender's to each receiver in the order sent.
+
+    Args:
+        setup: The run.
+        record: Called with every message as it is sent.
+        seed: Of the order.
+    """
+    return _Shuffled(setup, record, seed).run()

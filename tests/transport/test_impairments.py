@@ -1,0 +1,217 @@
+"""Flights over bad links: what every node works with is what the links let through, in any order of delivery."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+from model import state
+from protocol.codec import encode
+from protocol.messages import Measurement, Message, Plan, StepReport, Truth, agent_name
+from protocol.setup import Setup
+from tests.runs import SHORT, recorded, reproducible, setup, ticks, truths
+from tests.transport.shuffled import fly_shuffled
+
+PERIOD_S, TICKS = 0.05, 30
+FAIL_SAFE = -2
+
+# Only the shared law flies over a bad network.
+RESILIENT = ("controller.prediction=closed_loop", "controller.relaxation=0.25")
+
+# Everything at once that links can do, to all kinds of messages.
+HEAVY = (
+    "links={delay_s=0.06,jitter_s=0.1,loss=0.15,duplicate=0.2,reorder=0.2,reorder_s=0.1,rate_hz=15.0,"
+    "gilbert_elliott={enter=0.1,leave=0.4},"
+    "measurement={delay_s=0.05,jitter_s=0.05,loss=0.1,duplicate=0.1,reorder=0.1,reorder_s=0.1},"
+    "actuation={delay_s=0.03,jitter_s=0.05,loss=0.1,duplicate=0.1,reorder=0.1,reorder_s=0.1},"
+    "override=[{from='agent1',to='agent2',loss=0.5},{from='plant',to='agent3',distribution='normal',jitter_s=0.05}],"
+    "partition=[{between=['agent3','plant'],start_s=0.4,end_s=0.6}],"
+    "change=[{at_s=0.8,loss=0.3,rate_hz=20.0},{at_s=0.9,from='plant',delay_s=0.0}]}"
+)
+NEXT_TICK, ROUNDS = "clock.actuation=next_tick", "controller.rounds=2"
+FAULTS = (
+    "clock.on_agent_loss=continue",
+    "faults.event=[{at_s=0.3,do='stop',target='agent2'},{at_s=0.7,do='continue',target='agent2'},"
+    "{at_s=0.5,do='kill',target='agent4'},{at_s=0.9,do='restart',target='agent4'}]",
+)
+
+# The model alone predicts over a delay: agents and plant integrate with steps of their own, 1e-11 apart per period.
+PREDICTION_TOLERANCE = 1e-8
+
+
+@lru_cache
+def flight(*settings: str) -> tuple[Message, ...]:
+    """Every message of a short flight."""
+    return tuple(recorded(setup(SHORT, *RESILIENT, *settings)))
+
+
+def reports(messages: Sequence[Message], agent: int) -> list[StepReport]:
+    """An agent's reports, in order of their ticks."""
+    found = [message for message in messages if isinstance(message, StepReport) and message.agent == agent]
+    assert [report.tick for report in found] == list(range(len(found)))
+    return found
+
+
+def newest(run: Setup, ends: tuple[str, str], tick: int, after: int) -> int:
+    """The newest message that a link has let through by a tick; -1 for none."""
+    link = run.link(*ends)
+    usable = [k for k in range(tick + 1) if min(link.usable_ticks(k, after), default=TICKS) <= tick]
+    return max(usable, default=-1)
+
+
+@pytest.mark.parametrize("settings", [(HEAVY,), (HEAVY, NEXT_TICK), (HEAVY, ROUNDS, NEXT_TICK)])
+def test_everybody_works_with_what_the_links_let_through(settings: tuple[str, ...]) -> None:
+    """Ages of plans, states and measurements in every report are those that follow from the links and nothing else."""
+    run, messages = setup(SHORT, *RESILIENT, *settings), flight(*settings)
+    ages = []
+    for agent in run.agents:
+        found = reports(messages, agent)
+        assert len(found) == TICKS  # lost or late, no message keeps the clock
+        for report in found:
+            k = report.tick
+            sent = {name: newest(run, (name, agent_name(agent)), k, 1) for name in map(agent_name, report.peers)}
+            assert report.plan_ages == tuple(-1 if at < 0 else k - at for at in sent.values())
+            assert report.state_ages == report.plan_ages
+            seen = newest(run, ("plant", agent_name(agent)), k, 0)
+            assert report.measurement_age == (-1 if seen < 0 else k - seen)
+            ages += [*report.plan_ages, report.measurement_age]
+    assert {-1, 0, 1, 2, 3, 4} <= set(ages)
+
+
+@pytest.mark.parametrize(("settings", "after"), [((HEAVY,), 0), ((HEAVY, NEXT_TICK), 1)])
+def test_the_plant_plays_what_the_links_let_through(settings: tuple[str, ...], after: int) -> None:
+    """`Truth.plan_ticks` names for each UAV the newest plan that has come to the plant, and -1 before the first."""
+    run, messages = setup(SHORT, *RESILIENT, *settings), flight(*settings)
+    for truth in truths(messages):
+        expected = tuple(newest(run, (agent_name(agent), "plant"), truth.tick, after) for agent in run.agents)
+        assert truth.plan_ticks == expected
+
+
+@pytest.mark.parametrize(("delay_s", "age"), [(0.01, 1), (0.05, 1), (0.06, 2), (0.15, 3)])
+def test_a_delayed_measurement_is_predicted_over(delay_s: float, age: int) -> None:
+    """A measurement delayed by d is used from d later on; what happened since is known from the plans, exactly."""
+    messages = flight(f"links.measurement.delay_s={delay_s}")
+    for report in reports(messages, 1):
+        assert report.measurement_age == (age if report.tick >= age else -1)
+    x = {truth.tick: truth.x for truth in truths(messages)}
+    for plan in messages:
+        if isinstance(plan, Plan):
+            estimate, true = plan.uav_states[0], x[plan.tick][state.uav_slice(plan.agent - 1)]
+            np.testing.assert_allclose(estimate, true, rtol=0.0, atol=PREDICTION_TOLERANCE)
+
+
+def test_lost_measurements_leave_the_clock_ticking() -> None:
+    """Without a single measurement after the start agents go on by prediction, every tick, and say how old it is."""
+    messages = flight("links.change=[{at_s=0.05,from='plant',loss=1.0}]")
+    assert [truth.tick for truth in truths(messages)] == list(range(TICKS))
+    for agent in (1, 2, 3, 4):
+        assert [report.measurement_age for report in reports(messages, agent)] == list(range(TICKS))
+    assert sum(isinstance(message, Measurement) for message in messages) == 4 * TICKS  # physically all are sent
+
+
+@pytest.mark.parametrize(
+    ("delay_s", "settings", "age"),
+    [(0.0, (), 0), (0.01, (), 1), (0.1, (), 2), (0.12, (), 3), (0.0, (NEXT_TICK,), 1), (0.05, (NEXT_TICK,), 1)]
+    + [(0.06, (NEXT_TICK,), 2), (0.15, (NEXT_TICK,), 3)],
+)
+def test_actuation_delay(delay_s: float, settings: tuple[str, ...], age: int) -> None:
+    """A plan acts from the first tick on at or after its arrival at the plant that it is for; till then an older one."""
+    messages = flight(f"links.actuation.delay_s={delay_s}", *settings)
+    followed = [truth.plan_ticks for truth in truths(messages)]
+    assert followed == [(max(k - age, -1),) * 4 for k in range(TICKS)]
+
+
+def test_late_plans_are_played_at_their_own_instant() -> None:
+    """A plan that comes late is not played late: the plant goes on with its step for now."""
+    messages = flight("links.actuation.delay_s=0.1")
+    plans = {(plan.agent, plan.tick): plan for plan in messages if isinstance(plan, Plan)}
+    for truth in truths(messages)[2:]:
+        for agent in (1, 2, 3, 4):
+            step = plans[agent, truth.tick - 2].inputs[2]
+            np.testing.assert_array_equal(truth.u[state.input_slice(agent - 1)], step)
+
+
+def test_one_uav_cut_off_from_its_controller() -> None:
+    """Over a partition between plant and agent its UAV plays its last plan to the end, then the fail-safe, then a new.
+
+    The other UAVs are not concerned, nor are the plans between agents.
+    """
+    cut = "links.partition=[{between=['agent2'],start_s=0.5,end_s=1.0},{between=['plant'],start_s=9,end_s=10}]"
+    assert flight(cut)  # between agents alone, as the plant is not named
+    alone = "links.override=[{from='agent2',to='plant'}]"
+    changes = "links.change=[{at_s=0.5,from='agent2',to='plant',loss=1.0},{at_s=1.0,from='agent2',to='plant',loss=0.0}]"
+    messages = flight("controller.horizon=5", alone, changes)
+    assert [truth.plan_ticks[1] for truth in truths(messages)] == [
+        *range(10),
+        *[9] * 4,  # 5 steps from tick 9 on
+        *[FAIL_SAFE] * 6,
+        *range(20, 30),
+    ]
+    assert all(truth.plan_ticks[::2] == (truth.tick,) * 2 for truth in truths(messages))
+    assert all(report.plan_ages == (1, 1, 1) for report in reports(messages, 1)[1:])
+
+
+def test_partition_that_names_the_plant() -> None:
+    """Plant and agent 2 on one side, the others on the other: they hear nothing of each other, both ways."""
+    messages = flight("links.partition=[{between=['agent2','plant'],start_s=0.5,end_s=0.8}]")
+    apart = range(10, 16)
+    for truth in truths(messages):
+        hidden = 9 if truth.tick in apart else truth.tick
+        assert truth.plan_ticks == (hidden, truth.tick, hidden, hidden)
+    for report in reports(messages, 2):
+        assert report.measurement_age == 0
+        assert set(report.plan_ages) == {-1 if report.tick == 0 else max(1, report.tick - 9) if report.tick <= 16 else 1}
+    for report in reports(messages, 1):
+        assert report.measurement_age == (report.tick - 9 if report.tick in apart else 0)
+        cut, *others = report.plan_ages
+        assert others == [1, 1] or report.tick == 0
+        assert cut == (report.tick - 9 if 10 < report.tick <= 16 else min(report.tick, 1) or -1)
+
+
+def test_rate_limit_in_flight() -> None:
+    """A link of 5 messages a second hands on every fourth plan; the rest count as lost, once each."""
+    found = reports(flight("links.rate_hz=5"), 1)
+    assert [report.plan_ages[0] for report in found[1:]] == [1 + (k - 1) % 4 for k in range(1, TICKS)]
+    assert sum(report.lost for report in found) == 3 * sum((k - 1) % 4 != 0 for k in range(1, TICKS))
+
+
+def test_a_scripted_change_in_flight() -> None:
+    """Links that change at an instant treat what is sent from then on otherwise, for all alike."""
+    messages = flight("links.change=[{at_s=0.5,delay_s=0.15},{at_s=1.0,delay_s=0.0}]")
+    for agent in (1, 2, 3, 4):
+        ages = [report.plan_ages[0] for report in reports(messages, agent)]
+        assert ages == [-1, *[1] * 10, 2, 3, *[3] * 8, *[1] * 9]
+
+
+def said(messages: Sequence[Message]) -> dict[tuple[str, int, int], bytes]:
+    """What everybody said, by sender, incarnation and number, but for wall-clock times."""
+    return {(m.sender, m.incarnation, m.sequence): encode(reproducible(m)) for m in messages}
+
+
+ALL_AT_ONCE = [
+    (HEAVY,),
+    (HEAVY, NEXT_TICK),
+    (HEAVY, ROUNDS),
+    (HEAVY, ROUNDS, NEXT_TICK, *FAULTS),
+    (HEAVY, *FAULTS),
+    FAULTS,
+]
+
+
+@pytest.mark.parametrize("settings", ALL_AT_ONCE, ids=["plain", "next-tick", "rounds", "all", "faults", "only-faults"])
+def test_order_of_delivery_does_not_matter(settings: tuple[str, ...]) -> None:
+    """Whatever links and faults do, everybody says the same bit for bit however the connections race each other."""
+    in_order = flight(*settings)
+    for seed in range(3):
+        run = setup(SHORT, *RESILIENT, *settings)
+        shuffled = recorded(run, lambda run, record, seed=seed: fly_shuffled(run, record, seed))  # type: ignore[misc]
+        assert [m.kind for m in shuffled] != [m.kind for m in in_order]
+        assert said(shuffled) == said(in_order)
+
+
+def test_two_flights_are_equal() -> None:
+    """Two flights with everything at once send the same bytes in the same order, but for wall-clock times."""
+    settings = ALL_AT_ONCE[3]
+    again = recorded(setup(SHORT, *RESILIENT, *settings))
+    assert [encode(reproducible(m)) for m in again] == [encode(reproducible(m)) for m in flight(*settings)]
