@@ -48,12 +48,15 @@ class DisturbanceEstimator:
         velocities = np.vstack([linear.A_c[state.R0], linear.C[: 3 * N] @ linear.A_c]).reshape(1 + N, 3, -1)
         # The hold that turns inputs into states turns constant forces into them as well.
         effect = zero_order_hold(replace(linear, B_c=model.force_effect(hover.x, hover.u) @ spread), period_s).B
-        share = 1.0 - math.exp(-period_s / time_constant_s)
-        self._gain = spread @ (share * np.linalg.inv(self._seen(velocities @ effect)))
+        self._cause = np.linalg.inv(self._seen(velocities @ effect))
+        self._gain = (1.0 - math.exp(-period_s / time_constant_s)) * spread
+        self._weight = model.system.total_mass * model.system.gravity
         self.forces: Array = np.zeros(3 + 3 * N)
 
     def learn(self, predicted: Array, measured: Array) -> None:
         """Take in the state after a period for which this estimate was part of the prediction.
+
+        What would take a force larger than the weight of the whole team was no force, but a wrong prediction.
 
         Args:
             predicted: State at the end of the period, (n,).
@@ -61,7 +64,9 @@ class DisturbanceEstimator:
         Source: docs/equations.md (41).
         """
         missed = self._model.velocities(measured) - self._model.velocities(predicted)
-        self.forces = self.forces + self._gain @ self._seen(missed)
+        cause = self._cause @ self._seen(missed)
+        if np.abs(cause).max() <= self._weight:
+            self.forces = self.forces + self._gain @ cause
 
     def _seen(self, velocities: Array) -> Array:
         """Of the velocities of payload and UAVs, what is explained by a force: the payload's, sideways the own UAVs'.

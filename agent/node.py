@@ -183,6 +183,7 @@ class AgentNode:
                     for plan in self._enlist(message):
                         self._hear(plan, now_ns)
                 case LinkChange():
+                    self._check_moment(message)
                     self._link_changes.apply(message)
                 case Measurement():
                     self._measure(message, now_ns)
@@ -197,10 +198,11 @@ class AgentNode:
         return None if joined is None else max(self._last_tick, joined - 1)
 
     def _check_moment(self, message: Message) -> None:
-        """Refuse what the coordinator cannot say at the tick it is likely to be at."""
+        """Refuse what the coordinator cannot say at the tick it is likely to be at; changes of links it says again."""
         now = self._now()
         if now is not None:
-            check_moment(message, now - self._window, now + 1 + self._window)
+            first = 0 if isinstance(message, LinkChange) else now - self._window
+            check_moment(message, first, now + 1 + self._window)
 
     def _enlist(self, roster: Roster) -> list[Plan]:
         """Take in a roster and return the plans that were ahead of it."""

@@ -32,6 +32,9 @@ from protocol.outbox import EXIT_LOST, Outbox
 from protocol.rejections import Rejections
 from protocol.setup import Setup
 
+# A process that wakes up so much later than it meant to was frozen.
+_AWAY_NS = 1_000_000_000
+
 # Exit codes a run can end with (docs/command-line.md).
 EXIT_OVERRUN, EXIT_DIVERGED, EXIT_INTERRUPTED = 5, 6, 130
 
@@ -61,7 +64,7 @@ class CoordinatorNode:
         self._joining: dict[int, int] = {}  # agents to be put on the roster, with their incarnations
         self._answered: set[int] = set()
         self._negotiating: dict[int, int] = {}  # exchanges still to come in the open tick, of who has proposed in it
-        self._answered_ns: dict[int, int] = {}  # when each agent last answered any tick
+        self._owes_ns: dict[int, int] = {}  # in real time: since when there is something that an agent has not answered
         self._waits = self._clock.mode == "lockstep"
         self._barrier_ns = round(self._clock.barrier_timeout_s * 1e9)
         self._setup = setup
@@ -75,7 +78,7 @@ class CoordinatorNode:
         self._start_ns = 0  # when tick 0 was opened; paced ticks are due relative to it
         self._roster_version = 0
         self._last_truth = -1
-        self._truth_ns = 0  # when it came
+        self._truth_ns = 0  # when it came, or when the plant was asked for the next
         self._diverged = ""
         self._claims = Claims(setup)
         self.rejected = Rejections()
@@ -104,6 +107,7 @@ class CoordinatorNode:
         """Take in presences, plans, the plant's truth, and what people ask for."""
         if self.finished is not None:
             return ()
+        self._excuse(now_ns)
         if isinstance(event, Presence):
             return self._presence(event, now_ns)
         if isinstance(event, Request):
@@ -119,6 +123,7 @@ class CoordinatorNode:
         """Open a tick that is due; take whoever missed the barrier off the roster."""
         if self.finished is not None or self._tick < 0:
             return ()
+        self._excuse(now_ns)
         if self._held_ns is not None and now_ns >= self._held_ns + round(self._clock.join_timeout_s * 1e9):
             missing = ", ".join(agent_name(agent) for agent in sorted(self._returns.pop(self._tick + 1)))
             when = f"{missing} did not come back at {self._time(self._tick + 1)}"
@@ -257,9 +262,10 @@ class CoordinatorNode:
         return [self._roster(when), *self._advance(now_ns)]
 
     def _answer(self, plan: Plan, now_ns: int) -> None:
-        self._answered_ns[plan.agent] = now_ns
+        self._owes_ns[plan.agent] = now_ns
         if plan.tick == self._tick:
             self._answered.add(plan.agent)
+            del self._owes_ns[plan.agent]
         if not self._waits:
             self._overrun_ns = max(self._overrun_ns, now_ns - self._deadline_ns(plan.tick + 1))
 
@@ -268,7 +274,15 @@ class CoordinatorNode:
         if self._waits:
             missed = now_ns >= self._opened_ns + self._barrier_ns and self._held_ns is None
             return self._members - self._answered if missed else set()
-        return {a for a in self._members if now_ns >= self._answered_ns.get(a, self._start_ns) + self._barrier_ns}
+        return {a for a in self._members if now_ns >= self._owes_ns.get(a, now_ns) + self._barrier_ns}
+
+    def _excuse(self, now_ns: int) -> None:
+        """When this process itself was away, blame nobody for it: what came meanwhile has yet to be read."""
+        wake_ns = self.wake_ns
+        if wake_ns is not None and now_ns > max(wake_ns, self._opened_ns) + _AWAY_NS:
+            self._opened_ns = self._truth_ns = now_ns
+            self._owes_ns = dict.fromkeys(self._owes_ns, now_ns)
+            self._held_ns = None if self._held_ns is None else now_ns
 
     def _is_complete(self) -> bool:
         return self._members <= self._answered
@@ -350,7 +364,7 @@ class CoordinatorNode:
             names = ", ".join(agent_name(agent) for agent in sorted(self._joining))
             for agent, incarnation in self._joining.items():
                 self._incarnations[agent_name(agent)] = incarnation
-                self._answered_ns[agent] = now_ns
+                self._owes_ns.pop(agent, None)
             self._members |= self._joining.keys()
             self._joining = {}
             changes = [self._out.again(change) for change in self._changes]
@@ -363,6 +377,10 @@ class CoordinatorNode:
         self._tick += 1
         self._answered, self._negotiating = set(), {}
         self._opened_ns = now_ns
+        if self._last_truth + 1 == self._tick:
+            self._truth_ns = now_ns
+        for agent in self._members:
+            self._owes_ns.setdefault(agent, now_ns)
         return [
             *news,
             self._out.stamp(

@@ -128,7 +128,7 @@ def velocities(symbols: Symbols) -> ca.SX:
     """Of the centres of mass of payload and UAVs, (1 + N, 3), inertial frame, m/s. Source: docs/equations.md (39)."""
     x = symbols.x
     R0, v0, omega0 = rotation(x[state.THETA0]), x[state.V0], x[state.OMEGA0]
-    rows = [(R0 @ v0).T]
+    rows: list[ca.SX] = [(R0 @ v0).T]
     for i in range(symbols.N):
         _, _, rho, length = symbols.uav(i)
         block = x[state.uav_slice(i)]

@@ -163,7 +163,7 @@ class Controller:
     def without(self, uavs: Collection[int]) -> None:
         """From now on some UAVs, 0-based, are on their own: they are left to the fail-safe, and predicted so.
 
-        Source: docs/equations.md (31), (33)-(34), (40).
+        Source: docs/equations.md (40), (45).
         """
         alone = {uav: self._fail_safe.gain(uav) for uav in uavs}
         self._alone, self._target = alone, None
@@ -182,7 +182,7 @@ class Controller:
             u0: Input of the linearisation, (m,).
             U: Announced inputs of all UAVs over the horizon, (N_p, m).
             columns: Inputs whose corrections to find.
-        Source: docs/equations.md (36).
+        Source: docs/equations.md (46).
         """
         dX = free_response(discrete.A, discrete.f_d + (U - u0) @ discrete.B.T)
         c = law.c.copy()

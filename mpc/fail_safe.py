@@ -35,7 +35,7 @@ class FailSafe:
             self._gains.append(gain)
 
     def gain(self, uav: int) -> Array:
-        """Feedback from the UAV's own state to its inputs, (4, 12). Source: docs/equations.md (31)."""
+        """Feedback from the UAV's own state to its inputs, (4, 12). Source: docs/equations.md (31), (45)."""
         return self._gains[uav]
 
     def inputs(self, uav: int, x: Array) -> Array:

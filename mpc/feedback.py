@@ -68,7 +68,7 @@ def team_gain(
         alone: Feedback from its own state, (4, 12), of each UAV without an agent, by its 0-based number.
     Returns: K with u = u_hover + K (x - x_ref), (m, n).
     Raises: FeedbackError: the recursion does not converge.
-    Source: docs/equations.md (33)-(34).
+    Source: docs/equations.md (33)-(34), (45).
     """
     linear = model.linearise(hover.x, hover.u)
     discrete = zero_order_hold(linear, period_s)

@@ -6,6 +6,7 @@ k, with "next_tick" those of k - 1, so that the plant works while the agents do.
 """
 
 import math
+from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
@@ -74,7 +75,7 @@ class PlantNode:
         self._u: Array = setup.hover.u.copy()  # in force until now
         self._state_tick = 0  # self._x is the state at this tick
         self._measured_tick = -1
-        self._pending: Tick | None = None  # open, waiting for the interval before it
+        self._pending: deque[Tick] = deque()  # open, waiting for the interval before
         self._arrived: dict[int, set[int]] = {}  # agents whose plans are in, by tick
         self._membership = Membership()
         self._diverged = False
@@ -110,6 +111,7 @@ class PlantNode:
                     for plan in self._membership.update(message):
                         self._hear(plan, now_ns)
                 case LinkChange():
+                    self._check_moment(message)
                     self._link_changes.apply(message)
                 case Tick():
                     self._open(message)
@@ -119,13 +121,15 @@ class PlantNode:
             self.rejected.add(message.sender, error)
 
     def _check_moment(self, message: Message) -> None:
-        """Refuse what the coordinator cannot say at the tick it is likely to be at."""
-        check_moment(message, self._measured_tick - self._window, self._measured_tick + 1 + self._window)
+        """Refuse what the coordinator cannot say at the tick it is likely to be at; changes of links it says again."""
+        first = 0 if isinstance(message, LinkChange) else self._measured_tick - self._window
+        check_moment(message, first, self._measured_tick + 1 + self._window)
 
     def _open(self, tick: Tick) -> None:
-        newest = self._measured_tick if self._pending is None else self._pending.tick
-        check_moment(tick, newest + 1, self._measured_tick + 1)
-        self._pending = tick
+        # In real time the next tick opens whether or not this one could be measured: then they are made up for.
+        newest = self._pending[-1].tick if self._pending else self._measured_tick
+        check_moment(tick, newest + 1, self._measured_tick + 1 if self._waits else newest + 1)
+        self._pending.append(tick)
 
     def _take(self, plan: Plan, now_ns: int) -> None:
         check_moment(plan, 0, self._measured_tick)
@@ -145,13 +149,10 @@ class PlantNode:
                 return out
 
     def _can_measure(self) -> bool:
-        tick = self._pending
-        return (
-            tick is not None
-            and tick.tick == self._state_tick
-            and tick.roster <= self._membership.version
-            and not self._diverged
-        )
+        if not self._pending or self._diverged:
+            return False
+        tick = self._pending[0]
+        return tick.tick == self._state_tick and tick.roster <= self._membership.version
 
     def _can_integrate(self) -> bool:
         """Whether the inputs from t_k on are decided: tick k is measured, and the plans it takes are in."""
@@ -163,15 +164,12 @@ class PlantNode:
             return True
         arrived = self._arrived.get(decisive, set())
         # The tick after the decisive one says for whom the clock waited; before it comes, wait for all.
-        if self._pending is not None and self._pending.tick == decisive + 1:
-            return set(self._pending.answered) & self._membership.took_part(decisive) <= arrived
+        if self._pending and self._pending[0].tick == decisive + 1:
+            return set(self._pending[0].answered) & self._membership.took_part(decisive) <= arrived
         return self._membership.took_part(decisive) <= arrived
 
     def _measure(self) -> list[Message]:
-        tick = self._pending
-        if tick is None:
-            return []
-        self._pending = None
+        tick = self._pending.popleft()
         self._measured_tick = tick.tick
         seen = {a: self.environment.measured(tick.tick, a, self._x) for a in self._membership.agents}
         u = self._u.reshape(-1, state.INPUTS)

@@ -127,6 +127,11 @@ class Gate:
             return self._give(key, message)
         return None
 
+    @property
+    def kept(self) -> int:
+        """How many messages wait for their sender's token."""
+        return len(self._early)
+
     def refuse(self, key: str, error: MessageError) -> None:
         """Count something that came under a key and is not let in."""
         self._settle()

@@ -247,16 +247,27 @@ class LinkChanges:
         if message.number > self._applied + 1:
             raise MessageError("future", f"change {message.number} of the links after {self._applied}")
         if message.number == self._applied + 1:
-            try:
-                change = link_change(message.source, message.target, message.settings)
-            except LinkError as error:
-                raise MessageError("out_of_range", str(error)) from error
-            if change.samples is not None and change.samples not in self._samples_s:
-                text = f"samples: expected a file that the scenario names, got {change.samples!r}"
-                raise MessageError("out_of_range", text)
+            change = told_change(message, self._samples_s)
             self._applied += 1
             for link in self._links:
                 link.change(message.tick, change, self._samples_s)
+
+
+def told_change(message: LinkChange, samples_s: Mapping[str, tuple[float, ...]]) -> LinkOverrideSection:
+    """The change of links in a message.
+
+    Args:
+        message: What the coordinator says.
+        samples_s: Measured delays by file name.
+    Raises: MessageError: it is no change that can be applied.
+    """
+    try:
+        change = link_change(message.source, message.target, message.settings)
+    except LinkError as error:
+        raise MessageError("out_of_range", str(error)) from error
+    if change.samples is not None and change.samples not in samples_s:
+        raise MessageError("out_of_range", f"samples: expected a file that the scenario names, got {change.samples!r}")
+    return change
 
 
 def link_change(source: str, target: str, settings: str) -> LinkOverrideSection:
@@ -280,7 +291,9 @@ def link_change(source: str, target: str, settings: str) -> LinkOverrideSection:
     except ValidationError as error:
         raise LinkError(" ".join(str(error).split())[:200]) from error
     if (change.samples is not None) != (change.distribution == "empirical"):
-        raise LinkError(f"samples: expected a file with distribution empirical and with no other, got {change.samples!r}")
+        raise LinkError(
+            f"samples: expected a file with distribution empirical and with no other, got {change.samples!r}"
+        )
     return change
 
 

@@ -12,7 +12,7 @@ from protocol.bus import Bus, BusError, Endpoints, Interrupted
 from protocol.claims import Claims, check_moment
 from protocol.gate import Gate
 from protocol.keys import Keys
-from protocol.links import LinkChanges
+from protocol.links import told_change
 from protocol.messages import (
     Control,
     FaultNote,
@@ -53,6 +53,8 @@ class Recorder:
         received: How many messages are in the log.
         tick: The newest open tick, -1 before the first.
         requests: What people have asked of whoever runs this run's processes.
+        rejected: What was refused here.
+        gate: What is let in.
 
     Args:
         setup: The run.
@@ -82,8 +84,8 @@ class Recorder:
         self.requests: queue.SimpleQueue[Request] = queue.SimpleQueue()
         self.rejected = Rejections()
         self._claims = Claims(setup)
-        self._link_changes = LinkChanges((), setup.samples_s)  # to see whether changes are such
-        self._gate = Gate(NAME, Keys(run), setup, self.rejected)
+        self._samples_s = setup.samples_s
+        self.gate = Gate(NAME, Keys(run), setup, self.rejected)
         self._notices = Notices(NAME, self.rejected)
         self._writer = writer
         self._join_timeout_s = join_timeout_s
@@ -93,7 +95,7 @@ class Recorder:
             run=run,
             digest=setup.scenario.digest(),
             endpoints=endpoints,
-            gate=self._gate,
+            gate=self.gate,
             serves=True,
         )
         self._out = Outbox(NAME, incarnation)
@@ -137,8 +139,8 @@ class Recorder:
         try:
             if self._bus.join(self._expected, self._join_timeout_s) is None:
                 self._record()
-                self._gate.close()
-                for notice in self._notices.rest(self._out.incarnation, self._gate.tick):
+                self.gate.close()
+                for notice in self._notices.rest(self._out.incarnation, self.gate.tick):
                     self._take(notice)
         except (BusError, LogError) as error:
             self.error = str(error)
@@ -169,7 +171,7 @@ class Recorder:
                     self.requests.put(event)
                 case _:
                     self.hear(event)
-            for notice in self._notices.due(time.monotonic_ns(), self._out.incarnation, self._gate.tick):
+            for notice in self._notices.due(time.monotonic_ns(), self._out.incarnation, self.gate.tick):
                 self._take(notice)
             if self.control is not None and deadline is None:
                 deadline = time.monotonic() + _TRAIL_S
@@ -181,9 +183,9 @@ class Recorder:
         try:
             self._claims.check(message)
             if isinstance(message, Control):
-                check_moment(message, self._gate.tick - self._gate.window, self._gate.tick + self._gate.window)
+                check_moment(message, self.gate.tick - self.gate.window, self.gate.tick + self.gate.window)
             if isinstance(message, LinkChange):
-                self._link_changes.apply(message)
+                told_change(message, self._samples_s)
         except MessageError as error:
             self.rejected.add(message.sender, error)
             return

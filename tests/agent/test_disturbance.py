@@ -150,6 +150,21 @@ def test_lost_plans_make_it_noisier() -> None:
     assert 0.0 < np.abs(error).max() < 1.0
 
 
+@pytest.mark.parametrize("wrong", [1e3, 1e150, np.nan])
+def test_wrong_predictions_are_no_forces(wrong: float) -> None:
+    """A prediction that nothing but garbage explains moves the estimate by not one bit; a plausible one does."""
+    run = setup()
+    disturbance = DisturbanceEstimator(run.model, run.hover, (0,), PERIOD_S, TIME_CONSTANT_S)
+    predicted = run.initial_state()
+    predicted[state.V0] = 0.01
+    disturbance.learn(predicted, run.initial_state())
+    found = disturbance.forces
+    assert found.any()
+    predicted[state.V0] = wrong
+    disturbance.learn(predicted, run.initial_state())
+    np.testing.assert_array_equal(disturbance.forces, found)
+
+
 def test_actuators_are_believed() -> None:
     """An actuator that does something else than announced is reported, and is no force from outside."""
     truth = flight(tuple(NOTHING))

@@ -244,7 +244,7 @@ def lie(run: Setup, agent: int, k: int, size: float, rng: np.random.Generator) -
     """A plan from a state that is none, as far from one as it may be without being refused."""
     honest = plan(run, agent, k)
     states = rng.uniform(-size, size, (1, state.PER_UAV))
-    states[:, state.E] = rng.choice([[1.0, 0, 0], [0, -1, 0], [0, 0, 1.15], [0.6, 0, -0.8]])
+    states[:, state.E] = rng.choice(np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.15], [0.6, 0.0, -0.8]]))
     if rng.random() < 0.5:
         states[:, state.THETA] = [0.0, np.pi / 2, 0.0]  # where roll and yaw are the same
     steps, inputs = len(honest.inputs), honest.inputs.shape[1]

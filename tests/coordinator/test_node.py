@@ -1,6 +1,5 @@
 """The coordinator: barrier, pacing, membership, incarnations."""
 
-
 import pytest
 
 from coordinator.node import CoordinatorNode

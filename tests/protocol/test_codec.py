@@ -244,6 +244,30 @@ def test_what_an_array_lies_about_is_told(lie: object, reason: str) -> None:
         decode(packed(*[*values[:at], lie, *values[at + 1 :]]))
 
 
+@pytest.mark.parametrize(
+    ("data", "sender", "reason"),
+    [
+        (b"", "", "malformed"),
+        (bytes([VERSION]) + bytes(MAX_BYTES), "", "oversized"),
+        (bytes([VERSION + 1]) + encode(sample(Tick))[1:], "", "wrong_version"),
+        (encode(sample(Tick))[:-1], "", "malformed"),
+        (packed({"tick": 1}), "", "malformed"),
+        (packed("truce", "agent2"), "", "unknown_kind"),
+        (packed("tick", "agent2"), "", "wrong_shape"),
+        (packed(*[*wire(sample(Plan))[:-1], array(4, 1, 1, 1, values=1)]), "", "malformed"),
+        (packed(*[*wire(sample(Plan))[:-1], "sold"]), "agent2", "out_of_range"),
+        (packed(*[*wire(sample(Plan))[:-1], 7]), "agent2", "wrong_shape"),
+        (packed("plan", "agent-2", *wire(sample(Plan))[2:]), "", "out_of_range"),
+        (packed("plan", ["agent2"], *wire(sample(Plan))[2:]), "", "wrong_shape"),
+    ],
+)
+def test_why_and_whose(data: bytes, sender: str, reason: str) -> None:
+    """A refusal has one of a few reasons, and names the sender as far as the bytes can be read."""
+    with pytest.raises(MessageError) as caught:
+        decode(data)
+    assert (caught.value.reason, caught.value.sender) == (reason, sender)
+
+
 @pytest.mark.parametrize("depth", DEPTHS)
 @pytest.mark.parametrize("opening", [b"\x91", b"\x81\xa1k"], ids=["lists", "maps"])
 def test_deep_nesting(depth: int, opening: bytes) -> None:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from protocol.keys import Keys, RunNameError, matches
+from protocol.keys import Keys, RunNameError, Token, matches
 from protocol.messages import (
     KINDS,
     Control,
@@ -155,6 +155,31 @@ def test_an_agent_cannot_plan_for_another() -> None:
     for key in (KEYS.of(forged), KEYS.of(sample(Plan, agent=2))):
         with pytest.raises(MessageError):
             KEYS.check_sender(key, forged)
+
+
+def test_tokens_are_read() -> None:
+    """A token says again what it was made of."""
+    assert KEYS.token(KEYS.alive("agent2", 3, "0123ab")) == Token("agent2", 3, "0123ab")
+    assert KEYS.token(KEYS.ready("plant", 0)) == Token("plant", 0, None)
+    assert KEYS.is_token(KEYS.alive("agent2", 3, "0123ab"))
+    assert KEYS.is_token(KEYS.ready("plant", 0))
+    assert not any(KEYS.is_token(KEYS.of(sample(kind))) for kind in KINDS.values())
+
+
+@pytest.mark.parametrize(
+    "end",
+    [
+        *("alive", "alive/agent1", "alive/agent1/0", "alive/agent1/x/abc", "alive/agent1/-1/abc"),
+        *("alive/agent1/0/abc/d", "alive//0/abc", "alive/agent1/0/", "alive/agent1/1.5/abc", "alive/a/\u0663/b"),
+        *(f"alive/agent1/{'9' * 16}/abc", "ready", "ready/agent1", "ready/agent1/x", "ready/agent1/0/abc"),
+        *("ready/agent1/", "tick", "", "agent1/0/abc"),
+    ],
+)
+def test_strange_tokens_are_refused(end: str) -> None:
+    """The key of a token that nobody of this run makes is refused, and shown."""
+    with pytest.raises(MessageError, match="expected the key of a token") as caught:
+        KEYS.token(f"{KEYS.prefix}/{end}")
+    assert caught.value.reason == "malformed"
 
 
 @pytest.mark.parametrize("run", ["paper", "a", "A-1_b.c", "0", "x" * 80])

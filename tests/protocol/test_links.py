@@ -195,7 +195,10 @@ def delays_ms(*settings: str, tick: int = 0) -> list[int]:
         (("links.override=[{from='plant',to='agent2',delay_s=0.1}]",), [0, 0, 0, 100, 0]),
         (("links.override=[{to='plant',delay_s=0.1}]",), [0, 0, 0, 0, 100]),
         # It replaces what is said of all such links, and the last one counts.
-        (("links.measurement={delay_s=0.1}", "links.override=[{from='plant',to='agent1',loss=0.5}]"), [0, 0, 0, 100, 0]),
+        (
+            ("links.measurement={delay_s=0.1}", "links.override=[{from='plant',to='agent1',loss=0.5}]"),
+            [0, 0, 0, 100, 0],
+        ),
         (("links.override=[{from='agent1',delay_s=0.1},{to='agent2',delay_s=0.2}]",), [200, 0, 0, 0, 0]),
     ],
 )

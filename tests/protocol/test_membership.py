@@ -89,3 +89,41 @@ def test_what_is_kept_is_bounded() -> None:
     with pytest.raises(MessageError, match="that no roster has admitted"):
         membership.admits(sent(1))
     assert len(membership.update(roster())) == kept
+
+
+def test_what_was_said_before_leaving_counts() -> None:
+    """Plans of ticks before the one an agent left at are believed after the roster that says so, later ones are not."""
+    membership = Membership()
+    membership.update(roster({1: 1, 2: 1}))
+    membership.update(roster({1: 1}, k=5, version=2))
+    assert membership.admits(sent(2, k=4))
+    assert is_refused(membership, sent(2, k=5))
+    assert is_refused(membership, sent(2, 0, k=4))
+    membership.update(roster({1: 1, 2: 2}, k=8, version=3))
+    assert membership.admits(sent(2, k=4))
+    assert is_refused(membership, sent(2, k=7))
+    assert membership.admits(sent(2, 2, k=8))
+
+
+def test_who_took_part() -> None:
+    """Of whom there can be a plan of a tick: those that joined by then, and those that left later."""
+    membership = Membership()
+    membership.update(roster({1: 1, 2: 1}))
+    membership.update(roster({1: 1}, k=5, version=2))
+    membership.update(roster({1: 1, 3: 4}, k=8, version=3))
+    assert [membership.took_part(tick) for tick in (4, 5, 7, 8)] == [{1, 2}, {1}, {1}, {1, 3}]
+
+
+def test_nothing_more_comes_from_who_is_gone() -> None:
+    """Once its connection is closed nobody waits for what an agent may have said, but for its next start."""
+    membership = Membership()
+    membership.update(roster({1: 1, 2: 3}))
+    membership.update(roster({1: 1}, k=5, version=2))
+    for name in ("recorder", "agent", "agent1x", "plant"):
+        membership.close(name, 9)
+    membership.close("agent2", 2)  # an earlier start of it
+    assert membership.took_part(4) == {1, 2}
+    membership.close("agent2", 3)
+    assert membership.took_part(4) == {1}
+    membership.update(roster({1: 1, 2: 4}, k=6, version=3))
+    assert membership.took_part(6) == {1, 2}

@@ -162,6 +162,43 @@ def test_wrong_value_is_refused(kind: type[Message], field: str, value: object) 
     assert len(text) < 300
 
 
+@pytest.mark.parametrize(
+    ("kind", "changes", "reason"),
+    [
+        (Tick, {"sender": 3}, "wrong_shape"),
+        (Tick, {"sender": "agent0"}, "out_of_range"),
+        (Tick, {"roster": "1"}, "wrong_shape"),
+        (Tick, {"roster": True}, "wrong_shape"),
+        (Tick, {"roster": -1}, "out_of_range"),
+        (Tick, {"tick": 2**63}, "out_of_range"),
+        (Tick, {"members": 3}, "wrong_shape"),
+        (Tick, {"members": (1.0,)}, "wrong_shape"),
+        (Tick, {"members": tuple(range(300))}, "out_of_range"),
+        (Tick, {"members": (2, 1)}, "out_of_range"),
+        (Roster, {"incarnations": (0,)}, "wrong_shape"),
+        (Roster, {"reason": b"x"}, "wrong_shape"),
+        (Roster, {"reason": "x" * 2000}, "out_of_range"),
+        (Roster, {"reason": "\ud800"}, "out_of_range"),
+        (Plan, {"status": "sold"}, "out_of_range"),
+        (Plan, {"status": None}, "wrong_shape"),
+        (Plan, {"inputs": [[0.0] * 8] * 3}, "wrong_shape"),
+        (Plan, {"inputs": np.zeros((3, 4))}, "wrong_shape"),
+        (Plan, {"inputs": np.zeros((0, 8))}, "out_of_range"),
+        (Plan, {"inputs": np.full((3, 8), NAN)}, "not_finite"),
+        (Plan, {"corrections": np.zeros((2, 8))}, "wrong_shape"),
+        (StepReport, {"residual": INF}, "not_finite"),
+        (StepReport, {"residual": "1"}, "wrong_shape"),
+        (StepReport, {"fallback": 1}, "wrong_shape"),
+        (StepReport, {"plan_ages": (1,)}, "wrong_shape"),
+    ],
+)
+def test_why_a_value_is_refused(kind: type[Message], changes: dict[str, Any], reason: str) -> None:
+    """A refusal tells a value of the wrong type or shape from one that is no number and one that is out of range."""
+    with pytest.raises(MessageError) as caught:
+        sample(kind, **changes)
+    assert caught.value.reason == reason
+
+
 @pytest.mark.parametrize(("kind", "field"), ENTRIES)
 def test_wrong_entry_is_refused(kind: type[Message], field: str) -> None:
     """A wrong entry of a list is refused like a wrong value, wherever in the list it is."""
@@ -188,7 +225,13 @@ def test_what_is_no_list_is_named(kind: type[Message], field: str) -> None:
 @pytest.mark.parametrize("value", [np.zeros(2), np.zeros(0), np.array(["solved", "completed"])])
 def test_an_array_is_no_word(value: object) -> None:
     """An array where one of several words belongs is refused like any other wrong value."""
-    words = ((Plan, "status"), (StepReport, "status"), (FaultNote, "origin"), (Rejected, "reason"), (Control, "outcome"))
+    words = (
+        (Plan, "status"),
+        (StepReport, "status"),
+        (FaultNote, "origin"),
+        (Rejected, "reason"),
+        (Control, "outcome"),
+    )
     for kind, field in words:
         assert refusal(kind, **{field: value}).startswith(f"{field}: expected one of ")
 

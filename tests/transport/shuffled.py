@@ -1,4 +1,4 @@
-"""The in-memory runtime on a network whose connections differ in speed, anew with every message."""
+"""The in-memory runtime on a network whose connections differ in speed, by orders of magnitude and by chance."""
 
 import time
 from collections import deque
@@ -22,6 +22,7 @@ class _Shuffled(memory._Flight):
         super().__init__(setup, record, time.perf_counter_ns)
         self._rng = np.random.default_rng(seed)
         self._channels: dict[tuple[str, str], deque[Message | Presence]] = {}
+        self._speeds: dict[tuple[str, str], float] = {}
 
     def _send(self, messages: Sequence[Message]) -> None:
         for message in messages:
@@ -48,7 +49,10 @@ class _Shuffled(memory._Flight):
     def _put(self, sender: str, receiver: str, event: Message | Presence) -> None:
         if receiver not in self._nodes:
             return
-        self._channels.setdefault((sender, receiver), deque()).append(event)
+        channel = sender, receiver
+        if channel not in self._channels:
+            self._channels[channel], self._speeds[channel] = deque(), 10.0 ** self._rng.uniform(-3.0, 0.0)
+        self._channels[channel].append(event)
         self._queue.append(_SOMETHING)
 
     def _deliver(self, message: Message) -> None:
@@ -56,7 +60,8 @@ class _Shuffled(memory._Flight):
         busy = [channel for channel, waiting in self._channels.items() if waiting]
         if not busy:
             return
-        sender, name = busy[self._rng.integers(len(busy))]
+        speeds = np.array([self._speeds[channel] for channel in busy])
+        sender, name = busy[self._rng.choice(len(busy), p=speeds / speeds.sum())]
         event = self._channels[sender, name].popleft()
         node = self._nodes.get(name)
         if node is not None and not (isinstance(event, Message) and self._fails(name, event)):

@@ -8,7 +8,7 @@ import pytest
 
 from model import state
 from model.arrays import Array
-from protocol.messages import Control, Message, Outcome, StepReport
+from protocol.messages import Control, Message, Outcome, Reason, Rejected, StepReport
 from tests import runs
 from tests.transport.logs import ALONE, log_of, plan, report, truth
 from transport.metrics import network_ms, summarise
@@ -136,6 +136,7 @@ def test_a_perfect_network_loses_nothing() -> None:
     """Four agents and five ticks: 4 x 3 plans of each of the first four ticks, all delivered, one tick old."""
     summary = summarise(runs.setup(HOVER), log_of(perfect(5)))
     assert summary["messages"] == {"sent": 48, "delivered": 48, "lost": 0, "late": 0, "rejected": 0}
+    assert summary["rejections"] == []
     assert summary["plan_age_ticks"] == {"mean": 1.0, "max": 1}
     assert summary["solver"] == {"fallbacks": 0, "failures": 0}
     assert summary["faults"] == []
@@ -163,6 +164,38 @@ def test_lost_and_late_plans_are_counted() -> None:
     assert summary["plan_age_ticks"]["max"] == 2
     assert summary["plan_age_ticks"]["mean"] == pytest.approx((35 + 1) / 35)
     assert summary["solver"] == {"fallbacks": 2, "failures": 1}
+
+
+def rejected(by: str, offender: str, reason: Reason, count: int, sequence: int = 0) -> Rejected:
+    """A process tells what it has refused."""
+    return Rejected(
+        sender=by,
+        incarnation=0,
+        sequence=sequence,
+        tick=3,
+        offender=offender,
+        reason=reason,
+        count=count,
+        example="expected this, got that",
+    )
+
+
+def test_rejections_add_up() -> None:
+    """What each process has refused is summed by sender and reason over all that it says, the most of it first."""
+    notices = [
+        rejected("agent2", "agent1", "past", 2),
+        rejected("agent2", "plan/3", "malformed", 7, 1),
+        rejected("agent2", "agent1", "past", 3, 2),
+        rejected("recorder", "agent1", "past", 5),
+        replace(rejected("agent2", "agent1", "past", 4), incarnation=1),
+    ]
+    summary = summarise(runs.setup(HOVER), log_of([*perfect(5), *notices]))
+    assert summary["messages"]["rejected"] == 21
+    assert summary["rejections"] == [
+        {"by": "agent2", "sender": "agent1", "reason": "past", "count": 9},
+        {"by": "agent2", "sender": "plan/3", "reason": "malformed", "count": 7},
+        {"by": "recorder", "sender": "agent1", "reason": "past", "count": 5},
+    ]
 
 
 def test_a_cut_tick_loses_nothing() -> None:

@@ -2,15 +2,16 @@
 
 import csv
 import json
+import re
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 from jsonschema import Draft202012Validator
 from rich.console import Console
 
-from protocol.messages import Message
+from protocol.messages import Message, Reason
 from tests import runs
 from tests.transport.logs import ALONE, flown
 from transport.log import LogError
@@ -144,6 +145,27 @@ def test_the_table_answers_the_first_questions(flight: tuple[Path, list[Message]
     for word in ("completed", "real time", "cost", "attitude", "tracking", "agent step", "network", "lost", "solver"):
         assert word in text
     assert len(text.splitlines()) <= MOST_LINES
+
+
+def test_the_table_names_the_worst_offender(flight: tuple[Path, list[Message]]) -> None:
+    """What was refused is a line of the table if there was any: how much in all, and of whom most."""
+    summary = write_report(flight[0], figures=False)
+    assert "rejected" not in printed(summary)
+    rejections = [
+        {"by": "plant", "sender": "agent3", "reason": "outside_limits", "count": 4},
+        {"by": "agent1", "sender": "plan/2", "reason": "malformed", "count": 3},
+        {"by": "agent4", "sender": "plan/2", "reason": "malformed", "count": 2},
+    ]
+    messages = summary["messages"] | {"rejected": 9}
+    text = printed(summary | {"rejections": rejections, "messages": messages})
+    assert re.search(r"rejected +9 messages, 5 of plan/2 \(malformed\)", text)
+    Draft202012Validator(SCHEMA).validate(summary | {"rejections": rejections, "messages": messages})
+
+
+def test_the_schema_knows_every_reason() -> None:
+    """The reasons in the schema are those of the protocol."""
+    reason = SCHEMA["properties"]["rejections"]["items"]["properties"]["reason"]
+    assert reason["enum"] == list(get_args(Reason))
 
 
 def test_reasons_are_no_markup(flight: tuple[Path, list[Message]]) -> None:

@@ -332,11 +332,15 @@ def _fly(experiment: "Experiment", options: _Options) -> None:
 
 
 def _check(options: _Options) -> None:
-    """Refuse ways of flying that exclude each other."""
+    """Refuse ways of flying that cannot be."""
     given = {"--processes": options.processes, "--dask": options.dask is not None, "--jobs": options.jobs is not None}
     chosen = [name for name, is_given in given.items() if is_given]
     if len(chosen) > 1:
         raise refused(chosen[0], "no other of --processes, --dask, --jobs", f"{chosen[1]} as well")
+    if options.dask is not None:
+        from transport.experiments.workers import check_cluster
+
+        check_cluster(options.dask)
 
 
 def _way(options: _Options, folder: Path) -> "Fly":

@@ -24,6 +24,8 @@ def _sentence(measured: Sequence[Measured]) -> str:
 
 def _survival(measured: Sequence[Measured]) -> str:
     flown = [m for m in measured if m.flights]
+    if not flown:
+        return ""
     lost = [m for m in flown if m.completed < m.flights]
     flights, completed = sum(m.flights for m in flown), sum(m.completed for m in flown)
     count = f"{completed} of {flights} flights"

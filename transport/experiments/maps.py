@@ -41,7 +41,7 @@ def draw_maps(figure: "Figure", x: Axis, y: Axis, measured: Sequence[Measured]) 
     rows = len({m.point.labels[y.label] for m in measured})
     figure.set_size_inches(WIDTH_IN, down * (_CELL_IN * rows + _AROUND_IN))
     panels = figure.subplots(down, across, sharex=True, sharey=True, squeeze=False)
-    costs = [value.mean for m in measured if (value := m.numbers["cost_mean"]) is not None]
+    costs = [value.mean for m in measured if (value := m.numbers["cost_mean"]) is not None and value.mean > 0.0]
     low, high = (1e3 * min(costs), 1e3 * max(costs)) if costs else (1.0, 1.0)
     high = max(high, 1.001 * low)
     for axes, scenario in zip(panels.flat, scenarios, strict=False):
@@ -75,7 +75,7 @@ def _draw_map(axes: "Axes", x: Axis, y: Axis, measured: Sequence[Measured], low:
             text = f"lost\n{m.lost_s[0]:.1f} s" if m.lost_s else "-"
         else:
             value = 1e3 * cost.mean
-            share = math.log(value / low) / math.log(high / low)
+            share = math.log(max(value, low) / low) / math.log(high / low)
             style = {"facecolor": mpl.colormaps[_COLOURS](share), "edgecolor": "#ffffff", "linewidth": 1.0}
             ink = _LIGHT if share < _MIDDLE else _DARK
             text = f"{value:.2f}" + (f"\n{m.completed}/{m.flights}" if m.completed < m.flights else "")

@@ -3,13 +3,13 @@
 Each way gives the results as they come, in any order, and ends what it has started however it is left.
 """
 
+import importlib.util
 import os
 import re
 import signal
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from functools import cache
 
 from transport.experiments.cases import Case
 from transport.experiments.errors import EXIT_LOST, ExperimentError, refused
@@ -36,13 +36,31 @@ def on_cores(cases: Sequence[Case], jobs: int) -> Iterator[Result]:
     from joblib.externals.loky import get_reusable_executor
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
-    team = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1, max_nbytes=None)
+    team = joblib.Parallel(
+        n_jobs=jobs,
+        return_as="generator_unordered",
+        batch_size=1,
+        max_nbytes=None,
+        initializer=_serve,
+        initargs=(os.getpid(),),
+    )
     try:
-        yield from team(joblib.delayed(_fly_as_worker)(case, os.getpid()) for case in cases)
+        yield from team(joblib.delayed(fly_in_memory)(case) for case in cases)
     except TerminatedWorkerError as error:
         raise ExperimentError(f"a worker process died: {str(error).splitlines()[0]}", EXIT_LOST) from error
     finally:
         get_reusable_executor().shutdown(wait=True, kill_workers=True)
+
+
+def check_cluster(address: str) -> None:
+    """Refuse a cluster that cannot be, without asking it.
+
+    Raises: ExperimentError: no address, or the package for clusters is missing.
+    """
+    if not _ADDRESS.fullmatch(address):
+        raise refused("--dask", "an address such as tcp://host:8786", repr(address))
+    if importlib.util.find_spec("distributed") is None:
+        raise refused("--dask", "the package distributed (pip install 'payload-transport[cluster]')", "none")
 
 
 def on_cluster(cases: Sequence[Case], address: str) -> Iterator[Result]:
@@ -53,13 +71,8 @@ def on_cluster(cases: Sequence[Case], address: str) -> Iterator[Result]:
         address: Of the scheduler.
     Raises: ExperimentError: no such cluster, or one that is of no use.
     """
-    if not _ADDRESS.fullmatch(address):
-        raise refused("--dask", "an address such as tcp://host:8786", repr(address))
-    try:
-        from distributed import Client, as_completed
-    except ImportError as error:
-        expected = "the package distributed (pip install 'payload-transport[cluster]')"
-        raise refused("--dask", expected, "none") from error
+    from distributed import Client, as_completed
+
     try:
         client = Client(address, timeout=_ANSWER_S, set_as_default=False)
     except (OSError, ValueError) as error:
@@ -91,14 +104,8 @@ def _check_workers(workers: dict[str, dict[str, object]], address: str) -> None:
             raise refused("--dask", "workers with one thread each (--nthreads 1)", f"{name} with {worker['nthreads']}")
 
 
-def _fly_as_worker(case: Case, parent: int) -> Result:
-    _serve(parent)
-    return fly_in_memory(case)
-
-
-@cache
 def _serve(parent: int) -> None:
-    """Once per worker: leave Ctrl-C to the command, and end when it is gone, however that came."""
+    """In a worker: leave Ctrl-C to the command, and end when it is gone, however that came."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def look() -> None:

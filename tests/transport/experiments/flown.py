@@ -3,7 +3,10 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from typer.testing import CliRunner, Result
+
 from tests.runs import ticks
+from transport.main import app
 
 # Half a second of hover over links that lose plans: 5 flights, 2 of which are random and flown with two seeds.
 TICKS = 10
@@ -12,6 +15,11 @@ SMALL = (
     *("experiment", "loss", "--scenario", "resilient", "--loss", "0.5", "--seeds", "2"),
     *("--set", ticks(TICKS)),
 )
+
+
+def here(*arguments: str | Path) -> Result:
+    """Run the command within this process."""
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
 
 
 def tables(folder: Path) -> Sequence[bytes]:

@@ -12,21 +12,21 @@ from distributed import LocalCluster
 
 from tests.runs import ticks
 from tests.transport.commands import PATIENCE_S, start, transport, wait_for
-from tests.transport.experiments.flown import FLIGHTS, SMALL, kept, tables
+from tests.transport.experiments.flown import FLIGHTS, SMALL, here, kept, tables
 
-DONE, USAGE, LOST, INTERRUPTED = 0, 2, 4, 130
+DONE, LOST, INTERRUPTED = 0, 4, 130
 
 # Flights long enough to be killed in.
-LONG = ("experiment", "latency", "--set", ticks(400), "--delay", "0.1", "--delay", "0.2", "--delay", "0.3")
+LONG = ("experiment", "latency", "--set", ticks(40), "--delay", "0.1", "--delay", "0.2", "--delay", "0.3")
 
 
 @pytest.fixture(scope="module")
 def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The small experiment, flown one by one in the command itself."""
-    folder = tmp_path_factory.mktemp("experiments")
-    result = transport(*SMALL, "--jobs", "1", "--out", "one", cwd=folder)
-    assert result.returncode == DONE, result.stderr
-    return folder / "one"
+    folder = tmp_path_factory.mktemp("experiments") / "one"
+    result = here(*SMALL, "--jobs", "1", "--out", folder)
+    assert result.exit_code == DONE, result.output
+    return folder
 
 
 def members(session: int) -> list[int]:
@@ -83,8 +83,8 @@ def test_a_killed_experiment_is_gone_on_with(reference: Path) -> None:
     done = kept(folder)
     with (folder / "results.jsonl").open("ab") as file:
         file.write(b'{"key": "0123')
-    result = transport(*SMALL, "--jobs", "1", "--out", "killed", cwd=reference.parent)
-    assert result.returncode == DONE, result.stderr
+    result = here(*SMALL, "--jobs", "1", "--out", folder)
+    assert result.exit_code == DONE, result.output
     assert "the last line is not whole" in result.stderr
     assert f"{done} of {FLIGHTS} flights are done already" in result.stderr
     assert kept(folder) == FLIGHTS
@@ -107,22 +107,21 @@ def test_a_cluster_gives_the_same(reference: Path, cluster: str) -> None:
     assert tables(reference.parent / "cluster") == tables(reference)
 
 
-def test_processes_give_the_same(reference: Path) -> None:
-    """Flown by real processes over a real network, each into a run folder of its own: the same tables."""
-    only = (*SMALL, "--seeds", "1")
-    for name, how in (("in-memory", ("--jobs", "1")), ("in-processes", ("--processes",))):
-        result = transport(*only, *how, "--out", name, cwd=reference.parent)
-        assert result.returncode == DONE, result.stderr
-    assert tables(reference.parent / "in-processes") == tables(reference.parent / "in-memory")
-    runs = list((reference.parent / "in-processes" / "runs").iterdir())
-    assert len(runs) == 3
-    assert all((run / "run.mcap").exists() and (run / "summary.json").exists() for run in runs)
+def test_processes_give_the_same(tmp_path: Path) -> None:
+    """Flown by real processes over a real network, recorded into a run folder: the same tables, byte for byte."""
+    one = ("experiment", "latency", "--scenario", "resilient", "--delay", "0", "--set", "links.loss=0.5")
+    for name, how in (("memory", ("--jobs", "1")), ("processes", ("--processes",))):
+        result = here(*one, "--set", ticks(10), *how, "--out", tmp_path / name)
+        assert result.exit_code == DONE, result.output
+    assert tables(tmp_path / "processes") == tables(tmp_path / "memory")
+    (run,) = (tmp_path / "processes" / "runs").iterdir()
+    assert {"run.mcap", "summary.json", "steps.csv", "scenario.toml"} <= {path.name for path in run.iterdir()}
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_experiment_leaves_nothing_running(number: signal.Signals, tmp_path: Path) -> None:
-    """Ctrl-C in a terminal reaches all processes: exit code 130, finished flights kept, nobody left."""
-    process = start(*LONG, "--jobs", "2", "--out", "out", cwd=tmp_path)
+@pytest.mark.parametrize(("number", "jobs"), [(signal.SIGINT, "2"), (signal.SIGTERM, "1")])
+def test_an_interrupted_experiment_leaves_nothing_running(number: signal.Signals, jobs: str, tmp_path: Path) -> None:
+    """Ctrl-C, which in a terminal reaches all processes, and SIGTERM: exit code 130, flights kept, nobody left."""
+    process = start(*LONG, "--jobs", jobs, "--out", "out", cwd=tmp_path)
     assert wait_for(lambda: kept(tmp_path / "out") >= 1)
     if number == signal.SIGINT:
         os.killpg(process.pid, number)

@@ -1,0 +1,132 @@
+"""An agent in real time: it waits for nobody, works on the newest, and holds back what links delay by its own clock."""
+
+from collections.abc import Sequence
+
+import pytest
+
+from agent.node import AgentNode
+from protocol.messages import Message, Plan, StepReport
+from protocol.setup import Setup
+from tests.runs import measurement, plan, roster, setup
+
+S, MS = 10**9, 10**6  # ns
+START_NS = 3 * S  # a steady clock starts anywhere
+REALTIME = ("controller.horizon=5", "clock.mode=realtime")
+OTHERS = (2, 3, 4)
+
+
+def realtime(*settings: str, speed: float = 1.0) -> tuple[Setup, AgentNode]:
+    """A run in real time and its agent 1, told who takes part."""
+    run = setup(*REALTIME, f"clock.speed={speed}", *settings)
+    node = AgentNode(run, 1)
+    assert list(node.receive(roster(), START_NS)) == []
+    return run, node
+
+
+def tell(node: AgentNode, events: Sequence[Message], now_ns: int) -> None:
+    """Hand events over at one time: nothing is said before they are all taken in."""
+    for event in events:
+        assert list(node.receive(event, now_ns)) == []
+
+
+def answer(node: AgentNode, now_ns: int) -> tuple[Plan, StepReport]:
+    """The one plan and one report of an answer, which is due."""
+    assert node.wake_ns == 0
+    made, report = node.poll(now_ns)
+    assert isinstance(made, Plan)
+    assert isinstance(report, StepReport)
+    assert list(node.poll(now_ns)) == []  # one answer, then nothing to do
+    wake_ns: int | None = node.wake_ns
+    assert wake_ns is None
+    return made, report
+
+
+def test_waits_for_nobody() -> None:
+    """A measurement is answered although no other plan is here, for the next tick."""
+    run, node = realtime()
+    assert node.wake_ns is None
+    tell(node, [measurement(run, 1, 0)], START_NS)
+    made, report = answer(node, START_NS)
+    assert (made.tick, made.start_tick) == (0, 1)
+    tell(node, [measurement(run, 1, 1), plan(run, 2, 0, delay=1)], START_NS + 50 * MS)
+    made, report = answer(node, START_NS + 50 * MS)
+    assert (made.tick, made.start_tick) == (1, 2)
+    assert (report.plan_ages, report.measurement_age) == ((1, -1, -1), 0)
+
+
+def test_the_newest_measurement_wins() -> None:
+    """Of several measurements that have come while it was busy the newest is answered, and only that."""
+    run, node = realtime()
+    tell(node, [measurement(run, 1, 0)], START_NS)
+    answer(node, START_NS)
+    tell(node, [measurement(run, 1, k) for k in (1, 2, 3)], START_NS + 150 * MS)
+    made, report = answer(node, START_NS + 150 * MS)
+    assert (made.tick, report.measurement_age) == (3, 0)
+
+
+def test_everything_that_is_here_counts() -> None:
+    """A plan that comes after the measurement but before the agent gets round to it is used."""
+    run, node = realtime()
+    tell(node, [measurement(run, 1, 4), *[plan(run, agent, 3, delay=1) for agent in OTHERS]], START_NS)
+    _, report = answer(node, START_NS + MS)
+    assert report.plan_ages == report.state_ages == (1, 1, 1)
+    assert (report.delivered, report.late, report.lost) == (3, 0, 0)
+
+
+@pytest.mark.parametrize(("speed", "held_ms"), [(1.0, 120), (2.0, 60), (0.5, 240)])
+def test_a_delayed_plan_is_held_back(speed: float, held_ms: int) -> None:
+    """A plan over a link with delay d is used d / speed seconds after its arrival on the agent's clock, not before."""
+    run, node = realtime("links.delay_s=0.12", speed=speed)
+    arrived_ns = START_NS + 3 * MS
+    tell(node, [measurement(run, 1, 0)], START_NS)
+    answer(node, START_NS)
+    tell(node, [plan(run, 2, 0, delay=1)], arrived_ns)
+    # Measurements come as fast as the test likes; the clock decides and not their tick.
+    for k, now_ns in enumerate((arrived_ns + 1, arrived_ns + held_ms * MS - 1), start=1):
+        tell(node, [measurement(run, 1, k)], now_ns)
+        _, report = answer(node, now_ns)
+        assert (report.plan_ages, report.delivered) == ((-1, -1, -1), 0)
+    tell(node, [measurement(run, 1, 3)], arrived_ns + held_ms * MS)
+    _, report = answer(node, arrived_ns + held_ms * MS)
+    assert (report.plan_ages, report.delivered, report.late) == ((3, -1, -1), 1, 1)
+
+
+def test_a_delayed_measurement_is_held_back() -> None:
+    """A measurement opens its tick when it comes, but what is in it is known only when its link says."""
+    run, node = realtime("links.measurement.delay_s=0.08")
+    ages = []
+    for k in range(5):
+        now_ns = START_NS + 50 * MS * k
+        tell(node, [measurement(run, 1, k)], now_ns)
+        made, report = answer(node, now_ns)
+        assert made.tick == k
+        ages.append(report.measurement_age)
+    assert ages == [-1, -1, 2, 2, 2]
+
+
+def test_a_lost_plan() -> None:
+    """A lost plan is reported once and never used; a duplicated one is delivered twice."""
+    run, node = realtime("links.override=[{from='agent2',loss=1.0},{from='agent3',duplicate=1.0}]")
+    tell(node, [plan(run, agent, 3, delay=1) for agent in OTHERS], START_NS)
+    counts = []
+    for k in (4, 5):
+        tell(node, [measurement(run, 1, k)], START_NS)
+        _, report = answer(node, START_NS)
+        counts.append((report.plan_ages, report.lost, report.delivered))
+    assert counts == [((-1, 1, 1), 1, 3), ((-1, 2, 2), 0, 0)]
+
+
+def test_an_agent_off_the_roster_begins_anew() -> None:
+    """Taken for dead, an agent that still lives forgets what it knows and has a higher incarnation from then on."""
+    run, node = realtime("clock.on_agent_loss=continue")
+    node = AgentNode(run, 1, incarnation=1)
+    tell(node, [roster(), measurement(run, 1, 0)], START_NS)
+    answer(node, START_NS)
+    tell(node, [measurement(run, 1, 1), roster({2: 1, 3: 1, 4: 1}, k=1, version=2)], START_NS + 50 * MS)
+    assert node.incarnation == 2
+    assert list(node.poll(START_NS + 50 * MS)) == []  # it does not take part
+    tell(node, [roster({1: 2, 2: 1, 3: 1, 4: 1}, k=2, version=3)], START_NS + 100 * MS)
+    tell(node, [measurement(run, 1, 2, version=3)], START_NS + 100 * MS)
+    made, report = answer(node, START_NS + 100 * MS)
+    assert (made.tick, made.incarnation, made.sequence) == (2, 2, 0)
+    assert report.plan_ages == (-1, -1, -1)

@@ -1,0 +1,282 @@
+"""The coordinator in real time: absolute deadlines, what happens to those who miss them, and to who is gone."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from coordinator.node import CoordinatorNode
+from protocol.messages import Control, Message, Plan, Roster, Tick, Truth
+from protocol.setup import Setup
+from tests.coordinator.clock import CONTINUE, MS, START_NS, S, gone, kinds, ready, started, tell
+from tests.runs import EVERYBODY, plan, setup, ticks, truth
+
+REALTIME = ("clock.mode=realtime", "clock.speed=1")
+PERIOD_NS = 50 * MS
+BARRIER_NS = 5 * S  # clock.barrier_timeout_s, the default
+HOLD, ABORT = "clock.on_overrun=hold", "clock.on_overrun=abort"
+
+
+def realtime(*settings: str, length: int = 400) -> tuple[Setup, CoordinatorNode]:
+    """A run of 20 s and its coordinator, tick 0 open since `START_NS`."""
+    run = setup(ticks(length), *REALTIME, *settings)
+    return run, started(CoordinatorNode(run))
+
+
+def answers(run: Setup, k: int, agents: Sequence[int] = EVERYBODY) -> list[Message]:
+    """Plans of tick k for the next."""
+    return [plan(run, agent, k, delay=1) for agent in agents]
+
+
+def due(k: int) -> int:
+    """The deadline at which tick k is to be opened."""
+    return START_NS + k * PERIOD_NS
+
+
+def only_tick(messages: Sequence[Message]) -> Tick:
+    """The one message there is: a tick."""
+    (message,) = messages
+    assert isinstance(message, Tick)
+    return message
+
+
+@pytest.mark.parametrize("speed", [1.0, 3.0])
+def test_deadlines_do_not_drift(speed: float) -> None:
+    """Over 10,000 ticks whose process wakes up late at random each is due k T_s / speed after the first, to 1 ns.
+
+    A tick is opened at the first awakening at or after its deadline, and says how late that was.
+    """
+    count = 10_000
+    run = setup(ticks(count), "clock.mode=realtime", f"clock.speed={speed}", "clock.barrier_timeout_s=1e6")
+    node = started(CoordinatorNode(run))
+    rng = np.random.default_rng(1)
+    # Usually some tenths of a millisecond, now and then more than a period.
+    lateness_ns = (rng.exponential(0.3 * MS, count) + (rng.random(count) < 0.01) * 120 * MS).astype(int)
+    now_ns = START_NS
+    for k in range(1, count):
+        deadline_ns = START_NS + round(k * PERIOD_NS / speed)
+        assert node.wake_ns == deadline_ns
+        if now_ns < deadline_ns:
+            assert node.poll(deadline_ns - 1) == ()
+        now_ns = max(now_ns, deadline_ns) + int(lateness_ns[k])
+        opened = [message for message in node.poll(now_ns) if isinstance(message, Tick)]
+        assert [tick.tick for tick in opened] == [k]
+        assert opened[0].late_ns == now_ns - deadline_ns
+    assert lateness_ns.sum() > 10 * 120 * MS  # it has really been late
+
+
+def test_catching_up_after_a_freeze() -> None:
+    """After half a second away every tick that is overdue is opened at once, then the schedule is met again."""
+    run, node = realtime()
+    now_ns = due(1) + 480 * MS
+    late_ms = [only_tick(node.poll(now_ns)).late_ns // MS for _ in range(10)]
+    assert late_ms == [480 - 50 * i for i in range(10)]
+    assert node.poll(now_ns) == ()
+    assert (node.tick, node.wake_ns) == (10, due(11))
+    assert only_tick(node.poll(due(11))).late_ns == 0
+
+
+@pytest.mark.parametrize("mode", [REALTIME, ("clock.speed=1",), ("clock.speed=0",)])
+def test_nobody_is_blamed_for_the_coordinators_own_absence(mode: tuple[str, ...]) -> None:
+    """Longer away than the barrier, the coordinator finds everybody silent, and gives them as long again."""
+    for first in ("poll", "receive"):
+        run = setup(ticks(400), *mode)
+        node = started(CoordinatorNode(run))
+        delay = int(run.scenario.clock.next_tick)
+        now_ns = START_NS + 3 * BARRIER_NS
+        if first == "poll":
+            node.poll(now_ns)
+        else:
+            node.receive(plan(run, 1, 0, delay=delay), now_ns)
+        tell(node, [plan(run, agent, 0, delay=delay) for agent in EVERYBODY], now_ns + MS)
+        tell(node, [truth(run, 0)], now_ns + MS)
+        node.poll(now_ns + 2 * MS)
+        assert node.finished is None
+        assert node.tick > 0
+
+
+def test_missed_deadlines_are_counted() -> None:
+    """With "continue" ticks are opened on time whoever is late; they say who answered, and the worst lateness."""
+    run, node = realtime()
+    tell(node, answers(run, 0, (1, 2)), due(0) + 20 * MS)
+    assert only_tick(node.poll(due(1))).answered == (1, 2)
+    tell(node, answers(run, 0, (3,)), due(1) + 7 * MS)
+    tell(node, answers(run, 0, (4,)), due(1) + 30 * MS)
+    tell(node, answers(run, 1, (1, 2)), due(1) + 40 * MS)
+    second = only_tick(node.poll(due(2) + 2 * MS))
+    assert (second.answered, second.overrun_ns, second.late_ns) == ((1, 2), 30 * MS, 2 * MS)
+    assert only_tick(node.poll(due(3))).overrun_ns == 0  # said once
+
+
+def test_a_late_answer_is_none_for_the_open_tick() -> None:
+    """A plan of an earlier tick that comes now is nobody's answer to the open one."""
+    run, node = realtime()
+    node.poll(due(1))
+    tell(node, answers(run, 0), due(1) + MS)
+    assert only_tick(node.poll(due(2))).answered == ()
+
+
+def test_hold() -> None:
+    """With "hold" a tick waits for everybody, and all later deadlines move by what was waited."""
+    run, node = realtime(HOLD)
+    tell(node, answers(run, 0, (1, 2, 3)), due(0) + 20 * MS)
+    assert node.poll(due(1)) == ()
+    assert node.poll(due(1) + 69 * MS) == ()
+    first = only_tick(tell(node, answers(run, 0, (4,)), due(1) + 70 * MS))
+    assert (first.tick, first.answered, first.late_ns, first.overrun_ns) == (1, EVERYBODY, 70 * MS, 70 * MS)
+    assert tell(node, answers(run, 1), due(1) + 80 * MS) == []
+    assert node.wake_ns == due(2) + 70 * MS
+    assert only_tick(node.poll(due(2) + 70 * MS)).late_ns == 0
+
+
+def test_hold_is_no_reason_to_lose_the_others() -> None:
+    """While a tick waits for one nearly as long as the barrier, the others owe nothing, nor does the plant."""
+    run, node = realtime(HOLD, CONTINUE)
+    waited_ns = due(0) + 20 * MS + BARRIER_NS - MS
+    tell(node, [*answers(run, 0, (1, 2, 3)), truth(run, 0)], due(0) + 20 * MS)
+    assert kinds(tell(node, answers(run, 0, (4,)), waited_ns)) == ["tick 1"]
+    assert node.poll(waited_ns + 10 * MS) == ()
+    assert kinds(tell(node, answers(run, 1), waited_ns + 20 * MS)) == []
+    assert kinds(node.poll(waited_ns + PERIOD_NS)) == ["tick 2"]
+
+
+@pytest.mark.parametrize("limit", [0, 1, 3])
+def test_abort_by_count(limit: int) -> None:
+    """With "abort" the run ends with exit code 5 when more deadlines are missed than allowed, and says by whom."""
+    _, node = realtime(ABORT, f"clock.overrun_limit={limit}")
+    run = setup(ticks(400), *REALTIME)
+    for k in range(limit):
+        tell(node, answers(run, k, (1, 2, 3)), due(k) + MS)
+        assert kinds(node.poll(due(k + 1))) == [f"tick {k + 1}"]
+    tell(node, answers(run, limit, (1, 2, 3)), due(limit) + MS)
+    (end,) = node.poll(due(limit + 1))
+    assert isinstance(end, Control)
+    assert (end.outcome, end.exit_code) == ("aborted", 5)
+    assert end.reason.startswith(f"agent4 missed the deadline of tick {limit} at t = {0.05 * (limit + 1):.2f} s")
+    assert end.reason.endswith(f": {limit + 1} missed in all, {limit} allowed")
+
+
+def test_abort_by_size() -> None:
+    """Deadlines may be missed as often as allowed, but none by more than the limit."""
+    run, node = realtime(ABORT, "clock.overrun_limit=1000", "clock.overrun_limit_s=0.03")
+    node.poll(due(1))
+    tell(node, answers(run, 0), due(1) + 29 * MS)
+    assert kinds(node.poll(due(2))) == ["tick 2"]
+    tell(node, answers(run, 1, (3,)), due(2) + 31 * MS)
+    (end,) = node.poll(due(3))
+    assert isinstance(end, Control)
+    assert (end.outcome, end.exit_code) == ("aborted", 5)
+    assert end.reason == "tick 3 came 0.031 s late, 0.03 s allowed"
+
+
+def test_abort_by_a_late_tick() -> None:
+    """A tick that is itself opened later than the limit allows ends the run like a late plan."""
+    run, node = realtime(ABORT, "clock.overrun_limit=1000", "clock.overrun_limit_s=0.03")
+    tell(node, answers(run, 0), due(0) + MS)
+    (end,) = node.poll(due(1) + 40 * MS)
+    assert isinstance(end, Control)
+    assert (end.exit_code, end.reason) == (5, "tick 1 came 0.040 s late, 0.03 s allowed")
+
+
+def fly_until(run: Setup, node: CoordinatorNode, until_ns: int, silent: Sequence[str]) -> tuple[list[Message], int]:
+    """Everybody but the silent answers every tick at once; what was sent that is no tick, and when that was."""
+    said: list[Message] = []
+    agents = [agent for agent in EVERYBODY if f"agent{agent}" not in silent]
+    while node.finished is None and node.wake_ns is not None and node.wake_ns < until_ns:
+        now_ns = node.wake_ns
+        sent = list(node.poll(now_ns))
+        said += [message for message in sent if not isinstance(message, Tick)]
+        events: list[Plan | Truth | Message] = [*answers(run, node.tick, agents)]
+        tell(node, events if "plant" in silent else [*events, truth(run, node.tick)], now_ns)
+        if said:
+            return said, now_ns
+    return said, until_ns
+
+
+def test_a_frozen_agent_is_taken_off_the_roster() -> None:
+    """Who has not answered for the barrier's time is lost; till then and afterwards ticks are opened on time."""
+    run, node = realtime(CONTINUE)
+    tell(node, [*answers(run, 0), truth(run, 0)])
+    said, now_ns = fly_until(run, node, due(400), ["agent4"])
+    (roster,) = said
+    assert isinstance(roster, Roster)
+    assert roster.agents == (1, 2, 3)
+    assert roster.reason.startswith("agent4 did not answer tick ")
+    # It owes its answer since tick 1 was opened; a tick is the clock's resolution.
+    assert due(1) + BARRIER_NS <= now_ns <= due(2) + BARRIER_NS
+    tick = node.tick
+    said, _ = fly_until(run, node, due(150), ["agent4"])
+    assert said == []
+    assert node.tick - tick > 30
+
+
+def test_a_slow_agent_is_not_lost() -> None:
+    """Who always answers, if always late, stays: missing deadlines is another thing than being gone."""
+    run, node = realtime(CONTINUE)
+    for k in range(1, 200):
+        now_ns = due(k)
+        assert kinds(node.poll(now_ns)) == [f"tick {k}"]
+        tell(node, [*answers(run, k, (1, 2, 3)), truth(run, k - 1)], now_ns + MS)
+        tell(node, answers(run, max(k - 3, 0), (4,)), now_ns + 2 * MS)
+    assert node.finished is None
+
+
+def test_a_frozen_plant_ends_the_run() -> None:
+    """Without a sign of the plant for the barrier's time the run ends, on_agent_loss or not."""
+    run, node = realtime(CONTINUE)
+    tell(node, [*answers(run, 0), truth(run, 0)])
+    said, now_ns = fly_until(run, node, due(400), ["plant"])
+    (end,) = said
+    assert isinstance(end, Control)
+    assert (end.outcome, end.exit_code) == ("aborted", 4)
+    assert end.reason == "plant has not answered since tick 0"
+    assert due(1) + BARRIER_NS <= now_ns <= due(2) + BARRIER_NS
+
+
+def test_a_dead_plant_ends_the_run() -> None:
+    """The plant's token is gone: the run is over at once."""
+    _, node = realtime(CONTINUE)
+    (end,) = tell(node, [gone("plant")])
+    assert isinstance(end, Control)
+    assert (end.outcome, end.exit_code, end.reason) == ("aborted", 4, "plant is gone")
+
+
+def test_a_dead_agent_comes_back() -> None:
+    """A killed agent leaves at once; its next start joins when a tick is opened, which waits for nobody."""
+    run, node = realtime(CONTINUE)
+    (left,) = tell(node, [gone("agent2")], due(0) + MS)
+    assert isinstance(left, Roster)
+    assert left.agents == (1, 3, 4)
+    assert tell(node, [ready("agent2", 2)], due(0) + 30 * MS) == []
+    joined, tick = node.poll(due(1))
+    assert isinstance(joined, Roster)
+    assert isinstance(tick, Tick)
+    assert (joined.incarnations, tick.members, tick.roster) == ((1, 2, 1, 1), EVERYBODY, joined.version)
+    tell(node, [plan(run, 2, 1, delay=1, incarnation=2)], due(1) + MS)
+    assert only_tick(node.poll(due(2))).answered == (2,)
+
+
+def test_the_end() -> None:
+    """The run ends a period after its last tick was opened, not before its truth is here: also if answers are late."""
+    run, node = realtime(length=3)
+    for k in (1, 2):
+        tell(node, [*answers(run, k - 1), truth(run, k - 1)], due(k) - MS)
+        node.poll(due(k))
+    tell(node, answers(run, 2, (1, 2, 3)), due(2) + MS)
+    assert node.poll(due(3)) == ()
+    (end,) = tell(node, [truth(run, 2)], due(3) + MS)
+    assert isinstance(end, Control)
+    assert (end.outcome, end.tick, end.exit_code) == ("completed", 2, 0)
+
+
+def test_the_last_truth_never_comes() -> None:
+    """A plant that is silent at the last tick is waited for no longer than the barrier."""
+    run, node = realtime(length=2)
+    tell(node, [*answers(run, 0), truth(run, 0)])
+    node.poll(due(1))
+    tell(node, answers(run, 1), due(1) + MS)
+    wake_ns = node.wake_ns
+    assert wake_ns == due(1) + BARRIER_NS
+    (end,) = node.poll(wake_ns)
+    assert isinstance(end, Control)
+    assert (end.outcome, end.exit_code) == ("aborted", 4)

@@ -1,0 +1,110 @@
+"""What people and processes ask of the coordinator: who takes part, and changes of links."""
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import pytest
+
+from coordinator.node import CoordinatorNode
+from protocol.messages import LinkChange, Message, Request, Roster
+from tests.coordinator.clock import CONTINUE, START_NS, answers, at_last_tick, coordinator, gone, kinds, started, tell
+from tests.coordinator.clock import ready as is_ready
+
+
+def asked(node: CoordinatorNode, what: str, **given: Any) -> tuple[Mapping[str, Any], list[Message]]:
+    """The one answer to a request, and what is sent because of it."""
+    replies: list[Mapping[str, Any]] = []
+    sent = list(node.receive(Request(what, given, replies.append), START_NS))
+    (reply,) = replies
+    json.dumps(reply)  # it travels as JSON
+    return reply, sent
+
+
+def change(node: CoordinatorNode, **settings: Any) -> tuple[Mapping[str, Any], list[Message]]:
+    """A change of the links from agent 1."""
+    return asked(node, "link", **{"from": "agent1"}, settings=settings)
+
+
+def test_status() -> None:
+    """Tick, length, members and observers, before the first tick, in flight, and after a loss."""
+    node = coordinator(CONTINUE, observers=["recorder"])
+    assert asked(node, "status")[0]["tick"] == -1
+    tell(node, [is_ready(name) for name in ("recorder", "plant", "agent1", "agent2", "agent3", "agent4")])
+    expected = {"tick": 0, "ticks": 3, "members": [1, 2, 3, 4], "observers": ["recorder"]}
+    assert asked(node, "status") == (expected, [])
+    tell(node, [gone("agent2"), gone("recorder"), *answers(0, (1, 3, 4))])
+    assert asked(node, "status") == ({"tick": 1, "ticks": 3, "members": [1, 3, 4], "observers": []}, [])
+
+
+def test_a_change_of_links() -> None:
+    """A change holds from the next tick on, is numbered, and comes with a roster, which ticks then name."""
+    node = started(coordinator())
+    reply, sent = change(node, delay_s=0.1)
+    assert reply == {"tick": 1, "t_s": 0.05}
+    first, roster = sent
+    assert isinstance(first, LinkChange)
+    assert (first.tick, first.number, first.source, first.target) == (1, 1, "agent1", "")
+    assert json.loads(first.settings) == {"delay_s": 0.1}
+    assert isinstance(roster, Roster)
+    assert (roster.version, roster.agents) == (2, (1, 2, 3, 4))
+    assert roster.reason == 'links from agent1 to any agent changed: {"delay_s": 0.1} from t = 0.05 s on'
+    (second, _) = change(node, loss=0.5)[1]
+    assert isinstance(second, LinkChange)
+    assert second.number == 2
+    assert kinds(tell(node, answers(0))) == ["tick 1"]
+
+
+def test_newcomers_are_told_all_changes() -> None:
+    """Who joins hears every change there was, in order, before the roster that it is on."""
+    node = started(coordinator(CONTINUE))
+    changes = [change(node, delay_s=0.1)[1][0], change(node, loss=0.2)[1][0]]
+    tell(node, [gone("agent2"), is_ready("agent2", 2)])
+    sent = tell(node, answers(0, (1, 3, 4)))
+    assert kinds(sent) == ["link 1", "link 1", "roster 1", "tick 1"]
+    for told, message in zip(sent, changes, strict=False):
+        assert isinstance(told, LinkChange)
+        assert isinstance(message, LinkChange)
+        assert (told.number, told.tick, told.settings) == (message.number, message.tick, message.settings)
+    assert len({message.sequence for message in [*changes, *sent]}) == 6  # said anew, not sent again
+
+
+@pytest.mark.parametrize(
+    ("given", "problem"),
+    [
+        ({"settings": {}}, "expected at least one key of a link, got none"),
+        ({}, "expected a JSON object of a link's keys"),
+        ({"settings": [1]}, "expected a JSON object of a link's keys"),
+        ({"settings": {"loss": 2.0}}, "loss"),
+        ({"settings": {"lag": 2.0}}, "lag"),
+        ({"from": "agent9", "settings": {"loss": 0.1}}, "from: expected one of plant, agent1, agent2"),
+        ({"to": "coordinator", "settings": {"loss": 0.1}}, "to: expected one of plant, agent1, agent2"),
+        ({"from": 3, "settings": {"loss": 0.1}}, "from: expected one of plant, agent1, agent2"),
+        (
+            {"settings": {"distribution": "empirical", "samples": "x.csv"}},
+            "samples: expected a file the scenario names",
+        ),
+        ({"settings": {"samples": "x.csv"}}, "samples: expected a file with distribution empirical"),
+        ({"settings": {"distribution": "x" * 5000}}, "distribution"),
+    ],
+)
+def test_what_is_no_change(given: dict[str, Any], problem: str) -> None:
+    """Anything else is answered with what was expected; nothing is sent and nothing changes."""
+    node = started(coordinator())
+    reply, sent = asked(node, "link", **given)
+    assert problem in reply["error"]
+    assert sent == []
+    assert change(node, loss=0.1)[1][0].kind == "link"
+
+
+def test_outside_a_flight() -> None:
+    """Before the first tick and at the last there is no next tick for a change to hold from."""
+    for node in (coordinator(), at_last_tick(coordinator())):
+        assert change(node, loss=0.1) == ({"error": "expected a run in flight"}, [])
+
+
+def test_an_unknown_request() -> None:
+    """What nobody knows is answered, too."""
+    reply, sent = asked(started(coordinator()), "land")
+    assert reply == {"error": "what: expected status or link, got 'land'"}
+    assert sent == []

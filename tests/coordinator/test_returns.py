@@ -1,0 +1,140 @@
+"""Agents that come back: in lockstep the tick a script names waits for them, and rounds wait for whoever is behind."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import pytest
+
+from coordinator.node import CoordinatorNode
+from protocol.messages import Control, Message, Roster, Tick
+from tests.coordinator.clock import CONTINUE, MS, START_NS, TIMEOUT_S, S, gone, kinds, ready, started, tell
+from tests.runs import EVERYBODY, plan, setup, ticks, truth
+
+BARRIER_NS = round(TIMEOUT_S * S)
+JOIN_NS = 30 * S  # clock.join_timeout_s, the default
+KILLED = "faults.event=[{at_s=0.05,do='kill',target='agent2'},{at_s=0.15,do='restart',target='agent2'}]"
+SIX = ticks(6)
+ROUNDS = "controller.rounds=3"
+LEFT = (1, 3, 4)
+
+
+def answers(k: int, agents: Sequence[int] = EVERYBODY, incarnation: int = 1) -> list[Message]:
+    """Plans of tick k."""
+    return [plan(setup(SIX), agent, k, incarnation=incarnation) for agent in agents]
+
+
+def held() -> CoordinatorNode:
+    """Agent 2 was killed when tick 1 opened; tick 2 is answered by the others, and tick 3 is to have it back."""
+    node = started(CoordinatorNode(setup(SIX, CONTINUE, KILLED)))
+    tell(node, [*answers(0), gone("agent2")])
+    for k in (1, 2):
+        tell(node, [*answers(k, LEFT), truth(setup(SIX), k - 1)])
+    assert node.tick == 2
+    return node
+
+
+def test_a_tick_waits_for_who_is_to_be_back() -> None:
+    """The tick at which a script has an agent back is opened when it is ready, with its new incarnation."""
+    node = held()
+    assert node.wake_ns == START_NS + JOIN_NS
+    assert node.poll(START_NS + JOIN_NS - 1) == ()
+    joined, tick = tell(node, [ready("agent2", 2)], START_NS + 10 * MS)
+    assert isinstance(joined, Roster)
+    assert (joined.tick, joined.agents, joined.incarnations) == (3, EVERYBODY, (1, 2, 1, 1))
+    assert isinstance(tick, Tick)
+    assert (tick.tick, tick.members, tick.answered, tick.roster) == (3, EVERYBODY, LEFT, joined.version)
+
+
+def test_who_is_back_early_waits_for_nobody() -> None:
+    """An agent that is back before its tick joins with the next one; nothing is held then."""
+    node = started(CoordinatorNode(setup(SIX, CONTINUE, KILLED)))
+    tell(node, [*answers(0), gone("agent2"), ready("agent2", 2)])
+    assert kinds(tell(node, answers(1, LEFT))) == ["roster 2", "tick 2"]
+    assert kinds(tell(node, [*answers(2, LEFT), *answers(2, (2,), 2)])) == ["tick 3"]
+
+
+def test_who_does_not_come_back_is_not_waited_for_longer() -> None:
+    """After `join_timeout_s` the flight goes on without, and the record says so."""
+    node = held()
+    roster, tick = node.poll(START_NS + JOIN_NS)
+    assert isinstance(roster, Roster)
+    assert (roster.agents, roster.reason) == (LEFT, "agent2 did not come back at t = 0.15 s")
+    assert isinstance(tick, Tick)
+    assert tick.members == LEFT
+    assert kinds(tell(node, answers(3, LEFT))) == ["tick 4"]
+
+
+def test_who_dies_again_before_it_joined() -> None:
+    """A newcomer that is gone before its tick was opened does not count as back."""
+    node = started(CoordinatorNode(setup(SIX, CONTINUE, KILLED)))
+    tell(node, [*answers(0), gone("agent2"), ready("agent2", 2), gone("agent2", 2)])
+    tell(node, answers(1, LEFT))
+    assert tell(node, answers(2, LEFT)) == []
+    assert kinds(tell(node, [ready("agent2", 3)])) == ["roster 3", "tick 3"]
+
+
+def test_an_end_while_a_tick_is_held() -> None:
+    """While a tick is held the run can still be ended, and another loss is noticed."""
+    node = held()
+    (roster,) = tell(node, [gone("agent4")])
+    assert isinstance(roster, Roster)
+    assert roster.agents == (1, 3)
+    (end,) = node.interrupt("Ctrl-C")
+    assert isinstance(end, Control)
+    assert end.exit_code == 130
+    assert node.wake_ns is None
+
+
+def test_a_restart_without_a_script_holds_nothing() -> None:
+    """An agent restarted by hand joins at the next tick, whenever it is ready; nobody waits for it."""
+    node = started(CoordinatorNode(setup(SIX, CONTINUE)))
+    tell(node, [gone("agent2"), *answers(0, LEFT)])
+    assert kinds(tell(node, answers(1, LEFT))) == ["tick 2"]
+    assert tell(node, [ready("agent2", 7)]) == []
+    assert kinds(tell(node, answers(2, LEFT))) == ["roster 3", "tick 3"]
+
+
+def test_with_policy_abort_nobody_comes_back() -> None:
+    """A newer start of an agent that takes part means the older one is lost: with "abort" the run ends."""
+    node = started(CoordinatorNode(setup(SIX)))
+    (end,) = tell(node, [ready("agent2", 2)])
+    assert isinstance(end, Control)
+    assert (end.outcome, end.exit_code) == ("aborted", 4)
+    assert end.reason == "agent2 is gone at t = 0.00 s"
+
+
+def proposals(agents: Sequence[int], negotiation: int) -> list[Message]:
+    """Plans of tick 0 that are still negotiated."""
+    return [replace(plan(setup(SIX, ROUNDS), agent, 0), negotiation=negotiation) for agent in agents]
+
+
+@pytest.mark.parametrize("negotiation", [2, 1])
+def test_whoever_is_behind_in_a_negotiation_is_lost(negotiation: int) -> None:
+    """An agent that freezes keeps the others from the next exchange: it alone is lost, and they get as long again."""
+    node = started(CoordinatorNode(setup(SIX, ROUNDS, CONTINUE)))
+    tell(node, proposals(EVERYBODY if negotiation < 2 else LEFT, 2))
+    if negotiation < 2:
+        tell(node, proposals(LEFT, 1))
+    expired_ns = START_NS + BARRIER_NS
+    (roster,) = node.poll(expired_ns)
+    assert isinstance(roster, Roster)
+    assert (roster.agents, roster.reason) == (LEFT, "agent2 did not answer tick 0 in time at t = 0.00 s")
+    assert node.poll(expired_ns + BARRIER_NS - 1) == ()
+    assert kinds(tell(node, answers(0, LEFT), expired_ns + BARRIER_NS - 1)) == ["tick 1"]
+
+
+def test_negotiations_are_no_answers() -> None:
+    """A tick is over with everybody's last plan, not with what comes before it."""
+    node = started(CoordinatorNode(setup(SIX, ROUNDS)))
+    assert tell(node, [*proposals(EVERYBODY, 2), *proposals(EVERYBODY, 1)]) == []
+    assert tell(node, answers(0, LEFT)) == []
+    assert kinds(tell(node, answers(0, (2,)))) == ["tick 1"]
+
+
+def test_everybody_stuck_in_a_negotiation() -> None:
+    """When all are equally far, nobody of them is to blame: it is what they all depend on."""
+    node = started(CoordinatorNode(setup(SIX, ROUNDS, CONTINUE)))
+    tell(node, proposals(EVERYBODY, 2))
+    (end,) = node.poll(START_NS + BARRIER_NS)
+    assert isinstance(end, Control)
+    assert end.reason == "no agent answered tick 0 in time: is the plant alive?"

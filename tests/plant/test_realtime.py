@@ -1,0 +1,86 @@
+"""The plant in real time: a tick opens and is flown at once, with whatever plans have come by then."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from plant.node import PlantNode
+from protocol.messages import Measurement, Message, Truth
+from protocol.setup import Setup
+from tests.runs import EVERYBODY, plan, roster, setup, tick
+
+S, MS = 10**9, 10**6  # ns
+START_NS = 3 * S
+
+
+def realtime(*settings: str, speed: float = 1.0) -> tuple[Setup, PlantNode]:
+    """A run in real time and its plant, told who takes part."""
+    run = setup("controller.horizon=5", "clock.mode=realtime", f"clock.speed={speed}", *settings)
+    node = PlantNode(run)
+    assert list(node.receive(roster(), START_NS)) == []
+    return run, node
+
+
+def flown(node: PlantNode, k: int, now_ns: int) -> Truth:
+    """Tick k opens: everybody gets a measurement and the interval after it is flown."""
+    *measured, truth = node.receive(tick(k), now_ns)
+    assert [message.agent for message in measured if isinstance(message, Measurement)] == list(EVERYBODY)
+    assert isinstance(truth, Truth)
+    assert truth.tick == k
+    return truth
+
+
+def tell(node: PlantNode, events: Sequence[Message], now_ns: int) -> None:
+    """Plans come: nothing is said of them."""
+    for event in events:
+        assert list(node.receive(event, now_ns)) == []
+
+
+def test_a_tick_is_flown_at_once() -> None:
+    """Without a single plan each tick is measured and flown when it opens: the plant waits for nobody."""
+    _, node = realtime()
+    assert [flown(node, k, START_NS).plan_ticks for k in range(3)] == [(-1,) * 4] * 3
+
+
+def test_late_plans() -> None:
+    """A plan for tick k that comes after it opened acts from the next one on, with its step for that tick."""
+    run, node = realtime()
+    made = run.hover.u[:4] + np.arange(5.0)[:, None] * np.array([1.0, 0.0, 0.0, 0.0])
+    flown(node, 0, START_NS)
+    tell(node, [plan(run, agent, 0, delay=1, inputs=made) for agent in (1, 2)], START_NS + 10 * MS)
+    first = flown(node, 1, START_NS + 50 * MS)
+    assert first.plan_ticks == (0, 0, -1, -1)
+    tell(node, [plan(run, 3, 0, delay=1, inputs=made)], START_NS + 60 * MS)
+    second = flown(node, 2, START_NS + 100 * MS)
+    assert second.plan_ticks == (0, 0, 0, -1)
+    assert second.u[0] == second.u[8] == run.hover.u[0] + 1.0
+
+
+def test_fail_safe_after_the_end_of_a_plan() -> None:
+    """When nothing newer comes the plan is played to its end, then the fail-safe; a newcomer's plan takes over."""
+    run, node = realtime()
+    flown(node, 0, START_NS)
+    tell(node, [plan(run, 1, 0, delay=1)], START_NS)
+    followed = [flown(node, k, START_NS).plan_ticks[0] for k in range(1, 9)]
+    assert followed == [0] * 5 + [-2] * 3
+    tell(node, [plan(run, 1, 8, delay=1)], START_NS)
+    assert flown(node, 9, START_NS).plan_ticks[0] == 8
+
+
+@pytest.mark.parametrize(("speed", "held_ms"), [(1.0, 120), (2.0, 60)])
+def test_a_delayed_plan_is_held_back(speed: float, held_ms: int) -> None:
+    """Over an actuation link with delay d a plan can act d / speed seconds after its arrival, not before."""
+    run, node = realtime("links.actuation.delay_s=0.12", speed=speed)
+    flown(node, 0, START_NS)
+    arrived_ns = START_NS + 5 * MS
+    tell(node, [plan(run, agent, 0, delay=1) for agent in EVERYBODY], arrived_ns)
+    assert flown(node, 1, arrived_ns + held_ms * MS - 1).plan_ticks == (-1,) * 4
+    assert flown(node, 2, arrived_ns + held_ms * MS).plan_ticks == (0,) * 4
+
+
+def test_ticks_that_come_in_a_burst() -> None:
+    """A coordinator that catches up opens several ticks at once: each is flown, in order."""
+    _, node = realtime()
+    truths = [flown(node, k, START_NS) for k in range(20)]
+    assert [truth.tick for truth in truths] == list(range(20))

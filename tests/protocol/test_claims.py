@@ -1,0 +1,129 @@
+"""Claims: what a message may say in a run, whatever the moment."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from model import state
+from protocol.claims import Claims, check_moment, window
+from protocol.messages import Message, MessageError
+from tests import runs
+from tests.protocol.samples import sample
+from tests.runs import EVERYBODY, setup, ticks
+from tests.transport.logs import report
+from transport.memory import fly
+
+RUN = setup("controller.horizon=5", ticks(40))
+CLAIMS = Claims(RUN)
+PLAN, MEASUREMENT = runs.plan(RUN, 2, 3), runs.measurement(RUN, 2, 3)
+PITCHED = MEASUREMENT.uav_states.copy()
+PITCHED[0, state.THETA] = [0.0, np.pi / 2, 0.0]
+
+
+def refusal(message: Message, claims: Claims = CLAIMS) -> tuple[str, str]:
+    """Reason and text a message is refused with; nothing if it is not."""
+    try:
+        claims.check(message)
+    except MessageError as error:
+        return error.reason, str(error)
+    return "", ""
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        (),
+        ("clock.actuation=next_tick",),
+        ("agents.owned=[[1,2],[3,4]]", "controller.prediction=closed_loop", "controller.rounds=3"),
+        ("plant.max_error_m=0.02",),
+    ],
+)
+def test_what_a_run_says_is_believed(settings: tuple[str, ...]) -> None:
+    """No message of a flight is refused, not even of one that diverges."""
+    run = setup(runs.SHORT, *settings)
+    claims = Claims(run)
+    messages: list[Message] = []
+    fly(run, messages.append)
+    assert {refusal(message, claims) for message in messages} == {("", "")}
+
+
+@pytest.mark.parametrize(
+    ("message", "changes", "reason", "text"),
+    [
+        (PLAN, {"tick": 40, "start_tick": 40}, "future", "plan of tick 40, expected 39 or earlier"),
+        (runs.end(), {"tick": 2**40}, "future", "control of tick 1099511627776, expected 39 or earlier"),
+        (PLAN, {"agent": 9, "sender": "agent9"}, "unknown_agent", "plan of agent 9, the run has 4"),
+        (PLAN, {"sender": "agent3"}, "wrong_sender", "plan of agent 2 from agent3"),
+        (PLAN, {"uavs": (3,)}, "wrong_uavs", "plan of UAVs [3], agent 2 has [2]"),
+        (PLAN, {"start_tick": 4}, "future", "plan of tick 3 that starts at tick 4"),
+        (PLAN, {"start_tick": 2}, "past", "plan of tick 3 that starts at tick 2"),
+        (PLAN, {"negotiation": 1}, "out_of_range", "negotiation: expected less than 1, got 1"),
+        (PLAN, {"inputs": PLAN.inputs + 30.0}, "outside_limits", "inputs outside the limits of agent2"),
+        (PLAN, {"inputs": PLAN.inputs - 30.0}, "outside_limits", "inputs outside the limits of agent2"),
+        (PLAN, {"corrections": PLAN.inputs - 2e6}, "out_of_range", "corrections: expected at most 1e+06, got 2e+06"),
+        (PLAN, {"uav_states": PLAN.uav_states * 0.5}, "out_of_range", "expected rod directions of length 1, got 0.5"),
+        (PLAN, {"uav_states": PLAN.uav_states + 1e7}, "out_of_range", "uav_states: expected at most 1e+06, got 1e+07"),
+        (MEASUREMENT, {"uavs": (1,)}, "wrong_uavs", "measurement of UAVs [1], agent 2 has [2]"),
+        (MEASUREMENT, {"agent": 5}, "unknown_agent", "measurement of agent 5, the run has 4"),
+        (MEASUREMENT, {"answered": (2, 5, 7)}, "unknown_agent", "answered: expected agents of this run, got [5, 7]"),
+        (MEASUREMENT, {"payload": np.full(12, -1e9)}, "out_of_range", "payload: expected at most 1e+06, got 1e+09"),
+        (MEASUREMENT, {"inputs": np.full((1, 4), 1e300)}, "out_of_range", "inputs: expected at most 1e+06, got 1e+300"),
+        (MEASUREMENT, {"payload": np.full(12, 2.0)}, "out_of_range", "roll and pitch: expected less than 90 deg"),
+        (MEASUREMENT, {"uav_states": PITCHED}, "out_of_range", "roll and pitch: expected less than 90 deg, got 90"),
+        (runs.tick(3), {"members": (1, 5)}, "unknown_agent", "members: expected agents of this run, got [5]"),
+        (runs.tick(3), {"answered": (256,)}, "unknown_agent", "answered: expected agents of this run, got [256]"),
+        (runs.roster({1: 0, 6: 0}), {}, "unknown_agent", "agents: expected agents of this run, got [6]"),
+        (report(RUN, 2, 3), {"peers": (1, 3, 9)}, "unknown_agent", "peers: expected agents of this run, got [9]"),
+        (sample(type(runs.truth(RUN, 3))), {"tick": 3}, "wrong_shape", "x: expected 60 numbers, got 36"),
+    ],
+)
+def test_what_nobody_of_the_run_can_mean(message: Message, changes: dict[str, Any], reason: str, text: str) -> None:
+    """Each claim that cannot be true of the run is refused for its reason, in words."""
+    found = refusal(replace(message, **changes))
+    assert found[0] == reason
+    assert text in found[1]
+
+
+@pytest.mark.parametrize(
+    ("message", "changes"),
+    [
+        (PLAN, {"tick": 39, "start_tick": 39}),
+        (PLAN, {"inputs": np.tile([45.0, 1.0, -1.0, 0.5], (5, 1))}),
+        (PLAN, {"inputs": np.tile([0.0, -1.0, 1.0, -0.5], (5, 1))}),
+        (PLAN, {"uav_states": PITCHED}),  # predicted, perhaps: only what is measured is known not to be lost
+        (PLAN, {"corrections": np.full((5, 4), 1e6)}),
+        (runs.roster({}), {}),
+        (runs.tick(3), {"members": EVERYBODY, "answered": ()}),
+    ],
+)
+def test_limits_themselves_are_allowed(message: Message, changes: dict[str, Any]) -> None:
+    """What can just be true is believed."""
+    assert refusal(replace(message, **changes)) == ("", "")
+
+
+def test_start_of_plans() -> None:
+    """With actuation "next_tick" a plan starts one tick after its own."""
+    claims = Claims(setup("clock.actuation=next_tick"))
+    assert refusal(replace(PLAN, start_tick=4), claims) == ("", "")
+    assert refusal(PLAN, claims)[0] == "past"
+
+
+@pytest.mark.parametrize(("tick", "reason"), [(4, "past"), (5, ""), (7, ""), (8, "future")])
+def test_moment(tick: int, reason: str) -> None:
+    """A message is of one of the ticks it can be of now, the first and the last included."""
+    try:
+        check_moment(runs.tick(tick), 5, 7)
+        found = ""
+    except MessageError as error:
+        found = error.reason
+    assert found == reason
+
+
+def test_window() -> None:
+    """Nobody gets further in lockstep; in real time one may be behind for as long as it is not taken for dead."""
+    assert window(setup()) == 1
+    realtime = ("clock.mode=realtime", "clock.barrier_timeout_s=2.0")
+    assert window(setup(*realtime, "clock.speed=1.0")) == 80
+    assert window(setup(*realtime, "clock.speed=0.5")) == 40

@@ -1,0 +1,115 @@
+"""What is refused is counted by sender and reason, within bounds, and told now and then."""
+
+from typing import get_args
+
+import pytest
+
+from protocol.codec import decode, encode
+from protocol.messages import MAX_TEXT, MessageError, Reason
+from protocol.rejections import MAX_SENDERS, OTHERS, Notices, Rejection, Rejections
+
+SECOND_NS = 10**9
+
+
+def past(text: str = "over") -> MessageError:
+    """Some refusal."""
+    return MessageError("past", text)
+
+
+def test_counts_by_sender_and_reason() -> None:
+    """Each sender and reason has a count of its own, and the text of the first message as an example."""
+    rejections = Rejections()
+    rejections.add("agent1", past("first"))
+    rejections.add("agent2", past("second"))
+    rejections.add("agent1", past("third"))
+    rejections.add("agent1", MessageError("future", "fourth"))
+    assert list(rejections) == [
+        Rejection("agent1", "past", 2, "first"),
+        Rejection("agent2", "past", 1, "second"),
+        Rejection("agent1", "future", 1, "fourth"),
+    ]
+    assert rejections.total == 4
+
+
+def test_nothing_at_first() -> None:
+    """Without refusals there is nothing to count and nothing to tell."""
+    rejections = Rejections()
+    assert (rejections.total, list(rejections), list(rejections.news())) == (0, [], [])
+    notices = Notices("plant", rejections)
+    assert notices.due(0, 0, 0) == notices.rest(0, 0) == []
+
+
+def test_senders_are_bounded() -> None:
+    """However many senders somebody makes up, few are told apart; all are counted, and early ones stay apart."""
+    rejections = Rejections()
+    for i in range(10 * MAX_SENDERS):
+        for reason in get_args(Reason):
+            rejections.add(f"plan/{i}", MessageError(reason, "x"))
+    rejections.add("plan/3", past())
+    entries = list(rejections)
+    assert len({entry.sender for entry in entries}) == MAX_SENDERS + 1
+    assert len(entries) == (MAX_SENDERS + 1) * len(get_args(Reason))
+    assert sum(entry.count for entry in entries) == rejections.total == 10 * MAX_SENDERS * len(get_args(Reason)) + 1
+    counts = {(entry.sender, entry.reason): entry.count for entry in entries}
+    assert counts["plan/3", "past"] == 2
+    assert counts[OTHERS, "past"] == 9 * MAX_SENDERS
+
+
+@pytest.mark.parametrize("length", [10, 80, 81, 60_000])
+def test_texts_are_bounded(length: int) -> None:
+    """A key or a text as long as its author likes is cut to what can be sent."""
+    rejections = Rejections()
+    rejections.add("k" * length, past("t" * length))
+    (entry,) = rejections
+    assert entry.sender == ("k" * length)[:80]
+    assert entry.example == ("t" * length)[:MAX_TEXT]
+    (notice,) = Notices("plant", rejections).rest(0, 0)
+    assert decode(encode(notice)) == notice
+
+
+def test_news_are_told_once() -> None:
+    """Each refusal is told once; the example stays that of the first."""
+    rejections = Rejections()
+    rejections.add("agent1", past("first"))
+    assert list(rejections.news()) == [Rejection("agent1", "past", 1, "first")]
+    assert list(rejections.news()) == []
+    rejections.add("agent2", past("other"))
+    rejections.add("agent1", past("second"))
+    rejections.add("agent1", past("third"))
+    assert list(rejections.news()) == [Rejection("agent1", "past", 2, "first"), Rejection("agent2", "past", 1, "other")]
+
+
+def test_notices_come_once_a_second() -> None:
+    """The first news are told at once, later ones a second after those before at the earliest, the rest at the end."""
+    rejections = Rejections()
+    notices = Notices("agent2", rejections)
+    told = []
+    for i in range(26):
+        rejections.add("plan/3", past())
+        told += [(i, notice.count) for notice in notices.due(i * SECOND_NS // 10, 4, i)]
+    assert told == [(0, 1), (10, 10), (20, 10)]
+    (rest,) = notices.rest(4, 99)
+    assert (rest.sender, rest.incarnation, rest.tick, rest.sequence) == ("agent2", 4, 99, 3)
+    assert (rest.offender, rest.reason, rest.count, rest.example) == ("plan/3", "past", 5, "over")
+    assert notices.rest(4, 99) == []
+
+
+def test_no_notice_without_news() -> None:
+    """Time alone is no reason to say anything."""
+    rejections = Rejections()
+    notices = Notices("agent2", rejections)
+    rejections.add("plan/3", past())
+    assert len(notices.due(0, 0, 0)) == 1
+    assert notices.due(100 * SECOND_NS, 0, 0) == []
+
+
+def test_notices_are_numbered() -> None:
+    """Messages about refusals count up from 0 by themselves: they take no numbers from what else a process says."""
+    rejections = Rejections()
+    notices = Notices("agent2", rejections)
+    sequences = []
+    for i in range(3):
+        for j in range(i + 1):
+            rejections.add(f"agent{j + 5}", past())
+        sequences += [notice.sequence for notice in notices.rest(0, 0)]
+    assert sequences == [0, 1, 2, 3, 4, 5]

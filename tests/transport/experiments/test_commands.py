@@ -1,0 +1,138 @@
+"""The commands: what is refused before anything flies, what a flight that fails does, what is printed."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import orjson
+import pytest
+
+from protocol.messages import Control
+from protocol.setup import Setup
+from tests.runs import ticks
+from tests.transport.experiments.flown import here, kept, tables
+from transport import memory
+from transport.experiments.table import WIDTH
+
+DONE, USAGE, SCENARIO, LOST, CASES = 0, 2, 3, 4, 7
+
+REFUSED = [
+    (("latency", "--delay", "-0.1"), USAGE, "--delay: expected a delay >= 0 s, got -0.1"),
+    (("latency", "--jobs", "0"), USAGE, "--jobs"),
+    (("latency", "--seeds", "0"), USAGE, "--seeds"),
+    (("loss", "--loss", "1.5"), USAGE, "--loss: expected a share from 0 to below 1, got 1.5"),
+    (("jitter", "--distribution", "cauchy"), USAGE, "--distribution: expected one of uniform, normal, exponential"),
+    (("jitter", "--std", "0.2"), USAGE, "--std: expected a standard deviation from 0 to 0.0924 s"),
+    (("kill", "--at", "9", "--restart", "9"), USAGE, "--restart: expected a time after --at 9 s, got 9"),
+    (("kill", "--scenario", "paper", "--scenario", "paper"), USAGE, "--scenario: expected each value once"),
+    (("matrix", "--delay", "inf"), USAGE, "--delay: expected a delay >= 0 s, got inf"),
+    (("latency", "--scenario", "papr"), SCENARIO, "did you mean 'paper'?"),
+    (("latency", "--set", "links.los=1"), SCENARIO, "links.los=1: unknown key; did you mean 'loss'?"),
+    (
+        ("latency", "--set", "clock={mode='realtime',speed=1.0}"),
+        SCENARIO,
+        "clock.mode: expected lockstep, got realtime",
+    ),
+    (("latency", "--processes", "--jobs", "2"), USAGE, "--processes: expected no other of --processes, --dask, --jobs"),
+    (("latency", "--dask", "nowhere"), USAGE, "--dask: expected an address such as tcp://host:8786, got 'nowhere'"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "code", "expected"), REFUSED, ids=[" ".join(row[0]) for row in REFUSED])
+def test_what_cannot_be_is_refused(
+    arguments: tuple[str, ...], code: int, expected: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A bad option ends with its exit code and option, expected and got; nothing is flown and nothing appears."""
+    monkeypatch.chdir(tmp_path)
+    result = here("experiment", *arguments)
+    assert result.exit_code == code, result.output
+    assert expected in result.stderr
+    assert result.stdout == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_of_another_experiment_is_refused(tmp_path: Path) -> None:
+    """`--out` with another experiment's folder: expected and got, and the folder stays as it is."""
+    (tmp_path / "experiment.json").write_text('{"experiment": "loss"}')
+    result = here("experiment", "latency", "--out", tmp_path)
+    assert result.exit_code == USAGE
+    expected = f"--out: expected a folder that does not exist yet, or one of experiment latency, got {tmp_path}"
+    assert f"{expected}, which is one of loss" in result.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["experiment.json"]
+
+
+def test_a_scheduler_that_is_not_there_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An address nobody listens on: exit code 4, and what was flown before stays."""
+    monkeypatch.setattr("transport.experiments.workers._ANSWER_S", 0.5)
+    result = here("experiment", "latency", "--dask", "tcp://127.0.0.1:9", "--out", tmp_path / "out")
+    assert result.exit_code == LOST
+    assert "--dask: expected a scheduler at tcp://127.0.0.1:9, got no answer" in result.stderr
+    assert kept(tmp_path / "out") == 0
+
+
+LATE = ("experiment", "latency", "--scenario", "resilient", "--delay", "0.1", "--set", ticks(4), "--jobs", "1")
+
+
+def failing(when: Callable[[Setup], bool], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let flights raise."""
+    whole = memory.fly
+
+    def fly(setup: Setup, *arguments: object, **options: object) -> Control:
+        if when(setup):
+            raise RuntimeError("the wing\nfell off")
+        return whole(setup, *arguments, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(memory, "fly", fly)
+
+
+def test_a_flight_that_raises_is_a_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The others are flown, the row says why, the exit code is 7; when gone on with, only that one is flown."""
+    with monkeypatch.context() as patch:
+        failing(lambda setup: setup.scenario.links.delay_s == 0.0, patch)
+        result = here(*LATE, "--out", tmp_path / "out")
+    assert result.exit_code == CASES
+    assert "a flight could not be flown: RuntimeError: the wing fell off" in result.stderr
+    assert "0/0 1!" in result.stdout
+    assert "1 flight could not be flown" in result.stdout
+    points, cases = tables(tmp_path / "out")
+    assert b"resilient,0.0,0,error,RuntimeError: the wing fell off,,,,,,,,,,\n" in cases
+    assert b"resilient,0.0,0,0,1,,," in points
+    result = here(*LATE, "--out", tmp_path / "out")
+    assert result.exit_code == DONE, result.output
+    assert "1 of 2 flights are done already" in result.stderr
+    assert kept(tmp_path / "out") == 3
+
+
+def test_another_version_does_not_mix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A worker with another version of the package gives an error, not numbers."""
+    monkeypatch.setattr("transport.experiments.flight.key_of", lambda *_: "0123")
+    result = here(*LATE, "--out", tmp_path / "out")
+    assert result.exit_code == CASES
+    assert "expected the version of this package that started the experiment, got another" in result.stderr
+
+
+def test_more_points_are_added(tmp_path: Path) -> None:
+    """Going on with other points flies those that are new, and reports those asked for."""
+    assert here(*LATE, "--out", tmp_path / "out").exit_code == DONE
+    result = here(*LATE, "--delay", "0.2", "--out", tmp_path / "out")
+    assert result.exit_code == DONE, result.output
+    assert "2 of 3 flights are done already" in result.stderr
+    assert tables(tmp_path / "out")[1].count(b"completed") == 3
+
+
+@pytest.mark.parametrize("name", ["loss", "kill", "jitter", "matrix"])
+def test_a_trial_says_so(name: str, tmp_path: Path) -> None:
+    """`--quick` of every experiment flies, is called a trial, and its table fits its width."""
+    settings = ("--set", ticks(4), "--seeds", "1", "--jobs", "1", "--scenario", "resilient")
+    result = here("experiment", name, "--quick", *settings, "--out", tmp_path)
+    assert result.exit_code == DONE, result.output
+    assert "--quick: a trial, no measurement" in result.stderr
+    assert "(trial, no measurement)" in result.stdout
+    table = result.stdout.partition("\n\n")[0].splitlines()
+    assert max(len(line.rstrip()) for line in table) <= WIDTH
+    assert "…" not in "".join(table)
+    assert "resilient: completes" in result.stdout
+    assert "machine: " in result.stdout
+    for file in ("points.csv", "cases.csv", "figure.png", "figure.svg"):
+        assert f" {tmp_path / file}\n" in result.stdout
+        assert (tmp_path / file).stat().st_size > 0
+    assert orjson.loads((tmp_path / "experiment.json").read_bytes())["experiment"] == name

@@ -1,0 +1,172 @@
+"""Bad messages in the middle of a flight: dropped, counted, and without any effect on it."""
+
+import gc
+import tracemalloc
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from protocol.bus import Endpoints
+from protocol.codec import encode
+from protocol.gate import Gate
+from protocol.keys import Keys
+from protocol.messages import Message, Reason, Rejected, agent_name
+from protocol.rejections import MAX_SENDERS, Rejections
+from protocol.setup import Setup
+from tests import runs
+from tests.garbage import Garbage
+from tests.runs import reproducible, setup
+from tests.transport.logs import HEADER
+from tests.wire import Wire
+from transport import recorder as recorder_module
+from transport.log import LogWriter, read_log
+from transport.metrics import summarise
+from transport.recorder import Recorder
+
+SEED = 20240611
+
+# A step of a millisecond, and so many ticks that a message of another time is far from now.
+SETTINGS = ("controller.horizon=5", runs.ticks(60))
+
+# Bad messages before each delivery of a flight, and how many that are at least.
+PER_DELIVERY, FEWEST = 24, 50_000
+
+# Of thousands of messages: nothing but what the allocator keeps, and a few hundred examples.
+LEFT_BEHIND_BYTES, MOST_BYTES = 20_000, 2_000_000
+
+
+class NoBus:
+    """In the place of a bus that nobody listens to."""
+
+    def __init__(self, **_: object) -> None:
+        pass
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where a recorder without a network writes."""
+    monkeypatch.setattr(recorder_module, "Bus", NoBus)
+    return tmp_path
+
+
+@contextmanager
+def recording(run: Setup, path: Path) -> Iterator[Recorder]:
+    """A recorder whose messages come from the test."""
+    writer = LogWriter(path, HEADER, period_ns=run.period_ns)
+    recorder = Recorder(run, run.scenario.name, writer, Endpoints(listen=[], connect=[]), 1.0)
+    yield recorder
+    recorder.close()
+    assert recorder.error is None
+
+
+def said(messages: Iterable[Message]) -> list[bytes]:
+    """What was said, in order, but for wall-clock times."""
+    return [encode(reproducible(message)) for message in messages]
+
+
+def recorded(path: Path) -> list[bytes]:
+    """The same from a log, without what is about messages that were refused."""
+    log = read_log(path)
+    assert log.cut == ""
+    return said(entry.message for entry in log.messages if not isinstance(entry.message, Rejected))
+
+
+class Fire:
+    """Bad messages for every receiver of a flight, before each message that is delivered to it.
+
+    Attributes:
+        shot: How many, by receiver and sort.
+    """
+
+    def __init__(self, run: Setup, seed: int) -> None:
+        self.shot: Counter[tuple[str, str]] = Counter()
+        self.sources: dict[str, Garbage] = {}
+        self._run, self._seed = run, seed
+
+    def __call__(self, wire: Wire, name: str, key: str, data: bytes) -> None:
+        """Disturb a receiver; each bad message is refused and counted at once, or kept for a token."""
+        receiver = wire.receivers[name]
+        if name not in self.sources:
+            rng = np.random.default_rng([self._seed, len(self.sources)])
+            self.sources[name] = Garbage(name, wire.keys, self._run, receiver.gate.max_bytes, rng)
+        self.sources[name].heard(key, data)
+        for _ in range(PER_DELIVERY):
+            sort, wrong_key, wrong = self.sources[name].next()
+            before = receiver.rejected.total + receiver.gate.kept
+            answers = wire.disturb(name, wrong_key, wrong)
+            counted = receiver.rejected.total + receiver.gate.kept - before
+            assert (list(answers), counted) == ([], 1), (name, sort, wrong_key, wrong)
+            self.shot[name, sort] += 1
+
+
+@pytest.mark.parametrize("settings", [(), ("clock.actuation=next_tick", "controller.prediction=closed_loop")])
+def test_a_flight_under_fire(folder: Path, settings: tuple[str, ...]) -> None:
+    """Fifty thousand bad messages to everybody change no bit of a flight or of its record; each is counted once."""
+    run = setup(*SETTINGS, *settings)
+    with recording(run, folder / "calm.mcap") as witness:
+        calm = Wire(run, witness)
+        assert calm.fly().outcome == "completed"
+    assert sum(receiver.rejected.total for receiver in calm.receivers.values()) == 0
+
+    fire = Fire(run, SEED)
+    with recording(run, folder / "disturbed.mcap") as witness:
+        wire = Wire(run, witness, fire)
+        assert wire.fly().outcome == "completed"
+        wire.tell_rejected()
+    assert said(wire.sent) == said(calm.sent)
+    assert recorded(folder / "disturbed.mcap") == recorded(folder / "calm.mcap") != []
+
+    assert fire.shot.total() > FEWEST
+    assert set(fire.shot) == {(name, sort) for name in wire.receivers for sort in fire.sources[name].sorts}
+    for name, receiver in wire.receivers.items():
+        entries = list(receiver.rejected)
+        shot = sum(count for (at, _), count in fire.shot.items() if at == name)
+        assert sum(entry.count for entry in entries) == receiver.rejected.total == shot
+        assert len({entry.sender for entry in entries}) <= MAX_SENDERS + 1
+    reasons = {entry.reason for receiver in wire.receivers.values() for entry in receiver.rejected}
+    assert reasons == set(get_args(Reason))
+
+    summary = summarise(run, read_log(folder / "disturbed.mcap"))
+    assert summary["messages"]["rejected"] == fire.shot.total()
+    counts: Counter[str] = Counter()
+    for entry in summary["rejections"]:
+        counts[entry["by"]] += entry["count"]
+    assert counts == {name: receiver.rejected.total for name, receiver in wire.receivers.items()}
+
+
+def test_fire_costs_no_memory() -> None:
+    """What has been refused leaves no more behind the longer it goes on."""
+    run = setup(*SETTINGS)
+    keys, rejections = Keys(run.scenario.name), Rejections()
+    gate = Gate("recorder", keys, run, rejections)
+    for name in ("coordinator", "plant", *map(agent_name, run.agents)):
+        gate.announce(name, runs.INCARNATION)
+    source = Garbage("recorder", keys, run, gate.max_bytes, np.random.default_rng(SEED))
+    for message in runs.recorded(run)[:100]:
+        mine = replace(message, incarnation=runs.INCARNATION)
+        source.heard(keys.of(mine), encode(mine))
+        gate.read(keys.of(mine), encode(mine))
+    bad = [source.next()[1:] for _ in range(3000)]
+    strangers = [(f"{keys.prefix}/plan/{'x' * 1000}{i}", b"?") for i in range(1000)]
+
+    def refuse_all() -> int:
+        for key, data in [*bad, *strangers]:
+            gate.read(key, data)
+        gc.collect()
+        return tracemalloc.get_traced_memory()[0]
+
+    tracemalloc.start()
+    try:
+        used = [refuse_all() for _ in range(4)]
+    finally:
+        tracemalloc.stop()
+    assert rejections.total + gate.kept > 15_900  # some are for a node to see through
+    assert gate.kept <= 256
+    assert used[-1] - used[-2] < LEFT_BEHIND_BYTES
+    assert used[-1] < MOST_BYTES
