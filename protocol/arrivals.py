@@ -56,7 +56,8 @@ class Arrivals(Generic[M]):
                 self._lost.append(message.tick)
         self._sent = [message for message in self._sent if message.tick + self._after > tick]
         until = tick if self._speed is None else now_ns
-        usable = [message for at, message in self._held if at <= until]
-        self._held = [(at, message) for at, message in self._held if at > until]
+        # In real time others may be ahead: what they say of a tick that is still to come waits for it.
+        usable = [message for at, message in self._held if at <= until and message.tick <= tick]
+        self._held = [(at, message) for at, message in self._held if at > until or message.tick > tick]
         lost, self._lost = len(self._lost), []
         return sorted(usable, key=lambda message: (message.tick, message.sender)), lost

@@ -8,7 +8,8 @@ import json
 import queue
 import threading
 import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any
@@ -240,9 +241,7 @@ class Bus:
 
     def close(self) -> None:
         """Undeclare everything and close the session, within bounded time."""
-        closer = threading.Thread(target=self._close, daemon=True)
-        closer.start()
-        closer.join(_CLOSE_S)
+        _in_bounded_time(self._close)
 
     def _close(self) -> None:
         for token in self._tokens:
@@ -355,16 +354,31 @@ def ask(
     keys = Keys(run)
     zenoh.init_log_from_env_or("error")
     configuration = _configuration(Endpoints(listen=[], connect=connect), 1.0)
-    with zenoh.open(zenoh.Config.from_json5(json.dumps(configuration))) as session:
+    session = zenoh.open(zenoh.Config.from_json5(json.dumps(configuration)))
+    try:
         deadline = time.monotonic() + timeout_s
         while not any(reply.ok for reply in session.liveliness().get(f"{keys.prefix}/alive/{name}/**", timeout=1.0)):
             if time.monotonic() > deadline:
                 raise BusError(f"no sign of {name} of run {run} within {timeout_s:g} s; tried {', '.join(connect)}")
             time.sleep(0.02)
         answer = _asked(session, keys.requests(name), {"what": what, **given}, timeout_s)
+    finally:
+        _in_bounded_time(session.close)
     if answer is None:
         raise BusError(f"{name} of run {run} does not answer")
     return answer
+
+
+def _in_bounded_time(close: Callable[[], Any]) -> None:
+    """Close something, or leave it to the end of the process when a peer that does not read holds it up."""
+
+    def run() -> None:
+        with suppress(zenoh.ZError):  # "timed out"
+            close()
+
+    closer = threading.Thread(target=run, daemon=True)
+    closer.start()
+    closer.join(_CLOSE_S)
 
 
 def _asked(session: zenoh.Session, key: str, request: Mapping[str, Any], timeout_s: float) -> Mapping[str, Any] | None:

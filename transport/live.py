@@ -1,6 +1,7 @@
 """Where the runs are that fly now: a small file in the run folder, there as long as the run is."""
 
 import os
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -15,12 +16,12 @@ class LiveRun:
 
     Attributes:
         run: Its name.
-        connect: Endpoints of its processes.
+        endpoints: Of its processes, by name.
         pid: Of the process that started them.
     """
 
     run: str
-    connect: tuple[str, ...]
+    endpoints: Mapping[str, str]
     pid: int
 
 
@@ -38,7 +39,7 @@ def read(folder: Path) -> LiveRun | None:
     """The run that flies in a folder, if one does; what a killed one has left behind does not count."""
     try:
         content = orjson.loads((folder / _FILE).read_bytes())
-        run = LiveRun(run=content["run"], connect=tuple(content["connect"]), pid=content["pid"])
+        run = LiveRun(run=content["run"], endpoints=dict(content["endpoints"]), pid=content["pid"])
         os.kill(run.pid, 0)
     except (OSError, ValueError, KeyError, TypeError):
         return None

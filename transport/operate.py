@@ -112,15 +112,16 @@ def _ask(run: str | None, connect: list[str] | None, name: str, what: str, given
     if connect and not (run and Keys.allows(run)):
         _fail(f"--run: expected the name of a run with --connect, got {run!r}", 2)
     if connect and run:
-        found = live.LiveRun(run=run, connect=tuple(connect), pid=0)
+        known, endpoints = run, connect
     else:
         there = live.newest(_RUNS) if run is None else live.read(Path(run)) or live.read(_RUNS / run)
         if there is None:
             where = f"below {_RUNS}/" if run is None else f"in {run}"
             _fail(f"no run that flies {where}; name its folder with --run, or its endpoints with --connect", 2)
-        found = there
+        # Only the one that is asked: others may be frozen, and then take their time.
+        known, endpoints = there.run, [there.endpoints[name]]
     try:
-        answer = dict(ask(found.run, found.connect, name, what, given))
+        answer = dict(ask(known, endpoints, name, what, given))
     except BusError as error:
         _fail(str(error), 4)
     if "error" in answer:

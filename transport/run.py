@@ -100,7 +100,8 @@ def fly(setup: Setup, folder: Path, console: Console) -> Finished:
     header = run_header(setup, run, len(names), text)
     # The recorder is called by nobody but people who want something of this run's parent.
     own = f"tcp/{host}:{free_ports(host, 1)[0]}"
-    everybody = Endpoints(listen=[own], connect=[e for place in places.values() for e in place.listen])
+    endpoints = {name: place.listen[0] for name, place in places.items()}
+    everybody = Endpoints(listen=[own], connect=list(endpoints.values()))
 
     with (
         Harness(run, folder / "scenario.toml", places, folder / "logs") as harness,
@@ -111,7 +112,7 @@ def fly(setup: Setup, folder: Path, console: Console) -> Finished:
         recorder = Recorder(setup, run, writer, everybody, scenario.clock.join_timeout_s)
         try:
             recorder.start(names)
-            live.write(folder, live.LiveRun(run, (*everybody.connect, own), os.getpid()))
+            live.write(folder, live.LiveRun(run, {**endpoints, RECORDER: own}, os.getpid()))
             _watch(harness, recorder, progress, FaultScript(setup, harness, recorder))
             if recorder.control is not None:
                 harness.wait(_LEAVE_S)

@@ -67,7 +67,7 @@ def test_deadlines_do_not_drift(speed: float) -> None:
 
 def test_catching_up_after_a_freeze() -> None:
     """After half a second away every tick that is overdue is opened at once, then the schedule is met again."""
-    run, node = realtime()
+    _, node = realtime()
     now_ns = due(1) + 480 * MS
     late_ms = [only_tick(node.poll(now_ns)).late_ns // MS for _ in range(10)]
     assert late_ms == [480 - 50 * i for i in range(10)]

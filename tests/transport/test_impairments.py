@@ -8,33 +8,14 @@ import pytest
 
 from model import state
 from protocol.codec import encode
-from protocol.messages import Measurement, Message, Plan, StepReport, Truth, agent_name
+from protocol.messages import Measurement, Message, Plan, StepReport, agent_name
 from protocol.setup import Setup
-from tests.runs import SHORT, recorded, reproducible, setup, ticks, truths
+from tests.runs import SHORT, recorded, reproducible, setup, truths
 from tests.transport.shuffled import fly_shuffled
+from tests.transport.troubles import FAULTS, HEAVY, NEXT_TICK, RESILIENT, ROUNDS
 
 PERIOD_S, TICKS = 0.05, 30
 FAIL_SAFE = -2
-
-# Only the shared law flies over a bad network.
-RESILIENT = ("controller.prediction=closed_loop", "controller.relaxation=0.25")
-
-# Everything at once that links can do, to all kinds of messages.
-HEAVY = (
-    "links={delay_s=0.06,jitter_s=0.1,loss=0.15,duplicate=0.2,reorder=0.2,reorder_s=0.1,rate_hz=15.0,"
-    "gilbert_elliott={enter=0.1,leave=0.4},"
-    "measurement={delay_s=0.05,jitter_s=0.05,loss=0.1,duplicate=0.1,reorder=0.1,reorder_s=0.1},"
-    "actuation={delay_s=0.03,jitter_s=0.05,loss=0.1,duplicate=0.1,reorder=0.1,reorder_s=0.1},"
-    "override=[{from='agent1',to='agent2',loss=0.5},{from='plant',to='agent3',distribution='normal',jitter_s=0.05}],"
-    "partition=[{between=['agent3','plant'],start_s=0.4,end_s=0.6}],"
-    "change=[{at_s=0.8,loss=0.3,rate_hz=20.0},{at_s=0.9,from='plant',delay_s=0.0}]}"
-)
-NEXT_TICK, ROUNDS = "clock.actuation=next_tick", "controller.rounds=2"
-FAULTS = (
-    "clock.on_agent_loss=continue",
-    "faults.event=[{at_s=0.3,do='stop',target='agent2'},{at_s=0.7,do='continue',target='agent2'},"
-    "{at_s=0.5,do='kill',target='agent4'},{at_s=0.9,do='restart',target='agent4'}]",
-)
 
 # The model alone predicts over a delay: agents and plant integrate with steps of their own, 1e-11 apart per period.
 PREDICTION_TOLERANCE = 1e-8

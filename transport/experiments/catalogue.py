@@ -141,18 +141,16 @@ def jitter(
         _check_numbers("--std", deviations_s, expected, 0.0, math.nextafter(largest_s, math.inf))
     points: list[Point] = []
     for scenario in _distinct("--scenario", scenarios):
-        for text, delay_s in (("no delay", 0.0), (f"constant {_ms(mean_s)}", mean_s)):
-            points.append(
-                Point(
-                    scenario=scenario,
-                    labels={"distribution": NOBODY, "std_s": 0.0, "mean_s": delay_s},
-                    text=text,
-                    settings=(f"links.delay_s={delay_s!r}",),
-                    baseline=delay_s == 0.0,
-                )
+        points += [
+            Point(
+                scenario=scenario,
+                labels={"distribution": NOBODY, "std_s": 0.0, "mean_s": delay_s},
+                text=f"constant {_ms(delay_s)}" if delay_s else "no delay",
+                settings=(f"links.delay_s={delay_s!r}",),
+                baseline=delay_s == 0.0,
             )
-            if mean_s == 0.0:
-                break
+            for delay_s in dict.fromkeys((0.0, mean_s))
+        ]
         for distribution in distributions:
             unit, mean_of_unit = JITTER[distribution]
             for deviation_s in sorted(std_s for std_s in _distinct("--std", deviations_s) if std_s > 0.0):

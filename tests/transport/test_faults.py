@@ -1,0 +1,153 @@
+"""Faults across real processes: what is scripted happens at its tick, what dies is survived, and the record says so."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from protocol.messages import Control, FaultNote, Message, Plan, Roster, Tick
+from protocol.scenario_file import read_scenario
+from protocol.setup import Setup
+from tests.transport.commands import PATIENCE_S, SHORT, processes_of, settings, start, transport
+from tests.transport.troubles import FAULTS, HEAVY, NEXT_TICK, ROUNDS
+from transport.log import LogWriter, RunLog, read_log
+from transport.memory import fly
+from transport.report import write_report
+
+LOST = 4
+
+
+def messages(log: RunLog) -> list[Message]:
+    """What was recorded, in order."""
+    return [entry.message for entry in log.messages]
+
+
+def steps(folder: Path) -> list[list[str]]:
+    """The step table without its wall-clock columns."""
+    rows = [line.split(",") for line in (folder / "steps.csv").read_text().splitlines()]
+    kept = [i for i, name in enumerate(rows[0]) if not name.endswith("_ms")]
+    return [[row[i] for i in kept] for row in rows]
+
+
+@pytest.fixture(scope="module")
+def troubled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The run folder of a flight with everything at once: bad links of all kinds, two rounds, a kill and a freeze."""
+    folder = tmp_path_factory.mktemp("troubled")
+    changes = settings(SHORT, HEAVY, ROUNDS, NEXT_TICK, *FAULTS)
+    result = transport("run", "resilient", *changes, "--out", "run", "--no-figures", cwd=folder)
+    assert result.returncode == 0, result.stderr
+    assert processes_of("run") == {}
+    return folder / "run"
+
+
+def test_a_troubled_flight_equals_the_one_in_memory(troubled: Path, tmp_path: Path) -> None:
+    """With everything at once the step table is that of the in-memory flight, bit for bit, but for wall-clock times."""
+    scenario = tmp_path / "scenario.toml"
+    shutil.copy(troubled / "scenario.toml", scenario)
+    run = Setup.of(read_scenario(scenario), str(scenario))
+    header = read_log(troubled / "run.mcap").header
+    with LogWriter(tmp_path / "run.mcap", header, period_ns=run.period_ns) as writer:
+        control = fly(run, lambda message: writer.write(message, 0))
+    assert control.outcome == "completed"
+    write_report(tmp_path, figures=False)
+    assert steps(troubled) == steps(tmp_path)
+    assert len(steps(troubled)) == 1 + 4 * 30 - 8 - 8
+
+
+def test_faults_are_in_the_summary(troubled: Path) -> None:
+    """Fault, detection and return of each agent, with who, when in the flight and when on the clock on the wall."""
+    summary = json.loads((troubled / "summary.json").read_text())
+    assert (summary["outcome"], summary["exit_code"], summary["log_cut"]) == ("completed", 0, None)
+
+    def events(name: str) -> list[dict[str, Any]]:
+        return [event for event in summary["faults"] if event["processes"] == [name]]
+
+    frozen, killed = events("agent2"), events("agent4")
+    assert [event["kind"] for event in frozen] == ["fault", "detected", "fault", "rejoined"]
+    assert frozen[0]["what"] == "agent2 stopped by script"
+    assert frozen[1]["what"] == "agent2 did not answer tick 6 in time at t = 0.30 s"
+    assert frozen[2]["what"] == "agent2 continued by script"
+    assert frozen[3]["what"] == "agent2 joined at t = 0.70 s"
+    assert [event["what"] for event in killed if event["kind"] == "fault"] == [
+        "agent4 killed by script",
+        "agent4 restarted by script",
+    ]
+    assert [event["what"] for event in killed if event["kind"] == "detected"] == ["agent4 is gone at t = 0.50 s"]
+    assert [event["what"] for event in killed if event["kind"] == "rejoined"] == ["agent4 joined at t = 0.90 s"]
+    for found, ticks in ((frozen, (6, 14)), (killed, (10, 18))):
+        assert [event["tick"] for event in found if event["kind"] in ("detected", "rejoined")] == list(ticks)
+        times = [event["wall_s"] for event in found if event["kind"] in ("detected", "rejoined")]
+        assert times == sorted(times)
+    # It is frozen for the barrier's second before anybody can know.
+    assert frozen[1]["wall_s"] - frozen[0]["wall_s"] > 0.5
+
+
+def test_a_return_is_a_new_start(troubled: Path) -> None:
+    """Who comes back has a higher incarnation, which rosters name from then on; what the old one says does not count."""
+    found = messages(read_log(troubled / "run.mcap"))
+    rosters = [message for message in found if isinstance(message, Roster)]
+    assert [roster.agents for roster in rosters] == [(1, 2, 3, 4), (1, 3, 4), (1, 3), (1, 2, 3), (1, 2, 3, 4)]
+    assert rosters[-1].incarnations == (0, 1, 0, 1)
+    for agent, (left, back) in {2: (6, 14), 4: (10, 18)}.items():
+        plans = {(plan.incarnation, plan.tick) for plan in found if isinstance(plan, Plan) and plan.agent == agent}
+        assert {tick for incarnation, tick in plans if incarnation == 1} == set(range(back, 30))
+        # A thawed process may still say what it had begun at the tick it froze at: nobody counts it as an answer.
+        assert {tick for incarnation, tick in plans if incarnation == 0} - {left} == set(range(left))
+    answered = {tick.tick: tick.answered for tick in found if isinstance(tick, Tick)}
+    assert [k for k in range(1, 30) if 2 not in answered[k]] == list(range(7, 15))
+    assert [k for k in range(1, 30) if 4 not in answered[k]] == list(range(11, 19))
+    notes = [(note.target, note.what, note.origin) for note in found if isinstance(note, FaultNote)]
+    assert ("agent4", "restarted", "script") in notes
+
+
+def test_old_starts_are_refused(troubled: Path) -> None:
+    """What a thawed process says under its old incarnation is refused by whoever hears it, and counted by reason."""
+    summary = json.loads((troubled / "summary.json").read_text())
+    strangers = {entry["sender"] for entry in summary["rejections"] if entry["reason"] == "wrong_incarnation"}
+    assert strangers <= {"agent2", "agent4"}
+    # Whatever else is refused is late news to the one who was away.
+    assert {entry["by"] for entry in summary["rejections"] if entry["reason"] != "wrong_incarnation"} <= {
+        "agent2",
+        "agent4",
+    }
+
+
+def aborted(folder: Path, victim: str, do: str, *changes: str) -> dict[str, Any]:
+    """The summary of a flight that a fault of one process at t = 0.5 s ends; its log is whole, and nobody is left."""
+    event = f"faults.event=[{{at_s=0.5,do='{do}',target='{victim}'}}]"
+    options = ["--out", victim, "--no-figures", "--format", "json"]
+    process = start("run", "resilient", *settings(SHORT, event, *changes), *options, cwd=folder)
+    output, errors = process.communicate(timeout=PATIENCE_S * 2)
+    assert process.returncode == LOST, errors
+    assert "Traceback" not in errors
+    assert processes_of(victim) == {}
+    summary: dict[str, Any] = json.loads(output)
+    assert (summary["outcome"], summary["exit_code"], summary["log_cut"]) == ("aborted", LOST, None)
+    return summary
+
+
+@pytest.mark.parametrize("victim", ["plant", "coordinator"])
+def test_nobody_flies_without(victim: str, tmp_path: Path) -> None:
+    """A run whose plant or coordinator is killed by script at a tick ends there, whatever is said of agents."""
+    summary = aborted(tmp_path, victim, "kill", "clock.on_agent_loss=continue")
+    assert summary["reason"] == f"{victim} is gone"
+    assert {"fault", "end"} <= {event["kind"] for event in summary["faults"]}
+    # The victim goes on the message that opens tick 10: the flight is recorded up to the interval before.
+    assert summary["ticks"] == 10
+    found = messages(read_log(tmp_path / victim / "run.mcap"))
+    assert sum(isinstance(message, Control) for message in found) == 1
+
+
+def test_a_frozen_plant(tmp_path: Path) -> None:
+    """A plant that is stopped for good is noticed by the barrier, as nobody can answer without it."""
+    summary = aborted(tmp_path, "plant", "stop", "clock.barrier_timeout_s=1.0")
+    assert summary["reason"] == "no agent answered tick 10 in time: is the plant alive?"
+
+
+def test_a_frozen_coordinator(tmp_path: Path) -> None:
+    """A coordinator that is stopped for good is given up when the network's lease of ten seconds ends."""
+    summary = aborted(tmp_path, "coordinator", "stop", "clock.barrier_timeout_s=1.0")
+    assert summary["reason"] == "coordinator is gone"
+    assert summary["ticks"] == 10

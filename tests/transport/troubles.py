@@ -1,0 +1,24 @@
+"""Settings of flights in which everything goes wrong that can, and that yet end well."""
+
+# Only the shared law flies over a bad network.
+RESILIENT = ("controller.prediction=closed_loop", "controller.relaxation=0.25")
+
+# Everything at once that links can do, to all kinds of messages, within 1.5 s.
+HEAVY = (
+    "links={delay_s=0.06,jitter_s=0.1,loss=0.15,duplicate=0.2,reorder=0.2,reorder_s=0.1,rate_hz=15.0,"
+    "gilbert_elliott={enter=0.1,leave=0.4},"
+    "measurement={delay_s=0.05,jitter_s=0.05,loss=0.1,duplicate=0.1,reorder=0.1,reorder_s=0.1},"
+    "actuation={delay_s=0.03,jitter_s=0.05,loss=0.1,duplicate=0.1,reorder=0.1,reorder_s=0.1},"
+    "override=[{from='agent1',to='agent2',loss=0.5},{from='plant',to='agent3',distribution='normal',jitter_s=0.05}],"
+    "partition=[{between=['agent3','plant'],start_s=0.4,end_s=0.6}],"
+    "change=[{at_s=0.8,loss=0.3,rate_hz=20.0},{at_s=0.9,from='plant',delay_s=0.0}]}"
+)
+NEXT_TICK, ROUNDS = "clock.actuation=next_tick", "controller.rounds=2"
+
+# One agent frozen and thawed, another killed and started anew, for a while both of them away.
+FAULTS = (
+    "clock.on_agent_loss=continue",
+    "clock.barrier_timeout_s=1.0",
+    "faults.event=[{at_s=0.3,do='stop',target='agent2'},{at_s=0.7,do='continue',target='agent2'},"
+    "{at_s=0.5,do='kill',target='agent4'},{at_s=0.9,do='restart',target='agent4'}]",
+)
