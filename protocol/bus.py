@@ -301,7 +301,8 @@ class Bus:
         try:
             token = self._keys.token(key)
         except MessageError as error:
-            self._gate.refuse(key, error)
+            if here:
+                self._gate.refuse(key, error)
             return None
         if token.digest is None:
             return Presence(token.name, token.incarnation, alive=True) if here else None

@@ -31,7 +31,7 @@ from tests.runs import INCARNATION
 T = TypeVar("T")
 
 # Beyond what any process takes for the present.
-FAR = 20
+FAR = 40
 
 # Delivered messages to choose from.
 REMEMBERED = 60
@@ -55,14 +55,30 @@ class Garbage:
         setup: The run.
         max_bytes: Size of the largest message it reads.
         rng: Where chance comes from.
+        incarnation: Of every process.
+        delay: How many messages later what was heard has surely been heard by everybody.
+
+    Attributes:
+        tick: Newest one that everybody has heard of.
     """
 
-    def __init__(self, name: str, keys: Keys, setup: Setup, max_bytes: int, rng: np.random.Generator) -> None:
+    def __init__(
+        self,
+        name: str,
+        keys: Keys,
+        setup: Setup,
+        max_bytes: int,
+        rng: np.random.Generator,
+        *,
+        incarnation: int = INCARNATION,
+        delay: int = 1,
+    ) -> None:
         self._name, self._keys, self._setup, self._max_bytes, self._rng = name, keys, setup, max_bytes, rng
-        self._coming: tuple[str, bytes] | None = None  # the message of the flight that is delivered next
+        self._incarnation, self._delay = incarnation, delay
+        self._coming: deque[tuple[str, bytes]] = deque()  # messages of the flight that are on their way
         self._delivered: deque[tuple[str, bytes]] = deque(maxlen=REMEMBERED)
         self._first: dict[str, bytes] = {}  # message delivered under each key
-        self._tick = 0
+        self.tick = 0
         self._sequence = 10**6  # of what pretends to be new
         self._keys_here = [expression.replace("*", "2") for expression in keys.subscriptions(name)]
         self.sorts: dict[str, Callable[[], tuple[str, bytes]]] = {
@@ -91,11 +107,12 @@ class Garbage:
 
     def heard(self, key: str, data: bytes) -> None:
         """Take note of a message of the flight that is about to be delivered."""
-        if self._coming is not None:
-            self._delivered.append(self._coming)
-            self._first.setdefault(*self._coming)
-            self._tick = max(self._tick, decode(self._coming[1]).tick)
-        self._coming = key, data
+        self._coming.append((key, data))
+        if len(self._coming) > self._delay:
+            delivered = self._coming.popleft()
+            self._delivered.append(delivered)
+            self._first.setdefault(*delivered)
+            self.tick = max(self.tick, decode(delivered[1]).tick)
 
     def next(self) -> tuple[str, str, bytes]:
         """What sort it is, key, bytes."""
@@ -198,7 +215,7 @@ class Garbage:
         if found is None:
             return self._noise()
         key, message = found
-        values = self._wire(encode(self._new(message, tick=self._tick + 1)))
+        values = self._wire(encode(self._new(message, tick=self.tick + 1)))
         arrays = [i for i, value in enumerate(values) if isinstance(value, msgpack.ExtType) and len(value.data) > 16]
         at = self._one_of(arrays)
         data = bytearray(values[at].data)
@@ -231,7 +248,7 @@ class Garbage:
         if found is None:
             return self._noise()
         key, message = found
-        tick = self._tick + FAR + int(self._rng.integers(100))
+        tick = self.tick + FAR + int(self._rng.integers(100))
         start = {"start_tick": tick} if isinstance(message, Plan) else {}
         return key, encode(self._new(message, tick=tick, **start))
 
@@ -239,8 +256,13 @@ class Garbage:
         """The coordinator's words from another time, or numbers as large as they may be."""
         if not self._delivered:
             return self._noise()
-        tick = self._one_of([2**48, 2**40, self._tick + FAR, self._setup.ticks])
-        head: dict[str, Any] = {"sender": "coordinator", "incarnation": INCARNATION, "sequence": 2**47, "tick": tick}
+        tick = self._one_of([2**48, 2**40, self.tick + FAR, self._setup.ticks])
+        head: dict[str, Any] = {
+            "sender": "coordinator",
+            "incarnation": self._incarnation,
+            "sequence": 2**47,
+            "tick": tick,
+        }
         said: list[Message] = [
             Control(outcome="aborted", reason="because", exit_code=4, **head),
             Roster(version=2**40, agents=(2,), incarnations=(2**48,), reason="because", **head),
@@ -255,8 +277,9 @@ class Garbage:
         if found is None:
             return self._noise()
         key, message = found
-        incarnation = self._one_of([0, INCARNATION + 1, 2**48])
-        return key, encode(self._new(message, tick=self._tick, incarnation=incarnation))
+        others = [number for number in (0, self._incarnation + 1, 2**48) if number != self._incarnation]
+        incarnation = self._one_of(others)
+        return key, encode(self._new(message, tick=self.tick, incarnation=incarnation))
 
     def _other_key(self) -> tuple[str, bytes]:
         """A message that is right under another key."""
@@ -267,7 +290,7 @@ class Garbage:
         others = [
             other for other in [*self._keys_here, f"{key}/2", f"{key}x", f"{self._keys.prefix}/plan/02"] if other != key
         ]
-        return self._one_of(others), encode(self._new(message, tick=self._tick + 1))
+        return self._one_of(others), encode(self._new(message, tick=self.tick + 1))
 
     def _other_sender(self) -> tuple[str, bytes]:
         found = self._message()
@@ -276,7 +299,7 @@ class Garbage:
         key, message = found
         names = ["coordinator", "plant", "recorder", "agent1", "agent2", "agent9", "agent256", self._name]
         sender = self._one_of([name for name in names if name != message.sender])
-        return key, encode(self._new(message, sender=sender, tick=self._tick + 1))
+        return key, encode(self._new(message, sender=sender, tick=self.tick + 1))
 
     def _absurd(self) -> tuple[str, bytes]:
         """The very next message there could be, but what it says cannot be."""
@@ -285,7 +308,7 @@ class Garbage:
             return self._noise()
         key, message = found
         huge = self._one_of([1e7, -1e200, 1.7e308])
-        tick = self._tick + int(self._rng.integers(2))
+        tick = self.tick + int(self._rng.integers(2))
         match message:
             case Tick():
                 changes: list[dict[str, Any]] = [{"members": (9,)}, {"answered": (1, 2, 77)}]
@@ -329,7 +352,7 @@ class Garbage:
         found = self._message(Plan, Measurement, StepReport)
         notice = Rejected(
             sender="agent9",
-            incarnation=INCARNATION,
+            incarnation=self._incarnation,
             sequence=0,
             tick=0,
             offender="x",
@@ -341,6 +364,6 @@ class Garbage:
             return self._keys_here[0], encode(notice)
         key, message = found
         if isinstance(message, Measurement):
-            return key, encode(self._new(message, tick=self._tick + 1, agent=9))
-        stranger = self._new(message, agent=9, sender=agent_name(9), tick=self._tick + 1)
+            return key, encode(self._new(message, tick=self.tick + 1, agent=9))
+        stranger = self._new(message, agent=9, sender=agent_name(9), tick=self.tick + 1)
         return self._one_of([(self._keys.of(stranger), encode(stranger)), (key, encode(notice))])

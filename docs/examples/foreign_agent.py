@@ -1,11 +1,10 @@
-"""An agent that shares no code with the others: Zenoh, msgpack and docs/protocol.md are enough.
+"""An agent that shares no code with the others: Zenoh, msgpack, numpy and docs/protocol.md are all it takes.
 
-It keeps its rod upright and carries its share of the load; where to fly it leaves to the others. Start all but
-agent 3 as in README ("by hand") and this in its place:
+It does not know the maneuver. It keeps its rod parallel to the others', of which it hears in their plans, its corner
+of the payload as high as the middle, and carries its share. Start all but agent 3 as in README ("By hand"), with
+`--scenario resilient`, and this in its place; `transport validate resilient` prints the digest:
 
-    python docs/examples/foreign_agent.py RUN DIGEST 3 MASS_KG THRUST_N tcp/127.0.0.1:7451 tcp/127.0.0.1:7447 ...
-
-DIGEST and the hover thrust are what `transport validate` prints; the first endpoint is this agent's own.
+    python docs/examples/foreign_agent.py resilient DIGEST 3 7447
 """
 
 import json
@@ -18,7 +17,9 @@ import msgpack
 import numpy as np
 import zenoh
 
-VERSION, STEPS, INERTIA = 2, 20, np.array([0.029, 0.029, 0.055])
+AGENTS, VERSION, STEPS = 4, 2, 20
+# What UAV 3 is, what it carries at hover, and its corner of the payload.
+MASS, INERTIA, THRUST, RHO = 1.5, np.array([0.029, 0.029, 0.055]), 22.0725, (-0.25, -0.25)
 
 
 def pack(value):
@@ -33,39 +34,56 @@ def unpack(_, data):
     return np.frombuffer(data, "<f8", offset=16).reshape(shape[:axes])
 
 
-def control(payload, uav, mass, thrust):
-    """Inputs that level the UAV where its rod is upright: thrust, and moments of a cascade of two PD loops."""
-    e, rod_rate, attitude, rate = uav[:3], uav[3:6], uav[6:9], uav[9:12]
-    swing = np.cross(rod_rate - payload[9:12], e)
-    acceleration = 4.0 * e[:2] + 6.0 * swing[:2]
-    wanted = np.array([acceleration[1], -acceleration[0], 0.0]) * mass / thrust
-    angles = np.clip(wanted, -0.2, 0.2) - attitude * [1.0, 1.0, 0.0]
-    return np.concatenate([[thrust], np.clip(INERTIA * (60.0 * angles - 12.0 * rate), -0.5, 0.5)])
+def control(payload, uav, team):
+    """Inputs: where the rods of the others are, at the tilt they have, by two loops one inside the other."""
+    (roll, pitch, _), (p, q, _) = payload[6:9], payload[9:12]
+    low = RHO[1] * (roll + 0.3 * p) - RHO[0] * (pitch + 0.3 * q)  # the corner, and where it will be in 0.3 s
+    (e, rod_rate, attitude, rate), (e_team, rod_rate_team, attitude_team, _) = uav.reshape(4, 3), team.reshape(4, 3)
+    behind = 40.0 * (e - e_team) + 20.0 * (np.cross(rod_rate, e) - np.cross(rod_rate_team, e_team))
+    tilt = attitude_team[:2] + MASS / THRUST * np.array([behind[1], -behind[0]])
+    turn = np.append(np.clip(tilt, -0.3, 0.3) - attitude[:2], 0.0)
+    return np.append(THRUST + 100.0 * low, np.clip(INERTIA * (100.0 * turn - 16.0 * rate), -0.5, 0.5))
 
 
-def main(run, digest, agent, mass, thrust, own, *others):
+def main(run, digest, agent, port):
     """Take part until the run ends."""
-    name, prefix, inbox, alive = f"agent{agent}", f"transport/{run}", queue.SimpleQueue(), set()
-    config = {"mode": "peer", "listen": {"endpoints": [own]}, "connect": {"endpoints": others}}
+    me, prefix, inbox, alive, plans = int(agent), f"transport/{run}", queue.SimpleQueue(), set(), {}
+    ports = [f"tcp/127.0.0.1:{int(port) + i}" for i in range(2 + me)]  # those before this one's are called
+    config = {"mode": "peer", "listen": {"endpoints": ports[-1:]}, "connect": {"endpoints": ports[:-1]}}
     config["scouting"] = {"multicast": {"enabled": False}, "gossip": {"enabled": False}}
+
+    def watch(sample):
+        name = str(sample.key_expr).split("/")[3]
+        alive.add(name)
+        if sample.kind == zenoh.SampleKind.DELETE and name == "coordinator":
+            inbox.put(None)
+
     with zenoh.open(zenoh.Config.from_json5(json.dumps(config))) as session:
-        watch = lambda sample: alive.add(str(sample.key_expr).split("/")[3])  # noqa: E731
-        kept = [session.declare_subscriber(f"{prefix}/{k}", inbox.put) for k in (f"measurement/{agent}", "control")]
-        kept.append(session.liveliness().declare_subscriber(f"{prefix}/alive/*/**", watch, history=True))
-        kept.append(session.liveliness().declare_token(f"{prefix}/alive/{name}/0/{digest}"))
-        while len(alive) < len(others) + 1:  # everybody, this agent too
+        keys = [f"{prefix}/{key}" for key in (f"measurement/{me}", "plan/*", "control")]
+        kept = [session.declare_subscriber(key, inbox.put) for key in keys]
+        kept.append(session.liveliness().declare_subscriber(f"{prefix}/alive/**", watch, history=True))
+        kept.append(session.liveliness().declare_token(f"{prefix}/alive/agent{me}/0/{digest}"))
+        while not alive >= {"coordinator", "plant", *[f"agent{i + 1}" for i in range(AGENTS)]}:
             time.sleep(0.01)
-        kept.append(session.liveliness().declare_token(f"{prefix}/ready/{name}/0"))
-        while True:
-            data = inbox.get().payload.to_bytes()
-            kind, _, _, _, tick, *fields = msgpack.unpackb(data[1:], ext_hook=unpack)
+        kept.append(session.liveliness().declare_token(f"{prefix}/ready/agent{me}/0"))
+        measured = None
+        while (sample := inbox.get()) is not None:
+            kind, _, _, _, tick, *fields = msgpack.unpackb(sample.payload.to_bytes()[1:], ext_hook=unpack)
             if kind == "control":
                 return
-            payload, states = fields[3], fields[5]
-            inputs = np.tile(control(payload, states[0], float(mass), float(thrust)), (STEPS, 1))
-            plan = [int(agent), tick, 0, [int(agent)], pack(states), pack(inputs), pack(np.zeros((0, 4))), "solved"]
-            message = ["plan", name, 0, tick, tick, *plan]
-            session.put(f"{prefix}/plan/{agent}", bytes([VERSION]) + msgpack.packb(message))
+            if kind == "plan":
+                plans[tick, fields[0]] = fields[4].mean(axis=0)  # e, Omega, Theta, omega of its UAVs
+            else:
+                measured = tick, fields
+            if measured is None or any((measured[0] - 1, a) not in plans for a in measured[1][1] if a != me):
+                continue  # nothing to answer, or plans of the tick before are still on their way
+            (tick, (_, answered, _, payload, _, states, _)), measured = measured, None
+            others = [plans.pop((tick - 1, a)) for a in answered if a != me]
+            inputs = np.tile([THRUST, 0.0, 0.0, 0.0], (STEPS, 1))  # what it will do after this tick it cannot tell
+            inputs[0] = control(payload, states[0], np.mean(others, axis=0) if others else states[0])
+            plan = [me, tick, 0, [me], pack(states), pack(inputs), pack(np.zeros((0, 4))), "solved"]
+            data = bytes([VERSION]) + msgpack.packb(["plan", f"agent{me}", 0, tick, tick, *plan])
+            session.put(f"{prefix}/plan/{me}", data, congestion_control=zenoh.CongestionControl.BLOCK)
 
 
 if __name__ == "__main__":

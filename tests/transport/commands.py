@@ -1,9 +1,11 @@
 """Running the command `transport` as a person would: as a process."""
 
+import socket
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from pathlib import Path
 
 # A maneuver short enough for tests that start processes: 1.5 s, 30 ticks.
@@ -85,3 +87,18 @@ def is_flying(folder: Path, names: Sequence[str]) -> Callable[[], bool]:
         return log.exists() and '"joined"' in log.read_text()
 
     return lambda: all(joined(name) for name in names)
+
+
+def free_base() -> int:
+    """A base port with room for a run above it."""
+    return next(base for base in range(20_000, 30_000, 16) if all(is_free(base + i) for i in range(8)))
+
+
+def is_free(port: int) -> bool:
+    """Whether nobody listens on a port."""
+    with closing(socket.socket()) as probe:
+        try:
+            probe.bind(("127.0.0.1", port))
+        except OSError:
+            return False
+    return True

@@ -105,6 +105,7 @@ class Fire:
             self.shot[name, sort] += 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("settings", [(), ("clock.actuation=next_tick", "controller.prediction=closed_loop")])
 def test_a_flight_under_fire(folder: Path, settings: tuple[str, ...]) -> None:
     """Fifty thousand bad messages to everybody change no bit of a flight or of its record; each is counted once."""

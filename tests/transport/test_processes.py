@@ -1,9 +1,7 @@
 """A run across real processes: complete, documented, equal to the in-memory one, and equal to itself."""
 
 import json
-import socket
 import subprocess
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +12,7 @@ from protocol.codec import encode
 from protocol.messages import Message, StepReport
 from protocol.scenario_file import find_scenario, read_scenario
 from protocol.setup import Setup
-from tests.transport.commands import SHORT, command, processes_of, settings, transport, wait_for
+from tests.transport.commands import SHORT, command, free_base, processes_of, settings, transport, wait_for
 from transport.log import read_log
 from transport.memory import fly
 
@@ -110,7 +108,7 @@ def test_network_equals_memory(change: str, tmp_path: Path) -> None:
 
 def test_started_by_hand_in_any_order(tmp_path: Path) -> None:
     """Six processes and a recorder, started one by one in a strange order, find each other and fly."""
-    options = ["--run", "by-hand", *settings(SHORT, f"network.base_port={_free_base()}")]
+    options = ["--run", "by-hand", *settings(SHORT, f"network.base_port={free_base()}")]
     roles = [
         ["agent", "--id", "3"],
         ["record", "--out", "recorded", "--no-figures"],
@@ -137,7 +135,7 @@ def test_started_by_hand_in_any_order(tmp_path: Path) -> None:
 
 def test_processes_with_different_scenarios_refuse_each_other(tmp_path: Path) -> None:
     """An agent started with other settings is refused by name instead of flying something else."""
-    base = f"network.base_port={_free_base()}"
+    base = f"network.base_port={free_base()}"
     options = ["--run", "mixed", "--join-timeout", "20"]
     plant = subprocess.Popen(
         command("plant", *options, *settings(base)), cwd=tmp_path, stderr=subprocess.PIPE, text=True
@@ -147,17 +145,3 @@ def test_processes_with_different_scenarios_refuse_each_other(tmp_path: Path) ->
     assert (other.returncode, plant.returncode) == (4, 4)
     assert "plant flies another scenario" in other.stderr
     assert "agent1 flies another scenario" in plant_says
-
-
-def _free_base() -> int:
-    """A base port with room for a run above it."""
-    return next(base for base in range(20_000, 30_000, 16) if all(_is_free(base + i) for i in range(8)))
-
-
-def _is_free(port: int) -> bool:
-    with closing(socket.socket()) as probe:
-        try:
-            probe.bind(("127.0.0.1", port))
-        except OSError:
-            return False
-    return True

@@ -44,7 +44,9 @@ def test_references_lead_to_a_collision() -> None:
 
 
 @pytest.mark.parametrize(
-    "owned", ["[[1],[2],[3],[4]]", pytest.param("[[1,2,3,4]]", marks=pytest.mark.slow)], ids=["distributed", "centralized"]
+    "owned",
+    ["[[1],[2],[3],[4]]", pytest.param("[[1,2,3,4]]", marks=pytest.mark.slow)],
+    ids=["distributed", "centralized"],
 )
 def test_collision_is_avoided(owned: str) -> None:
     """With it they stay 0.4 m apart at every instant, against their references, and the wall stays where it is."""

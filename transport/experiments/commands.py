@@ -1,6 +1,5 @@
 """The commands `transport experiment ...`. Heavy imports are inside, as in all of the command line."""
 
-import os
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -345,6 +344,8 @@ def _check(options: _Options) -> None:
 
 def _way(options: _Options, folder: Path) -> "Fly":
     """How the cases are flown."""
+    import joblib
+
     from transport.experiments import flight, workers
 
     if options.dask is not None:
@@ -352,7 +353,7 @@ def _way(options: _Options, folder: Path) -> "Fly":
         return lambda cases: workers.on_cluster(cases, address)
     if options.processes:
         return lambda cases: (flight.fly_in_processes(case, folder / "runs") for case in cases)
-    jobs = options.jobs or len(os.sched_getaffinity(0))
+    jobs = options.jobs or joblib.cpu_count()
     return lambda cases: workers.on_cores(cases, min(jobs, len(cases)))
 
 
