@@ -136,7 +136,7 @@ class StateEstimator:
         What somebody says of itself may be a state from which there is no going on: then what was planned.
         """
         ahead, _ = self._model.integrate(self._estimates[-1], u, self._period_s, _STEPS, forces=forces)
-        return ahead if np.isfinite(ahead).all() else self._planned(tick + 1)
+        return ahead if np.abs(ahead).max() <= state.LARGEST else self._planned(tick + 1)
 
     def _overwritten(self, x: Array, tick: int) -> Array:
         """Replace predicted states by what was measured or received for that tick."""

@@ -1,4 +1,4 @@
-"""What the team is asked to fly: phases of straight payload motion, and the references that follow from them."""
+"""What the team is asked to fly: phases of payload motion, straight or along a table, and the references they give."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,24 +16,42 @@ Profile = Literal["ramp", "min_jerk", "step"]
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
 class Phase:
-    """One straight piece of the payload's path.
+    """One piece of the payload's path: straight, or along a table.
 
     Attributes:
         name: For figures and progress, e.g. "climb".
         duration_s: > 0.
         displacement_I: Way from start to end of the phase, (3,), inertial frame (z down), m.
+        way: Table of times since the start of the phase, s, and positions relative to it, m, (k, 4), from zeros to
+            duration and displacement; between rows at constant speed. None: straight, by the profile.
     """
 
     name: str
     duration_s: float
     displacement_I: Array
+    way: Array | None
 
-    def __init__(self, *, name: str, duration_s: float, displacement_I: ArrayLike) -> None:
+    def __init__(
+        self, *, name: str, duration_s: float, displacement_I: ArrayLike, way: ArrayLike | None = None
+    ) -> None:
         if not (np.isfinite(duration_s) and duration_s > 0.0):
             raise ParameterError(f"phase {name!r}: expected a duration > 0 s, got {duration_s!r}")
         object.__setattr__(self, "name", name)
         object.__setattr__(self, "duration_s", float(duration_s))
         object.__setattr__(self, "displacement_I", checked(f"phase {name!r} displacement", displacement_I, (3,)))
+        object.__setattr__(self, "way", None if way is None else self._checked_way(way))
+
+    def _checked_way(self, way: ArrayLike) -> Array:
+        name = f"phase {self.name!r} way"
+        table = checked(name, way, (None, 4))
+        ends = np.array([np.zeros(4), [self.duration_s, *self.displacement_I]])
+        if len(table) < 2 or not np.array_equal(table[[0, -1]], ends):
+            raise ParameterError(f"{name}: expected rows from {ends[0].tolist()} to {ends[1].tolist()}")
+        late = np.flatnonzero(np.diff(table[:, 0]) <= 0.0)
+        if len(late):
+            before, at = table[late[0] : late[0] + 2, 0]
+            raise ParameterError(f"{name}: row {late[0] + 2}: expected a time > {before:g} s, got {at:g}")
+        return table
 
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
@@ -43,7 +61,7 @@ class Maneuver:
     Attributes:
         start_I: Payload position at t = 0, (3,), inertial frame, m.
         phases: Flown one after the other; the end is held.
-        profile: How each displacement is covered: at constant speed, with minimum jerk, or at once.
+        profile: How the displacement of a straight phase is covered: at constant speed, with minimum jerk, or at once.
     """
 
     start_I: Array
@@ -76,10 +94,13 @@ class Maneuver:
         v = np.zeros((len(t_s), 3))
         begin = 0.0
         for phase in self.phases:
-            tau = (t_s - begin) / phase.duration_s
-            s, s_dot = _profile(self.profile, tau)
-            r += s[:, None] * phase.displacement_I
-            v += (s_dot / phase.duration_s)[:, None] * phase.displacement_I
+            if phase.way is not None:
+                covered, speed = _along(phase.way, t_s - begin)
+            else:
+                s, s_dot = _profile(self.profile, (t_s - begin) / phase.duration_s)
+                covered = s[:, None] * phase.displacement_I
+                speed = (s_dot / phase.duration_s)[:, None] * phase.displacement_I
+            r, v = r + covered, v + speed
             begin += phase.duration_s
         return r, v
 
@@ -141,3 +162,13 @@ def _profile(profile: Profile, tau: Array) -> tuple[Array, Array]:
     if profile == "min_jerk":
         return c**3 * (10.0 + c * (6.0 * c - 15.0)), np.where(inside, 30.0 * (c * (1.0 - c)) ** 2, 0.0)
     return np.where(tau >= 0.0, 1.0, 0.0), np.zeros_like(tau)
+
+
+def _along(way: Array, t_s: Array) -> tuple[Array, Array]:
+    """Position and velocity along a table, (k, 3) each; its ends are held."""
+    times, places = way[:, 0], way[:, 1:]
+    r = np.column_stack([np.interp(t_s, times, places[:, axis]) for axis in range(3)])
+    speeds = np.diff(places, axis=0) / np.diff(times)[:, None]
+    row = np.searchsorted(times, t_s, side="right") - 1
+    inside = (row >= 0) & (row < len(speeds))
+    return r, np.where(inside[:, None], speeds[np.clip(row, 0, len(speeds) - 1)], 0.0)

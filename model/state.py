@@ -30,6 +30,11 @@ THETA = slice(6, 9)  # UAV attitude, rad
 OMEGA = slice(9, 12)  # UAV angular velocity, UAV body frame, rad/s
 
 
+# No state, input or correction of a flight is larger, in SI units; what is computed from numbers of this size stays
+# far from what a float64 can hold.
+LARGEST = 1e6
+
+
 def uav_slice(i: int) -> slice:
     """States of UAV i (0-based) in x."""
     start = PAYLOAD + PER_UAV * i

@@ -11,7 +11,7 @@ from model.arrays import Array, checked
 from model.discretisation import Discrete, zero_order_hold
 from model.hover import Hover
 from model.linearisation import Linearisation, Model
-from model.state import input_indices
+from model.state import LARGEST, input_indices
 from mpc import condensing
 from mpc.constraints import Affine, compile_constraints, rate_rows, separation_rows
 from mpc.cost import Cost
@@ -263,7 +263,7 @@ class Controller:
     def conclude(self, solution: Solution, prediction: Prediction, U: Array, law: TeamLaw | None) -> Optimum:
         """Turn an answer into the plan to announce: relaxed, or the shifted previous plan after a failure."""
         optimum = self._optimum(solution, prediction, U, law)
-        if np.isfinite(optimum.U).all() and np.isfinite(optimum.c).all():
+        if np.isfinite(optimum.U).all() and np.abs(optimum.c).max(initial=0.0) <= LARGEST:
             return optimum
         return replace(self.give_up(U, law), solution=solution)
 

@@ -10,10 +10,6 @@ from model.arrays import Array
 from protocol.messages import Measurement, Message, MessageError, Plan, Roster, StepReport, Tick, Truth, agent_name
 from protocol.setup import Setup
 
-# No state, input or correction of a flight is larger in SI units, and what is computed from numbers of this size
-# stays far from what a float64 can hold.
-_LARGEST = 1e6
-
 # What a rod's direction may be off unit length: noise of sensors, but never no direction at all.
 _OFF_UNIT = 0.2
 
@@ -131,8 +127,8 @@ def _check_states(blocks: Array) -> None:
 
 def _check_size(field: str, values: Array) -> None:
     largest = float(np.abs(values).max(initial=0.0))
-    if largest > _LARGEST:
-        raise MessageError("out_of_range", f"{field}: expected at most {_LARGEST:g}, got {largest:g}")
+    if largest > state.LARGEST:
+        raise MessageError("out_of_range", f"{field}: expected at most {state.LARGEST:g}, got {largest:g}")
 
 
 def _check_level(angles: Array) -> None:

@@ -29,6 +29,9 @@ _LOSS, _BURST, _JITTER, _DUPLICATE, _ECHO, _REORDER = 0, 1, 2, 4, 5, 7
 # Streams of them at each tick: of the burst chain, and of the message (and those of the negotiation before it).
 _CHAIN, _MESSAGE = 2**32, 0
 
+# A delay of decades is one without end, and can still be counted in ticks and nanoseconds.
+_LONGEST_S = 1e9
+
 # Rounding of a delay that is a whole number of sampling periods must not cost one more.
 _SLACK = 1e-9
 
@@ -143,7 +146,7 @@ class Link:
             delays[0] += model.reorder_s
         if draw[_DUPLICATE] < model.duplicate:
             delays.append(_delay(model, draw[_ECHO : _ECHO + 2]))
-        return delays
+        return [min(delay, _LONGEST_S) for delay in delays]
 
     def usable_ticks(self, tick: int, after: int = 1) -> list[int]:
         """Ticks from which the message of a tick can be used: the first at or after its arrival.

@@ -80,11 +80,16 @@ class SystemSection(Section):
 
 
 class PhaseSection(Section):
-    """One straight piece of the payload's path; displacement in the inertial frame, z down."""
+    """One piece of the payload's path; displacement in the inertial frame, z down.
+
+    A phase with a `file` has its table in `way`, and duration and displacement from it, once it has been read.
+    """
 
     name: str
     duration_s: Positive
     displacement_m: Vector
+    way: list[list[float]] | None = None
+    file: str | None = None
 
 
 class ManeuverSection(Section):

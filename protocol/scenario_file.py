@@ -13,6 +13,7 @@ from model.arrays import ShapeError
 from model.parameters import ParameterError
 from mpc.feedback import FeedbackError
 from mpc.settings import SettingsError
+from protocol.path_file import PathFileError, with_paths
 from protocol.scenario import LinkChangeSection, LinkOverrideSection, Scenario
 
 T = TypeVar("T")
@@ -95,7 +96,17 @@ def read_scenario(path: Path, settings: Sequence[str] = ()) -> Scenario:
 
 
 def validate(tree: dict[str, Any], source: str) -> Scenario:
-    """Check a tree of plain data against the scenario's schema, then the relations between its fields."""
+    """Check a tree of plain data against the scenario's schema, then the relations between its fields.
+
+    Args:
+        tree: The data; files of its maneuver are read here.
+        source: The scenario's file, from whose folder on those are named.
+    """
+    try:
+        tree = with_paths(tree, Path(source).parent)
+    except PathFileError as error:
+        number, _, problem = str(error).partition(" ")
+        raise ScenarioError(source, f"maneuver.phase.{number}.file", problem) from error
     try:
         scenario = Scenario.model_validate(tree)
     except ValidationError as error:

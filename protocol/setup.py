@@ -188,7 +188,10 @@ def _uav(section: UavSection) -> Uav:
 
 def _maneuver(scenario: Scenario) -> Maneuver:
     section = scenario.maneuver
-    phases = [Phase(name=p.name, duration_s=p.duration_s, displacement_I=p.displacement_m) for p in section.phase]
+    phases = [
+        Phase(name=p.name, duration_s=p.duration_s, displacement_I=p.displacement_m, way=p.way)
+        for p in section.phase
+    ]
     return Maneuver(start_I=section.start_m, phases=phases, profile=section.profile)
 
 

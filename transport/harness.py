@@ -20,11 +20,13 @@ from protocol.process import PARENT_PIPE
 _GRACE_S = 5.0
 
 # One thread for linear algebra per process, and few for Zenoh: a run has more processes than a host has cores.
+# Three that receive: one is held up for seconds when the connection to a frozen process is given up, as closing it
+# waits for the frozen one to read, and meanwhile everybody else must be heard.
 _ENVIRONMENT = {
     "OPENBLAS_NUM_THREADS": "1",
     "OMP_NUM_THREADS": "1",
     "MKL_NUM_THREADS": "1",
-    "ZENOH_RUNTIME": "(rx:(worker_threads:1),acc:(handover:net),app:(handover:net))",
+    "ZENOH_RUNTIME": "(rx:(worker_threads:3),acc:(handover:net),app:(handover:net))",
     "PYTHONUNBUFFERED": "1",
     PARENT_PIPE: "1",
 }

@@ -48,7 +48,10 @@ class Format(StrEnum):
 
 ScenarioArgument = Annotated[
     str,
-    typer.Argument(help="Scenario file, or the name of a ready one: paper, centralized, resilient.", show_default=True),
+    typer.Argument(
+        help="Scenario file, or the name of a ready one: paper, centralized, resilient, windy, collision.",
+        show_default=True,
+    ),
 ]
 ScenarioOption = Annotated[str, typer.Option("--scenario", help="Scenario file or name; the same for all processes.")]
 SetOption = Annotated[

@@ -1,0 +1,170 @@
+"""Paths from files: flown as tabulated, part of the scenario once read, refused with the row and the reason."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from model import state
+from protocol.messages import Message
+from protocol.scenario_file import ScenarioError, read_scenario
+from protocol.setup import Setup
+from tests.runs import PAPER, truths
+from transport.memory import fly
+from transport.scenario_text import scenario_text
+
+HEADING = "t_s,x_m,y_m,z_m\n"
+# A quarter of a circle of 2 m radius, 0.4 m/s on average, one row per sampling period; from a place of its own.
+T = np.linspace(0.0, 8.0, 161)
+ANGLE = np.pi / 2.0 * (T / 8.0)
+QUARTER = np.column_stack([T + 100.0, 5.0 + 2.0 * np.sin(ANGLE), 2.0 - 2.0 * np.cos(ANGLE), -30.0 - 0.05 * T])
+
+
+def written(folder: Path, text: str) -> Path:
+    """A scenario that hovers, flies `way.csv`, and hovers."""
+    (folder / "way.csv").write_text(text, encoding="utf-8")
+    phases = (
+        "[[maneuver.phase]]\nname='hover'\nduration_s=1.0\ndisplacement_m=[0,0,0]\n"
+        "[[maneuver.phase]]\nname='turn'\nfile='way.csv'\n"
+        "[[maneuver.phase]]\nname='wait'\nduration_s=1.0\ndisplacement_m=[0,0,0]\n"
+    )
+    paper = PAPER.read_text(encoding="utf-8")
+    begin, end = paper.index("[[maneuver.phase]]"), paper.index("[controller]")
+    (folder / "scenario.toml").write_text(paper[:begin] + phases + paper[end:], encoding="utf-8")
+    return folder / "scenario.toml"
+
+
+def csv(rows: np.ndarray) -> str:
+    """A path as text, every digit kept."""
+    return HEADING + "".join(",".join(map(repr, map(float, row))) + "\n" for row in rows)
+
+
+def test_a_path_is_the_reference_where_it_has_rows(tmp_path: Path) -> None:
+    """The payload's path passes every row at its time, counted from the end of the phase before, from any origin."""
+    path = written(tmp_path, csv(QUARTER))
+    maneuver = Setup.of(read_scenario(path), str(path)).maneuver
+    assert maneuver.duration_s == pytest.approx(10.0)
+    r, _ = maneuver.path(1.0 + T)
+    assert r == pytest.approx(QUARTER[:, 1:] - QUARTER[0, 1:] + maneuver.start_I, abs=1e-9)
+    # Halfway between rows, where nothing rounds to the other side of a corner: constant speed from one to the next.
+    middle, speed = maneuver.path(1.0 + (T[1:] + T[:-1]) / 2.0)
+    assert middle == pytest.approx((r[1:] + r[:-1]) / 2.0, abs=1e-9)
+    assert speed == pytest.approx(np.diff(r, axis=0) / 0.05, abs=1e-6)
+    before, after = maneuver.path(np.array([0.0, 0.99])), maneuver.path(np.array([9.01, 50.0]))
+    assert not before[1].any()
+    assert not after[1].any()
+    assert before[0] == pytest.approx(np.tile(maneuver.start_I, (2, 1)))
+    assert after[0] == pytest.approx(np.tile(r[-1], (2, 1)))
+
+
+def test_two_rows_are_a_straight_phase(tmp_path: Path) -> None:
+    """A table of two rows and a ramp between the same points are the same path."""
+    way = [[0.0, 0.0, 0.0, 0.0], [2.0, 1.0, -2.0, 0.5]]
+    path = written(tmp_path, csv(np.array(way)))
+    tabled = Setup.of(read_scenario(path), str(path)).maneuver
+    straight = "maneuver.phase.2={name='turn',duration_s=2.0,displacement_m=[1.0,-2.0,0.5]}"
+    ramp = Setup.of(read_scenario(path, [straight]), str(path)).maneuver
+    t = np.linspace(-0.5, 5.0, 111)
+    for ours, theirs in zip(tabled.path(t), ramp.path(t), strict=True):
+        assert ours == pytest.approx(theirs, abs=1e-12)
+
+
+def test_a_path_is_flown(tmp_path: Path) -> None:
+    """The team follows it as it follows phases: no further off than the swing of a straight way of that speed."""
+    path = written(tmp_path, csv(QUARTER))
+    run = Setup.of(read_scenario(path, ["controller.prediction=closed_loop", "controller.relaxation=0.25"]), str(path))
+    messages: list[Message] = []
+    assert fly(run, messages.append).outcome == "completed"
+    x = np.array([truth.x for truth in truths(messages)])
+    r, _ = run.maneuver.path(run.settings.sampling_period_s * np.arange(len(x), dtype=np.float64))
+    assert np.linalg.norm(x[:, state.R0] - r, axis=1).max() < 0.6
+    assert np.degrees(np.abs(x[:, state.THETA0])).max() < 2.5
+
+
+def test_the_scenario_stands_for_itself_once_read(tmp_path: Path) -> None:
+    """Written back and read without the file it is the same, fingerprint and all: a run folder needs no copy."""
+    path = written(tmp_path, csv(QUARTER))
+    scenario = read_scenario(path)
+    (tmp_path / "way.csv").unlink()
+    again = tmp_path / "again.toml"
+    again.write_text(scenario_text(scenario.tree(), []), encoding="utf-8")
+    assert read_scenario(again).digest() == scenario.digest()
+    assert "file" not in scenario.tree()["maneuver"]["phase"][1]
+
+
+def test_another_path_is_another_scenario(tmp_path: Path) -> None:
+    """One digit of one row changes the fingerprint: processes with different paths refuse each other."""
+
+    def digest(rows: np.ndarray) -> str:
+        return read_scenario(written(tmp_path, csv(rows))).digest()
+
+    other = QUARTER.copy()
+    other[80, 2] += 1e-9
+    assert digest(other) != digest(QUARTER)
+    assert digest(QUARTER) == digest(QUARTER)
+
+
+GARBAGE = [
+    ("", "expected the heading t_s,x_m,y_m,z_m, got ''"),
+    ("0,0,0,0\n1,0,0,0\n", "expected the heading t_s,x_m,y_m,z_m, got '0,0,0,0'"),
+    (HEADING, "expected 2 to 100000 rows, got 0"),
+    (HEADING + "0,0,0,0\n", "expected 2 to 100000 rows, got 1"),
+    (HEADING + "0,0,0,0\n1,0,0\n", "row 2: expected 4 finite numbers t_s,x_m,y_m,z_m, got '1,0,0'"),
+    (HEADING + "0,0,0,0\n1,0,0,0,9\n", "row 2: expected 4 finite numbers"),
+    (HEADING + "0,0,0,0\n1,2,x,3\n", "row 2: expected 4 finite numbers t_s,x_m,y_m,z_m, got '1,2,x,3'"),
+    (HEADING + "0,0,0,nan\n1,2,3,4\n", "row 1: expected 4 finite numbers"),
+    (HEADING + "0,0,0,0\n1,inf,3,4\n", "row 2: expected 4 finite numbers"),
+    (HEADING + "0,0,0,0\n2,1,1,1\n1,0,0,0\n", "row 3: expected a time > 2 s, got 1"),
+    (HEADING + "0,0,0,0\n\n1,1,1,1\n1,0,0,0\n", "row 3: expected a time > 1 s, got 1"),
+]
+
+
+@pytest.mark.parametrize(("text", "problem"), GARBAGE)
+def test_garbage_is_refused_with_row_and_reason(text: str, problem: str, tmp_path: Path) -> None:
+    """What is no path is refused on reading: scenario, key, file, row, expected and got, in one line."""
+    path = written(tmp_path, text)
+    with pytest.raises(ScenarioError) as caught:
+        read_scenario(path)
+    assert str(caught.value).startswith(f"{path}: maneuver.phase.2.file: {tmp_path / 'way.csv'}: ")
+    assert problem in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_path_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    """No file, a folder, bytes: each is said, and the setting is blamed when it gave the name."""
+    path = written(tmp_path, csv(QUARTER))
+    with pytest.raises(
+        ScenarioError, match=r"^--set maneuver.phase.2.file=no.csv: cannot read .*no.csv \(No such file"
+    ):
+        read_scenario(path, ["maneuver.phase.2.file=no.csv"])
+    with pytest.raises(ScenarioError, match=r"cannot read .* \(Is a directory\)"):
+        read_scenario(path, ["maneuver.phase.2.file=."])
+    (tmp_path / "way.csv").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ScenarioError, match="expected text, got bytes that are none"):
+        read_scenario(path)
+
+
+@pytest.mark.parametrize("key", ["duration_s=3.0", "displacement_m=[0.0,0.0,0.0]", "way=[[0.0,0.0,0.0,0.0]]"])
+def test_a_phase_has_one_way(key: str, tmp_path: Path) -> None:
+    """A phase with a file takes duration and displacement from it and from nowhere else."""
+    path = written(tmp_path, csv(QUARTER))
+    name = key.partition("=")[0]
+    with pytest.raises(ScenarioError, match=f"expected no {name} next to a file, which has it"):
+        read_scenario(path, [f"maneuver.phase.2.{key}"])
+
+
+WRONG_WAYS = [
+    ("[[0,0,0,0],[1,0,0,0.5]]", "expected rows from [0.0, 0.0, 0.0, 0.0] to [1.0, 0.0, 0.0, 1.0]"),
+    ("[[0,0,0,0]]", "expected rows from"),
+    ("[[0,0,0,0],[0.5,0,0],[1,0,0,1]]", "expected an array of numbers"),
+    ("[[0,0,0,0],[0.5,0,0,0],[0.5,0,0,0],[1,0,0,1]]", "row 3: expected a time > 0.5 s, got 0.5"),
+]
+
+
+@pytest.mark.parametrize(("way", "problem"), WRONG_WAYS)
+def test_a_way_that_does_not_fit_is_refused(way: str, problem: str) -> None:
+    """A table given in the scenario itself has to go from zeros to duration and displacement, forward in time."""
+    phase = f"maneuver.phase=[{{name='turn',duration_s=1.0,displacement_m=[0,0,1],way={way}}}]"
+    with pytest.raises(ScenarioError, match="maneuver: phase 'turn' way") as caught:
+        Setup.of(read_scenario(PAPER, [phase]), str(PAPER))
+    assert problem in str(caught.value)

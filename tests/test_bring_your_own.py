@@ -1,0 +1,50 @@
+"""docs/bring-your-own.md does what it says: its program writes the path that its scenario flies."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from protocol.scenario_file import read_scenario
+from protocol.setup import Setup
+from tests.runs import SCENARIOS
+
+DOCUMENT = Path(__file__).resolve().parents[1] / "docs" / "bring-your-own.md"
+FENCE = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+
+
+def blocks(language: str) -> list[str]:
+    """The fenced blocks of a language."""
+    found = [text for name, text in FENCE.findall(DOCUMENT.read_text(encoding="utf-8")) if name == language]
+    assert found
+    return found
+
+
+def test_the_path_of_the_document(tmp_path: Path) -> None:
+    """An eight of 2 m, from rest to rest, where the phase before ended; the scenario around it is valid."""
+    (program,) = blocks("python")
+    subprocess.run([sys.executable, "-c", program], cwd=tmp_path, check=True, timeout=60)
+    phases, _ = blocks("toml")
+    ready = (SCENARIOS / "resilient.toml").read_text(encoding="utf-8")
+    begin, end = ready.index("[[maneuver.phase]]"), ready.index("[controller]")
+    (tmp_path / "mine.toml").write_text(ready[:begin] + phases + ready[end:], encoding="utf-8")
+    run = Setup.of(read_scenario(tmp_path / "mine.toml"), str(tmp_path / "mine.toml"))
+    assert run.maneuver.duration_s == pytest.approx(26.0)
+    r, v = run.maneuver.path(0.025 + 0.05 * np.arange(520, dtype=np.float64))
+    assert np.ptp(r, axis=0) == pytest.approx([2.0, 1.0, 0.0], abs=0.01)
+    assert r[[0, -1]] == pytest.approx(np.tile(run.maneuver.start_I, (2, 1)), abs=1e-3)
+    # No jump of the speed anywhere: 0.05 s of the largest acceleration, that of the turns.
+    assert np.linalg.norm(np.diff(v, axis=0), axis=1).max() < 0.05
+    assert np.linalg.norm(v[[0, -1]], axis=1).max() < 0.01
+
+
+def test_the_constraint_of_the_document(tmp_path: Path) -> None:
+    """The price on height is one that a scenario takes."""
+    _, constraint = blocks("toml")
+    path = tmp_path / "mine.toml"
+    path.write_text((SCENARIOS / "resilient.toml").read_text(encoding="utf-8") + "\n" + constraint, encoding="utf-8")
+    run = Setup.of(read_scenario(path), str(path))
+    assert [(c.expression, c.penalty, c.soft) for c in run.settings.constraints] == [("r0[2] >= -11.0", 0.5, True)]
