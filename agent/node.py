@@ -387,7 +387,7 @@ class AgentNode:
     def _adopt(self, step: _Step) -> None:
         """Take the others' last plans, as far as the links pass them at once, and the own one, into the next round."""
         k = step.measurement.tick
-        proposals = self._proposals.pop((k, step.negotiation))
+        proposals = self._proposals.pop((k, step.negotiation), {})  # of nobody where there is no other
         U, c = step.U.copy(), None if step.law is None else step.law.c.copy()
         known: list[tuple[npt.NDArray[np.intp], Array, Array]] = []
         for agent, plan in sorted(proposals.items()):

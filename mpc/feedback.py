@@ -101,7 +101,8 @@ def _riccati(A: Array, B: Array, Q: Array, R: Array) -> Array:
         G, H, A = G + A @ VG @ A.T, H + (step + step.T) / 2.0, A @ VA
         if np.abs(step).max() <= _CONVERGED * np.abs(H).max():
             return H
-    raise FeedbackError(f"the Riccati recursion has not converged after 2^{_DOUBLINGS} steps")
+    expected = "expected a team that a linear law can stabilise about hover"
+    raise FeedbackError(f"{expected}, got a Riccati recursion that has not converged after 2^{_DOUBLINGS} steps")
 
 
 def tangent(x: Array) -> Array:

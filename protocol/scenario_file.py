@@ -18,6 +18,9 @@ from protocol.scenario import LinkChangeSection, LinkOverrideSection, Scenario
 
 T = TypeVar("T")
 
+# How far from the origin a path may lead along any axis, m.
+FURTHEST_M = 1e5
+
 
 class ScenarioError(ValueError):
     """A scenario that cannot be flown: `file: field: expected ..., got ...`.
@@ -153,6 +156,7 @@ def _check_relations(scenario: Scenario, source: str) -> None:
     if step_s > period_s:
         raise ScenarioError(source, "plant.step_s", f"expected at most the sampling period {period_s}, got {step_s}")
     _check_drag(scenario, source)
+    _check_path(scenario, source)
 
 
 def _check_links(scenario: Scenario, source: str, agents: list[str]) -> None:
@@ -166,7 +170,8 @@ def _check_links(scenario: Scenario, source: str, agents: list[str]) -> None:
                     raise ScenarioError(source, f"{field}.{key}", f"{expected}, got {name!r}")
         if section.distribution == "empirical" and section.samples is None:
             raise ScenarioError(source, f"{field}.samples", "expected a file of measured delays, got nothing")
-        if isinstance(section, LinkChangeSection) and section.samples is not None and section.distribution != "empirical":
+        changed = isinstance(section, LinkChangeSection) and section.samples is not None
+        if changed and section.distribution != "empirical":
             expected = "expected 'empirical' with samples, as a change says all that is to be other"
             raise ScenarioError(source, f"{field}.distribution", f"{expected}, got {section.distribution!r}")
     for i, partition in enumerate(links.partition, start=1):
@@ -210,9 +215,7 @@ def _check_faults(scenario: Scenario, source: str, agents: list[str]) -> None:
     for i, event in sorted(events, key=lambda entry: entry[1].at_s):
         field = f"faults.event.{i}"
         if event.target not in names:
-            raise ScenarioError(
-                source, f"{field}.target", f"expected one of {', '.join(names)}, got {event.target!r}"
-            )
+            raise ScenarioError(source, f"{field}.target", f"expected one of {', '.join(names)}, got {event.target!r}")
         if event.do == "restart" and event.target not in agents:
             expected = f"expected an agent to restart, as a run ends with its {event.target}, got 'restart'"
             raise ScenarioError(source, f"{field}.do", expected)
@@ -223,8 +226,10 @@ def _check_faults(scenario: Scenario, source: str, agents: list[str]) -> None:
 
 
 def _check_drag(scenario: Scenario, source: str) -> None:
-    """Drag is held over a period: more than this would turn the motion it brakes around."""
+    """Drag is held over a period: more than this would turn the motion it brakes around. Without wind there is none."""
     plant, system, period_s = scenario.plant, scenario.system, scenario.controller.sampling_period_s
+    if not any([*plant.wind.speed_mps, *plant.wind.gust_mps]):
+        return
     lightest = min(uav.mass_kg for uav in system.uav)
     for key, drag, mass in (
         ("drag_payload_kgps", plant.wind.drag_payload_kgps, plant.payload_mass_factor * system.payload.mass_kg),
@@ -233,6 +238,22 @@ def _check_drag(scenario: Scenario, source: str) -> None:
         if drag * period_s > mass:
             expected = f"expected at most mass over sampling period {mass / period_s:g}"
             raise ScenarioError(source, f"plant.wind.{key}", f"{expected}, got {drag}")
+
+
+def _check_path(scenario: Scenario, source: str) -> None:
+    """A path stays where positions have millimetres to spare, and in what a measurement may say."""
+    expected = f"expected a path within {FURTHEST_M:g} m of the origin"
+    reached = scenario.maneuver.start_m
+    if max(map(abs, reached)) > FURTHEST_M:
+        raise ScenarioError(source, "maneuver.start_m", f"{expected}, got {reached}")
+    for i, phase in enumerate(scenario.maneuver.phase, start=1):
+        places = [place for _, *place in phase.way or [] if len(place) == len(reached)]
+        for way in [*places, phase.displacement_m]:
+            furthest = max(abs(a + b) for a, b in zip(reached, way, strict=True))
+            if furthest > FURTHEST_M:
+                key = "way" if phase.way else "displacement_m"
+                raise ScenarioError(source, f"maneuver.phase.{i}.{key}", f"{expected}, got {furthest:g} m")
+        reached = [a + b for a, b in zip(reached, phase.displacement_m, strict=True)]
 
 
 def _apply(tree: dict[str, Any], setting: str) -> None:

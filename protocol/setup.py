@@ -129,6 +129,22 @@ class Setup:
         x[:3] += self.maneuver.start_I
         return x
 
+    def doubts(self) -> list[str]:
+        """Phases that ask for more than the vehicles have, one line each: they can be flown, but not as asked."""
+        limits, mass = self.settings.limits, self.system.payload.mass + sum(uav.mass for uav in self.system.uavs)
+        weight, (least, most) = mass * self.system.gravity, np.multiply(self.system.N, limits.thrust_N)
+        sideways, up, down = math.sqrt(most**2 - weight**2) / mass, (most - weight) / mass, (weight - least) / mass
+        found = []
+        for phase in self.maneuver.phases:
+            x, y, z = phase.displacement_I
+            ways = ((math.hypot(x, y), sideways), (max(-z, 0.0), up), (max(z, 0.0), down))
+            # Half the way with all the thrust there is one way, half with all of it the other.
+            takes_s = max(2.0 * math.sqrt(way_m / a) for way_m, a in ways)
+            if takes_s > phase.duration_s:
+                asked = f"{np.linalg.norm(phase.displacement_I):g} m in {phase.duration_s:g} s"
+                found.append(f"phase {phase.name!r}: {asked}; from rest to rest all thrust takes {takes_s:.1f} s")
+        return found
+
     def _check_hover_is_possible(self, source: str) -> None:
         limits = self.settings.limits
         for i, thrust in enumerate(self.hover.u[::4]):
@@ -189,8 +205,7 @@ def _uav(section: UavSection) -> Uav:
 def _maneuver(scenario: Scenario) -> Maneuver:
     section = scenario.maneuver
     phases = [
-        Phase(name=p.name, duration_s=p.duration_s, displacement_I=p.displacement_m, way=p.way)
-        for p in section.phase
+        Phase(name=p.name, duration_s=p.duration_s, displacement_I=p.displacement_m, way=p.way) for p in section.phase
     ]
     return Maneuver(start_I=section.start_m, phases=phases, profile=section.profile)
 

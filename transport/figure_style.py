@@ -7,6 +7,7 @@ from protocol.setup import Setup
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 # Read at the width of a paper's column, so little space and no small print.
@@ -91,6 +92,15 @@ def shade_phases(setup: Setup, panels: list["Axes"], until_s: float) -> None:
         begin += phase.duration_s
     for axes in panels:
         axes.set_xlim(0.0, until_s)
+
+
+def label_decades(axis: "Axis") -> None:
+    """Label a logarithmic axis that spans few decades with plain numbers, some within a decade too."""
+    from matplotlib.ticker import FormatStrFormatter, LogLocator, NullLocator
+
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FormatStrFormatter("%g"))
+    axis.set_minor_locator(NullLocator())
 
 
 def save(figure: "Figure", path: Path, *, cropped: bool = False) -> Path:

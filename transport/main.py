@@ -241,6 +241,8 @@ def validate(scenario: ScenarioArgument, settings: SetOption = None) -> None:
 
     setup = _setup(scenario, settings)
     typer.echo(tomli_w.dumps(setup.scenario.tree()), nl=False)
+    for doubt in setup.doubts():
+        typer.echo(f"warning: {doubt}", err=True)
     hover = ", ".join(f"{thrust:.2f}" for thrust in setup.hover.u[::4])
     sizes = f"{setup.system.N} UAVs, {len(setup.agents)} agents, {setup.ticks} ticks"
     typer.echo(f"valid: {sizes}, hover thrust {hover} N, digest {setup.scenario.digest()}", err=True)

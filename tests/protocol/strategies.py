@@ -56,9 +56,7 @@ def _listed(length: int, entries: SearchStrategy[int]) -> SearchStrategy[list[in
     return st.lists(entries, min_size=length, max_size=length)
 
 
-ticks = st.builds(
-    Tick, members=_ids, answered=_ids, roster=_count, late_ns=_count, overrun_ns=_count, **_head
-)
+ticks = st.builds(Tick, members=_ids, answered=_ids, roster=_count, late_ns=_count, overrun_ns=_count, **_head)
 rosters = _ids.flatmap(
     lambda ids: st.builds(
         Roster,

@@ -214,12 +214,12 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
     ("plant.wind.speed_mps=[1,2]", "plant.wind.speed_mps", "expected 3 numbers, got [1, 2]"),
     ("plant.wind.gust_mps=[1,-1,1]", "plant.wind.gust_mps.2", "expected a number >= 0.0, got -1"),
     (
-        "plant.wind.drag_uav_kgps=31",
+        ("plant.wind.drag_uav_kgps=31", "plant.wind.gust_mps=[1,1,1]"),
         "plant.wind.drag_uav_kgps",
         "expected at most mass over sampling period 30, got 31",
     ),
     (
-        "plant.wind.drag_payload_kgps=61",
+        ("plant.wind.drag_payload_kgps=61", "plant.wind.gust_mps=[1,1,1]"),
         "plant.wind.drag_payload_kgps",
         "expected at most mass over sampling period 60",
     ),

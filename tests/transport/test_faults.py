@@ -85,7 +85,7 @@ def test_faults_are_in_the_summary(troubled: Path) -> None:
 
 
 def test_a_return_is_a_new_start(troubled: Path) -> None:
-    """Who comes back has a higher incarnation, which rosters name from then on; what the old one says does not count."""
+    """Who comes back has a higher incarnation, which rosters name from then on; the old one no longer counts."""
     found = messages(read_log(troubled / "run.mcap"))
     rosters = [message for message in found if isinstance(message, Roster)]
     assert [roster.agents for roster in rosters] == [(1, 2, 3, 4), (1, 3, 4), (1, 3), (1, 2, 3), (1, 2, 3, 4)]

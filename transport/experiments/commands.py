@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from transport.experiments.errors import EXIT_CASES, EXIT_SCENARIO, ExperimentError, refused
+from transport.experiments.faults import faults
 
 if TYPE_CHECKING:
     from transport.experiments.catalogue import Experiment
@@ -238,6 +239,9 @@ def matrix(
         return catalogue.matrix(options.named(), delays_s, shares or ([0.0, 0.3] if quick else [0.0, 0.1, 0.3, 0.6]))
 
     _conduct(build, options)
+
+
+experiment_app.command()(faults)
 
 
 def _options(

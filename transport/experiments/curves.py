@@ -1,12 +1,13 @@
 """Curves over what an experiment changed: survival, cost, attitude, with confidence intervals."""
 
 import math
+import statistics
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from transport.experiments.catalogue import NOBODY, Experiment
 from transport.experiments.statistics import Measured
-from transport.figure_style import WIDTH_IN
+from transport.figure_style import WIDTH_IN, label_decades
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,6 +34,9 @@ _APART = 0.02
 
 # An interval of two flights may be wider than all there is to see; then it leaves the panel, at this many means.
 _HIGHEST = 2.0
+
+# A mean so many times the median makes the axis logarithmic; it then shows this share of the highest at least.
+_DWARFS, _SHOWN = 5.0, 0.01
 
 
 def draw_curves(figure: "Figure", experiment: Experiment, measured: Sequence[Measured]) -> None:
@@ -72,9 +76,8 @@ def draw_curves(figure: "Figure", experiment: Experiment, measured: Sequence[Mea
         if len(columns) > 1:
             column[0].set_title(names[0])
     for panel, (title, number, factor) in zip(panels[some_lost:, 0], _PANELS, strict=True):
-        highest = max((factor * value.mean for m in measured if (value := m.numbers[number]) is not None), default=1.0)
         panel.set_ylabel(title)
-        panel.set_ylim(0.0, min(panel.get_ylim()[1], _HIGHEST * highest) or 1.0)
+        _scale(panel, [factor * value.mean for m in measured if (value := m.numbers[number]) is not None])
     if some_lost:
         panels[0, 0].set_ylabel("flights\ncompleted (%)")
         panels[0, 0].set_ylim(-15.0, 130.0)
@@ -97,6 +100,18 @@ def _curves(experiment: Experiment, measured: Sequence[Measured]) -> dict[str, l
         own = {m.point.labels[experiment.x.label]: m for m in measured if m.point.labels[column] in (NOBODY, value)}
         curves[experiment.legend.get(value, str(value))] = list(own.values())
     return curves
+
+
+def _scale(axes: "Axes", means: Sequence[float]) -> None:
+    """Fit the vertical axis to the means drawn; logarithmic where a few flights that nearly failed dwarf the rest."""
+    highest = max(means, default=0.0)
+    top = min(axes.get_ylim()[1], _HIGHEST * highest)
+    if highest > _DWARFS * statistics.median(means or [0.0]):
+        axes.set_yscale("log")
+        axes.set_ylim(max(min(means), _SHOWN * highest) / 1.5, top)
+        label_decades(axes.yaxis)
+    else:
+        axes.set_ylim(0.0, top or 1.0)
 
 
 def _draw_survival(axes: "Axes", x: Sequence[float], points: Sequence[Measured], style: dict[str, Any]) -> None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from transport.experiments.catalogue import Axis
 from transport.experiments.statistics import Measured
-from transport.figure_style import WIDTH_IN
+from transport.figure_style import WIDTH_IN, label_decades
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,7 +34,6 @@ def draw_maps(figure: "Figure", x: Axis, y: Axis, measured: Sequence[Measured]) 
     """
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LogNorm
-    from matplotlib.ticker import FormatStrFormatter, LogLocator
 
     scenarios = list(dict.fromkeys(m.point.scenario for m in measured))
     down, across = math.ceil(len(scenarios) / _ACROSS), min(len(scenarios), _ACROSS)
@@ -55,9 +54,7 @@ def draw_maps(figure: "Figure", x: Axis, y: Axis, measured: Sequence[Measured]) 
         axes.set_ylabel(y.title)
     scale = ScalarMappable(LogNorm(low, high), _COLOURS)
     bar = figure.colorbar(scale, ax=panels, label="mean cost ($10^{-3}$)", pad=0.02, aspect=25)
-    bar.ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 3.0, 5.0, 7.0)))
-    bar.ax.yaxis.set_major_formatter(FormatStrFormatter("%g"))
-    bar.ax.minorticks_off()
+    label_decades(bar.ax.yaxis)
     bar.outline.set_visible(False)
 
 

@@ -16,6 +16,9 @@ MEANS = NUMBERS[1:]
 
 WIDTH = 100
 
+# From here on a number is shown without its decimals.
+_MANY = 100.0
+
 
 class _Shown(NamedTuple):
     """A column that people read: heading, name of the number, factor, digits, whether there is room for intervals."""
@@ -103,7 +106,9 @@ def _done(m: Measured) -> str:
 
 
 def _number(value: float | None, digits: int) -> str:
-    return "-" if value is None else f"{value:.{digits}f}"
+    if value is None:
+        return "-"
+    return f"{value:.{digits}f}" if abs(value) < _MANY else f"{value:.0f}"
 
 
 def _label(value: str | float) -> str:
@@ -113,10 +118,10 @@ def _label(value: str | float) -> str:
 def _cell(value: Estimate | None, shown: _Shown) -> str:
     if value is None:
         return "-"
-    text = f"{shown.factor * value.mean:.{shown.digits}f}"
+    text = _number(shown.factor * value.mean, shown.digits)
     if value.half_width is None or not shown.interval:
         return text
-    return f"{text} ±{shown.factor * value.half_width:.{shown.digits}f}"
+    return f"{text} ±{_number(shown.factor * value.half_width, shown.digits)}"
 
 
 def _csv(columns: Sequence[str], rows: Iterable[dict[str, Any]]) -> bytes:

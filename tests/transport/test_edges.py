@@ -1,0 +1,139 @@
+"""At the edges of what can be asked for: refused with the reason and the numbers, or flown to a clear outcome."""
+
+import pytest
+
+from protocol.messages import Control
+from protocol.scenario_file import ScenarioError, read_scenario
+from protocol.setup import Setup
+from protocol.team import resized
+from tests.runs import PAPER, SCENARIOS, SHORT
+from tests.transport.logs import ALONE
+from transport.memory import fly
+
+LIGHT = "system.payload={{mass_kg={0},inertia_kgm2=[{1},{1},{1}]}}"
+
+
+def flown(name: str, *given: str) -> Control:
+    """How a ready scenario with some settings ends, in memory."""
+    path = SCENARIOS / f"{name}.toml"
+    return fly(Setup.of(read_scenario(path, given), path.name))
+
+
+def refusal(name: str, *given: str) -> str:
+    """What a ready scenario with some settings is refused with, in one line."""
+    path = SCENARIOS / f"{name}.toml"
+    with pytest.raises(ScenarioError) as caught:
+        Setup.of(read_scenario(path, given), path.name)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def phase(duration_s: float, x: float, z: float = 0.0) -> str:
+    """Setting: one straight way."""
+    return f"maneuver.phase=[{{name='dash',duration_s={duration_s},displacement_m=[{x!r},0.0,{z!r}]}}]"
+
+
+def test_one_uav() -> None:
+    """N = 1: flown open loop; no law can turn a payload about its only rod, so closed-loop prediction is refused."""
+    assert flown("paper", SHORT, *ALONE).outcome == "completed"
+    text = refusal("resilient", SHORT, *ALONE)
+    assert "controller.prediction: expected a team that a linear law can stabilise about hover, got a Riccati" in text
+
+
+@pytest.mark.slow
+def test_sixteen_uavs() -> None:
+    """N = 16, each its own agent, made as `transport scenario new` makes it."""
+    path = SCENARIOS / "resilient.toml"
+    scenario = resized(read_scenario(path, [SHORT]), SCENARIOS, 16, group=None, name=None, source=path.name)
+    run = Setup.of(scenario, path.name)
+    assert (run.system.N, len(run.agents)) == (16, 16)
+    assert fly(run).outcome == "completed"
+
+
+@pytest.mark.parametrize("name", ["paper", "resilient"])
+def test_a_payload_far_lighter_than_the_uavs(name: str) -> None:
+    """100 g on four rods under 1.5 kg each: flown as any other."""
+    assert flown(name, SHORT, LIGHT.format(0.1, 0.02)).outcome == "completed"
+
+
+def test_hardly_a_payload() -> None:
+    """A gram is flown or said not to be; drag, which only wind makes, is in nobody's way."""
+    assert flown("paper", SHORT, LIGHT.format(1e-3, 1e-4)).outcome == "completed"
+    assert "expected a team that a linear law can stabilise" in refusal("resilient", SHORT, LIGHT.format(1e-3, 1e-4))
+    windy = refusal("resilient", SHORT, LIGHT.format(1e-3, 1e-4), "plant.wind.gust_mps=[1,1,1]")
+    assert "plant.wind.drag_payload_kgps: expected at most mass over sampling period 0.02, got 0.4" in windy
+
+
+def test_no_payload_to_speak_of() -> None:
+    """A microgram is beyond the arithmetic: the flight ends as diverged and says so, without an exception."""
+    end = flown("paper", SHORT, LIGHT.format(1e-9, 1e-12))
+    assert (end.outcome, end.exit_code) == ("diverged", 6)
+    assert "t = " in end.reason
+
+
+def test_thrust_too_weak_to_hover() -> None:
+    """A Newton short of hover is refused with the thrust that it takes."""
+    text = refusal("paper", "controller.limits.thrust_N=[0.0,21.0]")
+    assert "expected a range that contains the hover thrust 22.07 N of UAV1, got [0.0, 21.0]" in text
+
+
+def test_thrust_just_enough_to_hover() -> None:
+    """A tenth of a Newton more than hover is a team that can fly, slowly."""
+    assert flown("resilient", phase(2.0, 0.0), "controller.limits.thrust_N=[0.0,22.2]").outcome == "completed"
+
+
+@pytest.mark.parametrize("given", [("controller.horizon=60",), ("maneuver.phase.1.duration_s=0.05",)])
+def test_horizon_longer_than_the_maneuver(given: tuple[str, ...]) -> None:
+    """Two and forty times as far ahead as there is to fly: beyond its end the path is held."""
+    assert flown("resilient", SHORT, *given).outcome == "completed"
+
+
+UNREACHABLE = [(200.0, 0.0), (0.0, -200.0), (0.0, 200.0), (9e4, 0.0)]
+
+
+@pytest.mark.parametrize(("x", "z"), UNREACHABLE)
+def test_way_points_no_vehicle_reaches(x: float, z: float) -> None:
+    """100 m/s and more, sideways, up and down: warned of, and flown to the bound on the error, with the numbers."""
+    path = SCENARIOS / "resilient.toml"
+    run = Setup.of(read_scenario(path, [phase(2.0, x, z)]), path.name)
+    (doubt,) = run.doubts()
+    assert doubt.startswith(f"phase 'dash': {max(abs(x), abs(z)):g} m in 2 s; from rest to rest all thrust takes ")
+    end = fly(run)
+    assert (end.outcome, end.exit_code) == ("diverged", 6)
+    assert "payload position error of" in end.reason
+    assert "m exceeds 20 m at t = " in end.reason
+
+
+def test_ready_maneuvers_raise_no_doubt() -> None:
+    """What comes with the package can be flown, and a way is doubted just when its time is below the bound."""
+    for path in SCENARIOS.glob("*.toml"):
+        assert Setup.of(read_scenario(path), path.name).doubts() == []
+    # Up: 45 N each on 2.25 kg each are 20 m/s^2, less gravity 10.19; half of 20 m and half again, 2 sqrt(20 / 10.19).
+    doubts = [Setup.of(read_scenario(PAPER, [phase(t, 0.0, -20.0)]), PAPER.name).doubts() for t in (2.79, 2.81)]
+    assert doubts == [["phase 'dash': 20 m in 2.79 s; from rest to rest all thrust takes 2.8 s"], []]
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        (
+            phase(1.0, 1e9),
+            "phase.1.displacement_m: expected a path within 100000 m of the origin, got 1e+09 m",
+        ),
+        (phase(1.0, 1e300), "expected a path within 100000 m of the origin, got 1e+300 m"),
+        ("maneuver.start_m=[0,2e5,0]", "expected a path within 100000 m of the origin, got [0.0, 200000.0, 0.0]"),
+        (
+            "maneuver.phase=[{name='a',duration_s=1,displacement_m=[0,0,0],way=[[0,0,0,0],[0.5,1e6,0,0],[1,0,0,0]]}]",
+            "maneuver.phase.1.way: expected a path within 100000 m of the origin, got 1e+06 m",
+        ),
+    ],
+)
+def test_paths_out_of_this_world(given: str, text: str) -> None:
+    """Positions that measurements could not carry are refused before anything starts."""
+    assert text in refusal("paper", given)
+
+
+def test_uavs_too_close_at_the_start() -> None:
+    """A start that violates the smallest distance is refused with both distances and the pair."""
+    text = refusal("paper", "system.uav.2.rho_m=[0.25,-0.1,-0.125]", "system.uav.1.rho_m=[0.25,0.1,-0.125]")
+    assert "separation.minimum_m: expected at most the 0.200 m between UAV1 and UAV2 at hover, got 0.4" in text
