@@ -12,6 +12,7 @@ import typer
 from pydantic.fields import FieldInfo
 from typer.core import TyperCommand, TyperGroup
 
+from protocol.messages import Reason
 from protocol.scenario import LinkSection, Scenario, Section
 from protocol.scenario_file import find_scenario, read_scenario, validate
 from protocol.setup import Setup
@@ -279,3 +280,9 @@ def test_help_shows_whole_sentences() -> None:
         room = 80 - 8 - max(map(len, group.commands))  # 8: blanks before and between the columns, and at the right
         for name, command in below(group).items():
             assert not command.get_short_help_str(room).endswith("..."), name
+
+
+def test_reasons_of_refusals_are_described() -> None:
+    """The table in docs/protocol.md has a row for each reason a message is refused for, and for no other."""
+    _, _, section = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8").partition("## What is refused\n")
+    assert re.findall(r"^\| `(\w+)` \|", section, re.MULTILINE) == list(get_args(Reason))

@@ -1,5 +1,10 @@
 """`python -m transport` is the command `transport`."""
 
-from transport.main import main
+import sys
 
-main()
+try:
+    from transport.main import main
+
+    main()
+except KeyboardInterrupt:  # before the command could do anything about it
+    sys.exit(130)

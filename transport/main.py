@@ -2,6 +2,7 @@
 
 import re
 import shlex
+import signal
 import sys
 from enum import StrEnum
 from pathlib import Path
@@ -337,6 +338,8 @@ def scenario_new(
 
 def main() -> None:
     """Entry point of the command `transport`."""
+    # Whoever ends a command by SIGTERM gets what Ctrl-C gives: exit code 130, and nothing is left half done.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     app()
 
 

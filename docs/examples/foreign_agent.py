@@ -42,7 +42,8 @@ def control(payload, uav, team):
     behind = 40.0 * (e - e_team) + 20.0 * (np.cross(rod_rate, e) - np.cross(rod_rate_team, e_team))
     tilt = attitude_team[:2] + MASS / THRUST * np.array([behind[1], -behind[0]])
     turn = np.append(np.clip(tilt, -0.3, 0.3) - attitude[:2], 0.0)
-    return np.append(THRUST + 100.0 * low, np.clip(INERTIA * (100.0 * turn - 16.0 * rate), -0.5, 0.5))
+    moments = INERTIA * (100.0 * turn - 16.0 * rate)
+    return np.append(THRUST + np.clip(100.0 * low, -10.0, 10.0), np.clip(moments, -0.5, 0.5))
 
 
 def main(run, digest, agent, port):

@@ -46,7 +46,6 @@ def fly(folder: Path, *changes: str) -> dict[str, Any]:
     summary: dict[str, Any] = json.loads((folder / "recorded" / "summary.json").read_text())
     assert summary["outcome"] == "completed"
     assert summary["rejections"] == []
-    print({key: summary[key] for key in ("attitude_max_deg", "separation_min_m", "cost", "tracking")})  # noqa: T201
     return summary
 
 

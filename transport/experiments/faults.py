@@ -18,9 +18,7 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
-
-import typer
+from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -40,6 +38,8 @@ _DEADLINE_S = 60.0
 _ORPHANS_S = 20.0
 # A command that is frozen for good cannot end: whoever froze it kills it after this.
 _FROZEN_S = 8.0
+# Until then a command that starts may not have come to saying what it does on a signal.
+_HELPLESS_S = 0.5
 # Share of what is done while the run starts, and how long after its start or its first tick at the latest: a flight
 # takes about three seconds, so now and then it is over by then and the report is written.
 _AT_START, _LATEST_S = 0.2, 3.5
@@ -281,6 +281,8 @@ def _wrong_code(run: FaultRun, code: int, log: "RunLog | None") -> str:
             fits.add(-signal.SIGKILL)
         if strike.target in (COMMAND, "coordinator") and strike.signal in (signal.SIGTERM, signal.SIGINT):
             fits.add(_EXIT_INTERRUPTED)
+        if strike.target == COMMAND and strike.since == "start" and strike.after_s < _HELPLESS_S:
+            fits.add(-strike.signal)
     if code not in fits:
         return f"{code}, expected one of {', '.join(map(str, sorted(fits)))}"
     ends = [] if log is None else [control.exit_code for control in log.of(Control)]
@@ -349,44 +351,31 @@ def _table(verdicts: Sequence[Verdict]) -> "Table":
     return table
 
 
-def faults(
-    runs: Annotated[int, typer.Option("--runs", min=1, help="Up to which number, without it.")] = 200,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Of what happens to whom and when.")] = 0,
-    first: Annotated[int, typer.Option("--first", min=0, help="Number of the first run, to go on or repeat.")] = 0,
-    jobs: Annotated[int, typer.Option("--jobs", min=1, help="Runs at a time; each has seven processes.")] = 2,
-    out: Annotated[Path | None, typer.Option("--out", help="Where folders of failing runs are kept.")] = None,
-) -> None:
-    """Whether anything survives a crash that should not.
+def conduct(runs: int, seed: int, first: int, jobs: int, folder: Path) -> int:
+    """Fly all runs of a number and say what came of them.
 
-    Processes of short real flights are killed, frozen, interrupted at random.
-
-    Example: transport experiment faults --runs 200 --seed 0
+    Args:
+        runs: Up to which number, without it.
+        seed: Of what happens to whom and when.
+        first: Number of the first run.
+        jobs: Runs at a time.
+        folder: Where the folders of failing runs are kept.
+    Returns: Exit code: 0, or 1 if anything is wrong.
     """
     from rich.console import Console
 
-    if first >= runs:
-        typer.echo(f"transport: --first: expected less than --runs {runs}, got {first}", err=True)
-        raise typer.Exit(2)
-    folder = out or Path("runs") / f"faults-{seed}"
-    console = Console(stderr=True)
     planned = [drawn(seed, number) for number in range(first, runs)]
-    try:
-        verdicts = sorted(_flown(planned, folder, jobs, console), key=lambda verdict: verdict.run.number)
-    except KeyboardInterrupt:
-        typer.echo("transport: interrupted", err=True)
-        raise typer.Exit(_EXIT_INTERRUPTED) from None
-    output = Console()
-    output.print(_table(verdicts))
+    flown = _flown(planned, folder, jobs, Console(stderr=True))
+    verdicts = sorted(flown, key=lambda verdict: verdict.run.number)
+    Console().print(_table(verdicts))
     counts = Counter(kind for verdict in verdicts for kind in verdict.problems)
-    plural = {kind: f"{counts[kind]} {kind}{'' if counts[kind] == 1 else 's'}" for kind in _KINDS}
-    sys.stdout.write(f"{len(verdicts)} runs: {', '.join(plural.values())}\n")
+    found = ", ".join(f"{counts[kind]} {kind}{'' if counts[kind] == 1 else 's'}" for kind in _KINDS)
+    sys.stdout.write(f"{len(verdicts)} runs: {found}\n")
     for verdict in (verdict for verdict in verdicts if verdict.problems):
         number = verdict.run.number
         again = f"transport experiment faults --seed {seed} --first {number} --runs {number + 1}"
-        sys.stdout.write(f"\nrun {number}, kept in {folder / str(number)}; again: {again}\n")
-        for kind, text in verdict.problems.items():
-            sys.stdout.write(f"  {kind}: {text}\n")
-        for line in (*verdict.run.strikes, *verdict.run.settings):
-            sys.stdout.write(f"  {line}\n")
-    if counts:
-        raise typer.Exit(_EXIT_WRONG)
+        lines = [f"run {number}, kept in {folder / str(number)}; again: {again}"]
+        lines += [f"  {kind}: {text}" for kind, text in verdict.problems.items()]
+        lines += [f"  {line}" for line in (*verdict.run.strikes, *verdict.run.settings)]
+        sys.stdout.write("\n" + "\n".join(lines) + "\n")
+    return _EXIT_WRONG if counts else 0

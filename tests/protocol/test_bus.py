@@ -1,0 +1,155 @@
+"""The bus against a stranger on its network: what he says is counted, and never keeps it from anything."""
+
+import json
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import pytest
+import zenoh
+
+from protocol.bus import Bus, Endpoints
+from protocol.codec import encode
+from protocol.gate import Gate
+from protocol.keys import Keys
+from protocol.messages import Presence
+from protocol.rejections import Rejections
+from tests import runs
+from tests.runs import setup
+from tests.transport.commands import free_base
+
+KEYS = Keys("bus")
+DIGEST = "0123456789ab"
+
+# For what takes milliseconds, on a busy machine.
+PATIENCE_S = 20.0
+
+
+class Plant:
+    """The bus of a plant, and what it has refused."""
+
+    def __init__(self, port: int) -> None:
+        self.rejections = Rejections()
+        self.gate = Gate("plant", KEYS, setup(), self.rejections)
+        self.bus = Bus(
+            name="plant",
+            incarnation=0,
+            run=KEYS.run,
+            digest=DIGEST,
+            endpoints=Endpoints(listen=[f"tcp/127.0.0.1:{port}"], connect=[]),
+            gate=self.gate,
+        )
+
+    def counts(self) -> dict[tuple[str, str], int]:
+        """How many were refused, by sender and reason."""
+        return {(entry.sender, entry.reason): entry.count for entry in self.rejections}
+
+    def waits_for(self, condition: Callable[[], bool]) -> bool:
+        """Take in what comes, which is nothing to tell a node, until a condition holds."""
+        deadline = time.monotonic() + PATIENCE_S
+        while not condition():
+            assert self.bus.next(0.01) is None
+            if time.monotonic() > deadline:
+                return False
+        return True
+
+
+@contextmanager
+def stranger(port: int) -> Iterator[zenoh.Session]:
+    """A session connected to a port, that nobody has asked for."""
+    configuration = {
+        "mode": "peer",
+        "connect": {"endpoints": [f"tcp/127.0.0.1:{port}"], "exit_on_failure": True, "timeout_ms": 10_000},
+        "listen": {"endpoints": []},
+        "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
+    }
+    with zenoh.open(zenoh.Config.from_json5(json.dumps(configuration))) as session:
+        yield session
+
+
+@pytest.fixture
+def network() -> Iterator[tuple[Plant, zenoh.Session]]:
+    """A plant and a stranger who reaches it."""
+    port = free_base()
+    plant = Plant(port)
+    try:
+        with stranger(port) as session:
+            key = f"{KEYS.prefix}/tick"
+            put = session.declare_publisher(key, congestion_control=zenoh.CongestionControl.BLOCK)
+
+            def connected() -> bool:
+                put.put(b"?")
+                return plant.rejections.total > 0
+
+            assert plant.waits_for(connected)
+            yield plant, session
+    finally:
+        plant.bus.close()
+
+
+def test_a_stranger_is_counted(network: tuple[Plant, zenoh.Session]) -> None:
+    """Bytes, deletions, too much at once, an unknown start and strange tokens: each is refused for what it is."""
+    plant, session = network
+    block = zenoh.CongestionControl.BLOCK
+    key = f"{KEYS.prefix}/tick"
+    session.put(f"{KEYS.prefix}/plan/2", b"\x02hello", congestion_control=block)
+    session.put(f"{KEYS.prefix}/plan/3", bytes(plant.gate.max_bytes + 1), congestion_control=block)
+    session.put(f"{KEYS.prefix}/plan/4", bytes(5_000_000), congestion_control=block)
+    session.delete(f"{KEYS.prefix}/control")
+    session.put(key, encode(runs.tick(0)), congestion_control=block)
+    tokens = [
+        session.liveliness().declare_token(f"{KEYS.prefix}/{end}")
+        for end in ("alive/agent1/soon/x", "ready/agent1", f"alive/agent1/7/{'f' * 12}")
+    ]
+    expected = {
+        ("plan/2", "malformed"): 1,
+        ("plan/3", "oversized"): 1,
+        ("plan/4", "oversized"): 1,
+        ("control", "malformed"): 1,
+        ("alive/agent1/soon/x", "malformed"): 1,
+        ("ready/agent1", "malformed"): 1,
+    }
+    assert plant.waits_for(lambda: expected.items() <= plant.counts().items() and plant.gate.kept == 1)
+    for token in tokens:
+        token.undeclare()  # type: ignore[no-untyped-call]
+    plant.gate.close()
+    assert plant.counts()["coordinator", "wrong_incarnation"] == 1
+    assert expected.items() <= plant.counts().items()
+
+
+def test_who_is_announced_is_believed(network: tuple[Plant, zenoh.Session]) -> None:
+    """With a token of its sender a message is let in, one that was ahead of it as well; with another's it is not."""
+    plant, session = network
+    block = zenoh.CongestionControl.BLOCK
+    session.put(f"{KEYS.prefix}/tick", encode(runs.tick(0)), congestion_control=block)
+    assert plant.waits_for(lambda: plant.gate.kept == 1)
+    other = session.liveliness().declare_token(KEYS.alive("coordinator", 0, "another"))
+    token = session.liveliness().declare_token(KEYS.alive("coordinator", 0, DIGEST))
+    assert plant.bus.next(PATIENCE_S) == runs.tick(0)
+    other.undeclare()  # type: ignore[no-untyped-call]
+    token.undeclare()  # type: ignore[no-untyped-call]
+    assert plant.bus.next(PATIENCE_S) == Presence("coordinator", 0, alive=False)
+
+
+def test_a_flood_holds_nobody_up(network: tuple[Plant, zenoh.Session]) -> None:
+    """However much nonsense comes without an end, whoever waits for an event until some time is back by then."""
+    plant, session = network
+    over = threading.Event()
+
+    def flood() -> None:
+        put = session.declare_publisher(f"{KEYS.prefix}/plan/2", congestion_control=zenoh.CongestionControl.BLOCK)
+        while not over.is_set():
+            put.put(b"?" * 100)
+
+    thread = threading.Thread(target=flood)
+    thread.start()
+    try:
+        before, started_s = plant.rejections.total, time.monotonic()
+        for _ in range(20):
+            assert plant.bus.next(0.02) is None
+        assert time.monotonic() - started_s < PATIENCE_S / 4
+        assert plant.rejections.total > before
+    finally:
+        over.set()
+        thread.join()

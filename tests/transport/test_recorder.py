@@ -1,0 +1,130 @@
+"""The recorder: what it lets into the log, and what it says of the rest."""
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from protocol.bus import BusEvent, Endpoints
+from protocol.codec import encode
+from protocol.gate import Gate
+from protocol.keys import Keys
+from protocol.messages import LinkChange, Message, Presence, Rejected
+from protocol.setup import Setup
+from tests import runs
+from tests.protocol.samples import sample
+from tests.runs import setup
+from tests.transport.logs import HEADER
+from transport import recorder as recorder_module
+from transport.log import LogWriter, read_log
+from transport.recorder import Recorder
+
+RUN = setup("controller.horizon=5", runs.ticks(40))
+KEYS = Keys(RUN.scenario.name)
+PROCESSES = ["coordinator", "plant"]
+
+
+class ScriptedBus:
+    """In the place of the network: hands over, through the gate, what a test has prepared."""
+
+    script: tuple[tuple[str, bytes] | Presence, ...] = ()
+
+    def __init__(self, *, gate: Gate, **_: object) -> None:
+        self._gate, self._left = gate, deque(self.script)
+        for name in PROCESSES:
+            gate.announce(name, 0)
+
+    def join(self, *_: object) -> None:
+        """Everybody is there."""
+
+    def next(self, _: float | None) -> BusEvent | None:
+        """The next event that gets through."""
+        while self._left:
+            item = self._left.popleft()
+            event = item if isinstance(item, Presence) else self._gate.read(*item)
+            if event is not None:
+                return event
+        return None
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+
+Record = Callable[..., list[Message]]
+
+
+@pytest.fixture
+def record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Record:
+    """Records what a test says, to the end of the processes, and returns the log."""
+    monkeypatch.setattr(recorder_module, "Bus", ScriptedBus)
+
+    def recorded(*said: Message | tuple[str, bytes], run: Setup = RUN) -> list[Message]:
+        script = [(KEYS.of(item), encode(item)) if isinstance(item, Message) else item for item in said]
+        gone = [Presence(name, 0, alive=False) for name in reversed(PROCESSES)]
+        monkeypatch.setattr(ScriptedBus, "script", (*script, *gone))
+        path = tmp_path / "run.mcap"
+        recorder = Recorder(
+            run, KEYS.run, LogWriter(path, HEADER, period_ns=run.period_ns), Endpoints(listen=[], connect=[]), 1.0
+        )
+        recorder.start(PROCESSES)
+        recorder.join()
+        recorder.close()
+        assert recorder.error is None
+        log = read_log(path)
+        assert log.cut == ""
+        return [entry.message for entry in log.messages]
+
+    return recorded
+
+
+def flight(ticks: int) -> list[Message]:
+    """What the coordinator and the plant say in a flight of some ticks that ends well."""
+    said: list[Message] = [runs.roster()]
+    for k in range(ticks):
+        said += [replace(runs.tick(k), sequence=k + 1), runs.truth(RUN, k)]
+    return [*said, replace(runs.end(ticks - 1), sequence=ticks + 1)]
+
+
+def changed(message: Message, **changes: Any) -> Message:
+    """A message that was never sent, with a number of its own."""
+    return replace(message, **{"sequence": 10**6, **changes})
+
+
+def test_nothing_to_say(record: Record) -> None:
+    """A flight without nonsense is recorded as it is: nobody speaks of refusals."""
+    said = flight(5)
+    assert [encode(message) for message in record(*said)] == [encode(message) for message in said]
+
+
+def test_refusals_are_on_record(record: Record) -> None:
+    """What the recorder itself refuses is in the log, and nothing else of it."""
+    said = flight(30)
+    wrong = [
+        (f"{KEYS.prefix}/plan/2", b"nonsense"),
+        changed(runs.end(), tick=29),  # nobody knows of a tick near that
+        changed(runs.truth(RUN, 9), x=RUN.initial_state()[:24], u=RUN.hover.u[:4], plan_ticks=(9,)),
+        changed(sample(LinkChange), incarnation=0, tick=10, settings='{"loss": 7}'),
+        said[3],
+    ]
+    messages = record(*said[:20], *wrong, *said[20:])
+    notices = [message for message in messages if isinstance(message, Rejected)]
+    assert [encode(m) for m in messages if not isinstance(m, Rejected)] == [encode(message) for message in said]
+    assert {notice.sender for notice in notices} == {"recorder"}
+    assert {(notice.offender, notice.reason) for notice in notices} == {
+        ("plan/2", "wrong_version"),
+        ("coordinator", "future"),
+        ("plant", "wrong_shape"),
+        ("coordinator", "out_of_range"),
+        ("coordinator", "replayed"),
+    }
+    assert [notice.count for notice in notices] == [1] * len(wrong)
+
+
+def test_the_end_is_believed_when_it_comes(record: Record) -> None:
+    """An end that overtakes the last ticks is the end all the same."""
+    said = flight(12)
+    messages = record(*said[:15], said[-1])
+    assert encode(messages[-1]) == encode(said[-1])
