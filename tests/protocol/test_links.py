@@ -1,5 +1,6 @@
 """The link model: each impairment has the statistics its name promises, and depends on nothing but the message."""
 
+import math
 from itertools import pairwise
 from pathlib import Path
 
@@ -62,7 +63,7 @@ def test_bursts_of_gilbert_elliott() -> None:
         ("uniform", 1.0, 0.05 / np.sqrt(12.0)),
         ("normal", 1.0, 0.05),
         ("exponential", 1.05, 0.05),
-        ("lognormal", 1.0 + 0.05 / np.sqrt(np.e - 1.0), 0.05),
+        ("lognormal", 1.0 + 0.05 / np.sqrt(math.e - 1.0), 0.05),
     ],
 )
 def test_jitter(distribution: str, mean_s: float, deviation_s: float) -> None:
