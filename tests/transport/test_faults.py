@@ -134,8 +134,8 @@ def test_nobody_flies_without(victim: str, tmp_path: Path) -> None:
     summary = aborted(tmp_path, victim, "kill", "clock.on_agent_loss=continue")
     assert summary["reason"] == f"{victim} is gone"
     assert {"fault", "end"} <= {event["kind"] for event in summary["faults"]}
-    # The victim goes on the message that opens tick 10: the flight is recorded up to the interval before.
-    assert summary["ticks"] == 10
+    # The victim goes on the message that opens tick 10; what a plant said last may go with it, still unsent.
+    assert summary["ticks"] in ((9, 10) if victim == "plant" else (10,))
     found = messages(read_log(tmp_path / victim / "run.mcap"))
     assert sum(isinstance(message, Control) for message in found) == 1
 
