@@ -32,8 +32,8 @@ from protocol.outbox import EXIT_LOST, Outbox
 from protocol.rejections import Rejections
 from protocol.setup import Setup
 
-# A process that wakes up so much later than it meant to was frozen.
-_AWAY_NS = 1_000_000_000
+# A process that wakes up so much later than it meant to was frozen, or had no processor to run on.
+_AWAY_NS = 200_000_000
 
 # Exit codes a run can end with (docs/command-line.md).
 EXIT_OVERRUN, EXIT_DIVERGED, EXIT_INTERRUPTED = 5, 6, 130
@@ -76,6 +76,8 @@ class CoordinatorNode:
         self._tick = -1
         self._opened_ns = 0  # when the present tick was opened
         self._start_ns = 0  # when tick 0 was opened; paced ticks are due relative to it
+        self._called_ns = 0  # when this process last had something to do
+        self._excused = -1  # tick in which it was found to have been away last
         self._roster_version = 0
         self._last_truth = -1
         self._truth_ns = 0  # when it came, or when the plant was asked for the next
@@ -277,9 +279,15 @@ class CoordinatorNode:
         return {a for a in self._members if now_ns >= self._owes_ns.get(a, now_ns) + self._barrier_ns}
 
     def _excuse(self, now_ns: int) -> None:
-        """When this process itself was away, blame nobody for it: what came meanwhile has yet to be read."""
-        wake_ns = self.wake_ns
-        if wake_ns is not None and now_ns > max(wake_ns, self._opened_ns) + _AWAY_NS:
+        """When this process itself was away, blame nobody for it: what came meanwhile has yet to be read.
+
+        Once in a tick at most: a process that is always late still has to find out who is gone.
+        """
+        wake_ns, called_ns, self._called_ns = self.wake_ns, self._called_ns, now_ns
+        if wake_ns is None or self._excused == self._tick:
+            return
+        if now_ns > max(wake_ns, called_ns) + _AWAY_NS:
+            self._excused = self._tick
             self._opened_ns = self._truth_ns = now_ns
             self._owes_ns = dict.fromkeys(self._owes_ns, now_ns)
             self._held_ns = None if self._held_ns is None else now_ns

@@ -21,6 +21,7 @@ from protocol.keys import Keys
 from protocol.messages import Message, agent_name
 from protocol.node import Node
 from protocol.outbox import EXIT_LOST
+from protocol.parent import PARENT_PIPE
 from protocol.rejections import Notices
 from protocol.scenario import Scenario
 from protocol.setup import Setup
@@ -28,8 +29,6 @@ from protocol.setup import Setup
 EXIT_INTERRUPTED = 130
 DEFAULT_BASE_PORT = 7447
 
-# Set by a parent that wants its children to end with it: they watch their standard input for its end.
-PARENT_PIPE = "PAYLOAD_TRANSPORT_PARENT_PIPE"
 _SWITCH_INTERVAL_S = 5e-4
 # Between collections of what reference counting does not free.
 _COLLECT_EVERY = 256

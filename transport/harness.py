@@ -14,7 +14,7 @@ from types import TracebackType
 from typing import IO
 
 from protocol.bus import Endpoints
-from protocol.process import PARENT_PIPE
+from protocol.parent import PARENT_PIPE
 
 # What a process gets to end by itself before it is killed.
 _GRACE_S = 5.0

@@ -29,7 +29,7 @@ from transport.progress import RunProgress
 from transport.recorder import NAME as RECORDER
 from transport.recorder import Recorder
 
-EXIT_USAGE, EXIT_LOST = 2, 4
+EXIT_USAGE, EXIT_SCENARIO, EXIT_LOST = 2, 3, 4
 
 # How long the processes may take to leave after the run's end before they are made to.
 _LEAVE_S = 3.0
@@ -260,7 +260,9 @@ def _ended_early(ended: list[Child]) -> RunError:
     child = ended[0]
     code = child.process.returncode
     how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
-    return RunError(f"{child.name} {how} before the run began: {child.last_words()}", code if code > 0 else EXIT_LOST)
+    # What a child refuses is this command's to refuse; any other end is that of a peer.
+    passed_on = code in (EXIT_USAGE, EXIT_SCENARIO)
+    return RunError(f"{child.name} {how} before the run began: {child.last_words()}", code if passed_on else EXIT_LOST)
 
 
 @contextmanager

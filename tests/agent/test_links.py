@@ -3,7 +3,8 @@
 import pytest
 
 from agent.node import AgentNode
-from protocol.messages import StepReport
+from plant.node import PlantNode
+from protocol.messages import LinkChange, StepReport
 from protocol.setup import Setup
 from tests.runs import measurement, plan, roster, setup
 
@@ -59,6 +60,48 @@ def test_partition() -> None:
     assert [report.lost for report in found] == [0, 0, 0, 1, 1, 0, 0]  # plans of ticks 2 and 3
     assert [report.plan_ages[2] for report in found] == [-1, 1, 1, 2, 3, 1, 1]
     assert all(report.plan_ages[:2] == (1, 1) for report in found[1:])
+
+
+def change(number: int, k: int, settings: str) -> LinkChange:
+    """The coordinator changes all links from a tick on."""
+    return LinkChange(
+        sender="coordinator",
+        incarnation=0,
+        sequence=100 + number,
+        tick=k,
+        number=number,
+        source="",
+        target="",
+        settings=settings,
+    )
+
+
+def test_a_change_in_flight() -> None:
+    """From its tick on what is sent is treated by the change, what was sent before is not."""
+    run = setup("controller.horizon=5")
+    node = AgentNode(run, 1)
+    list(node.receive(roster(), 0))
+    ages = []
+    for k in range(TICKS):
+        if k == 3:
+            assert list(node.receive(change(1, 4, '{"delay_s": 0.1}'), 0)) == []
+        sent = [m for agent in OTHERS if k for m in node.receive(plan(run, agent, k - 1), 0)]
+        sent += node.receive(measurement(run, 1, k), 0)
+        ages += [report.plan_ages[0] for report in sent if isinstance(report, StepReport)]
+    assert ages == [-1, 1, 1, 1, 1, 2, 2]
+    assert node.rejected.total == 0
+
+
+@pytest.mark.parametrize("settings", ["", "[]", '{"los": 1}', '{"loss": 7}', '{"distribution": "empirical"}'])
+def test_what_is_no_change_is_counted(settings: str) -> None:
+    """A change that is none is refused, counted, and leaves the links as they were."""
+    for node in (AgentNode(setup("controller.horizon=5"), 1), PlantNode(setup("controller.horizon=5"))):
+        assert list(node.receive(roster(), 0)) == []
+        assert list(node.receive(change(1, 0, settings), 0)) == []
+        (refused,) = node.rejected
+        assert (refused.sender, refused.reason, refused.count) == ("coordinator", "out_of_range", 1)
+        assert list(node.receive(change(1, 0, '{"loss": 0.5}'), 0)) == []
+        assert node.rejected.total == 1
 
 
 def test_duplicates() -> None:

@@ -28,6 +28,11 @@ def answers(run: Setup, k: int, agents: Sequence[int] = EVERYBODY) -> list[Messa
     return [plan(run, agent, k, delay=1) for agent in agents]
 
 
+def answers_now(run: Setup, k: int, agents: Sequence[int] = EVERYBODY) -> list[Message]:
+    """Plans of tick k for itself, as lockstep has them."""
+    return [plan(run, agent, k) for agent in agents]
+
+
 def due(k: int) -> int:
     """The deadline at which tick k is to be opened."""
     return START_NS + k * PERIOD_NS
@@ -93,6 +98,17 @@ def test_nobody_is_blamed_for_the_coordinators_own_absence(mode: tuple[str, ...]
         node.poll(now_ns + 2 * MS)
         assert node.finished is None
         assert node.tick > 0
+
+
+def test_an_absence_is_no_excuse_for_ever() -> None:
+    """A coordinator that is always late, for want of a processor, still finds who is gone: time is given once."""
+    run = setup(ticks(400), CONTINUE)
+    node = started(CoordinatorNode(run))
+    tell(node, answers_now(run, 0, (1, 2, 3)))
+    now_ns = START_NS
+    for sent in ([], ["roster 0", "tick 1"]):
+        now_ns += BARRIER_NS + S
+        assert kinds(node.poll(now_ns)) == sent
 
 
 def test_missed_deadlines_are_counted() -> None:

@@ -151,3 +151,18 @@ def test_a_frozen_coordinator(tmp_path: Path) -> None:
     summary = aborted(tmp_path, "coordinator", "stop", "clock.barrier_timeout_s=1.0")
     assert summary["reason"] == "coordinator is gone"
     assert summary["ticks"] == 10
+
+
+@pytest.mark.parametrize("mode", ["lockstep", "realtime"])
+def test_a_coordinator_that_wakes_up(mode: str, tmp_path: Path) -> None:
+    """Frozen for longer than the barrier, the coordinator blames nobody for its own absence: the flight goes on."""
+    hover = "maneuver.phase=[{name='hover',duration_s=3.5,displacement_m=[0,0,0]}]"
+    pace = (f"clock.mode={mode}", "clock.speed=1.0", "clock.barrier_timeout_s=2.0")
+    event = "faults.event=[{at_s=0.3,do='stop',target='coordinator'},{at_s=3.0,do='continue',target='coordinator'}]"
+    result = transport("run", "resilient", *settings(hover, *pace, event), "--out", "run", "--no-figures", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    log = read_log(tmp_path / "run" / "run.mcap")
+    assert [roster.reason for roster in log.of(Roster)] == ["everybody is ready"]
+    opened_s = {tick: at / 1e9 for tick, at in log.received_ns(Tick).items()}
+    assert max(opened_s[k + 1] - opened_s[k] for k in range(69)) > 2.0  # it really was away
+    assert processes_of("run") == {}

@@ -21,7 +21,7 @@ _CURVES = (
     ("#CC79A7", "D", ":"),
     ("#000000", "v", "-"),
 )
-_MARKER = 4.0
+_MARKER, _PRINT = 4.0, 7.0
 
 # What is drawn against the sweep: title, number, factor.
 _PANELS = (("mean cost ($10^{-3}$)", "cost_mean", 1e3), ("largest payload\nattitude (deg)", "attitude_max_deg", 1.0))
@@ -34,6 +34,8 @@ _APART = 0.02
 
 # An interval of two flights may be wider than all there is to see; then it leaves the panel, at this many means.
 _HIGHEST = 2.0
+# The least room above the highest mean, for its marker.
+_ABOVE = 1.1
 
 # A mean so many times the median makes the axis logarithmic; it then shows this share of the highest at least.
 _DWARFS, _SHOWN = 5.0, 0.01
@@ -68,7 +70,7 @@ def draw_curves(figure: "Figure", experiment: Experiment, measured: Sequence[Mea
             shift = apart * (index - (len(curves) - 1) / 2.0)
             x = [places[m.point.labels[experiment.x.label]] + shift for m in points]
             if some_lost:
-                _draw_survival(column[0], x, points, style)
+                _draw_survival(column[0], x, points, style, index)
             for panel, (_, number, factor) in zip(column[some_lost:], _PANELS, strict=True):
                 _draw_means(panel, x, points, number, factor, {**style, "label": name})
         column[-1].set_xlabel(experiment.x.title)
@@ -105,7 +107,7 @@ def _curves(experiment: Experiment, measured: Sequence[Measured]) -> dict[str, l
 def _scale(axes: "Axes", means: Sequence[float]) -> None:
     """Fit the vertical axis to the means drawn; logarithmic where a few flights that nearly failed dwarf the rest."""
     highest = max(means, default=0.0)
-    top = min(axes.get_ylim()[1], _HIGHEST * highest)
+    top = min(max(axes.get_ylim()[1], _ABOVE * highest), _HIGHEST * highest)
     if highest > _DWARFS * statistics.median(means or [0.0]):
         axes.set_yscale("log")
         axes.set_ylim(max(min(means), _SHOWN * highest) / 1.5, top)
@@ -114,13 +116,21 @@ def _scale(axes: "Axes", means: Sequence[float]) -> None:
         axes.set_ylim(0.0, top or 1.0)
 
 
-def _draw_survival(axes: "Axes", x: Sequence[float], points: Sequence[Measured], style: dict[str, Any]) -> None:
-    """Share of the flights that were completed; a cross instead of the marker where any was lost."""
+def _draw_survival(
+    axes: "Axes", x: Sequence[float], points: Sequence[Measured], style: dict[str, Any], index: int
+) -> None:
+    """Share of the flights that were completed; a cross where any was lost, with the time if there is but one."""
     shares = [100.0 * m.completed / m.flights if m.flights else math.nan for m in points]
     axes.plot(x, shares, color=style["color"], linestyle=style["linestyle"])
-    for at, share in zip(x, shares, strict=True):
+    for at, share, m in zip(x, shares, points, strict=True):
         marker = "x" if share < 100.0 else style["marker"]
         axes.plot([at], [share], color=style["color"], marker=marker, markersize=_MARKER, markeredgewidth=1.5)
+        if m.flights == 1 and m.lost_s:
+            # One line of print for each curve, above the crosses of all.
+            above = (0.0, 1.5 * _MARKER + 1.1 * _PRINT * index)
+            text, colour = f"{m.lost_s[0]:.1f} s", style["color"]
+            how: Any = {"textcoords": "offset points", "ha": "center", "color": colour, "fontsize": _PRINT}
+            axes.annotate(text, (at, share), above, **how)
 
 
 def _draw_means(

@@ -43,6 +43,8 @@ _HELPLESS_S = 0.5
 # Share of what is done while the run starts, and how long after its start or its first tick at the latest: a flight
 # takes about three seconds, so now and then it is over by then and the report is written.
 _AT_START, _LATEST_S = 0.2, 3.5
+# What a process may take to be frozen.
+_STOPPING_S = 1.0
 # How long to wait for a flight to begin before it is struck all the same.
 _TAKE_OFF_S = 30.0
 _POLL_S = 0.02
@@ -195,6 +197,10 @@ def _strike_all(run: FaultRun, command: "subprocess.Popen[bytes]", folder: Path,
         hand.start()
     for hand in hands:
         hand.join()
+    if not any(strike.target == COMMAND and strike.signal == signal.SIGSTOP for strike in run.strikes):
+        return False
+    # All its threads have to take note.
+    _wait_for(lambda: _is_stopped(command.pid) or command.poll() is not None, _STOPPING_S)
     return _is_stopped(command.pid)
 
 

@@ -35,15 +35,12 @@ def _survival(measured: Sequence[Measured]) -> str:
         which = ", ".join(f"{m.point.text} ({_loss(m)})" for m in lost)
         return f"completes {count}, all but at {which}"
     first = min(lost, key=lambda m: m.lost_s)
-    return f"completes {count}, all at {len(flown) - len(lost)} of {len(flown)} points; first loss at {_when(first)}"
+    held = f"{len(flown) - len(lost)} of {len(flown)} points without loss"
+    return f"completes {count}, {held}; first lost at {first.lost_s[0]:.1f} s ({first.point.text})"
 
 
 def _loss(m: Measured) -> str:
     return f"lost at {m.lost_s[0]:.1f} s" if m.flights == 1 else f"{m.completed} of {m.flights}"
-
-
-def _when(m: Measured) -> str:
-    return f"{m.lost_s[0]:.1f} s ({m.point.text})"
 
 
 def _attitude(measured: Sequence[Measured]) -> str:

@@ -1,0 +1,71 @@
+"""What counts of a log: messages of those who took part in the tick they are about."""
+
+from dataclasses import replace
+
+from protocol.messages import Message, Plan, StepReport
+from protocol.setup import Setup
+from tests import runs
+from tests.transport.logs import log_of, plan, report
+from transport.counted import counted
+
+HOVER = runs.ticks(10)
+EVERYBODY = {1: 0, 2: 0, 3: 0, 4: 0}
+LEFT = {1: 0, 3: 0, 4: 0}
+BACK = {1: 0, 2: 1, 3: 0, 4: 0}
+
+
+def flown(run: Setup) -> list[Message]:
+    """Four ticks: agent 2 answers the first, freezes in the second, and is back in the fourth as a new start."""
+    messages: list[Message] = [runs.roster(EVERYBODY)]
+    for k, (members, version) in enumerate([(EVERYBODY, 1), (EVERYBODY, 1), (LEFT, 2), (BACK, 3)]):
+        if k == 3:
+            messages.append(runs.roster(BACK, k=3, version=3))
+        answered = {0: (), 1: tuple(EVERYBODY), 2: tuple(LEFT), 3: tuple(LEFT)}[k]
+        messages.append(runs.tick(k, answered=answered, members=tuple(members), version=version))
+        for agent, incarnation in members.items():
+            if not (agent == 2 and k == 1):
+                messages += [replace(m, incarnation=incarnation) for m in (plan(run, agent, k), report(run, agent, k))]
+        if k == 1:
+            messages.append(runs.roster(LEFT, k=1, version=2))
+    return messages
+
+
+def kept(run: Setup, messages: list[Message]) -> list[int]:
+    """Places of the messages that count."""
+    places = {id(message): place for place, message in enumerate(messages)}
+    return [places[id(entry.message)] for entry in counted(run, log_of(messages)).messages]
+
+
+def stale(run: Setup, k: int, incarnation: int = 0) -> list[Message]:
+    """What agent 2 had begun to say of a tick before it froze."""
+    return [replace(message, incarnation=incarnation) for message in (plan(run, 2, k), report(run, 2, k))]
+
+
+def test_a_whole_flight_counts() -> None:
+    """Where everybody is who they should be nothing is left out, whatever the kind."""
+    run = runs.setup(HOVER)
+    messages = [*flown(run), runs.truth(run, 0), runs.end()]
+    assert kept(run, messages) == list(range(len(messages)))
+
+
+def test_what_a_thawed_process_says_does_not_count() -> None:
+    """Plans and reports of the tick it froze at, which nobody waited for, and later ones of its old start."""
+    run = runs.setup(HOVER)
+    flight = flown(run)
+    for late in (stale(run, 1), stale(run, 2), stale(run, 3), stale(run, 3, incarnation=2)):
+        assert kept(run, [*flight, *late]) == list(range(len(flight)))
+
+
+def test_in_real_time_late_is_no_reason() -> None:
+    """There a plan that missed its deadline is as good as any: only the start it is of decides."""
+    run = runs.setup(HOVER, "clock.mode=realtime", "clock.speed=1")
+    flight = flown(run)
+    assert kept(run, [*flight, *stale(run, 1)]) == list(range(len(flight) + 2))
+    assert kept(run, [*flight, *stale(run, 3)]) == list(range(len(flight)))
+
+
+def test_a_cut_log_counts_as_far_as_it_goes() -> None:
+    """Without the ticks or rosters that would say who took part everything counts."""
+    run = runs.setup(HOVER)
+    messages = [message for message in flown(run) if isinstance(message, Plan | StepReport)]
+    assert kept(run, [*messages, *stale(run, 7)]) == list(range(len(messages) + 2))
