@@ -2,13 +2,19 @@
 
 from bisect import bisect_left
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from model.arrays import Array
 from model.state import input_indices
 from mpc.fail_safe import FailSafe
 from protocol.messages import Plan
+
+# How a plan is laid along the horizon: shifted by its true age; by one tick, however old it is, as the paper has it; or
+# its input for now, held.
+Alignment = Literal["by_age", "by_one", "held"]
 
 # Plans kept per agent: enough to know the inputs of the past over any delay worth flying with.
 KEPT_PLANS = 256
@@ -21,13 +27,23 @@ class AnnouncedInputs:
         owned: 0-based UAVs of agent 1, agent 2, ...
         u_hover: What a UAV is taken to do before its first plan arrives, (4 N,).
         fail_safe: What a UAV does after the last plan of an agent that is gone.
+        alignment: How the others' plans are laid along the horizon.
+        own: Agent whose plans are its own, so always laid by their age, 1-based; 0 for none.
 
     Attributes:
         gone: Agents that make no more plans.
     """
 
-    def __init__(self, owned: Sequence[Sequence[int]], u_hover: Array, fail_safe: FailSafe | None = None) -> None:
+    def __init__(
+        self,
+        owned: Sequence[Sequence[int]],
+        u_hover: Array,
+        fail_safe: FailSafe | None = None,
+        alignment: Alignment = "by_age",
+        own: int = 0,
+    ) -> None:
         self.gone: set[int] = set()
+        self._alignment, self._own = alignment, own
         self._u_hover = u_hover
         self._owned, self._fail_safe = owned, fail_safe
         self._columns = {agent: input_indices(uavs) for agent, uavs in enumerate(owned, start=1)}
@@ -58,7 +74,7 @@ class AnnouncedInputs:
         return next((plan for plan in reversed(self._plans[agent]) if plan.tick < before), None)
 
     def sequence(self, start: int, steps: int, before: int) -> Array:
-        """Announced inputs of all UAVs from a tick on, each agent's newest plan shifted and held at its end.
+        """Announced inputs of all UAVs from a tick on, each newest plan laid along the horizon, held at its end.
 
         Of an agent that is gone, hover follows the end.
 
@@ -73,9 +89,10 @@ class AnnouncedInputs:
         for agent, columns in self._columns.items():
             plan = self.newest(agent, before)
             if plan is not None:
-                at = np.clip(np.arange(start, start + steps) - plan.start_tick, 0, len(plan.inputs) - 1)
+                along = self._along(plan, start, steps)
                 if agent in self.gone:  # after its end the actuators hold hover thrust
-                    at = at[np.arange(start, start + steps) - plan.start_tick < len(plan.inputs)]
+                    along = along[along < len(plan.inputs)]
+                at = np.clip(along, 0, len(plan.inputs) - 1)
                 U[: len(at), columns] = plan.inputs[at]
         return U
 
@@ -98,9 +115,9 @@ class AnnouncedInputs:
         for agent, columns in self._columns.items():
             plan = self.newest(agent, before)
             if plan is not None and agent not in self.gone:
-                skipped = start - plan.start_tick
-                announced = plan.corrections[skipped : skipped + steps] if skipped >= 0 else plan.corrections[:0]
-                c[: len(announced), columns] = announced
+                along = self._along(plan, start, steps)
+                along = along[(along >= 0) & (along < len(plan.corrections))]
+                c[: len(along), columns] = plan.corrections[along]
         return c
 
     def at(self, tick: int, before: int, x: Array | None = None) -> Array:
@@ -124,6 +141,15 @@ class AnnouncedInputs:
                 continue
             u[columns] = plan.inputs[min(tick - plan.start_tick, len(plan.inputs) - 1)]
         return u
+
+    def _along(self, plan: Plan, start: int, steps: int) -> npt.NDArray[np.intp]:
+        """Which entry of a plan is taken for each step of the horizon, (N_p,); past its end where it has none."""
+        skipped = start - plan.start_tick
+        if self._alignment != "by_age" and plan.agent != self._own and plan.agent not in self.gone:
+            if self._alignment == "held":
+                return np.full(steps, skipped)
+            skipped = min(skipped, 1)
+        return np.arange(skipped, skipped + steps)
 
 
 def _made_at(plan: Plan) -> int:

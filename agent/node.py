@@ -112,7 +112,9 @@ class AgentNode:
         setup, clock = self._setup, self._setup.scenario.clock
         self.incarnation = incarnation
         self._out = Outbox(self.name, incarnation)
-        self._announced = AnnouncedInputs(setup.owned, setup.hover.u, FailSafe(setup.system, setup.hover.u))
+        fail_safe = FailSafe(setup.system, setup.hover.u)
+        alignment = setup.scenario.controller.received_plans
+        self._announced = AnnouncedInputs(setup.owned, setup.hover.u, fail_safe, alignment, own=self._agent)
         period_s, disturbance = setup.settings.sampling_period_s, setup.scenario.controller.disturbance
         self._disturbance: DisturbanceEstimator | None = None
         if disturbance.estimate:
@@ -305,6 +307,8 @@ class AgentNode:
         for seen in self._measurements.take(k, now_ns)[0]:
             self._estimator.measure(seen)
         x = self._estimator.estimate(k, self._announced)
+        if self._setup.scenario.controller.received_states == "as_received":
+            x = self._unpredicted(x, k)
         forces = None if self._disturbance is None else self._disturbance.forces
         if self._setup.scenario.clock.next_tick:
             start, u0 = k + 1, self._announced.at(k, before=k, x=x)
@@ -412,6 +416,14 @@ class AgentNode:
         if reported is not None:
             u[self._own] = reported.reshape(-1)
         return u
+
+    def _unpredicted(self, x: Array, k: int) -> Array:
+        """The estimate with the others' states as they were when they sent them, however long ago that was."""
+        x = x.copy()
+        for plan in filter(None, (self._announced.newest(agent, before=k) for agent in self._peers)):
+            for uav, block in zip(plan.uavs, plan.uav_states, strict=True):
+                x[state.uav_slice(uav - 1)] = block
+        return x
 
     def _planned(self, tick: int) -> Array:
         planned: Array = self._x_ref[tick].copy()

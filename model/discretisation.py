@@ -70,6 +70,21 @@ def zero_order_hold(linear: Linearisation, period_s: float) -> Discrete:
     return Discrete(A=np.eye(len(X)) + A_c @ Phi, B=Phi @ linear.B_c, f_d=Phi @ linear.f)
 
 
+def euler(linear: Linearisation, period_s: float) -> Discrete:
+    """Discretise by one step of Euler's method: what the exact hold is compared to.
+
+    Args:
+        linear: Expansion about (x0, u0).
+        period_s: Sampling period T_s, > 0, s.
+    Returns: A, B, f_d, with an error per step of order T_s^2.
+    Raises: ShapeError: A_c holds numbers that are not finite.
+    """
+    if not np.isfinite(linear.A_c).all():
+        raise ShapeError("A_c: expected finite numbers")
+    A = np.eye(len(linear.A_c)) + period_s * linear.A_c
+    return Discrete(A=A, B=period_s * linear.B_c, f_d=period_s * linear.f)
+
+
 def _norm(X: Array) -> float:
     """Largest column sum of magnitudes."""
     return float(np.abs(X).sum(axis=0).max())

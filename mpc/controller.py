@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.arrays import Array, checked
-from model.discretisation import Discrete, zero_order_hold
+from model.discretisation import Discrete, euler, zero_order_hold
 from model.hover import Hover
 from model.linearisation import Linearisation, Model
 from model.state import LARGEST, input_indices
@@ -217,8 +217,9 @@ class Controller:
         )
 
     def discretise(self, linear: Linear) -> Discrete:
-        """Exact zero-order hold over the sampling period. Source: docs/equations.md (16)-(17)."""
-        return zero_order_hold(linear.model, self.settings.sampling_period_s)
+        """Difference equation over the sampling period. Source: docs/equations.md (16)-(17)."""
+        method = zero_order_hold if self.settings.discretisation == "exact" else euler
+        return method(linear.model, self.settings.sampling_period_s)
 
     def predict(self, linear: Linear, discrete: Discrete, U: Array, law: TeamLaw | None) -> Prediction:
         """Predict the team over the horizon. Source: docs/equations.md (22)-(24), (35)-(36)."""

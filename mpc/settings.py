@@ -9,6 +9,7 @@ from model.arrays import Array
 
 SolverName = Literal["daqp", "clarabel"]
 PredictionName = Literal["open_loop", "closed_loop"]
+DiscretisationName = Literal["exact", "euler"]
 Pricing = Literal["deviation", "absolute"]
 
 
@@ -126,6 +127,7 @@ class ControllerSettings:
         horizon: N_p, in sampling periods.
         prediction: How the others are predicted: by the inputs they announced ("open_loop", the paper), or by
             the law all share and the corrections they announced ("closed_loop").
+        discretisation: Exact zero-order hold, or one step of Euler's method for comparison.
         relaxation: w in (0, 1]; the published plan is w U* + (1 - w) U_shifted, in closed loop the same of the
             corrections.
         solver: Tried first; Clarabel takes over when its result does not pass the residual check.
@@ -138,6 +140,7 @@ class ControllerSettings:
     separation: Separation | None = None
     constraints: tuple[Constraint, ...] = ()
     prediction: PredictionName = "open_loop"
+    discretisation: DiscretisationName = "exact"
     relaxation: float = 1.0
     solver: SolverName = "daqp"
 

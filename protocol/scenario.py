@@ -149,6 +149,9 @@ class ControllerSection(Section):
     sampling_period_s: Positive = 0.05
     horizon: Annotated[int, Field(ge=1, le=10_000)] = 20
     prediction: Literal["open_loop", "closed_loop"] = "open_loop"
+    received_plans: Literal["by_age", "by_one", "held"] = "by_age"
+    received_states: Literal["predicted", "as_received"] = "predicted"
+    discretisation: Literal["exact", "euler"] = "exact"
     rounds: Annotated[int, Field(ge=1, le=20)] = 1
     relaxation: Annotated[float | str, AfterValidator(_relaxation)] = 1.0
     solver: Literal["daqp", "clarabel"] = "daqp"

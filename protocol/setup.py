@@ -240,6 +240,7 @@ def _settings(scenario: Scenario) -> ControllerSettings:
             Constraint(expression=c.expression, soft=c.soft, penalty=c.penalty) for c in section.constraint
         ),
         prediction=section.prediction,
+        discretisation=section.discretisation,
         relaxation=relaxation,
         solver=section.solver,
     )

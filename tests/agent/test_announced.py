@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agent.announced import KEPT_PLANS, AnnouncedInputs
+from agent.announced import KEPT_PLANS, Alignment, AnnouncedInputs
 from model.arrays import Array
 from model.state import input_indices
 from protocol.messages import Plan
@@ -36,9 +36,9 @@ def labelled(agent: int, k: int, *, steps: int = STEPS, delay: int = 0) -> Plan:
     )
 
 
-def announced(*plans: Plan) -> AnnouncedInputs:
+def announced(*plans: Plan, alignment: Alignment = "by_age", own: int = 0) -> AnnouncedInputs:
     """What an agent knows after some plans."""
-    inputs = AnnouncedInputs(OWNED, U_HOVER)
+    inputs = AnnouncedInputs(OWNED, U_HOVER, alignment=alignment, own=own)
     for plan in plans:
         inputs.add(plan)
     return inputs
@@ -75,6 +75,42 @@ def test_one_step_old_is_the_papers_shift() -> None:
     plan = labelled(2, 3)
     U = announced(plan).sequence(4, STEPS, before=4)
     np.testing.assert_array_equal(rows(2, U), np.vstack([plan.inputs[1:], plan.inputs[-1:]]))
+
+
+@pytest.mark.parametrize("age", range(1, STEPS + 3))
+@pytest.mark.parametrize("delay", [0, 1])
+def test_taken_to_be_one_tick_old(age: int, delay: int) -> None:
+    """As printed in the paper a plan loses one step however old it is; the own one is known to be as old as it is."""
+    plan, own = labelled(1, 7, delay=delay), labelled(2, 7, delay=delay)
+    start = plan.start_tick + age
+    inputs = announced(plan, own, alignment="by_one", own=2)
+    U = inputs.sequence(start, STEPS, before=start + 1)
+    np.testing.assert_array_equal(rows(1, U), np.vstack([plan.inputs[1:], plan.inputs[-1:]]))
+    np.testing.assert_array_equal(rows(2, U), [own.inputs[min(age + step, STEPS - 1)] for step in range(STEPS)])
+    c = inputs.corrections(start, STEPS, before=start + 1)
+    np.testing.assert_array_equal(rows(1, c), np.vstack([plan.corrections[1:], np.zeros((1, 8))]))
+
+
+@pytest.mark.parametrize("age", range(STEPS + 3))
+def test_held(age: int) -> None:
+    """Of a plan that is held, only its input for now counts; a correction that has ended is none."""
+    plan = labelled(1, 7)
+    inputs = announced(plan, alignment="held")
+    U = inputs.sequence(7 + age, STEPS, before=8 + age)
+    np.testing.assert_array_equal(rows(1, U), np.tile(plan.inputs[min(age, STEPS - 1)], (STEPS, 1)))
+    c = inputs.corrections(7 + age, STEPS, before=8 + age)
+    expected = plan.corrections[age] if age < STEPS else np.zeros(8)
+    np.testing.assert_array_equal(rows(1, c), np.tile(expected, (STEPS, 1)))
+
+
+@pytest.mark.parametrize("alignment", ["by_age", "by_one", "held"])
+def test_of_an_agent_that_is_gone_the_age_counts(alignment: Alignment) -> None:
+    """What the actuators of an agent without process do is known: its last plan, then hover."""
+    plan = labelled(1, 7)
+    inputs = announced(plan, alignment=alignment)
+    inputs.gone = {1}
+    U = rows(1, inputs.sequence(10, STEPS, before=11))
+    np.testing.assert_array_equal(U, np.vstack([plan.inputs[3:], np.tile(U_HOVER[COLUMNS[1]], (3, 1))]))
 
 
 @pytest.mark.parametrize("length", [1, 3, STEPS + 4])

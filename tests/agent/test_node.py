@@ -8,10 +8,10 @@ import pytest
 from agent.node import AgentNode
 from model import state
 from model.arrays import Array
-from mpc.controller import Controller
+from mpc.controller import Controller, Linear
 from protocol.messages import STAGES, Message, Plan, Presence, StepReport
 from protocol.setup import Setup
-from tests.runs import end, measurement, plan, refused, roster, setup, tick, truth
+from tests.runs import end, integrated, measurement, plan, refused, roster, setup, tick, truth
 
 SHORT_HORIZON = "controller.horizon=5"  # a step of a millisecond: these tests are about messages
 CLOSED_LOOP = "controller.prediction=closed_loop"
@@ -357,6 +357,31 @@ def test_start_of_plans(actuation: str, delay: int) -> None:
         plans = [plan(run, agent, k - 1, delay=delay) for agent in OTHERS] if k else []
         made, _ = answer(tell(node, *plans, measurement(run, 1, k)))
         assert (made.tick, made.start_tick) == (k, k + delay)
+
+
+@pytest.mark.parametrize("received", ["predicted", "as_received"])
+def test_states_as_received(received: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The others' states are predicted from their tick to the present one, or taken as they came."""
+    run, seen = setup("controller.horizon=5", f"controller.received_states={received}"), []
+    linearise = Controller.linearise
+
+    def watched(controller: Controller, x0: Array, *rest: Array) -> Linear:
+        seen.append(x0)
+        return linearise(controller, x0, *rest)
+
+    monkeypatch.setattr(Controller, "linearise", watched)
+    node = AgentNode(run, 1)
+    assert tell(node, roster()) == []
+    x = run.initial_state()
+    moving = integrated(run, x, 0.9 * run.hover.u + 0.1)
+    tell(node, measurement(run, 1, 0))
+    tell(node, plan(run, 2, 0, x=moving), plan(run, 3, 0), plan(run, 4, 0), measurement(run, 1, 1))
+    at_0 = x.copy()
+    at_0[state.uav_slice(1)] = moving[state.uav_slice(1)]
+    expected = at_0 if received == "as_received" else integrated(run, at_0, run.hover.u)
+    for block in (slice(0, state.PAYLOAD), state.uav_slice(0)):
+        expected[block] = x[block]  # as measured
+    np.testing.assert_allclose(seen[-1], expected, rtol=0.0, atol=1e-7)
 
 
 def test_end_of_the_run(run: Setup, node: AgentNode) -> None:

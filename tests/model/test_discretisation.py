@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import expm
 
 from model.arrays import Array, ShapeError
-from model.discretisation import Discrete, zero_order_hold
+from model.discretisation import Discrete, euler, zero_order_hold
 from model.linearisation import Linearisation, Model
 from tests.model.random_systems import random_input, random_state, random_system
 
@@ -118,3 +118,21 @@ def test_numbers_that_are_not_finite_are_refused(bad: float) -> None:
     """A linearisation at a singular state raises and names A_c, instead of cutting the period for ever."""
     with pytest.raises(ShapeError, match="A_c: expected finite numbers"):
         zero_order_hold(plain(np.array([[0.0, bad], [bad, 0.0]]), np.zeros((2, 1)), np.zeros(2)), 0.05)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_euler_refuses_them_as_well(bad: float) -> None:
+    """The one step of Euler's method has no period to cut, but needs numbers."""
+    with pytest.raises(ShapeError, match="A_c: expected finite numbers"):
+        euler(plain(np.array([[0.0, bad], [bad, 0.0]]), np.zeros((2, 1)), np.zeros(2)), 0.05)
+
+
+@pytest.mark.parametrize("N", [2, 4])
+def test_euler_is_the_hold_to_second_order(N: int) -> None:
+    """The error of one step of Euler's method is T_s^2 / 2 A_c [A_c B_c f], and higher orders."""
+    linear, period_s = random_linearisation(N), 1e-3
+    half = 0.5 * period_s**2 * linear.A_c
+    own, exact = euler(linear, period_s), zero_order_hold(linear, period_s)
+    pairs = ((own.A, exact.A, linear.A_c), (own.B, exact.B, linear.B_c), (own.f_d, exact.f_d, linear.f))
+    for found, right, factor in pairs:
+        assert deviation(right - found, half @ factor) < 0.02

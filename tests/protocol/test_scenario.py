@@ -21,6 +21,9 @@ OTHER_WORDS = {
     "profile": "step",
     "priced": "absolute",
     "solver": "clarabel",
+    "received_plans": "held",
+    "received_states": "as_received",
+    "discretisation": "euler",
     "prediction": "closed_loop",
     "actuation": "immediate",
     "mode": "realtime",
@@ -116,9 +119,10 @@ def test_ready_scenarios(name: str, owned: tuple[tuple[int, ...], ...]) -> None:
 
 
 def test_defaults() -> None:
-    """Left out, every key has the value paper.toml spells out, but for the separation, which is off."""
+    """Left out, every key has the value paper.toml spells out, but no separation and plans shifted by their age."""
     tree = validate(minimal(), "minimal").tree()
     expected = read_scenario(PAPER).tree()
+    expected["controller"]["received_plans"] = "by_age"
     del expected["controller"]["separation"]
     expected["agents"] = {}
     assert tree == expected
@@ -209,7 +213,7 @@ def test_digest_covers_every_field_but_the_network() -> None:
 def test_digest_ignores_the_way_of_writing(tmp_path: Path) -> None:
     """Comments, order, integers for floats and spelled-out defaults do not change the digest."""
     tree = minimal()
-    spelled = read_scenario(PAPER, ["controller.separation={minimum_m=1}"]).tree()
+    spelled = read_scenario(PAPER, ["controller.separation={minimum_m=1}", "controller.received_plans=by_age"]).tree()
     del spelled["controller"]["separation"]
     spelled["agents"] = {}
     path = tmp_path / "other.toml"
