@@ -16,6 +16,10 @@ from model.parameters import Payload, System, Uav
 from model.state import StateView
 from protocol.setup import Setup
 
+# Gusts are drawn at these intervals, whatever the sampling period: the same wind blows at any rate of the controller.
+GUST_STEP_S = 0.05
+_SAME = 1e-9  # of an interval
+
 
 class Environment:
     """The physics of the truth.
@@ -39,9 +43,10 @@ class Environment:
         wind = section.wind
         self._mean_I, self._gust_I = np.array(wind.speed_mps), np.array(wind.gust_mps)
         self._is_windy = bool(self._mean_I.any() or self._gust_I.any())
-        self._gust_decay = math.exp(-setup.settings.sampling_period_s / wind.gust_time_constant_s)
+        self._gust_decay = math.exp(-GUST_STEP_S / wind.gust_time_constant_s)
+        self._gusts_per_tick = setup.settings.sampling_period_s / GUST_STEP_S
         self._drag = np.array([wind.drag_payload_kgps, *[wind.drag_uav_kgps] * setup.system.N])
-        self._gusts: list[Array] = []  # in units of their standard deviation, by tick
+        self._gusts: list[Array] = []  # in units of their standard deviation, by interval
         noise = section.noise
         self._payload_noise = np.repeat([noise.position_m, noise.velocity_mps, noise.attitude_rad, noise.rate_rads], 3)
         self._uav_noise = np.repeat(
@@ -51,13 +56,23 @@ class Environment:
 
     def wind(self, tick: int) -> Array:
         """Velocity of the air, (3,), inertial frame, m/s. Source: docs/equations.md (43)."""
-        while len(self._gusts) <= tick:
-            k = len(self._gusts)
-            gust = self._normal("wind", k, 3)
-            if k > 0:
+        at = tick * self._gusts_per_tick
+        # Rounding must not make the beginning of an interval the end of the one before.
+        before = round(at) if abs(at - round(at)) < _SAME else math.floor(at)
+        share = max(0.0, at - before)
+        gust = self._gust(before)
+        if share > _SAME:
+            gust = (1.0 - share) * gust + share * self._gust(before + 1)
+        return self._mean_I + self._gust_I * gust
+
+    def _gust(self, interval: int) -> Array:
+        """Gust at the beginning of an interval, (3,), in units of its standard deviation."""
+        while len(self._gusts) <= interval:
+            gust = self._normal("wind", len(self._gusts), 3)
+            if self._gusts:
                 gust = self._gust_decay * self._gusts[-1] + math.sqrt(1.0 - self._gust_decay**2) * gust
             self._gusts.append(gust)
-        return self._mean_I + self._gust_I * self._gusts[tick]
+        return self._gusts[interval]
 
     def forces(self, tick: int, x: Array) -> Array | None:
         """External forces over [t_k, t_{k+1}): drag of the bodies in the wind, None while there is no wind.

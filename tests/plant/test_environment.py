@@ -125,6 +125,18 @@ def test_gusts_blow_from_the_start() -> None:
     assert 0.7 < (np.array(first) / np.array([2.0, 1.0, 0.5])).std() < 1.3  # of 60 numbers
 
 
+@pytest.mark.parametrize("period_s", [0.1, 0.025, 0.02, 0.0125, 0.012, 0.01])
+def test_the_same_wind_at_any_rate(period_s: float) -> None:
+    """A seed's gusts are a function of time: whatever the sampling period, linear between the same values."""
+    usual = Environment(setup(MEAN, GUSTS))
+    every_50_ms = np.array([usual.wind(k) for k in range(41)])
+    other = Environment(setup(MEAN, GUSTS, f"controller.sampling_period_s={period_s}"))
+    times_s = period_s * np.arange(int(2.0 / period_s) + 1)
+    found = np.array([other.wind(k) for k in range(len(times_s))])
+    expected = [np.interp(times_s, 0.05 * np.arange(41), every_50_ms[:, axis]) for axis in range(3)]
+    np.testing.assert_allclose(found, np.transpose(expected), rtol=0.0, atol=1e-12)
+
+
 def test_gusts_do_not_depend_on_what_was_asked_before() -> None:
     """The wind of a tick is a function of seed and tick: in any order, bit for bit; another seed is other wind."""
     run = setup(MEAN, GUSTS)
