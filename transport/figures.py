@@ -1,6 +1,7 @@
 """Figures of a run, after the paper's: performance over time (its Fig. 3, 5), trajectories (Fig. 4), timing."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -9,6 +10,16 @@ from transport.figure_style import COMPONENTS, RC, WIDTH_IN, line_width, save, s
 from transport.log import RunLog
 from transport.series import Series, series_of
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+# What performance is: the quantities of its four panels.
+PERFORMANCE = (
+    "UAV position\nerror, norm (m)",
+    "payload position\nerror (m)",
+    "payload\nattitude (deg)",
+    "stage cost (-)",
+)
 # Decades of the cost that are shown: below is the rounding of a hover at rest.
 _COST_DECADES = 5
 # Smallest ranges of the axes, either side of zero: what is below them does not matter to anybody.
@@ -48,6 +59,18 @@ def draw_performance(setup: Setup, series: Series, path: Path) -> Path:
 
     figure = Figure(figsize=(WIDTH_IN, 7.0), layout="constrained")
     panels = list(figure.subplots(4, 1, sharex=True))
+    plot_performance(setup, series, panels)
+    for panel, label in zip(panels, PERFORMANCE, strict=True):
+        panel.set_ylabel(label)
+    panels[3].set_xlabel("time (s)")
+    for panel in panels[:3]:
+        panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
+    figure.align_ylabels(panels)
+    return save(figure, path)
+
+
+def plot_performance(setup: Setup, series: Series, panels: "list[Axes]") -> None:
+    """Plot what `PERFORMANCE` names, one below the other, without labels."""
     t, period_s = series.times_s, setup.settings.sampling_period_s
     shade_phases(setup, panels, float(t[-1]) + period_s)
 
@@ -55,7 +78,6 @@ def draw_performance(setup: Setup, series: Series, path: Path) -> Path:
     N = setup.system.N
     for i in range(N):
         panels[0].plot(t, errors_m[:, i], label=f"UAV{i + 1}", linewidth=line_width(i, N, 2.6), **uav_style(i))
-    panels[0].set_ylabel("UAV position\nerror, norm (m)")
     panels[0].set_ylim(0.0, max(panels[0].get_ylim()[1], _SMALLEST_M))
     for values, panel, names, smallest in (
         (series.payload_error_I, panels[1], ("x", "y", "z (down)"), _SMALLEST_M),
@@ -65,17 +87,9 @@ def draw_performance(setup: Setup, series: Series, path: Path) -> Path:
             panel.plot(t, values[:, column], color=colour, label=name, linewidth=line_width(column, 3, 1.8))
         low, high = panel.get_ylim()
         panel.set_ylim(min(low, -smallest), max(high, smallest))
-    panels[1].set_ylabel("payload position\nerror (m)")
-    panels[2].set_ylabel("payload\nattitude (deg)")
 
     panels[3].plot(t, np.where(series.cost > 0.0, series.cost, np.nan), color="#000000")
-    panels[3].set_ylabel("stage cost (-)")
     top = float(series.cost.max())
     if top > 0.0:
         panels[3].set_yscale("log")
         panels[3].set_ylim(top * 10.0**-_COST_DECADES, top * 2.0)
-    panels[3].set_xlabel("time (s)")
-    for panel in panels[:3]:
-        panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
-    figure.align_ylabels(panels)
-    return save(figure, path)

@@ -5,14 +5,32 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 from protocol.scenario import Scenario
 from protocol.scenario_file import ScenarioError, find_scenario, read_scenario
 from protocol.setup import Setup
+from protocol.team import resized
 
 # Keys of a scenario that bring chance into a flight unless they are zero, and sections that do.
 _CHANCE = {"jitter_s", "loss", "duplicate", "reorder", "gust_mps", "noise"}
+
+# What a team of another size has of its own: settings of these would be lost.
+_OF_A_TEAM = ("system", "agents")
+
+
+@dataclass(frozen=True, slots=True)
+class Team:
+    """A team made in the place of the scenario's own, as `transport scenario new` makes one.
+
+    Attributes:
+        uavs: How many.
+        group: UAVs per agent.
+    """
+
+    uavs: int
+    group: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,7 +42,9 @@ class Point:
         labels: What tells the point from the scenario's others: values by column.
         text: The same in a sentence, such as "200 ms".
         settings: Changes on top of the scenario, as for `--set`.
-        baseline: Whether it is the scenario's flight without impairment.
+        baseline: Whether it is the scenario's flight without impairment; with teams, the one that others of as many
+            UAVs are compared to.
+        team: Who flies instead of the scenario's own team.
     """
 
     scenario: str
@@ -32,6 +52,7 @@ class Point:
     text: str
     settings: tuple[str, ...] = ()
     baseline: bool = False
+    team: Team | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,35 +64,53 @@ class Case:
         scenario: As it is to be flown, seed included.
         source: File the scenario comes from.
         key: Fingerprint of all that decides the result.
+        timed: Whether computation and messages are measured as well.
     """
 
     point: int
     scenario: Scenario
     source: str
     key: str
+    timed: bool = False
 
 
-def cases_of(points: Sequence[Point], settings: Sequence[str], seeds: int) -> list[Case]:
+def cases_of(points: Sequence[Point], settings: Sequence[str], seeds: int, *, timed: bool = False) -> list[Case]:
     """Every flight of a sweep: each point with the seeds 0, 1, ...; one seed where chance plays no part.
 
     Args:
         points: Of the sweep.
         settings: Changes on top of every scenario, before those of the points.
         seeds: How many.
+        timed: Whether computation is measured, in which chance always plays a part.
     Raises: ScenarioError: a point that cannot be flown, naming file, field, expected, got.
     """
     cases = []
     for index, point in enumerate(points):
         path = find_scenario(point.scenario)
-        scenario = read_scenario(path, [*settings, *point.settings])
+        scenario = _scenario(path, point, settings)
         if scenario.clock.mode != "lockstep":
             # In real time the result would be the machine's, and of how busy it is.
             raise ScenarioError(str(path), "clock.mode", f"expected lockstep, got {scenario.clock.mode}")
         samples_s = Setup.of(scenario, str(path)).samples_s  # refuses what cannot exist before anything flies
-        for seed in range(seeds if is_random(scenario) else 1):
+        for seed in range(seeds if timed or is_random(scenario) else 1):
             seeded = scenario.model_copy(update={"seed": seed})
-            cases.append(Case(point=index, scenario=seeded, source=str(path), key=key_of(seeded, samples_s)))
+            key = key_of(seeded, samples_s)
+            cases.append(Case(point=index, scenario=seeded, source=str(path), key=key, timed=timed))
     return cases
+
+
+def _scenario(path: Path, point: Point, settings: Sequence[str]) -> Scenario:
+    """The scenario of a point, before its seed."""
+    changes = [*settings, *point.settings]
+    scenario = read_scenario(path, changes)
+    if point.team is None:
+        return scenario
+    for setting in changes:
+        key = setting.partition("=")[0].strip()
+        if key.partition(".")[0] in _OF_A_TEAM and key != "system.gravity_mps2":
+            raise ScenarioError(f"--set {setting}", "", "expected a key that every team has, got one of a single team")
+    team = point.team
+    return resized(scenario, path.parent, team.uavs, group=team.group, name=None, source=f"{path}, {point.text}")
 
 
 def key_of(scenario: Scenario, samples_s: Mapping[str, tuple[float, ...]]) -> str:

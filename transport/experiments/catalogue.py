@@ -5,12 +5,21 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TypeVar
 
-from transport.experiments.cases import Point
+from transport.experiments.cases import Point, Team
 from transport.experiments.errors import refused
 
 T = TypeVar("T", str, float)
 
 NEVER, NOBODY = "never", "none"
+
+# Who decides for whom, by UAVs per agent; None: one agent for all.
+OWNERSHIPS: Mapping[str, int | None] = {"distributed": 1, "pairs": 2, "centralized": None}
+CENTRALIZED = "centralized"
+
+# Teams of these sizes are flown below the largest that is asked for. Beyond 16 UAVs a tick of the centralized
+# team takes most of a second.
+SIZES, QUICK_SIZES = (2, 3, 4, 6, 8, 10, 12, 16), (2, 4, 6)
+LARGEST_TEAM = 16
 
 # Standard deviation of one unit of `links.jitter_s`, and the mean it adds, by distribution (docs/scenario.md).
 # A lognormal number whose logarithm has unit variance has a mean of 1 / sqrt(e - 1) standard deviations.
@@ -55,6 +64,7 @@ class Experiment:
         y: Along the vertical axis of a map; without it the figure has curves.
         curves: Column that tells the curves of a scenario from each other; points with "none" in it belong to all.
         legend: What its values are called in the figure.
+        timed: Whether computation and messages are measured as well; then the figure is that of growth.
     """
 
     name: str
@@ -63,6 +73,7 @@ class Experiment:
     y: Axis | None = None
     curves: str | None = None
     legend: Mapping[str | float, str] = field(default_factory=dict)
+    timed: bool = False
 
 
 def latency(scenarios: Sequence[str], delays_s: Sequence[float]) -> Experiment:
@@ -229,6 +240,34 @@ def matrix(scenarios: Sequence[str], delays_s: Sequence[float], shares: Sequence
         for share in sorted({0.0, *_distinct("--loss", shares)})
     ]
     return Experiment(name="matrix", points=tuple(points), x=DELAY_AXIS, y=LOSS_AXIS)
+
+
+def scaling(scenario: str, largest: int, sizes: Sequence[int]) -> Experiment:
+    """Teams of more and more UAVs, each with an agent for every UAV, for every pair and for all.
+
+    Args:
+        scenario: What all is taken from but the team.
+        largest: UAVs of the largest team.
+        sizes: Of the teams below it.
+    """
+    if not 2 <= largest <= LARGEST_TEAM:
+        raise refused("--max", f"a number of UAVs from 2 to {LARGEST_TEAM}", largest)
+    points = []
+    for ownership, group in OWNERSHIPS.items():
+        for uavs in [*(size for size in sizes if size < largest), largest]:
+            if group == 2 and (uavs == 2 or uavs % 2):
+                continue  # a single pair is the centralized team, and of an odd number one is left over
+            own = group or uavs
+            points.append(
+                Point(
+                    scenario=scenario,
+                    labels={"ownership": ownership, "uavs": uavs, "agents": uavs // own},
+                    text=f"{uavs} UAVs {ownership}",
+                    baseline=ownership == CENTRALIZED,
+                    team=Team(uavs, own),
+                )
+            )
+    return Experiment(name="scaling", points=tuple(points), x=Axis("uavs", "UAVs"), curves="ownership", timed=True)
 
 
 def _bursts(share: float, burst_ticks: float) -> str:

@@ -25,6 +25,13 @@ _QUICK = (
 )
 _QUICK_SEEDS = 2
 
+# What teams of all sizes fly: the paper's speed, 0.5 m/s, in 10 s instead of 25.
+_SHORTENED = (
+    "maneuver.phase=[{name='hover',duration_s=2.0,displacement_m=[0,0,0]},"
+    "{name='climb',duration_s=4.0,displacement_m=[0,0,-2]},"
+    "{name='translate',duration_s=4.0,displacement_m=[2,0,0]}]"
+)
+
 experiment_app = typer.Typer(
     help="Fly many variations of a scenario and compare them.\n\nTables, confidence intervals, a figure.",
     no_args_is_help=True,
@@ -72,14 +79,16 @@ class _Options:
     dask: str | None
     processes: bool
     quick: bool
+    maneuver: str = ""
 
     def named(self) -> list[str]:
         """Scenarios to fly."""
         return self.scenarios or ["paper", "resilient"]
 
     def changes(self) -> list[str]:
-        """Changes of every scenario, those of a trial first."""
-        return [*([_QUICK] if self.quick else []), *(self.settings or [])]
+        """Changes of every scenario, the experiment's own maneuver first."""
+        maneuver = _QUICK if self.quick else self.maneuver
+        return [*([maneuver] if maneuver else []), *(self.settings or [])]
 
 
 @experiment_app.command()
@@ -241,6 +250,53 @@ def matrix(
 
 
 @experiment_app.command()
+def scaling(
+    largest: Annotated[
+        int | None, typer.Option("--max", help="UAVs of the largest team, 2 to 16; by default 12.")
+    ] = None,
+    settings: SetOption = None,
+    seeds: Annotated[
+        int, typer.Option("--seeds", min=1, help="Flights of each team; repetitions tell how sure the timing is.")
+    ] = 1,
+    out: OutOption = None,
+    jobs: Annotated[
+        int,
+        typer.Option(
+            "--jobs", min=1, help="Flights at a time; 1, as timing is measured, which flights side by side disturb."
+        ),
+    ] = 1,
+    quick: QuickOption = False,
+) -> None:
+    """How cost, computation and messages grow with the team.
+
+    Teams of 2 to 12 UAVs made of `resilient`, each with an agent for every UAV, every pair, and one for all.
+
+    Computation is processor time, measured in the same flights.
+
+    Costs and messages do not depend on --jobs, timing does.
+    """
+    options = _Options(
+        scenarios=None,
+        settings=settings,
+        seeds=seeds,
+        out=out,
+        jobs=jobs,
+        dask=None,
+        processes=False,
+        quick=quick,
+        maneuver=_SHORTENED,
+    )
+
+    def build() -> "Experiment":
+        from transport.experiments import catalogue
+
+        sizes, usual = (catalogue.QUICK_SIZES, 6) if quick else (catalogue.SIZES, 12)
+        return catalogue.scaling("resilient", usual if largest is None else largest, sizes)
+
+    _conduct(build, options)
+
+
+@experiment_app.command()
 def faults(
     runs: Annotated[int, typer.Option("--runs", min=1, help="Up to which number, without it.")] = 200,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Of what happens to whom and when.")] = 0,
@@ -319,6 +375,7 @@ def _fly(experiment: "Experiment", options: _Options) -> None:
 
     from transport.experiments.cases import cases_of
     from transport.experiments.findings import findings
+    from transport.experiments.growth import growth_findings
     from transport.experiments.results import Results
     from transport.experiments.sweep import report, sweep
     from transport.experiments.table import WIDTH, table_of
@@ -327,7 +384,7 @@ def _fly(experiment: "Experiment", options: _Options) -> None:
     _check(options)
     stamp = datetime.now(UTC).strftime("%Y%m%d-%H%M%S")
     folder = options.out or Path("runs") / f"experiment-{experiment.name}-{stamp}"
-    cases = cases_of(experiment.points, options.changes(), options.seeds)
+    cases = cases_of(experiment.points, options.changes(), options.seeds, timed=experiment.timed)
     console = Console(stderr=True)
     trial = "trial, no measurement" if options.quick else ""
     if trial:
@@ -347,10 +404,14 @@ def _fly(experiment: "Experiment", options: _Options) -> None:
             raise
         measured, files = report(experiment, cases, found, folder)
     title = f"{experiment.name}: means of completed flights, ± 95 % confidence" + (f" ({trial})" if trial else "")
+    if experiment.timed:
+        phases = cases[0].scenario.maneuver.phase  # the same for all
+        title += f"\n{sum(phase.duration_s for phase in phases):g} s of {', '.join(phase.name for phase in phases)}"
     output = Console()
     output.width = max(output.width, WIDTH)
-    output.print(table_of(title, measured))
-    lines = ["", *findings(measured), "", f"machine: {machine()}", *(f" {path}" for path in files)]
+    output.print(table_of(title, measured, timed=experiment.timed))
+    found_out = growth_findings(measured) if experiment.timed else findings(measured)
+    lines = ["", *found_out, "", f"machine: {machine()}", *(f" {path}" for path in files)]
     sys.stdout.write("\n".join(lines) + "\n")
     failed = [result for result in found if result.outcome == "error"]
     if failed:

@@ -14,14 +14,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # Colour (Okabe and Ito 2008), marker and line of each curve: told apart without colour as well.
-_CURVES = (
+CURVES = (
     ("#0072B2", "o", "-"),
     ("#D55E00", "s", "--"),
     ("#009E73", "^", "-."),
     ("#CC79A7", "D", ":"),
     ("#000000", "v", "-"),
 )
-_MARKER, _PRINT = 4.0, 7.0
+MARKER, PRINT = 4.0, 7.0
 
 # What is drawn against the sweep: title, number, factor.
 _PANELS = (("mean cost ($10^{-3}$)", "cost_mean", 1e3), ("largest payload\nattitude (deg)", "attitude_max_deg", 1.0))
@@ -64,7 +64,7 @@ def draw_curves(figure: "Figure", experiment: Experiment, measured: Sequence[Mea
         curves = _curves(experiment, shown)
         apart = _APART * max(places.values()) if len(columns) > 1 else 0.0
         for index, (name, points) in enumerate(curves.items()):
-            style = dict(zip(("color", "marker", "linestyle"), _CURVES[index % len(_CURVES)], strict=True))
+            style = dict(zip(("color", "marker", "linestyle"), CURVES[index % len(CURVES)], strict=True))
             if isinstance(values[0], str):
                 style["linestyle"] = "none"  # nothing lies between two names
             shift = apart * (index - (len(curves) - 1) / 2.0)
@@ -124,12 +124,12 @@ def _draw_survival(
     axes.plot(x, shares, color=style["color"], linestyle=style["linestyle"])
     for at, share, m in zip(x, shares, points, strict=True):
         marker = "x" if share < 100.0 else style["marker"]
-        axes.plot([at], [share], color=style["color"], marker=marker, markersize=_MARKER, markeredgewidth=1.5)
+        axes.plot([at], [share], color=style["color"], marker=marker, markersize=MARKER, markeredgewidth=1.5)
         if m.flights == 1 and m.lost_s:
             # One line of print for each curve, above the crosses of all.
-            above = (0.0, 1.5 * _MARKER + 1.1 * _PRINT * index)
+            above = (0.0, 1.5 * MARKER + 1.1 * PRINT * index)
             text, colour = f"{m.lost_s[0]:.1f} s", style["color"]
-            how: Any = {"textcoords": "offset points", "ha": "center", "color": colour, "fontsize": _PRINT}
+            how: Any = {"textcoords": "offset points", "ha": "center", "color": colour, "fontsize": PRINT}
             axes.annotate(text, (at, share), above, **how)
 
 
@@ -142,7 +142,7 @@ def _draw_means(
         value = m.numbers[number]
         means.append(math.nan if value is None else factor * value.mean)
         halves.append(0.0 if value is None or value.half_width is None else factor * value.half_width)
-    axes.plot(x, means, **style, markersize=_MARKER)
+    axes.plot(x, means, **style, markersize=MARKER)
     axes.errorbar(x, means, halves, color=style["color"], linestyle="none", capsize=2.0, elinewidth=0.8)
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from transport.experiments.catalogue import Experiment
 from transport.experiments.curves import draw_curves
+from transport.experiments.growth_figure import draw_growth
 from transport.experiments.maps import draw_maps
 from transport.experiments.statistics import Measured
 from transport.figure_style import RC, save
@@ -24,7 +25,9 @@ def draw(experiment: Experiment, measured: Sequence[Measured], folder: Path) -> 
 
     with mpl.rc_context({**RC, "svg.hashsalt": experiment.name}):
         figure = Figure(layout="constrained")
-        if experiment.y is None:
+        if experiment.timed:
+            draw_growth(figure, measured)
+        elif experiment.y is None:
             draw_curves(figure, experiment, measured)
         else:
             draw_maps(figure, experiment.x, experiment.y, measured)

@@ -15,14 +15,15 @@ def findings(measured: Sequence[Measured]) -> list[str]:
 
 
 def _sentence(measured: Sequence[Measured]) -> str:
-    parts = [_survival(measured), _attitude(measured), _cost(measured)]
+    parts = [survival(measured), _attitude(measured), _cost(measured)]
     errors = sum(m.errors for m in measured)
     if errors:
         parts.append(f"{errors} flight{'s' * (errors > 1)} could not be flown")
     return "; ".join(part for part in parts if part)
 
 
-def _survival(measured: Sequence[Measured]) -> str:
+def survival(measured: Sequence[Measured]) -> str:
+    """How many flights were completed, and where others were lost."""
     flown = [m for m in measured if m.flights]
     if not flown:
         return ""

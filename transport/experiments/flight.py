@@ -2,6 +2,7 @@
 
 import io
 import shutil
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,13 +16,15 @@ from protocol.process import EXIT_INTERRUPTED
 from protocol.setup import Setup
 from transport import memory, run
 from transport.experiments.cases import Case, key_of
+from transport.experiments.effort import effort
 from transport.log import Recorded, RunLog, read_log
 from transport.metrics import summarise
 from transport.report import write_report
 
 ERROR = "error"
 
-# What is kept of a flight; each is None where the flight does not say. No wall-clock time is among them.
+# What is kept of a flight; each is None where the flight does not say. No wall-clock time is among them. Of a flight
+# that is timed there is more (effort.EFFORT).
 NUMBERS = (
     "lost_s",  # scenario time of the end, unless completed
     "cost_mean",
@@ -55,14 +58,16 @@ class Result:
 
 def fly_in_memory(case: Case) -> Result:
     """Fly a case in this process."""
+    # Processor time of this thread: what else the machine does, and waiting for it, is not the controller's.
+    clock = time.thread_time_ns if case.timed else lambda: 0
 
     def flight(setup: Setup) -> tuple[dict[str, Any], RunLog]:
         messages: list[Recorded] = []
 
         def record(message: Message) -> None:
-            messages.append(Recorded(message=message, received_ns=0))
+            messages.append(Recorded(message=message, received_ns=clock()))
 
-        memory.fly(setup, record)
+        memory.fly(setup, record, clock)
         log = RunLog(header={}, messages=tuple(messages), cut="")
         return summarise(setup, log), log
 
@@ -111,7 +116,8 @@ def _result(case: Case, flight: Callable[[Setup], tuple[dict[str, Any], RunLog]]
         key=case.key,
         outcome=control.outcome,
         reason=control.reason,
-        numbers=dict(zip(NUMBERS, (lost_s, *_numbers(summary)), strict=True)),
+        numbers=dict(zip(NUMBERS, (lost_s, *_numbers(summary)), strict=True))
+        | (effort(setup, log) if case.timed else {}),
     )
 
 

@@ -55,7 +55,8 @@ class Measured:
         errors: How many could not be flown.
         lost_s: When the others ended, ascending, scenario time.
         numbers: Estimates over the completed flights, by name (flight.NUMBERS).
-        cost_ratio: Mean cost over that of the scenario's flights without impairment, if both are known.
+        cost_ratio: Mean cost over that of the scenario's flights without impairment (with teams: those of as many
+            UAVs), if both are known.
     """
 
     point: Point
@@ -82,16 +83,16 @@ def measure(points: Sequence[Point], results: Sequence[Sequence[Result]], names:
         results: Of each point, in the order of the seeds.
         names: Numbers to estimate.
     """
-    costs: dict[str, float] = {}
+    costs: dict[tuple[str, int], float] = {}
     for point, found in zip(points, results, strict=True):
         cost = estimate(_completed(found, "cost_mean"))
         if point.baseline and cost is not None:
-            costs[point.scenario] = cost.mean
+            costs[_compared(point)] = cost.mean
     measured = []
     for point, found in zip(points, results, strict=True):
         flown = [result for result in found if result.outcome != ERROR]
         numbers = {name: estimate(_completed(found, name)) for name in names}
-        cost, reference = numbers["cost_mean"], costs.get(point.scenario)
+        cost, reference = numbers["cost_mean"], costs.get(_compared(point))
         lost_s = [result.numbers["lost_s"] for result in flown]
         measured.append(
             Measured(
@@ -105,6 +106,11 @@ def measure(points: Sequence[Point], results: Sequence[Sequence[Result]], names:
             )
         )
     return measured
+
+
+def _compared(point: Point) -> tuple[str, int]:
+    """What a point has in common with those it is compared to: scenario and number of UAVs."""
+    return point.scenario, 0 if point.team is None else point.team.uavs
 
 
 def _completed(results: Sequence[Result], name: str) -> list[float]:

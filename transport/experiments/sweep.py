@@ -7,12 +7,13 @@ from rich.console import Console
 
 from transport.experiments.cases import Case
 from transport.experiments.catalogue import Experiment
+from transport.experiments.effort import EFFORT
 from transport.experiments.figures import draw
-from transport.experiments.flight import Result
+from transport.experiments.flight import NUMBERS, Result
 from transport.experiments.progress import SweepProgress
 from transport.experiments.results import Results
 from transport.experiments.statistics import Measured, measure
-from transport.experiments.table import MEANS, cases_csv, points_csv
+from transport.experiments.table import cases_csv, points_csv
 from transport.report import write_whole
 
 Fly = Callable[[Sequence[Case]], Iterable[Result]]
@@ -31,6 +32,8 @@ def sweep(experiment: Experiment, cases: Sequence[Case], fly: Fly, results: Resu
     """
     every = {case.key: case for case in cases}
     missing = [case for key, case in every.items() if not results.done(key)]
+    # Round by round: when the machine is slow for a while, timing suffers at every point and not at one.
+    missing.sort(key=lambda case: case.scenario.seed)
     with SweepProgress(experiment.name, len(every) - len(missing), len(every), console) as progress:
         for result in fly(missing) if missing else ():
             results.add(result)
@@ -55,8 +58,9 @@ def report(
     by_point: list[list[Result]] = [[] for _ in experiment.points]
     for case, result in zip(cases, found, strict=True):
         by_point[case.point].append(result)
-    measured = measure(experiment.points, by_point, MEANS)
+    numbers = (*NUMBERS, *(EFFORT if experiment.timed else ()))
+    measured = measure(experiment.points, by_point, numbers[1:])  # when flights were lost has a place of its own
     tables = [folder / "points.csv", folder / "cases.csv"]
     write_whole(tables[0], points_csv(measured))
-    write_whole(tables[1], cases_csv(experiment.points, cases, found))
+    write_whole(tables[1], cases_csv(experiment.points, cases, found, numbers))
     return measured, [*tables, *draw(experiment, measured, folder)]

@@ -9,19 +9,21 @@ from rich.table import Table
 
 from transport.experiments.cases import Case, Point
 from transport.experiments.flight import NUMBERS, Result
-from transport.experiments.statistics import Estimate, Measured
-
-# Means of these are in the table of points, each with its confidence interval.
-MEANS = NUMBERS[1:]
+from transport.experiments.statistics import Measured
 
 WIDTH = 100
 
 # From here on a number is shown without its decimals.
 _MANY = 100.0
 
+_LOST, _RATIO = "lost", "ratio"
+
 
 class _Shown(NamedTuple):
-    """A column that people read: heading, name of the number, factor, digits, whether there is room for intervals."""
+    """A column that people read: heading, name of the number, factor, digits, whether there is room for intervals.
+
+    "lost" and "ratio" are no means of flights and stand for `Measured.first_lost_s` and `cost_ratio`.
+    """
 
     heading: str
     name: str
@@ -31,21 +33,39 @@ class _Shown(NamedTuple):
 
 
 _SHOWN = [
+    _Shown("lost at\n(s)", _LOST, 1.0, 1, False),
     _Shown("cost mean\n(1e-3)", "cost_mean", 1e3, 2, True),
+    _Shown("cost\nratio", _RATIO, 1.0, 2, False),
     _Shown("max\n(1e-3)", "cost_max", 1e3, 1, False),
     _Shown("attitude\n(deg)", "attitude_max_deg", 1.0, 2, True),
     _Shown("apart\n(m)", "separation_min_m", 1.0, 3, False),
     _Shown("age\n(ticks)", "plan_age_mean_ticks", 1.0, 2, False),
 ]
 
+# What is read of flights whose computation was measured.
+_SHOWN_TIMED = [
+    _Shown("CPU step\np50 (ms)", "cpu_step_p50_ms", 1.0, 2, True),
+    _Shown("p99\n(ms)", "cpu_step_p99_ms", 1.0, 2, False),
+    _Shown("team\n(ms)", "cpu_team_tick_ms", 1.0, 1, False),
+    _Shown("flight\n(s/s)", "cpu_flight_s_per_s", 1.0, 2, False),
+    _Shown("plans\n/tick", "plans_per_tick", 1.0, 0, False),
+    _Shown("\n(kB/s)", "plan_bytes_per_s", 1e-3, 1, False),
+    _Shown("cost\n(1e-3)", "cost_mean", 1e3, 2, False),
+    _Shown("cost\nratio", _RATIO, 1.0, 2, False),
+    _Shown("attitude\n(deg)", "attitude_max_deg", 1.0, 2, False),
+]
 
-def cases_csv(points: Sequence[Point], cases: Iterable[Case], results: Iterable[Result]) -> bytes:
+
+def cases_csv(
+    points: Sequence[Point], cases: Iterable[Case], results: Iterable[Result], numbers: Sequence[str] = NUMBERS
+) -> bytes:
     """One row for each flight, in the order of the sweep. Floats are written so that they read back as the same bits.
 
     Args:
         points: Of the sweep.
         cases: Its flights.
         results: What came of them.
+        numbers: Of each flight.
     """
     rows: list[dict[str, Any]] = []
     for case, result in zip(cases, results, strict=True):
@@ -60,7 +80,7 @@ def cases_csv(points: Sequence[Point], cases: Iterable[Case], results: Iterable[
                 **result.numbers,
             }
         )
-    return _csv(["scenario", *points[0].labels, "seed", "outcome", "reason", *NUMBERS], rows)
+    return _csv(["scenario", *points[0].labels, "seed", "outcome", "reason", *numbers], rows)
 
 
 def points_csv(measured: Sequence[Measured]) -> bytes:
@@ -73,30 +93,29 @@ def points_csv(measured: Sequence[Measured]) -> bytes:
         for name, value in m.numbers.items():
             row |= {name: value and value.mean, f"{name}_ci95": value and value.half_width}
         rows.append(row)
-    means = [column for name in MEANS for column in (name, f"{name}_ci95")]
+    means = [column for name in measured[0].numbers for column in (name, f"{name}_ci95")]
     counts = ["flights", "completed", "errors", "first_lost_s", "cost_ratio"]
     return _csv(["scenario", *measured[0].point.labels, *counts, *means], rows)
 
 
-def table_of(title: str, measured: Sequence[Measured]) -> Table:
+def table_of(title: str, measured: Sequence[Measured], *, timed: bool = False) -> Table:
     """What a person reads, in `WIDTH` columns.
 
     Args:
         title: Above the table.
         measured: The points, in the order of the sweep.
+        timed: Whether it is about computation and messages; then all points are of one scenario.
     """
+    columns, named = (_SHOWN_TIMED, False) if timed else (_SHOWN, True)
     table = Table(box=None, title=title, title_justify="left", title_style="bold", padding=(0, 1, 0, 0))
-    for heading in ("scenario", *(name.replace("_", "\n", 1) for name in measured[0].point.labels)):
+    headings = [name.replace("_", "\n", 1) for name in measured[0].point.labels]
+    for heading in [*["scenario"] * named, *headings]:
         table.add_column(heading, no_wrap=True)
-    headings = ["done", "lost at\n(s)", *[shown.heading for shown in _SHOWN]]
-    headings.insert(3, "cost\nratio")
-    for heading in headings:
+    for heading in ["done", *[shown.heading for shown in columns]]:
         table.add_column(heading, justify="right", no_wrap=True)
     for m in measured:
-        cells = [_cell(m.numbers[shown.name], shown) for shown in _SHOWN]
-        cells.insert(1, _number(m.cost_ratio, 2))
-        labels = [m.point.scenario, *(_label(value) for value in m.point.labels.values())]
-        table.add_row(*labels, _done(m), _number(m.first_lost_s, 1), *cells)
+        labels = [*[m.point.scenario] * named, *(_label(value) for value in m.point.labels.values())]
+        table.add_row(*labels, _done(m), *(_cell(m, shown) for shown in columns))
     return table
 
 
@@ -115,7 +134,10 @@ def _label(value: str | float) -> str:
     return value if isinstance(value, str) else f"{value:g}"
 
 
-def _cell(value: Estimate | None, shown: _Shown) -> str:
+def _cell(m: Measured, shown: _Shown) -> str:
+    if shown.name in (_LOST, _RATIO):
+        return _number(m.first_lost_s if shown.name == _LOST else m.cost_ratio, shown.digits)
+    value = m.numbers[shown.name]
     if value is None:
         return "-"
     text = _number(shown.factor * value.mean, shown.digits)

@@ -1,0 +1,65 @@
+"""The ablation: every part on its own, nothing twice, and a figure that has a row for each."""
+
+import pytest
+
+from protocol.scenario_file import find_scenario, read_scenario
+from transport.experiments.ablation import AS_IT_IS, NETWORKS, PARTS, ablation
+from transport.experiments.cases import cases_of
+from transport.experiments.catalogue import Experiment
+
+NAMES = ("paper", "resilient")
+
+
+def built(*settings: str) -> Experiment:
+    """Of both ready scenarios."""
+    return ablation({name: read_scenario(find_scenario(name), list(settings)) for name in NAMES})
+
+
+def test_one_part_at_a_time() -> None:
+    """A variant differs from the scenario as it is in one setting, on the same network; no two flights are equal."""
+    experiment = built()
+    cases = cases_of(experiment.points, [], 1)
+    assert len({case.key for case in cases}) == len(cases) == len(experiment.points)
+    trees = {}
+    for case in cases:
+        point = experiment.points[case.point]
+        trees[point.scenario, point.labels["network"], point.labels["part"], point.labels["value"]] = (
+            case.scenario.tree()
+        )
+    for (scenario, network, part, value), tree in trees.items():
+        own = trees[scenario, network, AS_IT_IS, ""]
+        differing = {
+            f"{section}.{key}"
+            for section in ("controller", "clock", "links")
+            for key in own[section].keys() | tree[section].keys()
+            if own[section].get(key) != tree[section].get(key)
+        }
+        assert differing == (set() if part == AS_IT_IS else {PARTS[str(part)][0]}), (scenario, network, part, value)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_part_has_every_value(name: str) -> None:
+    """The value that a scenario has is its row as it is; all the others are there, on every network."""
+    points = [point for point in built().points if point.scenario == name]
+    for network in NETWORKS:
+        flown = [(p.labels["part"], p.labels["value"]) for p in points if p.labels["network"] == network]
+        for part, (_, values) in PARTS.items():
+            missing = set(values) - {value for of, value in flown if of == part}
+            assert len(missing) == 1, part
+
+
+def test_what_a_setting_gives_is_not_flown_twice() -> None:
+    """Settings for all flights count: what they give is what the scenario is."""
+    points = built("controller.rounds=2", "clock.actuation=next_tick", "controller.relaxation=auto").points
+    flown = {(point.labels["part"], point.labels["value"]) for point in points}
+    assert ("rounds", "2") not in flown
+    assert ("rounds", "1") in flown
+    assert ("actuation", "next_tick") not in flown
+    assert ("actuation", "immediate") in flown
+    assert ("relaxation", "0.25") not in flown
+
+
+def test_what_is_compared_to() -> None:
+    """One baseline for each scenario: as it is, on a perfect network."""
+    baselines = [point for point in built().points if point.baseline]
+    assert [(point.scenario, point.labels["network"]) for point in baselines] == [(name, "perfect") for name in NAMES]

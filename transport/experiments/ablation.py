@@ -1,0 +1,64 @@
+"""What each part of the algorithm is worth: one setting changed at a time, on a good and on a bad network."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from protocol.scenario import Scenario
+from transport.experiments.cases import Point
+from transport.experiments.catalogue import Axis, Experiment
+
+AS_IT_IS = "as it is"
+
+# Settings of each part, by what it is called. Those that a scenario has anyway are left out there.
+PARTS: Mapping[str, tuple[str, tuple[str, ...]]] = {
+    "prediction": ("controller.prediction", ("open_loop", "closed_loop")),
+    "relaxation": ("controller.relaxation", ("1.0", "0.5", "0.25", "0.1")),
+    "rounds": ("controller.rounds", ("1", "2", "4")),
+    "received plans": ("controller.received_plans", ("by_age", "by_one", "held")),
+    "received states": ("controller.received_states", ("predicted", "as_received")),
+    "actuation": ("clock.actuation", ("immediate", "next_tick")),
+    "discretisation": ("controller.discretisation", ("exact", "euler")),
+}
+
+NETWORKS: Mapping[str, tuple[str, ...]] = {
+    "perfect": ("links.delay_s=0.0", "links.loss=0.0"),
+    "0.2 s late, 30 % lost": ("links.delay_s=0.2", "links.loss=0.3"),
+}
+
+
+def ablation(scenarios: Mapping[str, Scenario]) -> Experiment:
+    """Every part of every scenario changed on its own, on every network.
+
+    Args:
+        scenarios: What is flown, by name or file.
+    """
+    points = []
+    for name, scenario in scenarios.items():
+        for network, links in NETWORKS.items():
+            variants = [(AS_IT_IS, "", ())] + [
+                (part, value, (f"{key}={value}",))
+                for part, (key, values) in PARTS.items()
+                for value in values
+                if not _has(scenario, key, value)
+            ]
+            points += [
+                Point(
+                    scenario=name,
+                    labels={"network": network, "part": part, "value": value},
+                    text=f"{part}{' ' if value else ''}{value}, {network}",
+                    settings=(*links, *settings),
+                    baseline=part == AS_IT_IS and network == "perfect",
+                )
+                for part, value, settings in variants
+            ]
+    return Experiment(name="ablation", points=tuple(points), x=Axis("value", "cost over that as it is"))
+
+
+def _has(scenario: Scenario, key: str, value: str) -> bool:
+    """Whether a scenario has a value anyway."""
+    if key == "clock.actuation":
+        return value == ("next_tick" if scenario.clock.next_tick else "immediate")
+    own: Any = scenario.tree()
+    for name in key.split("."):
+        own = own[name]
+    return str(own) == value or (own == "auto" and value == str(1.0 / len(scenario.owned)))

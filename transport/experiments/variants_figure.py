@@ -1,0 +1,75 @@
+"""The figure of an ablation: what the cost becomes when one part is changed, for each network."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from transport.experiments.statistics import Measured
+from transport.figure_style import WIDTH_IN, label_decades
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+# Colour (Okabe and Ito 2008) and marker of each network.
+_STYLES = (("#0072B2", "o"), ("#D55E00", "s"), ("#009E73", "^"), ("#CC79A7", "D"))
+_ROW_IN, _FRAME_IN = 0.19, 1.1
+# Lost flights are drawn this far right of everything, and means beyond this are not worth a longer axis.
+_LOST, _HIGHEST = 1.35, 100.0
+
+
+def draw_variants(figure: "Figure", measured: Sequence[Measured]) -> None:
+    """Cost over that of the scenario as it is on the first network: a row for each variant, a panel for each scenario.
+
+    Args:
+        figure: To draw into; its size is set.
+        measured: Points with the labels "network", "part" and "value".
+    """
+    from matplotlib.transforms import blended_transform_factory
+
+    scenarios = list(dict.fromkeys(m.point.scenario for m in measured))
+    networks = list(dict.fromkeys(str(m.point.labels["network"]) for m in measured))
+    rows = [list(dict.fromkeys(_name(m) for m in measured if m.point.scenario == name)) for name in scenarios]
+    figure.set_size_inches(WIDTH_IN, _FRAME_IN + _ROW_IN * sum(len(names) + 2 for names in rows))
+    heights = [len(names) + 1 for names in rows]
+    panels = figure.subplots(len(scenarios), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": heights})[
+        :, 0
+    ]
+    ratios = [m.cost_ratio for m in measured if m.cost_ratio is not None]
+    low, high = min([1.0, *ratios]), min(max([1.0, *ratios]), _HIGHEST)
+    for panel, scenario, names in zip(panels, scenarios, rows, strict=True):
+        across = blended_transform_factory(panel.transAxes, panel.transData)
+        for place, network in enumerate(networks):
+            colour, marker = _STYLES[place % len(_STYLES)]
+            shift = 0.22 * (2 * place - (len(networks) - 1))
+            own = [m for m in measured if (m.point.scenario, m.point.labels["network"]) == (scenario, network)]
+            label: str | None = network
+            for m in own:
+                y = names.index(_name(m)) + shift
+                if m.cost_ratio is not None:
+                    x = min(m.cost_ratio, _HIGHEST)
+                    panel.plot([x], [y], marker, color=colour, markersize=4.0, label=label, linestyle="none")
+                    label = None
+                if m.completed < m.flights:
+                    text = (
+                        f"{m.flights - m.completed} of {m.flights} lost"
+                        if m.flights > 1
+                        else f"lost at {m.lost_s[0]:.1f} s"
+                    )
+                    panel.text(1.01, y, text, transform=across, va="center", fontsize=6.5, color=colour)
+        panel.axvline(1.0, color="#8c8c8c", linewidth=0.8, zorder=0)
+        panel.set_yticks(range(len(names)), names)
+        panel.set_ylim(len(names) - 0.4, -0.6)
+        panel.set_xscale("log")
+        panel.set_xlim(low / 1.15, high * 1.15)
+        label_decades(panel.xaxis)
+        panel.set_title(scenario, loc="left")
+    panels[-1].set_xlabel("mean cost over that of the scenario as it is on a perfect network")
+    handles, labels = panels[-1].get_legend_handles_labels()
+    for panel in panels[:-1]:
+        more_handles, more_labels = panel.get_legend_handles_labels()
+        handles += [handle for handle, text in zip(more_handles, more_labels, strict=True) if text not in labels]
+        labels += [text for text in more_labels if text not in labels]
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+
+
+def _name(m: Measured) -> str:
+    return f"{m.point.labels['part']} {m.point.labels['value']}".replace("_", " ").strip()
