@@ -14,7 +14,18 @@ from model.state import INPUTS, PAYLOAD, PER_UAV
 from protocol.claims import window
 from protocol.codec import MAX_BYTES, decode
 from protocol.keys import Keys
-from protocol.messages import Measurement, Message, MessageError, Plan, Roster, StepReport, Tick, Truth, agent_name
+from protocol.messages import (
+    LinkChange,
+    Measurement,
+    Message,
+    MessageError,
+    Plan,
+    Roster,
+    StepReport,
+    Tick,
+    Truth,
+    agent_name,
+)
 from protocol.rejections import Rejections
 from protocol.setup import Setup
 
@@ -102,9 +113,11 @@ class Gate:
     def announce(self, name: str, incarnation: int) -> None:
         """A process's token is here: from now on its messages are believed, those of an earlier start no longer.
 
-        Said again, it means that the process was out of reach for a while, or this one was.
+        Said again, it means that the process was out of reach for a while, or this one was; said of this one, that
+        it has started anew. What it was told before does not say where the run is now.
         """
-        if name in self._announced:
+        self._settle()
+        if name in self._announced or name == self._name:
             self._is_up_to_date = False
         self._announced[name] = max(incarnation, self._announced.get(name, -1))
         waiting, self._early = self._early, deque()
@@ -179,8 +192,9 @@ class Gate:
         self._given = None
         if self._rejections.total == refused:
             self._heard[key] = _Heard(message.incarnation, message.sequence, _place(message))
-            self.tick = max(self.tick, message.tick)
-            self._is_up_to_date = True
+            if not isinstance(message, LinkChange):  # told again, it is of the past
+                self.tick = max(self.tick, message.tick)
+                self._is_up_to_date = True
 
 
 def _place(message: Message) -> tuple[int, int] | None:

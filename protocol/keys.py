@@ -3,7 +3,7 @@
 transport/{run}/tick                     coordinator -> plant
 transport/{run}/measurement/{agent}      plant -> that agent
 transport/{run}/plan/{agent}             agent -> other agents, plant, coordinator
-transport/{run}/roster, .../link, .../control     coordinator -> everybody
+transport/{run}/roster, .../control      coordinator -> everybody; changes of links come under the key of the roster
 transport/{run}/truth                    plant -> coordinator, recorder
 transport/{run}/report/{agent}           agent -> recorder
 transport/{run}/rejected/{name}          anybody -> recorder
@@ -86,11 +86,14 @@ class Keys:
                 return f"{self.prefix}/{message.kind}/{agent}"
             case Rejected(sender=sender):
                 return f"{self.prefix}/{message.kind}/{sender}"
+            case LinkChange():
+                # Order holds under one key alone: who has the roster that follows a change has the change.
+                return f"{self.prefix}/{Roster.kind}"
         return f"{self.prefix}/{message.kind}"
 
     def subscriptions(self, name: str) -> list[str]:
         """Key expressions a process listens to, by its name."""
-        everybody = [f"{self.prefix}/{kind}" for kind in (Roster.kind, LinkChange.kind, Control.kind)]
+        everybody = [f"{self.prefix}/{kind}" for kind in (Roster.kind, Control.kind)]
         plans = f"{self.prefix}/{Plan.kind}/*"
         if name == "recorder":
             return [

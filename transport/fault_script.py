@@ -8,6 +8,7 @@ import signal
 import time
 from collections.abc import Callable, Mapping
 
+from protocol.faults import Fault
 from protocol.messages import FaultOrigin, Request
 from protocol.setup import Setup
 from transport.harness import Harness
@@ -39,16 +40,30 @@ class FaultScript:
         while self._faults and self._is_due(self._faults[0].tick - (self._faults[0].do in ("continue", "start"))):
             fault = self._faults.pop(0)
             if fault.do in ("kill", "stop"):
-                self._note(fault.target, fault.do, "script")
+                self._note(fault.target, fault.do, "script", fault.tick)
             else:
                 self._do(fault.target, "restart" if fault.do == "start" else "continue", "script")
         while not self._recorder.requests.empty():
             self._answer(self._recorder.requests.get())
         for child in self._harness.ended():
             code = child.process.returncode
-            if child.process.pid not in self._dead and code < 0:
-                self._dead.add(child.process.pid)
+            if child.process.pid in self._dead or code >= 0:
+                continue
+            self._dead.add(child.process.pid)
+            kill = self._kill_of(child.name) if code == -signal.SIGKILL else None
+            if kill is None:
                 self._recorder.note(child.name, f"ended by {signal.Signals(-code).name}", "unknown")
+            else:
+                self._faults.remove(kill)
+                self._note(child.name, "kill", "script", kill.tick)
+
+    def _kill_of(self, name: str) -> Fault | None:
+        """The script's, of a process that has ended before the tick of its end was heard of here.
+
+        The coordinator always does: it goes on what it was about to say.
+        """
+        expected = [fault for fault in self._faults if (fault.do, fault.target) == ("kill", name)]
+        return next((fault for fault in expected if fault.tick <= self._recorder.tick + 1), None)
 
     def _is_due(self, tick: int) -> bool:
         if self._recorder.tick >= tick:
@@ -79,9 +94,9 @@ class FaultScript:
             self._note(target, action, origin)
         return done
 
-    def _note(self, target: str, action: str, origin: FaultOrigin) -> None:
+    def _note(self, target: str, action: str, origin: FaultOrigin, tick: int | None = None) -> None:
         words = {"kill": "killed", "stop": "stopped", "continue": "continued", "restart": "restarted"}
-        self._recorder.note(target, words[action], origin)
+        self._recorder.note(target, words[action], origin, tick)
         child = self._harness.child(target)
         if action == "kill" and child is not None:
             self._dead.add(child.process.pid)

@@ -6,15 +6,20 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import IO
 
+from coordinator.node import EXIT_DIVERGED, EXIT_INTERRUPTED, EXIT_OVERRUN
 from protocol.bus import Endpoints
+from protocol.outbox import EXIT_LOST
 from protocol.parent import PARENT_PIPE
+
+# Exit codes of a process that has seen its run's end.
+_ENDS = {0, EXIT_LOST, EXIT_OVERRUN, EXIT_DIVERGED, EXIT_INTERRUPTED}
 
 # What a process gets to end by itself before it is killed.
 _GRACE_S = 5.0
@@ -107,6 +112,11 @@ class Harness:
         """The process of that name that was started last."""
         return next((child for child in reversed(self.children) if child.name == name), None)
 
+    def has_ended(self, name: str) -> bool:
+        """Whether a child has ended by itself, with an exit code that says how the run ended."""
+        child = self.child(name)
+        return child is not None and child.process.poll() in _ENDS
+
     def signal(self, name: str, number: int) -> bool:
         """Send a signal to one child; whether it is running."""
         child = self.child(name)
@@ -176,8 +186,12 @@ class Harness:
         return arguments
 
 
-def free_ports(host: str, count: int) -> list[int]:
-    """Ports nobody listens on now.
+@contextmanager
+def free_ports(host: str, count: int) -> Iterator[list[int]]:
+    """Ports that nobody has, kept while the context is open from everybody who asks for any port.
+
+    Who asks for one by its number and shares addresses (SO_REUSEADDR), as Zenoh does, can listen on it all the
+    same, again and again: a process that is restarted finds its port free.
 
     Raises: HarnessError: the host's address is not one of this machine.
     """
@@ -185,12 +199,16 @@ def free_ports(host: str, count: int) -> list[int]:
         sockets = []
         for _ in range(count):
             probe = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_STREAM))
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
                 probe.bind((host, 0))
             except OSError as error:
                 raise HarnessError(f"network.host: cannot listen on {host} ({error.strerror})") from error
             sockets.append(probe)
-        return [probe.getsockname()[1] for probe in sockets]
+        ports = [probe.getsockname()[1] for probe in sockets]
+        if sys.platform != "linux":
+            stack.close()  # elsewhere a socket that is bound keeps its port from everybody
+        yield ports
 
 
 def check_ports(host: str, ports: Sequence[int]) -> None:

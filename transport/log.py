@@ -15,7 +15,7 @@ import orjson
 from mcap.writer import CompressionType, Writer
 
 from protocol.keys import Keys
-from protocol.messages import KINDS, Control, Message
+from protocol.messages import KINDS, Control, LinkChange, Message
 from transport.json_messages import from_json, json_schema, to_json
 from transport.mcap_salvage import NotMcapError, Salvage, salvage
 
@@ -144,7 +144,9 @@ class LogWriter:
             raise self._failed(error) from error
 
     def _channel(self, message: Message) -> int:
-        topic = _KEYS.of(message).removeprefix(_KEYS.prefix)
+        # Each kind has channels of its own, also the one that shares a key with another.
+        shared = isinstance(message, LinkChange)
+        topic = f"/{message.kind}" if shared else _KEYS.of(message).removeprefix(_KEYS.prefix)
         channel = self._channels.get(topic)
         if channel is None:
             if message.kind not in self._schemas:

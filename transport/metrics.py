@@ -1,7 +1,7 @@
 """The numbers of a run: from its log to the summary that docs/summary.md and summary.schema.json describe."""
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from typing import Any
 
 import numpy as np
@@ -39,7 +39,7 @@ def summarise(setup: Setup, log: RunLog) -> dict[str, Any]:
         "network_ms": _spread(network_ms(setup, log).values()),
         "deadline": _deadline(setup, log),
         "plan_age_ticks": _ages(reports),
-        "messages": _messages(log, reports),
+        "messages": _messages(setup, log, reports),
         "rejections": _rejections(log),
         "solver": {
             "fallbacks": sum(report.fallback for report in reports),
@@ -135,15 +135,27 @@ def _ages(reports: Iterable[StepReport]) -> dict[str, float | int | None]:
     return {"mean": sum(ages) / len(ages) if ages else None, "max": max(ages, default=None)}
 
 
-def _messages(log: RunLog, reports: Iterable[StepReport]) -> dict[str, int]:
-    """Plans between agents: one of tick k counts as sent to every other agent that reports its step k + 1.
+def _messages(setup: Setup, log: RunLog, reports: Iterable[StepReport]) -> dict[str, int]:
+    """Plans between agents: each counts as sent to every other agent that takes a step it could be used at.
 
-    What is neither delivered nor lost was on its way when the run ended.
+    What is neither delivered nor lost was on its way when the run, or its receiver, ended.
     """
-    receivers: dict[int, set[int]] = {}
+    steps: dict[tuple[int, int], set[int]] = {}  # taken by each start of an agent
     for report in reports:
-        receivers.setdefault(report.tick, set()).add(report.agent)
-    sent = sum(len(receivers.get(plan.tick + 1, set()) - {plan.agent}) for plan in log.of(Plan) if not plan.negotiation)
+        steps.setdefault((report.agent, report.incarnation), set()).add(report.tick)
+    joined, realtime = _joined(log), setup.scenario.clock.mode == "realtime"
+    uses: dict[tuple[int, int], Collection[int]] = {}  # ticks whose plans they could be
+    for start, taken in steps.items():
+        # In real time steps are skipped: what comes meanwhile is used at the next one, perhaps the plan's own.
+        first = joined.get(start, min(taken))
+        uses[start] = range(first, max(taken) + 1) if realtime else {tick - 1 for tick in taken}
+    sent = sum(
+        plan.tick in usable
+        for plan in log.of(Plan)
+        if not plan.negotiation
+        for (receiver, _), usable in uses.items()
+        if receiver != plan.agent
+    )
     delivered = sum(report.delivered for report in reports)
     return {
         "sent": sent,
@@ -152,6 +164,15 @@ def _messages(log: RunLog, reports: Iterable[StepReport]) -> dict[str, int]:
         "late": sum(report.late for report in reports),
         "rejected": sum(notice.count for notice in log.of(Rejected)),
     }
+
+
+def _joined(log: RunLog) -> dict[tuple[int, int], int]:
+    """The tick from which on each start of an agent is on the roster."""
+    joined: dict[tuple[int, int], int] = {}
+    for roster in log.of(Roster):
+        for start in zip(roster.agents, roster.incarnations, strict=True):
+            joined.setdefault(start, roster.tick)
+    return joined
 
 
 def _rejections(log: RunLog) -> list[dict[str, Any]]:
@@ -174,12 +195,13 @@ def _deadline(setup: Setup, log: RunLog) -> dict[str, Any]:
     followed = [(tick, ticks[k + 1]) for k, tick in sorted(ticks.items()) if k + 1 in ticks]
     missed = sum(len(set(tick.members) - set(after.answered)) for tick, after in followed)
     plans = sum(len(tick.members) for tick, _ in followed)
-    overruns_ms = [tick.overrun_ns / 1e6 for tick in ticks.values()]
+    worst_ms = max((tick.overrun_ns / 1e6 for tick in ticks.values()), default=None)
     return {
         "plans": plans,
         "missed": missed,
         "share": missed / plans if plans else None,
-        "worst_ms": max(overruns_ms, default=None),
+        # Of plans that never came nobody knows how late they are.
+        "worst_ms": None if missed and not worst_ms else worst_ms,
         "tick_late_ms": _spread(tick.late_ns / 1e6 for tick in ticks.values()),
     }
 

@@ -6,7 +6,7 @@ It runs on a thread of its own and always drains its inbox; the loop never waits
 import queue
 import threading
 import time
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 
 from protocol.bus import Bus, BusError, Endpoints, Interrupted
 from protocol.claims import Claims, check_moment
@@ -32,6 +32,9 @@ from protocol.setup import Setup
 from transport.log import LogError, LogWriter
 
 NAME = "recorder"
+
+# Why a run is over that nobody is left to end: what the recorder says of it.
+_GONE, UNHEARD = "coordinator is gone", "how the run ended did not reach the recorder"
 
 # How long messages may trail the end of the run on their way here.
 _TRAIL_S = 2.0
@@ -63,6 +66,7 @@ class Recorder:
         endpoints: Whom to connect to.
         join_timeout_s: How long to wait for the processes.
         incarnation: Which start of the recorder.
+        has_ended: Whether the coordinator, once nothing more is heard of it, is known to have ended in order.
     """
 
     def __init__(
@@ -73,6 +77,7 @@ class Recorder:
         endpoints: Endpoints,
         join_timeout_s: float,
         incarnation: int = 0,
+        has_ended: Callable[[], bool] = lambda: False,
     ) -> None:
         self.truth: Truth | None = None
         self.started_s: float | None = None
@@ -89,6 +94,7 @@ class Recorder:
         self._notices = Notices(NAME, self.rejected)
         self._writer = writer
         self._join_timeout_s = join_timeout_s
+        self._has_ended = has_ended
         self._bus = Bus(
             name=NAME,
             incarnation=incarnation,
@@ -121,9 +127,10 @@ class Recorder:
         """Wait for it to end."""
         self._thread.join(timeout_s)
 
-    def note(self, target: str, what: str, origin: FaultOrigin) -> None:
-        """Put into the log what was done, or happened, to a process."""
-        self._take(self._out.stamp(FaultNote, tick=max(self.tick, 0), target=target, what=what, origin=origin))
+    def note(self, target: str, what: str, origin: FaultOrigin, tick: int | None = None) -> None:
+        """Put into the log what was done, or happened, to a process: at a tick, or at the newest there is."""
+        tick = max(self.tick, 0) if tick is None else tick
+        self._take(self._out.stamp(FaultNote, tick=tick, target=target, what=what, origin=origin))
 
     def close(self) -> None:
         """Leave the network and finish the log."""
@@ -165,8 +172,11 @@ class Recorder:
                     left.discard(name)
                     if name == "coordinator" and self.control is None:
                         deadline = time.monotonic() + _OVERTAKEN_S
-                case Presence():
-                    pass
+                case Presence(name=name):
+                    # Back after a standstill, of its own or of this process, that the connection did not outlive.
+                    left.update({name} & set(self._expected))
+                    if name == "coordinator" and self.control is None:
+                        deadline = None
                 case Request():
                     self.requests.put(event)
                 case _:
@@ -176,7 +186,8 @@ class Recorder:
             if self.control is not None and deadline is None:
                 deadline = time.monotonic() + _TRAIL_S
         if self.control is None:
-            self._end("coordinator is gone")
+            # An end that was declared while this process stood still was never heard here.
+            self._end(UNHEARD if self._has_ended() else _GONE)
 
     def hear(self, message: Message) -> None:
         """Record a message that came from the network, unless it cannot be of this run or of now."""

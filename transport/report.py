@@ -5,6 +5,7 @@ import io
 import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from rich.text import Text
 from protocol.scenario_file import read_scenario
 from protocol.setup import Setup
 from transport.counted import counted
+from transport.gaps import missing
 from transport.log import RunLog, read_log
 from transport.metrics import summarise
 from transport.steps import steps_columns, steps_rows
@@ -40,7 +42,8 @@ def write_report(folder: Path, *, figures: bool = True) -> dict[str, Any]:
     path = folder / "scenario.toml"
     whole = read_log(folder / "run.mcap")
     setup = Setup.of(read_scenario(path), str(path))
-    log = counted(setup, whole)
+    cut = "; ".join(filter(None, (whole.cut, missing(whole))))
+    log = replace(counted(setup, whole), cut=cut)
     summary = summarise(setup, log)
     write_whole(folder / "summary.json", orjson.dumps(summary, option=orjson.OPT_INDENT_2) + b"\n")
     write_whole(folder / "steps.csv", _csv(setup, log))
@@ -138,7 +141,10 @@ def _rejected(total: int, rejections: Sequence[Mapping[str, Any]]) -> str:
 
 def _deadlines(deadline: Mapping[str, Any]) -> str:
     share = _text(deadline["share"], ".2%", "{} missed")
-    worst = f", worst {deadline['worst_ms']:.1f} ms late" if deadline["missed"] else ""
+    worst = ""
+    if deadline["missed"]:
+        worst_ms = deadline["worst_ms"]
+        worst = ", none of which ever came" if worst_ms is None else f", worst that came {worst_ms:.1f} ms late"
     return (
         f"{deadline['missed']} of {deadline['plans']} plans late ({share}){worst}; ticks opened late: "
         + _milliseconds(deadline["tick_late_ms"])

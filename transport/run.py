@@ -89,27 +89,36 @@ def fly(setup: Setup, folder: Path, console: Console) -> Finished:
     scenario = setup.scenario
     names = process_names(scenario)
     host, base_port = scenario.network.host, scenario.network.base_port
-    if base_port is None:
-        ports = free_ports(host, len(names))
-    else:
-        ports = list(range(base_port, base_port + len(names)))
-        check_ports(host, ports)
-    places = mesh(names, host, ports)
+    # The recorder has a port as well: it is called by people who want something of this run's parent.
+    with free_ports(host, 1 if base_port is not None else 1 + len(names)) as (own, *ports):
+        if base_port is not None:
+            ports = list(range(base_port, base_port + len(names)))
+            check_ports(host, ports)
+        return _fly(setup, folder, console, mesh(names, host, ports), f"tcp/{host}:{own}")
+
+
+def _fly(setup: Setup, folder: Path, console: Console, places: Mapping[str, Endpoints], own: str) -> Finished:
+    """A run whose processes are to listen in these places, its recorder in one of its own."""
+    scenario, names = setup.scenario, list(places)
     run = folder.name if Keys.allows(folder.name) else scenario.name
     text = _create(folder, setup)
     header = run_header(setup, run, len(names), text)
-    # The recorder is called by nobody but people who want something of this run's parent.
-    own = f"tcp/{host}:{free_ports(host, 1)[0]}"
     endpoints = {name: place.listen[0] for name, place in places.items()}
     everybody = Endpoints(listen=[own], connect=list(endpoints.values()))
-
     with (
         Harness(run, folder / "scenario.toml", places, folder / "logs") as harness,
         RunProgress(setup, console) as progress,
     ):
         harness.start(observers=[RECORDER])
         writer = _open_log(folder, header, setup.period_ns)
-        recorder = Recorder(setup, run, writer, everybody, scenario.clock.join_timeout_s)
+        recorder = Recorder(
+            setup,
+            run,
+            writer,
+            everybody,
+            scenario.clock.join_timeout_s,
+            has_ended=lambda: harness.has_ended("coordinator"),
+        )
         try:
             recorder.start(names)
             live.write(folder, live.LiveRun(run, {**endpoints, RECORDER: own}, os.getpid()))

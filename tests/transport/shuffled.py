@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from protocol.messages import Control, Message, Presence
+from protocol.messages import Control, LinkChange, Message, Presence
 from protocol.setup import Setup
 from tests.runs import end
 from transport import memory
@@ -14,15 +14,21 @@ from transport import memory
 # Stands in the runtime's queue for "one delivery more"; which one, chance decides.
 _SOMETHING = end()
 
+# In the place of a key.
+_PRESENCE = "alive"
+
+# Of channels: moves when nothing else does.
+_SLOWEST = 1e-9
+
 
 class _Shuffled(memory._Flight):
-    """A flight whose messages arrive in random order, each sender's at each receiver in the order sent."""
+    """A flight whose messages arrive in random order; one sender's under one key in that of sending, as with Zenoh."""
 
     def __init__(self, setup: Setup, record: Callable[[Message], None], seed: int) -> None:
         super().__init__(setup, record, time.perf_counter_ns)
         self._rng = np.random.default_rng(seed)
-        self._channels: dict[tuple[str, str], deque[Message | Presence]] = {}
-        self._speeds: dict[tuple[str, str], float] = {}
+        self._channels: dict[tuple[str, str, str], deque[Message | Presence]] = {}
+        self._speeds: dict[tuple[str, str, str], float] = {}
 
     def _send(self, messages: Sequence[Message]) -> None:
         for message in messages:
@@ -41,7 +47,7 @@ class _Shuffled(memory._Flight):
     def _fails(self, name: str, message: Message) -> bool:
         failed = super()._fails(name, message)
         if failed:
-            for (_, receiver), waiting in self._channels.items():
+            for (_, receiver, _), waiting in self._channels.items():
                 if receiver == name:
                     waiting.clear()  # it is not there any more to hear them
         return failed
@@ -49,27 +55,32 @@ class _Shuffled(memory._Flight):
     def _put(self, sender: str, receiver: str, event: Message | Presence) -> None:
         if receiver not in self._nodes:
             return
-        channel = sender, receiver
+        channel = sender, receiver, self._keys.of(event) if isinstance(event, Message) else _PRESENCE
         if channel not in self._channels:
             self._channels[channel], self._speeds[channel] = deque(), 10.0 ** self._rng.uniform(-3.0, 0.0)
+        if isinstance(event, LinkChange):
+            self._speeds[channel] = _SLOWEST  # so that whatever could overtake it does
         self._channels[channel].append(event)
         self._queue.append(_SOMETHING)
 
     def _deliver(self, message: Message) -> None:
         assert message is _SOMETHING
-        busy = [channel for channel, waiting in self._channels.items() if waiting]
+        waiting = [channel for channel, events in self._channels.items() if events]
+        talking = {(sender, receiver) for sender, receiver, key in waiting if key != _PRESENCE}
+        # The end of a process comes after all it said.
+        busy = [channel for channel in waiting if channel[2] != _PRESENCE or channel[:2] not in talking]
         if not busy:
             return
         speeds = np.array([self._speeds[channel] for channel in busy])
-        sender, name = busy[self._rng.choice(len(busy), p=speeds / speeds.sum())]
-        event = self._channels[sender, name].popleft()
+        channel = busy[self._rng.choice(len(busy), p=speeds / speeds.sum())]
+        event, name = self._channels[channel].popleft(), channel[1]
         node = self._nodes.get(name)
         if node is not None and not (isinstance(event, Message) and self._fails(name, event)):
             self._send(node.receive(event, self._now_ns))
 
 
 def fly_shuffled(setup: Setup, record: Callable[[Message], None], seed: int) -> Control:
-    """Fly with messages delivered in random order, each sender's to each receiver in the order sent.
+    """Fly with messages delivered in random order, one sender's under one key in that of sending.
 
     Args:
         setup: The run.

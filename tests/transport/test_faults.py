@@ -79,6 +79,7 @@ def test_faults_are_in_the_summary(troubled: Path) -> None:
     assert [event["what"] for event in killed if event["kind"] == "detected"] == ["agent4 is gone at t = 0.50 s"]
     assert [event["what"] for event in killed if event["kind"] == "rejoined"] == ["agent4 joined at t = 0.90 s"]
     for found, ticks in ((frozen, (6, 14)), (killed, (10, 18))):
+        assert next(event["tick"] for event in found if event["kind"] == "fault") == ticks[0]
         assert [event["tick"] for event in found if event["kind"] in ("detected", "rejoined")] == list(ticks)
         times = [event["wall_s"] for event in found if event["kind"] in ("detected", "rejoined")]
         assert times == sorted(times)
@@ -133,7 +134,9 @@ def test_nobody_flies_without(victim: str, tmp_path: Path) -> None:
     """A run whose plant or coordinator is killed by script at a tick ends there, whatever is said of agents."""
     summary = aborted(tmp_path, victim, "kill", "clock.on_agent_loss=continue")
     assert summary["reason"] == f"{victim} is gone"
-    assert {"fault", "end"} <= {event["kind"] for event in summary["faults"]}
+    (noted,) = (event for event in summary["faults"] if event["kind"] == "fault")
+    assert (noted["what"], noted["tick"]) == (f"{victim} killed by script", 10)
+    assert "end" in {event["kind"] for event in summary["faults"]}
     # The victim goes on the message that opens tick 10; what a plant said last may go with it, still unsent.
     assert summary["ticks"] in ((9, 10) if victim == "plant" else (10,))
     found = messages(read_log(tmp_path / victim / "run.mcap"))

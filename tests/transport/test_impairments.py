@@ -6,13 +6,15 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
+from coordinator.node import CoordinatorNode
 from model import state
 from protocol.codec import encode
-from protocol.messages import Measurement, Message, Plan, StepReport, agent_name
+from protocol.messages import LinkChange, Measurement, Message, Plan, Request, StepReport, agent_name
 from protocol.setup import Setup
 from tests.runs import SHORT, recorded, reproducible, setup, truths
 from tests.transport.shuffled import fly_shuffled
 from tests.transport.troubles import FAULTS, HEAVY, NEXT_TICK, RESILIENT, ROUNDS
+from transport import memory
 
 PERIOD_S, TICKS = 0.05, 30
 FAIL_SAFE = -2
@@ -196,6 +198,30 @@ def test_order_of_delivery_does_not_matter(settings: tuple[str, ...]) -> None:
         run = setup(SHORT, *RESILIENT, *settings)
         shuffled = recorded(run, lambda run, record, seed=seed: fly_shuffled(run, record, seed))  # type: ignore[misc]
         assert [(m.kind, m.sender) for m in shuffled] != [(m.kind, m.sender) for m in in_order]
+        assert said(shuffled) == said(in_order)
+
+
+class ChangesLinks(CoordinatorNode):
+    """A coordinator whom somebody asks for another change of links in each of some ticks."""
+
+    def _open(self, now_ns: int) -> list[Message]:
+        opened = super()._open(now_ns)
+        if self.tick % 5 != 2:
+            return opened
+        settings = {"delay_s": 0.03 * (self.tick % 4), "loss": 0.02 * self.tick}
+        return [*opened, *self.receive(Request("link", {"settings": settings}, lambda _: None), now_ns)]
+
+
+@pytest.mark.parametrize("settings", [(), (NEXT_TICK, *FAULTS)], ids=["plain", "faults"])
+def test_a_change_by_hand_is_known_in_time(settings: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+    """However its messages race each other, a change of links holds for everybody from the same tick on."""
+    monkeypatch.setattr(memory, "CoordinatorNode", ChangesLinks)
+    run = setup(SHORT, *RESILIENT, *settings)
+    in_order = recorded(run)
+    assert sum(isinstance(message, LinkChange) for message in in_order) >= TICKS // 5
+    assert any(report.lost for report in in_order if isinstance(report, StepReport))
+    for seed in range(3):
+        shuffled = recorded(run, lambda run, record, seed=seed: fly_shuffled(run, record, seed))  # type: ignore[misc]
         assert said(shuffled) == said(in_order)
 
 

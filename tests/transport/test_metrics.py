@@ -225,6 +225,46 @@ def test_agents_that_left_receive_nothing() -> None:
     assert [fault["time_s"] for fault in summary["faults"]] == pytest.approx([0.05, 0.1])
 
 
+REALTIME = ("clock.mode=realtime", "clock.speed=1", "clock.actuation=next_tick")
+
+
+def test_real_time_delivers_no_more_than_was_sent() -> None:
+    """In real time steps are skipped: a plan is sent to whoever takes a step at its tick or later, having joined."""
+    run = runs.setup(HOVER, *REALTIME, "agents.owned=[[1,2],[3,4]]")
+    # Agent 2 takes one step of four; the plans that came meanwhile, that of its own tick among them, are used at once.
+    messages: list[Message] = [replace(runs.roster({1: 0, 2: 0}), agents=(1, 2), incarnations=(0, 0))]
+    messages += [runs.tick(k, members=(1, 2), answered=(1,)) for k in range(6)]
+    messages += [plan(run, 1, k) for k in range(6)] + [report(run, 1, k, delivered=int(k == 5)) for k in range(6)]
+    messages += [plan(run, 2, 4), report(run, 2, 0, delivered=1), report(run, 2, 4, delivered=4)]
+    summary = summarise(run, log_of(messages))
+    # Of agent 1 those of ticks 0 to 4; that of tick 5 came after agent 2's last step.
+    assert (summary["messages"]["sent"], summary["messages"]["delivered"]) == (5 + 1, 5 + 1)
+
+
+def test_a_newcomer_is_sent_nothing_of_the_past() -> None:
+    """In real time plans count as sent to a start of an agent from the tick on at which it is on the roster."""
+    run = runs.setup(HOVER, *REALTIME, "agents.owned=[[1,2],[3,4]]")
+    messages: list[Message] = [runs.roster({1: 0}), runs.roster({1: 0, 2: 1}, k=3, version=2)]
+    messages += [runs.tick(k, members=(1,), version=1 + (k >= 3)) for k in range(6)]
+    messages += [plan(run, 1, k) for k in range(6)] + [report(run, 1, k, delivered=0) for k in range(6)]
+    messages.append(replace(report(run, 2, 5, delivered=3), incarnation=1))
+    assert summarise(run, log_of(messages))["messages"]["sent"] == 3
+
+
+@pytest.mark.parametrize(
+    ("answered", "overrun_ns", "worst_ms"),
+    [((1, 2, 3, 4), 0, 0.0), ((1, 2, 3), 0, None), ((1, 2, 3), 7_000_000, 7.0)],
+    ids=["none-missed", "never-came", "came-late"],
+)
+def test_how_late_plans_were(answered: tuple[int, ...], overrun_ns: int, worst_ms: float | None) -> None:
+    """A plan that missed its deadline and never came is late by nobody knows how much; not by nothing."""
+    run = runs.setup(HOVER, *REALTIME)
+    messages: list[Message] = [runs.tick(0), replace(runs.tick(1, answered=answered), overrun_ns=overrun_ns)]
+    summary = summarise(run, log_of(messages))
+    assert summary["deadline"]["missed"] == 4 - len(answered)
+    assert summary["deadline"]["worst_ms"] == worst_ms
+
+
 def test_times_by_hand() -> None:
     """Wall time from first tick to control; network is the tick's length minus its slowest step, at least 0."""
     run = runs.setup(HOVER)

@@ -12,7 +12,7 @@ from protocol.bus import BusEvent, Endpoints
 from protocol.codec import encode
 from protocol.gate import Gate
 from protocol.keys import Keys
-from protocol.messages import LinkChange, Message, Presence, Rejected
+from protocol.messages import Control, LinkChange, Message, Presence, Rejected
 from protocol.setup import Setup
 from tests import runs
 from tests.protocol.samples import sample
@@ -30,7 +30,7 @@ PROCESSES = ["coordinator", "plant"]
 class ScriptedBus:
     """In the place of the network: hands over, through the gate, what a test has prepared."""
 
-    script: tuple[tuple[str, bytes] | Presence, ...] = ()
+    script: tuple[tuple[str, bytes] | Presence | None, ...] = ()  # None: nothing comes for a long time
 
     def __init__(self, *, gate: Gate, **_: object) -> None:
         self._gate, self._left = gate, deque(self.script)
@@ -40,10 +40,14 @@ class ScriptedBus:
     def join(self, *_: object) -> None:
         """Everybody is there."""
 
-    def next(self, _: float | None) -> BusEvent | None:
-        """The next event that gets through."""
+    def next(self, timeout_s: float | None) -> BusEvent | None:
+        """The next event that gets through, or None when the time is up before."""
         while self._left:
             item = self._left.popleft()
+            if item is None:
+                if timeout_s is not None:
+                    return None
+                continue
             event = item if isinstance(item, Presence) else self._gate.read(*item)
             if event is not None:
                 return event
@@ -61,7 +65,7 @@ def record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Record:
     """Records what a test says, to the end of the processes, and returns the log."""
     monkeypatch.setattr(recorder_module, "Bus", ScriptedBus)
 
-    def recorded(*said: Message | tuple[str, bytes], run: Setup = RUN) -> list[Message]:
+    def recorded(*said: Message | tuple[str, bytes] | Presence | None, run: Setup = RUN) -> list[Message]:
         script = [(KEYS.of(item), encode(item)) if isinstance(item, Message) else item for item in said]
         gone = [Presence(name, 0, alive=False) for name in reversed(PROCESSES)]
         monkeypatch.setattr(ScriptedBus, "script", (*script, *gone))
@@ -91,6 +95,18 @@ def flight(ticks: int) -> list[Message]:
 def changed(message: Message, **changes: Any) -> Message:
     """A message that was never sent, with a number of its own."""
     return replace(message, **{"sequence": 10**6, **changes})
+
+
+def test_who_was_only_out_of_reach(record: Record) -> None:
+    """After a standstill that connections do not outlive the processes are there again, and the record goes on."""
+    said = flight(6)
+    gone, back = ([Presence(name, 0, alive=alive) for name in PROCESSES] for alive in (False, True))
+    found = record(*said[:5], *gone, *back, None, *said[5:])
+    assert [encode(message) for message in found] == [encode(message) for message in said]
+    *heard, end = record(*said[:5], *gone, None, *said[5:])
+    assert [encode(message) for message in heard] == [encode(message) for message in said[:5]]
+    assert isinstance(end, Control)
+    assert (end.outcome, end.reason) == ("aborted", "coordinator is gone")
 
 
 def test_nothing_to_say(record: Record) -> None:
