@@ -51,7 +51,7 @@ def ablation(scenarios: Mapping[str, Scenario]) -> Experiment:
                 )
                 for part, value, settings in variants
             ]
-    return Experiment(name="ablation", points=tuple(points), x=Axis("value", "cost over that as it is"))
+    return Experiment(name="ablation", points=tuple(points), x=Axis("value", "variant"), drawn_as="variants")
 
 
 def _has(scenario: Scenario, key: str, value: str) -> bool:

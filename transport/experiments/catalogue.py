@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 from transport.experiments.cases import Point, Team
 from transport.experiments.errors import refused
@@ -61,16 +61,18 @@ class Experiment:
         name: Of the command.
         points: What is flown.
         x: Along the horizontal axis.
-        y: Along the vertical axis of a map; without it the figure has curves.
+        y: Along the vertical axis of a map.
+        drawn_as: Curves, a map, the growth of a team, or a row for each variant.
         curves: Column that tells the curves of a scenario from each other; points with "none" in it belong to all.
         legend: What its values are called in the figure.
-        timed: Whether computation and messages are measured as well; then the figure is that of growth.
+        timed: Whether computation and messages are measured as well.
     """
 
     name: str
     points: tuple[Point, ...]
     x: Axis
     y: Axis | None = None
+    drawn_as: Literal["curves", "map", "growth", "variants"] = "curves"
     curves: str | None = None
     legend: Mapping[str | float, str] = field(default_factory=dict)
     timed: bool = False
@@ -239,7 +241,7 @@ def matrix(scenarios: Sequence[str], delays_s: Sequence[float], shares: Sequence
         for delay_s in sorted({0.0, *_distinct("--delay", delays_s)})
         for share in sorted({0.0, *_distinct("--loss", shares)})
     ]
-    return Experiment(name="matrix", points=tuple(points), x=DELAY_AXIS, y=LOSS_AXIS)
+    return Experiment(name="matrix", points=tuple(points), x=DELAY_AXIS, y=LOSS_AXIS, drawn_as="map")
 
 
 def scaling(scenario: str, largest: int, sizes: Sequence[int]) -> Experiment:
@@ -267,7 +269,8 @@ def scaling(scenario: str, largest: int, sizes: Sequence[int]) -> Experiment:
                     team=Team(uavs, own),
                 )
             )
-    return Experiment(name="scaling", points=tuple(points), x=Axis("uavs", "UAVs"), curves="ownership", timed=True)
+    axis = Axis("uavs", "UAVs")
+    return Experiment(name="scaling", points=tuple(points), x=axis, drawn_as="growth", curves="ownership", timed=True)
 
 
 def _bursts(share: float, burst_ticks: float) -> str:

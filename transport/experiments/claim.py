@@ -1,6 +1,6 @@
 """The paper's comparison: centralized against distributed control, at the same rate and at the same computation."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,15 @@ from protocol.scenario_file import ScenarioError, find_scenario, read_scenario
 from protocol.setup import Setup
 from transport.experiments.cases import Case, Point
 from transport.experiments.catalogue import Axis, Experiment
-from transport.experiments.computation import Load, compared, equal_period_s, faster_and_faster
+from transport.experiments.computation import (
+    MANEUVER,
+    QUICK_MANEUVER,
+    REPEATS,
+    Load,
+    compared,
+    equal_period_s,
+    faster_and_faster,
+)
 from transport.experiments.errors import refused
 from transport.experiments.flight import ERROR, Result
 from transport.experiments.statistics import Estimate, estimate
@@ -59,18 +67,19 @@ class Row:
 
 
 def computation(
-    folder: Path, settings: Sequence[str], reference: Setup, maneuver: Sequence[str], notify: Any
+    folder: Path, settings: Sequence[str], reference: Setup, *, quick: bool, notify: Callable[[str], None]
 ) -> list[Load]:
     """Measure what each distributed controller computes at shorter and shorter periods; once for each folder.
 
     Args:
         folder: Of the experiment: what was measured when it was begun is what it goes on with.
         settings: Changes of every scenario.
-        reference: The centralized flight's setup.
-        maneuver: Settings of the short flight that is timed.
-        notify: Called with a line on what is being measured.
+        reference: The centralized flight.
+        quick: Measure once, on the shortest of flights.
+        notify: Called with a line on what was measured.
     Raises: ExperimentError: the folder was begun with other settings.
     """
+    maneuver, repeats = ([QUICK_MANEUVER], 1) if quick else ([MANEUVER], REPEATS)
     path, begun_with = folder / _COMPUTATION, [*settings, *maneuver]
     if path.exists():
         content = orjson.loads(path.read_bytes())
@@ -85,7 +94,7 @@ def computation(
         def load_at(period_s: float, controller: str = controller, kept: str = kept) -> Load:
             horizon = horizon_of(first.horizon, first.sampling_period_s, period_s, kept)
             candidate = setup_of(controller, [*settings, *maneuver, *at_rate(period_s, horizon)])
-            return compared(central, candidate, controller, kept)
+            return compared(central, candidate, controller, kept, repeats=repeats)
 
         for load in faster_and_faster(load_at, first.sampling_period_s):
             loads.append(load)

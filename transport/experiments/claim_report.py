@@ -14,7 +14,7 @@ from protocol.setup import Setup
 from transport.experiments import claim, claim_figure
 from transport.experiments.cases import Case, Point, cases_of, is_random
 from transport.experiments.claim import Compared
-from transport.experiments.computation import MANEUVER, Load
+from transport.experiments.computation import Load
 from transport.experiments.effort import EFFORT
 from transport.experiments.errors import ExperimentError
 from transport.experiments.flight import NUMBERS, Result
@@ -43,7 +43,14 @@ _SHOWN = (
 
 
 def conduct(
-    settings: Sequence[str], seeds: int, gust_mps: float, folder: Path, fly: Fly, console: Console
+    settings: Sequence[str],
+    seeds: int,
+    gust_mps: float,
+    folder: Path,
+    fly: Fly,
+    console: Console,
+    *,
+    quick: bool = False,
 ) -> tuple[list[str], Table, list[Result]]:
     """Measure computation, choose the rates, fly all, write everything there is to read.
 
@@ -54,6 +61,7 @@ def conduct(
         folder: Of the experiment.
         fly: Gives the results of cases.
         console: For progress.
+        quick: Measure computation once, on the shortest of flights: a trial.
     Returns: Lines for people, a table to go above them, and the results.
     Raises: ScenarioError: settings that cannot be. ExperimentError: a folder that cannot be.
     """
@@ -69,7 +77,7 @@ def conduct(
         def notify(line: str) -> None:
             console.print(line, highlight=False, soft_wrap=True)
 
-        loads = claim.computation(folder, settings, reference, [MANEUVER], notify)
+        loads = claim.computation(folder, settings, reference, quick=quick, notify=notify)
         experiment = claim.experiment(claim.rows(first.sampling_period_s, first.horizon, loads), gust_mps)
         cases = _cases(experiment.points, settings, seeds)
         try:

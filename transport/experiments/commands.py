@@ -1,8 +1,9 @@
 """The commands `transport experiment ...`. Heavy imports are inside, as in all of the command line."""
 
+import math
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,7 @@ from transport.experiments.errors import EXIT_CASES, EXIT_SCENARIO, EXIT_USAGE, 
 
 if TYPE_CHECKING:
     from transport.experiments.catalogue import Experiment
+    from transport.experiments.flight import Result
     from transport.experiments.sweep import Fly
 
 _INTERRUPTED = 130
@@ -116,7 +118,7 @@ def latency(
 
         return catalogue.latency(options.named(), delays or ([0.0, 0.2] if quick else [0.0, 0.05, 0.1, 0.2, 0.4]))
 
-    _conduct(build, options)
+    _conduct(lambda: _fly(build(), options))
 
 
 @experiment_app.command()
@@ -142,7 +144,7 @@ def loss(
 
         return catalogue.loss(options.named(), shares or ([0.3] if quick else [0.1, 0.3, 0.6]), burst)
 
-    _conduct(build, options)
+    _conduct(lambda: _fly(build(), options))
 
 
 @experiment_app.command()
@@ -177,7 +179,7 @@ def jitter(
         chosen = distributions or (["uniform", "exponential"] if quick else list(catalogue.JITTER))
         return catalogue.jitter(options.named(), chosen, deviations or ([0.05] if quick else [0.02, 0.05, 0.08]), mean)
 
-    _conduct(build, options)
+    _conduct(lambda: _fly(build(), options))
 
 
 @experiment_app.command()
@@ -213,7 +215,7 @@ def kill(
         kill_s, restart_s = (then if given is None else given for given, then in zip((at, restart), usual, strict=True))
         return catalogue.kill(agents, kill_s, restart_s)
 
-    _conduct(build, options)
+    _conduct(lambda: _fly(build(), options))
 
 
 @experiment_app.command()
@@ -246,7 +248,59 @@ def matrix(
         delays_s = delays or ([0.0, 0.2] if quick else [0.0, 0.1, 0.2, 0.4])
         return catalogue.matrix(options.named(), delays_s, shares or ([0.0, 0.3] if quick else [0.0, 0.1, 0.3, 0.6]))
 
-    _conduct(build, options)
+    _conduct(lambda: _fly(build(), options))
+
+
+@experiment_app.command()
+def ablation(
+    scenarios: ScenariosOption = None,
+    settings: SetOption = None,
+    seeds: SeedsOption = None,
+    out: OutOption = None,
+    jobs: JobsOption = None,
+    dask: DaskOption = None,
+    processes: ProcessesOption = False,
+    quick: QuickOption = False,
+) -> None:
+    """What each part of the algorithm is worth.
+
+    One setting changed at a time, on a perfect network and on one that is late and lossy.
+    """
+    options = _options(scenarios, settings, seeds, out, jobs, dask, processes, quick, usual_seeds=3)
+
+    def build() -> "Experiment":
+        from protocol.scenario_file import find_scenario, read_scenario
+        from transport.experiments.ablation import ablation
+
+        names = options.named()
+        if len(set(names)) < len(names):
+            raise refused("--scenario", "each value once", ", ".join(names))
+        return ablation({name: read_scenario(find_scenario(name), options.changes()) for name in names})
+
+    _conduct(lambda: _fly(build(), options))
+
+
+@experiment_app.command()
+def paper(
+    gust: Annotated[
+        float, typer.Option("--gust", help="Standard deviation of the wind's gusts, m/s; 0 for still air alone.")
+    ] = 1.0,
+    settings: SetOption = None,
+    seeds: Annotated[int | None, typer.Option("--seeds", min=1, help="Flights of each controller in gusts.")] = None,
+    out: OutOption = None,
+    jobs: JobsOption = None,
+    quick: QuickOption = False,
+) -> None:
+    """The paper's claim: centralized against distributed.
+
+    At the same rate, and at the rate that costs the same computation, which is measured first.
+
+    Ends with a table, the paper's figures side by side, and a verdict.
+
+    Example: transport experiment paper --seeds 10
+    """
+    options = _options(None, settings, seeds, out, jobs, None, False, quick, usual_seeds=5)
+    _conduct(lambda: _compare(gust, options))
 
 
 @experiment_app.command()
@@ -293,7 +347,7 @@ def scaling(
         sizes, usual = (catalogue.QUICK_SIZES, 6) if quick else (catalogue.SIZES, 12)
         return catalogue.scaling("resilient", usual if largest is None else largest, sizes)
 
-    _conduct(build, options)
+    _conduct(lambda: _fly(build(), options))
 
 
 @experiment_app.command()
@@ -348,14 +402,14 @@ def _options(
     )
 
 
-def _conduct(build: "Callable[[], Experiment]", options: _Options) -> None:
-    """Fly an experiment, from its options to its exit code."""
+def _conduct(experiment: Callable[[], None]) -> None:
+    """Fly an experiment, and end with its exit code."""
     from protocol.scenario_file import ScenarioError
 
     code = 0
     try:
         with _terminated_like_interrupted():
-            _fly(build(), options)
+            experiment()
     except ExperimentError as error:
         typer.echo(f"transport: {error}", err=True)
         code = error.exit_code
@@ -369,8 +423,6 @@ def _conduct(build: "Callable[[], Experiment]", options: _Options) -> None:
 
 
 def _fly(experiment: "Experiment", options: _Options) -> None:
-    from datetime import UTC, datetime
-
     from rich.console import Console
 
     from transport.experiments.cases import cases_of
@@ -382,8 +434,7 @@ def _fly(experiment: "Experiment", options: _Options) -> None:
     from transport.run import machine
 
     _check(options)
-    stamp = datetime.now(UTC).strftime("%Y%m%d-%H%M%S")
-    folder = options.out or Path("runs") / f"experiment-{experiment.name}-{stamp}"
+    folder = _folder(options, experiment.name)
     cases = cases_of(experiment.points, options.changes(), options.seeds, timed=experiment.timed)
     console = Console(stderr=True)
     trial = "trial, no measurement" if options.quick else ""
@@ -413,6 +464,41 @@ def _fly(experiment: "Experiment", options: _Options) -> None:
     found_out = growth_findings(measured) if experiment.timed else findings(measured)
     lines = ["", *found_out, "", f"machine: {machine()}", *(f" {path}" for path in files)]
     sys.stdout.write("\n".join(lines) + "\n")
+    _check_flown(found)
+
+
+def _compare(gust_mps: float, options: _Options) -> None:
+    """The paper's comparison, which measures before it knows what to fly."""
+    from rich.console import Console
+
+    from transport.experiments import claim, claim_report
+
+    if not 0.0 <= gust_mps < math.inf:
+        raise refused("--gust", "a speed >= 0 m/s", f"{gust_mps:g}")
+    folder, console = _folder(options, claim.NAME), Console(stderr=True)
+    trial = "trial, no measurement" if options.quick else ""
+    if trial:
+        console.print(f"--quick: a {trial}", highlight=False)
+    fly = _way(options, folder)
+    lines, table, found = claim_report.conduct(
+        options.changes(), options.seeds, gust_mps, folder, fly, console, quick=options.quick
+    )
+    output = Console()
+    output.width = max(output.width, claim_report.WIDTH)
+    output.print(table)
+    sys.stdout.write("\n".join(lines) + "\n")
+    _check_flown(found)
+
+
+def _folder(options: _Options, name: str) -> Path:
+    from datetime import UTC, datetime
+
+    stamp = datetime.now(UTC).strftime("%Y%m%d-%H%M%S")
+    return options.out or Path("runs") / f"experiment-{name}-{stamp}"
+
+
+def _check_flown(found: "Sequence[Result]") -> None:
+    """Say so, after everything else, if a flight could not be flown."""
     failed = [result for result in found if result.outcome == "error"]
     if failed:
         more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""

@@ -24,6 +24,7 @@ MANEUVER = (
     "maneuver.phase=[{name='hover',duration_s=0.5,displacement_m=[0,0,0]},"
     "{name='climb',duration_s=1.0,displacement_m=[0,0,-0.5]}]"
 )
+QUICK_MANEUVER = "maneuver.phase=[{name='climb',duration_s=0.4,displacement_m=[0,0,-0.2]}]"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,7 +79,13 @@ def step_ms(setup: Setup) -> float:
 
 
 def compared(
-    reference: Setup, candidate: Setup, controller: str, kept: str, measure: Callable[[Setup], float] = step_ms
+    reference: Setup,
+    candidate: Setup,
+    controller: str,
+    kept: str,
+    *,
+    repeats: int = REPEATS,
+    measure: Callable[[Setup], float] = step_ms,
 ) -> Load:
     """Fly reference and candidate in turns, and compare what they compute; the median of the repetitions' ratios.
 
@@ -87,9 +94,10 @@ def compared(
         candidate: Flight of the other.
         controller: What it is called.
         kept: Of the reference's horizon.
+        repeats: Flights of each.
         measure: Processor time of an agent's step, ms.
     """
-    pairs = [(measure(reference), measure(candidate)) for _ in range(REPEATS)]
+    pairs = [(measure(reference), measure(candidate)) for _ in range(repeats)]
     rate = reference.settings.sampling_period_s / candidate.settings.sampling_period_s
     return Load(
         controller=controller,

@@ -8,6 +8,7 @@ from transport.experiments.curves import draw_curves
 from transport.experiments.growth_figure import draw_growth
 from transport.experiments.maps import draw_maps
 from transport.experiments.statistics import Measured
+from transport.experiments.variants_figure import draw_variants
 from transport.figure_style import RC, save
 
 
@@ -25,10 +26,12 @@ def draw(experiment: Experiment, measured: Sequence[Measured], folder: Path) -> 
 
     with mpl.rc_context({**RC, "svg.hashsalt": experiment.name}):
         figure = Figure(layout="constrained")
-        if experiment.timed:
+        if experiment.drawn_as == "growth":
             draw_growth(figure, measured)
-        elif experiment.y is None:
-            draw_curves(figure, experiment, measured)
-        else:
+        elif experiment.drawn_as == "variants":
+            draw_variants(figure, measured)
+        elif experiment.y is not None:
             draw_maps(figure, experiment.x, experiment.y, measured)
+        else:
+            draw_curves(figure, experiment, measured)
         return [save(figure, folder / f"figure.{kind}") for kind in ("png", "svg")]

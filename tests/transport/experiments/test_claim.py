@@ -101,7 +101,7 @@ def test_one_slow_minute_does_not_decide() -> None:
     def measured(setup: Setup) -> float:
         return next(first if setup is reference else own)
 
-    found = compared(reference, candidate, AS_PRINTED, STEPS, measured)
+    found = compared(reference, candidate, AS_PRINTED, STEPS, measure=measured)
     assert (found.step_ms, found.reference_step_ms, found.one_each, found.one_processor) == (2.0, 8.0, 0.25, 1.0)
 
 
