@@ -1,8 +1,9 @@
-"""Rows of the QP: input bounds and rates, separation of the UAVs, and the user's own constraints.
+"""Rows of the QP: input bounds and rates, separation of the UAVs, the user's own constraints and terms of the cost.
 
 All are linear in the decision after one linearisation about (x0, u0), as in paper (20)-(21), (26)-(27).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -13,8 +14,8 @@ from model.arrays import Array
 from model.compiled import Compiled
 from model.dynamics import Symbols
 from model.linearisation import Model
-from mpc.expressions import Relation, read
-from mpc.settings import Constraint
+from mpc.expressions import Relation, read, read_term
+from mpc.settings import Constraint, CostTerm, SettingsError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,6 +73,54 @@ class UserConstraints:
             return Affine(value=np.zeros(0), slope=np.zeros((0, len(point))))
         value, slope = self._function(point, self._parameters)
         return Affine(value=value, slope=slope.reshape(len(self), -1))
+
+
+class UserCosts:
+    """The user's terms of the cost, compiled with exact derivatives.
+
+    Args:
+        terms: As written.
+        model: The system.
+    Raises: SettingsError: one cannot be read; the text says which and why.
+
+    Attributes:
+        weights: Price per square of each, (t,).
+    """
+
+    def __init__(self, terms: Sequence[CostTerm], model: Model) -> None:
+        symbols = Symbols.of(model.system.N)
+        self._terms = tuple(terms)
+        self.weights = np.array([term.weight for term in terms])
+        self._parameters = model.system.vector()
+        self._function: Compiled | None = None
+        if terms:
+            value = ca.vertcat(*[read_term(term.expression, symbols) for term in terms])
+            slope = ca.densify(ca.jacobian(value, symbols.x))
+            self._function = Compiled(ca.Function("costs", [symbols.x, symbols.p], [ca.densify(value), slope]))
+
+    def __len__(self) -> int:
+        return len(self.weights)
+
+    def at(self, x: Array) -> Affine:
+        """Linearise about a state. Source: docs/equations.md (48)."""
+        if self._function is None:
+            return Affine(value=np.zeros(0), slope=np.zeros((0, len(x))))
+        value, slope = self._function(x, self._parameters)
+        return Affine(value=value, slope=slope.reshape(len(self), -1))
+
+    def about(self, x: Array) -> Array:
+        """What they make of small deviations from a state: square roots of the weights times slopes, (t, n).
+
+        Raises: SettingsError: one has no finite value and slope there.
+        """
+        at = self.at(x)
+        for term, value, slope in zip(self._terms, at.value, at.slope, strict=True):
+            if not np.isfinite([value, *slope]).all():
+                raise SettingsError(
+                    f"cost {term.expression!r}: expected a finite value and slope at hover, got {value}"
+                )
+        roots: Array = np.sqrt(self.weights)[:, None] * at.slope
+        return roots
 
 
 def compile_constraints(constraints: tuple[Constraint, ...], model: Model) -> tuple[UserConstraints, UserConstraints]:

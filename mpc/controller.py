@@ -13,7 +13,7 @@ from model.hover import Hover
 from model.linearisation import Linearisation, Model
 from model.state import LARGEST, input_indices
 from mpc import condensing
-from mpc.constraints import Affine, compile_constraints, rate_rows, separation_rows
+from mpc.constraints import Affine, UserCosts, compile_constraints, rate_rows, separation_rows
 from mpc.cost import Cost
 from mpc.fail_safe import FailSafe
 from mpc.feedback import FeedbackError, TeamLaw, team_gain
@@ -35,11 +35,13 @@ class Linear:
         u0: Input of the linearisation, (m,).
         model: f, A_c, B_c, y, C.
         on_state, on_input: The user's constraints.
+        costs: The user's terms of the cost.
         u_target: Input that costs nothing, (m,).
     """
 
     u0: Array
     model: Linearisation
+    costs: Affine
     on_state: Affine
     on_input: Affine
     u_target: Array
@@ -87,8 +89,11 @@ class Controller:
         self._alone: dict[int, Array] = {}  # feedback of the UAVs left to the fail-safe
         self._target: Target | None = None
         self.gain: Array | None = None
+        self._costs = UserCosts(settings.costs, model)
+        weights = np.concatenate([self.cost.Q, self._costs.weights])
+        self._Q, self._Q_f = weights, settings.weights.terminal * weights
         if settings.prediction == "closed_loop":
-            self.gain = team_gain(model, hover, self.cost, settings.sampling_period_s)
+            self.gain = self._team_gain()
         self._on_state, self._on_input = compile_constraints(settings.constraints, model)
         # What the others do to a constraint without owned inputs is theirs to keep.
         depends = self._on_input.depends
@@ -171,7 +176,12 @@ class Controller:
             return
         # Where the others cannot stabilise what is left, the law of the whole team is as good as any.
         with contextlib.suppress(FeedbackError):
-            self.gain = team_gain(self.model, self._hover, self.cost, self.settings.sampling_period_s, alone)
+            self.gain = self._team_gain()
+
+    def _team_gain(self) -> Array:
+        """The shared law's gain, the user's terms of the cost included as they are about hover."""
+        period_s, further = self.settings.sampling_period_s, self._costs.about(self._hover.x)
+        return team_gain(self.model, self._hover, self.cost, period_s, self._alone, further)
 
     def adapted(self, law: TeamLaw, discrete: Discrete, u0: Array, U: Array, columns: npt.NDArray[np.intp]) -> TeamLaw:
         """The law with corrections that make some inputs what they were announced to be, whatever law that was under.
@@ -213,6 +223,7 @@ class Controller:
             model=self.model.linearise(x0, u0, forces=forces),
             on_state=self._on_state.at(x0),
             on_input=self._on_input.at(u0),
+            costs=self._costs.at(x0),
             u_target=u_target,
         )
 
@@ -230,17 +241,21 @@ class Controller:
     def condense(self, linear: Linear, prediction: Prediction, U: Array, y_ref: Array) -> QP:
         """The QP in the scaled decision and the slacks.
 
-        Source: docs/equations.md (22)-(30); paper (22)-(27).
+        Source: docs/equations.md (22)-(30), (48); paper (22)-(27).
         """
-        C, y0, cost = linear.model.C, linear.model.y, self.cost
+        C, error_0, cost = linear.model.C, linear.model.y - y_ref, self.cost
+        if len(self._costs):
+            # The user's terms are outputs more, whose reference is zero.
+            C = np.concatenate([C, linear.costs.slope])
+            error_0 = np.hstack([error_0, np.tile(linear.costs.value, (len(y_ref), 1))])
         steps, m = prediction.U_free.shape
         decisions, slacks = steps * m, len(self._penalties)
 
-        error = y0 + prediction.dX_free @ C.T - y_ref
-        weighted = error[1:] * cost.Q
-        weighted[-1] = error[-1] * cost.Q_f
+        error = error_0 + prediction.dX_free @ C.T
+        weighted = error[1:] * self._Q
+        weighted[-1] = error[-1] * self._Q_f
         H = np.zeros((decisions + slacks, decisions + slacks))
-        H[:decisions, :decisions] = condensing.hessian(C @ prediction.impulse, cost.Q, cost.Q_f)
+        H[:decisions, :decisions] = condensing.hessian(C @ prediction.impulse, self._Q, self._Q_f)
         R = np.tile(cost.R[self.own], steps)
         H[np.arange(decisions), np.arange(decisions)] += R
         g = np.zeros(decisions + slacks)

@@ -1,4 +1,4 @@
-"""Constraints as text: "r0[2] <= -2", "norm(r1 - r3) >= 0.8", "thrust1 + thrust2 <= 60".
+"""Constraints and terms of the cost as text: "r0[2] <= -2", "norm(r1 - r3) >= 0.8", "thrust1 + thrust2 <= 60"; "e1[0]".
 
 Text travels in the scenario to every process and is read here into a CasADi expression, by walking the
 syntax tree and allowing nothing but the names below, numbers, arithmetic and one comparison.
@@ -72,36 +72,61 @@ def read(text: str, symbols: Symbols) -> Relation:
         symbols: The system's symbols the expression is built on.
     Raises: SettingsError: not readable, an unknown name, not scalar, or states and inputs mixed.
     """
-    try:
-        tree = ast.parse(text, mode="eval").body
-    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        raise SettingsError(f"constraint {text!r}: cannot be read ({error})") from error
+    what = f"constraint {text!r}"
+    tree = _parsed(text, what)
     if not (isinstance(tree, ast.Compare) and len(tree.ops) == 1):
-        raise SettingsError(f"constraint {text!r}: expected two sides and one of <=, >=, ==")
-    names = _names(symbols)
-    try:
-        left = _evaluate(tree.left, names, text)
-        right = _evaluate(tree.comparators[0], names, text)
-        comparison = tree.ops[0]
-        if isinstance(comparison, ast.GtE):
-            left, right = right, left
-        elif not isinstance(comparison, ast.LtE | ast.Eq):
-            raise SettingsError(f"constraint {text!r}: expected one of <=, >=, ==")
-        value = ca.SX(left - right)
-    except (RuntimeError, TypeError, IndexError, ArithmeticError, NotImplementedError, RecursionError) as error:
-        detail = str(error).strip().splitlines()[-1] if str(error).strip() else type(error).__name__
-        raise SettingsError(f"constraint {text!r}: cannot be evaluated ({detail})") from error
-    if value.shape != (1, 1):
-        raise SettingsError(f"constraint {text!r}: expected a scalar, got shape {value.shape}")
+        raise SettingsError(f"{what}: expected two sides and one of <=, >=, ==")
+    comparison, sides = tree.ops[0], [tree.left, tree.comparators[0]]
+    if isinstance(comparison, ast.GtE):
+        sides.reverse()
+    elif not isinstance(comparison, ast.LtE | ast.Eq):
+        raise SettingsError(f"{what}: expected one of <=, >=, ==")
+    value = _scalar(ast.BinOp(sides[0], ast.Sub(), sides[1]), symbols, what)
     on_state, on_input = bool(ca.depends_on(value, symbols.x)), bool(ca.depends_on(value, symbols.u))
     if on_state == on_input:
-        raise SettingsError(f"constraint {text!r}: expected states or inputs, got {'both' if on_state else 'neither'}")
+        raise SettingsError(f"{what}: expected states or inputs, got {'both' if on_state else 'neither'}")
     return Relation(
         text=text,
         value=value,
         on="state" if on_state else "input",
-        kind="equality" if isinstance(tree.ops[0], ast.Eq) else "inequality",
+        kind="equality" if isinstance(comparison, ast.Eq) else "inequality",
     )
+
+
+def read_term(text: str, symbols: Symbols) -> ca.SX:
+    """Read what a term of the cost prices.
+
+    Args:
+        text: An expression of states.
+        symbols: The system's symbols the expression is built on.
+    Returns: Scalar expression.
+    Raises: SettingsError: not readable, an unknown name, not scalar, or not of states alone.
+    """
+    what = f"cost {text!r}"
+    value = _scalar(_parsed(text, what), symbols, what)
+    if ca.depends_on(value, symbols.u):
+        raise SettingsError(f"{what}: expected states, got inputs; they are priced by controller.weights")
+    if not ca.depends_on(value, symbols.x):
+        raise SettingsError(f"{what}: expected states, got none")
+    return value
+
+
+def _parsed(text: str, what: str) -> ast.expr:
+    try:
+        return ast.parse(text, mode="eval").body
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        raise SettingsError(f"{what}: cannot be read ({error})") from error
+
+
+def _scalar(tree: ast.expr, symbols: Symbols, what: str) -> ca.SX:
+    try:
+        value = ca.SX(_evaluate(tree, _names(symbols), what))
+    except (RuntimeError, TypeError, IndexError, ArithmeticError, NotImplementedError, RecursionError) as error:
+        detail = str(error).strip().splitlines()[-1] if str(error).strip() else type(error).__name__
+        raise SettingsError(f"{what}: cannot be evaluated ({detail})") from error
+    if value.shape != (1, 1):
+        raise SettingsError(f"{what}: expected a scalar, got shape {value.shape}")
+    return value
 
 
 def _names(symbols: Symbols) -> dict[str, Any]:
@@ -127,14 +152,14 @@ def _names(symbols: Symbols) -> dict[str, Any]:
     return names
 
 
-def _evaluate(node: ast.AST, names: dict[str, Any], text: str) -> Any:
-    value = _value(node, names, text)
+def _evaluate(node: ast.AST, names: dict[str, Any], what: str) -> Any:
+    value = _value(node, names, what)
     if isinstance(value, int | float | ca.DM) and not np.isfinite(np.asarray(value, dtype=np.float64)).all():
-        raise SettingsError(f"constraint {text!r}: {ast.unparse(node)!r} is not a finite number")
+        raise SettingsError(f"{what}: {ast.unparse(node)!r} is not a finite number")
     return value
 
 
-def _value(node: ast.AST, names: dict[str, Any], text: str) -> Any:
+def _value(node: ast.AST, names: dict[str, Any], what: str) -> Any:
     match node:
         case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
             return number
@@ -142,13 +167,13 @@ def _value(node: ast.AST, names: dict[str, Any], text: str) -> Any:
             return names[name]
         case ast.Name(id=name):
             known = ", ".join(sorted(names))
-            raise SettingsError(f"constraint {text!r}: unknown name {name!r}; known: {known}")
+            raise SettingsError(f"{what}: unknown name {name!r}; known: {known}")
         case ast.UnaryOp(op=op, operand=operand) if type(op) in _OPERATORS:
-            return _OPERATORS[type(op)](_evaluate(operand, names, text))
+            return _OPERATORS[type(op)](_evaluate(operand, names, what))
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
-            return _OPERATORS[type(op)](_evaluate(left, names, text), _evaluate(right, names, text))
+            return _OPERATORS[type(op)](_evaluate(left, names, what), _evaluate(right, names, what))
         case ast.Subscript(value=value, slice=ast.Constant(value=int() as index)) if not isinstance(index, bool):
-            return _evaluate(value, names, text)[index]
+            return _evaluate(value, names, what)[index]
         case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]) if name in _FUNCTIONS:
-            return _FUNCTIONS[name](*[_evaluate(argument, names, text) for argument in arguments])
-    raise SettingsError(f"constraint {text!r}: {ast.unparse(node)!r} is not allowed; see mpc/expressions.py")
+            return _FUNCTIONS[name](*[_evaluate(argument, names, what) for argument in arguments])
+    raise SettingsError(f"{what}: {ast.unparse(node)!r} is not allowed; see mpc/expressions.py")

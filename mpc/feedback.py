@@ -51,7 +51,12 @@ class TeamLaw:
 
 
 def team_gain(
-    model: Model, hover: Hover, cost: Cost, period_s: float, alone: Mapping[int, Array] | None = None
+    model: Model,
+    hover: Hover,
+    cost: Cost,
+    period_s: float,
+    alone: Mapping[int, Array] | None = None,
+    further: Array | None = None,
 ) -> Array:
     """Feedback gain of the linear-quadratic regulator for the whole team about hover.
 
@@ -66,6 +71,7 @@ def team_gain(
         cost: Q on the outputs, R on all inputs.
         period_s: Sampling period, s.
         alone: Feedback from its own state, (4, 12), of each UAV without an agent, by its 0-based number.
+        further: What else has a price besides the outputs, (t, n): square roots of the weights times slopes at hover.
     Returns: K with u = u_hover + K (x - x_ref), (m, n).
     Raises: FeedbackError: the recursion does not converge.
     Source: docs/equations.md (33)-(34), (45).
@@ -79,7 +85,10 @@ def team_gain(
     T = tangent(hover.x)
     A, B = T.T @ (discrete.A + discrete.B @ K) @ T, T.T @ discrete.B[:, led]
     C, R = linear.C @ T, cost.R[led]
-    P = _riccati(A, B, C.T @ (cost.Q[:, None] * C), R)
+    priced = C.T @ (cost.Q[:, None] * C)
+    if further is not None:
+        priced += T.T @ further.T @ further @ T
+    P = _riccati(A, B, priced, R)
     K[led] = -np.linalg.solve(np.diag(R) + B.T @ P @ B, B.T @ P @ A) @ T.T
     K.setflags(write=False)
     return K

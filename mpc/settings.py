@@ -119,6 +119,19 @@ class Constraint:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class CostTerm:
+    """A term of the cost of the user's own: weight times the square of an expression, at every step of the horizon.
+
+    Attributes:
+        expression: Of states, zero where nothing is to be paid, such as "e1[0]" (see `mpc.expressions`).
+        weight: Price per square of its unit; at the last step `Weights.terminal` times as much.
+    """
+
+    expression: str
+    weight: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ControllerSettings:
     """Everything that turns a model and a set of owned UAVs into a controller.
 
@@ -139,6 +152,7 @@ class ControllerSettings:
     limits: Limits = field(default_factory=Limits)
     separation: Separation | None = None
     constraints: tuple[Constraint, ...] = ()
+    costs: tuple[CostTerm, ...] = ()
     prediction: PredictionName = "open_loop"
     discretisation: DiscretisationName = "exact"
     relaxation: float = 1.0

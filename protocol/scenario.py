@@ -136,6 +136,13 @@ class ConstraintSection(Section):
     penalty: Positive = 1000.0
 
 
+class CostSection(Section):
+    """A term of the cost of the user's own."""
+
+    expression: str
+    weight: Positive
+
+
 class DisturbanceSection(Section):
     """Estimate of a constant force on the payload, and whether the controller allows for it."""
 
@@ -159,6 +166,7 @@ class ControllerSection(Section):
     limits: LimitsSection = LimitsSection()
     separation: SeparationSection | None = None
     constraint: list[ConstraintSection] = []
+    cost: list[CostSection] = []
     disturbance: DisturbanceSection = DisturbanceSection()
 
 

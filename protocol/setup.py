@@ -12,10 +12,10 @@ from model.hover import Hover, hover
 from model.linearisation import Model
 from model.maneuver import Maneuver, Phase, Reference
 from model.parameters import Payload, System, Uav
-from mpc.constraints import compile_constraints
+from mpc.constraints import UserCosts, compile_constraints
 from mpc.cost import Cost
 from mpc.feedback import team_gain
-from mpc.settings import Constraint, ControllerSettings, Limits, Separation, Weights
+from mpc.settings import Constraint, ControllerSettings, CostTerm, Limits, Separation, Weights
 from protocol.faults import Fault, scripted
 from protocol.links import Link, link
 from protocol.messages import Measurement, Plan
@@ -72,9 +72,12 @@ class Setup:
             samples_s=_samples(scenario, source),
         )
         building(source, "controller.constraint", lambda: compile_constraints(settings.constraints, setup.model))
+        further = building(
+            source, "controller.cost", lambda: UserCosts(settings.costs, setup.model).about(equilibrium.x)
+        )
         if settings.prediction == "closed_loop":
-            cost = Cost(settings.weights, equilibrium)
-            law = partial(team_gain, setup.model, equilibrium, cost, settings.sampling_period_s)
+            cost, period_s = Cost(settings.weights, equilibrium), settings.sampling_period_s
+            law = partial(team_gain, setup.model, equilibrium, cost, period_s, further=further)
             building(source, "controller.prediction", law)
         setup._check_hover_is_possible(source)
         return setup
@@ -239,6 +242,7 @@ def _settings(scenario: Scenario) -> ControllerSettings:
         constraints=tuple(
             Constraint(expression=c.expression, soft=c.soft, penalty=c.penalty) for c in section.constraint
         ),
+        costs=tuple(CostTerm(expression=c.expression, weight=c.weight) for c in section.cost),
         prediction=section.prediction,
         discretisation=section.discretisation,
         relaxation=relaxation,

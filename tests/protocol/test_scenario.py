@@ -57,6 +57,7 @@ FAULTS = (
 EVERYTHING = (
     "network.base_port=7000",
     "controller.constraint=[{expression='thrust1 <= 40'}]",
+    "controller.cost=[{expression='v0[0]',weight=0.5}]",
     "agents.owned=[[1, 2], [4, 3]]",
     "clock.actuation=next_tick",
     "clock.overrun_limit_s=0.5",

@@ -269,6 +269,18 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
         "expected states or inputs, got both",
     ),
     ("controller.constraint=[{expression='__import__(1) <= 1'}]", "controller.constraint", "is not allowed"),
+    # Terms of the cost.
+    ("controller.cost=[{expression='v9',weight=1}]", "controller.cost", "cost 'v9': unknown name 'v9'; known: Omega1"),
+    ("controller.cost=[{expression='v0[0] -',weight=1}]", "controller.cost", "cost 'v0[0] -': cannot be read"),
+    ("controller.cost=[{expression='v0',weight=1}]", "controller.cost", "expected a scalar, got shape (3, 1)"),
+    ("controller.cost=[{expression='r0[2] <= 1',weight=1}]", "controller.cost", "'r0[2] <= 1' is not allowed"),
+    ("controller.cost=[{expression='thrust1',weight=1}]", "controller.cost", "expected states, got inputs"),
+    ("controller.cost=[{expression='2 * pi',weight=1}]", "controller.cost", "expected states, got none"),
+    (
+        "controller.cost=[{expression='1 / v0[0]',weight=1}]",
+        "controller.cost",
+        "cost '1 / v0[0]': expected a finite value and slope at hover, got inf",
+    ),
 ]
 
 EMPTY = "''"

@@ -1,0 +1,101 @@
+"""Terms of the cost of the user's own: priced like the outputs they may be, and of use."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from model.arrays import Array
+from mpc.controller import Controller
+from mpc.settings import ControllerSettings, CostTerm, Weights
+from protocol.messages import Message, Truth
+from protocol.setup import Setup
+from tests import runs
+from tests.mpc.systems import controller, paper_setup, situation
+from transport.memory import fly
+
+OWNED = [(0,), (1, 3), (0, 1, 2, 3)]
+# The same sums in another order.
+ROUNDING = 1e-9
+
+
+def programs(one: Controller, x: Array, u: Array, U: Array, y_ref: Array) -> tuple[Array, Array]:
+    """Hessian and gradient of a controller's program."""
+    linear = one.linearise(x, u)
+    law = one.law(x, np.tile(x, (len(U), 1)), np.zeros_like(U))
+    qp = one.condense(linear, one.predict(linear, one.discretise(linear), U, law), U, y_ref)
+    return qp.H, qp.g
+
+
+@pytest.mark.parametrize("prediction", ["open_loop", "closed_loop"])
+@pytest.mark.parametrize("owned", OWNED)
+def test_a_term_that_is_an_output_adds_to_its_weight(owned: tuple[int, ...], prediction: str) -> None:
+    """Position errors priced half by the weights and half by terms are the same program as priced by the weights."""
+    setup = paper_setup()
+    whole = ControllerSettings(horizon=6, prediction=prediction, weights=Weights(position=1.0, terminal=3.0))  # type: ignore[arg-type]
+    at = situation(setup, whole, seed=1)
+    reference = at.y_ref[0]
+    y_ref = np.tile(reference, (len(at.y_ref), 1))  # text knows no time
+    terms = tuple(
+        CostTerm(expression=f"r{i + 1}[{axis}] - ({float(reference[3 * i + axis])!r})", weight=0.5)
+        for i in range(4)
+        for axis in range(3)
+    )
+    halves = replace(whole, weights=replace(whole.weights, position=0.5), costs=terms)
+    H, g = programs(controller(setup, whole, owned), at.x, at.u, at.U, y_ref)
+    own_H, own_g = programs(controller(setup, halves, owned), at.x, at.u, at.U, y_ref)
+    assert np.abs(own_H - H).max() <= ROUNDING * np.abs(H).max()
+    assert np.abs(own_g - g).max() <= ROUNDING * np.abs(g).max()
+    bare = controller(setup, replace(halves, costs=()), owned)
+    assert np.abs(programs(bare, at.x, at.u, at.U, y_ref)[0] - H).max() > 1e-3 * np.abs(H).max()
+
+
+def test_a_curved_term_is_expanded_about_the_present_state() -> None:
+    """phi(x_0) + slope dx: what a term adds to the gradient at the free response is that of its square."""
+    setup = paper_setup()
+    settings = ControllerSettings(horizon=1, weights=Weights(terminal=2.0))
+    term = CostTerm(expression="norm(r1 - r3) * v0[1] + sin(Theta0[0])", weight=0.7)
+    at = situation(setup, settings, seed=3)
+    plain = controller(setup, settings, (0,))
+    own = controller(setup, replace(settings, costs=(term,)), (0,))
+    _, g = programs(plain, at.x, at.u, at.U, at.y_ref)
+    _, own_g = programs(own, at.x, at.u, at.U, at.y_ref)
+
+    linear = own.linearise(at.x, at.u)
+    free = own.predict(linear, own.discretise(linear), at.U, None)
+
+    def value(x: Array) -> float:
+        return float(own.linearise(x, at.u).costs.value[0])
+
+    steps = 1e-6 * np.eye(len(at.x))
+    slope = np.array([(value(at.x + h) - value(at.x - h)) / 2e-6 for h in steps])
+    ahead = value(at.x) + slope @ free.dX_free[1]
+    expected = 2.0 * 2.0 * 0.7 * ahead * (slope @ free.B)
+    scale = (settings.limits.upper(1) - settings.limits.lower(1)) / 2.0
+    difference = (own_g - g)[: len(scale)] / scale
+    assert np.abs(difference - expected).max() <= 1e-6 * np.abs(expected).max()
+
+
+def swing_m(run: Setup) -> float:
+    """Largest distance of the payload from its reference along x in the last second of a flight."""
+    truths: list[Truth] = []
+
+    def record(message: Message) -> None:
+        if isinstance(message, Truth):
+            truths.append(message)
+
+    assert fly(run, record).outcome == "completed"
+    end = truths[-20:]
+    times = np.array([run.settings.sampling_period_s * truth.tick for truth in end])
+    x = np.array([truth.x[0] for truth in end])
+    return float(np.abs(x - run.reference.states(times)[:, 0]).max())
+
+
+@pytest.mark.parametrize("prediction", ["open_loop", "closed_loop"])
+def test_the_loads_speed_has_a_price(prediction: str) -> None:
+    """A load whose speed is paid for swings less after a move than one whose is not."""
+    hover, move = "duration_s={},displacement_m=[0,0,0]", "duration_s=1.0,displacement_m=[0.5,0,0]"
+    phases = f"{{name='wait',{hover.format(1.0)}}},{{name='move',{move}}},{{name='hover',{hover.format(4.0)}}}"
+    common = (f"maneuver.phase=[{phases}]", f"controller.prediction={prediction}", "controller.relaxation=auto")
+    priced = "controller.cost=[{expression='v0[0]',weight=0.3}]"
+    assert swing_m(runs.setup(*common, priced)) < 0.8 * swing_m(runs.setup(*common))
