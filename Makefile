@@ -4,8 +4,6 @@ VENV := .venv
 BIN := $(VENV)/bin
 SCENARIO ?= paper
 
-FIGURES := build/figures-run
-
 .PHONY: run test figures lint format clean help
 
 help: ## show this
@@ -17,10 +15,8 @@ run: $(VENV)/.installed ## set up and fly the paper's maneuver (SCENARIO=name fo
 test: $(VENV)/.installed-test ## set up and run all tests
 	@$(BIN)/python -m pytest
 
-figures: $(VENV)/.installed ## fly the paper's maneuver and renew the figures of README and docs
-	@rm -rf $(FIGURES)
-	@$(BIN)/transport run paper --out $(FIGURES)
-	@mkdir -p docs/images && cp $(FIGURES)/figures/*.png docs/images/
+figures: $(VENV)/.installed ## fly every experiment and renew figures and tables of README and docs (40 minutes)
+	@$(BIN)/python docs/results_page.py
 
 lint: $(VENV)/.installed-dev ## style and types, as continuous integration sees them
 	@$(BIN)/ruff check .

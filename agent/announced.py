@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from model.arrays import Array
 from model.state import input_indices
@@ -85,15 +84,14 @@ class AnnouncedInputs:
         Returns: (N_p, 4 N).
         Source: docs/equations.md (32); paper, section IV-A.
         """
-        U = np.tile(self._u_hover, (steps, 1))
+        U = np.repeat(self._u_hover[None], steps, axis=0)
         for agent, columns in self._columns.items():
             plan = self.newest(agent, before)
             if plan is not None:
-                along = self._along(plan, start, steps)
-                if agent in self.gone:  # after its end the actuators hold hover thrust
-                    along = along[along < len(plan.inputs)]
-                at = np.clip(along, 0, len(plan.inputs) - 1)
-                U[: len(at), columns] = plan.inputs[at]
+                entries = self._entries(plan.inputs, plan, start, steps)
+                U[: len(entries), columns] = entries
+                if agent not in self.gone:  # after its end the actuators of those hold hover thrust
+                    U[len(entries) :, columns] = plan.inputs[-1]
         return U
 
     def of_another_law(self, since: int, before: int) -> list[int]:
@@ -115,9 +113,8 @@ class AnnouncedInputs:
         for agent, columns in self._columns.items():
             plan = self.newest(agent, before)
             if plan is not None and agent not in self.gone:
-                along = self._along(plan, start, steps)
-                along = along[(along >= 0) & (along < len(plan.corrections))]
-                c[: len(along), columns] = plan.corrections[along]
+                entries = self._entries(plan.corrections, plan, start, steps)
+                c[: len(entries), columns] = entries
         return c
 
     def at(self, tick: int, before: int, x: Array | None = None) -> Array:
@@ -142,14 +139,14 @@ class AnnouncedInputs:
             u[columns] = plan.inputs[min(tick - plan.start_tick, len(plan.inputs) - 1)]
         return u
 
-    def _along(self, plan: Plan, start: int, steps: int) -> npt.NDArray[np.intp]:
-        """Which entry of a plan is taken for each step of the horizon, (N_p,); past its end where it has none."""
+    def _entries(self, sequence: Array, plan: Plan, start: int, steps: int) -> Array:
+        """What of a plan's inputs or corrections is taken for the steps of the horizon, as far as it goes."""
         skipped = start - plan.start_tick
-        if self._alignment != "by_age" and plan.agent != self._own and plan.agent not in self.gone:
-            if self._alignment == "held":
-                return np.full(steps, skipped)
-            skipped = min(skipped, 1)
-        return np.arange(skipped, skipped + steps)
+        if self._alignment == "by_age" or plan.agent == self._own or plan.agent in self.gone:
+            return sequence[max(skipped, 0) :][:steps]
+        if self._alignment == "held":
+            return np.repeat(sequence[max(skipped, 0) :][:1], steps, axis=0)
+        return sequence[max(min(skipped, 1), 0) :][:steps]
 
 
 def _made_at(plan: Plan) -> int:

@@ -1,17 +1,21 @@
 """Condensing: Hessian, gradient and constraint rows of the cost in the decision alone.
 
 The prediction matrix is block-Toeplitz, so the Hessian's blocks along each diagonal are partial sums of
-the same products, and the gradient is one backward sweep. The work is O(N_p^2) blocks; forming the
+the same products, and so are the gradient and what decisions cause. The work is O(N_p^2) blocks; forming the
 matrices of paper (16) and multiplying them, the oracle of the tests, is O(N_p^3).
 """
 
+import itertools
+from functools import lru_cache
+
 import numpy as np
+import numpy.typing as npt
 
 from model.arrays import Array
 
 
-def hessian(output_impulse: Array, Q: Array, Q_f: Array) -> Array:
-    """sum_{k=1}^{N_p-1} G_k' Q G_k + G_Np' Q_f G_Np, with G_k the effect of the decision on y(k).
+def hessian(output_impulse: Array, Q: Array, terminal: float) -> Array:
+    """sum_{k=1}^{N_p-1} G_k' Q G_k + terminal G_Np' Q G_Np, with G_k the effect of the decision on y(k).
 
     Block (i, j) sums S_a' Q S_b over b = 0, 1, .. with a - b = j - i fixed, S the impulse response; the
     products of all pairs are one matrix product, the sums run down its block diagonals.
@@ -19,7 +23,7 @@ def hessian(output_impulse: Array, Q: Array, Q_f: Array) -> Array:
     Args:
         output_impulse: S_j = C A^j B, (N_p, p, m).
         Q: Stage weight, (p,).
-        Q_f: Terminal weight, (p,).
+        terminal: Q_f as a multiple of Q.
     Returns: (N_p m, N_p m), symmetric.
     Source: docs/equations.md (26).
     """
@@ -27,30 +31,55 @@ def hessian(output_impulse: Array, Q: Array, Q_f: Array) -> Array:
     S = output_impulse.transpose(1, 0, 2).reshape(p, steps * m)
     # Blocks side by side in memory, so that a row of them is one contiguous sum.
     sums = np.ascontiguousarray((S.T @ (Q[:, None] * S)).reshape(steps, m, steps, m).transpose(0, 2, 1, 3))
-    for a in range(1, steps):
-        sums[a, 1:] += sums[a - 1, :-1]
-    blocks = (S.T @ (Q_f[:, None] * S)).reshape(steps, m, steps, m).transpose(0, 2, 1, 3).copy()
+    blocks = terminal * sums
+    for above, below in itertools.pairwise(sums):
+        below[1:] += above[:-1]
     # Step k = N_p is priced by Q_f alone, so Q's sums end one step earlier.
     blocks[1:, 1:] += sums[:-1, :-1]
     H = blocks[::-1, ::-1].transpose(0, 2, 1, 3).reshape(steps * m, steps * m)
     return (H + H.T) / 2.0
 
 
-def gradient(A: Array, B: Array, forces: Array) -> Array:
-    """sum_k G_k' w(k) by the adjoint recursion l(k) = A' l(k+1) + C' w(k), block j = B' l(j+1).
+def gradient(output_impulse: Array, weighted: Array) -> Array:
+    """sum_k G_k' w(k): block j sums S_a' w(j + 1 + a) over a = 0, 1, ... as far as there are steps.
+
+    All products at once, and then sums along the diagonals of their table: as many products as an adjoint sweep
+    of the outputs, without a step that waits for the one before.
 
     Args:
-        A: State matrix of the prediction, (n, n).
-        B: Effect of the decision, (n, m).
-        forces: C' w(k) at steps 1..N_p, (N_p, n), w the weighted error of the free response.
+        output_impulse: S_j = C A^j B, (N_p, p, m).
+        weighted: Weighted errors of the free response at steps 1..N_p, (N_p, p).
     Returns: (N_p m,).
     Source: docs/equations.md (27).
     """
-    adjoint = np.empty_like(forces)
-    adjoint[-1] = forces[-1]
-    for k in range(len(forces) - 2, -1, -1):
-        adjoint[k] = adjoint[k + 1] @ A + forces[k]
-    return (adjoint @ B).reshape(-1)
+    steps, p, m = output_impulse.shape
+    products = weighted @ output_impulse.transpose(1, 0, 2).reshape(p, steps * m)
+    return _diagonal_sums(products.reshape(steps, steps, m)).reshape(-1)
+
+
+def response(impulse: Array, V: Array) -> Array:
+    """Signal at steps 1..N_p that decisions cause: sum_{j < k} S_(k-1-j) v(j).
+
+    Args:
+        impulse: S_j, effect of one decision on the signal j + 1 steps later, (N_p, s, m).
+        V: Decisions, (N_p, m).
+    Returns: (N_p, s).
+    Source: docs/equations.md (24); paper (16).
+    """
+    steps, s, m = impulse.shape
+    products = V[::-1] @ impulse.transpose(2, 0, 1).reshape(m, steps * s)
+    return _diagonal_sums(products.reshape(steps, steps, s))[::-1]
+
+
+def _diagonal_sums(table: Array) -> Array:
+    """Entry k: sum of table[k + a, a] over a, as far as the table goes; (N, m) of (N, N, m)."""
+    N, _, m = table.shape
+    padded = np.zeros((2 * N, N, m))
+    padded[:N] = table
+    down, across, within = padded.strides
+    skewed = np.lib.stride_tricks.as_strided(padded, (N, N, m), (down, down + across, within), writeable=False)
+    sums: Array = skewed.sum(axis=1)
+    return sums
 
 
 def rows(impulse: Array) -> Array:
@@ -62,6 +91,12 @@ def rows(impulse: Array) -> Array:
     Source: docs/equations.md (25); paper (16).
     """
     steps, s, m = impulse.shape
-    later = np.arange(steps)[:, None] - np.arange(steps)[None, :]
     padded = np.concatenate([impulse, np.zeros((1, s, m))])
-    return padded[np.where(later < 0, steps, later)].transpose(0, 2, 1, 3).reshape(steps * s, steps * m)
+    return padded[_later(steps)].transpose(0, 2, 1, 3).reshape(steps * s, steps * m)
+
+
+@lru_cache
+def _later(steps: int) -> npt.NDArray[np.intp]:
+    """How many steps before a step each decision was made; as many as there are steps where it is made behind it."""
+    later = np.arange(steps)[:, None] - np.arange(steps)[None, :]
+    return np.where(later < 0, steps, later)

@@ -9,6 +9,7 @@ from itertools import combinations
 
 import casadi as ca
 import numpy as np
+import numpy.typing as npt
 
 from model.arrays import Array
 from model.compiled import Compiled
@@ -136,7 +137,13 @@ def compile_constraints(constraints: tuple[Constraint, ...], model: Model) -> tu
     return on_state, on_input
 
 
-def separation_rows(y: Array, N: int, owned: tuple[int, ...]) -> tuple[Array, Array]:
+def pairs_of(N: int, owned: tuple[int, ...]) -> npt.NDArray[np.intp]:
+    """Pairs of UAVs, 0-based, of which somebody owns at least one; the rest is left to others, (pairs, 2)."""
+    pairs = [pair for pair in combinations(range(N), 2) if pair[0] in owned or pair[1] in owned]
+    return np.array(pairs, dtype=np.intp).reshape(-1, 2)
+
+
+def separation_rows(y: Array, pairs: npt.NDArray[np.intp]) -> tuple[Array, Array]:
     """Pairwise distances of the UAVs as linear functions of the output about y.
 
     |r_i - r_j| is replaced by d' (r_i - r_j), d the present direction: a lower bound, so that keeping it
@@ -144,23 +151,22 @@ def separation_rows(y: Array, N: int, owned: tuple[int, ...]) -> tuple[Array, Ar
 
     Args:
         y: Output at the linearisation point, (4 N + 3,).
-        N: Number of UAVs.
-        owned: 0-based; pairs of which neither is owned are left to others.
+        pairs: Which, (pairs, 2).
     Returns: Distances now, (pairs,), m; rows with distance = row . y, (pairs, 4 N + 3).
     Source: docs/equations.md (29).
     """
-    pairs = [pair for pair in combinations(range(N), 2) if pair[0] in owned or pair[1] in owned]
+    N = (len(y) - 3) // 4
     r = y[: 3 * N].reshape(N, 3)
+    apart = r[pairs[:, 0]] - r[pairs[:, 1]]
+    distances = np.sqrt((apart * apart).sum(axis=1))
+    # Two UAVs in one point have no direction; any will do to push them apart.
+    together = distances == 0.0
+    d = apart / np.where(together, 1.0, distances)[:, None]
+    d[together] = [1.0, 0.0, 0.0]
     rows = np.zeros((len(pairs), len(y)))
-    distances = np.zeros(len(pairs))
-    for row, (i, j) in enumerate(pairs):
-        apart = r[i] - r[j]
-        distance = float(np.linalg.norm(apart))
-        # Two UAVs in one point have no direction; any will do to push them apart.
-        d = apart / distance if distance > 0.0 else np.array([1.0, 0.0, 0.0])
-        rows[row, 3 * i : 3 * i + 3] = d
-        rows[row, 3 * j : 3 * j + 3] = -d
-        distances[row] = distance
+    columns, row = 3 * pairs[:, :, None] + np.arange(3), np.arange(len(pairs))[:, None]
+    rows[row, columns[:, 0]] = d
+    rows[row, columns[:, 1]] = -d
     return distances, rows
 
 

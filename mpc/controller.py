@@ -13,7 +13,7 @@ from model.hover import Hover
 from model.linearisation import Linearisation, Model
 from model.state import LARGEST, input_indices
 from mpc import condensing
-from mpc.constraints import Affine, UserCosts, compile_constraints, rate_rows, separation_rows
+from mpc.constraints import Affine, UserCosts, compile_constraints, pairs_of, rate_rows, separation_rows
 from mpc.cost import Cost
 from mpc.fail_safe import FailSafe
 from mpc.feedback import FeedbackError, TeamLaw, team_gain
@@ -90,8 +90,7 @@ class Controller:
         self._target: Target | None = None
         self.gain: Array | None = None
         self._costs = UserCosts(settings.costs, model)
-        weights = np.concatenate([self.cost.Q, self._costs.weights])
-        self._Q, self._Q_f = weights, settings.weights.terminal * weights
+        self._Q = np.concatenate([self.cost.Q, self._costs.weights])
         if settings.prediction == "closed_loop":
             self.gain = self._team_gain()
         self._on_state, self._on_input = compile_constraints(settings.constraints, model)
@@ -103,8 +102,8 @@ class Controller:
         self._rate = settings.limits.step(len(self.owned), settings.sampling_period_s)
         # Decisions in units of half their range, so that Newtons and Newton metres weigh alike.
         self._scale = (self._upper - self._lower) / 2.0
-        pairs = 0 if settings.separation is None else len(separation_rows(np.zeros(4 * N + 3), N, self.owned)[0])
-        self._separation = settings.separation if pairs else None
+        self._pairs = pairs_of(N, self.owned)
+        self._separation = settings.separation if len(self._pairs) else None
         # One slack for all separations, one for each softened constraint of the user's.
         soft = ~np.isnan(self._on_state.penalty)
         separation_penalty = [self._separation.penalty] if self._separation else []
@@ -235,8 +234,8 @@ class Controller:
     def predict(self, linear: Linear, discrete: Discrete, U: Array, law: TeamLaw | None) -> Prediction:
         """Predict the team over the horizon. Source: docs/equations.md (22)-(24), (35)-(36)."""
         if law is None:
-            return open_loop(discrete, linear.u0, self.own, U)
-        return closed_loop(discrete, linear.u0, self.own, law)
+            return open_loop(discrete, linear.u0, self.own, self._others, U)
+        return closed_loop(discrete, linear.u0, self.own, self._others, law)
 
     def condense(self, linear: Linear, prediction: Prediction, U: Array, y_ref: Array) -> QP:
         """The QP in the scaled decision and the slacks.
@@ -244,6 +243,7 @@ class Controller:
         Source: docs/equations.md (22)-(30), (48); paper (22)-(27).
         """
         C, error_0, cost = linear.model.C, linear.model.y - y_ref, self.cost
+        terminal = self.settings.weights.terminal
         if len(self._costs):
             # The user's terms are outputs more, whose reference is zero.
             C = np.concatenate([C, linear.costs.slope])
@@ -253,23 +253,23 @@ class Controller:
 
         error = error_0 + prediction.dX_free @ C.T
         weighted = error[1:] * self._Q
-        weighted[-1] = error[-1] * self._Q_f
-        H = np.zeros((decisions + slacks, decisions + slacks))
-        H[:decisions, :decisions] = condensing.hessian(C @ prediction.impulse, self._Q, self._Q_f)
+        weighted[-1] *= terminal
+        # Decisions in their units from here on, and twice the cost, as solvers have a half in front.
+        scaled = (C @ prediction.impulse) * self._scale
+        scale = self._z_scale[:decisions]
         R = np.tile(cost.R[self.own], steps)
-        H[np.arange(decisions), np.arange(decisions)] += R
+        H = np.zeros((decisions + slacks, decisions + slacks))
+        H[:decisions, :decisions] = condensing.hessian(scaled, 2.0 * self._Q, terminal)
+        H[np.arange(decisions), np.arange(decisions)] += 2.0 * R * scale**2
         g = np.zeros(decisions + slacks)
-        g[:decisions] = condensing.gradient(prediction.A, prediction.B, weighted @ C)
-        g[:decisions] += R * (prediction.U_free - linear.u_target[self.own]).reshape(-1)
-        scale = self._z_scale
-        H = 2.0 * (scale[:, None] * H * scale)
-        g = 2.0 * scale * g
+        g[:decisions] = condensing.gradient(scaled, 2.0 * weighted)
+        g[:decisions] += 2.0 * scale * R * (prediction.U_free - linear.u_target[self.own]).reshape(-1)
         slack = np.arange(decisions, decisions + slacks)
         H[slack, slack] = self._penalties
         g[slack] = self._penalties
 
         lower, upper = self._bounds(prediction, linear.u0)
-        rows, row_lower, row_upper = self._rows(linear, prediction, U)
+        rows, row_lower, row_upper = self._rows(linear, prediction, scaled[:, : len(linear.model.y)], U)
         return QP(H=H, g=g, lower=lower, upper=upper, A=rows, row_lower=row_lower, row_upper=row_upper)
 
     def solve(self, qp: QP) -> Solution:
@@ -312,14 +312,32 @@ class Controller:
             return Optimum(U=best, c=c_best, solution=solution)
         # Relax the corrections only, so that the stabilising feedback acts in full, and see what inputs follow.
         c = w * c_best + (1.0 - w) * law.c[:, self.own]
-        inputs = np.empty((steps, m))
-        dx, before = np.zeros(len(prediction.A)), prediction.U_free[0]
-        for k in range(steps):
-            # What is mixed in may be of another team than now flies: rates hold all the same.
-            wanted = np.clip(at_x0[k] + K @ dx + c[k], before - self._rate, before + self._rate)
-            inputs[k] = before = np.clip(wanted, self._lower, self._upper)
-            dx = prediction.A @ dx + prediction.W[k] + prediction.B @ (inputs[k] - prediction.U_free[k])
+        drive = at_x0 + c
+        closed = prediction.A + prediction.B @ K
+        dX = free_response(closed, prediction.W + (drive - prediction.U_free) @ prediction.B.T)
+        inputs = drive + dX[:-1] @ K.T
+        changes = np.diff(inputs, axis=0, prepend=prediction.U_free[:1])
+        within = (self._lower <= inputs) & (inputs <= self._upper) & (np.abs(changes) <= self._rate)
+        if not within.all():
+            inputs = self._limited(prediction, K, drive)
         return Optimum(U=inputs, c=c, solution=solution)
+
+    def _limited(self, prediction: Prediction, K: Array, drive: Array) -> Array:
+        """Inputs that follow from the own law within bounds and rates, one step after the other, (N_p, m_own).
+
+        Args:
+            prediction: Of the team.
+            K: Feedback of the owned inputs, (m_own, n).
+            drive: What the law gives without it, (N_p, m_own).
+        """
+        inputs = np.empty_like(drive)
+        dx, before = np.zeros(len(prediction.A)), prediction.U_free[0]
+        for k, free in enumerate(prediction.U_free):
+            # What is mixed in may be of another team than now flies: rates hold all the same.
+            wanted = np.clip(drive[k] + K @ dx, before - self._rate, before + self._rate)
+            inputs[k] = before = np.clip(wanted, self._lower, self._upper)
+            dx = prediction.A @ dx + prediction.W[k] + prediction.B @ (inputs[k] - free)
+        return inputs
 
     def _bounds(self, prediction: Prediction, u0: Array) -> tuple[Array, Array]:
         """Bounds on the scaled decision; the first step's rate limit is a bound too."""
@@ -336,8 +354,17 @@ class Controller:
             np.concatenate([upper.reshape(-1) / scale, np.full(slacks, np.inf)]),
         )
 
-    def _rows(self, linear: Linear, prediction: Prediction, U: Array) -> tuple[Array, Array, Array]:
-        """Rate limits, separation, and the user's constraints, stacked."""
+    def _rows(
+        self, linear: Linear, prediction: Prediction, output_impulse: Array, U: Array
+    ) -> tuple[Array, Array, Array]:
+        """Rate limits, separation, and the user's constraints, stacked.
+
+        Args:
+            linear: The expansion.
+            prediction: Of the team.
+            output_impulse: Effect of the scaled decision on the outputs, (N_p, p, m_own).
+            U: Announced inputs.
+        """
         steps, m = prediction.U_free.shape
         scale = self._z_scale[: steps * m]
         slacks = len(self._penalties)
@@ -346,15 +373,15 @@ class Controller:
         parts: list[_Rows] = [(self._rate_rows, -rate - drift, rate - drift, None)]
         C = linear.model.C
         if self._separation is not None:
-            _, direction = separation_rows(linear.model.y, self.model.system.N, self.owned)
+            _, direction = separation_rows(linear.model.y, self._pairs)
             distance = (linear.model.y + prediction.dX_free[1:] @ C.T) @ direction.T
-            G = condensing.rows(direction @ (C @ prediction.impulse)) * scale
+            G = condensing.rows(direction @ output_impulse)
             gap = self._separation.minimum_m - distance.reshape(-1)
             parts.append((G, gap, np.full(len(gap), np.inf), np.zeros(len(gap), dtype=np.intp)))
         if len(self._on_state):
             on = linear.on_state
             value = on.value + prediction.dX_free[1:] @ on.slope.T
-            G = condensing.rows(on.slope @ prediction.impulse) * scale
+            G = condensing.rows(on.slope @ prediction.impulse * self._scale)
             low = np.where(self._on_state.equality, -value, -np.inf).reshape(-1)
             parts.append((G, low, -value.reshape(-1), np.tile(self._state_slack, steps)))
         if self._inputs_kept.any():

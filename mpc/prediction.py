@@ -39,13 +39,14 @@ class Prediction:
     U_others: Array
 
 
-def open_loop(discrete: Discrete, u0: Array, own: np.ndarray, U: Array) -> Prediction:
+def open_loop(discrete: Discrete, u0: Array, own: np.ndarray, others: np.ndarray, U: Array) -> Prediction:
     """The paper's prediction: owned inputs held at u0, the others' inputs as they announced them.
 
     Args:
         discrete: Zero-order hold about (x0, u0).
         u0: Input of the linearisation, (m,).
         own: Positions of the owned inputs in u, (m_own,).
+        others: Of all others, (m - m_own,).
         U: Announced inputs of all UAVs over the horizon, (N_p, m); owned columns are not read.
     Returns: Prediction whose decision is the deviation of the owned inputs from u0.
     Source: docs/equations.md (22)-(24); paper (22)-(24), with B_i in (23) and delta X in (24).
@@ -60,13 +61,13 @@ def open_loop(discrete: Discrete, u0: Array, own: np.ndarray, U: Array) -> Predi
         B=B,
         impulse=impulse,
         dX_free=dX,
-        U_free=np.tile(u0[own], (len(U), 1)),
+        U_free=np.repeat(u0[own][None], len(U), axis=0),
         W=W,
-        U_others=np.delete(U, own, axis=1),
+        U_others=U[:, others],
     )
 
 
-def closed_loop(discrete: Discrete, u0: Array, own: np.ndarray, law: TeamLaw) -> Prediction:
+def closed_loop(discrete: Discrete, u0: Array, own: np.ndarray, others: np.ndarray, law: TeamLaw) -> Prediction:
     """The others follow the shared law, u_j = u_rest + K_j (x - x_ref) + c_j; the owned inputs are free.
 
     The others' answer to what the owned UAVs do is part of the prediction: nobody takes their inputs as
@@ -76,12 +77,12 @@ def closed_loop(discrete: Discrete, u0: Array, own: np.ndarray, law: TeamLaw) ->
         discrete: Zero-order hold about (x0, u0).
         u0: Input of the linearisation, (m,).
         own: Positions of the owned inputs in u, (m_own,).
+        others: Of all others, (m - m_own,).
         law: The shared law over the horizon, with the corrections announced.
     Returns: Prediction whose decision is the deviation of the owned inputs from u0.
     Source: docs/equations.md (35)-(36).
     """
     steps = len(law.error)
-    others = np.setdiff1d(np.arange(len(u0)), own)
     B, B_others = np.ascontiguousarray(discrete.B[:, own]), discrete.B[:, others]
     K = law.K[others]
     A = discrete.A + B_others @ K
@@ -93,7 +94,7 @@ def closed_loop(discrete: Discrete, u0: Array, own: np.ndarray, law: TeamLaw) ->
         B=B,
         impulse=impulse,
         dX_free=dX,
-        U_free=np.tile(u0[own], (steps, 1)),
+        U_free=np.repeat(u0[own][None], steps, axis=0),
         W=W,
         U_others=at_x0 + dX[:-1] @ K.T,
     )

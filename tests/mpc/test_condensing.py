@@ -29,7 +29,8 @@ class Random:
         self.B = rng.standard_normal((self.n, self.m))
         self.C = rng.standard_normal((self.p, self.n))
         self.Q = rng.uniform(0.0, 2.0, self.p)
-        self.Q_f = rng.uniform(0.0, 9.0, self.p)
+        self.terminal = rng.uniform(0.0, 9.0)
+        self.Q_f = self.terminal * self.Q
         self.rng = rng
 
 
@@ -50,19 +51,30 @@ def test_hessian_is_the_stacked_product(system: Random) -> None:
     lifted = naive.stacked_output(system.C, system.steps) @ naive.stacked_input(system.A, system.B, system.steps)
     expected = lifted.T @ naive.stacked_weight(system.Q, system.Q_f, system.steps) @ lifted
     impulse = responses(system.A, system.B, np.zeros((system.steps, system.n)))[0]
-    H = condensing.hessian(system.C @ impulse, system.Q, system.Q_f)
+    H = condensing.hessian(system.C @ impulse, system.Q, system.terminal)
     assert close(H, expected)
     assert np.array_equal(H, H.T), "solvers read one triangle only: both must agree to the bit"
 
 
 def test_gradient_is_the_stacked_product(system: Random) -> None:
-    """The adjoint sweep gives (C-bar H)' Q-bar e of paper (17), for any error e of the free response."""
+    """The diagonal sums give (C-bar H)' Q-bar e of paper (17), for any error e of the free response."""
     steps = system.steps
     error = system.rng.standard_normal((steps + 1, system.p))
     lifted = naive.stacked_output(system.C, steps) @ naive.stacked_input(system.A, system.B, steps)
     expected = lifted.T @ naive.stacked_weight(system.Q, system.Q_f, steps) @ error.reshape(-1)
     weighted = error[1:] * np.vstack([np.tile(system.Q, (steps - 1, 1)), system.Q_f])
-    assert close(condensing.gradient(system.A, system.B, weighted @ system.C), expected)
+    impulse = responses(system.A, system.B, np.zeros((steps, system.n)))[0]
+    assert close(condensing.gradient(system.C @ impulse, weighted), expected)
+
+
+def test_response_is_the_stacked_product(system: Random) -> None:
+    """What decisions cause at steps 1..N_p is C-bar H v of paper (16)."""
+    steps = system.steps
+    V = system.rng.standard_normal((steps, system.m))
+    lifted = naive.stacked_output(system.C, steps) @ naive.stacked_input(system.A, system.B, steps)
+    impulse = responses(system.A, system.B, np.zeros((steps, system.n)))[0]
+    found = condensing.response(system.C @ impulse, V)
+    assert close(found.reshape(-1), (lifted @ V.reshape(-1))[system.p :])
 
 
 def test_rows_are_the_stacked_matrix(system: Random) -> None:
@@ -101,7 +113,7 @@ def test_prediction_splits_owned_from_announced(system: Random) -> None:
     own = np.sort(rng.permutation(total)[: system.m])
     rest = np.setdiff1d(np.arange(total), own)
     v = rng.standard_normal((steps, system.m))
-    prediction = open_loop(Discrete(A=system.A, B=B, f_d=f_d), u0, own, U)
+    prediction = open_loop(Discrete(A=system.A, B=B, f_d=f_d), u0, own, rest, U)
 
     expected = (
         naive.stacked_drift(system.A, f_d, steps)
@@ -124,6 +136,7 @@ def test_prediction_does_not_read_the_owned_plan() -> None:
     other = U.copy()
     other[:, own] += 5.0
     before = U.copy()
-    first, second = open_loop(discrete, u0, own, U), open_loop(discrete, u0, own, other)
+    others = np.array([0, 2])
+    first, second = open_loop(discrete, u0, own, others, U), open_loop(discrete, u0, own, others, other)
     assert np.array_equal(first.dX_free, second.dX_free)
     assert np.array_equal(U, before), "the announced inputs belong to the caller"

@@ -80,7 +80,7 @@ def test_prediction_is_the_team_under_the_law(owned: tuple[int, ...]) -> None:
     discrete = zero_order_hold(setup.model.linearise(at.x, at.u), PERIOD_S)
     x_ref = at.x + 0.1 * rng.standard_normal((steps, setup.system.n))
     law = TeamLaw(K=gain(), u_rest=setup.hover.u, error=at.x - x_ref, c=rng.standard_normal((steps, setup.system.m)))
-    prediction = closed_loop(discrete, at.u, own, law)
+    prediction = closed_loop(discrete, at.u, own, others, law)
     v = 0.1 * rng.standard_normal((steps, len(own)))
 
     dx = np.zeros(setup.system.n)

@@ -430,7 +430,7 @@ def _fly(experiment: "Experiment", options: _Options) -> None:
     from transport.experiments.growth import growth_findings
     from transport.experiments.results import Results
     from transport.experiments.sweep import report, sweep
-    from transport.experiments.table import WIDTH, table_of
+    from transport.experiments.table import WIDTH, WIDTH_OF_VARIANTS, table_of
     from transport.run import machine
 
     _check(options)
@@ -459,7 +459,7 @@ def _fly(experiment: "Experiment", options: _Options) -> None:
         phases = cases[0].scenario.maneuver.phase  # the same for all
         title += f"\n{sum(phase.duration_s for phase in phases):g} s of {', '.join(phase.name for phase in phases)}"
     output = Console()
-    output.width = max(output.width, WIDTH)
+    output.width = max(output.width, WIDTH_OF_VARIANTS if experiment.drawn_as == "variants" else WIDTH)
     output.print(table_of(title, measured, timed=experiment.timed))
     found_out = growth_findings(measured) if experiment.timed else findings(measured)
     lines = ["", *found_out, "", f"machine: {machine()}", *(f" {path}" for path in files)]

@@ -11,7 +11,7 @@ from transport.experiments.cases import Case, Point
 from transport.experiments.flight import NUMBERS, Result
 from transport.experiments.statistics import Measured
 
-WIDTH = 100
+WIDTH, WIDTH_OF_VARIANTS = 100, 140
 
 # From here on a number is shown without its decimals.
 _MANY = 100.0

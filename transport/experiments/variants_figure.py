@@ -62,7 +62,7 @@ def draw_variants(figure: "Figure", measured: Sequence[Measured]) -> None:
         panel.set_xlim(low / 1.15, high * 1.15)
         label_decades(panel.xaxis)
         panel.set_title(scenario, loc="left")
-    panels[-1].set_xlabel("mean cost over that of the scenario as it is on a perfect network")
+    panels[-1].set_xlabel("mean cost over that as it is on a perfect network")
     handles, labels = panels[-1].get_legend_handles_labels()
     for panel in panels[:-1]:
         more_handles, more_labels = panel.get_legend_handles_labels()
