@@ -256,17 +256,16 @@ class Controller:
         weighted[-1] *= terminal
         # Decisions in their units from here on, and twice the cost, as solvers have a half in front.
         scaled = (C @ prediction.impulse) * self._scale
-        scale = self._z_scale[:decisions]
-        R = np.tile(cost.R[self.own], steps)
+        R = 2.0 * cost.R[self.own] * self._scale
         H = np.zeros((decisions + slacks, decisions + slacks))
         H[:decisions, :decisions] = condensing.hessian(scaled, 2.0 * self._Q, terminal)
-        H[np.arange(decisions), np.arange(decisions)] += 2.0 * R * scale**2
-        g = np.zeros(decisions + slacks)
+        diagonal = H.reshape(-1)[:: decisions + slacks + 1]
+        diagonal[:decisions] += np.tile(R * self._scale, steps)
+        diagonal[decisions:] = self._penalties
+        g = np.empty(decisions + slacks)
         g[:decisions] = condensing.gradient(scaled, 2.0 * weighted)
-        g[:decisions] += 2.0 * scale * R * (prediction.U_free - linear.u_target[self.own]).reshape(-1)
-        slack = np.arange(decisions, decisions + slacks)
-        H[slack, slack] = self._penalties
-        g[slack] = self._penalties
+        g[:decisions] += (R * (prediction.U_free - linear.u_target[self.own])).reshape(-1)
+        g[decisions:] = self._penalties
 
         lower, upper = self._bounds(prediction, linear.u0)
         rows, row_lower, row_upper = self._rows(linear, prediction, scaled[:, : len(linear.model.y)], U)

@@ -36,7 +36,7 @@ def survival(measured: Sequence[Measured]) -> str:
         which = ", ".join(f"{m.point.text} ({_loss(m)})" for m in lost)
         return f"completes {count}, all but at {which}"
     first = min(lost, key=lambda m: m.lost_s)
-    held = f"{len(flown) - len(lost)} of {len(flown)} points without loss"
+    held = f"{len(flown) - len(lost)} of {len(flown)} points without a lost flight"
     return f"completes {count}, {held}; first lost at {first.lost_s[0]:.1f} s ({first.point.text})"
 
 

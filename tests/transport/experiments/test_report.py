@@ -79,7 +79,7 @@ def test_findings_of_many_lost_flights() -> None:
     """Of more points than fit a sentence the earliest loss is named."""
     matrix = EVERY[-1]
     found = findings(made(matrix, lambda point: [lost(9.5 if point.text == "100 ms and 30 % loss" else 12.0)]))[0]
-    count = "completes 0 of 9 flights, 0 of 9 points without loss"
+    count = "completes 0 of 9 flights, 0 of 9 points without a lost flight"
     assert found == f"paper: {count}; first lost at 9.5 s (100 ms and 30 % loss)"
 
 
