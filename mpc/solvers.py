@@ -11,7 +11,6 @@ from mpc.settings import SolverName
 
 _ITERATIONS = 2000  # DAQP needs about as many as active constraints; a cycle is caught here
 _INFINITY = 1e30  # DAQP's own
-_EXACT = 1e-10  # residuals of an answer that is no approximation
 
 
 def solve(qp: QP, solver: SolverName) -> Solution:
@@ -45,15 +44,11 @@ def unsolved(n: int, rows: int, solver: str) -> Solution:
 
 
 def solve_daqp(qp: QP) -> Solution:
-    """Dual active-set method (Arnstrom, Bemporad, Axehill 2022), behind two guesses that are checked.
+    """Dual active-set method (Arnstrom, Bemporad, Axehill 2022).
 
-    In most programs of a flight no limit binds: so first what is optimal without any. Of those where a bound does,
-    most have no active row, and preparing the rows is most of the work: so next the bounds alone. Either answer
-    stands if it passes the residual check of the whole program.
+    Most programs of a flight have no active row, and preparing the rows is most of the work: so the bounds
+    alone first, and that answer stands if it passes the residual check of the whole program.
     """
-    guess = _unlimited(qp)
-    if guess is not None:
-        return guess
     if len(qp.A) and not (qp.row_lower == qp.row_upper).any():
         none = np.zeros(0)
         bounds_only = replace(qp, A=qp.A[:0], row_lower=none, row_upper=none)
@@ -66,23 +61,6 @@ def solve_daqp(qp: QP) -> Solution:
     z, multipliers, status, iterations = _daqp(qp)
     n = len(qp.g)
     return _checked(qp, z, multipliers[:n], multipliers[n:], status, iterations, "daqp")
-
-
-def _unlimited(qp: QP) -> Solution | None:
-    """The optimum without bounds and rows, if it keeps them; slacks that would rather be negative are zero.
-
-    A variable beyond its bound is put there, which is optimal if no other one depends on it, as with slacks; if
-    others do, the residuals tell.
-    """
-    try:
-        z = np.linalg.solve(qp.H, -qp.g)
-    except np.linalg.LinAlgError:
-        return None
-    z = np.minimum(np.maximum(z, qp.lower), qp.upper)
-    slope = qp.H @ z + qp.g
-    multipliers = np.where((z == qp.lower) | (z == qp.upper), -slope, 0.0)
-    answer = _checked(qp, z, multipliers, np.zeros(len(qp.A)), "solved", 0, "newton")
-    return answer if answer.residuals.worst <= _EXACT else None
 
 
 def _daqp(qp: QP) -> tuple[Array, Array, Status, int]:
