@@ -1,7 +1,7 @@
 """Make every figure and table of results in README and docs: `make figures`.
 
 Flies what is missing, keeps it in runs/figures/ (delete a folder there to measure anew), and writes docs/results.md,
-docs/images/ and the table in the README. Some forty minutes on two cores from nothing.
+docs/images/ and what the README says of them. Some forty minutes on two cores from nothing.
 """
 
 import csv
@@ -86,8 +86,8 @@ GROWTH: Columns = {
     "CPU of a step, ms": number("cpu_step_p50_ms"),
     "99th percentile": lambda row: number("cpu_step_p99_ms")(row).partition(" ")[0],
     "team per tick, ms": number("cpu_team_tick_ms", digits=1),
-    "plans, kB/s": number("plan_bytes_per_s", 1e-3, 0),
-    "cost, 1e-3": number("cost_mean", 1e3),
+    "plans, kB/s": lambda row: number("plan_bytes_per_s", 1e-3, 0)(row).partition(" ")[0],
+    "cost, 1e-3": lambda row: number("cost_mean", 1e3)(row).partition(" ")[0],
     "over centralized": number("cost_ratio"),
 }
 
@@ -285,6 +285,32 @@ def at_a_glance() -> str:
     return "\n".join(lines)
 
 
+def claim() -> str:
+    """What the paper's distributed controller costs, for the README: a row for each reading of its two statements."""
+    readings = {
+        ("same rate", "steps"): "at the same rate",
+        ("one processor", "steps"): "same computation of the whole team, as many steps of horizon",
+        ("one processor", "seconds"): "the same, as many seconds of horizon",
+        ("one each", "steps"): "same computation of each agent, as many steps",
+        ("one each", "seconds"): "the same, as many seconds",
+    }
+    rows = [row for row in read(SECTIONS[0]) if row["controller"] == "as printed"]
+    weathers = list(dict.fromkeys(row["weather"] for row in rows))
+    lines = [f"| distributed, as printed | {' | '.join(weathers)} |", "|" + "---|" * (1 + len(weathers))]
+    for (budget, kept), text in readings.items():
+        found = {row["weather"]: row for row in rows if (row["budget"], row["kept"]) == (budget, kept)}
+        if not found:
+            lines.append(f"| {text} | no such rate |" + " |" * (len(weathers) - 1))
+            continue
+        period = milliseconds("period_s")(next(iter(found.values())))
+        cells = [
+            f"{number('cost_mean_ratio')(row)}: {row['judged']}" if row["cost_mean_ratio"] else row["judged"]
+            for row in (found[weather] for weather in weathers)
+        ]
+        lines.append(f"| {text} (every {period} ms) | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
 def put(document: Path, name: str, content: str) -> None:
     """Replace what stands between two markers of a document."""
     text = document.read_text(encoding="utf-8")
@@ -312,7 +338,8 @@ def main() -> None:
     flown = [(section, fly(section), machine_of(section)) for section in SECTIONS]
     PAGE.write_text(page(flown), encoding="utf-8")
     put(README, "network", at_a_glance())
-    sys.stderr.write(f"written: {PAGE.name}, images/, the table of {README.name}\n")
+    put(README, "claim", claim())
+    sys.stderr.write(f"written: {PAGE.name}, images/, {README.name}\n")
 
 
 if __name__ == "__main__":

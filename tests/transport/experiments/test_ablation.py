@@ -1,8 +1,12 @@
 """The ablation: every part on its own, nothing twice, and a figure that has a row for each."""
 
+from pathlib import Path
+
 import pytest
 
 from protocol.scenario_file import find_scenario, read_scenario
+from tests.runs import ticks
+from tests.transport.experiments.flown import here
 from transport.experiments.ablation import AS_IT_IS, NETWORKS, PARTS, ablation
 from transport.experiments.cases import cases_of
 from transport.experiments.catalogue import Experiment
@@ -63,3 +67,30 @@ def test_what_is_compared_to() -> None:
     """One baseline for each scenario: as it is, on a perfect network."""
     baselines = [point for point in built().points if point.baseline]
     assert [(point.scenario, point.labels["network"]) for point in baselines] == [(name, "perfect") for name in NAMES]
+
+
+def test_the_whole_command(tmp_path: Path) -> None:
+    """Table, findings and a figure with a row for each variant; nothing is cut off where people read."""
+    out = tmp_path / "out"
+    result = here(
+        "experiment",
+        "ablation",
+        "--scenario",
+        "resilient",
+        "--seeds",
+        "1",
+        "--out",
+        out,
+        "--set",
+        ticks(4),
+        "--jobs",
+        "1",
+    )
+    assert result.exit_code == 0, result.output
+    assert {"points.csv", "cases.csv", "figure.png", "figure.svg"} <= {path.name for path in out.iterdir()}
+    for part, (_, values) in PARTS.items():
+        assert part in result.stdout
+        assert sum(value in result.stdout for value in values) >= len(values) - 1, part
+    drawn = (out / "figure.svg").read_text()
+    assert "received states as received" in drawn
+    assert "0.2 s late, 30 % lost" in drawn

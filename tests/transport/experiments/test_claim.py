@@ -1,13 +1,17 @@
 """The paper's comparison: rates of equal computation, ratios seed by seed, and words that follow from the numbers."""
 
+import csv
 import itertools
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from protocol.setup import Setup
+from tests.runs import ticks
+from tests.transport.experiments.flown import here
 from transport.experiments import claim
 from transport.experiments.cases import Case, cases_of
 from transport.experiments.claim import (
@@ -247,3 +251,33 @@ def test_an_interval_of_two_is_wide() -> None:
     assert ratio is not None
     assert ratio.half_width == pytest.approx(12.706 * math.sqrt(2.0 * 0.01**2) / math.sqrt(2.0), rel=1e-3)
     assert claim.judged(made([1.0, 1.02])) == "no difference that can be told"
+
+
+def test_the_whole_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Measures, flies, compares, draws, judges; a folder goes on with the rates it has, but not with other settings."""
+    out = tmp_path / "out"
+    arguments = ("experiment", "paper", "--quick", "--gust", "0", "--jobs", "1", "--out", out)
+    result = here(*arguments, "--set", ticks(6))
+    assert result.exit_code == 0, result.output
+    files = {"comparison.csv", "computation.csv", "cases.csv", "verdict.txt", "maneuver.png", "maneuver.svg"}
+    assert files <= {path.name for path in out.iterdir()}
+    with (out / "comparison.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["controller"] for row in rows[:2]] == [CENTRALIZED, AS_PRINTED]
+    assert float(rows[0]["cost_mean_ratio"]) == 1.0
+    assert all(float(row["period_s"]) <= 0.05 for row in rows)
+    words = (out / "verdict.txt").read_text()
+    assert words.partition("\nmachine")[0].strip() in result.stdout
+    assert '"slightly worse at the same rate": ' in words
+
+    def never(*_: object, **__: object) -> None:
+        raise AssertionError("measured or flown again")
+
+    monkeypatch.setattr(claim, "compared", never)
+    monkeypatch.setattr("transport.experiments.workers.fly_in_memory", never)
+    again = here(*arguments, "--set", ticks(6))
+    assert again.exit_code == 0, again.output
+    assert (out / "verdict.txt").read_text() == words
+    other = here(*arguments, "--set", ticks(7))
+    assert other.exit_code == 2
+    assert "--set: expected the settings" in other.stderr

@@ -25,6 +25,15 @@ REFUSED = [
     (("kill", "--at", "9", "--restart", "9"), USAGE, "--restart: expected a time after --at 9 s, got 9"),
     (("kill", "--scenario", "paper", "--scenario", "paper"), USAGE, "--scenario: expected each value once"),
     (("matrix", "--delay", "inf"), USAGE, "--delay: expected a delay >= 0 s, got inf"),
+    (("paper", "--gust", "-1"), USAGE, "--gust: expected a speed >= 0 m/s, got -1"),
+    (
+        ("paper", "--set", "agents.owned=[[1],[2,3,4]]"),
+        SCENARIO,
+        "agents.owned: expected one agent that owns all, got 2",
+    ),
+    (("paper", "--set", "controller.horizon=0"), SCENARIO, "controller.horizon=0: expected a number >= 1, got 0"),
+    (("ablation", "--scenario", "paper", "--scenario", "paper"), USAGE, "--scenario: expected each value once"),
+    (("ablation", "--set", "clock.mode=realtime"), SCENARIO, "clock."),
     (("latency", "--scenario", "papr"), SCENARIO, "did you mean 'paper'?"),
     (("latency", "--set", "links.los=1"), SCENARIO, "links.los=1: unknown key; did you mean 'loss'?"),
     (
