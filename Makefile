@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 SCENARIO ?= paper
 
-.PHONY: run test figures lint format clean help
+.PHONY: run test bench figures lint format clean help
 
 help: ## show this
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1 \t/'
@@ -14,6 +14,9 @@ run: $(VENV)/.installed ## set up and fly the paper's maneuver (SCENARIO=name fo
 
 test: $(VENV)/.installed-test ## set up and run all tests
 	@$(BIN)/python -m pytest
+
+bench: $(VENV)/.installed-bench ## measure what computing, coding and flying take, and renew docs/performance.md (minutes)
+	@$(BIN)/python -m benchmarks
 
 figures: $(VENV)/.installed ## fly every experiment and renew figures and tables of README and docs (40 minutes)
 	@$(BIN)/python docs/results_page.py
@@ -49,6 +52,9 @@ $(VENV)/.installed: pyproject.toml | $(BIN)/python
 
 $(VENV)/.installed-test: pyproject.toml | $(BIN)/python
 	$(call install,[test])
+
+$(VENV)/.installed-bench: pyproject.toml | $(BIN)/python
+	$(call install,[bench])
 
 $(VENV)/.installed-dev: pyproject.toml | $(BIN)/python
 	$(call install,[dev])

@@ -9,6 +9,7 @@ nobody: whatever is here when it gets round to it counts, and of several measure
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -48,6 +49,9 @@ from protocol.setup import Setup
 # Integration steps for looking one period ahead with actuation "next_tick"; see `agent.estimator`.
 _AHEAD_STEPS = 2
 
+# The stages of a step that are its work.
+_BEFORE_ROUNDS, _IN_A_ROUND = ("estimate", "linearise", "discretise"), ("condense", "solve")
+
 
 @dataclass(slots=True, kw_only=True)
 class _Step:
@@ -67,7 +71,7 @@ class _Step:
     discrete: Discrete | None
     negotiation: int  # exchanges still to come
     optimum: Optimum | None = None
-    times_ns: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(len(STAGES), dtype=np.int64))
+    times_ns: dict[str, int] = field(default_factory=lambda: dict.fromkeys(STAGES, 0))
 
 
 class AgentNode:
@@ -347,8 +351,9 @@ class AgentNode:
             discrete=discrete,
             negotiation=self._setup.scenario.controller.rounds,
         )
-        step.times_ns[_stage("wait")] = watch[0] - self._idle_since_ns
-        step.times_ns[_stage("estimate") : _stage("discretise") + 1] = np.diff(watch)
+        step.times_ns["wait"] = watch[0] - self._idle_since_ns
+        for stage, (begun, done) in zip(_BEFORE_ROUNDS, pairwise(watch), strict=True):
+            step.times_ns[stage] = done - begun
         return step
 
     def _plan(self, step: _Step) -> list[Message]:
@@ -366,7 +371,8 @@ class AgentNode:
                 optimum = controller.conclude(controller.solve(qp), prediction, step.U, step.law)
                 watch.append(self._stopwatch())
         step.optimum = optimum
-        step.times_ns[_stage("condense") : _stage("solve") + 1] += np.diff(watch)
+        for stage, (begun, done) in zip(_IN_A_ROUND, pairwise(watch), strict=True):
+            step.times_ns[stage] += done - begun
         step.negotiation -= 1
         plan = self._out.stamp(
             Plan,
@@ -433,9 +439,8 @@ class AgentNode:
         k, solution = step.measurement.tick, optimum.solution
         newest = [self._announced.newest(agent, before=k) for agent in self._peers]
         worst = solution.residuals.worst
-        times_ms = step.times_ns / 1e6
-        times_ms[_stage("publish")] = self.publish_ns / 1e6
-        times_ms[_stage("total")] = times_ms[_stage("estimate") : _stage("solve") + 1].sum()
+        step.times_ns["publish"] = self.publish_ns
+        step.times_ns["total"] = sum(step.times_ns[stage] for stage in (*_BEFORE_ROUNDS, *_IN_A_ROUND))
         return self._out.stamp(
             StepReport,
             tick=k,
@@ -453,10 +458,5 @@ class AgentNode:
             lost=step.lost,
             late=sum(plan.tick < k - 1 for plan in step.usable),
             force=step.force,
-            times_ms=times_ms,
+            times_ms=np.array([step.times_ns[stage] / 1e6 for stage in STAGES]),
         )
-
-
-def _stage(name: str) -> int:
-    """Position of a stage in `StepReport.times_ms`."""
-    return STAGES.index(name)

@@ -82,6 +82,11 @@ class Bus:
         gate: What it lets in; refuses and counts the rest.
         serves: Whether it answers requests (`ask`).
         patience_s: How long sending may wait for a peer that does not read before the link to it is closed.
+        gather_s: How long what comes may wait for more of it: waking up once for many messages costs less.
+
+    Attributes:
+        arrived_ns: Wall-clock time at which the last event that `next` returned came in, ns since 1970.
+
     Raises: BusError: the endpoint cannot be listened on.
     """
 
@@ -96,11 +101,14 @@ class Bus:
         gate: Gate,
         serves: bool = False,
         patience_s: float = 1.0,
+        gather_s: float = 0.0,
     ) -> None:
+        self.arrived_ns = 0
+        self._gather_s = gather_s
         self.name, self.incarnation, self._digest = name, incarnation, digest
         self._keys = Keys(run)
         self._endpoints = endpoints
-        self._inbox: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._inbox: queue.SimpleQueue[tuple[int, Any]] = queue.SimpleQueue()  # with the time of arrival
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._tokens: list[zenoh.LivelinessToken] = []
         self._gate = gate
@@ -111,16 +119,14 @@ class Bus:
             raise BusError(_listen_problem(endpoints, str(error))) from error
         # Subscribers before the token: whoever sees the token may send at once, and nothing is lost.
         self._subscribers = [
-            self._session.declare_subscriber(key, self._arrived) for key in self._keys.subscriptions(name)
+            self._session.declare_subscriber(key, _directly(self._arrived)) for key in self._keys.subscriptions(name)
         ]
-        self._queryable = (
-            self._session.declare_queryable(self._keys.requests(name), self._inbox.put) if serves else None
-        )
+        self._queryable = self._session.declare_queryable(self._keys.requests(name), self._put) if serves else None
         self._watch = self._session.liveliness().declare_subscriber(
-            f"{self._keys.prefix}/alive/**", self._inbox.put, history=True
+            f"{self._keys.prefix}/alive/**", self._put, history=True
         )
         self._watch_ready = self._session.liveliness().declare_subscriber(
-            f"{self._keys.prefix}/ready/**", self._inbox.put, history=True
+            f"{self._keys.prefix}/ready/**", self._put, history=True
         )
         self._alive: dict[str, int] = {}  # incarnations of the processes that are up, by name
 
@@ -143,7 +149,7 @@ class Bus:
         """
         self._declare(self._keys.alive(self.name, self.incarnation, self._digest))
         deadline = time.monotonic() + timeout_s
-        early: list[Any] = []
+        early: list[tuple[int, Any]] = []
         begun = False  # the run: the coordinator has seen everybody once
         asked = self.name == "coordinator"  # it knows
         while (missing := set(expected) - set(self._alive) - {self.name}) or not asked:
@@ -154,7 +160,7 @@ class Bus:
                 continue
             left_s = deadline - time.monotonic()
             try:
-                item = self._inbox.get(timeout=max(0.0, min(left_s, _ASK_EVERY_S) if begun else left_s))
+                at_ns, item = self._inbox.get(timeout=max(0.0, min(left_s, _ASK_EVERY_S) if begun else left_s))
             except queue.Empty:
                 if begun and left_s > 0.0:
                     expected = self._still_expected(expected)
@@ -167,13 +173,13 @@ class Bus:
             if isinstance(item, Interrupted):
                 return item
             if isinstance(item, zenoh.Query) or not self._note_alive(item):
-                early.append(item)
+                early.append((at_ns, item))
                 if not isinstance(item, zenoh.Query) and self._keys.is_ready(str(item.key_expr), "coordinator"):
                     begun = True
                     expected = self._still_expected(expected)
         self._declare(self._keys.ready(self.name, self.incarnation))
-        for item in early:
-            self._inbox.put(item)
+        for stamped in early:
+            self._inbox.put(stamped)
         return None
 
     def renew(self, incarnation: int) -> None:
@@ -212,9 +218,11 @@ class Bus:
             kept = self._gate.released()
             if kept is not None:
                 return kept
+            if self._gather_s > 0.0 and self._inbox.empty():
+                time.sleep(self._gather_s)
             left = None if deadline is None else max(0.0, deadline - time.monotonic())
             try:
-                item = self._inbox.get(timeout=left)
+                self.arrived_ns, item = self._inbox.get(timeout=left)
             except queue.Empty:
                 return None
             event: BusEvent | None
@@ -237,7 +245,7 @@ class Bus:
 
     def interrupt(self, reason: str) -> None:
         """Wake `next` with an `Interrupted`; safe in a signal handler and from any thread."""
-        self._inbox.put(Interrupted(reason))
+        self._put(Interrupted(reason))
 
     def close(self) -> None:
         """Undeclare everything and close the session, within bounded time."""
@@ -285,7 +293,10 @@ class Bus:
     def _arrived(self, sample: zenoh.Sample) -> None:
         """On a thread of Zenoh's: put a sample into the inbox, unless it is too large to wait there."""
         size = len(sample.payload)
-        self._inbox.put(sample if size <= self._gate.max_bytes else _Oversized(str(sample.key_expr), size))
+        self._put(sample if size <= self._gate.max_bytes else _Oversized(str(sample.key_expr), size))
+
+    def _put(self, item: Any) -> None:
+        self._inbox.put((time.time_ns(), item))
 
     def _event(self, sample: zenoh.Sample | _Oversized) -> Event | None:
         key = str(sample.key_expr)
@@ -368,6 +379,11 @@ def ask(
     if answer is None:
         raise BusError(f"{name} of run {run} does not answer")
     return answer
+
+
+def _directly(callback: Callable[[zenoh.Sample], None]) -> "zenoh.handlers.Callback[zenoh.Sample]":
+    """A callback on the thread that receives, which has to be short: otherwise each message passes through one more."""
+    return zenoh.handlers.Callback(callback, indirect=False)
 
 
 def _in_bounded_time(close: Callable[[], Any]) -> None:

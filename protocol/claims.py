@@ -98,7 +98,7 @@ class Claims:
                 "out_of_range", f"negotiation: expected less than {self._rounds}, got {plan.negotiation}"
             )
         low, high = self._limits[plan.agent]
-        if (plan.inputs < low).any() or (plan.inputs > high).any():
+        if np.count_nonzero(plan.inputs < low) or np.count_nonzero(plan.inputs > high):
             raise MessageError("outside_limits", f"inputs outside the limits of {plan.sender}")
         _check_states(plan.uav_states)
         _check_size("corrections", plan.corrections)
@@ -119,13 +119,14 @@ class Claims:
 def _check_states(blocks: Array) -> None:
     """Refuse states of UAVs, (owned, 12), that no flight has."""
     _check_size("uav_states", blocks)
-    e = blocks[:, state.E]
-    lengths = np.sqrt((e * e).sum(axis=1))
-    if (np.abs(lengths - 1.0) > _OFF_UNIT).any():
-        raise MessageError("out_of_range", f"uav_states: expected rod directions of length 1, got {lengths.max():g}")
+    lengths = [math.hypot(*e) for e in blocks[:, state.E].tolist()]
+    if any(abs(length - 1.0) > _OFF_UNIT for length in lengths):
+        raise MessageError("out_of_range", f"uav_states: expected rod directions of length 1, got {max(lengths):g}")
 
 
 def _check_size(field: str, values: Array) -> None:
+    if np.vdot(values, values) < state.LARGEST**2:
+        return  # not even all of them together
     largest = float(np.abs(values).max(initial=0.0))
     if largest > state.LARGEST:
         raise MessageError("out_of_range", f"{field}: expected at most {state.LARGEST:g}, got {largest:g}")
@@ -133,6 +134,6 @@ def _check_size(field: str, values: Array) -> None:
 
 def _check_level(angles: Array) -> None:
     """Refuse attitudes at which the flight had been lost, (rows, 3), rad: the plant says so before it measures them."""
-    steepest = float(np.abs(angles[:, :2]).max(initial=0.0))
+    steepest = max((abs(angle) for row in angles[:, :2].tolist() for angle in row), default=0.0)
     if steepest >= math.pi / 2.0:
         raise MessageError("out_of_range", f"roll and pitch: expected less than 90 deg, got {math.degrees(steepest):g}")

@@ -6,6 +6,7 @@ little-endian uint32, then the values row by row.
 """
 
 import dataclasses
+import math
 import struct
 from typing import Any
 
@@ -21,6 +22,7 @@ MAX_BYTES = 4 * 1024 * 1024  # a plan for 256 UAVs over 400 steps; anything larg
 _ARRAY = 1
 _HEADER = struct.Struct("<4I")  # 16 bytes keep the values aligned
 _AXES = 3
+_FLOAT64 = np.dtype("<f8")
 
 _FIELDS = {kind: tuple(field.name for field in dataclasses.fields(cls)) for kind, cls in KINDS.items()}
 
@@ -68,7 +70,7 @@ def _pack_array(value: Any) -> msgpack.ExtType:
     if not isinstance(value, np.ndarray) or value.ndim > _AXES:
         raise TypeError(f"cannot send {type(value).__name__}")
     lengths = [*value.shape, *[0] * (_AXES - value.ndim)]
-    return msgpack.ExtType(_ARRAY, _HEADER.pack(value.ndim, *lengths) + value.astype("<f8", order="C").tobytes())
+    return msgpack.ExtType(_ARRAY, _HEADER.pack(value.ndim, *lengths) + value.astype(_FLOAT64, copy=False).tobytes())
 
 
 def _unpack_array(code: int, data: bytes) -> Array:
@@ -78,9 +80,6 @@ def _unpack_array(code: int, data: bytes) -> Array:
     if axes > _AXES:
         raise MessageError("malformed", f"array of {axes} axes, at most {_AXES} allowed")
     shape = tuple(lengths[:axes])
-    count = 1
-    for length in shape:
-        count *= length
-    if len(data) - _HEADER.size != 8 * count:
+    if len(data) - _HEADER.size != 8 * math.prod(shape):
         raise MessageError("malformed", f"array of shape {shape} in {len(data) - _HEADER.size} bytes")
-    return np.frombuffer(data, dtype="<f8", offset=_HEADER.size).reshape(shape)
+    return np.ndarray(shape, _FLOAT64, data, _HEADER.size)

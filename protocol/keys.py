@@ -13,7 +13,7 @@ transport/{run}/ready/{name}/{incarnation}              liveliness token: it has
 """
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from protocol.messages import (
     Control,
@@ -61,23 +61,23 @@ class Keys:
 
     Args:
         run: Name of the run: letters, digits, underscore, dot, dash.
+
+    Attributes:
+        prefix: Everything of this run is below it.
     """
 
     run: str
+    prefix: str = field(init=False)
 
     def __post_init__(self) -> None:
         if not self.allows(self.run):
             raise RunNameError(f"run name: expected at most 80 letters, digits, '_', '.', '-', got {self.run!r}")
+        object.__setattr__(self, "prefix", f"transport/{self.run}")
 
     @staticmethod
     def allows(run: str) -> bool:
         """Whether a run can have this name."""
         return _RUN.fullmatch(run) is not None
-
-    @property
-    def prefix(self) -> str:
-        """Everything of this run is below it."""
-        return f"transport/{self.run}"
 
     def of(self, message: Message) -> str:
         """Key a message travels under."""

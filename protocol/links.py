@@ -76,7 +76,10 @@ class LinkModel:
     @property
     def perfect(self) -> bool:
         """Whether every message arrives at once, once."""
-        return self == LinkModel()
+        return self == _PERFECT
+
+
+_PERFECT = LinkModel()
 
 
 class Link:

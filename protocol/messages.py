@@ -7,11 +7,11 @@ as an event.
 """
 
 import math
+import operator
 import re
 import reprlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from itertools import pairwise
 from types import UnionType
 from typing import Any, ClassVar, Literal, get_args
 
@@ -31,11 +31,13 @@ MAX_TEXT = 1_000
 _BRIEFLY = reprlib.Repr()
 _BRIEFLY.maxstring = _BRIEFLY.maxother = _BRIEFLY.maxlong = 60
 
+_FLOAT64 = np.dtype(np.float64)
 _NAME = re.compile(r"coordinator|plant|recorder|agent[1-9][0-9]{0,2}")
 
 Outcome = Literal["completed", "diverged", "aborted"]
 FaultOrigin = Literal["script", "person", "unknown"]
 PlanStatus = Literal["solved", "infeasible", "limit", "numerical"]
+_PLAN_STATUSES = get_args(PlanStatus)
 # Why a message is refused: docs/protocol.md says what each means.
 Reason = Literal[
     "oversized",
@@ -96,12 +98,17 @@ class Message:
     tick: int
 
     def __post_init__(self) -> None:
-        self._set("sender", _name("sender", self.sender))
-        for field in ("incarnation", "sequence", "tick"):
-            self._set(field, _integer(field, getattr(self, field), MAX_TICK))
+        _name("sender", self.sender)
+        self._integers("incarnation", "sequence", "tick")
 
     def _set(self, field: str, value: Any) -> None:
         object.__setattr__(self, field, value)
+
+    def _integers(self, *fields: str, low: int = 0) -> None:
+        for field in fields:
+            value = getattr(self, field)
+            if type(value) is not int or not low <= value <= MAX_TICK:
+                self._set(field, _integer(field, value, MAX_TICK, low=low))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -129,8 +136,7 @@ class Tick(Message):
         Message.__post_init__(self)
         self._set("members", _ids("members", self.members))
         self._set("answered", _ids("answered", self.answered))
-        for field in ("roster", "late_ns", "overrun_ns"):
-            self._set(field, _integer(field, getattr(self, field), MAX_TICK))
+        self._integers("roster", "late_ns", "overrun_ns")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -153,12 +159,9 @@ class Roster(Message):
 
     def __post_init__(self) -> None:
         Message.__post_init__(self)
-        self._set("version", _integer("version", self.version, MAX_TICK))
+        self._integers("version")
         self._set("agents", _ids("agents", self.agents))
-        self._set(
-            "incarnations",
-            tuple(_integer("incarnations", i, MAX_TICK) for i in _sequence("incarnations", self.incarnations)),
-        )
+        self._set("incarnations", _integer_list("incarnations", self.incarnations))
         self._set("reason", _text("reason", self.reason))
         if len(self.agents) != len(self.incarnations):
             raise MessageError(
@@ -195,7 +198,7 @@ class Measurement(Message):
         Message.__post_init__(self)
         self._set("agent", _integer("agent", self.agent, MAX_UAVS, low=1))
         self._set("answered", _ids("answered", self.answered))
-        self._set("roster", _integer("roster", self.roster, MAX_TICK))
+        self._integers("roster")
         self._set("payload", _array("payload", self.payload, (PAYLOAD,)))
         self._set("uavs", _ids("uavs", self.uavs))
         self._set("uav_states", _array("uav_states", self.uav_states, (len(self.uavs), PER_UAV)))
@@ -231,13 +234,13 @@ class Plan(Message):
     def __post_init__(self) -> None:
         Message.__post_init__(self)
         self._set("agent", _integer("agent", self.agent, MAX_UAVS, low=1))
-        self._set("start_tick", _integer("start_tick", self.start_tick, MAX_TICK))
+        self._integers("start_tick")
         self._set("negotiation", _integer("negotiation", self.negotiation, MAX_ROUNDS - 1))
         self._set("uavs", _ids("uavs", self.uavs))
         self._set("uav_states", _array("uav_states", self.uav_states, (len(self.uavs), PER_UAV)))
         for field in ("inputs", "corrections"):
             self._set(field, _array(field, getattr(self, field), (None, INPUTS * len(self.uavs))))
-        _choice("status", self.status, get_args(PlanStatus))
+        _choice("status", self.status, _PLAN_STATUSES)
         if not 1 <= len(self.inputs) <= MAX_HORIZON:
             raise MessageError("out_of_range", f"inputs: expected 1 to {MAX_HORIZON} steps, got {len(self.inputs)}")
         if len(self.corrections) not in (0, len(self.inputs)):
@@ -288,16 +291,15 @@ class StepReport(Message):
     def __post_init__(self) -> None:
         Message.__post_init__(self)
         self._set("agent", _integer("agent", self.agent, MAX_UAVS, low=1))
-        _choice("status", self.status, get_args(PlanStatus))
+        _choice("status", self.status, _PLAN_STATUSES)
         self._set("solver", _text("solver", self.solver))
         self._set("fallback", _boolean("fallback", self.fallback))
-        for field in ("iterations", "delivered", "lost", "late"):
-            self._set(field, _integer(field, getattr(self, field), MAX_TICK))
-        self._set("measurement_age", _integer("measurement_age", self.measurement_age, MAX_TICK, low=-1))
+        self._integers("iterations", "delivered", "lost", "late")
+        self._integers("measurement_age", low=-1)
         self._set("residual", _number("residual", self.residual))
         self._set("peers", _ids("peers", self.peers))
         for field in ("plan_ages", "state_ages"):
-            ages = tuple(_integer(field, age, MAX_TICK, low=-1) for age in _sequence(field, getattr(self, field)))
+            ages = _integer_list(field, getattr(self, field), low=-1)
             if len(ages) != len(self.peers):
                 raise MessageError(
                     "wrong_shape", f"{field}: expected one for each of {len(self.peers)} peers, got {len(ages)}"
@@ -329,8 +331,8 @@ class Truth(Message):
 
     def __post_init__(self) -> None:
         Message.__post_init__(self)
-        N = len(_sequence("plan_ticks", self.plan_ticks))
-        self._set("plan_ticks", tuple(_integer("plan_ticks", t, MAX_TICK, low=-2) for t in self.plan_ticks))
+        self._set("plan_ticks", _integer_list("plan_ticks", self.plan_ticks, low=-2))
+        N = len(self.plan_ticks)
         self._set("x", _array("x", self.x, (PAYLOAD + PER_UAV * N,)))
         self._set("u", _array("u", self.u, (INPUTS * N,)))
         self._set("local_error", _number("local_error", self.local_error))
@@ -356,7 +358,7 @@ class LinkChange(Message):
 
     def __post_init__(self) -> None:
         Message.__post_init__(self)
-        self._set("number", _integer("number", self.number, MAX_TICK, low=1))
+        self._integers("number", low=1)
         for field in ("source", "target"):
             end = getattr(self, field)
             if not isinstance(end, str) or end:
@@ -389,7 +391,7 @@ class Rejected(Message):
         for field in ("offender", "example"):
             self._set(field, _text(field, getattr(self, field)))
         _choice("reason", self.reason, get_args(Reason))
-        self._set("count", _integer("count", self.count, MAX_TICK, low=1))
+        self._integers("count", low=1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -536,9 +538,13 @@ def _sequence(field: str, value: object) -> tuple[Any, ...] | list[Any]:
     return value
 
 
+def _integer_list(field: str, value: object, high: int = MAX_TICK, *, low: int = 0) -> tuple[int, ...]:
+    return tuple([_integer(field, i, high, low=low) for i in _sequence(field, value)])
+
+
 def _ids(field: str, value: object) -> tuple[int, ...]:
-    ids = tuple(_integer(field, i, MAX_UAVS, low=1) for i in _sequence(field, value))
-    if any(a >= b for a, b in pairwise(ids)):
+    ids = _integer_list(field, value, MAX_UAVS, low=1)
+    if any(map(operator.ge, ids, ids[1:])):
         raise MessageError("out_of_range", f"{field}: expected ascending ids, got {list(ids)}")
     return ids
 
@@ -546,12 +552,22 @@ def _ids(field: str, value: object) -> tuple[int, ...]:
 def _array(field: str, value: object, shape: tuple[int | None, ...]) -> Array:
     if not isinstance(value, np.ndarray):
         raise MessageError("wrong_shape", f"{field}: expected an array, got {_shown(value)}")
+    if _is_as_decoded(value, shape) and math.isfinite(np.vdot(value, value)):
+        return value
     try:
         return checked(field, value, shape)
     except NotFiniteError as error:
         raise MessageError("not_finite", str(error)) from error
     except ShapeError as error:
         raise MessageError("wrong_shape", str(error)) from error
+
+
+def _is_as_decoded(value: Array, shape: tuple[int | None, ...]) -> bool:
+    """Whether an array of this shape lies in the bytes it came in, which nobody can change: it needs no copy."""
+    owner: object = value.base
+    if not isinstance(owner, bytes) or value.dtype is not _FLOAT64:
+        return False
+    return len(value.shape) == len(shape) and value.shape[1:] == shape[1:] and shape[0] in (None, value.shape[0])
 
 
 def _sort(value: object, expected: type | UnionType) -> Reason:

@@ -29,7 +29,6 @@ from protocol.setup import Setup
 EXIT_INTERRUPTED = 130
 DEFAULT_BASE_PORT = 7447
 
-_SWITCH_INTERVAL_S = 5e-4
 # Between collections of what reference counting does not free.
 _COLLECT_EVERY = 256
 # How long a peer that does not read may hold up the others before the link to it is closed, by clock mode.
@@ -155,8 +154,6 @@ def drive(node: Node, bus: Bus, faults: Sequence[Fault], gate: Gate, notices: No
     gc.collect()
     gc.freeze()
     gc.disable()
-    # Zenoh's threads hand over what arrives while this one computes; the default of 5 ms is several ticks' work.
-    sys.setswitchinterval(_SWITCH_INTERVAL_S)
     handled = 0
     while node.finished is None:
         wake_ns = node.wake_ns

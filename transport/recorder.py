@@ -36,6 +36,8 @@ NAME = "recorder"
 # Why a run is over that nobody is left to end: what the recorder says of it.
 _GONE, UNHEARD = "coordinator is gone", "how the run ended did not reach the recorder"
 
+# Nobody waits for the recorder, and every time it wakes up costs those that fly.
+_GATHER_S = 0.01
 # How long messages may trail the end of the run on their way here.
 _TRAIL_S = 2.0
 # How long nothing must come before the record counts as complete, once everybody but the coordinator has left.
@@ -103,6 +105,7 @@ class Recorder:
             endpoints=endpoints,
             gate=self.gate,
             serves=True,
+            gather_s=_GATHER_S,
         )
         self._out = Outbox(NAME, incarnation)
         self._writing = threading.Lock()  # notes come from another thread
@@ -180,7 +183,7 @@ class Recorder:
                 case Request():
                     self.requests.put(event)
                 case _:
-                    self.hear(event)
+                    self.hear(event, self._bus.arrived_ns)
             for notice in self._notices.due(time.monotonic_ns(), self._out.incarnation, self.gate.tick):
                 self._take(notice)
             if self.control is not None and deadline is None:
@@ -189,8 +192,13 @@ class Recorder:
             # An end that was declared while this process stood still was never heard here.
             self._end(UNHEARD if self._has_ended() else _GONE)
 
-    def hear(self, message: Message) -> None:
-        """Record a message that came from the network, unless it cannot be of this run or of now."""
+    def hear(self, message: Message, at_ns: int | None = None) -> None:
+        """Record a message that came from the network, unless it cannot be of this run or of now.
+
+        Args:
+            message: Of any kind.
+            at_ns: When it came, ns since 1970; now when left out.
+        """
         try:
             self._claims.check(message)
             if isinstance(message, Control):
@@ -200,11 +208,11 @@ class Recorder:
         except MessageError as error:
             self.rejected.add(message.sender, error)
             return
-        self._take(message)
+        self._take(message, at_ns)
 
-    def _take(self, message: Message) -> None:
+    def _take(self, message: Message, at_ns: int | None = None) -> None:
         with self._writing:
-            self._writer.write(message, time.time_ns())
+            self._writer.write(message, time.time_ns() if at_ns is None else at_ns)
         self.received += 1
         match message:
             case Truth():

@@ -88,6 +88,17 @@ def network() -> Iterator[tuple[Plant, zenoh.Session]]:
         plant.bus.close()
 
 
+def test_when_something_came(network: tuple[Plant, zenoh.Session]) -> None:
+    """The time of arrival is that of the thread that receives, however late somebody reads."""
+    plant, session = network
+    refused, sent_ns = plant.rejections.total, time.time_ns()
+    session.put(f"{KEYS.prefix}/plan/2", b"?", congestion_control=zenoh.CongestionControl.BLOCK)
+    time.sleep(1.0)
+    read_ns = time.time_ns()
+    assert plant.waits_for(lambda: plant.rejections.total > refused)
+    assert sent_ns <= plant.bus.arrived_ns < read_ns
+
+
 def test_a_stranger_is_counted(network: tuple[Plant, zenoh.Session]) -> None:
     """Bytes, deletions, too much at once, an unknown start and strange tokens: each is refused for what it is."""
     plant, session = network

@@ -31,6 +31,7 @@ class ScriptedBus:
     """In the place of the network: hands over, through the gate, what a test has prepared."""
 
     script: tuple[tuple[str, bytes] | Presence | None, ...] = ()  # None: nothing comes for a long time
+    arrived_ns = 0
 
     def __init__(self, *, gate: Gate, **_: object) -> None:
         self._gate, self._left = gate, deque(self.script)

@@ -1,0 +1,1 @@
+"""What computing, coding and flying take on a machine: `make bench` writes the tables of docs/performance.md."""
