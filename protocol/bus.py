@@ -112,7 +112,7 @@ class Bus:
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._tokens: list[zenoh.LivelinessToken] = []
         self._gate = gate
-        zenoh.init_log_from_env_or("error")
+        _log(to_output=name != "recorder")
         try:
             self._session = zenoh.open(zenoh.Config.from_json5(json.dumps(_configuration(endpoints, patience_s))))
         except zenoh.ZError as error:
@@ -364,7 +364,7 @@ def ask(
     Raises: BusError: there is no such process, or it does not answer.
     """
     keys = Keys(run)
-    zenoh.init_log_from_env_or("error")
+    _log(to_output=False)
     configuration = _configuration(Endpoints(listen=[], connect=connect), 1.0)
     session = zenoh.open(zenoh.Config.from_json5(json.dumps(configuration)))
     try:
@@ -379,6 +379,14 @@ def ask(
     if answer is None:
         raise BusError(f"{name} of run {run} does not answer")
     return answer
+
+
+def _log(*, to_output: bool) -> None:
+    """Let Zenoh write its errors to standard output, or leave that to RUST_LOG where a command's results go there."""
+    if to_output:
+        zenoh.init_log_from_env_or("error")
+    else:
+        zenoh.try_init_log_from_env()
 
 
 def _directly(callback: Callable[[zenoh.Sample], None]) -> "zenoh.handlers.Callback[zenoh.Sample]":

@@ -1,10 +1,14 @@
 """The bus against a stranger on its network: what he says is counted, and never keeps it from anything."""
 
 import json
+import os
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 import zenoh
@@ -21,6 +25,7 @@ from tests.transport.commands import free_base
 
 KEYS = Keys("bus")
 DIGEST = "0123456789ab"
+ROOT = Path(__file__).resolve().parents[2]
 
 # For what takes milliseconds, on a busy machine.
 PATIENCE_S = 20.0
@@ -164,3 +169,36 @@ def test_a_flood_holds_nobody_up(network: tuple[Plant, zenoh.Session]) -> None:
     finally:
         over.set()
         thread.join()
+
+
+SPEAKS = """
+import sys, time
+from protocol.bus import Bus, Endpoints
+from protocol.gate import Gate
+from protocol.keys import Keys
+from protocol.rejections import Rejections
+from tests.runs import setup
+
+name, own = sys.argv[1], f"tcp/127.0.0.1:{sys.argv[2]}"
+gate = Gate(name, Keys("bus"), setup(), Rejections())
+endpoints = Endpoints(listen=[own], connect=[own])  # nobody can be connected to himself
+bus = Bus(name=name, incarnation=0, run="bus", digest="0" * 12, endpoints=endpoints, gate=gate)
+time.sleep(1.0)
+bus.close()
+"""
+
+
+@pytest.mark.parametrize(("name", "speaks"), [("plant", True), ("recorder", False)])
+def test_standard_output_belongs_to_results(name: str, speaks: bool) -> None:
+    """Zenoh complains on standard output: in a process of the run, whose output is a log, and not in the command."""
+    environment = {key: value for key, value in os.environ.items() if key != "RUST_LOG"}
+    result = subprocess.run(
+        [sys.executable, "-c", SPEAKS, name, str(free_base())],
+        capture_output=True,
+        text=True,
+        timeout=60.0,
+        env={**environment, "PYTHONPATH": str(ROOT)},
+        check=True,
+    )
+    assert ("ERROR" in result.stdout) == speaks, result.stdout
+    assert speaks or result.stdout == ""
