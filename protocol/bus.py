@@ -386,7 +386,7 @@ def _log(*, to_output: bool) -> None:
     if to_output:
         zenoh.init_log_from_env_or("error")
     else:
-        zenoh.try_init_log_from_env()
+        zenoh.try_init_log_from_env()  # type: ignore[no-untyped-call]
 
 
 def _directly(callback: Callable[[zenoh.Sample], None]) -> "zenoh.handlers.Callback[zenoh.Sample]":
