@@ -12,6 +12,7 @@ import typer
 
 from transport.experiments.commands import experiment_app
 from transport.operate import fault, link_app, status
+from transport.replay_commands import replay
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -38,6 +39,7 @@ scenario_app = typer.Typer(help="Make scenarios.", no_args_is_help=True, rich_ma
 app.add_typer(scenario_app, name="scenario")
 app.command()(fault)
 app.command()(status)
+app.command()(replay)
 
 
 class Format(StrEnum):
