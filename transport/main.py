@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 
 from transport.experiments.commands import experiment_app
+from transport.log_commands import log_app
 from transport.operate import fault, link_app, status
 from transport.replay_commands import replay
 
@@ -40,6 +41,7 @@ app.add_typer(scenario_app, name="scenario")
 app.command()(fault)
 app.command()(status)
 app.command()(replay)
+app.add_typer(log_app, name="log")
 
 
 class Format(StrEnum):

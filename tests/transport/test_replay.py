@@ -1,3 +1,5 @@
+"""`transport replay`: the same bits from the same messages, and the first difference where there is one."""
+
 import json
 from collections.abc import Sequence
 from dataclasses import replace
