@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
+from transport.compare_commands import compare
 from transport.doctor_commands import doctor
 from transport.experiments.commands import experiment_app
 from transport.log_commands import log_app
@@ -42,6 +43,7 @@ app.add_typer(scenario_app, name="scenario")
 app.command()(fault)
 app.command()(status)
 app.command()(replay)
+app.command()(compare)
 app.command()(doctor)
 app.add_typer(log_app, name="log")
 

@@ -22,7 +22,7 @@ from transport.metrics import summarise
 from transport.steps import steps_columns, steps_rows
 
 # Below this share of a constraint's range a violation is the solver's tolerance, nothing to tell people.
-_HELD = 1e-6
+HELD = 1e-6
 
 # More would push the rest of the table off the screen.
 _SHOWN_FAULTS = 8
@@ -117,7 +117,7 @@ def _lines(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 def _constraints(violation: float | None) -> str:
     if violation is None:
         return "-"
-    return "held" if violation < _HELD else f"exceeded by {100.0 * violation:.2g} % of their range"
+    return "held" if violation < HELD else f"exceeded by {100.0 * violation:.2g} % of their range"
 
 
 def _plans(messages: Mapping[str, Any], ages: Mapping[str, Any]) -> str:
