@@ -16,6 +16,7 @@ from transport.experiments.commands import experiment_app
 from transport.log_commands import log_app
 from transport.operate import fault, link_app, status
 from transport.replay_commands import replay
+from transport.top_commands import top
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -43,6 +44,7 @@ app.add_typer(scenario_app, name="scenario")
 app.command()(fault)
 app.command()(status)
 app.command()(replay)
+app.command()(top)
 app.command()(compare)
 app.command()(doctor)
 app.add_typer(log_app, name="log")

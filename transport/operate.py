@@ -8,7 +8,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 # What `transport run` chooses when nothing is said: the newest run that flies below this folder.
-_RUNS = Path("runs")
+RUNS = Path("runs")
 
 RunOption = Annotated[
     str | None,
@@ -114,9 +114,9 @@ def _ask(run: str | None, connect: list[str] | None, name: str, what: str, given
     if connect and run:
         known, endpoints = run, connect
     else:
-        there = live.newest(_RUNS) if run is None else live.read(Path(run)) or live.read(_RUNS / run)
+        there = live.newest(RUNS) if run is None else live.read(Path(run)) or live.read(RUNS / run)
         if there is None:
-            where = f"below {_RUNS}/" if run is None else f"in {run}"
+            where = f"below {RUNS}/" if run is None else f"in {run}"
             _fail(f"no run that flies {where}; name its folder with --run, or its endpoints with --connect", 2)
         # Only the one that is asked: others may be frozen, and then take their time.
         known, endpoints = there.run, [there.endpoints[name]]
