@@ -1,7 +1,7 @@
 """Recorded runs side by side: what their summaries say, how far that is from the first, and what to mind."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from transport.counted import counted
@@ -32,7 +32,7 @@ class Compared:
     @staticmethod
     def of(label: str, run: RecordedRun) -> "Compared":
         """A run with all that is compared of it."""
-        log = replace(run.log, messages=counted(run.setup, run.log).messages)
+        log = counted(run.setup, run.log)
         return Compared(label=label, run=run, summary=summarise(run.setup, log), series=series_of(run.setup, log))
 
 

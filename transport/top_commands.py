@@ -4,7 +4,7 @@ import time
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
@@ -52,6 +52,10 @@ def top(
         str | None,
         typer.Option("--scenario", help="Of a run whose processes were started by hand: the file or name they read."),
     ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="With --scenario: the values they were told to change."),
+    ] = None,
     once: Annotated[bool, typer.Option("--once", help="Print one table and exit.")] = False,
     output: Annotated[
         Format, typer.Option("--format", help="With --once: what goes to standard output.")
@@ -70,7 +74,7 @@ def top(
 
     if output is Format.json and not once:
         fail("--format json: expected it with --once, got it without", EXIT_USAGE)
-    flight = _find(run, connect, scenario)
+    flight = _find(run, connect, scenario, settings or [])
     try:
         with closing(_listen(flight)) as bus:
             _watch(bus, flight, once=once, output=output)
@@ -80,7 +84,7 @@ def top(
         raise typer.Exit(EXIT_INTERRUPTED) from None
 
 
-def _find(run: str | None, connect: list[str] | None, scenario: str | None) -> _Flight:
+def _find(run: str | None, connect: list[str] | None, scenario: str | None, settings: list[str]) -> _Flight:
     from protocol.keys import Keys
     from protocol.process import default_mesh
     from protocol.scenario_file import ScenarioError, find_scenario, read_scenario
@@ -91,7 +95,7 @@ def _find(run: str | None, connect: list[str] | None, scenario: str | None) -> _
     try:
         if scenario is not None:
             path = find_scenario(scenario)
-            setup = Setup.of(read_scenario(path), str(path))
+            setup = Setup.of(read_scenario(path, settings), str(path))
             name = run or setup.scenario.name
             if not Keys.allows(name):
                 fail(f"--run: expected the name of a run with --scenario, got {name!r}", EXIT_USAGE)
@@ -99,6 +103,8 @@ def _find(run: str | None, connect: list[str] | None, scenario: str | None) -> _
             return _Flight(name, connect or usual, setup)
         if connect:
             fail("--connect: expected --scenario with it, as the run cannot say what it flies", EXIT_USAGE)
+        if settings:
+            fail("--set: expected --scenario with it, as a run folder has its values", EXIT_USAGE)
         folder = _folder(run)
         there = None if folder is None else live.read(folder)
         if folder is None or there is None:
@@ -107,7 +113,7 @@ def _find(run: str | None, connect: list[str] | None, scenario: str | None) -> _
         path = folder / "scenario.toml"
         setup = Setup.of(read_scenario(path), str(path))
     except ScenarioError as error:
-        fail(str(error), EXIT_SCENARIO)
+        fail(str(error.blaming(settings)), EXIT_SCENARIO)
     return _Flight(there.run, [at for name, at in there.endpoints.items() if name != RECORDER], setup)
 
 
@@ -147,9 +153,7 @@ def _watch(bus: "Bus", flight: _Flight, *, once: bool, output: Format) -> None:
     if once:
         _listen_until(bus, watch, lambda: watch.is_whole, _PATIENCE_S)
         if watch.tick < 0 and watch.truth is None and watch.control is None:
-            fail(
-                f"no sign of run {flight.run} within {_PATIENCE_S:g} s; tried {', '.join(flight.endpoints)}", EXIT_LOST
-            )
+            _no_sign(flight)
         if output is Format.json:
             show_json({"run": flight.run, **watch.content()})
         else:
@@ -182,9 +186,17 @@ def _until_the_end(bus: "Bus", flight: _Flight, watch: "Watch", every_s: float, 
             and watch.truth is None
             and time.monotonic() - begun > flight.setup.scenario.clock.join_timeout_s
         ):
-            fail(f"no sign of run {flight.run}; tried {', '.join(flight.endpoints)}", EXIT_LOST)
+            _no_sign(flight)
         if watch.control is None:
             draw(_table(watch, flight.run, quiet_s))
+
+
+def _no_sign(flight: _Flight) -> NoReturn:
+    where = f"at {', '.join(flight.endpoints)}"
+    fail(
+        f"no sign of run {flight.run} {where}, or it flies another scenario than {flight.setup.scenario.name} as given",
+        EXIT_LOST,
+    )
 
 
 def _listen_until(bus: "Bus", watch: "Watch", enough: "Callable[[], bool]", timeout_s: float) -> tuple[int, bool]:
