@@ -144,9 +144,7 @@ class LogWriter:
             raise self._failed(error) from error
 
     def _channel(self, message: Message) -> int:
-        # Each kind has channels of its own, also the one that shares a key with another.
-        shared = isinstance(message, LinkChange)
-        topic = f"/{message.kind}" if shared else _KEYS.of(message).removeprefix(_KEYS.prefix)
+        topic = topic_of(message)
         channel = self._channels.get(topic)
         if channel is None:
             if message.kind not in self._schemas:
@@ -160,6 +158,12 @@ class LogWriter:
 
     def _failed(self, error: OSError) -> LogError:
         return LogError(f"{self._path}: cannot write the log ({error.strerror or error})")
+
+
+def topic_of(message: Message) -> str:
+    """The channel of a message: each kind has channels of its own, also the one that shares a key with another."""
+    shared = isinstance(message, LinkChange)
+    return f"/{message.kind}" if shared else _KEYS.of(message).removeprefix(_KEYS.prefix)
 
 
 def read_log(path: Path) -> RunLog:

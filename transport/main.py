@@ -10,8 +10,13 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
+from transport.compare_commands import compare
+from transport.doctor_commands import doctor
 from transport.experiments.commands import experiment_app
+from transport.log_commands import log_app
 from transport.operate import fault, link_app, status
+from transport.replay_commands import replay
+from transport.top_commands import top
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -38,6 +43,11 @@ scenario_app = typer.Typer(help="Make scenarios.", no_args_is_help=True, rich_ma
 app.add_typer(scenario_app, name="scenario")
 app.command()(fault)
 app.command()(status)
+app.command()(replay)
+app.command()(top)
+app.command()(compare)
+app.command()(doctor)
+app.add_typer(log_app, name="log")
 
 
 class Format(StrEnum):
