@@ -125,6 +125,7 @@ class Controller:
         y_ref: Array,
         law: TeamLaw | None = None,
         forces: Array | None = None,
+        earlier: int | None = None,
     ) -> Optimum:
         """One step of the controller.
 
@@ -136,6 +137,7 @@ class Controller:
             y_ref: Reference outputs at steps 0..N_p, (N_p + 1, p).
             law: With closed-loop prediction, the shared law over the horizon (`law`).
             forces: Estimated external forces, (3 + 3 N,), inertial frame, N; None when nobody estimates them.
+            earlier: Ticks since this controller began; see `conclude`.
         Returns: The plan and how it was found. Never raises for a problem without solution.
         Raises: ShapeError: an argument of the wrong shape or not finite.
         """
@@ -143,7 +145,7 @@ class Controller:
         linear = self.linearise(x0, u0, forces)
         prediction = self.predict(linear, self.discretise(linear), U, law)
         qp = self.condense(linear, prediction, U, y_ref)
-        return self.conclude(self.solve(qp), prediction, U, law)
+        return self.conclude(self.solve(qp), prediction, U, law, earlier)
 
     @property
     def target(self) -> Target:
