@@ -4,6 +4,8 @@ import time
 
 from agent.node import AgentNode
 from protocol.messages import agent_name
+from protocol.outbox import EXIT_LOST
+from protocol.parent import stand_by
 from protocol.process import Place, run_node
 from protocol.setup import Setup
 
@@ -20,5 +22,7 @@ def run(setup: Setup, place: Place, agent: int) -> int:
     """
     node = AgentNode(setup, agent, place.incarnation, time.perf_counter_ns)
     node.warm_up()
+    if not stand_by():
+        return EXIT_LOST
     others = [agent_name(other) for other in setup.agents if other != agent]
     return run_node(node, place, setup, ["coordinator", "plant", *others])

@@ -368,7 +368,8 @@ class AgentNode:
                 prediction = controller.predict(step.linear, step.discrete, step.U, step.law)
                 qp = controller.condense(step.linear, prediction, step.U, step.y_ref)
                 watch.append(self._stopwatch())
-                optimum = controller.conclude(controller.solve(qp), prediction, step.U, step.law)
+                earlier = step.measurement.tick - self._membership.since.get(self._agent, 0)
+                optimum = controller.conclude(controller.solve(qp), prediction, step.U, step.law, earlier)
                 watch.append(self._stopwatch())
         step.optimum = optimum
         for stage, (begun, done) in zip(_IN_A_ROUND, pairwise(watch), strict=True):

@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from model import state
 from model.arrays import Array
 from model.compiled import Compiled
 from model.dynamics import Symbols
@@ -135,6 +136,12 @@ def compile_constraints(constraints: tuple[Constraint, ...], model: Model) -> tu
     on_state = UserConstraints([pair for pair in relations if pair[0].on == "state"], symbols, p)
     on_input = UserConstraints([pair for pair in relations if pair[0].on == "input"], symbols, p)
     return on_state, on_input
+
+
+def tilt_states(owned: tuple[int, ...]) -> npt.NDArray[np.intp]:
+    """Where roll and pitch of some UAVs, 0-based, are in the state, (2 owned,)."""
+    starts = [state.uav_slice(uav).start + state.THETA.start for uav in owned]
+    return np.array([start + angle for start in starts for angle in (0, 1)], dtype=np.intp)
 
 
 def pairs_of(N: int, owned: tuple[int, ...]) -> npt.NDArray[np.intp]:

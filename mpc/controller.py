@@ -13,7 +13,7 @@ from model.hover import Hover
 from model.linearisation import Linearisation, Model
 from model.state import LARGEST, input_indices
 from mpc import condensing
-from mpc.constraints import Affine, UserCosts, compile_constraints, pairs_of, rate_rows, separation_rows
+from mpc.constraints import Affine, UserCosts, compile_constraints, pairs_of, rate_rows, separation_rows, tilt_states
 from mpc.cost import Cost
 from mpc.fail_safe import FailSafe
 from mpc.feedback import FeedbackError, TeamLaw, team_gain
@@ -32,6 +32,7 @@ class Linear:
     """Everything linearised about one (x0, u0).
 
     Attributes:
+        x0: State of the linearisation, (n,).
         u0: Input of the linearisation, (m,).
         model: f, A_c, B_c, y, C.
         on_state, on_input: The user's constraints.
@@ -39,6 +40,7 @@ class Linear:
         u_target: Input that costs nothing, (m,).
     """
 
+    x0: Array
     u0: Array
     model: Linearisation
     costs: Affine
@@ -104,11 +106,14 @@ class Controller:
         self._scale = (self._upper - self._lower) / 2.0
         self._pairs = pairs_of(N, self.owned)
         self._separation = settings.separation if len(self._pairs) else None
-        # One slack for all separations, one for each softened constraint of the user's.
+        self._tilt = settings.tilt
+        self._tilt_states = tilt_states(self.owned)
+        # One slack for all separations, one for all tilts, one for each softened constraint of the user's.
         soft = ~np.isnan(self._on_state.penalty)
-        separation_penalty = [self._separation.penalty] if self._separation else []
-        self._penalties = np.concatenate([separation_penalty, self._on_state.penalty[soft]])
-        self._state_slack = np.where(soft, len(separation_penalty) + np.cumsum(soft) - 1, -1)
+        shared = [limit.penalty for limit in (self._separation, self._tilt) if limit is not None]
+        self._penalties = np.concatenate([shared, self._on_state.penalty[soft]])
+        self._tilt_slack = 0 if self._separation is None else 1
+        self._state_slack = np.where(soft, len(shared) + np.cumsum(soft) - 1, -1)
         self._z_scale = np.concatenate([np.tile(self._scale, steps), np.ones(len(self._penalties))])
         self._rate_rows = rate_rows(steps, m) * self._z_scale[: steps * m]
 
@@ -120,6 +125,7 @@ class Controller:
         y_ref: Array,
         law: TeamLaw | None = None,
         forces: Array | None = None,
+        earlier: int | None = None,
     ) -> Optimum:
         """One step of the controller.
 
@@ -131,6 +137,7 @@ class Controller:
             y_ref: Reference outputs at steps 0..N_p, (N_p + 1, p).
             law: With closed-loop prediction, the shared law over the horizon (`law`).
             forces: Estimated external forces, (3 + 3 N,), inertial frame, N; None when nobody estimates them.
+            earlier: Ticks since this controller began; see `conclude`.
         Returns: The plan and how it was found. Never raises for a problem without solution.
         Raises: ShapeError: an argument of the wrong shape or not finite.
         """
@@ -138,7 +145,7 @@ class Controller:
         linear = self.linearise(x0, u0, forces)
         prediction = self.predict(linear, self.discretise(linear), U, law)
         qp = self.condense(linear, prediction, U, y_ref)
-        return self.conclude(self.solve(qp), prediction, U, law)
+        return self.conclude(self.solve(qp), prediction, U, law, earlier)
 
     @property
     def target(self) -> Target:
@@ -218,6 +225,7 @@ class Controller:
         if forces is not None and self.settings.weights.priced == "deviation":
             u_target = u_target + self.target.M_u @ forces
         return Linear(
+            x0=x0,
             u0=u0,
             model=self.model.linearise(x0, u0, forces=forces),
             on_state=self._on_state.at(x0),
@@ -275,9 +283,24 @@ class Controller:
         """Solve by the chosen solver, or by Clarabel when that fails."""
         return solve(qp, self.settings.solver)
 
-    def conclude(self, solution: Solution, prediction: Prediction, U: Array, law: TeamLaw | None) -> Optimum:
-        """Turn an answer into the plan to announce: relaxed, or the shifted previous plan after a failure."""
-        optimum = self._optimum(solution, prediction, U, law)
+    def conclude(
+        self, solution: Solution, prediction: Prediction, U: Array, law: TeamLaw | None, earlier: int | None = None
+    ) -> Optimum:
+        """Turn an answer into the plan to announce: relaxed, or the shifted previous plan after a failure.
+
+        Args:
+            solution: Of the program.
+            prediction: It was made of.
+            U: Announced inputs of all UAVs over the horizon, (N_p, m).
+            law: With closed-loop prediction, the shared law over the horizon.
+            earlier: Ticks since this controller began: what it finds in the first ones counts as much as what it found
+                before, which starts from nothing. None for a controller that has always been there.
+        Source: docs/equations.md (30a), (36a).
+        """
+        w = self.settings.relaxation
+        if earlier is not None:
+            w = max(w, 1.0 / (earlier + 1))
+        optimum = self._optimum(solution, prediction, U, law, w)
         if np.isfinite(optimum.U).all() and np.abs(optimum.c).max(initial=0.0) <= LARGEST:
             return optimum
         return replace(self.give_up(U, law), solution=solution)
@@ -291,10 +314,12 @@ class Controller:
             solution=unsolved(0, 0, self.settings.solver),
         )
 
-    def _optimum(self, solution: Solution, prediction: Prediction, U: Array, law: TeamLaw | None) -> Optimum:
+    def _optimum(
+        self, solution: Solution, prediction: Prediction, U: Array, law: TeamLaw | None, relaxation: float
+    ) -> Optimum:
         steps, m = prediction.U_free.shape
         solved = solution.status == "solved"
-        w = self.settings.relaxation if solved else 0.0
+        w = relaxation if solved else 0.0
         # The solver meets the bounds to its tolerance; the plant's actuators have them exactly.
         v = (solution.z * self._z_scale)[: steps * m].reshape(steps, m) if solved else np.zeros((steps, m))
         best = np.clip(prediction.U_free + v, self._lower, self._upper)
@@ -356,7 +381,7 @@ class Controller:
     def _rows(
         self, linear: Linear, prediction: Prediction, output_impulse: Array, U: Array
     ) -> tuple[Array, Array, Array]:
-        """Rate limits, separation, and the user's constraints, stacked.
+        """Rate limits, separation, tilt, and the user's constraints, stacked.
 
         Args:
             linear: The expansion.
@@ -377,6 +402,12 @@ class Controller:
             G = condensing.rows(direction @ output_impulse)
             gap = self._separation.minimum_m - distance.reshape(-1)
             parts.append((G, gap, np.full(len(gap), np.inf), np.zeros(len(gap), dtype=np.intp)))
+        if self._tilt is not None:
+            angles = (linear.x0[self._tilt_states] + prediction.dX_free[1:, self._tilt_states]).reshape(-1)
+            limit, none = np.radians(self._tilt.limit_deg), np.full(len(angles), np.inf)
+            G = condensing.rows(prediction.impulse[:, self._tilt_states] * self._scale)
+            slack = np.full(len(angles), self._tilt_slack)
+            parts += [(G, -none, limit - angles, slack), (G, -limit - angles, none, slack)]
         if len(self._on_state):
             on = linear.on_state
             value = on.value + prediction.dX_free[1:] @ on.slope.T

@@ -103,6 +103,21 @@ class Separation:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Tilt:
+    """Largest roll and pitch that an agent plans for its UAVs, softened so that no state makes the QP infeasible.
+
+    A vehicle that is far off its place would answer with angles at which the linearisation says nothing any more.
+
+    Attributes:
+        limit_deg: Either sign, deg.
+        penalty: Price of the largest violation over the horizon, per radian.
+    """
+
+    limit_deg: float
+    penalty: float = 10.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Constraint:
     """A constraint of the user's own, as text over the model's variables (see `mpc.expressions`).
 
@@ -151,6 +166,7 @@ class ControllerSettings:
     weights: Weights = field(default_factory=Weights)
     limits: Limits = field(default_factory=Limits)
     separation: Separation | None = None
+    tilt: Tilt | None = None
     constraints: tuple[Constraint, ...] = ()
     costs: tuple[CostTerm, ...] = ()
     prediction: PredictionName = "open_loop"

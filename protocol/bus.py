@@ -18,7 +18,7 @@ import zenoh
 
 from protocol.codec import MAX_BYTES, encode
 from protocol.gate import Gate
-from protocol.keys import Keys
+from protocol.keys import WATCHER, Keys
 from protocol.messages import Event, Message, MessageError, Presence, Request
 
 # Closing can block for as long as a peer does not read (zenoh issue 2675); a process that has said all it
@@ -112,7 +112,7 @@ class Bus:
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._tokens: list[zenoh.LivelinessToken] = []
         self._gate = gate
-        _log(to_output=name != "recorder")
+        _log(to_output=name not in ("recorder", WATCHER))
         try:
             self._session = zenoh.open(zenoh.Config.from_json5(json.dumps(_configuration(endpoints, patience_s))))
         except zenoh.ZError as error:

@@ -35,6 +35,9 @@ _ALIVE = re.compile(r"alive/([^/]+)/([0-9]{1,15})/([^/]+)")
 _READY = re.compile(r"ready/([^/]+)/([0-9]{1,15})()")
 _SEVERAL = (Measurement.kind, Plan.kind, StepReport.kind, Rejected.kind)  # one key per agent or process
 
+# Name of those who look on, say nothing and announce no token: nobody in the run knows of them.
+WATCHER = "watcher"
+
 
 class RunNameError(ValueError):
     """A run name that cannot be part of a key expression."""
@@ -100,6 +103,12 @@ class Keys:
                 *everybody,
                 *[f"{self.prefix}/{kind}" for kind in (Tick.kind, Truth.kind)],
                 *[f"{self.prefix}/{kind}/*" for kind in _SEVERAL],
+            ]
+        if name == WATCHER:  # what it shows is in the reports: plans and measurements would only be a load
+            return [
+                *everybody,
+                *[f"{self.prefix}/{kind}" for kind in (Tick.kind, Truth.kind)],
+                *[f"{self.prefix}/{kind}/*" for kind in (StepReport.kind, Rejected.kind)],
             ]
         if name == "coordinator":
             return [plans, f"{self.prefix}/{Truth.kind}"]

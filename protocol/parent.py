@@ -1,12 +1,15 @@
-"""A process that was started by another of this project ends with it."""
+"""A process that was started by another of this project ends with it, and begins when that one says so."""
 
 import ctypes
 import os
 import signal
+import sys
 from contextlib import suppress
 
 # Set by a parent that wants its children to end with it: they watch their standard input for its end.
 PARENT_PIPE = "PAYLOAD_TRANSPORT_PARENT_PIPE"
+# Set by a parent for a child that is to be ready ahead of its time: it waits for a byte on its standard input.
+STANDBY = "PAYLOAD_TRANSPORT_STANDBY"
 
 _PR_SET_PDEATHSIG = 1  # <sys/prctl.h>
 
@@ -19,3 +22,8 @@ def wake_with_its_end() -> None:
     if os.environ.get(PARENT_PIPE):
         with suppress(OSError, AttributeError):
             ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGCONT, 0, 0, 0)
+
+
+def stand_by() -> bool:
+    """Wait for the parent's word, if it has asked for that; False if it is gone."""
+    return not os.environ.get(STANDBY) or bool(os.read(sys.stdin.fileno(), 1))

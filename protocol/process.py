@@ -102,6 +102,11 @@ def run_node(
     journal = Journal(place.run, node.name)
     gate = Gate(node.name, Keys(place.run), setup, node.rejected)
     notices = Notices(node.name, node.rejected)
+    # A collection in mid-step is a latency spike; reference counting frees what the loop makes, and what little
+    # is left is collected where the node has nothing to do. Before it joins nobody waits for it.
+    gc.collect()
+    gc.freeze()
+    gc.disable()
     with (
         threadpoolctl.threadpool_limits(1),
         Bus(
@@ -149,11 +154,6 @@ def drive(node: Node, bus: Bus, faults: Sequence[Fault], gate: Gate, notices: No
         gate: What the bus lets in.
         notices: What there is to say about messages that are refused.
     """
-    # A collection in mid-step is a latency spike; reference counting frees what the loop makes, and what little
-    # is left is collected where the node has nothing to do.
-    gc.collect()
-    gc.freeze()
-    gc.disable()
     handled = 0
     while node.finished is None:
         wake_ns = node.wake_ns

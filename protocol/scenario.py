@@ -128,6 +128,13 @@ class SeparationSection(Section):
     penalty: Positive = 100.0
 
 
+class TiltSection(Section):
+    """Largest roll and pitch an agent plans for its UAVs."""
+
+    limit_deg: Annotated[float, Field(gt=0.0, lt=90.0)]
+    penalty: Positive = 10.0
+
+
 class ConstraintSection(Section):
     """A constraint of the user's own."""
 
@@ -165,6 +172,7 @@ class ControllerSection(Section):
     weights: WeightsSection = WeightsSection()
     limits: LimitsSection = LimitsSection()
     separation: SeparationSection | None = None
+    tilt: TiltSection | None = None
     constraint: list[ConstraintSection] = []
     cost: list[CostSection] = []
     disturbance: DisturbanceSection = DisturbanceSection()

@@ -15,7 +15,7 @@ from model.parameters import Payload, System, Uav
 from mpc.constraints import UserCosts, compile_constraints
 from mpc.cost import Cost
 from mpc.feedback import team_gain
-from mpc.settings import Constraint, ControllerSettings, CostTerm, Limits, Separation, Weights
+from mpc.settings import Constraint, ControllerSettings, CostTerm, Limits, Separation, Tilt, Weights
 from protocol.faults import Fault, scripted
 from protocol.links import Link, link
 from protocol.messages import Measurement, Plan
@@ -215,7 +215,7 @@ def _maneuver(scenario: Scenario) -> Maneuver:
 
 def _settings(scenario: Scenario) -> ControllerSettings:
     section = scenario.controller
-    weights, limits, separation = section.weights, section.limits, section.separation
+    weights, limits, separation, tilt = section.weights, section.limits, section.separation, section.tilt
     # 1/M of M agents: the descent guarantee of cooperative distributed MPC (docs/decisions.md).
     relaxation = 1.0 / len(scenario.owned) if section.relaxation == "auto" else float(section.relaxation)
     return ControllerSettings(
@@ -239,6 +239,7 @@ def _settings(scenario: Scenario) -> ControllerSettings:
         separation=None
         if separation is None
         else Separation(minimum_m=separation.minimum_m, penalty=separation.penalty),
+        tilt=None if tilt is None else Tilt(limit_deg=tilt.limit_deg, penalty=tilt.penalty),
         constraints=tuple(
             Constraint(expression=c.expression, soft=c.soft, penalty=c.penalty) for c in section.constraint
         ),

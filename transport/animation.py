@@ -10,9 +10,9 @@ import numpy as np
 from model.arrays import Array
 from transport.animation_page import DPI, Page
 from transport.figure_style import COMPONENTS, RC, REFERENCE, UAV_COLOURS
+from transport.run_folder import open_run
 from transport.series import Series, series_of
 from transport.viewer.geometry import age_colour
-from transport.viewer.record import Record
 from transport.viewer.scene import Scenes
 
 if TYPE_CHECKING:
@@ -51,28 +51,20 @@ def animate_run(folder: Path, out: Path) -> Path:
         folder: Run folder.
         out: File to write, .gif or .mp4.
     Returns: The file.
-    Raises: AnimationError: another kind of file, an MP4 without ffmpeg, or no state to draw.
+    Raises: AnimationError: another kind of file, an MP4 without ffmpeg; LogError: no state to draw.
     """
     from rich.console import Console
     from rich.progress import Progress
 
-    from protocol.scenario_file import read_scenario
-    from protocol.setup import Setup
-    from transport.log import read_log
-
-    path = folder / "scenario.toml"
-    setup, log = Setup.of(read_scenario(path), str(path)), read_log(folder / "run.mcap")
-    record = Record(setup)
-    record.add(entry.message for entry in log.messages)
-    if record.last < 0:
-        raise AnimationError(f"expected the states of a flight in {folder / 'run.mcap'}, got none")
+    run = open_run(folder)
+    scenes = Scenes.of(run.setup, run.log)
     with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("animation")
 
         def progress(done: int, total: int) -> None:
             bar.update(task, completed=done, total=total)
 
-        return animate(Scenes(setup, record), series_of(setup, log), out, progress=progress)
+        return animate(scenes, series_of(run.setup, run.log), out, progress=progress)
 
 
 def animate(

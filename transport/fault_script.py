@@ -28,6 +28,8 @@ class FaultScript:
         self._setup, self._harness, self._recorder = setup, harness, recorder
         self._faults = list(setup.faults)
         self._dead: set[int] = set()  # children whose end is noted
+        for target in {fault.target for fault in self._faults if fault.do == "start"}:
+            harness.prepare(target)
         self._actions: Mapping[str, Callable[[str], bool]] = {
             "kill": lambda name: harness.signal(name, signal.SIGKILL),
             "stop": lambda name: harness.signal(name, signal.SIGSTOP),
@@ -106,4 +108,6 @@ class FaultScript:
         if old is not None:
             self._dead.add(old.process.pid)
         self._harness.restart(name)
+        if any((fault.do, fault.target) == ("start", name) for fault in self._faults):
+            self._harness.prepare(name)
         return True

@@ -16,6 +16,7 @@ from model.arrays import Array
 from protocol.messages import KINDS
 from transport.foxglove_schemas import NUMBERS, SCHEMAS
 from transport.json_messages import json_schema
+from transport.log import DERIVED
 from transport.mcap_salvage import salvage
 from transport.viewer.geometry import (
     ARM,
@@ -41,6 +42,15 @@ _GREY, _DARK = (140, 140, 140), (60, 60, 60)
 _LINE_M, _ARROW_M = 0.02, 0.6
 _LINE_LIST = 2
 
+# What the copy has more than the log, each with its schema.
+CHANNELS: Mapping[str, str] = {
+    "/tf": "foxglove.FrameTransforms",
+    "/scene/bodies": "foxglove.SceneUpdate",
+    "/scene/reference": "foxglove.SceneUpdate",
+    "/scene/now": "foxglove.SceneUpdate",
+    "/numbers": NUMBERS,
+}
+
 Json = dict[str, Any]
 
 
@@ -55,9 +65,10 @@ def write_foxglove(scenes: Scenes, log: Path, out: Path) -> int:
     Raises: OSError: it cannot be written.
     """
     found = salvage(log.read_bytes())
-    with out.open("wb") as file:
+    partial = out.with_name(out.name + ".partial")
+    with partial.open("wb") as file:
         copy = _Copy(Writer(file, compression=CompressionType.ZSTD))
-        for name, values in found.metadata.items():
+        for name, values in {**found.metadata, DERIVED: dict(CHANNELS)}.items():
             copy.writer.add_metadata(name, values)
         for topic, entry in found.entries:
             kind = topic.lstrip("/").split("/", 1)[0]
@@ -71,12 +82,13 @@ def write_foxglove(scenes: Scenes, log: Path, out: Path) -> int:
         for number, tick in enumerate(ticks):
             scene, at_ns = scenes.at(tick), tick * period_ns
             if number == 0:
-                copy.put("/scene/bodies", "foxglove.SceneUpdate", at_ns, _update(_bodies(scenes, at_ns)))
-                copy.put("/scene/reference", "foxglove.SceneUpdate", at_ns, _update(_reference(scenes, at_ns)))
-            copy.put("/tf", "foxglove.FrameTransforms", at_ns, {"transforms": list(_transforms(scene, at_ns))})
-            copy.put("/scene/now", "foxglove.SceneUpdate", at_ns, _update(_now(scenes, scene, at_ns)))
-            copy.put("/numbers", NUMBERS, at_ns, _numbers(scene))
+                copy.put("/scene/bodies", at_ns, _update(_bodies(scenes, at_ns)))
+                copy.put("/scene/reference", at_ns, _update(_reference(scenes, at_ns)))
+            copy.put("/tf", at_ns, {"transforms": list(_transforms(scene, at_ns))})
+            copy.put("/scene/now", at_ns, _update(_now(scenes, scene, at_ns)))
+            copy.put("/numbers", at_ns, _numbers(scene))
         copy.writer.finish()  # type: ignore[no-untyped-call]
+    partial.replace(out)
     return len(ticks)
 
 
@@ -97,8 +109,9 @@ class _Copy:
             self._channels[topic] = self.writer.register_channel(topic, "json", self._schemas[name])
         return self._channels[topic]
 
-    def put(self, topic: str, name: str, at_ns: int, content: Json) -> None:
-        """Write a message of one of `SCHEMAS`."""
+    def put(self, topic: str, at_ns: int, content: Json) -> None:
+        """Write a message of one of `CHANNELS`."""
+        name = CHANNELS[topic]
         data = orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY)
         self.writer.add_message(self.channel(topic, name, SCHEMAS[name]), at_ns, data, publish_time=at_ns)
 

@@ -16,7 +16,7 @@ from typing import IO
 from coordinator.node import EXIT_DIVERGED, EXIT_INTERRUPTED, EXIT_OVERRUN
 from protocol.bus import Endpoints
 from protocol.outbox import EXIT_LOST
-from protocol.parent import PARENT_PIPE
+from protocol.parent import PARENT_PIPE, STANDBY
 
 # Exit codes of a process that has seen its run's end.
 _ENDS = {0, EXIT_LOST, EXIT_OVERRUN, EXIT_DIVERGED, EXIT_INTERRUPTED}
@@ -57,6 +57,17 @@ class Child:
     log: Path
     incarnation: int = 0
 
+    def go(self) -> bool:
+        """Let a process that stands by begin; whether it was still there."""
+        try:
+            if self.process.poll() is None and self.process.stdin is not None:
+                self.process.stdin.write(b"\n")
+                self.process.stdin.flush()
+                return True
+        except BrokenPipeError:
+            pass
+        return False
+
     def last_words(self) -> str:
         """The last line it wrote that is not empty."""
         try:
@@ -84,6 +95,7 @@ class Harness:
     mesh: Mapping[str, Endpoints]
     logs: Path
     children: list[Child] = field(default_factory=list)
+    _spares: dict[str, Child] = field(default_factory=dict)  # by name, waiting for their turn
     _files: ExitStack = field(default_factory=ExitStack)
 
     def __enter__(self) -> "Harness":
@@ -125,13 +137,25 @@ class Harness:
         child.process.send_signal(number)
         return True
 
+    def prepare(self, name: str) -> None:
+        """Start the successor of an agent of the mesh, which gets ready and waits for `restart`."""
+        old = self.child(name)
+        self._spares[name] = self._start(name, (), 0 if old is None else old.incarnation + 1, standby=True)
+
     def restart(self, name: str) -> None:
         """Start a process of the mesh again, under a higher incarnation; one that is left over is killed first."""
-        old = self.child(name)
+        old, spare = self.child(name), self._spares.pop(name, None)
         if old is not None:
             old.process.kill()
             old.process.wait()
-        self.children.append(self._start(name, (), 0 if old is None else old.incarnation + 1))
+        incarnation = 0 if old is None else old.incarnation + 1
+        if spare is not None and spare.incarnation == incarnation and spare.go():
+            self.children.append(spare)
+            return
+        if spare is not None:
+            spare.process.kill()
+            spare.process.wait()
+        self.children.append(self._start(name, (), incarnation))
 
     def wait(self, timeout_s: float) -> bool:
         """Wait for all children to end; whether they did."""
@@ -145,6 +169,8 @@ class Harness:
 
     def end(self) -> None:
         """Ask every child that is left to end, then make it."""
+        self.children += self._spares.values()
+        self._spares.clear()
         for child in self.alive():
             child.process.terminate()
             child.process.send_signal(signal.SIGCONT)  # a stopped process cannot end in order
@@ -157,7 +183,7 @@ class Harness:
                 child.process.stdin.close()
         self._files.close()
 
-    def _start(self, name: str, observers: Sequence[str], incarnation: int = 0) -> Child:
+    def _start(self, name: str, observers: Sequence[str], incarnation: int = 0, *, standby: bool = False) -> Child:
         log = self.logs / (f"{name}.log" if incarnation == 0 else f"{name}-{incarnation}.log")
         output: IO[bytes] = self._files.enter_context(log.open("wb"))
         process = subprocess.Popen(
@@ -165,7 +191,7 @@ class Harness:
             stdin=subprocess.PIPE,
             stdout=output,
             stderr=subprocess.STDOUT,
-            env={**_ENVIRONMENT, **os.environ, PARENT_PIPE: "1"},
+            env={**_ENVIRONMENT, **os.environ, PARENT_PIPE: "1", STANDBY: "1" if standby else ""},
             # A session of its own: Ctrl-C reaches this process, which ends the run in order.
             start_new_session=True,
         )

@@ -48,5 +48,11 @@ def read(folder: Path) -> LiveRun | None:
 
 def newest(parent: Path) -> LiveRun | None:
     """The run started last of those that fly in the folders below one."""
+    folder = newest_folder(parent)
+    return None if folder is None else read(folder)
+
+
+def newest_folder(parent: Path) -> Path | None:
+    """Its folder."""
     folders = sorted(parent.glob(f"*/{_FILE}"), key=lambda path: path.stat().st_mtime, reverse=True)
-    return next((run for path in folders if (run := read(path.parent)) is not None), None)
+    return next((path.parent for path in folders if read(path.parent) is not None), None)

@@ -5,14 +5,19 @@ import shlex
 import signal
 import sys
 from contextlib import nullcontext
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from transport.answers import Format, fail
+from transport.compare_commands import compare
+from transport.doctor_commands import doctor
 from transport.experiments.commands import experiment_app
+from transport.log_commands import log_app
 from transport.operate import fault, link_app, status
+from transport.replay_commands import replay
+from transport.top_commands import top
 from transport.viewer.commands import HostOption, PortOption, view, viewer_beside
 
 if TYPE_CHECKING:
@@ -32,7 +37,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     epilog="Exit codes: 0 done, 2 usage, 3 scenario, 4 peer lost or not reachable, "
-    "5 deadlines missed, 6 diverged, 130 interrupted.",
+    "5 deadlines missed, 6 diverged, 8 plans differ (replay), 9 a check failed (doctor), 130 interrupted.",
 )
 app.add_typer(link_app, name="link")
 app.add_typer(experiment_app, name="experiment")
@@ -41,13 +46,11 @@ app.add_typer(scenario_app, name="scenario")
 app.command()(fault)
 app.command()(status)
 app.command()(view)
-
-
-class Format(StrEnum):
-    """How results are printed."""
-
-    text = "text"
-    json = "json"
+app.command()(replay)
+app.command()(top)
+app.command()(compare)
+app.command()(doctor)
+app.add_typer(log_app, name="log")
 
 
 ScenarioArgument = Annotated[
@@ -128,14 +131,14 @@ def run(
         try:
             finished = fly(setup, folder, console)
         except RunError as error:
-            _fail(str(error), error.exit_code)
+            fail(str(error), error.exit_code)
         except HarnessError as error:
-            _fail(str(error), EXIT_LOST)
+            fail(str(error), EXIT_LOST)
         _report(finished.folder, output, figures)
         if linger is not None and finished.exit_code != EXIT_INTERRUPTED:
             linger()
     if finished.exit_code != 0:
-        _fail(finished.reason, finished.exit_code)
+        fail(finished.reason, finished.exit_code)
 
 
 @app.command()
@@ -156,7 +159,7 @@ def agent(
     setup = _setup(scenario, settings)
     if number not in setup.agents:
         known = f"1 to {len(setup.agents)} of scenario {setup.scenario.name}"
-        _fail(f"--id: expected an agent from {known}, got {number}", EXIT_USAGE)
+        fail(f"--id: expected an agent from {known}, got {number}", EXIT_USAGE)
     place = _place(setup, f"agent{number}", run_name, listen, connect, incarnation, join_timeout)
 
     def body() -> int:
@@ -238,10 +241,10 @@ def record(
     try:
         finished = observe(setup, place, folder, Console(stderr=True))
     except RunError as error:
-        _fail(str(error), error.exit_code)
+        fail(str(error), error.exit_code)
     _report(finished.folder, Format.text, figures)
     if finished.exit_code != 0:
-        _fail(finished.reason, finished.exit_code)
+        fail(finished.reason, finished.exit_code)
 
 
 @app.command()
@@ -278,17 +281,17 @@ def plot(
     try:
         check_animation(animation)
         if not read_log(folder / "run.mcap").messages:
-            _fail(f"{folder / 'run.mcap'}: not one message can be read", EXIT_USAGE)
+            fail(f"{folder / 'run.mcap'}: not one message can be read", EXIT_USAGE)
     except LogError as error:
-        _fail(str(error), EXIT_USAGE)
+        fail(str(error), EXIT_USAGE)
     except AnimationError as error:
-        _fail(f"--animate: {error}", EXIT_USAGE)
+        fail(f"--animate: {error}", EXIT_USAGE)
     _report(folder, output, figures=True)
     if animation is not None:
         try:
             animate_run(folder, animation)
-        except (AnimationError, OSError) as error:
-            _fail(f"--animate: {error}", EXIT_USAGE)
+        except (AnimationError, LogError, OSError) as error:
+            fail(f"--animate: {error}", EXIT_USAGE)
         typer.echo(f" {animation}", err=output is Format.json)
 
 
@@ -320,24 +323,24 @@ def scenario_new(
 
     if not FEWEST <= uavs <= MOST:
         why = ": a payload on one rod turns freely about it, and no UAV can turn it back" if uavs == 1 else ""
-        _fail(f"--uavs: expected {FEWEST} to {MOST}, got {uavs}{why}", EXIT_USAGE)
+        fail(f"--uavs: expected {FEWEST} to {MOST}, got {uavs}{why}", EXIT_USAGE)
     if group is not None and not 1 <= group <= uavs:
-        _fail(f"--groups: expected 1 to {uavs} UAVs per agent, got {group}", EXIT_USAGE)
+        fail(f"--groups: expected 1 to {uavs} UAVs per agent, got {group}", EXIT_USAGE)
     if out is not None and out.exists():
-        _fail(f"--out: expected a file that does not exist yet, got {out}", EXIT_USAGE)
+        fail(f"--out: expected a file that does not exist yet, got {out}", EXIT_USAGE)
     try:
         path = find_scenario(template)
         ready = read_scenario(path)
     except ScenarioError as error:
-        _fail(f"--from: {error}", EXIT_SCENARIO)
+        fail(f"--from: {error}", EXIT_SCENARIO)
     source = f"--from {template}"
     try:
         scenario = resized(ready, path.parent, uavs, group=group, name=name, source=source)
         setup = Setup.of(scenario, source)
     except ScenarioError as error:
         if error.field == "name":
-            _fail(f"--name: {error.problem}", EXIT_USAGE)
-        _fail(str(error), EXIT_SCENARIO)
+            fail(f"--name: {error.problem}", EXIT_USAGE)
+        fail(str(error), EXIT_SCENARIO)
     made_by = ["transport", "scenario", "new", "--uavs", str(uavs), "--from", template]
     made_by += [] if group is None else ["--groups", str(group)]
     made_by += [] if name is None else ["--name", name]
@@ -355,7 +358,7 @@ def scenario_new(
         with out.open("x", encoding="utf-8") as file:
             file.write(text)
     except OSError as error:
-        _fail(f"--out: cannot write {out} ({error.strerror})", EXIT_USAGE)
+        fail(f"--out: cannot write {out} ({error.strerror})", EXIT_USAGE)
     sizes = f"{setup.system.N} UAVs, {len(setup.agents)} agents, hover thrust {setup.hover.u[0]:.2f} N"
     typer.echo(f"{sizes}; fly it with: transport run {shlex.quote(str(out))}", err=True)
 
@@ -375,7 +378,7 @@ def _setup(scenario: str, settings: list[str] | None) -> "Setup":
         path = find_scenario(scenario)
         return Setup.of(read_scenario(path, settings or []), str(path))
     except ScenarioError as error:
-        _fail(str(error.blaming(settings or [])), EXIT_SCENARIO)
+        fail(str(error.blaming(settings or [])), EXIT_SCENARIO)
 
 
 def _place(
@@ -402,11 +405,11 @@ def _place(
     try:
         Keys(run_name)
     except RunNameError as error:
-        _fail(f"--run: {error}", EXIT_USAGE)
+        fail(f"--run: {error}", EXIT_USAGE)
     for option, given in (("--listen", listen), ("--connect", connect)):
         for endpoint in given or []:
             if not re.fullmatch(r"[a-z0-9-]+/\S+", endpoint):
-                _fail(f"{option}: expected an endpoint such as tcp/127.0.0.1:7447, got {endpoint!r}", EXIT_USAGE)
+                fail(f"{option}: expected an endpoint such as tcp/127.0.0.1:7447, got {endpoint!r}", EXIT_USAGE)
     return Place(
         run=run_name,
         incarnation=time.time_ns() // 10**6 if incarnation is None else incarnation,
@@ -424,7 +427,7 @@ def _process(body: "Callable[[], int]") -> None:
     try:
         code = body()
     except BusError as error:
-        _fail(str(error), EXIT_LOST)
+        fail(str(error), EXIT_LOST)
     raise typer.Exit(code)
 
 
@@ -438,9 +441,9 @@ def _report(folder: Path, output: Format, figures: bool) -> None:
     try:
         summary = write_report(folder, figures=figures)
     except LogError as error:
-        _fail(str(error), EXIT_USAGE)
+        fail(str(error), EXIT_USAGE)
     except ScenarioError as error:
-        _fail(str(error), EXIT_SCENARIO)
+        fail(str(error), EXIT_SCENARIO)
     if output is Format.json:
         import orjson
 
@@ -449,8 +452,3 @@ def _report(folder: Path, output: Format, figures: bool) -> None:
     Console().print(summary_table(summary))
     for file in ["summary.json", "steps.csv", "run.mcap", *[f"figures/{p.name}" for p in folder.glob("figures/*.png")]]:
         typer.echo(f" {folder / file}")
-
-
-def _fail(text: str, code: int) -> NoReturn:
-    typer.echo(f"transport: {text}", err=True)
-    raise typer.Exit(code)

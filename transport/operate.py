@@ -1,14 +1,15 @@
 """Commands that act on a run in flight: links, faults, status."""
 
 import json
-import sys
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any
 
 import typer
 
+from transport.answers import fail
+
 # What `transport run` chooses when nothing is said: the newest run that flies below this folder.
-_RUNS = Path("runs")
+RUNS = Path("runs")
 
 RunOption = Annotated[
     str | None,
@@ -54,7 +55,7 @@ def link_set(
     }
     settings = {key: value for key, value in keys.items() if value is not None}
     if not settings:
-        _fail("expected at least one of --delay, --jitter, --loss, ..., got none", 2)
+        fail("expected at least one of --delay, --jitter, --loss, ..., got none", 2)
     ends = {"from": _process_name(sender), "to": _process_name(receiver)}
     answer = _ask(run, connect, "coordinator", "link", {**ends, "settings": settings})
     typer.echo(f"links change with tick {answer['tick']} (t = {answer['t_s']:.2f} s)")
@@ -102,24 +103,19 @@ def _ask(run: str | None, connect: list[str] | None, name: str, what: str, given
     from transport.requests import RefusedError, UnansweredError, request
 
     if connect and not (run and Keys.allows(run)):
-        _fail(f"--run: expected the name of a run with --connect, got {run!r}", 2)
+        fail(f"--run: expected the name of a run with --connect, got {run!r}", 2)
     if connect and run:
         known, endpoints = run, connect
     else:
-        there = live.newest(_RUNS) if run is None else live.read(Path(run)) or live.read(_RUNS / run)
+        there = live.newest(RUNS) if run is None else live.read(Path(run)) or live.read(RUNS / run)
         if there is None:
-            where = f"below {_RUNS}/" if run is None else f"in {run}"
-            _fail(f"no run that flies {where}; name its folder with --run, or its endpoints with --connect", 2)
+            where = f"below {RUNS}/" if run is None else f"in {run}"
+            fail(f"no run that flies {where}; name its folder with --run, or its endpoints with --connect", 2)
         # Only the one that is asked: others may be frozen, and then take their time.
         known, endpoints = there.run, [there.endpoints[name]]
     try:
         return request(known, endpoints, name, what, given)
     except UnansweredError as error:
-        _fail(str(error), 4)
+        fail(str(error), 4)
     except RefusedError as error:
-        _fail(str(error), 2)
-
-
-def _fail(text: str, code: int) -> NoReturn:
-    typer.echo(f"transport: {text}", err=True)
-    sys.exit(code)
+        fail(str(error), 2)

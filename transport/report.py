@@ -5,7 +5,6 @@ import io
 import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,16 +12,15 @@ import orjson
 from rich.table import Table
 from rich.text import Text
 
-from protocol.scenario_file import read_scenario
 from protocol.setup import Setup
 from transport.counted import counted
-from transport.gaps import missing
-from transport.log import RunLog, read_log
+from transport.log import RunLog
 from transport.metrics import summarise
+from transport.run_folder import open_run
 from transport.steps import steps_columns, steps_rows
 
 # Below this share of a constraint's range a violation is the solver's tolerance, nothing to tell people.
-_HELD = 1e-6
+HELD = 1e-6
 
 # More would push the rest of the table off the screen.
 _SHOWN_FAULTS = 8
@@ -39,11 +37,8 @@ def write_report(folder: Path, *, figures: bool = True) -> dict[str, Any]:
     Returns: The summary.
     Raises: LogError: there is no log, or it is none; ScenarioError: the folder's scenario cannot be read.
     """
-    path = folder / "scenario.toml"
-    whole = read_log(folder / "run.mcap")
-    setup = Setup.of(read_scenario(path), str(path))
-    cut = "; ".join(filter(None, (whole.cut, missing(whole))))
-    log = replace(counted(setup, whole), cut=cut)
+    run = open_run(folder)
+    setup, log = run.setup, counted(run.setup, run.log)
     summary = summarise(setup, log)
     write_whole(folder / "summary.json", orjson.dumps(summary, option=orjson.OPT_INDENT_2) + b"\n")
     write_whole(folder / "steps.csv", _csv(setup, log))
@@ -117,7 +112,7 @@ def _lines(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 def _constraints(violation: float | None) -> str:
     if violation is None:
         return "-"
-    return "held" if violation < _HELD else f"exceeded by {100.0 * violation:.2g} % of their range"
+    return "held" if violation < HELD else f"exceeded by {100.0 * violation:.2g} % of their range"
 
 
 def _plans(messages: Mapping[str, Any], ages: Mapping[str, Any]) -> str:

@@ -160,17 +160,23 @@ def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finis
 
 def run_header(setup: Setup, run: str, processes: int, scenario_toml: str) -> Mapping[str, str]:
     """What a log says about its run besides the messages."""
-    packages = ("payload-transport", "numpy", "casadi", "daqp", "clarabel", "eclipse-zenoh")
-    versions = ", ".join(f"{package} {version(package)}" for package in packages)
     return {
         "run_id": run,
         "scenario": scenario_toml,
         "seed": str(setup.scenario.seed),
         "processes": str(processes),
-        "versions": f"python {platform.python_version()}, {versions}",
+        "versions": versions(),
         "machine": machine(),
         "command_started_ns": str(_command_started_ns()),
     }
+
+
+def versions() -> str:
+    """Versions of Python and of the packages that results depend on, in one line."""
+    packages = ("payload-transport", "numpy", "casadi", "daqp", "clarabel", "eclipse-zenoh")
+    return ", ".join(
+        [f"python {platform.python_version()}", *(f"{package} {version(package)}" for package in packages)]
+    )
 
 
 def machine() -> str:

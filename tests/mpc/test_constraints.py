@@ -8,10 +8,10 @@ import numpy.typing as npt
 import pytest
 
 from model.arrays import Array
-from model.state import V0
+from model.state import THETA, V0, uav_slice
 from mpc.constraints import pairs_of, rate_rows, separation_rows
 from mpc.qp import QP
-from mpc.settings import Constraint, ControllerSettings, Separation
+from mpc.settings import Constraint, ControllerSettings, Separation, Tilt
 from tests.mpc import naive
 from tests.mpc.systems import Setup, Situation, controller, paper_setup, situation, step
 
@@ -22,10 +22,11 @@ SAME_PLAN = 1e-5
 
 HORIZON = 5
 OWNED = [(0,), (1, 3), (0, 1, 2, 3)]
-MINIMUM_M, SPEED_LIMIT, CEILING_M, THRUST_PRODUCT, MOMENT_SUM = 0.45, 1.0, -11.0, 500.0, 0.1
+MINIMUM_M, TILT_DEG, SPEED_LIMIT, CEILING_M, THRUST_PRODUCT, MOMENT_SUM = 0.45, 12.0, 1.0, -11.0, 500.0, 0.1
 SETTINGS = ControllerSettings(
     horizon=HORIZON,
     separation=Separation(minimum_m=MINIMUM_M),
+    tilt=Tilt(limit_deg=TILT_DEG),
     constraints=(
         Constraint(expression=f"r0[2] >= {CEILING_M}", soft=False),
         Constraint(expression=f"thrust1 * thrust2 <= {THRUST_PRODUCT}"),
@@ -43,7 +44,7 @@ class Case:
     Attributes:
         dX: Predicted state deviations, (N_p + 1, n).
         inputs: Of all UAVs over the horizon, (N_p, m).
-        slacks: Of the separation and of the softened speed limit.
+        slacks: Of the separation, of the tilts and of the softened speed limit.
         below, above: Distances of every row to its bounds at that decision.
     """
 
@@ -52,7 +53,7 @@ class Case:
     dX: Array
     inputs: Array
     own: npt.NDArray[np.intp]
-    slacks: tuple[float, float]
+    slacks: tuple[float, float, float]
     qp: QP
     below: Array
     above: Array
@@ -68,7 +69,7 @@ def case(request: pytest.FixtureRequest) -> Case:
     qp = one.condense(linear, one.predict(linear, one.discretise(linear), at.U, None), at.U, at.y_ref)
     half = (SETTINGS.limits.upper(len(owned)) - SETTINGS.limits.lower(len(owned))) / 2.0
     rng = np.random.default_rng(2)
-    v, slacks = 0.2 * rng.standard_normal((HORIZON, len(half))), (0.07, 0.3)
+    v, slacks = 0.2 * rng.standard_normal((HORIZON, len(half))), (0.07, 0.02, 0.3)
     inputs = at.U.copy()
     inputs[:, one.own] = at.u[one.own] + v * half
     hold = naive.exact_hold(setup.model.linearise(at.x, at.u), SETTINGS.sampling_period_s)
@@ -87,6 +88,7 @@ def block(case: Case, kind: str) -> slice:
     counts = {
         "rate": (HORIZON - 1) * 4 * uavs,
         "separation": HORIZON * pairs,
+        "tilt": 2 * HORIZON * 2 * uavs,
         "state": HORIZON * 3,
         "input": HORIZON * 2,
     }
@@ -104,7 +106,7 @@ def close(rows: Array, brute: Array) -> bool:
 
 
 def test_every_row_is_accounted_for(case: Case) -> None:
-    """Rates, separation, states, inputs: nothing else constrains the decision, paper (26)-(27)."""
+    """Rates, separation, tilts, states, inputs: nothing else constrains the decision, paper (26)-(27)."""
     assert len(case.qp.A) == block(case, "input").stop
 
 
@@ -126,10 +128,10 @@ def test_first_rate_is_a_bound(case: Case) -> None:
     in_force = case.at.u[own]
     assert close(in_force + case.qp.lower[: len(own)] * half, np.maximum(low, in_force - rate))
     assert close(in_force + case.qp.upper[: len(own)] * half, np.minimum(high, in_force + rate))
-    later = case.qp.upper[len(own) : -2].reshape(HORIZON - 1, -1)
+    later = case.qp.upper[len(own) : -3].reshape(HORIZON - 1, -1)
     assert close(in_force + later * half, np.tile(high, (HORIZON - 1, 1)))
-    assert (case.qp.lower[-2:] == 0.0).all(), "a negative slack would tighten what it softens"
-    assert np.isinf(case.qp.upper[-2:]).all()
+    assert (case.qp.lower[-3:] == 0.0).all(), "a negative slack would tighten what it softens"
+    assert np.isinf(case.qp.upper[-3:]).all()
 
 
 def test_separation_rows(case: Case) -> None:
@@ -149,6 +151,20 @@ def test_separation_rows(case: Case) -> None:
     assert np.isinf(case.above[rows]).all(), "nothing keeps the UAVs together"
 
 
+def test_tilt_rows(case: Case) -> None:
+    """Predicted roll and pitch of the owned UAVs, from above and from below, with one slack; nobody else's."""
+    owners = sorted({int(i) // 4 for i in case.own})
+    angles = np.array(
+        [[(case.at.x + dx)[uav_slice(uav)][THETA][:2] for uav in owners] for dx in case.dX[1:]]
+    ).reshape(-1)  # fmt: skip
+    limit = np.radians(TILT_DEG) + case.slacks[1]
+    above, below = np.split(case.above[block(case, "tilt")], 2), np.split(case.below[block(case, "tilt")], 2)
+    assert close(above[0], limit - angles)
+    assert close(below[1], limit + angles)
+    assert np.isinf(above[1]).all()
+    assert np.isinf(below[0]).all()
+
+
 def test_state_rows(case: Case) -> None:
     """User constraints on states, value plus slope times deviation as in paper (20)-(21), hard, soft and equal."""
     x = case.at.x
@@ -156,7 +172,7 @@ def test_state_rows(case: Case) -> None:
         [
             [
                 x[2] + dx[2] - CEILING_M,
-                SPEED_LIMIT - x[V0] @ x[V0] - 2.0 * x[V0] @ dx[V0] + case.slacks[1],
+                SPEED_LIMIT - x[V0] @ x[V0] - 2.0 * x[V0] @ dx[V0] + case.slacks[2],
                 0.5 - x[0] - dx[0],
             ]
             for dx in case.dX[1:]

@@ -148,3 +148,22 @@ def law_at(controller: Controller, at: Situation) -> TeamLaw | None:
     x_ref = np.tile(setup.hover.x, (steps, 1))
     x_ref[:, :3] += at.x[:3]
     return controller.law(at.x, x_ref, 0.01 * rng.standard_normal((steps, setup.system.m)))
+
+
+def test_a_start_is_not_relaxed_towards_nothing() -> None:
+    """The first plan is the optimum itself, the next ones the mean of what was found, until that is the relaxation."""
+    setup = paper_setup()
+    at = situation(setup, CLOSED, seed=9)
+    full = Controller(setup.model, setup.hover, CLOSED, (1,))
+    part = Controller(setup.model, setup.hover, ControllerSettings(prediction="closed_loop", relaxation=0.25), (1,))
+    law = law_at(full, at)
+    assert law is not None
+    linear = part.linearise(at.x, at.u)
+    prediction = part.predict(linear, part.discretise(linear), at.U, law)
+    solution = part.solve(part.condense(linear, prediction, at.U, at.y_ref))
+    best = full.conclude(solution, prediction, at.U, law).c
+    before = law.c[:, full.own]
+    assert np.abs(best - before).max() > 0.01, "nothing to relax: the comparison shows nothing"
+    for earlier, share in [(0, 1.0), (1, 1 / 2), (2, 1 / 3), (3, 0.25), (100, 0.25), (None, 0.25)]:
+        c = part.conclude(solution, prediction, at.U, law, earlier).c
+        assert np.abs(c - (share * best + (1.0 - share) * before)).max() < ROLLOUT_TOLERANCE

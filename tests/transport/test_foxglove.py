@@ -28,9 +28,9 @@ def copied(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run folder with the copy beside its log."""
     folder = tmp_path_factory.mktemp("foxglove")
     flown(runs.setup(runs.ticks(TICKS)), folder)
-    result = CliRunner().invoke(app, ["view", str(folder), "--foxglove", str(folder / "foxglove.mcap")])
+    result = CliRunner().invoke(app, ["log", "export", str(folder), "--foxglove", str(folder / "foxglove.mcap")])
     assert result.exit_code == 0, result.stderr
-    assert f"{TICKS} ticks" in result.stderr
+    assert f"{TICKS} ticks" in result.stdout
     return folder
 
 
@@ -50,8 +50,21 @@ def test_the_log_is_in_it(copied: Path) -> None:
     own = {topic for topic, _ in log.entries}
     kept = [(t, e.log_time, e.publish_time, e.data) for t, e in copy.entries if t in own]
     assert kept == [(t, e.log_time, e.publish_time, e.data) for t, e in log.entries]
-    assert copy.metadata == log.metadata
+    assert {name: values for name, values in copy.metadata.items() if name in log.metadata} == log.metadata
     assert copy.ended
+
+
+def test_the_copy_reads_as_the_log(copied: Path) -> None:
+    """What the copy has more is no damage: the same messages, nothing lost; and of a copy cut, only what was cut."""
+    log, copy = (read_log(copied / name) for name in ("run.mcap", "foxglove.mcap"))
+    assert list(map(repr, copy.messages)) == list(map(repr, log.messages))
+    assert (copy.cut, copy.header) == ("", log.header)
+    result = CliRunner().invoke(app, ["log", "info", str(copied / "foxglove.mcap"), "--format", "json"])
+    content = json.loads(result.stdout)
+    assert (content["complete"], content["lost"]) == (True, [])
+    data = (copied / "foxglove.mcap").read_bytes()
+    (copied / "cut.mcap").write_bytes(data[: len(data) * 6 // 10])
+    assert "not of this version" not in read_log(copied / "cut.mcap").cut
 
 
 def test_what_is_added_is_what_the_schemas_say(copied: Path) -> None:
@@ -90,6 +103,16 @@ def test_every_tick_has_a_scene(copied: Path) -> None:
 
 def test_nothing_is_overwritten(copied: Path) -> None:
     """A file that is there is refused in one line."""
-    result = CliRunner().invoke(app, ["view", str(copied), "--foxglove", str(copied / "run.mcap")])
+    result = CliRunner().invoke(app, ["log", "export", str(copied), "--foxglove", str(copied / "run.mcap")])
     assert result.exit_code == 2
     assert result.stderr.startswith("transport: --foxglove: expected a file that does not exist yet, got ")
+
+
+@pytest.mark.parametrize(
+    ("outputs", "said"), [([], "got neither"), (["--out", "t", "--foxglove", "f.mcap"], "got both")]
+)
+def test_one_output_is_asked_for(copied: Path, outputs: list[str], said: str) -> None:
+    """Tables or a copy, not none and not both."""
+    result = CliRunner().invoke(app, ["log", "export", str(copied), *outputs])
+    assert result.exit_code == 2
+    assert said in result.stderr

@@ -133,7 +133,7 @@ def plain_loop(run: Setup) -> Iterator[tuple[Array, Array]]:
         y_ref, x_ref = run.reference.outputs(times), run.reference.states(times[:-1])
         plans, corrections = np.empty_like(U), np.zeros_like(U)
         for controller in team:
-            optimum = controller.step(x, u, U, y_ref, controller.law(x, x_ref, c))
+            optimum = controller.step(x, u, U, y_ref, controller.law(x, x_ref, c), earlier=k)
             plans[:, controller.own] = optimum.U
             corrections[: len(optimum.c), controller.own] = optimum.c
         u = plans[0]

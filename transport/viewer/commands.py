@@ -6,23 +6,25 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from transport.answers import fail
+from transport.operate import RUNS
+
 if TYPE_CHECKING:
-    from protocol.setup import Setup
-    from transport.viewer.record import Record
     from transport.viewer.viewer import Viewer
 
-_RUNS = Path("runs")
+EXIT_USAGE, EXIT_SCENARIO = 2, 3
+
 _LOG = "run.mcap"
 _POLL_S = 0.1
 _LEAVE_S = 5.0
 # A run in flight gets the processor first.
-_NICE = 10
+_NICE = 19
 
 HostOption = Annotated[
     str,
@@ -40,10 +42,6 @@ def view(
     wait: Annotated[
         float, typer.Option("--wait", min=0.0, help="Seconds to wait for the run, if it is yet to be started.")
     ] = 0.0,
-    foxglove: Annotated[
-        Path | None,
-        typer.Option("--foxglove", metavar="FILE", help="Write a log with a 3D scene for Foxglove instead."),
-    ] = None,
 ) -> None:
     """Show a run in the browser, recorded or in flight.
 
@@ -52,18 +50,13 @@ def view(
 
     Example: transport view runs/20260102-101500-paper
     """
-    from transport import live
+    from protocol.scenario_file import ScenarioError
     from transport.log import LogError
     from transport.viewer.viewer import ViewerError
 
     folder = _newest() if folder is None else folder
-    deadline = time.monotonic() + wait
-    while wait and not (live.read(folder) and (folder / _LOG).exists()) and time.monotonic() < deadline:
-        time.sleep(_POLL_S)
     try:
-        if foxglove is not None:
-            _export(folder, foxglove)
-            return
+        _await(folder, wait)
         # Where to look is the only result; viser would add to it that it has stopped.
         result = sys.stdout
         with redirect_stdout(sys.stderr), viewer_of(folder, host, port) as viewer:
@@ -74,7 +67,9 @@ def view(
     except KeyboardInterrupt:
         return
     except (LogError, ViewerError) as error:
-        _fail(str(error), 2)
+        fail(str(error), EXIT_USAGE)
+    except ScenarioError as error:
+        fail(str(error), EXIT_SCENARIO)
 
 
 @contextmanager
@@ -94,7 +89,7 @@ def viewer_beside(folder: Path, host: str, port: int, wait_s: float) -> Iterator
     try:
         require_viser()
     except ViewerError as error:
-        _fail(str(error), 2)
+        fail(str(error), EXIT_USAGE)
     arguments = ["view", str(folder), "--host", host, "--port", str(port), "--wait", str(wait_s)]
     process = subprocess.Popen(
         [sys.executable, "-m", "transport", *arguments],
@@ -132,74 +127,52 @@ def viewer_of(folder: Path, host: str, port: int) -> "Viewer":
         folder: Run folder.
         host: Address to listen on.
         port: The first to try; 0 for any.
-    Raises: ViewerError, LogError: it cannot listen, or there is nothing to show. typer.Exit: no such folder.
+    Raises: ViewerError, LogError: it cannot listen, or there is nothing to show; ScenarioError: the folder's scenario
+        cannot be read.
     """
     from transport import live
     from transport.log_tail import LogTail
+    from transport.run_folder import open_run, setup_of
     from transport.viewer.record import Record
     from transport.viewer.scene import Scenes
     from transport.viewer.viewer import Viewer
 
-    setup = _setup(folder)
-    record = Record(setup)
     flying = live.read(folder)
     if flying is not None:
-        os.nice(_NICE)
+        _stand_back()
+        setup = setup_of(folder)
         tail = LogTail(folder / _LOG)
-        return Viewer(Scenes(setup, record), host=host, port=port, tail=tail, live=flying)
-    return Viewer(Scenes(setup, record), host=host, port=port, notice=_read(folder, record))
+        return Viewer(Scenes(setup, Record(setup)), host=host, port=port, tail=tail, live=flying)
+    run = open_run(folder)
+    scenes = Scenes.of(run.setup, run.log)
+    if run.log.cut:
+        typer.echo(f"warning: {run.log.cut}", err=True)
+    return Viewer(scenes, host=host, port=port, notice=run.log.cut)
 
 
-def _read(folder: Path, record: "Record") -> str:
-    """Read a log that is complete, or as much as there is of it; what it lacks in a sentence."""
-    from transport.gaps import missing
-    from transport.log import LogError, read_log
+def _await(folder: Path, patience_s: float) -> None:
+    """Wait until a run flies that is yet to be started."""
+    from transport import live
 
-    log = read_log(folder / _LOG)
-    record.add(entry.message for entry in log.messages)
-    if record.last < 0:
-        raise LogError(f"{folder / _LOG}: expected the states of a flight, got none that can be read")
-    lacking = "; ".join(filter(None, (log.cut, missing(log))))
-    if lacking:
-        typer.echo(f"transport: {folder / _LOG}: {lacking}", err=True)
-    return lacking
+    deadline = time.monotonic() + patience_s
+    while time.monotonic() < deadline and not (live.read(folder) and (folder / _LOG).exists()):
+        time.sleep(_POLL_S)
 
 
-def _export(folder: Path, out: Path) -> None:
-    from transport.foxglove import write_foxglove
-    from transport.viewer.record import Record
-    from transport.viewer.scene import Scenes
-
-    if out.exists():
-        _fail(f"--foxglove: expected a file that does not exist yet, got {out}", 2)
-    setup = _setup(folder)
-    record = Record(setup)
-    _read(folder, record)
-    try:
-        ticks = write_foxglove(Scenes(setup, record), folder / _LOG, out)
-    except OSError as error:
-        _fail(f"--foxglove: cannot write {out} ({error.strerror})", 2)
-    typer.echo(f'{out}: {ticks} ticks for Foxglove; its 3D panel shows them in frame "map"', err=True)
-
-
-def _setup(folder: Path) -> "Setup":
-    from protocol.scenario_file import ScenarioError, read_scenario
-    from protocol.setup import Setup
-
-    path = folder / "scenario.toml"
-    if not path.exists():
-        _fail(f"expected a run folder with scenario.toml and {_LOG}, got {folder}", 2)
-    try:
-        return Setup.of(read_scenario(path), str(path))
-    except ScenarioError as error:
-        _fail(str(error), 3)
+def _stand_back() -> None:
+    """Leave the processors to the run."""
+    os.nice(_NICE)
+    if os.getsid(0) == os.getpid():
+        # Linux may share processors among sessions first; then only that of the session counts (sched(7)).
+        with suppress(OSError):
+            Path("/proc/self/autogroup").write_text(str(_NICE), encoding="ascii")
 
 
 def _newest() -> Path:
     """The run started last of those below runs/."""
-    logs = sorted(_RUNS.glob(f"*/{_LOG}"), key=lambda path: path.stat().st_mtime)
+    logs = sorted(RUNS.glob(f"*/{_LOG}"), key=lambda path: path.stat().st_mtime)
     if not logs:
-        _fail(f"expected a run folder, got none, and there is none below {_RUNS}/", 2)
+        fail(f"expected a run folder, got none, and there is none below {RUNS}/", EXIT_USAGE)
     return logs[-1].parent
 
 
@@ -218,8 +191,3 @@ def _parent_is_gone() -> Callable[[], bool]:
 
     threading.Thread(target=watch, name="parent", daemon=True).start()
     return gone.is_set
-
-
-def _fail(text: str, code: int) -> NoReturn:
-    typer.echo(f"transport: {text}", err=True)
-    raise typer.Exit(code)

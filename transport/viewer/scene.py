@@ -13,6 +13,7 @@ from model.state import INPUTS, StateView
 from mpc.cost import Cost
 from protocol.messages import StepReport
 from protocol.setup import Setup
+from transport.log import LogError, RunLog
 from transport.viewer.fates import Fates, LinkState
 from transport.viewer.prediction import Predictor
 from transport.viewer.record import Record
@@ -111,6 +112,18 @@ class Scenes:
         self._predictor: Predictor | None = None
         self._changed = 0
         self._places: dict[int, Array] = {}
+
+    @classmethod
+    def of(cls, setup: Setup, log: RunLog) -> "Scenes":
+        """Those of a recorded run.
+
+        Raises: LogError: no state of a flight can be read.
+        """
+        record = Record(setup)
+        record.add(entry.message for entry in log.messages)
+        if record.last < 0:
+            raise LogError("the log: expected the states of a flight, got none that can be read")
+        return cls(setup, record)
 
     def at(self, tick: int, *, expected: bool = True) -> Scene:
         """The scene at a tick, or at the nearest that was recorded; there is at least one.

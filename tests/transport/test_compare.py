@@ -1,0 +1,93 @@
+"""`transport compare`: numbers side by side, differences from the first, and what is said of what does not compare."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+from tests import runs
+from tests.transport import logs
+from transport.compare import Compared, doubts, rows
+from transport.main import app
+from transport.run_folder import open_run
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Run folders: as printed, with late plans, with another maneuver and weight."""
+    parent = tmp_path_factory.mktemp("compare")
+    for name, settings in (
+        ("usual", (runs.SHORT,)),
+        ("late", (runs.SHORT, "links.delay_s=0.1", "controller.received_plans='by_age'")),
+        ("other", (runs.ticks(10), "controller.weights.attitude=6.0")),
+    ):
+        logs.flown(runs.setup(*settings), parent / name)
+    return {path.name: path for path in parent.iterdir()}
+
+
+def ask(*arguments: str | Path) -> Result:
+    """The command in this process."""
+    return CliRunner().invoke(app, ["compare", *map(str, arguments)])
+
+
+def test_numbers_and_differences(folders: dict[str, Path]) -> None:
+    """Values are those of the summaries; percentages are of the first; what is no number has none."""
+    usual, late = (Compared.of(name, open_run(folders[name])) for name in ("usual", "late"))
+    table = {row.name: row for row in rows([usual, late])}
+    costs = tuple(one.summary["cost"]["mean"] for one in (usual, late))
+    row = table["cost, mean"]
+    assert row.values == costs
+    assert costs[0] != costs[1]
+    assert row.percent[0] == 0.0
+    percent = row.percent[1]
+    assert percent is not None
+    assert costs[0] * (1.0 + percent / 100.0) == pytest.approx(costs[1], rel=1e-12)
+    assert table["plan age, max"].values == (1, 2)
+    assert table["plan age, max"].percent == (0.0, 100.0)
+    assert table["outcome"].values == ("completed", "completed")
+    assert table["outcome"].percent == (None, None)
+    assert table["plans lost"].percent == (None, None)  # of nothing there is no share
+    assert list(doubts([usual, late])) == []
+
+
+def test_what_is_hard_to_compare_is_said(folders: dict[str, Path], tmp_path: Path) -> None:
+    """Another maneuver and other weights are notes, not errors; the figure is drawn all the same."""
+    result = ask(f"first={folders['usual']}", folders["other"], "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert "other flies another maneuver than first" in result.stderr
+    assert "other has other weights than first" in result.stderr
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"compare.csv", "compare.png", "compare.svg"}
+    assert (tmp_path / "out" / "compare.png").read_bytes().startswith(b"\x89PNG")
+    with (tmp_path / "out" / "compare.csv").open(newline="") as file:
+        header, *lines = csv.reader(file)
+    assert header == ["quantity", "unit", "first", "other", "other, more than first (%)"]
+    flown = next(line for line in lines if line[0] == "flown")
+    assert np.allclose([float(cell) for cell in flown[2:]], [1.5, 0.5, -200.0 / 3.0])
+
+
+def test_json(folders: dict[str, Path], tmp_path: Path) -> None:
+    """The same as one JSON object on standard output, and nothing else there."""
+    result = ask(folders["usual"], folders["usual"], "--no-figures", "--format", "json", "--out", tmp_path)
+    content = json.loads(result.stdout)
+    assert [run["label"] for run in content["runs"]] == ["usual (1)", "usual (2)"]
+    equal = [q["percent_more_than_first"] for q in content["quantities"]]
+    assert all(value in (0.0, None) for values in equal for value in values)
+    assert content["notes"] == []
+    assert [Path(name).name for name in content["files"]] == ["compare.csv"]
+
+
+def test_nothing_to_compare(folders: dict[str, Path], tmp_path: Path) -> None:
+    """One run, no log, or a log without a tick: exit code 2 and one line."""
+    assert "expected at least two runs, got 1" in ask(folders["usual"]).output
+    assert "cannot read the log" in ask(folders["usual"], tmp_path / "nowhere").output
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    (empty / "scenario.toml").write_text((folders["usual"] / "scenario.toml").read_text())
+    (empty / "run.mcap").write_bytes((folders["usual"] / "run.mcap").read_bytes()[:40])
+    result = ask(folders["usual"], empty, "--out", tmp_path / "out")
+    assert result.exit_code == 2
+    assert "1 of 2 logs hold a tick that was flown" in result.output
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,155 @@
+"""`transport log`: what is said of a log, whole or cut, and tables that read back as the same bits."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from typer.testing import CliRunner, Result
+
+from model import state
+from protocol.messages import KINDS, Message, Plan, StepReport, Truth
+from tests import runs
+from tests.transport import logs
+from transport.log import LogWriter
+from transport.main import app
+
+KILL = (
+    *("clock.on_agent_loss='continue'", "controller.prediction='closed_loop'", "controller.relaxation='auto'"),
+    "faults.event=[{at_s=0.5,do='kill',target='agent3'}]",
+)
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Message]]:
+    """A run folder, and what was said in it."""
+    folder = tmp_path_factory.mktemp("log") / "run"
+    return folder, logs.flown(runs.setup(runs.SHORT, *KILL), folder)
+
+
+def ask(*arguments: str | Path) -> Result:
+    """The command in this process."""
+    return CliRunner().invoke(app, ["log", *map(str, arguments)])
+
+
+def info(path: Path) -> dict[str, object]:
+    """What is said of a log, as JSON."""
+    result = ask("info", path, "--format", "json")
+    assert result.exit_code == 0, result.output
+    content: dict[str, object] = json.loads(result.stdout)
+    return content
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    """A table as text."""
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def test_whole_log(flight: tuple[Path, list[Message]]) -> None:
+    """Nothing is said to be lost of a whole log; channels, counts and ticks are those of the messages."""
+    folder, messages = flight
+    content = info(folder)
+    assert content["complete"] is True
+    assert content["lost"] == []
+    assert (content["first_tick"], content["last_tick"], content["ticks_of_the_run"]) == (0, 29, 30)
+    assert content["messages"] == len(messages)
+    channels = {c["topic"]: c for c in content["channels"]}  # type: ignore[attr-defined]
+    assert channels["/plan/3"]["messages"] == 10  # killed at tick 10
+    assert channels["/truth"]["ticks_without"] == []
+    assert "whole" in ask("info", folder / "run.mcap").output
+
+
+def test_log_cut_at_sixty_percent(flight: tuple[Path, list[Message]], tmp_path: Path) -> None:
+    """Of a log cut at 60 % it is said up to which tick it goes and which are lost; what is left can be exported."""
+    folder, _ = flight
+    data = (folder / "run.mcap").read_bytes()
+    cut = tmp_path / "run.mcap"
+    cut.write_bytes(data[: len(data) * 6 // 10])
+    (tmp_path / "scenario.toml").write_text((folder / "scenario.toml").read_text())
+    content = info(cut)
+    last = content["last_tick"]
+    assert isinstance(last, int)
+    assert 8 < last < 29
+    assert content["complete"] is False
+    assert f"ticks {last + 1} to 29" in " ".join(content["lost"])  # type: ignore[arg-type]
+    text = " ".join(ask("info", cut).output.split())
+    assert "not whole" in text
+    assert "how the run ended" in text
+    exported = ask("export", cut, "--out", tmp_path / "tables")
+    assert exported.exit_code == 0
+    assert "lost" in exported.stderr
+    assert rows(tmp_path / "tables" / "truth.csv")
+    plotted = CliRunner().invoke(app, ["plot", str(tmp_path)])
+    assert plotted.exit_code == 0
+    assert "stops before its end" in " ".join(plotted.output.split())
+    assert (tmp_path / "figures" / "performance.png").exists()
+
+
+def test_beginning_alone(flight: tuple[Path, list[Message]], tmp_path: Path) -> None:
+    """Of a file that is cut within its header everything is lost, and that is what is said."""
+    stump = tmp_path / "stump.mcap"
+    stump.write_bytes((flight[0] / "run.mcap").read_bytes()[:60])
+    content = info(stump)
+    assert (content["messages"], content["run_id"], content["ticks_of_the_run"]) == (0, None, None)
+    assert "its name, scenario, versions, machine" in " ".join(content["lost"])  # type: ignore[arg-type]
+    assert ask("info", stump).exit_code == 0
+
+
+def test_message_that_never_came(flight: tuple[Path, list[Message]], tmp_path: Path) -> None:
+    """A file that is whole may lack what did not reach the recorder: the numbers of the messages tell the tick."""
+    _, messages = flight
+    path = tmp_path / "run.mcap"
+    with LogWriter(path, logs.HEADER, period_ns=50_000_000) as writer:
+        for message in messages:
+            if not (isinstance(message, Plan) and (message.agent, message.tick) == (2, 7)):
+                writer.write(message, 0)
+    content = info(path)
+    assert content["cut"] is None
+    assert content["complete"] is False
+    assert content["lost"] == ["some messages of ticks 6 to 7 did not reach the recorder"]
+
+
+def test_tables_hold_the_bits(flight: tuple[Path, list[Message]], tmp_path: Path) -> None:
+    """CSV and Parquet have a table for each kind that was said, and in them the numbers of the messages, to the bit."""
+    folder, messages = flight
+    for form in ("--csv", "--parquet"):
+        result = ask("export", folder, form, "--out", tmp_path)
+        assert result.exit_code == 0, result.output
+    kinds = {message.kind for message in messages}
+    assert {path.stem for path in tmp_path.glob("*.csv")} == kinds == {path.stem for path in tmp_path.glob("*.parquet")}
+    truth = next(message for message in messages if isinstance(message, Truth) and message.tick == 20)
+    from_csv = rows(tmp_path / "truth.csv")[20]
+    from_parquet = pq.read_table(tmp_path / "truth.parquet").to_pylist()[20]
+    names = [name for name in from_csv if name.startswith("uav4_")]
+    expected = [*truth.x[state.uav_slice(3)], *truth.u[state.input_slice(3)], float(truth.plan_ticks[3])]
+    for row in (from_csv, from_parquet):
+        assert np.array([float(row[name]) for name in names]).tobytes() == np.array(expected).tobytes()
+    assert names[-5:-3] == ["uav4_thrust_N", "uav4_moment_x_Nm"]
+    plan = next(
+        message for message in messages if isinstance(message, Plan) and (message.agent, message.tick) == (2, 15)
+    )
+    planned = next(row for row in rows(tmp_path / "plan.csv") if (row["agent"], row["tick"]) == ("2", "15"))
+    assert planned["uav"] == "2"
+    steps = [float(planned[f"moment_y_Nm[{step}]"]) for step in range(len(plan.inputs))]
+    assert np.array(steps).tobytes() == plan.inputs[:, 2].tobytes()
+    assert float(planned["correction_thrust_N[0]"]) == plan.corrections[0, 0]
+    reports = [message for message in messages if isinstance(message, StepReport)]
+    assert len(rows(tmp_path / "report.csv")) == len(reports)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (("info", "nowhere"), "cannot read the log"),
+        (("export", "nowhere", "--out", "tables"), "cannot read the log"),
+        (("export", "nowhere", "--out", "tables", "--kind", "poem"), f"expected one of {', '.join(KINDS)}, got 'poem'"),
+    ],
+)
+def test_refusals(arguments: tuple[str, ...], text: str) -> None:
+    """What cannot be read or written is refused with exit code 2 and one line."""
+    result = ask(*arguments)
+    assert result.exit_code == 2
+    assert text in result.output
