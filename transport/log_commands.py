@@ -63,9 +63,9 @@ def export(
         typer.Option("--foxglove", metavar="FILE", help="Write a copy with transforms and a 3D scene for Foxglove."),
     ] = None,
 ) -> None:
-    """Write a log as tables, one for each kind of message, or as a copy for Foxglove.
+    """Write a log as tables, or as a copy for Foxglove.
 
-    Arrays become columns whose names end in their units; docs/log.md lists them.
+    A table for each kind of message: arrays become columns whose names end in their units; docs/log.md lists them.
 
     Example: transport log export runs/20260102-101500-paper --parquet --out tables
     """

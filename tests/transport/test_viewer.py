@@ -214,8 +214,8 @@ def test_what_cannot_be_shown_is_refused(tmp_path: Path, recorded: Path) -> None
     empty.mkdir()
     (empty / "scenario.toml").write_bytes((recorded / "scenario.toml").read_bytes())
     refusals = {
-        "got ": ["view", str(tmp_path / "nowhere")],
-        "cannot read the log": ["view", str(empty)],
+        f"{tmp_path / 'nowhere' / 'run.mcap'}: cannot read the log": ["view", str(tmp_path / "nowhere")],
+        f"{empty / 'run.mcap'}: cannot read the log": ["view", str(empty)],
         "cannot listen on 203.0.113.1": ["view", str(recorded), "--host", "203.0.113.1"],
     }
     for text, arguments in refusals.items():
