@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from model.arrays import Array
 from transport.viewer.geometry import (
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 
 # What can be shown and hidden: name, and whether it is shown at first.
 LAYERS: Mapping[str, bool] = {
-    "predicted paths": True,
+    "predictions": True,
     "flown paths": True,
     "reference": True,
     "links": True,
@@ -41,8 +42,9 @@ _PAYLOAD, _ROD, _REFERENCE, _FLOWN = (60, 60, 60), (90, 90, 90), (150, 150, 150)
 # Length of a thrust arrow at hover, m.
 _ARROW_M = 0.6
 # From where the maneuver is looked at, in parts of its size, and the team in parts of its own: links and predicted
-# paths lie in the plane of the UAVs, so that both are seen from well above it. With the camera's vertical angle, rad.
-_VIEW, _VIEW_TEAM, _FOV = np.array([-0.75, -1.25, -0.75]), np.array([-1.2, -1.9, -2.2]), 0.75
+# paths lie in the plane of the UAVs, so that both are seen from well above it. From the side of +y, x is to the right as
+# it is in the figures. With the camera's vertical angle, rad.
+_VIEW, _VIEW_TEAM, _FOV = np.array([0.5, 1.1, -0.6]), np.array([0.9, 1.9, -2.2]), 0.75
 # Points of a path that is drawn: more cannot be told apart.
 _POINTS = 240
 _NOTHING = np.zeros((1, 2, 3))
@@ -93,7 +95,7 @@ class Stage:
         """Show or hide one of `LAYERS`."""
         self._shown[name] = shown
         nodes: Mapping[str, list[Any]] = {
-            "predicted paths": [self._expected],
+            "predictions": [self._expected],
             "flown paths": [self._flown],
             "reference": [*self._references, self._goal],
             "links": [self._links],
@@ -116,10 +118,10 @@ class Stage:
             if self._shown["thrust"]:
                 tips = scene.uavs_I + scene.thrusts_I * (_ARROW_M / self._hover)
                 self._thrust.points = np.stack([scene.uavs_I, tips], axis=1).astype(np.float32)
-                self._thrust.colors = np.array([uav_colour(i) for i in range(self._N)], dtype=np.uint8)
+                self._thrust.colors = _linear([uav_colour(i) for i in range(self._N)])
             if self._shown["links"]:
                 _put(self._links, *link_segments(scene.links, agent_places(scene, self._setup.owned)))
-            if self._shown["predicted paths"]:
+            if self._shown["predictions"]:
                 self._show_expectations(scene)
             if self._shown["flown paths"]:
                 self._show_flown(scene)
@@ -178,19 +180,18 @@ class Stage:
         floor = float(high[2]) + 0.5
         scene.add_grid(
             "/grid",
-            width=2.0 * np.ceil(size),
-            height=2.0 * np.ceil(size),
+            width=2.0 * np.ceil(0.7 * size),
+            height=2.0 * np.ceil(0.7 * size),
             position=(round(middle[0]), round(middle[1]), floor),
             cell_size=0.5,
             section_size=1.0,
-            cell_color=(225, 225, 225),
-            section_color=(190, 190, 190),
+            cell_color=(235, 235, 235),
+            section_color=(210, 210, 210),
             infinite_grid=False,
             fade_distance=100.0,
         )
-        corner = np.round(middle[:2]) - np.ceil(size)
-        scene.add_frame("/axes", axes_length=0.5, axes_radius=0.02, position=(corner[0], corner[1], floor))
-        scene.add_label("/axes/name", f"x, y, z (down), m; grid at z = {floor:.1f}, 1 m", anchor="top-left")
+        start = (*payload_I[0, :2], floor)
+        scene.add_frame("/axes", axes_length=0.5, axes_radius=0.015, position=start)
         # Colours are to be those of the figures, and hosts without a graphics processor are to keep up: no surroundings
         # that are mirrored, no shadows.
         scene.configure_environment_map(None)
@@ -240,6 +241,9 @@ def _put(node: Any, pieces: Array, colours: Any) -> None:
         pieces, colours = _NOTHING, _FLOWN
     each = np.broadcast_to(np.asarray(colours, dtype=np.uint8), (len(pieces), 3))
     node.points = pieces.astype(np.float32)
-    # The colours of lines are taken to be linear, those of bodies are not.
-    linear = np.round(255.0 * (each / 255.0) ** 2.2).astype(np.uint8)
-    node.colors = np.repeat(linear[:, None], 2, axis=1)
+    node.colors = np.repeat(_linear(each)[:, None], 2, axis=1)
+
+
+def _linear(colours: Any) -> npt.NDArray[np.uint8]:
+    """Colours, (k, 3), as lines and arrows take them: linear, which those of bodies are not."""
+    return np.round(255.0 * (np.asarray(colours) / 255.0) ** 2.2).astype(np.uint8)

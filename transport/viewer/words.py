@@ -60,13 +60,14 @@ def news(entries: Sequence[tuple[int, str]], tick: int, period_s: float) -> str:
 
 
 def legend() -> str:
-    """What the colours of links mean."""
+    """What colours, lines and squares mean."""
     ages = "".join(_swatch(age_colour(age), text) for age, text in _AGES)
     return (
         '<div style="font-size:12px;margin:2px 12px">'
-        f"age of the plan in use: {ages}{_swatch(DARK, 'over 1 s, or none')}<br>"
+        f"age of the plan in use:<br>{ages}{_swatch(DARK, 'over 1 s or none')}<br>"
         "the half of a link next to a UAV is what it hears; gaps: share lost in the last second<br>"
-        "coloured lines ahead: where each agent expects its UAVs and the payload to go; arrows: thrust</div>"
+        "coloured lines ahead: where each agent expects its UAVs and the payload to go; arrows: thrust<br>"
+        "squares of 1 m; axes below the start: x red, y green, z (down) blue</div>"
     )
 
 
