@@ -57,6 +57,8 @@ class Page:
         self._keep(self.figure.text(0.03, 0.94, text, fontsize=10.0, family="monospace", weight="bold"))
 
     def _furnish(self) -> None:
+        from matplotlib.ticker import MaxNLocator
+
         setup, series, space = self._setup, self._series, self._space
         line(space, series.payload_reference_I, color=REFERENCE, linewidth=0.8, linestyle="--")
         frame(space, np.concatenate([series.uavs_I.reshape(-1, 3), series.x[:, :3]]) * _UP, zoom=0.85)
@@ -64,6 +66,8 @@ class Page:
         space.tick_params(labelsize=7.0, pad=-2.0)
         for name in ("xlabel", "ylabel", "zlabel"):
             getattr(space, f"set_{name}")("")
+        space.yaxis.set_major_locator(MaxNLocator(2))
+        self.figure.text(0.03, 0.03, "x, y, altitude in m", fontsize=7.0)
         above = self._above
         above.set_aspect("equal")
         above.set_title("from above, with expected paths\nlinks grey: fresh, orange: late, black: dark", fontsize=7.5)
@@ -81,7 +85,7 @@ class Page:
         largest = 1.05 * max(0.05, float(series.attitude_max_deg.max()))
         self._attitude.set_ylim(-largest, largest)
         for k, (name, colour) in enumerate(zip(("roll", "pitch", "yaw"), COMPONENTS, strict=True)):
-            at = 0.01 + 0.07 * k, 0.97
+            at = 0.01 + 0.11 * k, 0.97
             self._attitude.text(*at, name, color=colour, fontsize=7.0, va="top", transform=self._attitude.transAxes)
         self._attitude.set_xlabel("time (s)", fontsize=7.5, labelpad=1.0)
         shade_phases(setup, [self._cost, self._attitude], float(series.times_s[-1]) + 1e-9, named=False)
