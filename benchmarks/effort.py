@@ -25,6 +25,7 @@ class Effort:
         processes: UAVs of the teams that fly with processes.
         flown: What they fly, a setting.
         recordings: Flights with and without a recorder, in turns.
+        watched: What is flown by turns watched and not, a setting.
         round_trips: Over the bare pipe, before and after each flight.
     """
 
@@ -40,6 +41,7 @@ class Effort:
     processes: tuple[int, ...]
     flown: str
     recordings: int
+    watched: str
     round_trips: int
 
 
@@ -56,6 +58,7 @@ FULL = Effort(
     processes=(4, 8, 16),
     flown=_climb(5.0, 1.0),
     recordings=3,
+    watched=_climb(400.0, 2.0),
     round_trips=2000,
 )
 
@@ -72,5 +75,6 @@ QUICK = Effort(
     processes=(2,),
     flown=_climb(0.5, 0.1),
     recordings=1,
+    watched=_climb(0.5, 0.1),
     round_trips=50,
 )

@@ -46,10 +46,20 @@ class Browser:
 
     def open(self, address: str) -> None:
         """Open the viewer and wait until it has its widgets."""
-        self.driver.get("about:blank")  # what was open does not miss its server
+        self.leave()  # what was open does not miss its server
         self.complaints()
         self.driver.get(address)
         assert wait_for(lambda: self.label() is not None and bool(self.sliders()))
+
+    def leave(self) -> None:
+        """Close the page."""
+        self.driver.get("about:blank")
+
+    def click(self, text: str, number: int = 0) -> None:
+        """Press a button, the one with this number of those that say the same."""
+        buttons = [b for b in self.driver.find_elements("css selector", "button") if b.text == text]
+        self.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", buttons[number])
+        buttons[number].click()
 
     def label(self) -> str | None:
         """Text of the panel."""

@@ -4,11 +4,14 @@ import json
 import os
 import re
 import signal
+import socket
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import pytest
@@ -16,7 +19,7 @@ from typer.testing import CliRunner
 from websockets import Subprotocol
 from websockets.sync.client import connect
 
-from protocol.messages import LinkChange, Message, Truth
+from protocol.messages import FaultNote, LinkChange, Message, Plan, Truth
 from protocol.scenario_file import read_scenario
 from protocol.setup import Setup
 from tests import runs
@@ -31,17 +34,21 @@ from transport.viewer.clock import Clock
 from transport.viewer.commands import viewer_of
 from transport.viewer.viewer import Viewer
 
+M = TypeVar("M", bound=Message)
+
 # A climb of half a metre is seen.
 SEEN_M = 0.2
 PIXELS = 0.002  # share of those that change when the team moves
 CUT = 0.6
 INTERRUPTED = 130
-# Nine seconds, of which the first pass while browsers open.
+OTHER_LOOPBACK = "127.0.0.2"  # also this host, but not where the viewer listens
+# The first seconds pass while the browser opens.
 LONG = (
     "maneuver.phase=[{name='hover',duration_s=8.0,displacement_m=[0,0,0]},"
     "{name='climb',duration_s=20.0,displacement_m=[0,0,-2.0]}]"
 )
 DELAY_STEPS = 10  # of 10 ms
+AGENTS, VICTIM = 4, 2
 WANTED = {"delay_s": 0.1, "loss": 0.0}
 
 
@@ -125,12 +132,12 @@ def test_a_cut_log_is_shown(recorded: Path, tmp_path: Path, capfd: pytest.Captur
 
 @needs_browser
 def test_a_run_in_flight_is_shown_and_changed(tmp_path: Path, window: Browser) -> None:
-    """A slider delays every link of a run in flight and the log has it; being watched moves nothing by a bit.
+    """A slider delays every link of a run in flight, buttons kill and restart an agent, and the log has it.
 
-    The same flight in one process, told of the change by its scenario, has the same states, whoever watched this one
-    and however many came and went.
+    Being watched moves nothing by a bit: the same flight in one process, told of the change by its scenario, has the
+    same states and plans, whoever watched this one and however many came and went.
     """
-    paced = settings("clock.speed=1.0", LONG)
+    paced = settings("clock.speed=1.0", "clock.on_agent_loss=continue", LONG)
     process = start("run", "resilient", *paced, "--no-figures", "--view", "--port", "0", "--out", "seen", cwd=tmp_path)
     folder, said = tmp_path / "seen", ""
     try:
@@ -143,15 +150,17 @@ def test_a_run_in_flight_is_shown_and_changed(tmp_path: Path, window: Browser) -
         with spectators(address[0], 2):
             window.press(1000.0, *[RIGHT] * DELAY_STEPS)
             assert wait_for(lambda: "links change: at tick" in (window.label() or ""))
-        tail, told = LogTail(folder / "run.mcap"), set[int]()
-
-        def changed() -> bool:
-            messages = tail.read()
-            told.update(m.tick for m in messages if isinstance(m, LinkChange) and json.loads(m.settings) == WANTED)
-            return bool(told) and any(m.tick > min(told) + 10 for m in messages if isinstance(m, Truth))
-
-        assert wait_for(changed)
+        log = Growing(folder / "run.mcap")
+        assert wait_for(lambda: any(json.loads(change.settings) == WANTED for change in log.of(LinkChange)))
         window.pixels(pictures(), "live")
+        assert window.complaints() == []
+        window.leave()
+        until = log.of(Truth)[-1].tick + 10
+        assert wait_for(lambda: log.of(Truth)[-1].tick > until)
+        window.open(address[0])
+        for action, noted in (("kill", "killed"), ("restart", "started")):
+            window.click(action, VICTIM - 1)
+            assert wait_for(partial(log.notes, f"agent{VICTIM}", noted))
         assert window.complaints() == []
     finally:
         process.send_signal(signal.SIGINT)
@@ -159,34 +168,77 @@ def test_a_run_in_flight_is_shown_and_changed(tmp_path: Path, window: Browser) -
     assert process.returncode == INTERRUPTED, output + errors
     assert processes_of("seen") == {}
 
-    log = read_log(folder / "run.mcap")
-    *_, last = changes = list(log.of(LinkChange))  # a slow browser may rest on the way
+    whole = read_log(folder / "run.mcap")
+    *_, last = changes = list(whole.of(LinkChange))  # a slow browser may rest on the way
     assert json.loads(last.settings) == WANTED
+    assert last.tick + 10 < until
     tables = (f"{{at_s={c.tick * 0.05!r},delay_s={json.loads(c.settings)['delay_s']!r},loss=0.0}}" for c in changes)
-    setting = f"links.change=[{','.join(tables)}]"
-    assert same_states(folder, setting, {truth.tick: truth for truth in log.of(Truth)}) > last.tick
+    unwatched = said_until(until, folder / "scenario.toml", f"links.change=[{','.join(tables)}]")
+    watched = [entry.message for entry in whole.messages if entry.message.tick < until]
+    assert len(list(bits(unwatched))) == until * (1 + AGENTS)
+    assert sorted(bits(watched)) == sorted(bits(unwatched))
+
+
+class Growing(LogTail):
+    """A log that is being written, with all that has been read of it."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._all: list[Message] = []
+
+    def of(self, kind: type[M]) -> list[M]:
+        """The messages of one kind until now."""
+        self._all += self.read()
+        return [message for message in self._all if isinstance(message, kind)]
+
+    def notes(self, target: str, what: str) -> bool:
+        """Whether something is noted that was done to a process."""
+        return any((note.target, note.what, note.origin) == (target, what, "person") for note in self.of(FaultNote))
 
 
 class EnoughError(Exception):
-    """As far as it was recorded."""
+    """As far as it is compared."""
 
 
-def same_states(folder: Path, setting: str, seen: dict[int, Truth]) -> int:
-    """Fly a scenario with one more setting as far as it was recorded; up to which tick the states are the same."""
-    path, last = folder / "scenario.toml", -1
+def said_until(tick: int, scenario: Path, setting: str) -> list[Message]:
+    """What is said before a tick of a flight in this process, nobody watching."""
+    messages: list[Message] = []
 
-    def compare(message: Message) -> None:
-        nonlocal last
-        if isinstance(message, Truth):
-            if message.tick not in seen:
-                raise EnoughError
-            truth = seen[message.tick]
-            assert (truth.x.tobytes(), truth.u.tobytes()) == (message.x.tobytes(), message.u.tobytes()), message.tick
-            last = message.tick
+    def record(message: Message) -> None:
+        if isinstance(message, Truth) and message.tick == tick:
+            raise EnoughError
+        messages.append(message)
 
     with pytest.raises(EnoughError):
-        fly(Setup.of(read_scenario(path, [setting]), str(path)), compare)
-    return last
+        fly(Setup.of(read_scenario(scenario, [setting]), str(scenario)), record)
+    return [message for message in messages if message.tick < tick]
+
+
+def bits(messages: Iterable[Message]) -> Iterator[tuple[int, str, bytes]]:
+    """Tick, sender and numbers of states and plans."""
+    for message in messages:
+        if isinstance(message, Truth):
+            yield message.tick, message.sender, message.x.tobytes() + message.u.tobytes()
+        elif isinstance(message, Plan):
+            yield message.tick, message.sender, message.inputs.tobytes() + message.corrections.tobytes()
+
+
+def test_the_command_listens_here_alone_until_ctrl_c(recorded: Path) -> None:
+    """Its one result is an address of this host; the next viewer takes the next port; Ctrl-C ends it in order."""
+    process = start("view", recorded, "--port", "0", cwd=recorded)
+    try:
+        assert process.stdout is not None
+        address = process.stdout.readline().strip()
+        port = int(address.removeprefix("http://127.0.0.1:"))
+        with socket.socket() as elsewhere:
+            assert elsewhere.connect_ex((OTHER_LOOPBACK, port)) != 0
+        with viewer_of(recorded, "127.0.0.1", port) as second:
+            assert port < int(second.address.rpartition(":")[2]) < port + 100
+    finally:
+        process.send_signal(signal.SIGINT)
+        output, errors = process.communicate(timeout=PATIENCE_S)
+    assert (process.returncode, output) == (0, ""), errors
+    assert "Traceback" not in errors
 
 
 def test_time_stands_plays_and_follows() -> None:

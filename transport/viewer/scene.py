@@ -11,6 +11,7 @@ from model.arrays import Array
 from model.rotations import rotation
 from model.state import INPUTS, StateView
 from mpc.cost import Cost
+from plant.schedule import FAIL_SAFE
 from protocol.messages import StepReport
 from protocol.setup import Setup
 from transport.log import LogError, RunLog
@@ -164,7 +165,7 @@ class Scenes:
             ),
             cost=self._cost.stage(y, y_ref, truth.u),
             attitude_deg=np.degrees(view.Theta0),
-            fail_safe=tuple(i + 1 for i, source in enumerate(truth.plan_ticks) if source == -2),
+            fail_safe=tuple(i + 1 for i, source in enumerate(truth.plan_ticks) if source == FAIL_SAFE),
         )
 
     def flown(self, tick: int, points: int) -> tuple[Array, Array]:

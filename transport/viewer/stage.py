@@ -42,8 +42,8 @@ _PAYLOAD, _ROD, _REFERENCE, _FLOWN = (60, 60, 60), (90, 90, 90), (150, 150, 150)
 # Length of a thrust arrow at hover, m.
 _ARROW_M = 0.6
 # From where the maneuver is looked at, in parts of its size, and the team in parts of its own: links and predicted
-# paths lie in the plane of the UAVs, so that both are seen from well above it. From the side of +y, x is to the right as
-# it is in the figures. With the camera's vertical angle, rad.
+# paths lie in the plane of the UAVs, so that both are seen from well above it. Seen from +y, x is to the right as it is
+# in the figures. With the camera's vertical angle, rad.
 _VIEW, _VIEW_TEAM, _FOV = np.array([0.5, 1.1, -0.6]), np.array([0.9, 1.9, -2.2]), 0.75
 # Points of a path that is drawn: more cannot be told apart.
 _POINTS = 240

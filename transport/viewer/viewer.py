@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 # How often the scene is drawn anew, and the numbers beside it, at most.
 _DRAW_S, _DRAW_LIVE_S, _NUMBERS_S = 0.05, 0.1, 0.2
+# The share of its time that it may work while the run flies: it draws less often the busier the machine is.
+_SHARE_LIVE = 0.1
 # How many ports to try from the one asked for.
 _PORTS = 100
 
@@ -76,7 +78,7 @@ class Viewer:
         self._redraw = True
         self._over = live is None
         self._drawn_s = self._numbers_s = 0.0
-        self._asked_s = time.monotonic()
+        self._asked_s = self._woke_s = time.monotonic()
 
     def __enter__(self) -> "Viewer":
         return self
@@ -88,7 +90,7 @@ class Viewer:
 
     def work(self) -> None:
         """Read what has come and draw what is due: to be called in turn with `rest`."""
-        now_s = time.monotonic()
+        self._woke_s = now_s = time.monotonic()
         if self._tail is not None:
             self._scenes.record.add(self._tail.read())
         record = self._scenes.record
@@ -113,7 +115,8 @@ class Viewer:
 
     def rest(self) -> None:
         """Wait until something may be due."""
-        time.sleep(_DRAW_S if self._over else _DRAW_LIVE_S)
+        worked_s = time.monotonic() - self._woke_s
+        time.sleep(_DRAW_S if self._over else max(_DRAW_LIVE_S, worked_s * (1.0 / _SHARE_LIVE - 1.0)))
 
     def show_until(self, ended: Callable[[], bool]) -> None:
         """Show the run until that is so."""
