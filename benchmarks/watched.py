@@ -33,8 +33,8 @@ TEXT = (
     "headless Chromium beside it, 900 x 600 pixels, on the same machine and without a graphics processor. By turns all "
     "of them are frozen, the browsers alone, and none, for {block:g} s each; the first {skip:g} s after each change do "
     "not count. Real-time factor, median of {turns} turns (least to most); loss: by how much it is lower than while "
-    "nobody watched in the same turn. Once the pages are open, browsers have the lowest priority, as the viewer has "
-    "(nice 19, of their sessions as well)."
+    "nobody watched in the same turn. Once the pages are open, browsers have the lowest priority (nice 19), the viewer "
+    "has a low one (nice 10), their sessions as well."
 )
 
 _HOST = "127.0.0.1"

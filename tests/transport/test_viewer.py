@@ -42,10 +42,10 @@ PIXELS = 0.002  # share of those that change when the team moves
 CUT = 0.6
 INTERRUPTED = 130
 OTHER_LOOPBACK = "127.0.0.2"  # also this host, but not where the viewer listens
-# The first seconds pass while the browser opens.
+# The first seconds pass while the browser opens; the test ends it.
 LONG = (
     "maneuver.phase=[{name='hover',duration_s=8.0,displacement_m=[0,0,0]},"
-    "{name='climb',duration_s=20.0,displacement_m=[0,0,-2.0]}]"
+    "{name='climb',duration_s=300.0,displacement_m=[0,0,-20.0]}]"
 )
 DELAY_STEPS = 10  # of 10 ms
 AGENTS, VICTIM = 4, 2
@@ -158,7 +158,7 @@ def test_a_run_in_flight_is_shown_and_changed(tmp_path: Path, window: Browser) -
         until = log.of(Truth)[-1].tick + 10
         assert wait_for(lambda: log.of(Truth)[-1].tick > until)
         window.open(address[0])
-        for action, noted in (("kill", "killed"), ("restart", "started")):
+        for action, noted in (("kill", "killed"), ("restart", "restarted")):
             window.click(action, VICTIM - 1)
             assert wait_for(partial(log.notes, f"agent{VICTIM}", noted))
         assert window.complaints() == []
