@@ -5,15 +5,18 @@ from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from benchmarks import __main__ as command
-from benchmarks import aims, loop, parts, solvers, step
+from benchmarks import aims, loop, parts, solvers, step, watched
 from benchmarks.effort import FULL, QUICK, Effort
 from benchmarks.flights import Situation, programs, setup, situations
 from benchmarks.page import BenchmarkError, Table, check, write
 from benchmarks.solvers import SOLVERS, TIGHT, Solver
 from mpc.qp import QP
+from tests.runs import truth
+from transport.log import Recorded, RunLog
 
 DOCUMENT = (
     "a\n<!-- bench: aims -->\nold\n<!-- end of bench -->\nb\n<!-- bench: step -->\nold\n<!-- end of bench -->\nc\n"
@@ -166,3 +169,21 @@ def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: py
     assert command.main(["--only", "aims", "--document", str(document)]) == 0
     assert "what\n\n| a | b |\n| --- | --- |\n| 1 | 2 |\n\n*" in document.read_text()
     assert efforts == [FULL, FULL, QUICK, FULL]
+
+
+def test_turns_of_a_flight_that_is_watched() -> None:
+    """Factors are those of the ticks within each turn, without its first second; what is not whole does not count."""
+    ticks_ms = [*range(0, 4000, 50), *range(4000, 8000, 100), *range(8000, 11_000, 25)]
+    run = setup("paper", QUICK.climb)
+    entries = [Recorded(message=truth(run, tick), received_ns=at_ms * 1_000_000) for tick, at_ms in enumerate(ticks_ms)]
+    log = RunLog(header={}, messages=tuple(entries), cut="")
+    changes = [(at_s * 1_000_000_000, "") for at_s in (0, 4, 8, 11)]
+    factors = watched.turns(log, changes, ("nobody", "viewer"), period_s=0.05)
+    np.testing.assert_allclose(factors, [[1.0, 0.5]])
+
+
+@pytest.mark.slow
+def test_being_watched_has_its_rows() -> None:
+    """Nobody and the viewer, and browsers where there are any; a flight that short has no turn."""
+    (table,) = watched.measure(QUICK, silent)
+    assert first_cells(table) == [watched.NOBODY, watched.VIEWER, watched.BROWSERS]

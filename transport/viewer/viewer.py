@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 # How often the scene is drawn anew, and the numbers beside it, at most.
 _DRAW_S, _DRAW_LIVE_S, _NUMBERS_S = 0.05, 0.1, 0.2
-# The share of its time that it may work while the run flies: it draws less often the busier the machine is.
+# The share of a processor that drawing may take while the run flies: large teams are drawn less often.
 _SHARE_LIVE = 0.1
 # How many ports to try from the one asked for.
 _PORTS = 100
@@ -68,7 +68,7 @@ class Viewer:
         self.shown: Scene | None = None
         self._server = _server(host, port)
         self.address = f"http://{host}:{self._server.get_port()}"
-        acts = None if live is None else Acts(live, lambda text, refused: self._say(text, warning=refused))
+        acts = None if live is None else Acts(live, self._answered)
         period_s = scenes.setup.settings.sampling_period_s
         self.clock = Clock(period_s, follows=live is not None, playing=False)
         self.stage = Stage(self._server, scenes)
@@ -78,7 +78,7 @@ class Viewer:
         self._redraw = True
         self._over = live is None
         self._drawn_s = self._numbers_s = 0.0
-        self._asked_s = self._woke_s = time.monotonic()
+        self._asked_s, self._began_s = time.monotonic(), 0.0
 
     def __enter__(self) -> "Viewer":
         return self
@@ -90,7 +90,7 @@ class Viewer:
 
     def work(self) -> None:
         """Read what has come and draw what is due: to be called in turn with `rest`."""
-        self._woke_s = now_s = time.monotonic()
+        now_s, self._began_s = time.monotonic(), time.thread_time()
         if self._tail is not None:
             self._scenes.record.add(self._tail.read())
         record = self._scenes.record
@@ -115,7 +115,7 @@ class Viewer:
 
     def rest(self) -> None:
         """Wait until something may be due."""
-        worked_s = time.monotonic() - self._woke_s
+        worked_s = time.thread_time() - self._began_s
         time.sleep(_DRAW_S if self._over else max(_DRAW_LIVE_S, worked_s * (1.0 / _SHARE_LIVE - 1.0)))
 
     def show_until(self, ended: Callable[[], bool]) -> None:
@@ -134,6 +134,11 @@ class Viewer:
         self.clock.follow(False)
         self._panel.close_controls()
         self._say(f"the run has ended: {outcome}" + (f", {reason}" if reason else ""), warning=bool(reason))
+
+    def _answered(self, text: str, refused: bool) -> None:
+        """What came of an act, as long as the run flies: how it has ended says more."""
+        if not self._over:
+            self._say(text, warning=refused)
 
     def _say(self, text: str, *, warning: bool) -> None:
         self.notice = text
