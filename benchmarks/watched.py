@@ -50,7 +50,7 @@ _HEADLESS = (
     "--remote-debugging-port=0",  # else it ends as soon as the page is loaded
 )
 # How long each turn takes, and how long what was frozen takes to catch up, s.
-_BLOCK_S, _SKIP_S = 4.0, 1.0
+_BLOCK_S, _SKIP_S = 2.0, 0.5
 _LOWEST = 19
 
 
