@@ -6,8 +6,6 @@ folder and the next process loads them in milliseconds. A cache that cannot be r
 """
 
 import hashlib
-import os
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -16,6 +14,7 @@ import numpy as np
 
 from model import dynamics, rotations, state
 from model.arrays import Array, ShapeError
+from model.cache import cache_folder, replace_atomically
 from model.dynamics import Symbols
 
 _FUNCTIONS = ("derivative", "tensions", "velocities", "outputs", "linearise", "step")
@@ -117,14 +116,6 @@ def _build(N: int) -> dict[str, ca.Function]:
     }
 
 
-def cache_folder() -> Path:
-    """Where compiled models are kept: $PAYLOAD_TRANSPORT_CACHE, or the user's cache folder."""
-    named = os.environ.get("PAYLOAD_TRANSPORT_CACHE")
-    if named:
-        return Path(named)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "payload-transport"
-
-
 def _cache_path(N: int) -> Path:
     sources: Sequence[str | None] = (__file__, dynamics.__file__, rotations.__file__, state.__file__)
     digest = hashlib.sha256(ca.CasadiMeta.version().encode())
@@ -151,14 +142,4 @@ def _read_cache(path: Path) -> dict[str, ca.Function] | None:
 def _write_cache(path: Path, built: dict[str, ca.Function]) -> None:
     body = "\n".join(built[name].serialize() for name in _FUNCTIONS).encode("latin-1")
     checksum = hashlib.sha256(body).hexdigest().encode()
-    temporary: Path | None = None
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
-            temporary = Path(file.name)
-            file.write(checksum + b"\n" + body)
-        os.replace(temporary, path)
-    except OSError:
-        # A read-only home or a full disk is no reason not to fly, nor to leave half a file behind.
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
+    replace_atomically(path, checksum + b"\n" + body)

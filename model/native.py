@@ -1,0 +1,196 @@
+"""The loops of `kernels.c`, compiled for this processor by the C compiler that is here, if one is.
+
+A controller's step is a hundred small matrix operations, and most of its time went into starting them. Where there is
+no compiler, or it fails, `AVAILABLE` is false and the functions in Python do the same: they are what the kernels are
+tested against, and results agree but for rounding. Compiled once per processor and version of the source, kept beside
+the compiled models. Set PAYLOAD_TRANSPORT_NATIVE=0 to do without.
+"""
+
+import ctypes
+import hashlib
+import os
+import platform
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from model.arrays import Array
+from model.cache import cache_folder, replace_atomically
+
+_SOURCE = Path(__file__).with_name("kernels.c")
+_FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fPIC", "-shared", "-w")
+_COMPILE_TIMEOUT_S = 60.0
+
+_address, _number = ctypes.c_void_p, ctypes.c_ssize_t
+_SIGNATURES: dict[str, tuple[type, Sequence[type]]] = {
+    "zero_order_hold_work": (_number, [_number] * 2),
+    "zero_order_hold": (ctypes.c_double, [_number] * 2 + [_address] * 3 + [ctypes.c_double] * 4 + [_address] * 4),
+    "responses_work": (_number, [_number] * 2),
+    "responses": (None, [_number] * 3 + [_address] * 6),  # type: ignore[dict-item]
+    "condense_work": (_number, [_number] * 3),
+    "condense": (None, [_number] * 3 + [_address] * 2 + [ctypes.c_double] + [_address] * 2 + [_number] + [_address] * 2),  # type: ignore[dict-item]
+    "toeplitz": (None, [_number] * 3 + [_address] * 2 + [_number]),  # type: ignore[dict-item]
+    "within_bounds_work": (_number, [_number]),
+    "within_bounds": (ctypes.c_int, [_number] + [_address] * 4 + [ctypes.c_int] + [_address] * 3),
+    "residuals": (None, [_number] * 2 + [_address] * 12),  # type: ignore[dict-item]
+}
+
+
+def zero_order_hold(
+    A_c: Array, B_c: Array, f: Array, period_s: float, theta_max: float, theta_possible: float, remainder: float
+) -> tuple[float, Array, Array, Array]:
+    """The growth theta, and A, B and f_d, which mean nothing when theta is above theta_possible or no number.
+
+    Args:
+        A_c, B_c, f: (n, n), (n, m), (n,).
+        period_s: Sampling period, s.
+        theta_max, theta_possible, remainder: See `model.discretisation`.
+    """
+    n, m = B_c.shape
+    A, B, f_d = np.empty((n, n)), np.empty((n, m)), np.empty(n)
+    theta = _KERNELS.zero_order_hold(
+        n, m, _at(A_c.T), _at(B_c.T), _at(f), period_s, theta_max, theta_possible, remainder,
+        _at(A), _at(B), _at(f_d), _work("zero_order_hold_work", n, m),
+    )  # fmt: skip
+    return theta, A, B, f_d
+
+
+def responses(A: Array, B: Array, W: Array) -> tuple[Array, Array]:
+    """See `mpc.prediction.responses`."""
+    steps, (n, m) = len(W), B.shape
+    impulse, dX = np.empty((steps, n, m)), np.empty((steps + 1, n))
+    _KERNELS.responses(
+        steps, n, m, _at(A), _at(B), _at(W), _at(impulse), _at(dX), _work("responses_work", n, m)
+    )  # fmt: skip
+    return impulse, dX
+
+
+def condense(output_impulse: Array, Q: Array, terminal: float, weighted: Array, H: Array, g: Array) -> None:
+    """See `mpc.condensing.condense`."""
+    steps, p, m = output_impulse.shape
+    _KERNELS.condense(
+        steps, p, m, _at(output_impulse), _at(Q), terminal, _at(weighted), _at(H), H.shape[1], _at(g),
+        _work("condense_work", steps, p, m),
+    )  # fmt: skip
+
+
+def toeplitz(impulse: Array, rows: Array) -> None:
+    """See `mpc.condensing.fill`."""
+    steps, s, m = impulse.shape
+    _KERNELS.toeplitz(steps, s, m, _at(impulse), _at(rows), rows.shape[1])
+
+
+def within_bounds(H: Array, g: Array, lower: Array, upper: Array, most: int) -> tuple[int, Array, Array]:
+    """See `mpc.bounded.solve`: guesses needed, 0 when it failed; answer and multipliers."""
+    n = len(g)
+    z, multipliers = np.empty(n), np.empty(n)
+    guesses = _KERNELS.within_bounds(
+        n, _at(H), _at(g), _at(lower), _at(upper), most, _at(z), _at(multipliers), _work("within_bounds_work", n)
+    )  # fmt: skip
+    return guesses, z, multipliers
+
+
+def residuals(
+    H: Array, g: Array, lower: Array, upper: Array, A: Array, row_lower: Array, row_upper: Array,
+    z: Array, bound_multipliers: Array, row_multipliers: Array,
+) -> tuple[float, float, float]:  # fmt: skip
+    """See `mpc.qp.residuals`: stationarity, primal, complementarity."""
+    found = (ctypes.c_double * 3)()
+    n, rows = len(g), len(A)
+    work = np.empty(n)
+    _KERNELS.residuals(
+        n, rows, _at(H), _at(g), _at(lower), _at(upper), _at(A), _at(row_lower), _at(row_upper), _at(z),
+        _at(bound_multipliers), _at(row_multipliers), ctypes.addressof(found), _at(work),
+    )  # fmt: skip
+    return found[0], found[1], found[2]
+
+
+def _at(array: Array) -> int:
+    """Address of the numbers of an array, which has to be row-major float64; of nothing where it is empty."""
+    if array.size == 0:
+        return 0
+    try:
+        return ctypes.addressof(ctypes.c_double.from_buffer(array))
+    except (TypeError, ValueError):  # read-only, or not row-major
+        pass
+    if not array.flags.c_contiguous or array.dtype != np.float64:
+        raise TypeError(f"expected a row-major array of float64, got {array.dtype} with strides {array.strides}")
+    return int(array.ctypes.data)
+
+
+@lru_cache
+def _buffer(numbers: int) -> Array:
+    # Aligned to the width of the vectors of every processor there is.
+    room = np.zeros(numbers + 8)
+    return room[(-room.ctypes.data // 8) % 8 :]
+
+
+@lru_cache
+def _work(which: str, *sizes: int) -> int:
+    """Address of the work space of a kernel; kernels run to their end before anybody else computes."""
+    return int(_buffer(getattr(_KERNELS, which)(*sizes)).ctypes.data)
+
+
+def _load() -> ctypes.PyDLL | None:
+    if os.environ.get("PAYLOAD_TRANSPORT_NATIVE") == "0":
+        return None
+    path = _library_path()
+    if not _intact(path) and not _compile(path):
+        return None
+    try:
+        # PyDLL keeps the interpreter's lock: a kernel is shorter than handing the lock over and getting it back.
+        library = ctypes.PyDLL(str(path))
+    except OSError:
+        return None
+    for name, (result, arguments) in _SIGNATURES.items():
+        function = getattr(library, name)
+        function.restype, function.argtypes = result, arguments
+    return library
+
+
+def _library_path() -> Path:
+    """Where the compiled kernels are: the name has all that may make them differ or not run, the processor too."""
+    digest = hashlib.sha256(_SOURCE.read_bytes())
+    digest.update(repr((_FLAGS, platform.machine(), platform.system(), os.environ.get("CC"))).encode())
+    try:
+        cpu = Path("/proc/cpuinfo").read_text(encoding="utf-8").split("\n\n")[0].splitlines()
+        digest.update("".join(line for line in cpu if line.startswith(("flags", "Features", "model name"))).encode())
+    except OSError:
+        digest.update(platform.processor().encode())
+    return cache_folder() / f"kernels-{digest.hexdigest()[:16]}.so"
+
+
+def _intact(path: Path) -> bool:
+    """Whether a library is there in full: loading half of one would end the process."""
+    try:
+        checksum = path.with_suffix(".sha256").read_text(encoding="ascii").strip()
+        return hashlib.sha256(path.read_bytes()).hexdigest() == checksum
+    except (OSError, ValueError):
+        return False
+
+
+def _compile(path: Path) -> bool:
+    compiler = next(filter(None, map(shutil.which, filter(None, [os.environ.get("CC"), "cc", "gcc", "clang"]))), None)
+    if compiler is None:
+        return False
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            made = Path(folder) / "kernels.so"
+            subprocess.run(
+                [compiler, *_FLAGS, "-o", made, _SOURCE, "-lm"],
+                check=True, capture_output=True, timeout=_COMPILE_TIMEOUT_S, stdin=subprocess.DEVNULL,
+            )  # fmt: skip
+            content = made.read_bytes()
+    except (OSError, subprocess.SubprocessError):
+        return False
+    checksum = hashlib.sha256(content).hexdigest()
+    return replace_atomically(path, content) and replace_atomically(path.with_suffix(".sha256"), checksum.encode())
+
+
+_KERNELS = _load()
+AVAILABLE = _KERNELS is not None
