@@ -2,42 +2,34 @@
 
 A controller's step is a hundred small matrix operations, and most of its time went into starting them. Where there is
 no compiler, or it fails, `AVAILABLE` is false and the functions in Python do the same: they are what the kernels are
-tested against, and results agree but for rounding. Compiled once per processor and version of the source, kept beside
-the compiled models. Set PAYLOAD_TRANSPORT_NATIVE=0 to do without.
+tested against, and results agree but for rounding. See `model.compiler`.
 """
 
 import ctypes
-import hashlib
-import os
-import platform
-import shutil
-import subprocess
-import tempfile
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from model import compiler
 from model.arrays import Array
-from model.cache import cache_folder, replace_atomically
 
-_SOURCE = Path(__file__).with_name("kernels.c")
-_FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fPIC", "-shared", "-w")
-_COMPILE_TIMEOUT_S = 60.0
+_FLAGS = ("-O3", "-march=native", "-fno-math-errno")
 
 _address, _number = ctypes.c_void_p, ctypes.c_ssize_t
-_SIGNATURES: dict[str, tuple[type, Sequence[type]]] = {
+_SIGNATURES: dict[str, tuple[Any, Sequence[Any]]] = {
     "zero_order_hold_work": (_number, [_number] * 2),
     "zero_order_hold": (ctypes.c_double, [_number] * 2 + [_address] * 3 + [ctypes.c_double] * 4 + [_address] * 4),
     "responses_work": (_number, [_number] * 2),
-    "responses": (None, [_number] * 3 + [_address] * 6),  # type: ignore[dict-item]
+    "responses": (None, [_number] * 3 + [_address] * 6),
     "condense_work": (_number, [_number] * 3),
-    "condense": (None, [_number] * 3 + [_address] * 2 + [ctypes.c_double] + [_address] * 2 + [_number] + [_address] * 2),  # type: ignore[dict-item]
-    "toeplitz": (None, [_number] * 3 + [_address] * 2 + [_number]),  # type: ignore[dict-item]
+    "condense": (None, [_number] * 3 + [_address] * 2 + [ctypes.c_double] + [_address] * 2 + [_number] + [_address] * 2),
+    "toeplitz": (None, [_number] * 3 + [_address] * 2 + [_number]),
     "within_bounds_work": (_number, [_number]),
     "within_bounds": (ctypes.c_int, [_number] + [_address] * 4 + [ctypes.c_int] + [_address] * 3),
-    "residuals": (None, [_number] * 2 + [_address] * 12),  # type: ignore[dict-item]
+    "residuals": (None, [_number] * 2 + [_address] * 12),
 }
 
 
@@ -137,10 +129,11 @@ def _work(which: str, *sizes: int) -> int:
 
 
 def _load() -> ctypes.PyDLL | None:
-    if os.environ.get("PAYLOAD_TRANSPORT_NATIVE") == "0":
+    if not compiler.enabled():
         return None
-    path = _library_path()
-    if not _intact(path) and not _compile(path):
+    source = Path(__file__).with_name("kernels.c").read_bytes()
+    path = compiler.library_path("kernels", source, _FLAGS)
+    if not compiler.intact(path) and not compiler.compile_library(path, source, _FLAGS):
         return None
     try:
         # PyDLL keeps the interpreter's lock: a kernel is shorter than handing the lock over and getting it back.
@@ -151,45 +144,6 @@ def _load() -> ctypes.PyDLL | None:
         function = getattr(library, name)
         function.restype, function.argtypes = result, arguments
     return library
-
-
-def _library_path() -> Path:
-    """Where the compiled kernels are: the name has all that may make them differ or not run, the processor too."""
-    digest = hashlib.sha256(_SOURCE.read_bytes())
-    digest.update(repr((_FLAGS, platform.machine(), platform.system(), os.environ.get("CC"))).encode())
-    try:
-        cpu = Path("/proc/cpuinfo").read_text(encoding="utf-8").split("\n\n")[0].splitlines()
-        digest.update("".join(line for line in cpu if line.startswith(("flags", "Features", "model name"))).encode())
-    except OSError:
-        digest.update(platform.processor().encode())
-    return cache_folder() / f"kernels-{digest.hexdigest()[:16]}.so"
-
-
-def _intact(path: Path) -> bool:
-    """Whether a library is there in full: loading half of one would end the process."""
-    try:
-        checksum = path.with_suffix(".sha256").read_text(encoding="ascii").strip()
-        return hashlib.sha256(path.read_bytes()).hexdigest() == checksum
-    except (OSError, ValueError):
-        return False
-
-
-def _compile(path: Path) -> bool:
-    compiler = next(filter(None, map(shutil.which, filter(None, [os.environ.get("CC"), "cc", "gcc", "clang"]))), None)
-    if compiler is None:
-        return False
-    try:
-        with tempfile.TemporaryDirectory() as folder:
-            made = Path(folder) / "kernels.so"
-            subprocess.run(
-                [compiler, *_FLAGS, "-o", made, _SOURCE, "-lm"],
-                check=True, capture_output=True, timeout=_COMPILE_TIMEOUT_S, stdin=subprocess.DEVNULL,
-            )  # fmt: skip
-            content = made.read_bytes()
-    except (OSError, subprocess.SubprocessError):
-        return False
-    checksum = hashlib.sha256(content).hexdigest()
-    return replace_atomically(path, content) and replace_atomically(path.with_suffix(".sha256"), checksum.encode())
 
 
 _KERNELS = _load()

@@ -17,6 +17,7 @@ from types import FrameType
 import tomli_w
 from rich.console import Console
 
+from model.compiled import compile_functions
 from protocol.bus import Endpoints
 from protocol.keys import Keys
 from protocol.process import EXIT_INTERRUPTED, Place, mesh, process_names
@@ -87,6 +88,8 @@ def fly(setup: Setup, folder: Path, console: Console) -> Finished:
     """
     _refuse_existing(folder)
     scenario = setup.scenario
+    with console.status("preparing the model for this processor, once"):
+        compile_functions(setup.system.N)
     names = process_names(scenario)
     host, base_port = scenario.network.host, scenario.network.base_port
     # The recorder has a port as well: it is called by people who want something of this run's parent.
