@@ -25,7 +25,10 @@ _SIGNATURES: dict[str, tuple[Any, Sequence[Any]]] = {
     "responses_work": (_number, [_number] * 2),
     "responses": (None, [_number] * 3 + [_address] * 6),
     "condense_work": (_number, [_number] * 3),
-    "condense": (None, [_number] * 3 + [_address] * 2 + [ctypes.c_double] + [_address] * 2 + [_number] + [_address] * 2),
+    "condense": (
+        None,
+        [_number] * 3 + [_address] * 2 + [ctypes.c_double] + [_address] * 2 + [_number] + [_address] * 2,
+    ),
     "toeplitz": (None, [_number] * 3 + [_address] * 2 + [_number]),
     "within_bounds_work": (_number, [_number]),
     "within_bounds": (ctypes.c_int, [_number] + [_address] * 4 + [ctypes.c_int] + [_address] * 3),
@@ -39,14 +42,20 @@ def zero_order_hold(
     """The growth theta, and A, B and f_d, which mean nothing when theta is above theta_possible or no number.
 
     Args:
-        A_c, B_c, f: (n, n), (n, m), (n,).
+        A_c: (n, n).
+        B_c: (n, m).
+        f: (n,).
         period_s: Sampling period, s.
-        theta_max, theta_possible, remainder: See `model.discretisation`.
+        theta_max: Growth above which the period is halved.
+        theta_possible: Growth above which nothing is computed.
+        remainder: What the series may leave out; see `model.discretisation`.
     """
     n, m = B_c.shape
+    # Column by column, as CasADi hands them out.
+    columns, inputs = np.ascontiguousarray(A_c.T), np.ascontiguousarray(B_c.T)
     A, B, f_d = np.empty((n, n)), np.empty((n, m)), np.empty(n)
     theta = _KERNELS.zero_order_hold(
-        n, m, _at(A_c.T), _at(B_c.T), _at(f), period_s, theta_max, theta_possible, remainder,
+        n, m, _at(columns), _at(inputs), _at(f), period_s, theta_max, theta_possible, remainder,
         _at(A), _at(B), _at(f_d), _work("zero_order_hold_work", n, m),
     )  # fmt: skip
     return theta, A, B, f_d
@@ -106,12 +115,10 @@ def _at(array: Array) -> int:
     """Address of the numbers of an array, which has to be row-major float64; of nothing where it is empty."""
     if array.size == 0:
         return 0
-    try:
-        return ctypes.addressof(ctypes.c_double.from_buffer(array))
-    except (TypeError, ValueError):  # read-only, or not row-major
-        pass
-    if not array.flags.c_contiguous or array.dtype != np.float64:
+    if array.dtype.char != "d" or not array.flags.c_contiguous:
         raise TypeError(f"expected a row-major array of float64, got {array.dtype} with strides {array.strides}")
+    if array.flags.writeable:
+        return ctypes.addressof(ctypes.c_double.from_buffer(array))  # the quickest way there is
     return int(array.ctypes.data)
 
 

@@ -19,7 +19,9 @@ def solve(H: Array, g: Array, lower: Array, upper: Array) -> tuple[Array, Array,
 
     Args:
         H: Positive definite, (n, n).
-        g, lower, upper: (n,).
+        g: (n,).
+        lower: (n,), -inf where there is none.
+        upper: (n,), inf where there is none.
     Returns: The answer, (n,); its multipliers, (n,), positive at upper bounds; how many guesses it took, 0 when it
         failed and the rest means nothing.
     """
@@ -41,6 +43,8 @@ def _solve(H: Array, g: Array, lower: Array, upper: Array) -> tuple[Array, Array
         except np.linalg.LinAlgError:
             break
         z[free] = np.linalg.solve(U.T, np.linalg.solve(U, -g[free] - H[np.ix_(free, ~free)] @ z[~free]))
+        if not np.isfinite(z).all():
+            break
         slope = H @ z + g
         multipliers = np.where(free, 0.0, -slope)
         stays = (lower == upper) | np.where(held < 0, slope >= 0.0, slope <= 0.0)

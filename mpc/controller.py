@@ -96,7 +96,7 @@ class Controller:
         # What the others do to a constraint without owned inputs is theirs to keep.
         depends = self._on_input.depends
         self._inputs_kept = depends[:, self.own].any(axis=1) if len(depends) else np.zeros(0, dtype=bool)
-        N, steps, m = model.system.N, settings.horizon, len(self.own)
+        N, steps = model.system.N, settings.horizon
         self._lower, self._upper = settings.limits.lower(len(self.owned)), settings.limits.upper(len(self.owned))
         self._rate = settings.limits.step(len(self.owned), settings.sampling_period_s)
         # Decisions in units of half their range, so that Newtons and Newton metres weigh alike.

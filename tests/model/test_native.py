@@ -104,6 +104,7 @@ def test_compiled_functions_give_the_same_bits(N: int, tmp_path: Path, monkeypat
     assert bits(compiled, N) == bits(interpreted, N)
     (library,) = tmp_path.glob("*.so")
     content = library.read_bytes()
+    library.unlink()  # as it is in use
     library.write_bytes(content[: len(content) // 2])  # a disk that was full
     assert {function.class_name() for function in functions(N).values()} == {"SXFunction"}
     assert compile_functions(N)
@@ -111,7 +112,8 @@ def test_compiled_functions_give_the_same_bits(N: int, tmp_path: Path, monkeypat
 
 
 @pytest.mark.parametrize(
-    "environment", [{"PAYLOAD_TRANSPORT_NATIVE": "0"}, {"PATH": "/nowhere", "CC": ""}, {"PATH": "/nowhere", "CC": "false"}]
+    "environment",
+    [{"PAYLOAD_TRANSPORT_NATIVE": "0"}, {"PATH": "/nowhere", "CC": ""}, {"PATH": "/nowhere", "CC": "/bin/false"}],
 )
 def test_everything_works_without_a_compiler(environment: dict[str, str], tmp_path: Path) -> None:
     """Switched off, not there, or failing: the twins in Python do the work, and nothing is left in the cache."""
