@@ -98,6 +98,17 @@ static double norm(ptrdiff_t n, ptrdiff_t width, const double *X, double *sums)
     return largest;
 }
 
+INLINE double dot(ptrdiff_t n, const double *a, const double *b)
+{
+    lanes sum = splat(0.0);
+    double rest = 0.0;
+    ptrdiff_t j = 0;
+    for (; j + LANES <= n; j += LANES) sum += VECTOR(a + j) * VECTOR(b + j);
+    for (; j < n; j++) rest += a[j] * b[j];
+    for (int v = 0; v < LANES; v++) rest += sum[v];
+    return rest;
+}
+
 /* Numbers of doubles of work space that the functions below ask for. */
 ptrdiff_t zero_order_hold_work(ptrdiff_t n, ptrdiff_t m)
 {
@@ -289,6 +300,15 @@ void toeplitz(ptrdiff_t steps, ptrdiff_t s, ptrdiff_t m, const double *impulse, 
         }
 }
 
+/* Free response alone: dx(k+1) = A dx(k) + W(k) from zero, (steps + 1, n). */
+void free_response(ptrdiff_t steps, ptrdiff_t n, const double *A, const double *W, double *dX)
+{
+    memset(dX, 0, (size_t)n * sizeof *dX);
+    for (ptrdiff_t k = 0; k < steps; k++)
+        for (ptrdiff_t i = 0; i < n; i++)
+            dX[(k + 1) * n + i] = dot(n, A + i * n, dX + k * n) + W[k * n + i];
+}
+
 #define PIVOTS 16 /* rows of a factor that are found before they are taken off the rest, in one pass over it */
 
 /* H = U' U in place, rows of length `width` (a multiple of LANES, zero beyond n); below the diagonal: rubbish.
@@ -396,17 +416,6 @@ static void judge(double value, double multiplier, double low, double high, doub
     *outside = larger(*outside, larger(low - value, value - high));
     if (multiplier > 0.0) *slackness = larger(*slackness, fabs(multiplier * (isinf(high) ? 1.0 : high - value)));
     else if (multiplier != 0.0) *slackness = larger(*slackness, fabs(multiplier * (isinf(low) ? 1.0 : value - low)));
-}
-
-INLINE double dot(ptrdiff_t n, const double *a, const double *b)
-{
-    lanes sum = splat(0.0);
-    double rest = 0.0;
-    ptrdiff_t j = 0;
-    for (; j + LANES <= n; j += LANES) sum += VECTOR(a + j) * VECTOR(b + j);
-    for (; j < n; j++) rest += a[j] * b[j];
-    for (int v = 0; v < LANES; v++) rest += sum[v];
-    return rest;
 }
 
 /* Karush-Kuhn-Tucker residuals; see mpc/qp.py. found: stationarity, primal, complementarity. */

@@ -24,6 +24,7 @@ _SIGNATURES: dict[str, tuple[Any, Sequence[Any]]] = {
     "zero_order_hold": (ctypes.c_double, [_number] * 2 + [_address] * 3 + [ctypes.c_double] * 4 + [_address] * 4),
     "responses_work": (_number, [_number] * 2),
     "responses": (None, [_number] * 3 + [_address] * 6),
+    "free_response": (None, [_number] * 2 + [_address] * 3),
     "condense_work": (_number, [_number] * 3),
     "condense": (
         None,
@@ -69,6 +70,14 @@ def responses(A: Array, B: Array, W: Array) -> tuple[Array, Array]:
         steps, n, m, _at(A), _at(B), _at(W), _at(impulse), _at(dX), _work("responses_work", n, m)
     )  # fmt: skip
     return impulse, dX
+
+
+def free_response(A: Array, W: Array) -> Array:
+    """See `mpc.prediction.free_response`."""
+    steps, n = W.shape
+    dX = np.empty((steps + 1, n))
+    _KERNELS.free_response(steps, n, _at(A), _at(W), _at(dX))
+    return dX
 
 
 def condense(output_impulse: Array, Q: Array, terminal: float, weighted: Array, H: Array, g: Array) -> None:
@@ -118,7 +127,7 @@ def _at(array: Array) -> int:
     if array.dtype.char != "d" or not array.flags.c_contiguous:
         raise TypeError(f"expected a row-major array of float64, got {array.dtype} with strides {array.strides}")
     if array.flags.writeable:
-        return ctypes.addressof(ctypes.c_double.from_buffer(array))  # the quickest way there is
+        return ctypes.addressof(ctypes.c_double.from_buffer(array.data))  # the quickest way there is
     return int(array.ctypes.data)
 
 
@@ -135,7 +144,7 @@ def _work(which: str, *sizes: int) -> int:
     return int(_buffer(getattr(_KERNELS, which)(*sizes)).ctypes.data)
 
 
-def _load() -> ctypes.PyDLL | None:
+def _load() -> Any:
     if not compiler.enabled():
         return None
     source = Path(__file__).with_name("kernels.c").read_bytes()

@@ -1,6 +1,7 @@
 """One controller for any set of owned UAVs: one is the paper's distributed controller, all the centralized one."""
 
 import contextlib
+import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
@@ -112,7 +113,15 @@ class Controller:
         self._tilt_slack = 0 if self._separation is None else 1
         self._state_slack = np.where(soft, len(shared) + np.cumsum(soft) - 1, -1)
         self._z_scale = np.concatenate([np.tile(self._scale, steps), np.ones(len(self._penalties))])
+        # Of the effort, twice, as solvers have a half in front: slope and curvature by the scaled decision.
+        self._effort_slope = 2.0 * self.cost.R[self.own] * self._scale
+        self._effort_curvature = np.tile(self._effort_slope * self._scale, steps)
         self._template = self._rows_template()
+        self._rates = np.tile(self._rate, steps - 1)
+        slacks = len(self._penalties)
+        self._slack_bounds = np.zeros(slacks), np.full(slacks, np.inf)
+        self._no_gap = np.full(steps * len(self._pairs), np.inf)
+        self._no_tilt = np.full(steps * len(self._tilt_states), np.inf)
 
     def step(
         self,
@@ -247,7 +256,7 @@ class Controller:
 
         Source: docs/equations.md (22)-(30), (48); paper (22)-(27).
         """
-        C, error_0, cost = linear.model.C, linear.model.y - y_ref, self.cost
+        C, error_0 = linear.model.C, linear.model.y - y_ref
         terminal = self.settings.weights.terminal
         if len(self._costs):
             # The user's terms are outputs more, whose reference is zero.
@@ -261,13 +270,12 @@ class Controller:
         weighted[-1] *= terminal
         # Decisions in their units from here on, and twice the cost, as solvers have a half in front.
         scaled = (C @ prediction.impulse) * self._scale
-        R = 2.0 * cost.R[self.own] * self._scale
         H, g = np.zeros((decisions + slacks, decisions + slacks)), np.empty(decisions + slacks)
         condensing.condense(scaled, 2.0 * self._Q, terminal, 2.0 * weighted, H, g)
         diagonal = H.reshape(-1)[:: decisions + slacks + 1]
-        diagonal[:decisions] += np.tile(R * self._scale, steps)
+        diagonal[:decisions] += self._effort_curvature
         diagonal[decisions:] = self._penalties
-        g[:decisions] += (R * (prediction.U_free - linear.u_target[self.own])).reshape(-1)
+        g[:decisions] += (self._effort_slope * (prediction.U_free - linear.u_target[self.own])).reshape(-1)
         g[decisions:] = self._penalties
 
         lower, upper = self._bounds(prediction, linear.u0)
@@ -360,17 +368,15 @@ class Controller:
 
     def _bounds(self, prediction: Prediction, u0: Array) -> tuple[Array, Array]:
         """Bounds on the scaled decision; the first step's rate limit is a bound too."""
-        steps, m = prediction.U_free.shape
         lower, upper = self._lower - prediction.U_free, self._upper - prediction.U_free
         # Inputs in force outside the limits come back at once: bounds are the actuator's, rates a wish.
         first = u0[self.own] - prediction.U_free[0]
         lower[0] = np.minimum(np.maximum(lower[0], first - self._rate), upper[0])
         upper[0] = np.maximum(np.minimum(upper[0], first + self._rate), lower[0])
-        slacks = len(self._penalties)
-        scale = self._z_scale[: steps * m]
+        from_slack, to_slack = self._slack_bounds
         return (
-            np.concatenate([lower.reshape(-1) / scale, np.zeros(slacks)]),
-            np.concatenate([upper.reshape(-1) / scale, np.full(slacks, np.inf)]),
+            np.concatenate([(lower / self._scale).reshape(-1), from_slack]),
+            np.concatenate([(upper / self._scale).reshape(-1), to_slack]),
         )
 
     def _rows(
@@ -385,9 +391,8 @@ class Controller:
             U: Announced inputs.
         """
         steps, m = prediction.U_free.shape
-        rate = np.tile(self._rate, steps - 1)
         drift = (prediction.U_free[1:] - prediction.U_free[:-1]).reshape(-1)
-        lower, upper = [-rate - drift], [rate - drift]
+        lower, upper = [-self._rates - drift], [self._rates - drift]
         A, at = self._template.copy(), len(drift)
         C = linear.model.C
         if self._separation is not None:
@@ -396,14 +401,14 @@ class Controller:
             gap = self._separation.minimum_m - distance.reshape(-1)
             at = _fill(direction @ output_impulse, A, at)
             lower.append(gap)
-            upper.append(np.full(len(gap), np.inf))
+            upper.append(self._no_gap)
         if self._tilt is not None:
             angles = (linear.x0[self._tilt_states] + prediction.dX_free[1:, self._tilt_states]).reshape(-1)
-            limit, none = np.radians(self._tilt.limit_deg), np.full(len(angles), np.inf)
+            limit = math.radians(self._tilt.limit_deg)
             effect = prediction.impulse[:, self._tilt_states] * self._scale
             at = _fill(effect, A, _fill(effect, A, at))
-            lower += [-none, -limit - angles]
-            upper += [limit - angles, none]
+            lower += [-self._no_tilt, -limit - angles]
+            upper += [limit - angles, self._no_tilt]
         if len(self._on_state):
             on = linear.on_state
             value = on.value + prediction.dX_free[1:] @ on.slope.T
@@ -448,6 +453,7 @@ class Controller:
 
 def _fill(impulse: Array, A: Array, at: int) -> int:
     """Write the prediction matrix of a signal into rows that begin at `at`; returns where the next begin."""
-    end = at + impulse.shape[0] * impulse.shape[1]
+    steps, signals, _ = impulse.shape
+    end = at + steps * signals
     condensing.fill(impulse, A[at:end])
     return end

@@ -111,7 +111,7 @@ def free_response(A: Array, W: Array) -> Array:
     Source: docs/equations.md (23); paper (15), (23).
     """
     if native.AVAILABLE:
-        return native.responses(np.ascontiguousarray(A), np.empty((len(A), 0)), W)[1]
+        return native.free_response(np.ascontiguousarray(A), np.ascontiguousarray(W))
     dX = np.zeros((len(W) + 1, A.shape[0]))
     for k, w in enumerate(W):
         dX[k + 1] = A @ dX[k] + w
