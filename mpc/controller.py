@@ -454,6 +454,6 @@ class Controller:
 def _fill(impulse: Array, A: Array, at: int) -> int:
     """Write the prediction matrix of a signal into rows that begin at `at`; returns where the next begin."""
     steps, signals, _ = impulse.shape
-    end = at + steps * signals
+    end: int = at + steps * signals
     condensing.fill(impulse, A[at:end])
     return end

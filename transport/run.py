@@ -17,6 +17,7 @@ from types import FrameType
 import tomli_w
 from rich.console import Console
 
+from model import native
 from model.compiled import compile_functions
 from protocol.bus import Endpoints
 from protocol.keys import Keys
@@ -175,10 +176,14 @@ def run_header(setup: Setup, run: str, processes: int, scenario_toml: str) -> Ma
 
 
 def versions() -> str:
-    """Versions of Python and of the packages that results depend on, in one line."""
+    """Versions of Python, of the packages that results depend on, and whether the kernels are compiled, in one line."""
     packages = ("payload-transport", "numpy", "casadi", "daqp", "clarabel", "eclipse-zenoh")
     return ", ".join(
-        [f"python {platform.python_version()}", *(f"{package} {version(package)}" for package in packages)]
+        [
+            f"python {platform.python_version()}",
+            *(f"{package} {version(package)}" for package in packages),
+            f"kernels {'compiled' if native.AVAILABLE else 'plain'}",
+        ]
     )
 
 

@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -68,7 +69,8 @@ def test_zero_order_hold_refuses_what_its_twin_refuses(bad: float) -> None:
 @needs_kernels
 def test_kernels_refuse_arrays_they_cannot_read() -> None:
     """A matrix that is not row-major, or not float64, is an error and not other numbers."""
-    for matrix in (np.zeros((4, 6))[:, ::2], np.zeros((3, 3), dtype=np.float32)):
+    bad: list[Any] = [np.zeros((4, 6))[:, ::2], np.zeros((3, 3), dtype=np.float32)]
+    for matrix in bad:
         with pytest.raises(TypeError, match="row-major"):
             native._at(matrix)
 
@@ -80,7 +82,7 @@ def bits(built: dict[str, ca.Function], N: int) -> list[bytes]:
     for _ in range(5):
         p = random_system(rng, N).vector()
         x, u, F = random_state(rng, N), random_input(rng, N), random_forces(rng, N)
-        values = {"i0": x, "i1": u, "i2": p, "i3": F, "i4": 0.05}
+        values: dict[str, Any] = {"i0": x, "i1": u, "i2": p, "i3": F, "i4": 0.05}
         short = {"i0": x, "i1": p}
         for function in built.values():
             given = short if function.n_in() == 2 else values
