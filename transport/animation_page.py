@@ -129,9 +129,9 @@ class Page:
         from matplotlib.patches import Circle
 
         axes, centre = self._above, scene.uavs_I[:, :2].mean(axis=0)
-        # y upwards, so that what is near in the other picture is near the lower edge here.
+        # Seen from above, z pointing away: y downwards, and what is near in the other picture is near here.
         axes.set_xlim(centre[0] - self._reach_m * 1.9, centre[0] + self._reach_m * 1.9)
-        axes.set_ylim(centre[1] - self._reach_m, centre[1] + self._reach_m)
+        axes.set_ylim(centre[1] + self._reach_m, centre[1] - self._reach_m)
         pieces, colours = link_segments(scene.links, agent_places(scene, self._setup.owned))
         self._keep(axes.add_collection(LineCollection(list(pieces[..., :2]), colors=colours / 255.0, linewidths=2.6)))
         corners = scene.attachments_I[_around(scene.attachments_I - scene.payload_I)][:, :2]

@@ -79,7 +79,8 @@ def frame(axes: Any, points: Array, *, zoom: float = 0.95) -> None:
     widen = np.maximum(0.0, _SLIMMEST * float((high - low).max()) - (high - low)) / 2.0
     low, high = low - widen, high + widen
     axes.set_xlim(low[0], high[0])
-    axes.set_ylim(low[1], high[1])
+    # With z pointing down, x to the right leaves y pointing at the reader: anything else would be a mirror image.
+    axes.set_ylim(high[1], low[1])
     axes.set_zlim(low[2], high[2])
     axes.set_box_aspect(high - low, zoom=zoom)
     # One spacing of ticks, half of it on axes too short for that: equal scales can be seen.
