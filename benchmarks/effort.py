@@ -17,6 +17,7 @@ class Effort:
         flights: Of each of the controllers whose ratios are taken, in turns.
         teams: UAVs of the teams whose step is taken apart.
         horizons: N_p of each.
+        structured: N_p at which condensing is set against a solve that keeps the states.
         steps: At least so many of each are timed.
         repetitions: Of each program, and of what takes microseconds.
         programs: At most so many of a flight, from its beginning to its end.
@@ -33,6 +34,7 @@ class Effort:
     flights: int
     teams: tuple[int, ...]
     horizons: tuple[int, ...]
+    structured: tuple[int, ...]
     steps: int
     repetitions: int
     programs: int
@@ -50,6 +52,7 @@ FULL = Effort(
     flights=9,
     teams=(2, 4, 8, 16),
     horizons=(10, 20, 40, 80),
+    structured=(10, 20, 40, 80),
     steps=400,
     repetitions=5,
     programs=30,
@@ -67,6 +70,7 @@ QUICK = Effort(
     flights=1,
     teams=(2, 4),
     horizons=(10, 20),
+    structured=(5,),
     steps=1,
     repetitions=1,
     programs=4,

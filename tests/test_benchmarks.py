@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks import __main__ as command
-from benchmarks import aims, loop, parts, solvers, step, watched
+from benchmarks import aims, loop, parts, solvers, step, structured, watched
 from benchmarks.effort import FULL, QUICK, Effort
 from benchmarks.flights import Situation, programs, setup, situations
 from benchmarks.page import BenchmarkError, Table, check, write
@@ -72,13 +72,23 @@ def test_solvers_agree(solver: Solver) -> None:
     assert outcome.times.median > 0.0
 
 
+@pytest.mark.parametrize("name", ["paper", "centralized"])
+def test_both_ways_find_the_same_decision(name: str) -> None:
+    """What is compared is the same problem: the condensed program and the recursion have one optimum."""
+    at = situations(setup(name, QUICK.climb), 1)[0]
+    for steps in (1, 2, 7):
+        one, other = structured.condensed(at, steps), structured.riccati(at, steps)
+        assert np.abs(one - other).max() < 1e-6 * max(1.0, np.abs(one).max())
+        assert np.abs(one).max() > 0.0
+
+
 def test_aims_have_their_rows() -> None:
     """Steps, naive step and ratios, each with what was wanted beside it."""
     (table,) = aims.measure(QUICK, silent)
     assert first_cells(table) == [
-        "agent, `paper`", "agent, `resilient`", "agent, `centralized`", "`Controller.step`, `paper`",
-        "naive step, same plans", "centralized over `paper`", "centralized over `resilient`",
-        "naive over `Controller.step`",
+        "agent, `paper`", "agent, `resilient`", "agent, `centralized`", f"agent, `{aims.PLAIN}`",
+        "`Controller.step`, `paper`", "naive step, same plans", "centralized over `paper`",
+        "centralized over `resilient`", "naive over `Controller.step`", f"`{aims.PLAIN}` over `paper`",
     ]  # fmt: skip
     assert min(numbers(table, "median, ms")) > 0.0
 
