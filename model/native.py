@@ -7,7 +7,6 @@ tested against, and results agree but for rounding. See `model.compiler`.
 
 import ctypes
 from collections.abc import Sequence
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -131,17 +130,19 @@ def _at(array: Array) -> int:
     return int(array.ctypes.data)
 
 
-@lru_cache
-def _buffer(numbers: int) -> Array:
-    # Aligned to the width of the vectors of every processor there is.
-    room = np.zeros(numbers + 8)
-    return room[(-room.ctypes.data // 8) % 8 :]
-
-
-@lru_cache
 def _work(which: str, *sizes: int) -> int:
     """Address of the work space of a kernel; kernels run to their end before anybody else computes."""
-    return int(_buffer(getattr(_KERNELS, which)(*sizes)).ctypes.data)
+    found = _WORK.get((which, sizes))
+    if found is None:
+        room = np.zeros(getattr(_KERNELS, which)(*sizes) + 8)
+        # Aligned to the width of the vectors of every processor there is.
+        room = room[(-room.ctypes.data // 8) % 8 :]
+        found = _WORK[which, sizes] = room, int(room.ctypes.data)
+    return found[1]
+
+
+# By kernel and sizes, for good: whoever has the address has no hold on the array.
+_WORK: dict[tuple[str, tuple[int, ...]], tuple[Array, int]] = {}
 
 
 def _load() -> Any:

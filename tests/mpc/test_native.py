@@ -45,6 +45,21 @@ def test_responses_are_their_twin(size: tuple[int, int, int, int]) -> None:
     assert close(free_response(A, W), naive.simulate(A, np.eye(n), np.zeros(n), W))
 
 
+def test_work_space_stays() -> None:
+    """However many sizes a process meets, none computes in memory that is somebody else's by then."""
+    rng = np.random.default_rng(0)
+
+    def problem(n: int) -> tuple[Array, Array, Array]:
+        return rng.standard_normal((n, n)) / n, rng.standard_normal((n, 2)), rng.standard_normal((3, n))
+
+    often = problem(100)
+    expected = _responses(*often)
+    for n in range(1, 300):
+        responses(*problem(n))
+        for one, other in zip(responses(*often), expected, strict=True):
+            assert close(one, other)
+
+
 def test_condensing_is_its_twin(size: tuple[int, int, int, int]) -> None:
     """Hessian, symmetric to the bit, and gradient, in a program that has slacks behind the decisions, untouched."""
     _, m, p, steps = size
