@@ -141,6 +141,11 @@ class Gate:
         return None
 
     @property
+    def refused(self) -> int:
+        """How many messages were refused so far, here and by the node."""
+        return self._rejections.total
+
+    @property
     def kept(self) -> int:
         """How many messages wait for their sender's token."""
         return len(self._early)

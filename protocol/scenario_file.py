@@ -2,6 +2,7 @@
 
 import difflib
 import importlib.resources
+import re
 import tomllib
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -15,6 +16,7 @@ from mpc.feedback import FeedbackError
 from mpc.settings import SettingsError
 from protocol.path_file import PathFileError, with_paths
 from protocol.scenario import LinkChangeSection, LinkOverrideSection, Scenario
+from protocol.security import is_loopback
 
 T = TypeVar("T")
 
@@ -157,6 +159,7 @@ def _check_relations(scenario: Scenario, source: str) -> None:
         raise ScenarioError(source, "plant.step_s", f"expected at most the sampling period {period_s}, got {step_s}")
     _check_drag(scenario, source)
     _check_path(scenario, source)
+    _check_network(scenario, source)
 
 
 def _check_links(scenario: Scenario, source: str, agents: list[str]) -> None:
@@ -254,6 +257,20 @@ def _check_path(scenario: Scenario, source: str) -> None:
                 key = "way" if phase.way else "displacement_m"
                 raise ScenarioError(source, f"maneuver.phase.{i}.{key}", f"{expected}, got {furthest:g} m")
         reached = [a + b for a, b in zip(reached, phase.displacement_m, strict=True)]
+
+
+def _check_network(scenario: Scenario, source: str) -> None:
+    """Nothing listens beyond this host without encryption unless somebody has said so."""
+    network = scenario.network
+    if network.router is not None and not re.fullmatch(r"(tcp|tls)/\S+:\d+", network.router):
+        expected = f"expected an endpoint such as tls/192.0.2.1:7447, got {network.router!r}"
+        raise ScenarioError(source, "network.router", expected)
+    if network.keys is not None or network.insecure or network.router is not None or is_loopback(network.host):
+        return
+    expected = (
+        "expected a loopback address, or network.keys with it, or network.insecure = true to be open to everybody"
+    )
+    raise ScenarioError(source, "network.host", f"{expected}, got {network.host!r}")
 
 
 def _apply(tree: dict[str, Any], setting: str) -> None:

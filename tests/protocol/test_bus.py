@@ -14,7 +14,7 @@ import pytest
 import zenoh
 
 from protocol.bus import Bus, Endpoints
-from protocol.codec import encode
+from protocol.codec import VERSION, encode
 from protocol.gate import Gate
 from protocol.keys import Keys
 from protocol.messages import Presence
@@ -109,7 +109,7 @@ def test_a_stranger_is_counted(network: tuple[Plant, zenoh.Session]) -> None:
     plant, session = network
     block = zenoh.CongestionControl.BLOCK
     key = f"{KEYS.prefix}/tick"
-    session.put(f"{KEYS.prefix}/plan/2", b"\x02hello", congestion_control=block)
+    session.put(f"{KEYS.prefix}/plan/2", bytes([VERSION]) + b"hello", congestion_control=block)
     session.put(f"{KEYS.prefix}/plan/3", bytes(plant.gate.max_bytes + 1), congestion_control=block)
     session.put(f"{KEYS.prefix}/plan/4", bytes(5_000_000), congestion_control=block)
     session.delete(f"{KEYS.prefix}/control")
@@ -140,8 +140,8 @@ def test_who_is_announced_is_believed(network: tuple[Plant, zenoh.Session]) -> N
     block = zenoh.CongestionControl.BLOCK
     session.put(f"{KEYS.prefix}/tick", encode(runs.tick(0)), congestion_control=block)
     assert plant.waits_for(lambda: plant.gate.kept == 1)
-    other = session.liveliness().declare_token(KEYS.alive("coordinator", 0, "another"))
-    token = session.liveliness().declare_token(KEYS.alive("coordinator", 0, DIGEST))
+    other = session.liveliness().declare_token(KEYS.alive("coordinator", 0, "another", VERSION))
+    token = session.liveliness().declare_token(KEYS.alive("coordinator", 0, DIGEST, VERSION))
     assert plant.bus.next(PATIENCE_S) == runs.tick(0)
     other.undeclare()  # type: ignore[no-untyped-call]
     token.undeclare()  # type: ignore[no-untyped-call]
