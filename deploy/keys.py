@@ -3,11 +3,11 @@
 The folder holds everything and stays where it was made; `transport deploy render` gives each host its own part.
 """
 
-import hashlib
 import ipaddress
 import os
 import secrets
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -70,7 +70,7 @@ def make_certificates(folder: Path, addresses: Mapping[str, Sequence[str]], days
 
 
 def make_passwords(folder: Path, names: Iterable[str]) -> None:
-    """A password for each name that has none, and the list of them for the router, hashed.
+    """A password for each name that has none, and the list of them for the router.
 
     Args:
         folder: Where to; what is there already stays.
@@ -84,8 +84,7 @@ def make_passwords(folder: Path, names: Iterable[str]) -> None:
                 _write_private(file, f"{secrets.token_urlsafe(_PASSWORD_BYTES)}\n".encode())
         lines = []
         for file in sorted(folder.glob("*.password")):
-            hashed = hashlib.sha256(file.read_bytes().strip()).hexdigest()
-            lines.append(f"{file.stem}:{hashed}\n")
+            lines.append(f"{file.stem}:{file.read_text(encoding='utf-8').strip()}\n")
         (folder / USERS).unlink(missing_ok=True)
         _write_private(folder / USERS, "".join(lines).encode())
 
@@ -105,21 +104,14 @@ def files_of(folder: Path, name: str) -> list[Path]:
     return wanted
 
 
-class _writing:
-    """Says which folder when writing to it fails."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-
-    def __enter__(self) -> None:
-        try:
-            self._folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-        except OSError as error:
-            raise KeysError(f"--out: cannot write {self._folder} ({error.strerror})") from error
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        if isinstance(error, OSError):
-            raise KeysError(f"--out: cannot write {error.filename or self._folder} ({error.strerror})") from error
+@contextmanager
+def _writing(folder: Path) -> Iterator[None]:
+    """Say which folder when writing to it fails."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        yield
+    except OSError as error:
+        raise KeysError(f"--out: cannot write {error.filename or folder} ({error.strerror})") from error
 
 
 def _authority(folder: Path, days: int) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]:

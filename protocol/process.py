@@ -31,6 +31,17 @@ from protocol.setup import Setup
 EXIT_INTERRUPTED = 130
 DEFAULT_BASE_PORT = 7447
 
+# One thread for linear algebra per process, and few for Zenoh: a run has more processes than a host has cores.
+# Three that receive: one is held up for seconds when the connection to a frozen process is given up, as closing it
+# waits for the frozen one to read, and meanwhile everybody else must be heard.
+ENVIRONMENT = {
+    "OPENBLAS_NUM_THREADS": "1",
+    "OMP_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    "ZENOH_RUNTIME": "(rx:(worker_threads:3),acc:(handover:net),app:(handover:net))",
+    "PYTHONUNBUFFERED": "1",
+}
+
 # Between collections of what reference counting does not free.
 _COLLECT_EVERY = 256
 # How long a peer that does not read may hold up the others before the link to it is closed, by clock mode.
@@ -75,14 +86,17 @@ def mesh(
     }
 
 
-def places(names: Sequence[str], scenario: Scenario, ports: Sequence[int]) -> dict[str, Endpoints]:
+def places(
+    names: Sequence[str], scenario: Scenario, ports: Sequence[int], *, check: bool = True
+) -> dict[str, Endpoints]:
     """Endpoints as a scenario has them: a mesh on its host, or clients of its router, who listen nowhere.
 
     Args:
         names: Process names, in the mesh's order.
         scenario: Its `network` counts, and who takes part.
         ports: One for each.
-    Raises: SecurityError: keys that one of them cannot use.
+        check: Whether all of them are to be started here: then each must have its keys, and listen where it may.
+    Raises: SecurityError: keys that one of them cannot use, an endpoint that anybody could reach.
     """
     network, security = scenario.network, security_of(scenario)
     if network.router is None:
@@ -93,6 +107,10 @@ def places(names: Sequence[str], scenario: Scenario, ports: Sequence[int]) -> di
     if security is not None and network.router is not None and not network.router.startswith(security.scheme):
         expected = f"expected {security.scheme}/... with the keys in {security.folder}, got {network.router}"
         raise SecurityError(f"network.router: {expected}")
+    for name, place in found.items() if check else ():
+        if security is not None:
+            security.check(name, mode=place.mode)
+        refuse_exposed(place, scenario)
     return found
 
 
@@ -134,10 +152,10 @@ def refuse_exposed(place: Endpoints, scenario: Scenario) -> None:
 
     Raises: SecurityError: naming the endpoint.
     """
-    open_to_all = exposed(place.listen)
-    if open_to_all is not None and not scenario.network.insecure:
+    at = exposed(place.listen)
+    if at is not None and not scenario.network.insecure:
         expected = "expected a loopback address, or network.keys, or network.insecure = true to be open to everybody"
-        raise SecurityError(f"{expected}, got {open_to_all}")
+        raise SecurityError(f"network.host: {expected}, got {at}")
 
 
 def security_of(scenario: Scenario) -> Security | None:
@@ -158,7 +176,7 @@ def default_mesh(scenario: Scenario) -> dict[str, Endpoints]:
     """
     names = process_names(scenario)
     base = scenario.network.base_port or DEFAULT_BASE_PORT
-    return places(names, scenario, range(base, base + len(names)))
+    return places(names, scenario, range(base, base + len(names)), check=False)
 
 
 def run_node(

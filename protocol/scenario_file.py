@@ -16,7 +16,6 @@ from mpc.feedback import FeedbackError
 from mpc.settings import SettingsError
 from protocol.path_file import PathFileError, with_paths
 from protocol.scenario import LinkChangeSection, LinkOverrideSection, Scenario
-from protocol.security import is_loopback
 
 T = TypeVar("T")
 
@@ -260,17 +259,11 @@ def _check_path(scenario: Scenario, source: str) -> None:
 
 
 def _check_network(scenario: Scenario, source: str) -> None:
-    """Nothing listens beyond this host without encryption unless somebody has said so."""
-    network = scenario.network
-    if network.router is not None and not re.fullmatch(r"(tcp|tls)/\S+:\d+", network.router):
-        expected = f"expected an endpoint such as tls/192.0.2.1:7447, got {network.router!r}"
+    """A router is an endpoint; whether what listens may listen there is seen to when it does."""
+    router = scenario.network.router
+    if router is not None and not re.fullmatch(r"(tcp|tls)/\S+:\d+", router):
+        expected = f"expected an endpoint such as tls/192.0.2.1:7447, got {router!r}"
         raise ScenarioError(source, "network.router", expected)
-    if network.keys is not None or network.insecure or network.router is not None or is_loopback(network.host):
-        return
-    expected = (
-        "expected a loopback address, or network.keys with it, or network.insecure = true to be open to everybody"
-    )
-    raise ScenarioError(source, "network.host", f"{expected}, got {network.host!r}")
 
 
 def _apply(tree: dict[str, Any], setting: str) -> None:

@@ -11,6 +11,7 @@ import typer
 
 from transport.answers import Format, fail
 from transport.compare_commands import compare
+from transport.deploy_commands import deploy_app, router
 from transport.doctor_commands import doctor
 from transport.experiments.commands import experiment_app
 from transport.log_commands import log_app
@@ -48,6 +49,8 @@ app.command()(top)
 app.command()(compare)
 app.command()(doctor)
 app.add_typer(log_app, name="log")
+app.add_typer(deploy_app, name="deploy")
+app.command()(router)
 
 
 ScenarioArgument = Annotated[

@@ -17,7 +17,7 @@ from types import FrameType
 import tomli_w
 from rich.console import Console
 
-from protocol.bus import Endpoints
+from protocol.bus import BusError, Endpoints
 from protocol.keys import RECORDER, Keys
 from protocol.process import EXIT_INTERRUPTED, Place, places, process_names
 from protocol.security import SecurityError
@@ -96,13 +96,13 @@ def fly(setup: Setup, folder: Path, console: Console) -> Finished:
             check_ports(host, ports)
         try:
             found = places([*names, RECORDER], scenario, [*ports, own])
-            for name, place in found.items():
-                if place.security is not None:
-                    place.security.check(name, mode=place.mode)
         except SecurityError as error:
             raise RunError(str(error), EXIT_SCENARIO) from error
         recording = found.pop(RECORDER)
-        return _fly(setup, folder, console, found, recording)
+        try:
+            return _fly(setup, folder, console, found, recording)
+        except BusError as error:
+            raise RunError(str(error), EXIT_LOST) from error
 
 
 def _fly(
@@ -159,7 +159,12 @@ def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finis
     with RunProgress(setup, console) as progress:
         header = run_header(setup, place.run, len(names), text)
         writer = _open_log(folder, header, setup.period_ns)
-        recorder = Recorder(setup, place.run, writer, place.endpoints, place.join_timeout_s, place.incarnation)
+        try:
+            recorder = Recorder(setup, place.run, writer, place.endpoints, place.join_timeout_s, place.incarnation)
+        except BusError as error:
+            writer.close()
+            shutil.rmtree(folder, ignore_errors=True)
+            raise RunError(str(error), EXIT_LOST) from error
         try:
             recorder.start(names)
             _watch(None, recorder, progress, None)
