@@ -30,7 +30,7 @@ class RenderError(ValueError):
     """A deployment that cannot be written: the text says what was expected and what came."""
 
 
-def render(setup: Setup, inventory: Inventory, keys: Path | None, out: Path) -> list[Path]:
+def render(setup: Setup, inventory: Inventory, keys: Path | None, out: Path, *, in_place: bool = False) -> list[Path]:
     """Write the folders of all hosts.
 
     Args:
@@ -38,6 +38,7 @@ def render(setup: Setup, inventory: Inventory, keys: Path | None, out: Path) -> 
         inventory: Its hosts.
         keys: Folder of keys; each host gets those of what it runs. None only if the inventory says `insecure`.
         out: Folder to create.
+        in_place: Whether the folders are used where they are, in place of /etc/transport.
     Returns: The folders.
     Raises: RenderError: the folder exists, or hosts without keys would be open to everybody.
         KeysError: a key is not there.
@@ -51,16 +52,20 @@ def render(setup: Setup, inventory: Inventory, keys: Path | None, out: Path) -> 
         raise RenderError("--keys: expected a host that runs a router with passwords, which only a router can check")
     posted = postings(inventory, process_names(setup.scenario), scheme)
     wanted = {host.name: _keys(keys, host, posted) for host in inventory.host}
-    return [_host(setup, inventory, host, posted, wanted[host.name], out / host.name) for host in inventory.host]
+    for host in inventory.host:
+        etc = (out / host.name).resolve() if in_place else ETC
+        _host(setup, inventory, host, posted, wanted[host.name], out / host.name, etc)
+    return [out / host.name for host in inventory.host]
 
 
-def unit(posting: Posting, inventory: Inventory, beside: Sequence[str]) -> str:
+def unit(posting: Posting, inventory: Inventory, beside: Sequence[str], etc: Path = ETC) -> str:
     """The systemd unit of a process.
 
     Args:
         posting: Where it is.
         inventory: The deployment.
         beside: Processes of the same host that are to be there before it, and that it leaves before.
+        etc: Where its scenario is.
     """
     host, name = posting.host, posting.process
     return Template((_TEMPLATES / "process.service").read_text(encoding="utf-8")).substitute(
@@ -68,7 +73,7 @@ def unit(posting: Posting, inventory: Inventory, beside: Sequence[str]) -> str:
         run=inventory.run,
         after=" ".join(["network-online.target", *[f"transport-{other}.service" for other in beside]]),
         environment="\n".join(f'Environment="{key}={value}"' for key, value in ENVIRONMENT.items()),
-        command=shlex.join(command(posting, inventory)),
+        command=shlex.join(command(posting, inventory, etc=etc)),
         restart="on-failure" if name.startswith(_RESTARTED) else "no",
         scheduling=_scheduling(host, name),
     )
@@ -100,22 +105,28 @@ def command(posting: Posting, inventory: Inventory, program: Path = PROGRAM, etc
 
 
 def _host(
-    setup: Setup, inventory: Inventory, host: Host, posted: Sequence[Posting], keys: Sequence[Path], folder: Path
-) -> Path:
+    setup: Setup,
+    inventory: Inventory,
+    host: Host,
+    posted: Sequence[Posting],
+    keys: Sequence[Path],
+    folder: Path,
+    etc: Path,
+) -> None:
     own = [posting for posting in posted if posting.host == host]
     (folder / "systemd").mkdir(parents=True)
     router = next((posting.endpoints.connect[0] for posting in own if posting.endpoints.mode == "client"), None)
     tree = setup.scenario.tree()
     network: dict[str, Any] = {"host": host.listen or host.address, "base_port": inventory.base_port}
     network |= {"router": router} if router else {}
-    network |= {"keys": str(ETC / "keys")} if keys else {"insecure": True}
+    network |= {"keys": str(etc / "keys")} if keys else {"insecure": True}
     (folder / "scenario.toml").write_text(tomli_w.dumps({**tree, "network": network}), encoding="utf-8")
     _write_samples(setup.samples_s, folder)
     running = [posting.process for posting in own]
     for posting in own:
         # Started last, the coordinator is stopped first: everybody hears of the end of the run while it is there.
         beside = [name for name in running if name != "coordinator"] if posting.process == "coordinator" else []
-        text = unit(posting, inventory, beside)
+        text = unit(posting, inventory, beside, etc)
         (folder / "systemd" / f"transport-{posting.process}.service").write_text(text, encoding="utf-8")
     if keys:
         (folder / "keys").mkdir(mode=0o700)
@@ -127,7 +138,6 @@ def _host(
         script.substitute(host=host.name, etc=ETC, program=PROGRAM, services=services), encoding="utf-8"
     )
     (folder / "install.sh").chmod(0o755)
-    return folder
 
 
 def _write_samples(samples_s: Mapping[str, Sequence[float]], folder: Path) -> None:

@@ -232,6 +232,7 @@ class Bus:
     def next(self, timeout_s: float | None) -> BusEvent | None:
         """The next event, or None after the timeout (None waits for ever). Bad messages are counted, not returned."""
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
+        self._gate.count_unread()
         while True:
             kept = self._gate.released()
             if kept is not None:
@@ -330,9 +331,12 @@ class Bus:
         return Request(what, given, reply)
 
     def _arrived(self, sample: zenoh.Sample) -> None:
-        """On a thread of Zenoh's: put a sample into the inbox, unless it is too large to wait there."""
-        size = len(sample.payload)
-        self._put(sample if size <= self._gate.max_bytes else _Oversized(str(sample.key_expr), size))
+        """On a thread of Zenoh's: put a sample into the inbox, unless it is too large to wait there or is over."""
+        size, key = len(sample.payload), str(sample.key_expr)
+        if size > self._gate.max_bytes:
+            self._put(_Oversized(key, size))
+        elif not self._gate.has_passed(key, sample.payload.to_bytes()):
+            self._put(sample)
 
     def _put(self, item: Any) -> None:
         self._inbox.put((time.time_ns(), item))

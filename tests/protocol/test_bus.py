@@ -97,7 +97,7 @@ def test_when_something_came(network: tuple[Plant, zenoh.Session]) -> None:
     """The time of arrival is that of the thread that receives, however late somebody reads."""
     plant, session = network
     refused, sent_ns = plant.rejections.total, time.time_ns()
-    session.put(f"{KEYS.prefix}/plan/2", b"?", congestion_control=zenoh.CongestionControl.BLOCK)
+    session.put(f"{KEYS.prefix}/plan/2", encode(runs.tick(0)), congestion_control=zenoh.CongestionControl.BLOCK)
     time.sleep(1.0)
     read_ns = time.time_ns()
     assert plant.waits_for(lambda: plant.rejections.total > refused)
