@@ -16,6 +16,7 @@ from typing import Any, Literal
 
 import zenoh
 
+from protocol.brake import Brake
 from protocol.codec import MAX_BYTES, VERSION, encode
 from protocol.gate import Gate
 from protocol.health import Offset, usage
@@ -124,7 +125,7 @@ class Bus:
         self._inbox: queue.SimpleQueue[tuple[int, Any]] = queue.SimpleQueue()  # with the time of arrival
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._tokens: list[zenoh.LivelinessToken] = []
-        self._gate = gate
+        self._gate, self._brake = gate, Brake()
         _log(to_output=name not in ("recorder", WATCHER))
         self._session = _open(endpoints, patience_s, name, self._keys, reach_s)
         # Subscribers before the token: whoever sees the token may send at once, and nothing is lost.
@@ -335,7 +336,9 @@ class Bus:
         size, key = len(sample.payload), str(sample.key_expr)
         if size > self._gate.max_bytes:
             self._put(_Oversized(key, size))
-        elif not self._gate.has_passed(key, sample.payload.to_bytes()):
+        elif self._gate.has_passed(key, sample.payload.to_bytes()):
+            self._brake.hold()
+        else:
             self._put(sample)
 
     def _put(self, item: Any) -> None:

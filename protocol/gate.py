@@ -98,6 +98,8 @@ class Gate:
         """
         try:
             head = head_of(data)
+            if head is not None and head.sender == self._name:
+                raise MessageError("wrong_sender", f"{head.kind} of this process itself", head.sender)
             heard = self._heard.get(key)
             if head is None or heard is None or (head.sender, head.incarnation) != (heard.sender, heard.incarnation):
                 return False
