@@ -30,6 +30,9 @@ _WARM_UP = 0.1
 # Memory is flat if its median grows by no more than this over two thirds of the time: what an allocator wavers by.
 GROWTH, GROWTH_BYTES = 0.02, 2 * 1024**2
 
+# Threads of a pool that has nothing to do come and go.
+THREADS = 2
+
 # Deadlines missed in the last third beyond those in the first: a share of its ticks. A host has moods.
 MISSES = 0.02
 
@@ -92,7 +95,7 @@ def judge(records: Mapping[str, Record], missed: Sequence[int]) -> tuple[Table, 
         for what, values in (("memory", record.memory), ("threads", record.threads), ("files", record.files)):
             first, last = thirds(values)
             cells.append(_cell(what, first, last))
-            allowed = max(GROWTH * first, GROWTH_BYTES) if what == "memory" else 0.0
+            allowed = {"memory": max(GROWTH * first, GROWTH_BYTES), "threads": THREADS, "files": 0.0}[what]
             if last - first > allowed:
                 wrong.append(f"{name}: {what} {cells[-1]}")
         rows.append([name, *cells])
@@ -142,6 +145,9 @@ def _watched(run: subprocess.Popen[bytes], folder: Path, every_s: float) -> dict
     while live.read(folder) is None:
         if run.poll() is not None or time.monotonic() > deadline:
             raise BenchmarkError(f"the run does not begin: see {folder.parent / 'soak.log'}")
+        time.sleep(0.1)
+    logs = folder / "logs"
+    while live.read(folder) is not None and not all('"joined"' in log.read_text() for log in logs.glob("*.log")):
         time.sleep(0.1)
     records: dict[str, Record] = {}
     while live.read(folder) is not None:

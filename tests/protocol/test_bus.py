@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from protocol.bus import Bus, Endpoints
+from protocol.bus import Bus, BusError, Endpoints
 from protocol.codec import VERSION, encode
 from protocol.gate import Gate
 from protocol.keys import Keys
@@ -173,7 +173,7 @@ def test_a_flood_holds_nobody_up(network: tuple[Plant, zenoh.Session]) -> None:
 
 SPEAKS = """
 import sys, time
-from protocol.bus import Bus, Endpoints
+from protocol.bus import Bus, BusError, Endpoints
 from protocol.gate import Gate
 from protocol.keys import Keys
 from protocol.rejections import Rejections
@@ -202,3 +202,15 @@ def test_standard_output_belongs_to_results(name: str, speaks: bool) -> None:
     )
     assert ("ERROR" in result.stdout) == speaks, result.stdout
     assert speaks or result.stdout == ""
+
+
+def test_another_version_is_refused_by_name(network: tuple[Plant, zenoh.Session]) -> None:
+    """Whoever speaks another version of the protocol is not joined: both versions are named, and what to do."""
+    plant, session = network
+    for version in (VERSION + 1, 2):
+        end = f"/{version}" if version > VERSION else ""  # tokens of version 2 did not say so
+        token = session.liveliness().declare_token(f"{KEYS.prefix}/alive/coordinator/0/{DIGEST}{end}")
+        expected = f"coordinator speaks version {version} of the protocol, plant version {VERSION}: install the same"
+        with pytest.raises(BusError, match=expected):
+            plant.bus.join(["coordinator"], PATIENCE_S)
+        token.undeclare()  # type: ignore[no-untyped-call]
