@@ -410,7 +410,6 @@ def ask(
     given: Mapping[str, Any],
     timeout_s: float = 5.0,
     security: Security | None = None,
-    mode: Literal["peer", "client"] = "peer",
 ) -> Mapping[str, Any]:
     """Ask a process of a run for something, from outside.
 
@@ -422,12 +421,12 @@ def ask(
         given: Its arguments.
         timeout_s: How long to look for the process, and how long to wait for its answer.
         security: Keys of who asks, an operator or, for what changes nothing, a watcher.
-        mode: Whether it calls processes or a router.
     Raises: BusError: there is no such process, or it does not answer.
     """
     keys = Keys(run)
     _log(to_output=False)
-    endpoints = Endpoints(listen=[], connect=connect, mode=mode, security=security)
+    # One endpoint may be a process or a router; a client is at home with both.
+    endpoints = Endpoints(listen=[], connect=connect, mode="client" if len(connect) == 1 else "peer", security=security)
     deadline = time.monotonic() + timeout_s
     session = _open(endpoints, 1.0, OPERATOR if what in ACTING else WATCHER, keys, timeout_s)
     try:

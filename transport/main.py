@@ -14,6 +14,7 @@ from transport.compare_commands import compare
 from transport.deploy_commands import deploy_app, router
 from transport.doctor_commands import doctor
 from transport.experiments.commands import experiment_app
+from transport.exporter import metrics
 from transport.log_commands import log_app
 from transport.operate import fault, link_app, status
 from transport.replay_commands import replay
@@ -51,6 +52,7 @@ app.command()(doctor)
 app.add_typer(log_app, name="log")
 app.add_typer(deploy_app, name="deploy")
 app.command()(router)
+app.command()(metrics)
 
 
 ScenarioArgument = Annotated[
