@@ -1,9 +1,11 @@
 """A folder for each host: scenario, services, keys and the script that puts them where they belong."""
 
 import importlib.resources
+import json
 import shlex
 import shutil
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from string import Template
 from typing import Any
@@ -12,9 +14,10 @@ import tomli_w
 
 from deploy.hosts import Host, Inventory, Posting, postings
 from deploy.keys import files_of
-from protocol.keys import OPERATOR, RECORDER, ROUTER, WATCHER
-from protocol.process import ENVIRONMENT, process_names
-from protocol.security import AUTHORITY
+from protocol.bus import configuration
+from protocol.keys import OPERATOR, RECORDER, ROUTER, WATCHER, Keys
+from protocol.process import ENVIRONMENT, PATIENCE_S, process_names
+from protocol.security import AUTHORITY, Security
 from protocol.setup import Setup
 
 # Where things are on a host, as install.sh puts them.
@@ -54,7 +57,7 @@ def render(setup: Setup, inventory: Inventory, keys: Path | None, out: Path, *, 
     wanted = {host.name: _keys(keys, host, posted) for host in inventory.host}
     for host in inventory.host:
         etc = (out / host.name).resolve() if in_place else ETC
-        _host(setup, inventory, host, posted, wanted[host.name], out / host.name, etc)
+        _host(setup, inventory, host, posted, wanted[host.name], keys, out / host.name, etc)
     return [out / host.name for host in inventory.host]
 
 
@@ -110,6 +113,7 @@ def _host(
     host: Host,
     posted: Sequence[Posting],
     keys: Sequence[Path],
+    source: Path | None,
     folder: Path,
     etc: Path,
 ) -> None:
@@ -128,6 +132,7 @@ def _host(
         beside = [name for name in running if name != "coordinator"] if posting.process == "coordinator" else []
         text = unit(posting, inventory, beside, etc)
         (folder / "systemd" / f"transport-{posting.process}.service").write_text(text, encoding="utf-8")
+    _write_configurations(setup, inventory, own, source, folder, etc)
     if keys:
         (folder / "keys").mkdir(mode=0o700)
         for file in keys:
@@ -138,6 +143,25 @@ def _host(
         script.substitute(host=host.name, etc=ETC, program=PROGRAM, services=services), encoding="utf-8"
     )
     (folder / "install.sh").chmod(0o755)
+
+
+def _write_configurations(
+    setup: Setup, inventory: Inventory, own: Sequence[Posting], source: Path | None, folder: Path, etc: Path
+) -> None:
+    """Zenoh's configuration of each process, for those that are not ours: a zenohd as router, an agent of one's own."""
+    (folder / "zenoh").mkdir(mode=0o700)
+    names = (*process_names(setup.scenario), RECORDER)
+    security = None if source is None else Security(source.resolve(), names)
+    patience_s = PATIENCE_S[setup.scenario.clock.mode]
+    for posting in own:
+        name, place = posting.process, replace(posting.endpoints, security=security)
+        keys = Keys.below("transport/*") if name == ROUTER else Keys(inventory.run)
+        text = json.dumps(configuration(place, patience_s, name, keys), indent=1)
+        if source is not None:
+            text = text.replace(str(source.resolve()), str(etc / "keys"))
+        file = folder / "zenoh" / f"{name}.json5"
+        file.touch(mode=0o600)  # there may be a password in it
+        file.write_text(f"{text}\n", encoding="utf-8")
 
 
 def _write_samples(samples_s: Mapping[str, Sequence[float]], folder: Path) -> None:

@@ -497,20 +497,14 @@ def _open(endpoints: Endpoints, patience_s: float, name: str, keys: Keys, reach_
 
     Raises: BusError: the endpoint cannot be listened on, the router not reached, or the keys not used.
     """
-    configuration = _configuration(endpoints, patience_s)
-    if endpoints.security is not None:
-        try:
-            secure = endpoints.security.configuration(name, keys.prefix, mode=endpoints.mode)
-        except SecurityError as error:
-            raise BusError(str(error)) from error
-        transport = secure["transport"]
-        configuration["transport"]["link"] |= transport.pop("link", {})
-        configuration["transport"] |= transport
-        configuration |= {key: value for key, value in secure.items() if key != "transport"}
+    try:
+        text = json.dumps(configuration(endpoints, patience_s, name, keys))
+    except SecurityError as error:
+        raise BusError(str(error)) from error
     deadline = time.monotonic() + reach_s
     while True:
         try:
-            return zenoh.open(zenoh.Config.from_json5(json.dumps(configuration)))
+            return zenoh.open(zenoh.Config.from_json5(text))
         except zenoh.ZError as error:
             if endpoints.mode != "client":
                 raise BusError(_listen_problem(endpoints, str(error))) from error
@@ -521,9 +515,17 @@ def _open(endpoints: Endpoints, patience_s: float, name: str, keys: Keys, reach_
                 ) from error
 
 
-def _configuration(endpoints: Endpoints, patience_s: float) -> dict[str, Any]:
-    """Fixed endpoints: no discovery, fast retries, patience until `join` gives up."""
-    return {
+def configuration(endpoints: Endpoints, patience_s: float, name: str, keys: Keys) -> dict[str, Any]:
+    """Zenoh's configuration of a process: fixed endpoints, no discovery, fast retries, patience until `join` gives up.
+
+    Args:
+        endpoints: Where it is, with which keys.
+        patience_s: How long sending may wait for a peer that does not read.
+        name: The process's.
+        keys: Key expressions of its run.
+    Raises: SecurityError: keys that it cannot use.
+    """
+    found: dict[str, Any] = {
         "mode": endpoints.mode,
         "listen": {"endpoints": list(endpoints.listen), "exit_on_failure": True},
         "connect": {
@@ -541,6 +543,13 @@ def _configuration(endpoints: Endpoints, patience_s: float) -> dict[str, Any]:
         },
         "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
     }
+    if endpoints.security is not None:
+        secure = endpoints.security.configuration(name, keys.prefix, mode=endpoints.mode)
+        transport = secure["transport"]
+        found["transport"]["link"] |= transport.pop("link", {})
+        found["transport"] |= transport
+        found |= {key: value for key, value in secure.items() if key != "transport"}
+    return found
 
 
 def _listen_problem(endpoints: Endpoints, detail: str) -> str:

@@ -45,7 +45,7 @@ ENVIRONMENT = {
 # Between collections of what reference counting does not free.
 _COLLECT_EVERY = 256
 # How long a peer that does not read may hold up the others before the link to it is closed, by clock mode.
-_PATIENCE_S = {"lockstep": 1.0, "realtime": 0.1}
+PATIENCE_S = {"lockstep": 1.0, "realtime": 0.1}
 ORPHANED = "parent is gone"
 # What a process that has lost its parent gives itself to end in an orderly way.
 _ORPHAN_GRACE_S = 5.0
@@ -217,7 +217,7 @@ def run_node(
             endpoints=place.endpoints,
             gate=gate,
             serves=node.name == "coordinator",
-            patience_s=_PATIENCE_S[setup.scenario.clock.mode],
+            patience_s=PATIENCE_S[setup.scenario.clock.mode],
             reach_s=place.join_timeout_s,
         ) as bus,
     ):

@@ -1,15 +1,17 @@
 """Inventories, and the folders that are made of them."""
 
+import json
 import shutil
 import subprocess
 import tomllib
 from pathlib import Path
 
 import pytest
+import zenoh
 
 from deploy.hosts import Inventory, InventoryError, postings, read_inventory
 from deploy.keys import KeysError
-from deploy.render import RenderError, render
+from deploy.render import RenderError, command, render
 from protocol.process import process_names
 from protocol.scenario_file import read_scenario
 from tests.deploy.keyrings import keyring
@@ -118,6 +120,12 @@ def test_each_host_gets_its_own(tmp_path: Path) -> None:
         assert scenario.digest() == RUN.scenario.digest()
         assert tomllib.loads((folder / "scenario.toml").read_text())["network"]["keys"] == "/etc/transport/keys"
         subprocess.run(["sh", "-n", folder / "install.sh"], check=True)
+    for file in (remote / "zenoh").iterdir():
+        configuration = zenoh.Config.from_json5(file.read_text())
+        assert (
+            configuration.get_json("transport/link/tls/connect_private_key") == f'"/etc/transport/keys/{file.stem}.key"'
+        )
+        assert str(keyring("one")) not in file.read_text()
     coordinator = (ground / "systemd" / "transport-coordinator.service").read_text()
     assert "After=network-online.target transport-plant.service transport-agent1.service" in coordinator
     assert "\nRestart=no\n" in coordinator
@@ -176,3 +184,21 @@ def test_from_nothing_to_folders(tmp_path: Path) -> None:
     assert checked.returncode == 0, checked.stderr
     again = transport("deploy", "render", "--hosts", "none.toml", "--keys", "keys", "--out", "x", cwd=tmp_path)
     assert (again.returncode, again.stderr) == (2, "transport: none.toml: cannot be read (No such file or directory)\n")
+
+
+def test_compose_does_what_units_do(tmp_path: Path) -> None:
+    """Commands of compose.yaml are those of the folders rendered for its services, line for line."""
+    folder = Path(__file__).resolve().parents[2] / "deploy"
+    ready = read_inventory(folder / "hosts-compose.toml", PROCESSES)
+    services = (folder / "compose.yaml").read_text()
+    for posting in postings(ready, PROCESSES, "tls"):
+        _, *words = command(posting, ready)
+        words += ["--out", "/record/run"] if posting.process == "recorder" else []
+        assert f"    command: {json.dumps(words)}\n" in services, posting.process
+        assert f"/{posting.host.name}:/etc/transport:ro" in services
+
+
+def test_the_example_is_one(tmp_path: Path) -> None:
+    """deploy/hosts.toml describes a deployment of the ready scenarios."""
+    example = read_inventory(Path(__file__).resolve().parents[2] / "deploy" / "hosts.toml", PROCESSES)
+    assert len(render(RUN, example, keyring("one"), tmp_path / "out")) == 2
