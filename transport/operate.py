@@ -110,7 +110,10 @@ def status(
     connect: ConnectOption = None,
     keys: KeysOption = None,
 ) -> None:
-    """Say how far a run in flight is and who takes part, or how one process is, as JSON."""
+    """Say how far a run in flight is, or how a process is.
+
+    As JSON: tick and who takes part; with --process what that one uses and has refused.
+    """
     name, what = ("coordinator", "status") if process is None else (process, "health")
     typer.echo(json.dumps(_ask(run, connect, keys, name, what, {})))
 
