@@ -28,8 +28,8 @@ OTHERS = (RECORDER, WATCHER, OPERATOR, ROUTER)
 # Addresses a certificate is good for when nobody says more.
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 
-# Clocks of hosts may differ: a certificate is good from a little before it was made.
-_BEFORE = timedelta(hours=1)
+# Clocks of hosts may differ: a certificate is good from some time before it was made.
+_BEFORE = timedelta(days=2)
 _PASSWORD_BYTES = 24
 
 

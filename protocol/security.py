@@ -8,6 +8,7 @@ learns nothing of that one; so in a mesh they could not say who is who.
 import ipaddress
 import ssl
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -16,6 +17,9 @@ from protocol.keys import ACTING, OPERATOR, READING, ROUTER, WATCHER, Keys
 
 # Files of a folder of keys; besides them NAME.pem and NAME.key, or NAME.password, for each name.
 AUTHORITY, USERS = "ca.pem", "users.txt"
+
+# Messages of a TLS handshake in either direction, at most.
+_FLIGHTS = 4
 
 # Everything that Zenoh's access control knows of.
 _SPEAKING = ("put", "delete")
@@ -83,12 +87,11 @@ class Security:
             if not file.is_file():
                 raise SecurityError(f"network.keys: expected the file {file}, got none (transport deploy keys)")
         try:
-            context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
-            context.load_verify_locations(authority)
-            context.load_cert_chain(certificate, key)
+            _shake_hands(authority, certificate, key)
         except (OSError, ssl.SSLError) as error:
-            expected = f"expected a certificate of {authority.name} and the key that belongs to it"
-            raise SecurityError(f"network.keys: {certificate}: {expected}, got {error}") from error
+            expected = f"expected a certificate of {authority.name} that is good now, and the key that belongs to it"
+            problem = getattr(error, "verify_message", "") or error
+            raise SecurityError(f"network.keys: {certificate}: {expected}, got {problem}") from error
 
     def configuration(self, name: str, prefix: str, *, mode: str) -> dict[str, Any]:
         """What belongs into Zenoh's configuration of a process.
@@ -175,6 +178,30 @@ def is_loopback(host: str) -> bool:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return host == "localhost"
+
+
+def _shake_hands(authority: Path, certificate: Path, key: Path) -> None:
+    """Have a certificate looked at as a peer would, by TLS with itself: authority, validity, key.
+
+    Raises: ssl.SSLError: it would be refused. OSError: a file cannot be read.
+    """
+    contexts = []
+    for protocol in (ssl.PROTOCOL_TLS_SERVER, ssl.PROTOCOL_TLS_CLIENT):
+        context = ssl.SSLContext(protocol)
+        context.check_hostname = False  # which address it is called by is not known here
+        context.verify_mode = ssl.CERT_REQUIRED
+        context.load_verify_locations(authority)
+        context.load_cert_chain(certificate, key)
+        contexts.append(context)
+    there, back = ssl.MemoryBIO(), ssl.MemoryBIO()
+    ends = [
+        contexts[0].wrap_bio(there, back, server_side=True),
+        contexts[1].wrap_bio(back, there, server_side=False),
+    ]
+    for _ in range(_FLIGHTS):
+        for end in ends:
+            with suppress(ssl.SSLWantReadError):
+                end.do_handshake()
 
 
 def _rights(keys: Keys, name: str) -> Iterator[tuple[Sequence[str], list[str]]]:

@@ -83,6 +83,16 @@ def test_keys_that_cannot_be_used(tmp_path: Path) -> None:
     Security(tmp_path, names).check("plant", mode="peer")
     with pytest.raises(SecurityError, match=r"expected the file .*agent2\.pem, got none"):
         Security(tmp_path, names).check("agent2", mode="peer")
+    other = tmp_path / "other"
+    make_certificates(other, {"coordinator": LOOPBACK}, days=1)
+    for end in ("pem", "key"):
+        (tmp_path / f"coordinator.{end}").write_bytes((other / f"coordinator.{end}").read_bytes())
+    with pytest.raises(SecurityError, match=r"coordinator\.pem: expected a certificate of ca\.pem that is good now"):
+        Security(tmp_path, names).check("coordinator", mode="peer")
+    old = tmp_path / "old"
+    make_certificates(old, {"agent1": LOOPBACK}, days=-1)
+    with pytest.raises(SecurityError, match="certificate has expired"):
+        Security(old, names).check("agent1", mode="peer")
     (tmp_path / "plant.key").write_bytes((tmp_path / "agent1.key").read_bytes())
     with pytest.raises(SecurityError, match="the key that belongs to it"):
         Security(tmp_path, names).check("plant", mode="peer")
