@@ -69,7 +69,7 @@ def soak(minutes: float, every_s: float, settings: Sequence[str], folder: Path) 
     chosen = ["clock.mode=realtime", "clock.speed=1", hover, *settings]
     words = [sys.executable, "-m", "transport", "run", "resilient", "--out", str(folder), "--no-figures"]
     words += [part for setting in chosen for part in ("--set", setting)]
-    with (folder.parent / "soak.log").open("wb") as output:
+    with (folder.parent / "output.log").open("wb") as output:
         run = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=output, stderr=output)
     try:
         records = _watched(run, folder, every_s)
@@ -129,7 +129,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     every_s = asked.every if asked.every is not None else 0.6 * asked.minutes
     try:
         with TemporaryDirectory() as folder:
-            table, wrong = judge(*soak(asked.minutes, every_s, asked.settings, Path(folder) / "run"))
+            table, wrong = judge(*soak(asked.minutes, every_s, asked.settings, Path(folder) / "soak"))
     except BenchmarkError as error:
         sys.stderr.write(f"soak: {error}\n")
         return 1
