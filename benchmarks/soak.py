@@ -2,7 +2,8 @@
 
 All processes of a run hover at the pace of the clock, and the system is asked for what each uses. What is compared is
 the first and the last third of the time after the first tenth of it: by then caches are full. Exit code 0 only if
-memory is flat (the recorder's but for the index of its log), threads and open files are as many as before, and no more deadlines are missed than before.
+memory is flat (the recorder's but for the index of its log), threads and open files are as many as before, and no more
+deadlines are missed than before.
 """
 
 import argparse
