@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from benchmarks import aims, loop, parts, solvers, step
+from benchmarks import aims, loop, parts, solvers, step, structured, watched
 from benchmarks.effort import FULL, QUICK, Effort
 from benchmarks.page import BenchmarkError, Table, check, write
 from protocol.process import EXIT_INTERRUPTED
@@ -21,8 +21,10 @@ SECTIONS: Mapping[str, Callable[[Effort, Callable[[str], None]], list[Table]]] =
     "aims": aims.measure,
     "step": step.measure,
     "solvers": solvers.measure,
+    "structured": structured.measure,
     "parts": parts.measure,
     "loop": loop.measure,
+    "watched": watched.measure,
 }
 
 

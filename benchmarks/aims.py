@@ -1,6 +1,7 @@
 """What the controller's step was to take, and takes: in ms, against one agent for all, against the naive step."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 
 import numpy as np
@@ -11,12 +12,15 @@ from benchmarks.flights import Situation, setup, situations, step_times
 from benchmarks.page import Table
 from benchmarks.solvers import EXACT, SAME
 from benchmarks.timing import Times, digits, in_turns
+from model import native
 from model.arrays import Array
 from mpc.settings import SolverName
 
 # The naive step's plan may differ from the controller's by so much, in units of half an actuator's range: if the
 # controller's solver solves its program, which is then the same one, and if Clarabel does (`benchmarks.solvers`).
 SAME_PROGRAM, SAME_PLAN = SAME, EXACT
+
+PLAIN = "paper, kernels not compiled"
 
 TEXT = (
     "Processor time of one step of one agent, four UAVs, N_p = 20: estimate to solve as the step reports have it. "
@@ -29,11 +33,13 @@ TEXT = (
 def measure(effort: Effort, say: Callable[[str], None]) -> list[Table]:
     """Fly and step in turns."""
     flown = {name: setup(name, effort.climb) for name in ("paper", "resilient", "centralized")}
-    turns: dict[str, list[Times]] = {name: [] for name in flown}
+    turns: dict[str, list[Times]] = {name: [] for name in (*flown, PLAIN)}
     for turn in range(effort.flights):
         say(f"flights of {', '.join(flown)}: {turn + 1} of {effort.flights}")
         for name, run in flown.items():
             turns[name].append(Times(step_times(run)[:, -1]))
+        with _plain_kernels():
+            turns[PLAIN].append(Times(step_times(flown["paper"])[:, -1]))
     everything = {name: Times(np.concatenate([times.ms for times in of])) for name, of in turns.items()}
 
     say("naive step and the controller's on the same situations")
@@ -46,7 +52,12 @@ def measure(effort: Effort, say: Callable[[str], None]) -> list[Table]:
 
     rows = [
         (f"agent, `{name}`", digits(everything[name].median), digits(everything[name].p99), aim)
-        for name, aim in (("paper", "at most 1.0 (3)"), ("resilient", "at most 1.0 (3)"), ("centralized", ""))
+        for name, aim in (
+            ("paper", "at most 1.0 (3)"),
+            ("resilient", "at most 1.0 (3)"),
+            ("centralized", ""),
+            (PLAIN, ""),
+        )
     ]
     rows += [
         ("`Controller.step`, `paper`", digits(own_times.median), digits(own_times.p99), ""),
@@ -56,6 +67,7 @@ def measure(effort: Effort, say: Callable[[str], None]) -> list[Table]:
             for name in ("paper", "resilient")
         ),
         ("naive over `Controller.step`", _ratio(slower), "", "at least 10 times"),
+        (f"`{PLAIN}` over `paper`", _ratio(_over(turns[PLAIN], turns["paper"])), "", ""),
     ]
     daqp, clarabel = (max(plan_difference(at, solver) for at in met) for solver in ("daqp", "clarabel"))
     text = (
@@ -63,6 +75,16 @@ def measure(effort: Effort, say: Callable[[str], None]) -> list[Table]:
         f"solver, to {clarabel:.0e} with Clarabel."
     )
     return [Table(text=text, columns=("", "median, ms", "p99, ms", "aim"), rows=rows)]
+
+
+@contextmanager
+def _plain_kernels() -> Iterator[None]:
+    """Do without the compiled kernels for a while."""
+    before, native.AVAILABLE = native.AVAILABLE, False
+    try:
+        yield
+    finally:
+        native.AVAILABLE = before
 
 
 def own_step(at: Situation) -> Array:

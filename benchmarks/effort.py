@@ -17,6 +17,7 @@ class Effort:
         flights: Of each of the controllers whose ratios are taken, in turns.
         teams: UAVs of the teams whose step is taken apart.
         horizons: N_p of each.
+        structured: N_p at which condensing is set against a solve that keeps the states.
         steps: At least so many of each are timed.
         repetitions: Of each program, and of what takes microseconds.
         programs: At most so many of a flight, from its beginning to its end.
@@ -25,6 +26,7 @@ class Effort:
         processes: UAVs of the teams that fly with processes.
         flown: What they fly, a setting.
         recordings: Flights with and without a recorder, in turns.
+        watched: What is flown by turns watched and not, a setting.
         round_trips: Over the bare pipe, before and after each flight.
     """
 
@@ -32,6 +34,7 @@ class Effort:
     flights: int
     teams: tuple[int, ...]
     horizons: tuple[int, ...]
+    structured: tuple[int, ...]
     steps: int
     repetitions: int
     programs: int
@@ -40,6 +43,7 @@ class Effort:
     processes: tuple[int, ...]
     flown: str
     recordings: int
+    watched: str
     round_trips: int
 
 
@@ -48,6 +52,7 @@ FULL = Effort(
     flights=9,
     teams=(2, 4, 8, 16),
     horizons=(10, 20, 40, 80),
+    structured=(10, 20, 40, 80),
     steps=400,
     repetitions=5,
     programs=30,
@@ -56,6 +61,7 @@ FULL = Effort(
     processes=(4, 8, 16),
     flown=_climb(5.0, 1.0),
     recordings=3,
+    watched=_climb(400.0, 2.0),
     round_trips=2000,
 )
 
@@ -64,6 +70,7 @@ QUICK = Effort(
     flights=1,
     teams=(2, 4),
     horizons=(10, 20),
+    structured=(5,),
     steps=1,
     repetitions=1,
     programs=4,
@@ -72,5 +79,6 @@ QUICK = Effort(
     processes=(2,),
     flown=_climb(0.5, 0.1),
     recordings=1,
+    watched=_climb(0.5, 0.1),
     round_trips=50,
 )

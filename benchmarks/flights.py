@@ -12,6 +12,7 @@ import numpy as np
 from benchmarks.page import BenchmarkError
 from benchmarks.timing import WARM_UP, quiet
 from model.arrays import Array
+from model.compiled import compile_functions
 from mpc.controller import Controller, Linear
 from mpc.prediction import Prediction
 from mpc.qp import QP
@@ -42,7 +43,9 @@ def setup(name: str, *settings: str, uavs: int | None = None) -> Setup:
     scenario = read_scenario(path, settings)
     if uavs is not None:
         scenario = resized(scenario, path.parent, uavs, group=1, name=None, source=path.name)
-    return Setup.of(scenario, path.name)
+    run = Setup.of(scenario, path.name)
+    compile_functions(run.system.N)  # as whoever starts a run does
+    return run
 
 
 def messages(run: Setup) -> list[Message]:

@@ -92,6 +92,14 @@ GROWTH: Columns = {
 }
 
 
+# What happens to the network in the README's moving picture.
+MOVING = (
+    "links.delay_s=0.1",
+    "links.loss=0.1",
+    "links.change=[{at_s=8.0,from='agent2',loss=1.0},{at_s=15.0,from='agent2',loss=0.0}]",
+)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Section:
     """One experiment on the page.
@@ -330,11 +338,22 @@ def figures_of_a_run() -> None:
         shutil.copy(figure, IMAGES / figure.name)
 
 
+def moving_picture() -> None:
+    """A flight on a network that is late, lossy, and deaf to one agent for a while: the README's first picture."""
+    folder = RUNS / "moving"
+    shutil.rmtree(folder, ignore_errors=True)
+    executable = str(Path(sys.executable).parent / "transport")
+    flown = [part for setting in MOVING for part in ("--set", setting)]
+    subprocess.run([executable, "run", "resilient", *flown, "--no-figures", "--out", str(folder)], check=True, cwd=ROOT)
+    subprocess.run([executable, "plot", str(folder), "--animate", str(IMAGES / "flight.gif")], check=True, cwd=ROOT)
+
+
 def main() -> None:
     """Fly, draw, write."""
     IMAGES.mkdir(parents=True, exist_ok=True)
     RUNS.mkdir(parents=True, exist_ok=True)
     figures_of_a_run()
+    moving_picture()
     flown = [(section, fly(section), machine_of(section)) for section in SECTIONS]
     PAGE.write_text(page(flown), encoding="utf-8")
     put(README, "network", at_a_glance())

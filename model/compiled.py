@@ -6,17 +6,21 @@ folder and the next process loads them in milliseconds. A cache that cannot be r
 """
 
 import hashlib
-import os
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
 import casadi as ca
 import numpy as np
 
-from model import dynamics, rotations, state
+from model import compiler, dynamics, rotations, state
 from model.arrays import Array, ShapeError
+from model.cache import cache_folder, replace_atomically
 from model.dynamics import Symbols
+
+# No contraction of products and sums: the same bits as from CasADi's interpreter.
+_FLAGS = ("-Og", "-ffp-contract=off")
+# Compilers take more than linear time for the one long block that a function is; beyond this it stays interpreted.
+_LONGEST = 40_000
 
 _FUNCTIONS = ("derivative", "tensions", "velocities", "outputs", "linearise", "step")
 
@@ -81,13 +85,47 @@ def functions(N: int) -> dict[str, ca.Function]:
     step        (x, u, p, F, h) -> x after h seconds of constant u and F by one Dormand-Prince step and projection
                 of the rods, and the local error estimate before projection
     """
+    compiled = _compiled(N)
+    if len(compiled) == len(_FUNCTIONS):
+        return compiled
     path = _cache_path(N)
-    cached = _read_cache(path)
-    if cached is not None:
-        return cached
-    built = _build(N)
-    _write_cache(path, built)
-    return built
+    found = _read_cache(path)
+    if found is None:
+        found = _build(N)
+        _write_cache(path, found)
+    return found | compiled
+
+
+def compile_functions(N: int) -> bool:
+    """Compile the functions of a system of N UAVs for this processor, unless that is done; False if it cannot be.
+
+    Whoever calls `functions` from then on gets them compiled. That changes no bit of a result, only its time, and
+    takes seconds: for whoever starts processes, before it starts them.
+    """
+    path = _library_path(N)
+    if not compiler.enabled() or compiler.find_compiler() is None:
+        return False
+    if compiler.intact(path):
+        return True
+    sources = (_source(function) for function in functions(N).values() if function.n_instructions() <= _LONGEST)
+    return compiler.compile_library(path, "\n".join(sources).encode(), _FLAGS)
+
+
+def _source(function: ca.Function) -> str:
+    """A function in C. CasADi prefixes what it needs beside it with the generator's name, so that sources add up."""
+    generator = ca.CodeGenerator(f"{function.name()}_source.c", {"with_header": False})
+    generator.add(function)
+    text: str = generator.dump()
+    return text
+
+
+def _compiled(N: int) -> dict[str, ca.Function]:
+    """Functions that have been compiled for this processor."""
+    path = _library_path(N)
+    if not compiler.enabled() or not compiler.intact(path):
+        return {}
+    library = ca.Importer(str(path), "dll")
+    return {name: ca.external(name, library) for name in _FUNCTIONS if library.has_function(name)}
 
 
 def _build(N: int) -> dict[str, ca.Function]:
@@ -117,21 +155,22 @@ def _build(N: int) -> dict[str, ca.Function]:
     }
 
 
-def cache_folder() -> Path:
-    """Where compiled models are kept: $PAYLOAD_TRANSPORT_CACHE, or the user's cache folder."""
-    named = os.environ.get("PAYLOAD_TRANSPORT_CACHE")
-    if named:
-        return Path(named)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "payload-transport"
-
-
 def _cache_path(N: int) -> Path:
+    return cache_folder() / f"model-N{N}-{_digest()[:16]}.casadi"
+
+
+def _library_path(N: int) -> Path:
+    return compiler.library_path(f"model-N{N}", _digest().encode(), (*_FLAGS, str(_LONGEST)))
+
+
+def _digest() -> str:
+    """Of everything that makes the functions what they are."""
     sources: Sequence[str | None] = (__file__, dynamics.__file__, rotations.__file__, state.__file__)
     digest = hashlib.sha256(ca.CasadiMeta.version().encode())
     for source in sources:
         if source is not None:
             digest.update(Path(source).read_bytes())
-    return cache_folder() / f"model-N{N}-{digest.hexdigest()[:16]}.casadi"
+    return digest.hexdigest()
 
 
 def _read_cache(path: Path) -> dict[str, ca.Function] | None:
@@ -151,14 +190,4 @@ def _read_cache(path: Path) -> dict[str, ca.Function] | None:
 def _write_cache(path: Path, built: dict[str, ca.Function]) -> None:
     body = "\n".join(built[name].serialize() for name in _FUNCTIONS).encode("latin-1")
     checksum = hashlib.sha256(body).hexdigest().encode()
-    temporary: Path | None = None
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
-            temporary = Path(file.name)
-            file.write(checksum + b"\n" + body)
-        os.replace(temporary, path)
-    except OSError:
-        # A read-only home or a full disk is no reason not to fly, nor to leave half a file behind.
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
+    replace_atomically(path, checksum + b"\n" + body)

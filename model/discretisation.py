@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from model import native
 from model.arrays import Array, ShapeError
 from model.linearisation import Linearisation
 
@@ -47,6 +48,16 @@ def zero_order_hold(linear: Linearisation, period_s: float) -> Discrete:
     Raises: ShapeError: A_c holds numbers that are not finite, or so large that what follows would not be.
     Source: docs/equations.md (16)-(17).
     """
+    if native.AVAILABLE:
+        theta, A, B, f_d = native.zero_order_hold(
+            linear.A_c, linear.B_c, linear.f, period_s, _THETA_MAX, _THETA_POSSIBLE, _REMAINDER
+        )
+        _check_growth(theta, period_s)
+        return Discrete(A=A, B=B, f_d=f_d)
+    return _zero_order_hold(linear, period_s)
+
+
+def _zero_order_hold(linear: Linearisation, period_s: float) -> Discrete:
     # Row-major for the products below; CasADi hands out column-major.
     A_c = np.ascontiguousarray(linear.A_c)
     X = A_c * period_s
@@ -56,9 +67,7 @@ def zero_order_hold(linear: Linearisation, period_s: float) -> Discrete:
         np.matmul(X, X, out=powers[2])
         np.matmul(powers[2], X, out=powers[3])
         theta = float(np.maximum(_norm(powers[2]) ** (1 / 2), _norm(powers[3]) ** (1 / 3)))
-    if not theta <= _THETA_POSSIBLE:
-        growth = f"growth by exp({theta:g}) in {period_s:g} s"
-        raise ShapeError(f"A_c: expected finite numbers with a finite exponential, got {growth}")
+    _check_growth(theta, period_s)
     halvings = max(0, math.ceil(math.log2(theta / _THETA_MAX))) if theta > 0.0 else 0
     T = period_s / 2**halvings
     for k in (1, 2, 3):
@@ -83,6 +92,12 @@ def euler(linear: Linearisation, period_s: float) -> Discrete:
         raise ShapeError("A_c: expected finite numbers")
     A = np.eye(len(linear.A_c)) + period_s * linear.A_c
     return Discrete(A=A, B=period_s * linear.B_c, f_d=period_s * linear.f)
+
+
+def _check_growth(theta: float, period_s: float) -> None:
+    if not theta <= _THETA_POSSIBLE:
+        growth = f"growth by exp({theta:g}) in {period_s:g} s"
+        raise ShapeError(f"A_c: expected finite numbers with a finite exponential, got {growth}")
 
 
 def _norm(X: Array) -> float:

@@ -11,7 +11,28 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
+from model import native
 from model.arrays import Array
+
+
+def condense(output_impulse: Array, Q: Array, terminal: float, weighted: Array, H: Array, g: Array) -> None:
+    """Hessian and gradient of the tracking cost, into the first rows and columns of those of a program.
+
+    Args:
+        output_impulse: S_j = C A^j B, (N_p, p, m).
+        Q: Stage weight, (p,).
+        terminal: Q_f as a multiple of Q.
+        weighted: Weighted errors of the free response at steps 1..N_p, (N_p, p).
+        H: Filled from its corner on, (at least N_p m, as many).
+        g: Filled from its beginning on, (at least N_p m,).
+    Source: docs/equations.md (26)-(27).
+    """
+    if native.AVAILABLE:
+        native.condense(np.ascontiguousarray(output_impulse), Q, terminal, weighted, H, g)
+        return
+    decisions = output_impulse.shape[0] * output_impulse.shape[2]
+    H[:decisions, :decisions] = hessian(output_impulse, Q, terminal)
+    g[:decisions] = gradient(output_impulse, weighted)
 
 
 def hessian(output_impulse: Array, Q: Array, terminal: float) -> Array:
@@ -80,6 +101,19 @@ def _diagonal_sums(table: Array) -> Array:
     skewed = np.lib.stride_tricks.as_strided(padded, (N, N, m), (down, down + across, within), writeable=False)
     sums: Array = skewed.sum(axis=1)
     return sums
+
+
+def fill(impulse: Array, to: Array) -> None:
+    """Write the prediction matrix of a signal (`rows`) into the first columns of rows that are zero there.
+
+    Args:
+        impulse: Effect of one decision on the signal j + 1 steps later, (N_p, s, m).
+        to: (N_p s, at least N_p m), its rows whole ones of a row-major matrix.
+    """
+    if native.AVAILABLE:
+        native.toeplitz(np.ascontiguousarray(impulse), to)
+    else:
+        to[:, : impulse.shape[0] * impulse.shape[2]] = rows(impulse)
 
 
 def rows(impulse: Array) -> Array:

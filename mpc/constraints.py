@@ -171,9 +171,9 @@ def separation_rows(y: Array, pairs: npt.NDArray[np.intp]) -> tuple[Array, Array
     d = apart / np.where(together, 1.0, distances)[:, None]
     d[together] = [1.0, 0.0, 0.0]
     rows = np.zeros((len(pairs), len(y)))
-    columns, row = 3 * pairs[:, :, None] + np.arange(3), np.arange(len(pairs))[:, None]
-    rows[row, columns[:, 0]] = d
-    rows[row, columns[:, 1]] = -d
+    for row, (i, j), direction in zip(rows, pairs.tolist(), d, strict=True):
+        row[3 * i : 3 * i + 3] = direction
+        row[3 * j : 3 * j + 3] = -direction
     return distances, rows
 
 

@@ -1,6 +1,7 @@
 """One controller for any set of owned UAVs: one is the paper's distributed controller, all the centralized one."""
 
 import contextlib
+import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
@@ -22,9 +23,6 @@ from mpc.qp import QP, Solution
 from mpc.settings import ControllerSettings, SettingsError
 from mpc.solvers import solve, unsolved
 from mpc.target import Target, target
-
-# Rows on the decision, their bounds, and the slack column that softens each row (-1: hard; None: all hard).
-_Rows = tuple[Array, Array, Array, npt.NDArray[np.intp] | None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,7 +97,7 @@ class Controller:
         # What the others do to a constraint without owned inputs is theirs to keep.
         depends = self._on_input.depends
         self._inputs_kept = depends[:, self.own].any(axis=1) if len(depends) else np.zeros(0, dtype=bool)
-        N, steps, m = model.system.N, settings.horizon, len(self.own)
+        N, steps = model.system.N, settings.horizon
         self._lower, self._upper = settings.limits.lower(len(self.owned)), settings.limits.upper(len(self.owned))
         self._rate = settings.limits.step(len(self.owned), settings.sampling_period_s)
         # Decisions in units of half their range, so that Newtons and Newton metres weigh alike.
@@ -115,7 +113,15 @@ class Controller:
         self._tilt_slack = 0 if self._separation is None else 1
         self._state_slack = np.where(soft, len(shared) + np.cumsum(soft) - 1, -1)
         self._z_scale = np.concatenate([np.tile(self._scale, steps), np.ones(len(self._penalties))])
-        self._rate_rows = rate_rows(steps, m) * self._z_scale[: steps * m]
+        # Of the effort, twice, as solvers have a half in front: slope and curvature by the scaled decision.
+        self._effort_slope = 2.0 * self.cost.R[self.own] * self._scale
+        self._effort_curvature = np.tile(self._effort_slope * self._scale, steps)
+        self._template = self._rows_template()
+        self._rates = np.tile(self._rate, steps - 1)
+        slacks = len(self._penalties)
+        self._slack_bounds = np.zeros(slacks), np.full(slacks, np.inf)
+        self._no_gap = np.full(steps * len(self._pairs), np.inf)
+        self._no_tilt = np.full(steps * len(self._tilt_states), np.inf)
 
     def step(
         self,
@@ -250,7 +256,7 @@ class Controller:
 
         Source: docs/equations.md (22)-(30), (48); paper (22)-(27).
         """
-        C, error_0, cost = linear.model.C, linear.model.y - y_ref, self.cost
+        C, error_0 = linear.model.C, linear.model.y - y_ref
         terminal = self.settings.weights.terminal
         if len(self._costs):
             # The user's terms are outputs more, whose reference is zero.
@@ -264,15 +270,12 @@ class Controller:
         weighted[-1] *= terminal
         # Decisions in their units from here on, and twice the cost, as solvers have a half in front.
         scaled = (C @ prediction.impulse) * self._scale
-        R = 2.0 * cost.R[self.own] * self._scale
-        H = np.zeros((decisions + slacks, decisions + slacks))
-        H[:decisions, :decisions] = condensing.hessian(scaled, 2.0 * self._Q, terminal)
+        H, g = np.zeros((decisions + slacks, decisions + slacks)), np.empty(decisions + slacks)
+        condensing.condense(scaled, 2.0 * self._Q, terminal, 2.0 * weighted, H, g)
         diagonal = H.reshape(-1)[:: decisions + slacks + 1]
-        diagonal[:decisions] += np.tile(R * self._scale, steps)
+        diagonal[:decisions] += self._effort_curvature
         diagonal[decisions:] = self._penalties
-        g = np.empty(decisions + slacks)
-        g[:decisions] = condensing.gradient(scaled, 2.0 * weighted)
-        g[:decisions] += (R * (prediction.U_free - linear.u_target[self.own])).reshape(-1)
+        g[:decisions] += (self._effort_slope * (prediction.U_free - linear.u_target[self.own])).reshape(-1)
         g[decisions:] = self._penalties
 
         lower, upper = self._bounds(prediction, linear.u0)
@@ -365,17 +368,15 @@ class Controller:
 
     def _bounds(self, prediction: Prediction, u0: Array) -> tuple[Array, Array]:
         """Bounds on the scaled decision; the first step's rate limit is a bound too."""
-        steps, m = prediction.U_free.shape
         lower, upper = self._lower - prediction.U_free, self._upper - prediction.U_free
         # Inputs in force outside the limits come back at once: bounds are the actuator's, rates a wish.
         first = u0[self.own] - prediction.U_free[0]
         lower[0] = np.minimum(np.maximum(lower[0], first - self._rate), upper[0])
         upper[0] = np.maximum(np.minimum(upper[0], first + self._rate), lower[0])
-        slacks = len(self._penalties)
-        scale = self._z_scale[: steps * m]
+        from_slack, to_slack = self._slack_bounds
         return (
-            np.concatenate([lower.reshape(-1) / scale, np.zeros(slacks)]),
-            np.concatenate([upper.reshape(-1) / scale, np.full(slacks, np.inf)]),
+            np.concatenate([(lower / self._scale).reshape(-1), from_slack]),
+            np.concatenate([(upper / self._scale).reshape(-1), to_slack]),
         )
 
     def _rows(
@@ -390,47 +391,69 @@ class Controller:
             U: Announced inputs.
         """
         steps, m = prediction.U_free.shape
-        scale = self._z_scale[: steps * m]
-        slacks = len(self._penalties)
-        rate = np.tile(self._rate, steps - 1)
         drift = (prediction.U_free[1:] - prediction.U_free[:-1]).reshape(-1)
-        parts: list[_Rows] = [(self._rate_rows, -rate - drift, rate - drift, None)]
+        lower, upper = [-self._rates - drift], [self._rates - drift]
+        A, at = self._template.copy(), len(drift)
         C = linear.model.C
         if self._separation is not None:
             _, direction = separation_rows(linear.model.y, self._pairs)
             distance = (linear.model.y + prediction.dX_free[1:] @ C.T) @ direction.T
-            G = condensing.rows(direction @ output_impulse)
             gap = self._separation.minimum_m - distance.reshape(-1)
-            parts.append((G, gap, np.full(len(gap), np.inf), np.zeros(len(gap), dtype=np.intp)))
+            at = _fill(direction @ output_impulse, A, at)
+            lower.append(gap)
+            upper.append(self._no_gap)
         if self._tilt is not None:
             angles = (linear.x0[self._tilt_states] + prediction.dX_free[1:, self._tilt_states]).reshape(-1)
-            limit, none = np.radians(self._tilt.limit_deg), np.full(len(angles), np.inf)
-            G = condensing.rows(prediction.impulse[:, self._tilt_states] * self._scale)
-            slack = np.full(len(angles), self._tilt_slack)
-            parts += [(G, -none, limit - angles, slack), (G, -limit - angles, none, slack)]
+            limit = math.radians(self._tilt.limit_deg)
+            effect = prediction.impulse[:, self._tilt_states] * self._scale
+            at = _fill(effect, A, _fill(effect, A, at))
+            lower += [-self._no_tilt, -limit - angles]
+            upper += [limit - angles, self._no_tilt]
         if len(self._on_state):
             on = linear.on_state
             value = on.value + prediction.dX_free[1:] @ on.slope.T
-            G = condensing.rows(on.slope @ prediction.impulse * self._scale)
-            low = np.where(self._on_state.equality, -value, -np.inf).reshape(-1)
-            parts.append((G, low, -value.reshape(-1), np.tile(self._state_slack, steps)))
+            at = _fill(on.slope @ prediction.impulse * self._scale, A, at)
+            lower.append(np.where(self._on_state.equality, -value, -np.inf).reshape(-1))
+            upper.append(-value.reshape(-1))
         if self._inputs_kept.any():
             kept, on = self._inputs_kept, linear.on_input
             dU = U - linear.u0
             dU[:, self._others] = prediction.U_others - linear.u0[self._others]
             dU[:, self.own] = prediction.U_free - linear.u0[self.own]
             value = on.value[kept] + dU @ on.slope[kept].T
-            G = np.kron(np.eye(steps), on.slope[kept][:, self.own]) * scale
-            low = np.where(self._on_input.equality[kept], -value, -np.inf).reshape(-1)
-            parts.append((G, low, -value.reshape(-1), None))
-        A = np.zeros((sum(len(part[0]) for part in parts), steps * m + slacks))
-        at = 0
-        for G, low, _, softened in parts:
-            A[at : at + len(G), : steps * m] = G
-            if softened is not None:
-                soft = softened >= 0
-                # A lower bound is relieved by adding the slack, an upper bound by taking it off.
-                sign = np.where(np.isfinite(low[soft]), 1.0, -1.0)
-                A[at + np.flatnonzero(soft), steps * m + softened[soft]] = sign
-            at += len(G)
-        return A, np.concatenate([part[1] for part in parts]), np.concatenate([part[2] for part in parts])
+            A[at:, : steps * m] = np.kron(np.eye(steps), on.slope[kept][:, self.own] * self._scale)
+            lower.append(np.where(self._on_input.equality[kept], -value, -np.inf).reshape(-1))
+            upper.append(-value.reshape(-1))
+        return A, np.concatenate(lower), np.concatenate(upper)
+
+    def _rows_template(self) -> Array:
+        """What the rows have in common at every step: rate limits, and where slacks soften; zeros are filled in.
+
+        A lower bound is relieved by adding the slack, an upper bound by taking it off.
+        """
+        steps, m = self.settings.horizon, len(self.own)
+        slacks = len(self._penalties)
+        parts = [np.hstack([rate_rows(steps, m) * self._z_scale[: steps * m], np.zeros(((steps - 1) * m, slacks))])]
+
+        def soften(slack: npt.NDArray[np.intp], sign: float) -> None:
+            rows = np.zeros((len(slack), steps * m + slacks))
+            soft = slack >= 0
+            rows[np.flatnonzero(soft), steps * m + slack[soft]] = sign
+            parts.append(rows)
+
+        if self._separation is not None:
+            soften(np.zeros(steps * len(self._pairs), dtype=np.intp), 1.0)
+        if self._tilt is not None:
+            for sign in (-1.0, 1.0):
+                soften(np.full(steps * len(self._tilt_states), self._tilt_slack), sign)
+        soften(np.tile(self._state_slack, steps), -1.0)
+        soften(np.full(steps * int(self._inputs_kept.sum()), -1), 1.0)
+        return np.concatenate(parts)
+
+
+def _fill(impulse: Array, A: Array, at: int) -> int:
+    """Write the prediction matrix of a signal into rows that begin at `at`; returns where the next begin."""
+    steps, signals, _ = impulse.shape
+    end: int = at + steps * signals
+    condensing.fill(impulse, A[at:end])
+    return end

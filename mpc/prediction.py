@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from model import native
 from model.arrays import Array
 from model.discretisation import Discrete
 from mpc.feedback import TeamLaw
@@ -109,6 +110,8 @@ def free_response(A: Array, W: Array) -> Array:
     Returns: dx at steps 0..N_p, (N_p + 1, n).
     Source: docs/equations.md (23); paper (15), (23).
     """
+    if native.AVAILABLE:
+        return native.free_response(np.ascontiguousarray(A), np.ascontiguousarray(W))
     dX = np.zeros((len(W) + 1, A.shape[0]))
     for k, w in enumerate(W):
         dX[k + 1] = A @ dX[k] + w
@@ -126,6 +129,12 @@ def responses(A: Array, B: Array, W: Array) -> tuple[Array, Array]:
         0..N_p as in `free_response`, (N_p + 1, n).
     Source: docs/equations.md (23)-(24); paper (15)-(16).
     """
+    if native.AVAILABLE:
+        return native.responses(np.ascontiguousarray(A), np.ascontiguousarray(B), W)
+    return _responses(A, B, W)
+
+
+def _responses(A: Array, B: Array, W: Array) -> tuple[Array, Array]:
     steps, (n, m) = len(W), B.shape
     columns = np.empty((steps + 1, n, m + 1))  # at step k: A^k B, and dx(k)
     columns[0, :, :m] = B

@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from model import native
 from model.arrays import Array
 
 Status = Literal["solved", "infeasible", "limit", "numerical"]
@@ -98,6 +99,15 @@ def residuals(qp: QP, z: Array, bound_multipliers: Array, row_multipliers: Array
         row_multipliers: (r,), the same for rows.
     Source: docs/equations.md (28).
     """
+    if native.AVAILABLE:
+        found = native.residuals(
+            qp.H, qp.g, qp.lower, qp.upper, qp.A, qp.row_lower, qp.row_upper, z, bound_multipliers, row_multipliers
+        )
+        return Residuals(stationarity=found[0], primal=found[1], complementarity=found[2])
+    return _residuals(qp, z, bound_multipliers, row_multipliers)
+
+
+def _residuals(qp: QP, z: Array, bound_multipliers: Array, row_multipliers: Array) -> Residuals:
     values = np.concatenate([z, qp.A @ z])
     multipliers = np.concatenate([bound_multipliers, row_multipliers])
     lower = np.concatenate([qp.lower, qp.row_lower])

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from model.arrays import Array
+from mpc import bounded
 from mpc.qp import QP, RESIDUAL_TOLERANCE, Residuals, Solution, Status, residuals
 from mpc.settings import SolverName
 
@@ -47,15 +48,13 @@ def solve_daqp(qp: QP) -> Solution:
     """Dual active-set method (Arnstrom, Bemporad, Axehill 2022).
 
     Most programs of a flight have no active row, and preparing the rows is most of the work: so the bounds
-    alone first, and that answer stands if it passes the residual check of the whole program.
+    alone first, by a method that has nothing to prepare, and that answer stands if it passes the residual check of
+    the whole program.
     """
-    if len(qp.A) and not (qp.row_lower == qp.row_upper).any():
-        none = np.zeros(0)
-        bounds_only = replace(qp, A=qp.A[:0], row_lower=none, row_upper=none)
-        z, multipliers, status, iterations = _daqp(bounds_only)
-        if status == "solved":
-            rows = np.zeros(len(qp.A))
-            answer = _checked(qp, z, multipliers, rows, status, iterations, "daqp")
+    if not (qp.row_lower == qp.row_upper).any():
+        z, multipliers, guesses = bounded.solve(qp.H, qp.g, qp.lower, qp.upper)
+        if guesses:
+            answer = _checked(qp, z, multipliers, np.zeros(len(qp.A)), "solved", guesses, "active_set")
             if answer.status == "solved":
                 return answer
     z, multipliers, status, iterations = _daqp(qp)

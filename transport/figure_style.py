@@ -32,10 +32,11 @@ RC: Any = {  # its type differs between versions of matplotlib
     "lines.linewidth": 1.2,
     "figure.dpi": DPI,
     "savefig.dpi": DPI,
+    "svg.hashsalt": "transport",  # names inside an SVG are else different every time
 }
 
 # Okabe and Ito (2008). A UAV has the same colour in every figure; beyond five, the line style tells the turn.
-_UAVS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#7F5F00")
+UAV_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#7F5F00")
 _TURNS = ("-", "--", ":", "-.")
 # Components (x, y, z; roll, pitch, yaw), in colours no UAV has.
 COMPONENTS = ("#000000", "#E69F00", "#56B4E9")
@@ -51,7 +52,7 @@ _NARROW = 0.08
 
 def uav_style(i: int) -> dict[str, Any]:
     """Line colour and style of UAV i (0-based)."""
-    return {"color": _UAVS[i % len(_UAVS)], "linestyle": _TURNS[i // len(_UAVS) % len(_TURNS)]}
+    return {"color": UAV_COLOURS[i % len(UAV_COLOURS)], "linestyle": _TURNS[i // len(UAV_COLOURS) % len(_TURNS)]}
 
 
 def line_width(i: int, count: int, widest: float) -> float:
@@ -62,13 +63,14 @@ def line_width(i: int, count: int, widest: float) -> float:
     return _THINNEST if count == 1 else widest - (widest - _THINNEST) * i / (count - 1)
 
 
-def shade_phases(setup: Setup, panels: list["Axes"], until_s: float) -> None:
+def shade_phases(setup: Setup, panels: list["Axes"], until_s: float, *, named: bool = True) -> None:
     """Shade every other phase of the maneuver in stacked panels and name them above the first.
 
     Args:
         setup: The run.
         panels: Axes over time in s, from top to bottom.
         until_s: End of the time axis.
+        named: Whether to name them.
     """
     begin = 0.0
     for number, phase in enumerate(setup.maneuver.phases):
@@ -78,7 +80,7 @@ def shade_phases(setup: Setup, panels: list["Axes"], until_s: float) -> None:
         if number % 2:
             for axes in panels:
                 axes.axvspan(begin, end, color=_BAND, linewidth=0, zorder=0)
-        if end - begin > _NARROW * until_s:
+        if named and end - begin > _NARROW * until_s:
             panels[0].text(
                 (begin + end) / 2.0,
                 1.02,
@@ -108,3 +110,9 @@ def save(figure: "Figure", path: Path, *, cropped: bool = False) -> Path:
     unnamed = {"Date": None, "Creator": None} if path.suffix == ".svg" else {"Software": None}
     figure.savefig(path, metadata=unnamed, bbox_inches="tight" if cropped else None, pad_inches=0.05)
     return path
+
+
+def save_both(figure: "Figure", path: Path, *, cropped: bool = False) -> Path:
+    """Write a figure as PNG to look at, and beside it as SVG for a paper; returns the first."""
+    save(figure, path.with_suffix(".svg"), cropped=cropped)
+    return save(figure, path, cropped=cropped)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from protocol.setup import Setup
-from transport.figure_style import COMPONENTS, RC, WIDTH_IN, line_width, save, shade_phases, uav_style
+from transport.figure_style import COMPONENTS, RC, WIDTH_IN, line_width, save_both, shade_phases, uav_style
 from transport.log import RunLog
 from transport.series import Series, series_of
 
@@ -27,13 +27,13 @@ _SMALLEST_M, _SMALLEST_DEG = 1e-3, 1e-2
 
 
 def draw(setup: Setup, log: RunLog, folder: Path) -> list[Path]:
-    """Draw performance.png, trajectories.png and timing.png of a run, as far as its log goes.
+    """Draw performance.png, trajectories.png and timing.png of a run, as far as its log goes, each as SVG, too.
 
     Args:
         setup: The run as it was flown.
         log: Its log, whole or not.
         folder: Where to; created if need be, older figures are replaced.
-    Returns: The files drawn; those without any data to show are left out.
+    Returns: The PNG files drawn; those without any data to show are left out.
     """
     import matplotlib as mpl
 
@@ -66,7 +66,7 @@ def draw_performance(setup: Setup, series: Series, path: Path) -> Path:
     for panel in panels[:3]:
         panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
     figure.align_ylabels(panels)
-    return save(figure, path)
+    return save_both(figure, path)
 
 
 def plot_performance(setup: Setup, series: Series, panels: "list[Axes]") -> None:

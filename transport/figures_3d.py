@@ -9,7 +9,7 @@ from model.arrays import Array
 from model.rotations import rotation
 from model.state import StateView
 from protocol.setup import Setup
-from transport.figure_style import PAYLOAD, REFERENCE, WIDTH_IN, save, uav_style
+from transport.figure_style import PAYLOAD, REFERENCE, WIDTH_IN, save_both, uav_style
 from transport.series import Series
 
 # Formations closer than this to one already drawn would only blot it.
@@ -27,20 +27,20 @@ def draw_trajectories(setup: Setup, series: Series, path: Path) -> Path:
     figure = Figure(figsize=(WIDTH_IN, 5.6))
     axes: Any = figure.add_axes((0.0, 0.03, 1.0, 1.0), projection="3d")
     payload_I = StateView(series.x).r0_I
-    _line(axes, series.payload_reference_I, color=REFERENCE, linewidth=1.0, linestyle="--")
+    line(axes, series.payload_reference_I, color=REFERENCE, linewidth=1.0, linestyle="--")
     for i in range(setup.system.N):
-        _line(axes, series.uav_references_I[:, i], color=REFERENCE, linewidth=0.6, linestyle="--")
-        _line(axes, series.uavs_I[:, i], linewidth=1.3, **uav_style(i))
-    _line(axes, payload_I, color=PAYLOAD, linewidth=1.3)
+        line(axes, series.uav_references_I[:, i], color=REFERENCE, linewidth=0.6, linestyle="--")
+        line(axes, series.uavs_I[:, i], linewidth=1.3, **uav_style(i))
+    line(axes, payload_I, color=PAYLOAD, linewidth=1.3)
     for k in _instants(setup, series):
         _formation(axes, setup, series, k)
-    _frame(axes, np.concatenate([series.uavs_I.reshape(-1, 3), payload_I]) * _UP)
+    frame(axes, np.concatenate([series.uavs_I.reshape(-1, 3), payload_I]) * _UP)
     handles = [Line2D([], [], label=f"UAV{i + 1}", **uav_style(i)) for i in range(setup.system.N)]
     handles.append(Line2D([], [], color=PAYLOAD, label="payload"))
     handles.append(Line2D([], [], color=REFERENCE, linestyle="--", label="reference"))
     # Cropped to what is drawn: how much room a formation takes depends on its maneuver.
     axes.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, 0.98), ncols=min(len(handles), 3))
-    return save(figure, path, cropped=True)
+    return save_both(figure, path, cropped=True)
 
 
 def _instants(setup: Setup, series: Series) -> list[int]:
@@ -61,14 +61,14 @@ def _formation(axes: Any, setup: Setup, series: Series, k: int) -> None:
     R_IP = rotation(view.Theta0)
     corners = np.array([view.r0_I + R_IP @ uav.rho for uav in setup.system.uavs])
     for i, corner in enumerate(corners):
-        _line(axes, np.array([series.uavs_I[k, i], corner]), color="#555555", linewidth=0.8)
+        line(axes, np.array([series.uavs_I[k, i], corner]), color="#555555", linewidth=0.8)
         axes.plot(*(series.uavs_I[k, i] * _UP), marker="o", markersize=4.0, color=uav_style(i)["color"])
     outline = np.vstack([corners, corners[:1]])
-    _line(axes, outline, color=PAYLOAD, linewidth=2.0)
+    line(axes, outline, color=PAYLOAD, linewidth=2.0)
     axes.plot(*(view.r0_I * _UP), marker="s", markersize=4.0, color=PAYLOAD)
 
 
-def _frame(axes: Any, points: Array) -> None:
+def frame(axes: Any, points: Array, *, zoom: float = 0.95) -> None:
     """Equal scales on all axes, around the points with a margin."""
     from matplotlib.ticker import MaxNLocator, MultipleLocator
 
@@ -79,9 +79,10 @@ def _frame(axes: Any, points: Array) -> None:
     widen = np.maximum(0.0, _SLIMMEST * float((high - low).max()) - (high - low)) / 2.0
     low, high = low - widen, high + widen
     axes.set_xlim(low[0], high[0])
-    axes.set_ylim(low[1], high[1])
+    # With z pointing down, x to the right leaves y pointing at the reader: anything else would be a mirror image.
+    axes.set_ylim(high[1], low[1])
     axes.set_zlim(low[2], high[2])
-    axes.set_box_aspect(high - low, zoom=0.95)
+    axes.set_box_aspect(high - low, zoom=zoom)
     # One spacing of ticks, half of it on axes too short for that: equal scales can be seen.
     ticks = MaxNLocator(nbins=8, steps=[1, 2, 5, 10]).tick_values(0.0, float((high - low).max()))
     spacing = float(ticks[1] - ticks[0])
@@ -93,5 +94,7 @@ def _frame(axes: Any, points: Array) -> None:
     axes.view_init(elev=18.0, azim=-60.0)
 
 
-def _line(axes: Any, points_I: Array, **style: Any) -> None:
-    axes.plot(*(points_I * _UP).T, **style)
+def line(axes: Any, points_I: Array, **style: Any) -> list[Any]:
+    """Draw a path, (k, 3), inertial frame, m; returns what was drawn."""
+    drawn: list[Any] = axes.plot(*(points_I * _UP).T, **style)
+    return drawn

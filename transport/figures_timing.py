@@ -7,7 +7,7 @@ import numpy as np
 
 from protocol.messages import STAGES, StepReport
 from protocol.setup import Setup
-from transport.figure_style import WIDTH_IN, save, shade_phases, uav_style
+from transport.figure_style import WIDTH_IN, save_both, shade_phases, uav_style
 from transport.log import RunLog
 from transport.metrics import network_ms
 
@@ -54,7 +54,7 @@ def draw_timing(setup: Setup, log: RunLog, path: Path) -> Path | None:
     by_agent.grid(visible=False, axis="y")
     by_agent.set_xlabel("median time per tick (ms)")
     by_agent.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
-    return save(figure, path)
+    return save_both(figure, path)
 
 
 def _over_time(setup: Setup, axes: "Axes", reports: list[StepReport], network: dict[int, float]) -> None:

@@ -23,6 +23,8 @@ from transport.mcap_salvage import NotMcapError, Salvage, salvage
 CHUNK_BYTES = 16 * 1024
 
 _METADATA = "run"
+# The metadata record of a copy that names the channels it has more than the log: made from its messages, none of them.
+DERIVED = "derived channels"
 _KEYS = Keys("log")
 _LAST_TIME_NS = 2**63 - 1
 _SEQUENCES = 2**32  # the format counts with 32 bits; the message itself has all of them
@@ -185,8 +187,11 @@ def read_log(path: Path) -> RunLog:
         raise LogError(f'{path}: an MCAP file, but not the log of a run (no metadata record "{_METADATA}")')
     messages: list[Recorded] = []
     foreign: list[str] = []
+    derived = found.metadata.get(DERIVED, {})
     for topic, entry in found.entries:
         kind = topic.lstrip("/").split("/", 1)[0]
+        if topic in derived:
+            continue
         if kind not in KINDS:
             foreign.append(f"a channel {topic!r}")
             continue

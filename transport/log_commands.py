@@ -48,7 +48,9 @@ def info(
 @log_app.command("export")
 def export(
     path: LogArgument,
-    out: Annotated[Path, typer.Option("--out", help="Folder for the tables; created if need be.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Folder for the tables; created if need be.")
+    ] = None,
     parquet: Annotated[
         bool,
         typer.Option("--parquet/--csv", help="Parquet (needs the extra: pip install 'payload-transport[parquet]')."),
@@ -56,17 +58,30 @@ def export(
     kinds: Annotated[
         list[str] | None, typer.Option("--kind", help="Only messages of this kind: truth, plan, ... Repeatable.")
     ] = None,
+    foxglove: Annotated[
+        Path | None,
+        typer.Option("--foxglove", metavar="FILE", help="Write a copy with transforms and a 3D scene for Foxglove."),
+    ] = None,
 ) -> None:
-    """Write a log as tables, one for each kind of message.
+    """Write a log as tables, or as a copy for Foxglove.
 
-    Arrays become columns whose names end in their units; docs/log.md lists them.
+    A table for each kind of message: arrays become columns whose names end in their units; docs/log.md lists them.
 
     Example: transport log export runs/20260102-101500-paper --parquet --out tables
     """
+    if (out is None) == (foxglove is None):
+        fail(f"expected either --out or --foxglove, got {'neither' if out is None else 'both'}", EXIT_USAGE)
+    if out is not None:
+        _export_tables(path, out, kinds or [], parquet=parquet)
+    if foxglove is not None:
+        _export_foxglove(path, foxglove)
+
+
+def _export_tables(path: Path, out: Path, kinds: list[str], *, parquet: bool) -> None:
     from protocol.messages import KINDS
     from transport.log_tables import tables
 
-    unknown = sorted(set(kinds or ()) - set(KINDS))
+    unknown = sorted(set(kinds) - set(KINDS))
     if unknown:
         fail(f"--kind: expected one of {', '.join(KINDS)}, got {unknown[0]!r}", EXIT_USAGE)
     if parquet:
@@ -86,6 +101,26 @@ def export(
             typer.echo(f" {target}  {len(rows)} rows")
     except OSError as error:
         fail(f"--out: cannot write to {out} ({error.strerror or error})", EXIT_USAGE)
+    _warn(file)
+
+
+def _export_foxglove(path: Path, out: Path) -> None:
+    from transport.foxglove import write_foxglove
+    from transport.log import LogError
+    from transport.viewer.scene import Scenes
+
+    if out.exists():
+        fail(f"--foxglove: expected a file that does not exist yet, got {out}", EXIT_USAGE)
+    file = _open(path)
+    if file.setup is None:
+        fail(f"--foxglove: {file.path} has lost its scenario, or it is of another version", EXIT_USAGE)
+    try:
+        ticks = write_foxglove(Scenes.of(file.setup, file.log), file.path, out)
+    except LogError as error:
+        fail(f"--foxglove: {error}", EXIT_USAGE)
+    except OSError as error:
+        fail(f"--foxglove: cannot write {out} ({error.strerror or error})", EXIT_USAGE)
+    typer.echo(f" {out}  {ticks} ticks")
     _warn(file)
 
 

@@ -4,6 +4,7 @@ import re
 import shlex
 import signal
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,6 +20,7 @@ from transport.log_commands import log_app
 from transport.operate import fault, link_app, status
 from transport.replay_commands import replay
 from transport.top_commands import top
+from transport.viewer.commands import HostOption, PortOption, view, viewer_beside
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -26,7 +28,7 @@ if TYPE_CHECKING:
     from protocol.process import Place
     from protocol.setup import Setup
 
-EXIT_USAGE, EXIT_SCENARIO, EXIT_LOST = 2, 3, 4
+EXIT_USAGE, EXIT_SCENARIO, EXIT_LOST, EXIT_INTERRUPTED = 2, 3, 4, 130
 
 app = typer.Typer(
     name="transport",
@@ -45,6 +47,7 @@ scenario_app = typer.Typer(help="Make scenarios.", no_args_is_help=True, rich_ma
 app.add_typer(scenario_app, name="scenario")
 app.command()(fault)
 app.command()(status)
+app.command()(view)
 app.command()(replay)
 app.command()(top)
 app.command()(compare)
@@ -111,6 +114,9 @@ def run(
     ] = None,
     output: Annotated[Format, typer.Option("--format", help="What goes to standard output.")] = Format.text,
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw the figures at the end.")] = True,
+    viewed: Annotated[bool, typer.Option("--view", help="Show it in the browser while it flies, and after.")] = False,
+    host: HostOption = "127.0.0.1",
+    port: PortOption = 8080,
 ) -> None:
     """Fly a scenario with all its processes, record and report it.
 
@@ -126,13 +132,16 @@ def run(
     console = Console(stderr=True)
     setup = _setup(scenario, settings)
     folder = out if out is not None else new_folder(Path("runs"), setup.scenario.name)
-    try:
-        finished = fly(setup, folder, console)
-    except RunError as error:
-        fail(str(error), error.exit_code)
-    except HarnessError as error:
-        fail(str(error), EXIT_LOST)
-    _report(finished.folder, output, figures)
+    with viewer_beside(folder, host, port, setup.scenario.clock.join_timeout_s) if viewed else nullcontext() as linger:
+        try:
+            finished = fly(setup, folder, console)
+        except RunError as error:
+            fail(str(error), error.exit_code)
+        except HarnessError as error:
+            fail(str(error), EXIT_LOST)
+        _report(finished.folder, output, figures)
+        if linger is not None and finished.exit_code != EXIT_INTERRUPTED:
+            linger()
     if finished.exit_code != 0:
         fail(finished.reason, finished.exit_code)
 
@@ -261,19 +270,34 @@ def validate(scenario: ScenarioArgument, settings: SetOption = None) -> None:
 def plot(
     folder: Annotated[Path, typer.Argument(help="Run folder.")],
     output: Annotated[Format, typer.Option("--format", help="What goes to standard output.")] = Format.text,
+    animation: Annotated[
+        Path | None, typer.Option("--animate", metavar="FILE", help="Also draw it moving, as .gif or .mp4 (ffmpeg).")
+    ] = None,
 ) -> None:
     """Make metrics and figures of a recorded run anew.
 
     Works on the log of a run that was cut off, too.
+
+    Example: transport plot runs/20260102-101500-paper --animate flight.gif
     """
+    from transport.animation import AnimationError, animate_run, check_animation
     from transport.log import LogError, read_log
 
     try:
+        check_animation(animation)
         if not read_log(folder / "run.mcap").messages:
             fail(f"{folder / 'run.mcap'}: not one message can be read", EXIT_USAGE)
     except LogError as error:
         fail(str(error), EXIT_USAGE)
+    except AnimationError as error:
+        fail(f"--animate: {error}", EXIT_USAGE)
     _report(folder, output, figures=True)
+    if animation is not None:
+        try:
+            animate_run(folder, animation)
+        except (AnimationError, LogError, OSError) as error:
+            fail(f"--animate: {error}", EXIT_USAGE)
+        typer.echo(f" {animation}", err=output is Format.json)
 
 
 @scenario_app.command("new")

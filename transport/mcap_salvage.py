@@ -20,7 +20,7 @@ from mcap.writer import MCAP0_MAGIC
 _FRAME = struct.Struct("<BQ")  # opcode and length ahead of every record
 
 # What taking a damaged record apart can end in.
-_DAMAGE = (McapError, zstandard.ZstdError, struct.error, ValueError, MemoryError, OverflowError)
+DAMAGE = (McapError, zstandard.ZstdError, struct.error, ValueError, MemoryError, OverflowError)
 
 
 class NotMcapError(ValueError):
@@ -59,11 +59,11 @@ def salvage(data: bytes) -> Salvage:
     messages: list[Message] = []
     opcodes: set[int] = set()
     damaged = 0
-    for opcode, body in _frames(data, len(MCAP0_MAGIC)):
+    for opcode, body in frames(data, len(MCAP0_MAGIC)):
         opcodes.add(opcode)
         try:
-            records = _records(opcode, body)
-        except _DAMAGE:
+            records = records_of(opcode, body)
+        except DAMAGE:
             damaged += 1
             continue
         for record in records:
@@ -84,7 +84,7 @@ def salvage(data: bytes) -> Salvage:
     )
 
 
-def _frames(data: bytes, at: int) -> Iterator[tuple[int, bytes]]:
+def frames(data: bytes, at: int) -> Iterator[tuple[int, bytes]]:
     """The whole records from an offset on, as opcode and content."""
     while at + _FRAME.size <= len(data):
         opcode, length = _FRAME.unpack_from(data, at)
@@ -96,7 +96,11 @@ def _frames(data: bytes, at: int) -> Iterator[tuple[int, bytes]]:
         at += length
 
 
-def _records(opcode: int, body: bytes) -> list[McapRecord]:
+def records_of(opcode: int, body: bytes) -> list[McapRecord]:
+    """What a record says: those inside a chunk, itself, or nothing for one that is of no interest here.
+
+    Raises: one of `DAMAGE`: it cannot be read.
+    """
     stream = ReadDataStream(BytesIO(body))
     if opcode == Opcode.CHUNK:
         return breakup_chunk(Chunk.read(stream), validate_crc=True)

@@ -69,18 +69,10 @@ def link_set(
 @link_app.command("clear")
 def link_clear(run: RunOption = None, connect: ConnectOption = None, keys: KeysOption = None) -> None:
     """Make all links perfect again, the plant's as well."""
-    perfect = {
-        "delay_s": 0.0,
-        "jitter_s": 0.0,
-        "distribution": "uniform",
-        "loss": 0.0,
-        "gilbert_elliott": {"enter": 0.0, "leave": 1.0},
-        "duplicate": 0.0,
-        "reorder": 0.0,
-        "rate_hz": 1e9,
-    }
+    from transport.requests import PERFECT
+
     for ends in ({}, {"from": "plant"}, {"to": "plant"}):
-        answer = _ask(run, connect, keys, "coordinator", "link", {**ends, "settings": perfect})
+        answer = _ask(run, connect, keys, "coordinator", "link", {**ends, "settings": dict(PERFECT)})
     typer.echo(f"links are perfect from tick {answer['tick']} on (t = {answer['t_s']:.2f} s)")
 
 
@@ -126,10 +118,9 @@ def _process_name(end: str | None) -> str:
 def _ask(
     run: str | None, connect: list[str] | None, keys: Path | None, name: str, what: str, given: dict[str, Any]
 ) -> dict[str, Any]:
-    from protocol.bus import BusError, ask
-    from protocol.keys import ROUTER, Keys
-    from protocol.security import Security
+    from protocol.keys import Keys
     from transport import live
+    from transport.requests import RefusedError, UnansweredError, request
 
     if connect and not (run and Keys.allows(run)):
         fail(f"--run: expected the name of a run with --connect, got {run!r}", 2)
@@ -145,11 +136,9 @@ def _ask(
         # Only the one that is asked: others may be frozen, and then take their time.
         known, endpoints = there.run, [there.endpoints[name]]
         keys = keys or (Path(there.keys) if there.keys else None)
-    security = None if keys is None else Security(keys.resolve(), (name, ROUTER))
     try:
-        answer = dict(ask(known, endpoints, name, what, given, security=security))
-    except BusError as error:
+        return request(known, endpoints, name, what, given, keys=keys)
+    except UnansweredError as error:
         fail(str(error), 4)
-    if "error" in answer:
-        fail(str(answer["error"]), 2)
-    return answer
+    except RefusedError as error:
+        fail(str(error), 2)

@@ -45,7 +45,7 @@ def write_report(folder: Path, *, figures: bool = True) -> dict[str, Any]:
     if figures:
         from transport.figures import draw  # matplotlib takes its time
 
-        for old in (folder / "figures").glob("*.png"):
+        for old in [file for kind in ("png", "svg") for file in (folder / "figures").glob(f"*.{kind}")]:
             old.unlink()  # never an older run's picture beside this run's numbers
         draw(setup, log, folder / "figures")
     return summary

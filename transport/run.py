@@ -17,6 +17,8 @@ from types import FrameType
 import tomli_w
 from rich.console import Console
 
+from model import native
+from model.compiled import compile_functions
 from protocol.bus import BusError, Endpoints
 from protocol.keys import RECORDER, Keys
 from protocol.process import EXIT_INTERRUPTED, Place, places, process_names
@@ -87,6 +89,8 @@ def fly(setup: Setup, folder: Path, console: Console) -> Finished:
     """
     _refuse_existing(folder)
     scenario = setup.scenario
+    with console.status("preparing the model for this processor, once"):
+        compile_functions(setup.system.N)
     names = process_names(scenario)
     host, base_port = scenario.network.host, scenario.network.base_port
     # The recorder has a port as well: it is called by people who want something of this run's parent.
@@ -188,10 +192,14 @@ def run_header(setup: Setup, run: str, processes: int, scenario_toml: str) -> Ma
 
 
 def versions() -> str:
-    """Versions of Python and of the packages that results depend on, in one line."""
+    """Versions of Python, of the packages that results depend on, and whether the kernels are compiled, in one line."""
     packages = ("payload-transport", "numpy", "casadi", "daqp", "clarabel", "eclipse-zenoh")
     return ", ".join(
-        [f"python {platform.python_version()}", *(f"{package} {version(package)}" for package in packages)]
+        [
+            f"python {platform.python_version()}",
+            *(f"{package} {version(package)}" for package in packages),
+            f"kernels {'compiled' if native.AVAILABLE else 'plain'}",
+        ]
     )
 
 

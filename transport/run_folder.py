@@ -35,8 +35,15 @@ def open_run(folder: Path) -> RecordedRun:
     Raises: LogError: it has no log, or none that can be read; ScenarioError: its scenario cannot be read.
     """
     log = read_log(folder / "run.mcap")
-    path = folder / "scenario.toml"
-    setup = Setup.of(read_scenario(path), str(path))
     return RecordedRun(
-        folder=folder, setup=setup, log=replace(log, cut="; ".join(filter(None, (log.cut, missing(log)))))
+        folder=folder, setup=setup_of(folder), log=replace(log, cut="; ".join(filter(None, (log.cut, missing(log)))))
     )
+
+
+def setup_of(folder: Path) -> Setup:
+    """What a run folder says is flown, without its log, which a run in flight is still writing.
+
+    Raises: ScenarioError: its scenario cannot be read.
+    """
+    path = folder / "scenario.toml"
+    return Setup.of(read_scenario(path), str(path))

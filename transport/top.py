@@ -8,6 +8,7 @@ import numpy as np
 
 from model.state import StateView
 from mpc.cost import Cost
+from plant.schedule import FAIL_SAFE
 from protocol.claims import Claims
 from protocol.messages import (
     Control,
@@ -27,9 +28,6 @@ _RECENT, _NOTICES = 100, 5
 
 # Ticks an agent may be behind before it counts as silent.
 _BEHIND = 5
-
-# What `Truth.plan_ticks` says of actuators that follow no plan any more.
-_FAIL_SAFE = -2
 
 
 @dataclass(slots=True)
@@ -159,7 +157,7 @@ class Watch:
     def state_of(self, agent: int) -> str:
         """What an agent is doing: flies, silent, off the roster, or in the fail-safe; "-" while unknown."""
         uavs = self.setup.owned[agent - 1]
-        if self.truth is not None and any(self.truth.plan_ticks[uav] == _FAIL_SAFE for uav in uavs):
+        if self.truth is not None and any(self.truth.plan_ticks[uav] == FAIL_SAFE for uav in uavs):
             return "fail-safe"
         if self.members is not None and agent not in self.members:
             return "off"

@@ -14,7 +14,8 @@ import pytest
 
 import model
 from model.arrays import Array, ShapeError
-from model.compiled import Compiled, cache_folder, functions
+from model.cache import cache_folder
+from model.compiled import Compiled, functions
 from tests.model.random_systems import random_forces, random_input, random_state, random_system
 
 N = 2

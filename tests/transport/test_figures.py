@@ -4,6 +4,7 @@ import struct
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from xml.etree import ElementTree  # of files written here
 
 import pytest
 
@@ -23,13 +24,14 @@ SMALLEST_PIXELS = 400
 
 
 def assert_drawn(paths: Sequence[Path], names: Sequence[str] = NAMES) -> None:
-    """The files are PNG images with something on them."""
+    """The files are PNG images with something on them, and beside each there is an SVG."""
     assert [path.name for path in paths] == list(names)
     for path in paths:
         data = path.read_bytes()
         assert data.startswith(b"\x89PNG\r\n\x1a\n")
         assert len(data) > SMALLEST_BYTES
         assert min(struct.unpack(">II", data[16:24])) > SMALLEST_PIXELS
+        assert ElementTree.parse(path.with_suffix(".svg")).getroot().tag.endswith("svg")  # noqa: S314  # our own
 
 
 def logged(folder: Path, *settings: str) -> tuple[Setup, RunLog]:

@@ -1,5 +1,6 @@
 """The commands `transport experiment ...`. Heavy imports are inside, as in all of the command line."""
 
+import inspect
 import math
 import signal
 import sys
@@ -7,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -73,14 +74,14 @@ QuickOption = Annotated[bool, typer.Option("--quick", help="Short flights and fe
 class _Options:
     """What all experiments can be told."""
 
-    scenarios: list[str] | None
     settings: list[str] | None
     seeds: int
     out: Path | None
     jobs: int | None
-    dask: str | None
-    processes: bool
     quick: bool
+    scenarios: list[str] | None = None
+    dask: str | None = None
+    processes: bool = False
     maneuver: str = ""
 
     def named(self) -> list[str]:
@@ -93,62 +94,85 @@ class _Options:
         return [*([maneuver] if maneuver else []), *(self.settings or [])]
 
 
-@experiment_app.command()
+def _sweep(*, usual_seeds: int) -> Callable[[Callable[..., "Experiment"]], None]:
+    """Make a command of a function that says what to fly: with its own options, and those that all sweeps have.
+
+    Args:
+        usual_seeds: Repetitions where nobody says how many.
+    """
+
+    def shared_options(
+        scenarios: ScenariosOption = None,
+        settings: SetOption = None,
+        seeds: SeedsOption = None,
+        out: OutOption = None,
+        jobs: JobsOption = None,
+        dask: DaskOption = None,
+        processes: ProcessesOption = False,
+        quick: QuickOption = False,
+    ) -> _Options:
+        return _Options(
+            settings=settings,
+            seeds=_seeds(seeds, usual_seeds, quick=quick),
+            out=out,
+            jobs=jobs,
+            quick=quick,
+            scenarios=scenarios,
+            dask=dask,
+            processes=processes,
+        )
+
+    def command_of(build: Callable[..., "Experiment"]) -> None:
+        _, *own = inspect.signature(build).parameters.values()
+        shared = inspect.signature(shared_options).parameters
+
+        def command(**given: Any) -> None:
+            options = shared_options(**{name: given.pop(name) for name in shared})
+            _conduct(lambda: _fly(build(options, **given), options))
+
+        # What the command line reads.
+        parameters = [*own, *shared.values()]
+        command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+        command.__doc__ = build.__doc__
+        experiment_app.command(build.__name__)(command)
+
+    return command_of
+
+
+@_sweep(usual_seeds=1)
 def latency(
+    shared: _Options,
     delays: Annotated[
         list[float] | None, typer.Option("--delay", help="Delay of every plan, s; by default 0 to 0.4. Repeatable.")
     ] = None,
-    scenarios: ScenariosOption = None,
-    settings: SetOption = None,
-    seeds: SeedsOption = None,
-    out: OutOption = None,
-    jobs: JobsOption = None,
-    dask: DaskOption = None,
-    processes: ProcessesOption = False,
-    quick: QuickOption = False,
-) -> None:
+) -> "Experiment":
     """How late plans may be: a fixed delay on every link.
 
     Example: transport experiment latency --delay 0.1 --delay 0.3 --scenario resilient
     """
-    options = _options(scenarios, settings, seeds, out, jobs, dask, processes, quick, usual_seeds=1)
+    from transport.experiments import catalogue
 
-    def build() -> "Experiment":
-        from transport.experiments import catalogue
-
-        return catalogue.latency(options.named(), delays or ([0.0, 0.2] if quick else [0.0, 0.05, 0.1, 0.2, 0.4]))
-
-    _conduct(lambda: _fly(build(), options))
+    return catalogue.latency(shared.named(), delays or ([0.0, 0.2] if shared.quick else [0.0, 0.05, 0.1, 0.2, 0.4]))
 
 
-@experiment_app.command()
+@_sweep(usual_seeds=5)
 def loss(
+    shared: _Options,
     shares: Annotated[
         list[float] | None, typer.Option("--loss", help="Share of lost plans; by default 0.1, 0.3, 0.6. Repeatable.")
     ] = None,
     burst: Annotated[float, typer.Option("--burst", help="Mean length of a burst, ticks.")] = 5.0,
-    scenarios: ScenariosOption = None,
-    settings: SetOption = None,
-    seeds: SeedsOption = None,
-    out: OutOption = None,
-    jobs: JobsOption = None,
-    dask: DaskOption = None,
-    processes: ProcessesOption = False,
-    quick: QuickOption = False,
-) -> None:
+) -> "Experiment":
     """How many plans may be lost: on their own, as many in bursts."""
-    options = _options(scenarios, settings, seeds, out, jobs, dask, processes, quick, usual_seeds=5)
+    from transport.experiments import catalogue
 
-    def build() -> "Experiment":
-        from transport.experiments import catalogue
-
-        return catalogue.loss(options.named(), shares or ([0.3] if quick else [0.1, 0.3, 0.6]), burst)
-
-    _conduct(lambda: _fly(build(), options))
+    return catalogue.loss(shared.named(), shares or ([0.3] if shared.quick else [0.1, 0.3, 0.6]), burst)
 
 
-@experiment_app.command()
+@_sweep(usual_seeds=3)
 def jitter(
+    shared: _Options,
     distributions: Annotated[
         list[str] | None,
         typer.Option("--distribution", help="uniform, normal, exponential, lognormal; by default all. Repeatable."),
@@ -158,68 +182,46 @@ def jitter(
         typer.Option("--std", help="Standard deviation of the delay, s; by default 0.02, 0.05, 0.08. Repeatable."),
     ] = None,
     mean: Annotated[float, typer.Option("--mean", help="Mean delay, s.")] = 0.16,
-    scenarios: ScenariosOption = None,
-    settings: SetOption = None,
-    seeds: SeedsOption = None,
-    out: OutOption = None,
-    jobs: JobsOption = None,
-    dask: DaskOption = None,
-    processes: ProcessesOption = False,
-    quick: QuickOption = False,
-) -> None:
+) -> "Experiment":
     """How irregular delays may be.
 
     Several distributions of the same mean and standard deviation.
     """
-    options = _options(scenarios, settings, seeds, out, jobs, dask, processes, quick, usual_seeds=3)
+    from transport.experiments import catalogue
 
-    def build() -> "Experiment":
-        from transport.experiments import catalogue
-
-        chosen = distributions or (["uniform", "exponential"] if quick else list(catalogue.JITTER))
-        return catalogue.jitter(options.named(), chosen, deviations or ([0.05] if quick else [0.02, 0.05, 0.08]), mean)
-
-    _conduct(lambda: _fly(build(), options))
+    chosen = distributions or (["uniform", "exponential"] if shared.quick else list(catalogue.JITTER))
+    return catalogue.jitter(
+        shared.named(), chosen, deviations or ([0.05] if shared.quick else [0.02, 0.05, 0.08]), mean
+    )
 
 
-@experiment_app.command()
+@_sweep(usual_seeds=1)
 def kill(
+    shared: _Options,
     at: Annotated[float | None, typer.Option("--at", help="When the agent is killed, s; by default 8.")] = None,
     restart: Annotated[
         float | None, typer.Option("--restart", help="When it is started again, s; by default 10.")
     ] = None,
-    scenarios: ScenariosOption = None,
-    settings: SetOption = None,
-    seeds: SeedsOption = None,
-    out: OutOption = None,
-    jobs: JobsOption = None,
-    dask: DaskOption = None,
-    processes: ProcessesOption = False,
-    quick: QuickOption = False,
-) -> None:
+) -> "Experiment":
     """What an agent's death does.
 
     Each in turn is killed, and started again or not; the others fly on.
     """
-    options = _options(scenarios, settings, seeds, out, jobs, dask, processes, quick, usual_seeds=1)
+    from protocol.scenario_file import find_scenario, read_scenario
+    from transport.experiments import catalogue
 
-    def build() -> "Experiment":
-        from protocol.scenario_file import find_scenario, read_scenario
-        from transport.experiments import catalogue
-
-        names = options.named()
-        agents = {name: len(read_scenario(find_scenario(name), options.changes()).owned) for name in names}
-        if len(agents) < len(names):
-            raise refused("--scenario", "each value once", ", ".join(names))
-        usual = (0.5, 1.0) if quick else (8.0, 10.0)
-        kill_s, restart_s = (then if given is None else given for given, then in zip((at, restart), usual, strict=True))
-        return catalogue.kill(agents, kill_s, restart_s)
-
-    _conduct(lambda: _fly(build(), options))
+    names = shared.named()
+    agents = {name: len(read_scenario(find_scenario(name), shared.changes()).owned) for name in names}
+    if len(agents) < len(names):
+        raise refused("--scenario", "each value once", ", ".join(names))
+    usual = (0.5, 1.0) if shared.quick else (8.0, 10.0)
+    kill_s, restart_s = (then if given is None else given for given, then in zip((at, restart), usual, strict=True))
+    return catalogue.kill(agents, kill_s, restart_s)
 
 
-@experiment_app.command()
+@_sweep(usual_seeds=3)
 def matrix(
+    shared: _Options,
     delays: Annotated[
         list[float] | None,
         typer.Option("--delay", help="Delay of every plan, s; by default 0, 0.1, 0.2, 0.4. Repeatable."),
@@ -227,57 +229,32 @@ def matrix(
     shares: Annotated[
         list[float] | None, typer.Option("--loss", help="Share of lost plans; by default 0, 0.1, 0.3, 0.6. Repeatable.")
     ] = None,
-    scenarios: ScenariosOption = None,
-    settings: SetOption = None,
-    seeds: SeedsOption = None,
-    out: OutOption = None,
-    jobs: JobsOption = None,
-    dask: DaskOption = None,
-    processes: ProcessesOption = False,
-    quick: QuickOption = False,
-) -> None:
+) -> "Experiment":
     """Delay and loss together, as a map for each algorithm.
 
     Of cost and survival.
     """
-    options = _options(scenarios, settings, seeds, out, jobs, dask, processes, quick, usual_seeds=3)
+    from transport.experiments import catalogue
 
-    def build() -> "Experiment":
-        from transport.experiments import catalogue
-
-        delays_s = delays or ([0.0, 0.2] if quick else [0.0, 0.1, 0.2, 0.4])
-        return catalogue.matrix(options.named(), delays_s, shares or ([0.0, 0.3] if quick else [0.0, 0.1, 0.3, 0.6]))
-
-    _conduct(lambda: _fly(build(), options))
+    delays_s = delays or ([0.0, 0.2] if shared.quick else [0.0, 0.1, 0.2, 0.4])
+    return catalogue.matrix(shared.named(), delays_s, shares or ([0.0, 0.3] if shared.quick else [0.0, 0.1, 0.3, 0.6]))
 
 
-@experiment_app.command()
+@_sweep(usual_seeds=3)
 def ablation(
-    scenarios: ScenariosOption = None,
-    settings: SetOption = None,
-    seeds: SeedsOption = None,
-    out: OutOption = None,
-    jobs: JobsOption = None,
-    dask: DaskOption = None,
-    processes: ProcessesOption = False,
-    quick: QuickOption = False,
-) -> None:
+    shared: _Options,
+) -> "Experiment":
     """What each part of the algorithm is worth.
 
     One setting changed at a time, on a perfect network and on one that is late and lossy.
     """
-    options = _options(scenarios, settings, seeds, out, jobs, dask, processes, quick, usual_seeds=3)
+    from protocol.scenario_file import find_scenario, read_scenario
+    from transport.experiments.ablation import ablation
 
-    def build() -> "Experiment":
-        from protocol.scenario_file import find_scenario, read_scenario
-        from transport.experiments.ablation import ablation
-
-        names = options.named()
-        if len(set(names)) < len(names):
-            raise refused("--scenario", "each value once", ", ".join(names))
-        return ablation({name: read_scenario(find_scenario(name), options.changes()) for name in names})
-
-    _conduct(lambda: _fly(build(), options))
+    names = shared.named()
+    if len(set(names)) < len(names):
+        raise refused("--scenario", "each value once", ", ".join(names))
+    return ablation({name: read_scenario(find_scenario(name), shared.changes()) for name in names})
 
 
 @experiment_app.command()
@@ -299,7 +276,7 @@ def paper(
 
     Example: transport experiment paper --seeds 10
     """
-    options = _options(None, settings, seeds, out, jobs, None, False, quick, usual_seeds=5)
+    options = _Options(settings=settings, seeds=_seeds(seeds, 5, quick=quick), out=out, jobs=jobs, quick=quick)
     _conduct(lambda: _compare(gust, options))
 
 
@@ -329,17 +306,7 @@ def scaling(
 
     Costs and messages do not depend on --jobs, timing does.
     """
-    options = _Options(
-        scenarios=None,
-        settings=settings,
-        seeds=seeds,
-        out=out,
-        jobs=jobs,
-        dask=None,
-        processes=False,
-        quick=quick,
-        maneuver=_SHORTENED,
-    )
+    options = _Options(settings=settings, seeds=seeds, out=out, jobs=jobs, quick=quick, maneuver=_SHORTENED)
 
     def build() -> "Experiment":
         from transport.experiments import catalogue
@@ -378,28 +345,8 @@ def faults(
     raise typer.Exit(code)
 
 
-def _options(
-    scenarios: list[str] | None,
-    settings: list[str] | None,
-    seeds: int | None,
-    out: Path | None,
-    jobs: int | None,
-    dask: str | None,
-    processes: bool,
-    quick: bool,
-    *,
-    usual_seeds: int,
-) -> _Options:
-    return _Options(
-        scenarios=scenarios,
-        settings=settings,
-        seeds=seeds if seeds is not None else min(usual_seeds, _QUICK_SEEDS) if quick else usual_seeds,
-        out=out,
-        jobs=jobs,
-        dask=dask,
-        processes=processes,
-        quick=quick,
-    )
+def _seeds(given: int | None, usual: int, *, quick: bool) -> int:
+    return given if given is not None else min(usual, _QUICK_SEEDS) if quick else usual
 
 
 def _conduct(experiment: Callable[[], None]) -> None:

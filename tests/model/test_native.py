@@ -1,0 +1,146 @@
+"""What is compiled for this processor against its twins in Python, and what happens without a compiler."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from model import compiler, native
+from model.arrays import ShapeError
+from model.compiled import Compiled, compile_functions, functions
+from model.discretisation import _zero_order_hold, zero_order_hold
+from model.linearisation import Linearisation
+from tests.model.random_systems import random_forces, random_input, random_state, random_system
+
+needs_compiler = pytest.mark.skipif(compiler.find_compiler() is None, reason="no C compiler on this machine")
+needs_kernels = pytest.mark.skipif(not native.AVAILABLE, reason="no compiled kernels: no C compiler, or switched off")
+
+# Sums of the same products in another order: rounding, relative to the largest entry.
+ROUNDING = 1e-13
+
+# Around the width of a vector, of four, of eight; with zeros, as a mechanical system has, and without.
+SIZES = [1, 2, 7, 8, 9, 24, 33, 60, 65]
+
+
+def linearisation(n: int, m: int, filled: float, growth: float, seed: int) -> Linearisation:
+    """A random expansion; column by column in memory, as CasADi gives them."""
+    rng = np.random.default_rng(seed)
+    A_c = np.where(rng.random((n, n)) < filled, rng.standard_normal((n, n)), 0.0)
+    A_c *= growth / max(1e-9, float(np.abs(A_c).sum(axis=0).max()))
+    return Linearisation(
+        f=rng.standard_normal(n),
+        A_c=np.asfortranarray(A_c),
+        B_c=np.asfortranarray(rng.standard_normal((n, m))),
+        y=np.zeros(1),
+        C=np.zeros((1, n)),
+    )
+
+
+@needs_kernels
+@pytest.mark.parametrize("n", SIZES)
+@pytest.mark.parametrize(("filled", "growth"), [(1.0, 1.0), (0.2, 8.0), (0.0, 1.0), (0.5, 100.0)])
+def test_zero_order_hold_is_its_twin(n: int, filled: float, growth: float) -> None:
+    """A, B and f_d of any size, full or sparse, short period or one that is halved many times."""
+    linear = linearisation(n, 1 + n % 5, filled, growth, seed=n)
+    found, expected = zero_order_hold(linear, 0.5), _zero_order_hold(linear, 0.5)
+    # Doubling back adds rounding at each step, and the twin doubles in another order.
+    within = ROUNDING * max(1.0, growth)
+    for one, other in ((found.A, expected.A), (found.B, expected.B), (found.f_d, expected.f_d)):
+        assert one.shape == other.shape
+        assert np.abs(one - other).max() <= within * max(1.0, float(np.abs(other).max()))
+
+
+@needs_kernels
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e200])
+def test_zero_order_hold_refuses_what_its_twin_refuses(bad: float) -> None:
+    """Numbers that have no finite exponential, in the same words."""
+    linear = linearisation(9, 2, 1.0, 1.0, seed=3)
+    linear.A_c[4, 4] = bad
+    for hold in (zero_order_hold, _zero_order_hold):
+        with pytest.raises(ShapeError, match="A_c: expected finite numbers with a finite exponential, got growth"):
+            hold(linear, 0.05)
+
+
+@needs_kernels
+def test_kernels_refuse_arrays_they_cannot_read() -> None:
+    """A matrix that is not row-major, or not float64, is an error and not other numbers."""
+    bad: list[Any] = [np.zeros((4, 6))[:, ::2], np.zeros((3, 3), dtype=np.float32)]
+    for matrix in bad:
+        with pytest.raises(TypeError, match="row-major"):
+            native._at(matrix)
+
+
+def bits(built: dict[str, ca.Function], N: int) -> list[bytes]:
+    """Every output of every function at a few random points."""
+    rng = np.random.default_rng(N)
+    found = []
+    for _ in range(5):
+        p = random_system(rng, N).vector()
+        x, u, F = random_state(rng, N), random_input(rng, N), random_forces(rng, N)
+        values: dict[str, Any] = {"i0": x, "i1": u, "i2": p, "i3": F, "i4": 0.05}
+        short = {"i0": x, "i1": p}
+        for function in built.values():
+            given = short if function.n_in() == 2 else values
+            arguments = [given[f"i{i}"] for i in range(function.n_in())]
+            found += [array.tobytes() for array in Compiled(function)(*arguments)]
+    return found
+
+
+@needs_compiler
+@pytest.mark.parametrize("N", [1, 2])
+def test_compiled_functions_give_the_same_bits(N: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A model that has been compiled changes no bit of a result: whoever has it flies with whoever has not."""
+    monkeypatch.setenv("PAYLOAD_TRANSPORT_CACHE", str(tmp_path))
+    monkeypatch.delenv("PAYLOAD_TRANSPORT_NATIVE", raising=False)
+    interpreted = functions(N)
+    assert {function.class_name() for function in interpreted.values()} == {"SXFunction"}
+    assert compile_functions(N)
+    compiled = functions(N)
+    assert {function.class_name() for function in compiled.values()} == {"External"}
+    assert list(compiled) == list(interpreted)
+    assert bits(compiled, N) == bits(interpreted, N)
+    (library,) = tmp_path.glob("*.so")
+    content = library.read_bytes()
+    library.unlink()  # as it is in use
+    library.write_bytes(content[: len(content) // 2])  # a disk that was full
+    assert {function.class_name() for function in functions(N).values()} == {"SXFunction"}
+    assert compile_functions(N)
+    assert library.read_bytes() == content
+
+
+@pytest.mark.parametrize(
+    "environment",
+    [{"PAYLOAD_TRANSPORT_NATIVE": "0"}, {"PATH": "/nowhere", "CC": ""}, {"PATH": "/nowhere", "CC": "/bin/false"}],
+)
+def test_everything_works_without_a_compiler(environment: dict[str, str], tmp_path: Path) -> None:
+    """Switched off, not there, or failing: the twins in Python do the work, and nothing is left in the cache."""
+    code = (
+        "from model import native; from model.compiled import compile_functions, functions;"
+        "print(native.AVAILABLE, compile_functions(1), functions(1)['step'].class_name())"
+    )
+    output = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, "PAYLOAD_TRANSPORT_CACHE": str(tmp_path), **environment},
+        capture_output=True, check=True, text=True,
+    )  # fmt: skip
+    assert output.stdout.split() == ["False", "False", "SXFunction"]
+    assert not list(tmp_path.glob("*.so"))
+
+
+@needs_compiler
+def test_a_library_of_somebody_else_is_not_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a cache folder that others can write to, only what the user or root put there counts."""
+    library = tmp_path / "library.so"
+    assert compiler.compile_library(library, b"int one(void) { return 1; }", ())
+    assert compiler.intact(library)
+    monkeypatch.setattr(os, "getuid", lambda: library.stat().st_uid + 1)
+    if library.stat().st_uid != 0:
+        assert not compiler.intact(library)
+    else:
+        os.chown(library, 12345, -1)
+        assert not compiler.intact(library)

@@ -1,0 +1,76 @@
+"""The moving picture of a run: as long as it should be, it moves, it is small, and equal runs give equal files."""
+
+import shutil
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from typer.testing import CliRunner
+
+from tests import runs
+from tests.transport.logs import flown
+from transport.animation import FPS, SPEED, animate
+from transport.log import read_log
+from transport.main import app
+from transport.series import series_of
+from transport.viewer.record import Record
+from transport.viewer.scene import Scenes
+
+# Of a picture with lines that move.
+LARGEST_BYTES_A_PICTURE = 40_000
+MOVED = 0.001  # share of the pixels that are others at the end
+FASTER = 2.0
+
+
+def drawn(folder: Path, name: str) -> Path:
+    """A short flight, drawn in a few pictures."""
+    run = runs.setup(runs.SHORT)
+    log = read_log(folder / "run.mcap")
+    record = Record(run)
+    record.add(entry.message for entry in log.messages)
+    return animate(Scenes(run, record), series_of(run, log), folder / name, speed=FASTER * SPEED)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run folder."""
+    folder = tmp_path_factory.mktemp("moving")
+    flown(runs.setup(runs.SHORT), folder)
+    return folder
+
+
+def test_a_gif_moves(recorded: Path) -> None:
+    """As many pictures as its time and speed ask for, the last other than the first, and few bytes for each."""
+    path = drawn(recorded, "a.gif")
+    with Image.open(path) as image:
+        count = int(getattr(image, "n_frames", 0))
+        first = np.asarray(image.convert("RGB"))
+        image.seek(count - 1)
+        last = np.asarray(image.convert("RGB"))
+    duration_s = 29 * 0.05
+    assert count == pytest.approx(duration_s / (FASTER * SPEED) * FPS, abs=1.0)
+    assert (first != last).any(axis=2).mean() > MOVED
+    assert path.stat().st_size < LARGEST_BYTES_A_PICTURE * count
+    assert drawn(recorded, "b.gif").read_bytes() == path.read_bytes()
+
+
+@pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="no ffmpeg")
+def test_an_mp4_is_one(recorded: Path) -> None:
+    """What ffmpeg wrote begins as such files do."""
+    size, kind = struct.unpack(">I4s", drawn(recorded, "a.mp4").read_bytes()[:8])
+    assert kind == b"ftyp"
+    assert size < 100
+
+
+def test_what_cannot_be_drawn_is_refused(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another kind of file, or an MP4 without ffmpeg, is refused in one line before anything is written."""
+    monkeypatch.setenv("PATH", str(tmp_path))
+    for name, why in (("a.avi", "ends in .gif or .mp4"), ("a.mp4", "takes ffmpeg")):
+        result = CliRunner().invoke(app, ["plot", str(recorded), "--animate", str(tmp_path / name)])
+        assert result.exit_code == 2
+        assert result.stderr.startswith("transport: --animate: ")
+        assert why in result.stderr
+        assert len(result.stderr.splitlines()) == 1
+    assert not (recorded / "summary.json").exists()

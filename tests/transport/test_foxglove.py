@@ -1,0 +1,118 @@
+"""The copy of a log for Foxglove: nothing of the log is lost, and what is added is what the schemas say."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
+
+from protocol.messages import Truth
+from tests import runs
+from tests.transport.logs import flown
+from transport.log import read_log
+from transport.main import app
+from transport.mcap_salvage import salvage
+
+EXACT = 1e-12
+TICKS = 6
+
+
+@pytest.fixture(scope="module")
+def copied(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run folder with the copy beside its log."""
+    folder = tmp_path_factory.mktemp("foxglove")
+    flown(runs.setup(runs.ticks(TICKS)), folder)
+    result = CliRunner().invoke(app, ["log", "export", str(folder), "--foxglove", str(folder / "foxglove.mcap")])
+    assert result.exit_code == 0, result.stderr
+    assert f"{TICKS} ticks" in result.stdout
+    return folder
+
+
+def added(folder: Path) -> Iterator[tuple[str, int, dict[str, Any], str, dict[str, Any]]]:
+    """What the copy has more: topic, time in ns, message, name and text of its schema."""
+    with (folder / "foxglove.mcap").open("rb") as file:
+        for schema, channel, message in make_reader(file).iter_messages():
+            assert schema is not None
+            assert (channel.message_encoding, schema.encoding) == ("json", "jsonschema")
+            if schema.name.startswith("foxglove.") or schema.name == "transport.Numbers":
+                yield channel.topic, message.log_time, json.loads(message.data), schema.name, json.loads(schema.data)
+
+
+def test_the_log_is_in_it(copied: Path) -> None:
+    """Every message of the log is in the copy with the same bytes and times, and so is what is said of the run."""
+    log, copy = (salvage((copied / name).read_bytes()) for name in ("run.mcap", "foxglove.mcap"))
+    own = {topic for topic, _ in log.entries}
+    kept = [(t, e.log_time, e.publish_time, e.data) for t, e in copy.entries if t in own]
+    assert kept == [(t, e.log_time, e.publish_time, e.data) for t, e in log.entries]
+    assert {name: values for name, values in copy.metadata.items() if name in log.metadata} == log.metadata
+    assert copy.ended
+
+
+def test_the_copy_reads_as_the_log(copied: Path) -> None:
+    """What the copy has more is no damage: the same messages, nothing lost; and of a copy cut, only what was cut."""
+    log, copy = (read_log(copied / name) for name in ("run.mcap", "foxglove.mcap"))
+    assert list(map(repr, copy.messages)) == list(map(repr, log.messages))
+    assert (copy.cut, copy.header) == ("", log.header)
+    result = CliRunner().invoke(app, ["log", "info", str(copied / "foxglove.mcap"), "--format", "json"])
+    content = json.loads(result.stdout)
+    assert (content["complete"], content["lost"]) == (True, [])
+    data = (copied / "foxglove.mcap").read_bytes()
+    (copied / "cut.mcap").write_bytes(data[: len(data) * 6 // 10])
+    assert "not of this version" not in read_log(copied / "cut.mcap").cut
+
+
+def test_what_is_added_is_what_the_schemas_say(copied: Path) -> None:
+    """Transforms, scenes and numbers are valid by their schemas, which Foxglove knows by these names."""
+    names = set()
+    for _, _, message, name, schema in added(copied):
+        jsonschema.validate(message, schema)
+        names.add(name)
+    assert names == {"foxglove.FrameTransforms", "foxglove.SceneUpdate", "transport.Numbers"}
+
+
+def test_transforms_lead_to_the_truth(copied: Path) -> None:
+    """From the root, z up, through the inertial frame, z down, the payload is where the plant had it."""
+    truths = {truth.tick: truth for truth in read_log(copied / "run.mcap").of(Truth)}
+    frames = [(at_ns, message["transforms"]) for topic, at_ns, message, _, _ in added(copied) if topic == "/tf"]
+    assert len(frames) == TICKS
+    for at_ns, transforms in frames:
+        root, payload, *uavs = transforms
+        assert [t["child_frame_id"] for t in uavs] == ["uav1", "uav2", "uav3", "uav4"]
+        assert (root["child_frame_id"], payload["parent_frame_id"]) == ("inertial", "inertial")
+        turn = Rotation.from_quat([root["rotation"][axis] for axis in "xyzw"])
+        place = turn.apply([payload["translation"][axis] for axis in "xyz"])
+        x, y, z = truths[at_ns // 50_000_000].x[:3]
+        np.testing.assert_allclose(place, [x, -y, -z], atol=EXACT)
+
+
+def test_every_tick_has_a_scene(copied: Path) -> None:
+    """Bodies are said once, in frames of their own; rods, thrust, predictions and links anew at every tick."""
+    scenes = [(topic, message["entities"]) for topic, _, message, name, _ in added(copied) if "Scene" in name]
+    (bodies,) = [entities for topic, entities in scenes if topic == "/scene/bodies"]
+    assert [entity["frame_id"] for entity in bodies] == ["payload", "uav1", "uav2", "uav3", "uav4"]
+    now = [{entity["id"] for entity in entities} for topic, entities in scenes if topic == "/scene/now"]
+    agents = {f"expected by agent {agent}" for agent in (1, 2, 3, 4)}
+    assert now == [{"rods", "thrust", "links"} | agents] * TICKS
+
+
+def test_nothing_is_overwritten(copied: Path) -> None:
+    """A file that is there is refused in one line."""
+    result = CliRunner().invoke(app, ["log", "export", str(copied), "--foxglove", str(copied / "run.mcap")])
+    assert result.exit_code == 2
+    assert result.stderr.startswith("transport: --foxglove: expected a file that does not exist yet, got ")
+
+
+@pytest.mark.parametrize(
+    ("outputs", "said"), [([], "got neither"), (["--out", "t", "--foxglove", "f.mcap"], "got both")]
+)
+def test_one_output_is_asked_for(copied: Path, outputs: list[str], said: str) -> None:
+    """Tables or a copy, not none and not both."""
+    result = CliRunner().invoke(app, ["log", "export", str(copied), *outputs])
+    assert result.exit_code == 2
+    assert said in result.stderr

@@ -1,0 +1,55 @@
+"""A log read while it is written."""
+
+from pathlib import Path
+
+import pytest
+from mcap.opcode import Opcode
+from mcap.writer import MCAP0_MAGIC
+
+from protocol.messages import Message
+from tests import runs
+from tests.transport.logs import flown
+from transport.log import read_log
+from transport.log_tail import LogTail
+from transport.mcap_salvage import frames
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The log of a short flight."""
+    folder = tmp_path_factory.mktemp("tail")
+    flown(runs.setup(runs.ticks(8)), folder)
+    return folder / "run.mcap"
+
+
+def same(messages: list[Message], log: Path) -> bool:
+    """Whether these are the messages of a log, bit for bit."""
+    return list(map(repr, messages)) == [repr(entry.message) for entry in read_log(log).messages]
+
+
+@pytest.mark.parametrize("piece", [997, 20_011])
+def test_it_reads_what_is_whole(log: Path, tmp_path: Path, piece: int) -> None:
+    """Grown by pieces of any size, a log gives each message once, in order, as a reader of the whole sees them."""
+    growing, data = tmp_path / "run.mcap", log.read_bytes()
+    tail, messages = LogTail(growing), []
+    assert tail.read() == []
+    for end in range(0, len(data) + piece, piece):
+        growing.write_bytes(data[:end])
+        assert not tail.ended
+        messages += tail.read()
+        assert tail.read() == []
+        if tail.ended:
+            break
+    assert tail.ended
+    assert same(messages, log)
+
+
+def test_damage_costs_what_is_damaged(log: Path, tmp_path: Path) -> None:
+    """A chunk that cannot be read is left out, and what comes behind it is read."""
+    data = bytearray(log.read_bytes())
+    first = next(body for opcode, body in frames(bytes(data), len(MCAP0_MAGIC)) if opcode == Opcode.CHUNK)
+    data[data.index(first) + len(first) // 2] ^= 0xFF
+    (tmp_path / "run.mcap").write_bytes(data)
+    messages, whole = LogTail(tmp_path / "run.mcap").read(), read_log(log).messages
+    assert 0 < len(messages) < len(whole)
+    assert messages[-1].kind == "control"

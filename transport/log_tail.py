@@ -1,0 +1,69 @@
+"""A log read while it is written: what has been added since the last look.
+
+This is how people watch a run without taking part in it: neither its processes nor its recorder know of them.
+"""
+
+from pathlib import Path
+
+from mcap.opcode import Opcode
+from mcap.records import Channel
+from mcap.records import Message as Entry
+from mcap.writer import MCAP0_MAGIC
+
+from protocol.messages import KINDS, Message
+from transport.json_messages import from_json
+from transport.log import LogError
+from transport.mcap_salvage import DAMAGE, frames, records_of
+
+_FRAME_BYTES = 9  # opcode and length
+
+
+class LogTail:
+    """Follows one log.
+
+    Args:
+        path: Of the file, which need not be there yet.
+
+    Attributes:
+        ended: Whether the part with the messages has come to its proper end.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._at = len(MCAP0_MAGIC)
+        self._kinds: dict[int, str] = {}  # by channel
+        self.ended = False
+
+    def read(self) -> list[Message]:
+        """The messages that have come since, in order; what is written only in part waits for the next time.
+
+        Raises: LogError: the file cannot be read.
+        """
+        try:
+            with self._path.open("rb") as file:
+                file.seek(self._at)
+                data = file.read()
+        except FileNotFoundError:
+            return []
+        except OSError as error:
+            raise LogError(f"{self._path}: cannot read the log ({error.strerror or error})") from error
+        found: list[Message] = []
+        for opcode, body in frames(data, 0):
+            if self.ended:
+                break
+            self._at += _FRAME_BYTES + len(body)
+            self.ended = opcode == Opcode.DATA_END
+            found += self._messages(opcode, body)
+        return found
+
+    def _messages(self, opcode: int, body: bytes) -> list[Message]:
+        found = []
+        try:
+            for record in records_of(opcode, body):
+                if isinstance(record, Channel):
+                    self._kinds[record.id] = record.topic.lstrip("/").split("/", 1)[0]
+                elif isinstance(record, Entry) and self._kinds.get(record.channel_id) in KINDS:
+                    found.append(from_json(self._kinds[record.channel_id], record.data))
+        except (*DAMAGE, TypeError):
+            return found  # `read_log` says what a damaged log lacks
+        return found

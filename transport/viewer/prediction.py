@@ -1,0 +1,112 @@
+"""Where an agent expects the team to go: the model integrated with the plans it had when it decided."""
+
+import math
+
+import casadi as ca
+import numpy as np
+
+from agent.announced import AnnouncedInputs
+from model.arrays import Array
+from model.compiled import Compiled, functions
+from mpc.constraints import UserCosts
+from mpc.cost import Cost
+from mpc.feedback import FeedbackError, team_gain
+from protocol.messages import Plan, StepReport
+from protocol.setup import Setup
+from transport.viewer.record import Record
+
+# A step of order 5 this long errs by far less than a line is wide.
+_STEP_S = 0.05
+
+
+class Predictor:
+    """Predicts what agents predict, with the whole model instead of its linearisation.
+
+    With the shared law (closed-loop prediction) everybody is taken to follow u = u_hover + K (x - x_ref) + c, with the
+    corrections each has announced; without it, the announced inputs themselves.
+
+    Args:
+        setup: The run.
+    """
+
+    def __init__(self, setup: Setup) -> None:
+        self._setup = setup
+        self._steps = setup.settings.horizon
+        self._gain = _gain(setup)
+        self._rollout = Compiled(_rollout(setup, self._gain))
+
+    def states(self, record: Record, agent: int, tick: int) -> Array | None:
+        """The states an agent expected when it made its plan of a tick.
+
+        Args:
+            record: What was said.
+            agent: 1-based.
+            tick: k.
+        Returns: At ticks k..k + N_p, (N_p + 1, n); None if the agent made no plan at k.
+        Source: docs/equations.md (32), (35).
+        """
+        own, truth = record.plan(agent, tick), record.truths.get(tick)
+        if own is None or truth is None:
+            return None
+        setup, report = self._setup, record.reports.get((agent, tick))
+        announced = AnnouncedInputs(
+            setup.owned, setup.hover.u, alignment=setup.scenario.controller.received_plans, own=agent
+        )
+        for plan in [own, *_used(record, report, tick)]:
+            announced.add(plan)
+        # What acts before the plan starts is decided already.
+        waits = min(max(own.start_tick - tick, 0), self._steps)
+        U = np.tile(truth.u, (self._steps, 1))
+        x_ref = np.zeros((self._steps, len(truth.x)))
+        if self._gain is None:
+            U[waits:] = announced.sequence(own.start_tick, self._steps - waits, tick + 1)
+        else:
+            U[:] = setup.hover.u + announced.corrections(tick, self._steps, tick + 1)
+            times_s: Array = setup.settings.sampling_period_s * np.arange(tick, tick + self._steps, dtype=np.float64)
+            x_ref = setup.reference.states(times_s)
+        forces = np.zeros(3 + 3 * setup.system.N)
+        if report is not None:
+            forces[:3] = report.force
+        ahead = self._rollout(truth.x, U.reshape(-1), x_ref.reshape(-1), forces)[0]
+        return np.vstack([truth.x, ahead.T])
+
+
+def _used(record: Record, report: StepReport | None, tick: int) -> list[Plan]:
+    """The others' plans an agent had, by what it reports."""
+    if report is None:
+        return []
+    ages = zip(report.peers, report.plan_ages, strict=True)
+    found = [record.plan(peer, tick - age) for peer, age in ages if age >= 0]
+    return [plan for plan in found if plan is not None]
+
+
+def _gain(setup: Setup) -> Array | None:
+    """The shared law's gain of the whole team; None with open-loop prediction."""
+    if setup.settings.prediction != "closed_loop":
+        return None
+    cost = Cost(setup.settings.weights, setup.hover)
+    further = UserCosts(setup.settings.costs, setup.model).about(setup.hover.x)
+    try:
+        return team_gain(setup.model, setup.hover, cost, setup.settings.sampling_period_s, further=further)
+    except FeedbackError:
+        return None
+
+
+def _rollout(setup: Setup, gain: Array | None) -> ca.Function:
+    """(x0, U row by row, x_ref row by row, F) -> states after each sampling period, (n, N_p)."""
+    system, settings = setup.system, setup.settings
+    n, m, steps = system.n, system.m, settings.horizon
+    x, u, x_ref = ca.MX.sym("x", n), ca.MX.sym("u", m), ca.MX.sym("x_ref", n)
+    F = ca.MX.sym("F", 3 + 3 * system.N)
+    step = functions(system.N)["step"]
+    held = u if gain is None else u + ca.mtimes(ca.DM(gain), x - x_ref)
+    lower, upper = settings.limits.lower(system.N), settings.limits.upper(system.N)
+    held = ca.fmin(ca.fmax(held, ca.DM(lower)), ca.DM(upper))
+    parts = max(1, math.ceil(settings.sampling_period_s / _STEP_S - 1e-9))
+    after = x
+    for _ in range(parts):
+        after = step(after, held, ca.DM(system.vector()), F, settings.sampling_period_s / parts)[0]
+    one = ca.Function("one", [x, u, x_ref, F], [after])
+    U, X_ref = ca.MX.sym("U", m * steps), ca.MX.sym("X_ref", n * steps)
+    ahead = one.mapaccum(steps)(x, ca.reshape(U, m, steps), ca.reshape(X_ref, n, steps), ca.repmat(F, 1, steps))
+    return ca.Function("rollout", [x, U, X_ref, F], [ahead])

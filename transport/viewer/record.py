@@ -1,0 +1,84 @@
+"""What a scene is made of: a run's messages by tick, as many as have been read so far."""
+
+from bisect import bisect_right
+from collections.abc import Iterable
+
+from protocol.messages import Control, FaultNote, LinkChange, Message, Plan, Roster, StepReport, Truth
+from protocol.setup import Setup
+
+
+class Record:
+    """The messages of one run; grows as a log does that is read while it is written.
+
+    Args:
+        setup: The run as it is flown.
+
+    Attributes:
+        truths: The plant's states by tick; a tick can be shown once its truth is here.
+        reports: Agents' reports by (agent, tick).
+        changes: Changes of links in the order of their numbers, each once.
+        control: How the run ended, once it has.
+        news: Sentences about faults and the roster, each with its tick.
+    """
+
+    def __init__(self, setup: Setup) -> None:
+        self._setup = setup
+        self.truths: dict[int, Truth] = {}
+        self.reports: dict[tuple[int, int], StepReport] = {}
+        self.changes: list[LinkChange] = []
+        self.control: Control | None = None
+        self.news: list[tuple[int, str]] = []
+        self._plans: dict[int, dict[int, Plan]] = {agent: {} for agent in setup.agents}
+        self._rosters: list[tuple[int, Roster]] = []
+
+    def add(self, messages: Iterable[Message]) -> None:
+        """Take in messages; what cannot be of this run is left out."""
+        for message in messages:
+            match message:
+                case Truth() if message.x.shape == self._setup.hover.x.shape:
+                    self.truths[message.tick] = message
+                case Plan() if message.negotiation == 0 and message.agent in self._plans:
+                    self._plans[message.agent][message.tick] = message
+                case StepReport():
+                    self.reports[message.agent, message.tick] = message
+                case LinkChange() if message.number == len(self.changes) + 1:
+                    self.changes.append(message)
+                    self.news.append((message.tick, _said(message)))
+                case Roster():
+                    self._rosters.append((message.tick, message))
+                    if message.version > 1 and not message.reason.startswith("links "):
+                        self.news.append((message.tick, message.reason))
+                case FaultNote():
+                    self.news.append((message.tick, f"{message.target} {message.what}"))
+                case Control():
+                    self.control = message
+
+    @property
+    def first(self) -> int:
+        """The first tick that can be shown, 0 when there is none."""
+        return min(self.truths, default=0)
+
+    @property
+    def last(self) -> int:
+        """The newest tick that can be shown, -1 when there is none."""
+        return max(self.truths, default=-1)
+
+    def plan(self, agent: int, tick: int) -> Plan | None:
+        """The plan an agent made at a tick."""
+        return self._plans[agent].get(tick)
+
+    def nearest(self, tick: int) -> int:
+        """The tick that can be shown next to one: the newest up to it, or the first; there is at least one."""
+        if tick in self.truths:
+            return tick
+        ticks = sorted(self.truths)
+        return ticks[max(0, bisect_right(ticks, tick) - 1)]
+
+    def members(self, tick: int) -> frozenset[int]:
+        """Agents on the roster at a tick; all of them as long as nothing is known."""
+        known = [roster for since, roster in self._rosters if since <= tick]
+        return frozenset(max(known, key=lambda r: r.version).agents if known else self._setup.agents)
+
+
+def _said(change: LinkChange) -> str:
+    return f"links from {change.source or 'any agent'} to {change.target or 'any agent'}: {change.settings}"

@@ -1,0 +1,188 @@
+"""The viewer: a web server that shows one run, recorded or in flight, to any number of browsers.
+
+It reads the run's log and nothing else. A run in flight neither knows nor waits for it: what it asks of one, it asks as
+the command line does.
+"""
+
+import io
+import socket
+import time
+from collections.abc import Callable
+from contextlib import redirect_stdout
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+from transport.live import LiveRun
+from transport.log_tail import LogTail
+from transport.viewer.acts import Acts
+from transport.viewer.clock import Clock
+from transport.viewer.panel import Panel
+from transport.viewer.scene import Scene, Scenes
+from transport.viewer.stage import Stage
+
+if TYPE_CHECKING:
+    import viser
+
+# How often the scene is drawn anew, and the numbers beside it, at most.
+_DRAW_S, _DRAW_LIVE_S, _NUMBERS_S = 0.05, 0.1, 0.2
+# The share of a processor that drawing may take while the run flies: large teams are drawn less often.
+_SHARE_LIVE = 0.1
+# How many ports to try from the one asked for.
+_PORTS = 100
+
+
+class ViewerError(RuntimeError):
+    """The viewer cannot be had; the text says why and what to do."""
+
+
+class Viewer:
+    """Shows one run.
+
+    Args:
+        scenes: Of the run.
+        host: Address to listen on.
+        port: The first to try.
+        notice: Sentence above everything else, such as what a log lacks.
+        tail: What is still to come of the log of a run in flight.
+        live: Where the run is asked for things; None if it does not fly.
+
+    Attributes:
+        shown: The scene that is drawn.
+        notice: The sentence above everything else.
+        address: Where browsers find it.
+
+    Raises: ViewerError: viser is not installed, or no port is free.
+    """
+
+    def __init__(
+        self,
+        scenes: Scenes,
+        *,
+        host: str = "127.0.0.1",
+        port: int = 8080,
+        notice: str = "",
+        tail: LogTail | None = None,
+        live: LiveRun | None = None,
+    ) -> None:
+        self._scenes, self._tail = scenes, tail
+        self.shown: Scene | None = None
+        self._server = _server(host, port)
+        self.address = f"http://{host}:{self._server.get_port()}"
+        acts = None if live is None else Acts(live, self._answered)
+        period_s = scenes.setup.settings.sampling_period_s
+        self.clock = Clock(period_s, follows=live is not None, playing=False)
+        self.stage = Stage(self._server, scenes)
+        self._panel = Panel(self._server, scenes, self.clock, self._show_layer, self._look, acts)
+        self.notice = ""
+        self._say(notice or ("" if live is None else "in flight"), warning=bool(notice))
+        self._redraw = True
+        self._over = live is None
+        self._drawn_s = self._numbers_s = 0.0
+        self._asked_s, self._began_s = time.monotonic(), 0.0
+
+    def __enter__(self) -> "Viewer":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def work(self) -> None:
+        """Read what has come and draw what is due: to be called in turn with `rest`."""
+        now_s, self._began_s = time.monotonic(), time.thread_time()
+        if self._tail is not None:
+            self._scenes.record.add(self._tail.read())
+        record = self._scenes.record
+        if record.last < 0:
+            return
+        tick = self.clock.advance(now_s - self._asked_s, record.first, record.last)
+        self._asked_s = now_s
+        if not self._over and record.control is not None:
+            self._end(record.control.outcome, record.control.reason)
+        moved = self.shown is None or record.nearest(tick) != self.shown.tick
+        numbers = now_s >= self._numbers_s + _NUMBERS_S
+        if not (moved or self._redraw or (numbers and self._drawn_s > self._numbers_s)):
+            return
+        self._redraw = False
+        if moved or self.shown is None:
+            self.shown = self._scenes.at(tick)
+        self.stage.show(self.shown)
+        self._panel.show(self.shown, numbers=numbers)
+        self._drawn_s = now_s
+        if numbers:
+            self._numbers_s = now_s
+
+    def rest(self) -> None:
+        """Wait until something may be due."""
+        worked_s = time.thread_time() - self._began_s
+        time.sleep(_DRAW_S if self._over else max(_DRAW_LIVE_S, worked_s * (1.0 / _SHARE_LIVE - 1.0)))
+
+    def show_until(self, ended: Callable[[], bool]) -> None:
+        """Show the run until that is so."""
+        while not ended():
+            self.work()
+            self.rest()
+
+    def close(self) -> None:
+        """Stop the server; browsers are told that the connection is gone."""
+        with redirect_stdout(io.StringIO()):
+            self._server.stop()
+
+    def _end(self, outcome: str, reason: str) -> None:
+        self._over = True
+        self.clock.follow(False)
+        self._panel.close_controls()
+        self._say(f"the run has ended: {outcome}" + (f", {reason}" if reason else ""), warning=bool(reason))
+
+    def _answered(self, text: str, refused: bool) -> None:
+        """What came of an act, as long as the run flies: how it has ended says more."""
+        if not self._over:
+            self._say(text, warning=refused)
+
+    def _say(self, text: str, *, warning: bool) -> None:
+        self.notice = text
+        self._panel.say(text, warning=warning)
+
+    def _look(self, team: bool) -> None:
+        self.stage.look_at(self.shown if team else None)
+
+    def _show_layer(self, name: str, shown: bool) -> None:
+        self.stage.show_layer(name, shown)
+        self._redraw = True
+
+
+def require_viser() -> None:
+    """Refuse before anything is started.
+
+    Raises: ViewerError: viser is not installed.
+    """
+    from importlib.util import find_spec
+
+    if find_spec("viser") is None:
+        raise ViewerError("viser is not installed; pip install 'payload-transport[view]' brings it")
+
+
+def _server(host: str, port: int) -> "viser.ViserServer":
+    require_viser()
+    import viser
+
+    _check_port(host, port)
+    with redirect_stdout(io.StringIO()):  # results alone go there, and it would say where it listens
+        return viser.ViserServer(host=host, port=port, verbose=False)
+
+
+def _check_port(host: str, port: int) -> None:
+    """Refuse what cannot be listened on: the server would wait for ever. Taken ports are passed over."""
+    for candidate in range(port, port + _PORTS) if port else (0,):
+        with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_STREAM) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((host, candidate))
+            except (OSError, OverflowError) as error:
+                text, number = str(error), getattr(error, "errno", None)
+                if number in (98, 48):  # in use, on Linux and elsewhere
+                    continue
+                raise ViewerError(f"--host, --port: cannot listen on {host}:{candidate} ({text})") from error
+        return
+    raise ViewerError(f"--port: expected a free port from {port} on, got none in {_PORTS}")
