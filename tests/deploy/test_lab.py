@@ -75,7 +75,6 @@ def test_cables(tmp_path: Path) -> None:
     summary = json.loads((tmp_path / "a" / "run" / "summary.json").read_text())
     assert summary["outcome"] == "completed"
     assert summary["deadline"]["missed"] >= 10  # a second has 20 ticks, the last of them wait for TCP to try again
-    assert summary["deadline"]["worst_ms"] > 500.0
     assert summary["plan_age_ticks"]["max"] >= 15
 
     assert for_good["exits"] == dict.fromkeys(NAMES, 4)
