@@ -17,7 +17,8 @@ from tests.transport.commands import PATIENCE_S, settings, wait_for
 from transport.log import read_log
 
 NAMES = [*process_names(read_scenario(find_scenario("resilient"))), "recorder"]
-REAL_TIME = ("clock.mode=realtime", "clock.speed=1")
+# A tick is held for who is late: fourteen processes that start at once on few cores would lose the flight otherwise.
+REAL_TIME = ("clock.mode=realtime", "clock.speed=1", "clock.on_overrun=hold")
 
 pytestmark = pytest.mark.skipif(bool(unavailable()), reason=f"no lab: {unavailable()}")
 
@@ -74,8 +75,7 @@ def test_cables(tmp_path: Path) -> None:
     assert [(cut["did"], cut["host"]) for cut in briefly["cuts"]] == [("cut", "agent2"), ("mend", "agent2")]
     summary = json.loads((tmp_path / "a" / "run" / "summary.json").read_text())
     assert summary["outcome"] == "completed"
-    assert summary["deadline"]["missed"] >= 10  # a second has 20 ticks, the last of them wait for TCP to try again
-    assert summary["plan_age_ticks"]["max"] >= 15
+    assert summary["deadline"]["tick_late_ms"]["max"] > 800.0  # a tick was held for as long as the cable was out
 
     assert for_good["exits"] == dict.fromkeys(NAMES, 4)
     log = read_log(tmp_path / "b" / "run" / "run.mcap")
