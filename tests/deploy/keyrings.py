@@ -1,5 +1,7 @@
 """Keys for the tests: two authorities who know nothing of each other."""
 
+import atexit
+import shutil
 from functools import lru_cache
 from pathlib import Path
 from tempfile import mkdtemp
@@ -13,5 +15,6 @@ NAMES = ("coordinator", "plant", "agent1", "agent2", "agent3", "agent4", *OTHERS
 def keyring(authority: str) -> Path:
     """A folder of certificates for everybody, of an authority that tests share by its name."""
     folder = Path(mkdtemp(prefix=f"keys-{authority}-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
     make_certificates(folder, dict.fromkeys(NAMES, LOOPBACK), days=1)
     return folder
