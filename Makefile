@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 SCENARIO ?= paper
 
-.PHONY: run test bench figures lint format clean help
+.PHONY: run test bench figures lint format lock audit licences clean help
 
 help: ## show this
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1 \t/'
@@ -29,6 +29,18 @@ lint: $(VENV)/.installed-dev ## style and types, as continuous integration sees 
 format: $(VENV)/.installed-dev ## let ruff put the source in order
 	@$(BIN)/ruff check --fix .
 	@$(BIN)/ruff format .
+
+lock: $(VENV)/.installed-supply ## pin every package that is installed, with hashes: requirements.lock, requirements-dev.lock
+	@$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --upgrade \
+		--extra deploy --extra metrics --custom-compile-command "make lock" pyproject.toml -o requirements.lock
+	@$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --upgrade \
+		--all-extras --custom-compile-command "make lock" pyproject.toml -o requirements-dev.lock
+
+audit: $(VENV)/.installed-supply ## known vulnerabilities of the pinned packages (asks PyPI's advisory service)
+	@$(BIN)/pip-audit --disable-pip --require-hashes -r requirements.lock
+
+licences: $(VENV)/.installed-bench ## renew docs/licences.md from what is installed
+	@$(BIN)/python docs/licences_page.py
 
 clean: ## remove the environment and what tools left
 	rm -rf $(VENV) build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
@@ -55,6 +67,9 @@ $(VENV)/.installed-test: pyproject.toml | $(BIN)/python
 
 $(VENV)/.installed-bench: pyproject.toml | $(BIN)/python
 	$(call install,[bench])
+
+$(VENV)/.installed-supply: pyproject.toml | $(BIN)/python
+	$(call install,[supply])
 
 $(VENV)/.installed-dev: pyproject.toml | $(BIN)/python
 	$(call install,[dev])

@@ -8,18 +8,21 @@ import json
 import queue
 import threading
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any
+from typing import Any, Literal
 
 import zenoh
 
-from protocol.codec import MAX_BYTES, encode
+from protocol.brake import Brake
+from protocol.codec import MAX_BYTES, VERSION, encode
 from protocol.gate import Gate
-from protocol.keys import WATCHER, Keys
+from protocol.health import Offset, usage
+from protocol.keys import ACTING, OPERATOR, ROUTER, WATCHER, Keys
 from protocol.messages import Event, Message, MessageError, Presence, Request
+from protocol.security import Security, SecurityError
 
 # Closing can block for as long as a peer does not read (zenoh issue 2675); a process that has said all it
 # had to say does not wait for that longer than this.
@@ -30,6 +33,9 @@ _FLOOD_S = 0.01
 
 # What Zenoh puts together for us at most; from the gate's limit up to here it is counted, beyond it just dropped.
 _MAX_RECEIVED_BYTES = 2 * MAX_BYTES
+
+# How long a client tries to connect at a time.
+_TRY_MS = 500
 
 # How often a process that joins a run that has begun asks whom it still has to wait for.
 _ASK_EVERY_S = 0.5
@@ -62,12 +68,16 @@ class Endpoints:
     """Where a process listens and whom it calls.
 
     Attributes:
-        listen: Zenoh endpoints such as "tcp/127.0.0.1:7447"; none for an observer.
+        listen: Zenoh endpoints such as "tcp/127.0.0.1:7447"; none for an observer or a client.
         connect: Endpoints of the processes it connects to; each pair of processes is connected once.
+        mode: A peer of the mesh, the client of a router, or a router.
+        security: Keys and what they allow; None where everybody who can connect may say everything.
     """
 
     listen: Sequence[str]
     connect: Sequence[str]
+    mode: Literal["peer", "client", "router"] = "peer"
+    security: Security | None = None
 
 
 class Bus:
@@ -80,14 +90,16 @@ class Bus:
         digest: Fingerprint of the scenario; processes with different ones refuse each other.
         endpoints: Where to listen and whom to connect to.
         gate: What it lets in; refuses and counts the rest.
-        serves: Whether it answers requests (`ask`).
+        serves: Whether its node answers requests (`ask`); how it is, every process says.
         patience_s: How long sending may wait for a peer that does not read before the link to it is closed.
         gather_s: How long what comes may wait for more of it: waking up once for many messages costs less.
+        reach_s: How long a client looks for its router.
 
     Attributes:
         arrived_ns: Wall-clock time at which the last event that `next` returned came in, ns since 1970.
+        offset: By how much the coordinator's wall clock is ahead of this one, once this process has joined.
 
-    Raises: BusError: the endpoint cannot be listened on.
+    Raises: BusError: the endpoint cannot be listened on, the router not reached, or the keys not used.
     """
 
     def __init__(
@@ -102,26 +114,27 @@ class Bus:
         serves: bool = False,
         patience_s: float = 1.0,
         gather_s: float = 0.0,
+        reach_s: float = 30.0,
     ) -> None:
         self.arrived_ns = 0
-        self._gather_s = gather_s
+        self.offset: Offset | None = None
+        self._gather_s, self._serves = gather_s, serves
         self.name, self.incarnation, self._digest = name, incarnation, digest
         self._keys = Keys(run)
         self._endpoints = endpoints
         self._inbox: queue.SimpleQueue[tuple[int, Any]] = queue.SimpleQueue()  # with the time of arrival
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._tokens: list[zenoh.LivelinessToken] = []
-        self._gate = gate
+        self._gate, self._brake = gate, Brake()
         _log(to_output=name not in ("recorder", WATCHER))
-        try:
-            self._session = zenoh.open(zenoh.Config.from_json5(json.dumps(_configuration(endpoints, patience_s))))
-        except zenoh.ZError as error:
-            raise BusError(_listen_problem(endpoints, str(error))) from error
+        self._session = _open(endpoints, patience_s, name, self._keys, reach_s)
         # Subscribers before the token: whoever sees the token may send at once, and nothing is lost.
         self._subscribers = [
             self._session.declare_subscriber(key, _directly(self._arrived)) for key in self._keys.subscriptions(name)
         ]
-        self._queryable = self._session.declare_queryable(self._keys.requests(name), self._put) if serves else None
+        # Whoever looks on is not known to be there, so it is not asked either.
+        asked = self._keys.request(name, "*")
+        self._queryable = None if name == WATCHER else self._session.declare_queryable(asked, self._put)
         self._watch = self._session.liveliness().declare_subscriber(
             f"{self._keys.prefix}/alive/**", self._put, history=True
         )
@@ -147,7 +160,7 @@ class Bus:
         Returns: None when everybody is there, or the interruption that came first.
         Raises: BusError: somebody did not show up, runs another scenario, or runs under this name already.
         """
-        self._declare(self._keys.alive(self.name, self.incarnation, self._digest))
+        self._declare(self._keys.alive(self.name, self.incarnation, self._digest, VERSION))
         deadline = time.monotonic() + timeout_s
         early: list[tuple[int, Any]] = []
         begun = False  # the run: the coordinator has seen everybody once
@@ -172,11 +185,17 @@ class Bus:
                 ) from None
             if isinstance(item, Interrupted):
                 return item
-            if isinstance(item, zenoh.Query) or not self._note_alive(item):
+            if isinstance(item, zenoh.Query):
+                request = self._request(item, at_ns)
+                if request is not None:
+                    early.append((at_ns, request))
+            elif not self._note_alive(item):
                 early.append((at_ns, item))
-                if not isinstance(item, zenoh.Query) and self._keys.is_ready(str(item.key_expr), "coordinator"):
+                if self._keys.is_ready(str(item.key_expr), "coordinator"):
                     begun = True
                     expected = self._still_expected(expected)
+        if self.name != "coordinator":
+            self.offset = Offset.measured(lambda: self.ask("coordinator", "health", timeout_s=1.0))
         self._declare(self._keys.ready(self.name, self.incarnation))
         for stamped in early:
             self._inbox.put(stamped)
@@ -187,7 +206,7 @@ class Bus:
         old, self._tokens = self._tokens, []
         self.incarnation = incarnation
         self._gate.announce(self.name, incarnation)
-        self._declare(self._keys.alive(self.name, incarnation, self._digest))
+        self._declare(self._keys.alive(self.name, incarnation, self._digest, VERSION))
         self._declare(self._keys.ready(self.name, incarnation))
         for token in old:
             token.undeclare()  # type: ignore[no-untyped-call]
@@ -196,7 +215,7 @@ class Bus:
         self, name: str, what: str, given: Mapping[str, Any] | None = None, timeout_s: float = 5.0
     ) -> Mapping[str, Any] | None:
         """Ask a process for something and wait for its answer, or None if it does not give one in time."""
-        return _asked(self._session, self._keys.requests(name), {"what": what, **(given or {})}, timeout_s)
+        return _asked(self._session, self._keys.request(name, what), given or {}, timeout_s)
 
     def publish(self, message: Message) -> None:
         """Send a message to whoever listens; blocks rather than drops when a peer is slow."""
@@ -214,6 +233,7 @@ class Bus:
     def next(self, timeout_s: float | None) -> BusEvent | None:
         """The next event, or None after the timeout (None waits for ever). Bad messages are counted, not returned."""
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
+        self._gate.count_unread()
         while True:
             kept = self._gate.released()
             if kept is not None:
@@ -229,7 +249,7 @@ class Bus:
             if isinstance(item, Interrupted):
                 event = item
             elif isinstance(item, zenoh.Query):
-                event = self._request(item)
+                event = self._request(item, self.arrived_ns)
             else:
                 event = self._event(item)
             if event is not None:
@@ -271,34 +291,62 @@ class Bus:
         team = {"coordinator", "plant", *(f"agent{agent}" for agent in status["members"])} & set(expected)
         return team | set(status.get("observers", ()))  # nor may the record miss what this process says first
 
-    def _request(self, query: zenoh.Query) -> Request | None:
-        """A question from the network as an event."""
-        try:
-            content = json.loads(query.payload.to_string()) if query.payload is not None else None
-            if not (isinstance(content, dict) and isinstance(content.get("what"), str)):
-                raise MessageError("malformed", 'expected a JSON object with "what"')
-        except (ValueError, RecursionError, MessageError, zenoh.ZError) as error:
-            text = f"not a request ({type(error).__name__})"
-            self._gate.refuse(self._keys.requests(self.name), MessageError("malformed", text))
-            query.reply_err(json.dumps({"error": "expected a JSON object with what is asked for"}))
-            query.drop()  # type: ignore[no-untyped-call]
-            return None
+    def health(self) -> dict[str, Any]:
+        """How this process is: what it knows of itself, as plain data (docs/protocol.md)."""
+        return {
+            "name": self.name,
+            "incarnation": self.incarnation,
+            "protocol": VERSION,
+            "tick": self._gate.tick,
+            "refused": self._gate.refused,
+            "clock_offset_s": None if self.offset is None else self.offset.ahead_s,
+            "clock_uncertainty_s": None if self.offset is None else self.offset.uncertainty_s,
+            **usage(),
+        }
+
+    def _request(self, query: zenoh.Query, at_ns: int) -> Request | None:
+        """A question from the network as an event; how this process is, is answered here."""
+        key = str(query.key_expr)
+        what = key.removeprefix(self._keys.request(self.name, ""))
 
         def reply(answer: Mapping[str, Any]) -> None:
-            query.reply(self._keys.requests(self.name), json.dumps(answer))
+            query.reply(key, json.dumps(answer))
             query.drop()  # type: ignore[no-untyped-call]
 
-        return Request(content.pop("what"), content, reply)
+        try:
+            given = json.loads(query.payload.to_string()) if query.payload is not None else {}
+            if not isinstance(given, dict) or "/" in what or "*" in what:
+                raise MessageError("malformed", "expected a JSON object under the key of one thing")
+        except (ValueError, RecursionError, MessageError, zenoh.ZError) as error:
+            text = f"not a request ({type(error).__name__})"
+            self._gate.refuse(key, MessageError("malformed", text))
+            query.reply_err(json.dumps({"error": "expected a JSON object, under the key of what is asked for"}))
+            query.drop()  # type: ignore[no-untyped-call]
+            return None
+        if what == "health":
+            reply({**self.health(), "asked_ns": at_ns, "answered_ns": time.time_ns()})
+            return None
+        if not self._serves:
+            reply({"error": f"expected health, the one thing {self.name} can be asked for, got {what[:40]!r}"})
+            return None
+        return Request(what, given, reply)
 
     def _arrived(self, sample: zenoh.Sample) -> None:
-        """On a thread of Zenoh's: put a sample into the inbox, unless it is too large to wait there."""
-        size = len(sample.payload)
-        self._put(sample if size <= self._gate.max_bytes else _Oversized(str(sample.key_expr), size))
+        """On a thread of Zenoh's: put a sample into the inbox, unless it is too large to wait there or is over."""
+        size, key = len(sample.payload), str(sample.key_expr)
+        if size > self._gate.max_bytes:
+            self._put(_Oversized(key, size))
+        elif self._gate.has_passed(key, sample.payload.to_bytes()):
+            self._brake.hold()
+        else:
+            self._put(sample)
 
     def _put(self, item: Any) -> None:
         self._inbox.put((time.time_ns(), item))
 
-    def _event(self, sample: zenoh.Sample | _Oversized) -> Event | None:
+    def _event(self, sample: zenoh.Sample | _Oversized | Request) -> Event | None:
+        if isinstance(sample, Request):  # came while this process joined
+            return sample
         key = str(sample.key_expr)
         if isinstance(sample, _Oversized):
             self._gate.refuse(key, self._gate.oversized(sample.size))
@@ -317,7 +365,7 @@ class Bus:
             return None
         if token.digest is None:
             return Presence(token.name, token.incarnation, alive=True) if here else None
-        if token.digest != self._digest:
+        if token.digest != self._digest or token.version != VERSION:
             return None  # of another scenario: it finds out by itself that it does not belong here
         if here:
             self._alive[token.name] = token.incarnation
@@ -340,6 +388,11 @@ class Bus:
         if here and token is not None:
             if token.name == self.name and token.incarnation != self.incarnation:
                 raise BusError(f"{self.name} is already running in this run (incarnation {token.incarnation})")
+            if token.digest is not None and token.version != VERSION:
+                raise BusError(
+                    f"{token.name} speaks version {token.version} of the protocol, {self.name} version {VERSION}: "
+                    f"install the same release on all hosts"
+                )
             if token.digest != self._digest:
                 raise BusError(
                     f"{token.name} flies another scenario (digest {token.digest}, here {self._digest}): "
@@ -350,30 +403,38 @@ class Bus:
 
 
 def ask(
-    run: str, connect: Sequence[str], name: str, what: str, given: Mapping[str, Any], timeout_s: float = 5.0
+    run: str,
+    connect: Sequence[str],
+    name: str,
+    what: str,
+    given: Mapping[str, Any],
+    timeout_s: float = 5.0,
+    security: Security | None = None,
 ) -> Mapping[str, Any]:
     """Ask a process of a run for something, from outside.
 
     Args:
         run: Name of the run.
-        connect: Endpoints of its processes.
+        connect: Endpoints of its processes, or of their router.
         name: Process to ask.
         what: Request; see docs/protocol.md.
         given: Its arguments.
         timeout_s: How long to look for the process, and how long to wait for its answer.
+        security: Keys of who asks, an operator or, for what changes nothing, a watcher.
     Raises: BusError: there is no such process, or it does not answer.
     """
     keys = Keys(run)
     _log(to_output=False)
-    configuration = _configuration(Endpoints(listen=[], connect=connect), 1.0)
-    session = zenoh.open(zenoh.Config.from_json5(json.dumps(configuration)))
+    # One endpoint may be a process or a router; a client is at home with both.
+    endpoints = Endpoints(listen=[], connect=connect, mode="client" if len(connect) == 1 else "peer", security=security)
+    deadline = time.monotonic() + timeout_s
+    session = _open(endpoints, 1.0, OPERATOR if what in ACTING else WATCHER, keys, timeout_s)
     try:
-        deadline = time.monotonic() + timeout_s
         while not any(reply.ok for reply in session.liveliness().get(f"{keys.prefix}/alive/{name}/**", timeout=1.0)):
             if time.monotonic() > deadline:
                 raise BusError(f"no sign of {name} of run {run} within {timeout_s:g} s; tried {', '.join(connect)}")
             time.sleep(0.02)
-        answer = _asked(session, keys.requests(name), {"what": what, **given}, timeout_s)
+        answer = _asked(session, keys.request(name, what), given, timeout_s)
     finally:
         _in_bounded_time(session.close)
     if answer is None:
@@ -415,15 +476,63 @@ def _asked(session: zenoh.Session, key: str, request: Mapping[str, Any], timeout
     return None
 
 
-def _configuration(endpoints: Endpoints, patience_s: float) -> dict[str, Any]:
-    """Explicit mesh on fixed endpoints: no discovery, fast retries, patience until `join` gives up."""
-    return {
-        "mode": "peer",
+@contextmanager
+def route(endpoints: Endpoints) -> Iterator[None]:
+    """Pass on what the clients of any run say to each other, as long as the context is open.
+
+    Args:
+        endpoints: Where to listen, and other routers to call.
+    Raises: BusError: the endpoint cannot be listened on, or the keys not used.
+    """
+    _log(to_output=True)
+    session = _open(endpoints, 1.0, ROUTER, Keys.below("transport/*"), 0.0)
+    try:
+        yield
+    finally:
+        _in_bounded_time(session.close)
+
+
+def _open(endpoints: Endpoints, patience_s: float, name: str, keys: Keys, reach_s: float) -> zenoh.Session:
+    """A session under a name.
+
+    Raises: BusError: the endpoint cannot be listened on, the router not reached, or the keys not used.
+    """
+    try:
+        text = json.dumps(configuration(endpoints, patience_s, name, keys))
+    except SecurityError as error:
+        raise BusError(str(error)) from error
+    deadline = time.monotonic() + reach_s
+    while True:
+        try:
+            return zenoh.open(zenoh.Config.from_json5(text))
+        except zenoh.ZError as error:
+            if endpoints.mode != "client":
+                raise BusError(_listen_problem(endpoints, str(error))) from error
+            if time.monotonic() > deadline:
+                where = ", ".join(endpoints.connect)
+                raise BusError(
+                    f"{name}: no router lets it in at {where} within {reach_s:g} s ({str(error)[:200]})"
+                ) from error
+
+
+def configuration(endpoints: Endpoints, patience_s: float, name: str, keys: Keys) -> dict[str, Any]:
+    """Zenoh's configuration of a process: fixed endpoints, no discovery, fast retries, patience until `join` gives up.
+
+    Args:
+        endpoints: Where it is, with which keys.
+        patience_s: How long sending may wait for a peer that does not read.
+        name: The process's.
+        keys: Key expressions of its run.
+    Raises: SecurityError: keys that it cannot use.
+    """
+    found: dict[str, Any] = {
+        "mode": endpoints.mode,
         "listen": {"endpoints": list(endpoints.listen), "exit_on_failure": True},
         "connect": {
             "endpoints": list(endpoints.connect),
-            "timeout_ms": -1,
-            "exit_on_failure": False,
+            # A client is nothing without its router, and tries again by itself (`_open`), where Ctrl-C is heard.
+            "timeout_ms": _TRY_MS if endpoints.mode == "client" else -1,
+            "exit_on_failure": endpoints.mode == "client",
             "retry": {"period_init_ms": 50, "period_max_ms": 200, "period_increase_factor": 1.5},
         },
         "transport": {
@@ -434,6 +543,13 @@ def _configuration(endpoints: Endpoints, patience_s: float) -> dict[str, Any]:
         },
         "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
     }
+    if endpoints.security is not None:
+        secure = endpoints.security.configuration(name, keys.prefix, mode=endpoints.mode)
+        transport = secure["transport"]
+        found["transport"]["link"] |= transport.pop("link", {})
+        found["transport"] |= transport
+        found |= {key: value for key, value in secure.items() if key != "transport"}
+    return found
 
 
 def _listen_problem(endpoints: Endpoints, detail: str) -> str:

@@ -7,12 +7,14 @@ Zenoh keeps the order of one sender's messages under one key, and no other. So e
 it sequence numbers grow, and for kinds that are said once a tick so do the ticks.
 """
 
+import threading
 from collections import deque
 from dataclasses import dataclass
 
 from model.state import INPUTS, PAYLOAD, PER_UAV
 from protocol.claims import window
 from protocol.codec import MAX_BYTES, decode
+from protocol.head import ONCE_A_TICK, head_of
 from protocol.keys import Keys
 from protocol.messages import (
     LinkChange,
@@ -20,13 +22,14 @@ from protocol.messages import (
     Message,
     MessageError,
     Plan,
+    Reason,
     Roster,
     StepReport,
     Tick,
     Truth,
     agent_name,
 )
-from protocol.rejections import Rejections
+from protocol.rejections import MAX_SENDERS, Rejections
 from protocol.setup import Setup
 
 # What a message needs besides its arrays, with the longest texts and lists it may have.
@@ -43,6 +46,7 @@ _AHEAD = 16
 class _Heard:
     """The newest message under a key."""
 
+    sender: str
     incarnation: int
     sequence: int
     place: tuple[int, int] | None
@@ -77,9 +81,53 @@ class Gate:
         self._is_up_to_date = False  # whether `tick` is where the run is
         self._announced: dict[str, int] = {}  # newest incarnation, by name
         self._heard: dict[str, _Heard] = {}  # by key
+        self._unread: dict[tuple[str, Reason], tuple[MessageError, int]] = {}  # refused as they came, by sender
+        self._counting = threading.Lock()  # of them: several threads receive
         self._given: tuple[str, Message, int] | None = None  # the last one let in: key, message, refusals before it
         self._early: deque[tuple[str, Message]] = deque()  # waiting for their sender's token
         self._released: deque[tuple[str, Message]] = deque()  # no longer
+
+    def has_passed(self, key: str, data: bytes) -> bool:
+        """Whether a message that comes in need not be read, as what it says is over; if so it is counted.
+
+        Safe on any thread. What it refuses `read` would refuse as well, however much later.
+
+        Args:
+            key: What it came under.
+            data: Its bytes.
+        """
+        try:
+            head = head_of(data)
+            if head is not None and head.sender == self._name:
+                raise MessageError("wrong_sender", f"{head.kind} of this process itself", head.sender)
+            heard = self._heard.get(key)
+            if head is None or heard is None or (head.sender, head.incarnation) != (heard.sender, heard.incarnation):
+                return False
+            if head.sequence <= heard.sequence:
+                text = f"{head.kind} number {head.sequence} after number {heard.sequence}"
+                raise MessageError("replayed", text, head.sender)
+            if head.kind in ONCE_A_TICK and heard.place is not None and (head.tick, 0) <= heard.place:
+                raise MessageError("past", f"{head.kind} {head.tick} after {heard.place[0]}", head.sender)
+        except MessageError as error:
+            sender = error.sender or self._keys.end(key)
+            with self._counting:
+                first, count = self._unread.get((sender, error.reason), (error, 0))
+                # Senders can be anything: those beyond a moment's worth are counted where they are told apart.
+                if count == 0 and len(self._unread) >= MAX_SENDERS:
+                    return False
+                self._unread[sender, error.reason] = first, count + 1
+            return True
+        return False
+
+    def count_unread(self) -> None:
+        """Count what was refused as it came since the last time; for the thread that reads."""
+        if not self._unread:
+            return
+        self._settle()
+        with self._counting:
+            unread, self._unread = self._unread, {}
+        for (sender, _), (error, count) in unread.items():
+            self._rejections.add(sender, error, count)
 
     def read(self, key: str, data: bytes) -> Message | None:
         """The message in what came in; None if it is refused, or kept because its sender is not announced yet.
@@ -141,6 +189,11 @@ class Gate:
         return None
 
     @property
+    def refused(self) -> int:
+        """How many messages were refused so far, here and by the node."""
+        return self._rejections.total
+
+    @property
     def kept(self) -> int:
         """How many messages wait for their sender's token."""
         return len(self._early)
@@ -156,6 +209,7 @@ class Gate:
 
     def close(self) -> None:
         """Nothing comes any more: what was kept is refused."""
+        self.count_unread()
         for key, message in self._early:
             self.refuse(key, _wrong_incarnation(message))
         self._early.clear()
@@ -191,7 +245,7 @@ class Gate:
         key, message, refused = self._given
         self._given = None
         if self._rejections.total == refused:
-            self._heard[key] = _Heard(message.incarnation, message.sequence, _place(message))
+            self._heard[key] = _Heard(message.sender, message.incarnation, message.sequence, _place(message))
             if not isinstance(message, LinkChange):  # told again, it is of the past
                 self.tick = max(self.tick, message.tick)
                 self._is_up_to_date = True

@@ -7,8 +7,8 @@ transport/{run}/roster, .../control      coordinator -> everybody; changes of li
 transport/{run}/truth                    plant -> coordinator, recorder
 transport/{run}/report/{agent}           agent -> recorder
 transport/{run}/rejected/{name}          anybody -> recorder
-transport/{run}/ask/{name}               queryable: coordinator and recorder answer requests
-transport/{run}/alive/{name}/{incarnation}/{digest}     liveliness token: the process is up
+transport/{run}/ask/{name}/{what}        queryable: every process answers requests, each thing under a key of its own
+transport/{run}/alive/{name}/{incarnation}/{digest}/{version}     liveliness token: the process is up
 transport/{run}/ready/{name}/{incarnation}              liveliness token: it has seen all the others
 """
 
@@ -31,12 +31,24 @@ from protocol.messages import (
 )
 
 _RUN = re.compile(r"[A-Za-z0-9_.-]{1,80}")
-_ALIVE = re.compile(r"alive/([^/]+)/([0-9]{1,15})/([^/]+)")
-_READY = re.compile(r"ready/([^/]+)/([0-9]{1,15})()")
+_ALIVE = re.compile(r"alive/([^/]+)/([0-9]{1,15})/([^/]+)(?:/([0-9]{1,5}))?")
+_READY = re.compile(r"ready/([^/]+)/([0-9]{1,15})()()")
 _SEVERAL = (Measurement.kind, Plan.kind, StepReport.kind, Rejected.kind)  # one key per agent or process
 
+# Name of the process that records a run and takes no other part in it.
+RECORDER = "recorder"
 # Name of those who look on, say nothing and announce no token: nobody in the run knows of them.
 WATCHER = "watcher"
+# Who also changes what it sees: links, faults. It says nothing either, it asks.
+OPERATOR = "operator"
+# Who passes on what others say, where hosts do not reach each other.
+ROUTER = "router"
+
+# What anybody may ask for, and what is asked by those who act on a run.
+READING, ACTING = ("status", "health"), ("link", "fault")
+
+# Processes of before version 3 did not say theirs.
+_UNTOLD_VERSION = 2
 
 
 class RunNameError(ValueError):
@@ -51,11 +63,13 @@ class Token:
         name: Process name.
         incarnation: Which start of it.
         digest: Of its scenario, or None for a token that does not say.
+        version: Of the protocol it speaks, where it says its scenario.
     """
 
     name: str
     incarnation: int
     digest: str | None
+    version: int | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +90,13 @@ class Keys:
         if not self.allows(self.run):
             raise RunNameError(f"run name: expected at most 80 letters, digits, '_', '.', '-', got {self.run!r}")
         object.__setattr__(self, "prefix", f"transport/{self.run}")
+
+    @classmethod
+    def below(cls, prefix: str) -> "Keys":
+        """Key expressions below a prefix that may stand for several runs, `transport/*`: nothing is sent under them."""
+        keys = cls("any")
+        object.__setattr__(keys, "prefix", prefix)
+        return keys
 
     @staticmethod
     def allows(run: str) -> bool:
@@ -98,7 +119,7 @@ class Keys:
         """Key expressions a process listens to, by its name."""
         everybody = [f"{self.prefix}/{kind}" for kind in (Roster.kind, Control.kind)]
         plans = f"{self.prefix}/{Plan.kind}/*"
-        if name == "recorder":
+        if name == RECORDER:
             return [
                 *everybody,
                 *[f"{self.prefix}/{kind}" for kind in (Tick.kind, Truth.kind)],
@@ -116,9 +137,21 @@ class Keys:
             return [*everybody, plans, f"{self.prefix}/{Tick.kind}"]
         return [*everybody, plans, f"{self.prefix}/{Measurement.kind}/{name.removeprefix('agent')}"]
 
-    def alive(self, name: str, incarnation: int, digest: str) -> str:
-        """Liveliness token of a process that is up; the digest is its scenario's."""
-        return f"{self.prefix}/alive/{name}/{incarnation}/{digest}"
+    def publications(self, name: str) -> list[str]:
+        """Key expressions a process may publish under, by its name; those that look on have none."""
+        if name == "coordinator":
+            kinds = [Tick.kind, Roster.kind, Control.kind]
+        elif name == "plant":
+            kinds = [f"{Measurement.kind}/*", Truth.kind]
+        elif name.startswith("agent"):
+            kinds = [f"{kind}/{name.removeprefix('agent')}" for kind in (Plan.kind, StepReport.kind)]
+        else:
+            return []
+        return [f"{self.prefix}/{end}" for end in (*kinds, f"{Rejected.kind}/{name}")]
+
+    def alive(self, name: str, incarnation: int, digest: str, version: int) -> str:
+        """Liveliness token of a process that is up; digest of its scenario, version of the protocol it speaks."""
+        return f"{self.prefix}/alive/{name}/{incarnation}/{digest}/{version}"
 
     def ready(self, name: str, incarnation: int) -> str:
         """Liveliness token of a process that has seen all the others."""
@@ -132,9 +165,9 @@ class Keys:
         """Whether a key is the `ready` token of a process."""
         return key.startswith(f"{self.prefix}/ready/{name}/")
 
-    def requests(self, name: str) -> str:
-        """Where a process answers requests."""
-        return f"{self.prefix}/ask/{name}"
+    def request(self, name: str, what: str) -> str:
+        """Where a process is asked for something; `*` for everything it can be asked for."""
+        return f"{self.prefix}/ask/{name}/{what}"
 
     def token(self, key: str) -> Token:
         """What the key of a liveliness token says.
@@ -145,7 +178,9 @@ class Keys:
         found = _ALIVE.fullmatch(end) or _READY.fullmatch(end)
         if found is None:
             raise MessageError("malformed", f"expected the key of a token, got {key}")
-        return Token(found[1], int(found[2]), found[3] or None)
+        digest = found[3] or None
+        version = None if digest is None else int(found[4]) if found[4] else _UNTOLD_VERSION
+        return Token(found[1], int(found[2]), digest, version)
 
     def end(self, key: str) -> str:
         """A key without what is the same for all keys of the run."""

@@ -8,7 +8,8 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from types import FrameType
 from typing import Any
 
@@ -17,22 +18,34 @@ import threadpoolctl
 from protocol.bus import Bus, Endpoints, Interrupted
 from protocol.faults import Fault, due
 from protocol.gate import Gate
-from protocol.keys import Keys
+from protocol.keys import RECORDER, Keys
 from protocol.messages import Message, agent_name
 from protocol.node import Node
 from protocol.outbox import EXIT_LOST
 from protocol.parent import PARENT_PIPE
 from protocol.rejections import Notices
 from protocol.scenario import Scenario
+from protocol.security import Security, SecurityError, exposed
 from protocol.setup import Setup
 
 EXIT_INTERRUPTED = 130
 DEFAULT_BASE_PORT = 7447
 
+# One thread for linear algebra per process, and few for Zenoh: a run has more processes than a host has cores.
+# Three that receive: one is held up for seconds when the connection to a frozen process is given up, as closing it
+# waits for the frozen one to read, and meanwhile everybody else must be heard.
+ENVIRONMENT = {
+    "OPENBLAS_NUM_THREADS": "1",
+    "OMP_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    "ZENOH_RUNTIME": "(rx:(worker_threads:3),acc:(handover:net),app:(handover:net))",
+    "PYTHONUNBUFFERED": "1",
+}
+
 # Between collections of what reference counting does not free.
 _COLLECT_EVERY = 256
 # How long a peer that does not read may hold up the others before the link to it is closed, by clock mode.
-_PATIENCE_S = {"lockstep": 1.0, "realtime": 0.1}
+PATIENCE_S = {"lockstep": 1.0, "realtime": 0.1}
 ORPHANED = "parent is gone"
 # What a process that has lost its parent gives itself to end in an orderly way.
 _ORPHAN_GRACE_S = 5.0
@@ -55,16 +68,100 @@ class Place:
     join_timeout_s: float
 
 
-def mesh(names: Collection[str], host: str, ports: Collection[int]) -> dict[str, Endpoints]:
+def mesh(
+    names: Sequence[str], host: str, ports: Sequence[int], security: Security | None = None
+) -> dict[str, Endpoints]:
     """Endpoints of an explicit mesh: everybody listens on a port and calls those listed before it.
 
     Args:
         names: Process names in a fixed order: coordinator, plant, agent1, ...
         host: Address to listen on.
         ports: One for each.
+        security: Keys, if there are any.
     """
-    addresses = [f"tcp/{host}:{port}" for port in ports]
-    return {name: Endpoints(listen=[addresses[i]], connect=addresses[:i]) for i, name in enumerate(names)}
+    scheme = "tcp" if security is None else security.scheme
+    addresses = [f"{scheme}/{host}:{port}" for port in ports]
+    return {
+        name: Endpoints(listen=[addresses[i]], connect=addresses[:i], security=security) for i, name in enumerate(names)
+    }
+
+
+def places(
+    names: Sequence[str], scenario: Scenario, ports: Sequence[int], *, check: bool = True
+) -> dict[str, Endpoints]:
+    """Endpoints as a scenario has them: a mesh on its host, or clients of its router, who listen nowhere.
+
+    Args:
+        names: Process names, in the mesh's order.
+        scenario: Its `network` counts, and who takes part.
+        ports: One for each.
+        check: Whether all of them are to be started here: then each must have its keys, and listen where it may.
+    Raises: SecurityError: keys that one of them cannot use, an endpoint that anybody could reach.
+    """
+    network, security = scenario.network, security_of(scenario)
+    if network.router is None:
+        found = mesh(names, network.host, ports, security)
+    else:
+        client = Endpoints(listen=[], connect=[network.router], mode="client", security=security)
+        found = dict.fromkeys(names, client)
+    if security is not None and network.router is not None and not network.router.startswith(security.scheme):
+        expected = f"expected {security.scheme}/... with the keys in {security.folder}, got {network.router}"
+        raise SecurityError(f"network.router: {expected}")
+    for name, place in found.items() if check else ():
+        if security is not None:
+            security.check(name, mode=place.mode)
+        refuse_exposed(place, scenario)
+    return found
+
+
+def place_of(
+    name: str, scenario: Scenario, listen: Sequence[str] | None = None, connect: Sequence[str] | None = None
+) -> Endpoints:
+    """Where a process is that is started by itself: as its scenario has it, or where it is told to be.
+
+    Args:
+        name: Process name; one that the mesh does not have listens nowhere and calls everybody.
+        scenario: Its scenario.
+        listen: Endpoints in place of the usual ones.
+        connect: The same of those it calls.
+    Raises: SecurityError: keys that it cannot use, or an endpoint that anybody could reach.
+    """
+    usual = default_mesh(scenario)
+    if name in usual:
+        found = usual[name]
+    elif scenario.network.router is not None:
+        found = replace(usual["coordinator"])
+    else:
+        everybody = [endpoint for place in usual.values() for endpoint in place.listen]
+        found = Endpoints(listen=[], connect=everybody, security=security_of(scenario))
+    if listen is not None or connect is not None:
+        listens = found.listen if listen is None else listen
+        calls = found.connect if connect is None and listen is None else connect or []
+        found = replace(found, listen=listens, connect=calls, mode="peer" if listens else found.mode)
+    if found.security is not None:
+        found.security.check(name, mode=found.mode)
+        wrong = [at for at in (*found.listen, *found.connect) if not at.startswith(f"{found.security.scheme}/")]
+        if wrong:
+            raise SecurityError(f"network.keys: expected {found.security.scheme}/... with these keys, got {wrong[0]}")
+    refuse_exposed(found, scenario)
+    return found
+
+
+def refuse_exposed(place: Endpoints, scenario: Scenario) -> None:
+    """Refuse to listen unencrypted where others than this host can connect, unless the scenario says `insecure`.
+
+    Raises: SecurityError: naming the endpoint.
+    """
+    at = exposed(place.listen)
+    if at is not None and not scenario.network.insecure:
+        expected = "expected a loopback address, or network.keys, or network.insecure = true to be open to everybody"
+        raise SecurityError(f"network.host: {expected}, got {at}")
+
+
+def security_of(scenario: Scenario) -> Security | None:
+    """Keys of this host and who may take part in the run; None without keys."""
+    keys = scenario.network.keys
+    return None if keys is None else Security(Path(keys).resolve(), (*process_names(scenario), RECORDER))
 
 
 def process_names(scenario: Scenario) -> list[str]:
@@ -73,10 +170,13 @@ def process_names(scenario: Scenario) -> list[str]:
 
 
 def default_mesh(scenario: Scenario) -> dict[str, Endpoints]:
-    """The mesh that processes started by hand agree on without being told: consecutive ports from the base port."""
+    """The mesh that processes started by hand agree on without being told: consecutive ports from the base port.
+
+    Raises: SecurityError: keys that cannot be used.
+    """
     names = process_names(scenario)
     base = scenario.network.base_port or DEFAULT_BASE_PORT
-    return mesh(names, scenario.network.host, range(base, base + len(names)))
+    return places(names, scenario, range(base, base + len(names)), check=False)
 
 
 def run_node(
@@ -117,14 +217,26 @@ def run_node(
             endpoints=place.endpoints,
             gate=gate,
             serves=node.name == "coordinator",
-            patience_s=_PATIENCE_S[setup.scenario.clock.mode],
+            patience_s=PATIENCE_S[setup.scenario.clock.mode],
+            reach_s=place.join_timeout_s,
         ) as bus,
     ):
         with_signals(bus)
+        open_to_all = exposed(place.endpoints.listen)
+        if open_to_all is not None:
+            journal.say("insecure", at=open_to_all, means="whoever reaches this address can read and say everything")
         journal.say("listening", cpu_s=time.process_time(), at=", ".join(place.endpoints.listen))
         interruption = bus.join(expected, place.join_timeout_s)
         if interruption is None:
-            journal.say("joined", peers=len(expected))
+            clock = (
+                {}
+                if bus.offset is None
+                else {
+                    "clock_offset_ms": round(1e3 * bus.offset.ahead_s, 3),
+                    "clock_uncertainty_ms": round(1e3 * bus.offset.uncertainty_s, 3),
+                }
+            )
+            journal.say("joined", peers=len(expected), **clock)
             interruption = drive(node, bus, setup.faults, gate, notices)
         if interruption is not None and node.finished is None:
             journal.say("interrupted", reason=interruption.reason)

@@ -52,12 +52,13 @@ class Rejections:
         for (sender, reason), count in self._counts.items():
             yield Rejection(sender, reason, count, self._examples[sender, reason])
 
-    def add(self, sender: str, error: MessageError) -> None:
-        """Count one message.
+    def add(self, sender: str, error: MessageError, count: int = 1) -> None:
+        """Count messages.
 
         Args:
-            sender: Who sent it, or the key it came under.
-            error: Why it is refused.
+            sender: Who sent them, or the key they came under.
+            error: Why the first of them is refused.
+            count: How many there are.
         """
         sender = sender[:_LONGEST_SENDER]
         if sender not in self._senders:
@@ -69,8 +70,8 @@ class Rejections:
         if at not in self._counts:
             self._counts[at] = 0
             self._examples[at] = str(error)[:MAX_TEXT]
-        self._counts[at] += 1
-        self.total += 1
+        self._counts[at] += count
+        self.total += count
 
     def news(self) -> Iterator[Rejection]:
         """What was refused since this was asked the last time; `count` is of that alone."""

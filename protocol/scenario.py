@@ -327,10 +327,16 @@ class PlantSection(Section):
 
 
 class NetworkSection(Section):
-    """Where processes listen: the coordinator on the base port, the plant one above, agents above that."""
+    """Where processes listen: the coordinator on the base port, the plant one above, agents above that.
+
+    All of it is about one host, so none of it is in the digest.
+    """
 
     host: str = "127.0.0.1"
     base_port: Annotated[int, Field(ge=1024, le=65_000)] | None = None
+    router: str | None = None
+    keys: str | None = None
+    insecure: bool = False
 
 
 class Scenario(Section):

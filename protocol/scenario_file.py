@@ -2,6 +2,7 @@
 
 import difflib
 import importlib.resources
+import re
 import tomllib
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -157,6 +158,7 @@ def _check_relations(scenario: Scenario, source: str) -> None:
         raise ScenarioError(source, "plant.step_s", f"expected at most the sampling period {period_s}, got {step_s}")
     _check_drag(scenario, source)
     _check_path(scenario, source)
+    _check_network(scenario, source)
 
 
 def _check_links(scenario: Scenario, source: str, agents: list[str]) -> None:
@@ -254,6 +256,14 @@ def _check_path(scenario: Scenario, source: str) -> None:
                 key = "way" if phase.way else "displacement_m"
                 raise ScenarioError(source, f"maneuver.phase.{i}.{key}", f"{expected}, got {furthest:g} m")
         reached = [a + b for a, b in zip(reached, phase.displacement_m, strict=True)]
+
+
+def _check_network(scenario: Scenario, source: str) -> None:
+    """A router is an endpoint; whether what listens may listen there is seen to when it does."""
+    router = scenario.network.router
+    if router is not None and not re.fullmatch(r"(tcp|tls)/\S+:\d+", router):
+        expected = f"expected an endpoint such as tls/192.0.2.1:7447, got {router!r}"
+        raise ScenarioError(source, "network.router", expected)
 
 
 def _apply(tree: dict[str, Any], setting: str) -> None:

@@ -10,7 +10,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 
 # Imports run downwards only: a module may import its own package and those of smaller numbers.
-LAYERS = {"model": 0, "mpc": 1, "protocol": 2, "agent": 3, "plant": 3, "coordinator": 3, "transport": 4}
+LAYERS = {"model": 0, "mpc": 1, "protocol": 2, "agent": 3, "plant": 3, "coordinator": 3, "deploy": 3, "transport": 4}
 
 # What makes a computation depend on more than its arguments.
 OUTSIDE_WORLD = {
@@ -100,7 +100,7 @@ def test_the_walk_sees_the_project() -> None:
 
 @pytest.mark.parametrize("path", SOURCES, ids=named)
 def test_imports_run_downwards(path: Path) -> None:
-    """transport -> agent, plant, coordinator -> protocol -> mpc -> model; the three roles do not know each other."""
+    """transport -> roles, deploy -> protocol -> mpc -> model; the three roles and deploy do not know each other."""
     own = named(path).partition("/")[0]
     for other in top(imports(path)) & set(LAYERS) - {own}:
         assert LAYERS[other] < LAYERS[own], f"{named(path)} imports {other}"

@@ -20,7 +20,7 @@ from tests.runs import PAPER
 from transport.main import app
 
 ROOT = Path(__file__).resolve().parent.parent
-PACKAGES = ("model", "mpc", "protocol", "agent", "plant", "coordinator", "transport", "benchmarks", "tests")
+PACKAGES = ("model", "mpc", "protocol", "agent", "plant", "coordinator", "deploy", "transport", "benchmarks", "tests")
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 EQUATIONS = ROOT / "docs" / "equations.md"
 SCENARIO = ROOT / "docs" / "scenario.md"

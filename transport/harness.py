@@ -17,24 +17,13 @@ from coordinator.node import EXIT_DIVERGED, EXIT_INTERRUPTED, EXIT_OVERRUN
 from protocol.bus import Endpoints
 from protocol.outbox import EXIT_LOST
 from protocol.parent import PARENT_PIPE, STANDBY
+from protocol.process import ENVIRONMENT
 
 # Exit codes of a process that has seen its run's end.
 _ENDS = {0, EXIT_LOST, EXIT_OVERRUN, EXIT_DIVERGED, EXIT_INTERRUPTED}
 
 # What a process gets to end by itself before it is killed.
 _GRACE_S = 5.0
-
-# One thread for linear algebra per process, and few for Zenoh: a run has more processes than a host has cores.
-# Three that receive: one is held up for seconds when the connection to a frozen process is given up, as closing it
-# waits for the frozen one to read, and meanwhile everybody else must be heard.
-_ENVIRONMENT = {
-    "OPENBLAS_NUM_THREADS": "1",
-    "OMP_NUM_THREADS": "1",
-    "MKL_NUM_THREADS": "1",
-    "ZENOH_RUNTIME": "(rx:(worker_threads:3),acc:(handover:net),app:(handover:net))",
-    "PYTHONUNBUFFERED": "1",
-    PARENT_PIPE: "1",
-}
 
 
 class HarnessError(RuntimeError):
@@ -191,7 +180,7 @@ class Harness:
             stdin=subprocess.PIPE,
             stdout=output,
             stderr=subprocess.STDOUT,
-            env={**_ENVIRONMENT, **os.environ, PARENT_PIPE: "1", STANDBY: "1" if standby else ""},
+            env={**ENVIRONMENT, **os.environ, PARENT_PIPE: "1", STANDBY: "1" if standby else ""},
             # A session of its own: Ctrl-C reaches this process, which ends the run in order.
             start_new_session=True,
         )

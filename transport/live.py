@@ -18,11 +18,15 @@ class LiveRun:
         run: Its name.
         endpoints: Of its processes, by name.
         pid: Of the process that started them.
+        keys: Folder of the keys they use, or nothing.
+        is_client: Whether the endpoints are those of a router.
     """
 
     run: str
     endpoints: Mapping[str, str]
     pid: int
+    keys: str = ""
+    is_client: bool = False
 
 
 def write(folder: Path, run: LiveRun) -> None:
@@ -39,7 +43,13 @@ def read(folder: Path) -> LiveRun | None:
     """The run that flies in a folder, if one does; what a killed one has left behind does not count."""
     try:
         content = orjson.loads((folder / _FILE).read_bytes())
-        run = LiveRun(run=content["run"], endpoints=dict(content["endpoints"]), pid=content["pid"])
+        run = LiveRun(
+            run=content["run"],
+            endpoints=dict(content["endpoints"]),
+            pid=content["pid"],
+            keys=content["keys"],
+            is_client=content["is_client"],
+        )
         os.kill(run.pid, 0)
     except (OSError, ValueError, KeyError, TypeError):
         return None

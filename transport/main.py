@@ -12,8 +12,10 @@ import typer
 
 from transport.answers import Format, fail
 from transport.compare_commands import compare
+from transport.deploy_commands import deploy_app, router
 from transport.doctor_commands import doctor
 from transport.experiments.commands import experiment_app
+from transport.exporter import metrics
 from transport.log_commands import log_app
 from transport.operate import fault, link_app, status
 from transport.replay_commands import replay
@@ -51,6 +53,9 @@ app.command()(top)
 app.command()(compare)
 app.command()(doctor)
 app.add_typer(log_app, name="log")
+app.add_typer(deploy_app, name="deploy")
+app.command()(router)
+app.command()(metrics)
 
 
 ScenarioArgument = Annotated[
@@ -392,15 +397,10 @@ def _place(
 ) -> "Place":
     import time
 
-    from protocol.bus import Endpoints
     from protocol.keys import Keys, RunNameError
-    from protocol.process import Place, default_mesh
+    from protocol.process import Place, place_of
+    from protocol.security import SecurityError
 
-    usual = default_mesh(setup.scenario)
-    if name in usual:
-        endpoints = usual[name]
-    else:
-        endpoints = Endpoints(listen=[], connect=[e for place in usual.values() for e in place.listen])
     run_name = run_name or setup.scenario.name
     try:
         Keys(run_name)
@@ -410,13 +410,14 @@ def _place(
         for endpoint in given or []:
             if not re.fullmatch(r"[a-z0-9-]+/\S+", endpoint):
                 fail(f"{option}: expected an endpoint such as tcp/127.0.0.1:7447, got {endpoint!r}", EXIT_USAGE)
+    try:
+        endpoints = place_of(name, setup.scenario, listen, connect)
+    except SecurityError as error:
+        fail(str(error), EXIT_SCENARIO)
     return Place(
         run=run_name,
         incarnation=time.time_ns() // 10**6 if incarnation is None else incarnation,
-        endpoints=Endpoints(
-            listen=endpoints.listen if listen is None else listen,
-            connect=endpoints.connect if connect is None and listen is None else connect or [],
-        ),
+        endpoints=endpoints,
         join_timeout_s=setup.scenario.clock.join_timeout_s if join_timeout is None else join_timeout,
     )
 

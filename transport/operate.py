@@ -19,6 +19,10 @@ ConnectOption = Annotated[
     list[str] | None, typer.Option("--connect", help="Zenoh endpoint of one of its processes, with a run's name.")
 ]
 
+KeysOption = Annotated[
+    Path | None, typer.Option("--keys", help="Folder of keys, with --connect; a run's folder says where its are.")
+]
+
 link_app = typer.Typer(help="Change the links of a run in flight.", no_args_is_help=True)
 
 
@@ -36,6 +40,7 @@ def link_set(
     rate: Annotated[float | None, typer.Option("--rate", help="Messages per second at most.")] = None,
     run: RunOption = None,
     connect: ConnectOption = None,
+    keys: KeysOption = None,
 ) -> None:
     """Impair or repair links from the next tick on.
 
@@ -43,7 +48,7 @@ def link_set(
 
     Example: transport link set --from 1 --to 2 --delay 0.1
     """
-    keys = {
+    changes = {
         "delay_s": delay,
         "jitter_s": jitter,
         "distribution": distribution,
@@ -53,21 +58,21 @@ def link_set(
         "reorder_s": reorder_s,
         "rate_hz": rate,
     }
-    settings = {key: value for key, value in keys.items() if value is not None}
+    settings = {key: value for key, value in changes.items() if value is not None}
     if not settings:
         fail("expected at least one of --delay, --jitter, --loss, ..., got none", 2)
     ends = {"from": _process_name(sender), "to": _process_name(receiver)}
-    answer = _ask(run, connect, "coordinator", "link", {**ends, "settings": settings})
+    answer = _ask(run, connect, keys, "coordinator", "link", {**ends, "settings": settings})
     typer.echo(f"links change with tick {answer['tick']} (t = {answer['t_s']:.2f} s)")
 
 
 @link_app.command("clear")
-def link_clear(run: RunOption = None, connect: ConnectOption = None) -> None:
+def link_clear(run: RunOption = None, connect: ConnectOption = None, keys: KeysOption = None) -> None:
     """Make all links perfect again, the plant's as well."""
     from transport.requests import PERFECT
 
     for ends in ({}, {"from": "plant"}, {"to": "plant"}):
-        answer = _ask(run, connect, "coordinator", "link", {**ends, "settings": dict(PERFECT)})
+        answer = _ask(run, connect, keys, "coordinator", "link", {**ends, "settings": dict(PERFECT)})
     typer.echo(f"links are perfect from tick {answer['tick']} on (t = {answer['t_s']:.2f} s)")
 
 
@@ -76,6 +81,7 @@ def fault(
     target: Annotated[str, typer.Argument(help="Process: agent1, agent2, ..., plant, coordinator.")],
     run: RunOption = None,
     connect: ConnectOption = None,
+    keys: KeysOption = None,
 ) -> None:
     """Kill, stop, continue or restart a process of a run in flight.
 
@@ -83,13 +89,25 @@ def fault(
 
     Example: transport fault kill agent3
     """
-    answer = _ask(run, connect, "recorder", "fault", {"do": action, "target": target})
+    answer = _ask(run, connect, keys, "recorder", "fault", {"do": action, "target": target})
     typer.echo(f"{action} {target}: done at tick {answer['tick']}")
 
 
-def status(run: RunOption = None, connect: ConnectOption = None) -> None:
-    """Say how far a run in flight is and who takes part, as JSON."""
-    typer.echo(json.dumps(_ask(run, connect, "coordinator", "status", {})))
+def status(
+    process: Annotated[
+        str | None,
+        typer.Option("--process", help="Say how this process is instead: coordinator, plant, agent1, ..., recorder."),
+    ] = None,
+    run: RunOption = None,
+    connect: ConnectOption = None,
+    keys: KeysOption = None,
+) -> None:
+    """Say how far a run in flight is, or how a process is.
+
+    As JSON: tick and who takes part; with --process what that one uses and has refused.
+    """
+    name, what = ("coordinator", "status") if process is None else (process, "health")
+    typer.echo(json.dumps(_ask(run, connect, keys, name, what, {})))
 
 
 def _process_name(end: str | None) -> str:
@@ -97,7 +115,9 @@ def _process_name(end: str | None) -> str:
     return "" if end is None else f"agent{end}" if end.isdecimal() else end
 
 
-def _ask(run: str | None, connect: list[str] | None, name: str, what: str, given: dict[str, Any]) -> dict[str, Any]:
+def _ask(
+    run: str | None, connect: list[str] | None, keys: Path | None, name: str, what: str, given: dict[str, Any]
+) -> dict[str, Any]:
     from protocol.keys import Keys
     from transport import live
     from transport.requests import RefusedError, UnansweredError, request
@@ -111,10 +131,13 @@ def _ask(run: str | None, connect: list[str] | None, name: str, what: str, given
         if there is None:
             where = f"below {RUNS}/" if run is None else f"in {run}"
             fail(f"no run that flies {where}; name its folder with --run, or its endpoints with --connect", 2)
+        if name not in there.endpoints:
+            fail(f"--process: expected one of {', '.join(there.endpoints)}, got {name!r}", 2)
         # Only the one that is asked: others may be frozen, and then take their time.
         known, endpoints = there.run, [there.endpoints[name]]
+        keys = keys or (Path(there.keys) if there.keys else None)
     try:
-        return request(known, endpoints, name, what, given)
+        return request(known, endpoints, name, what, given, keys=keys)
     except UnansweredError as error:
         fail(str(error), 4)
     except RefusedError as error:

@@ -19,16 +19,16 @@ from rich.console import Console
 
 from model import native
 from model.compiled import compile_functions
-from protocol.bus import Endpoints
-from protocol.keys import Keys
-from protocol.process import EXIT_INTERRUPTED, Place, mesh, process_names
+from protocol.bus import BusError, Endpoints
+from protocol.keys import RECORDER, Keys
+from protocol.process import EXIT_INTERRUPTED, Place, places, process_names
+from protocol.security import SecurityError
 from protocol.setup import Setup
 from transport import live
 from transport.fault_script import FaultScript
 from transport.harness import Child, Harness, check_ports, free_ports
 from transport.log import LogError, LogWriter
 from transport.progress import RunProgress
-from transport.recorder import NAME as RECORDER
 from transport.recorder import Recorder
 
 EXIT_USAGE, EXIT_SCENARIO, EXIT_LOST = 2, 3, 4
@@ -98,17 +98,28 @@ def fly(setup: Setup, folder: Path, console: Console) -> Finished:
         if base_port is not None:
             ports = list(range(base_port, base_port + len(names)))
             check_ports(host, ports)
-        return _fly(setup, folder, console, mesh(names, host, ports), f"tcp/{host}:{own}")
+        try:
+            found = places([*names, RECORDER], scenario, [*ports, own])
+        except SecurityError as error:
+            raise RunError(str(error), EXIT_SCENARIO) from error
+        recording = found.pop(RECORDER)
+        try:
+            return _fly(setup, folder, console, found, recording)
+        except BusError as error:
+            raise RunError(str(error), EXIT_LOST) from error
 
 
-def _fly(setup: Setup, folder: Path, console: Console, places: Mapping[str, Endpoints], own: str) -> Finished:
-    """A run whose processes are to listen in these places, its recorder in one of its own."""
+def _fly(
+    setup: Setup, folder: Path, console: Console, places: Mapping[str, Endpoints], recording: Endpoints
+) -> Finished:
+    """A run whose processes are to be in these places, its recorder in one of its own."""
     scenario, names = setup.scenario, list(places)
     run = folder.name if Keys.allows(folder.name) else scenario.name
     text = _create(folder, setup)
     header = run_header(setup, run, len(names), text)
-    endpoints = {name: place.listen[0] for name, place in places.items()}
-    everybody = Endpoints(listen=[own], connect=list(endpoints.values()))
+    everybody = {**places, RECORDER: recording}
+    called = {name: [*place.listen, *place.connect][0] for name, place in everybody.items()}
+    keys = "" if recording.security is None else str(recording.security.folder)
     with (
         Harness(run, folder / "scenario.toml", places, folder / "logs") as harness,
         RunProgress(setup, console) as progress,
@@ -119,13 +130,13 @@ def _fly(setup: Setup, folder: Path, console: Console, places: Mapping[str, Endp
             setup,
             run,
             writer,
-            everybody,
+            recording,
             scenario.clock.join_timeout_s,
             has_ended=lambda: harness.has_ended("coordinator"),
         )
         try:
             recorder.start(names)
-            live.write(folder, live.LiveRun(run, {**endpoints, RECORDER: own}, os.getpid()))
+            live.write(folder, live.LiveRun(run, called, os.getpid(), keys, is_client=recording.mode == "client"))
             _watch(harness, recorder, progress, FaultScript(setup, harness, recorder))
             if recorder.control is not None:
                 harness.wait(_LEAVE_S)
@@ -152,7 +163,12 @@ def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finis
     with RunProgress(setup, console) as progress:
         header = run_header(setup, place.run, len(names), text)
         writer = _open_log(folder, header, setup.period_ns)
-        recorder = Recorder(setup, place.run, writer, place.endpoints, place.join_timeout_s, place.incarnation)
+        try:
+            recorder = Recorder(setup, place.run, writer, place.endpoints, place.join_timeout_s, place.incarnation)
+        except BusError as error:
+            writer.close()
+            shutil.rmtree(folder, ignore_errors=True)
+            raise RunError(str(error), EXIT_LOST) from error
         try:
             recorder.start(names)
             _watch(None, recorder, progress, None)

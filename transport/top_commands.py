@@ -43,6 +43,7 @@ class _Flight:
     run: str
     endpoints: list[str]
     setup: "Setup"
+    is_client: bool = False
 
 
 def top(
@@ -88,6 +89,7 @@ def _find(run: str | None, connect: list[str] | None, scenario: str | None, sett
     from protocol.keys import Keys
     from protocol.process import default_mesh
     from protocol.scenario_file import ScenarioError, find_scenario, read_scenario
+    from protocol.security import SecurityError
     from protocol.setup import Setup
     from transport import live
     from transport.recorder import NAME as RECORDER
@@ -99,8 +101,9 @@ def _find(run: str | None, connect: list[str] | None, scenario: str | None, sett
             name = run or setup.scenario.name
             if not Keys.allows(name):
                 fail(f"--run: expected the name of a run with --scenario, got {name!r}", EXIT_USAGE)
+            router = setup.scenario.network.router
             usual = [endpoint for place in default_mesh(setup.scenario).values() for endpoint in place.listen]
-            return _Flight(name, connect or usual, setup)
+            return _Flight(name, connect or ([router] if router else usual), setup, router is not None)
         if connect:
             fail("--connect: expected --scenario with it, as the run cannot say what it flies", EXIT_USAGE)
         if settings:
@@ -114,7 +117,10 @@ def _find(run: str | None, connect: list[str] | None, scenario: str | None, sett
         setup = Setup.of(read_scenario(path), str(path))
     except ScenarioError as error:
         fail(str(error.blaming(settings)), EXIT_SCENARIO)
-    return _Flight(there.run, [at for name, at in there.endpoints.items() if name != RECORDER], setup)
+    except SecurityError as error:
+        fail(str(error), EXIT_SCENARIO)
+    called = {at for name, at in there.endpoints.items() if name != RECORDER}
+    return _Flight(there.run, sorted(called), setup, there.is_client)
 
 
 def _folder(run: str | None) -> Path | None:
@@ -129,6 +135,7 @@ def _listen(flight: _Flight) -> "Bus":
     from protocol.bus import Bus, Endpoints
     from protocol.gate import Gate
     from protocol.keys import WATCHER, Keys
+    from protocol.process import security_of
     from protocol.rejections import Rejections
 
     # It never joins: it declares no token, so that nobody counts on it.
@@ -137,7 +144,12 @@ def _listen(flight: _Flight) -> "Bus":
         incarnation=0,
         run=flight.run,
         digest=flight.setup.scenario.digest(),
-        endpoints=Endpoints(listen=[], connect=flight.endpoints),
+        endpoints=Endpoints(
+            listen=[],
+            connect=flight.endpoints,
+            mode="client" if flight.is_client else "peer",
+            security=security_of(flight.setup.scenario),
+        ),
         gate=Gate(WATCHER, Keys(flight.run), flight.setup, Rejections()),
         gather_s=_GATHER_S,
     )

@@ -17,7 +17,7 @@ import msgpack
 import numpy as np
 import zenoh
 
-AGENTS, VERSION, STEPS = 4, 2, 20
+AGENTS, VERSION, STEPS = 4, 3, 20
 # What UAV 3 is, what it carries at hover, and its corner of the payload.
 MASS, INERTIA, THRUST, RHO = 1.5, np.array([0.029, 0.029, 0.055]), 22.0725, (-0.25, -0.25)
 
@@ -63,7 +63,7 @@ def main(run, digest, agent, port):
         keys = [f"{prefix}/{key}" for key in (f"measurement/{me}", "plan/*", "control")]
         kept = [session.declare_subscriber(key, inbox.put) for key in keys]
         kept.append(session.liveliness().declare_subscriber(f"{prefix}/alive/**", watch, history=True))
-        kept.append(session.liveliness().declare_token(f"{prefix}/alive/agent{me}/0/{digest}"))
+        kept.append(session.liveliness().declare_token(f"{prefix}/alive/agent{me}/0/{digest}/{VERSION}"))
         while not alive >= {"coordinator", "plant", *[f"agent{i + 1}" for i in range(AGENTS)]}:
             time.sleep(0.01)
         kept.append(session.liveliness().declare_token(f"{prefix}/ready/agent{me}/0"))

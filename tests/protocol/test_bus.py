@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from protocol.bus import Bus, Endpoints
-from protocol.codec import encode
+from protocol.bus import Bus, BusError, Endpoints
+from protocol.codec import VERSION, encode
 from protocol.gate import Gate
 from protocol.keys import Keys
 from protocol.messages import Presence
@@ -97,7 +97,7 @@ def test_when_something_came(network: tuple[Plant, zenoh.Session]) -> None:
     """The time of arrival is that of the thread that receives, however late somebody reads."""
     plant, session = network
     refused, sent_ns = plant.rejections.total, time.time_ns()
-    session.put(f"{KEYS.prefix}/plan/2", b"?", congestion_control=zenoh.CongestionControl.BLOCK)
+    session.put(f"{KEYS.prefix}/plan/2", encode(runs.tick(0)), congestion_control=zenoh.CongestionControl.BLOCK)
     time.sleep(1.0)
     read_ns = time.time_ns()
     assert plant.waits_for(lambda: plant.rejections.total > refused)
@@ -109,7 +109,7 @@ def test_a_stranger_is_counted(network: tuple[Plant, zenoh.Session]) -> None:
     plant, session = network
     block = zenoh.CongestionControl.BLOCK
     key = f"{KEYS.prefix}/tick"
-    session.put(f"{KEYS.prefix}/plan/2", b"\x02hello", congestion_control=block)
+    session.put(f"{KEYS.prefix}/plan/2", bytes([VERSION]) + b"hello", congestion_control=block)
     session.put(f"{KEYS.prefix}/plan/3", bytes(plant.gate.max_bytes + 1), congestion_control=block)
     session.put(f"{KEYS.prefix}/plan/4", bytes(5_000_000), congestion_control=block)
     session.delete(f"{KEYS.prefix}/control")
@@ -140,8 +140,8 @@ def test_who_is_announced_is_believed(network: tuple[Plant, zenoh.Session]) -> N
     block = zenoh.CongestionControl.BLOCK
     session.put(f"{KEYS.prefix}/tick", encode(runs.tick(0)), congestion_control=block)
     assert plant.waits_for(lambda: plant.gate.kept == 1)
-    other = session.liveliness().declare_token(KEYS.alive("coordinator", 0, "another"))
-    token = session.liveliness().declare_token(KEYS.alive("coordinator", 0, DIGEST))
+    other = session.liveliness().declare_token(KEYS.alive("coordinator", 0, "another", VERSION))
+    token = session.liveliness().declare_token(KEYS.alive("coordinator", 0, DIGEST, VERSION))
     assert plant.bus.next(PATIENCE_S) == runs.tick(0)
     other.undeclare()  # type: ignore[no-untyped-call]
     token.undeclare()  # type: ignore[no-untyped-call]
@@ -173,7 +173,7 @@ def test_a_flood_holds_nobody_up(network: tuple[Plant, zenoh.Session]) -> None:
 
 SPEAKS = """
 import sys, time
-from protocol.bus import Bus, Endpoints
+from protocol.bus import Bus, BusError, Endpoints
 from protocol.gate import Gate
 from protocol.keys import Keys
 from protocol.rejections import Rejections
@@ -202,3 +202,15 @@ def test_standard_output_belongs_to_results(name: str, speaks: bool) -> None:
     )
     assert ("ERROR" in result.stdout) == speaks, result.stdout
     assert speaks or result.stdout == ""
+
+
+def test_another_version_is_refused_by_name(network: tuple[Plant, zenoh.Session]) -> None:
+    """Whoever speaks another version of the protocol is not joined: both versions are named, and what to do."""
+    plant, session = network
+    for version in (VERSION + 1, 2):
+        end = f"/{version}" if version > VERSION else ""  # tokens of version 2 did not say so
+        token = session.liveliness().declare_token(f"{KEYS.prefix}/alive/coordinator/0/{DIGEST}{end}")
+        expected = f"coordinator speaks version {version} of the protocol, plant version {VERSION}: install the same"
+        with pytest.raises(BusError, match=expected):
+            plant.bus.join(["coordinator"], PATIENCE_S)
+        token.undeclare()  # type: ignore[no-untyped-call]

@@ -83,7 +83,7 @@ def test_no_message_arrives_twice(name: str) -> None:
 def test_runs_do_not_hear_each_other() -> None:
     """No subscription of one run covers a key of another, nor a liveliness token of its own run."""
     other = Keys("run-2")
-    tokens = [KEYS.alive("agent1", 0, "abc"), KEYS.ready("agent1", 0)]
+    tokens = [KEYS.alive("agent1", 0, "abc", 3), KEYS.ready("agent1", 0)]
     for name in NAMES:
         for expression in KEYS.subscriptions(name):
             assert not any(matches(expression, other.of(sample(kind))) for kind in KINDS.values())
@@ -105,7 +105,7 @@ def test_keys_are_as_documented() -> None:
         "rejected": "transport/run-1/rejected/agent2",
     }
     assert {kind: KEYS.of(sample(cls)) for kind, cls in KINDS.items()} == expected
-    assert KEYS.alive("agent2", 3, "0123ab") == "transport/run-1/alive/agent2/3/0123ab"
+    assert KEYS.alive("agent2", 3, "0123ab", 5) == "transport/run-1/alive/agent2/3/0123ab/5"
     assert KEYS.ready("plant", 0) == "transport/run-1/ready/plant/0"
 
 
@@ -159,9 +159,10 @@ def test_an_agent_cannot_plan_for_another() -> None:
 
 def test_tokens_are_read() -> None:
     """A token says again what it was made of."""
-    assert KEYS.token(KEYS.alive("agent2", 3, "0123ab")) == Token("agent2", 3, "0123ab")
-    assert KEYS.token(KEYS.ready("plant", 0)) == Token("plant", 0, None)
-    assert KEYS.is_token(KEYS.alive("agent2", 3, "0123ab"))
+    assert KEYS.token(KEYS.alive("agent2", 3, "0123ab", 5)) == Token("agent2", 3, "0123ab", 5)
+    assert KEYS.token(f"{KEYS.prefix}/alive/agent2/3/0123ab") == Token("agent2", 3, "0123ab", 2)  # as it was once
+    assert KEYS.token(KEYS.ready("plant", 0)) == Token("plant", 0, None, None)
+    assert KEYS.is_token(KEYS.alive("agent2", 3, "0123ab", 5))
     assert KEYS.is_token(KEYS.ready("plant", 0))
     assert not any(KEYS.is_token(KEYS.of(sample(kind))) for kind in KINDS.values())
 

@@ -3,6 +3,7 @@
 import queue
 import threading
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 from protocol.messages import agent_name
@@ -41,7 +42,8 @@ class Acts:
         while True:
             name, what, given = self._waiting.get()
             try:
-                answer = request(self._run.run, [self._run.endpoints[name]], name, what, given)
+                keys = Path(self._run.keys) if self._run.keys else None
+                answer = request(self._run.run, [self._run.endpoints[name]], name, what, given, keys)
             except (RefusedError, UnansweredError) as error:
                 self._say(str(error), True)
                 continue

@@ -1,0 +1,199 @@
+"""A long flight in real time: whether anything grows. `python -m benchmarks.soak --minutes 30`.
+
+All processes of a run hover at the pace of the clock, and the system is asked for what each uses. What is compared is
+the first and the last third of the time after the first tenth of it: by then caches are full. Exit code 0 only if
+memory is flat (the recorder's but for the index of its log), threads and open files are as many as before, and no more
+deadlines are missed than before.
+"""
+
+import argparse
+import json
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from mcap.reader import make_reader
+
+from benchmarks.page import BenchmarkError, Table
+from protocol.health import usage
+from protocol.keys import RECORDER
+from transport import live
+from transport.run import machine
+
+# What is left out as the time in which caches fill.
+_WARM_UP = 0.1
+
+# Memory is flat if its median grows by no more than this over two thirds of the time: what an allocator wavers by.
+GROWTH, GROWTH_BYTES = 0.02, 2 * 1024**2
+
+# The recorder keeps the index of the log's chunks, one or a few of them per tick, until it writes it at the end.
+INDEX_BYTES_PER_TICK = 1536
+
+# Threads of a pool that has nothing to do come and go.
+THREADS = 2
+
+# Deadlines missed in the last third beyond those in the first: a share of its ticks. A host has moods.
+MISSES = 0.02
+
+_PATIENCE_S = 60.0
+
+
+@dataclass(slots=True)
+class Record:
+    """What a process used, over time.
+
+    Attributes:
+        memory: Bytes.
+        threads: How many.
+        files: Open ones.
+    """
+
+    memory: list[float] = field(default_factory=list)
+    threads: list[float] = field(default_factory=list)
+    files: list[float] = field(default_factory=list)
+
+
+def soak(minutes: float, every_s: float, settings: Sequence[str], folder: Path) -> tuple[dict[str, Record], list[int]]:
+    """Fly, and watch.
+
+    Args:
+        minutes: How long.
+        every_s: How often to look.
+        settings: Further ones of the scenario.
+        folder: Run folder to create.
+    Returns: What each process used by name, and the deadlines missed in each tick.
+    Raises: BenchmarkError: the run does not begin, or does not complete.
+    """
+    hover = f"maneuver.phase=[{{name='hover',duration_s={60.0 * minutes},displacement_m=[0.0,0.0,0.0]}}]"
+    chosen = ["clock.mode=realtime", "clock.speed=1", hover, *settings]
+    words = [sys.executable, "-m", "transport", "run", "resilient", "--out", str(folder), "--no-figures"]
+    words += [part for setting in chosen for part in ("--set", setting)]
+    with (folder.parent / "output.log").open("wb") as output:
+        run = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=output, stderr=output)
+    try:
+        records = _watched(run, folder, every_s)
+        code = run.wait(_PATIENCE_S + 60.0 * minutes)  # the report takes its time, too
+    finally:
+        run.terminate()
+        run.wait()
+    if code != 0:
+        raise BenchmarkError(f"transport run: expected exit code 0, got {code}: see {folder.parent / 'soak.log'}")
+    return records, _missed(folder / "run.mcap")
+
+
+def judge(records: Mapping[str, Record], missed: Sequence[int]) -> tuple[Table, list[str]]:
+    """The table of what was used, and what is wrong with it.
+
+    Args:
+        records: By process.
+        missed: Deadlines in each tick.
+    """
+    rows, wrong = [], []
+    for name, record in records.items():
+        cells = []
+        for what, values in (("memory", record.memory), ("threads", record.threads), ("files", record.files)):
+            first, last = thirds(values)
+            cells.append(_cell(what, first, last))
+            index = 2 / 3 * INDEX_BYTES_PER_TICK * len(missed) if name == RECORDER else 0.0
+            flat = max(GROWTH * first, GROWTH_BYTES)
+            allowed = {"memory": flat + index, "threads": THREADS, "files": 0.0}[what]
+            if last - first > allowed:
+                wrong.append(f"{name}: {what} {cells[-1]}")
+        rows.append([name, *cells])
+    before, after = (sum(part) for part in (missed[: len(missed) // 3], missed[-(len(missed) // 3) :]))
+    rows.append(["deadlines missed", f"{before} -> {after}", "", ""])
+    if after - before > MISSES * len(missed) / 3:
+        wrong.append(f"deadlines missed: {before} in the first third, {after} in the last")
+    text = f"First and last third, {len(missed)} ticks; {machine()}."
+    return Table(text=text, columns=["process", "memory, MiB", "threads", "open files"], rows=rows), wrong
+
+
+def thirds(values: Sequence[float]) -> tuple[float, float]:
+    """Medians of the first and the last third of what comes after the warm-up.
+
+    Raises: BenchmarkError: there are too few values for that.
+    """
+    steady = values[int(_WARM_UP * len(values)) :]
+    third = len(steady) // 3
+    if third == 0:
+        raise BenchmarkError(f"expected at least 4 looks at each process, got {len(values)}")
+    return statistics.median(steady[:third]), statistics.median(steady[-third:])
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command; returns its exit code."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.soak", description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--minutes", type=float, default=30.0)
+    parser.add_argument("--every", type=float, default=None, help="seconds between looks; a 100th of the time")
+    parser.add_argument("--set", dest="settings", action="append", default=[], metavar="KEY=VALUE")
+    asked = parser.parse_args(arguments)
+    every_s = asked.every if asked.every is not None else 0.6 * asked.minutes
+    try:
+        with TemporaryDirectory() as folder:
+            table, wrong = judge(*soak(asked.minutes, every_s, asked.settings, Path(folder) / "soak"))
+    except BenchmarkError as error:
+        sys.stderr.write(f"soak: {error}\n")
+        return 1
+    sys.stdout.write(f"{table}\n")
+    for line in wrong:
+        sys.stderr.write(f"soak: it grew: {line}\n")
+    return 1 if wrong else 0
+
+
+def _watched(run: subprocess.Popen[bytes], folder: Path, every_s: float) -> dict[str, Record]:
+    """Look at the processes of a run as long as it flies."""
+    deadline = time.monotonic() + _PATIENCE_S
+    while live.read(folder) is None:
+        if run.poll() is not None or time.monotonic() > deadline:
+            raise BenchmarkError(f"the run does not begin: see {folder.parent / 'soak.log'}")
+        time.sleep(0.1)
+    logs = folder / "logs"
+    while live.read(folder) is not None and not all('"joined"' in log.read_text() for log in logs.glob("*.log")):
+        time.sleep(0.1)
+    records: dict[str, Record] = {}
+    while live.read(folder) is not None:
+        for name, process in {RECORDER: run.pid, **_children(run.pid)}.items():
+            used = usage(str(process))
+            if used["memory_bytes"] is None or used["threads"] is None or used["open_files"] is None:
+                continue  # it has just ended
+            record = records.setdefault(name, Record())
+            record.memory.append(float(used["memory_bytes"]))
+            record.threads.append(float(used["threads"]))
+            record.files.append(float(used["open_files"]))
+        time.sleep(every_s)
+    return records
+
+
+def _children(parent: int) -> dict[str, int]:
+    """Processes of a run by name, from the system's own table."""
+    found = {}
+    for number in (Path("/proc") / str(parent) / "task" / str(parent) / "children").read_text().split():
+        words = (Path("/proc") / number / "cmdline").read_bytes().decode().split("\0")
+        if "transport" in words:
+            role = words[words.index("transport") + 1]
+            found[f"agent{words[words.index('--id') + 1]}" if role == "agent" else role] = int(number)
+    return found
+
+
+def _missed(log: Path) -> list[int]:
+    """How many agents had not answered when the tick after was opened, by tick."""
+    with log.open("rb") as stream:
+        topics = make_reader(stream).iter_messages(topics=["/tick"])
+        ticks = [json.loads(message.data) for _, _, message in topics]
+    ticks.sort(key=lambda tick: int(tick["tick"]))
+    return [len(set(tick["members"]) - set(after["answered"])) for tick, after in pairwise(ticks)]
+
+
+def _cell(what: str, first: float, last: float) -> str:
+    scale, form = (1024**2, ".1f") if what == "memory" else (1, ".0f")
+    return f"{first / scale:{form}} -> {last / scale:{form}}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Tests of keys, inventories, folders for hosts, and of what gets past them."""

@@ -1,0 +1,20 @@
+"""Keys for the tests: two authorities who know nothing of each other."""
+
+import atexit
+import shutil
+from functools import lru_cache
+from pathlib import Path
+from tempfile import mkdtemp
+
+from deploy.keys import LOOPBACK, OTHERS, make_certificates
+
+NAMES = ("coordinator", "plant", "agent1", "agent2", "agent3", "agent4", *OTHERS)
+
+
+@lru_cache
+def keyring(authority: str) -> Path:
+    """A folder of certificates for everybody, of an authority that tests share by its name."""
+    folder = Path(mkdtemp(prefix=f"keys-{authority}-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    make_certificates(folder, dict.fromkeys(NAMES, LOOPBACK), days=1)
+    return folder

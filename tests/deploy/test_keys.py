@@ -1,0 +1,137 @@
+"""Keys: who signs what, who may read it, and what is refused."""
+
+import ssl
+import stat
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives.asymmetric import ec
+
+from deploy.keys import AUTHORITY_KEY, LOOPBACK, KeysError, files_of, make_certificates, make_passwords
+from protocol.security import AUTHORITY, USERS, Security, SecurityError, exposed
+
+
+def certificate(file: Path) -> x509.Certificate:
+    """A certificate as its text has it."""
+    return x509.load_pem_x509_certificate(file.read_bytes())
+
+
+def test_a_certificate_says_who_and_where(tmp_path: Path) -> None:
+    """It is signed by the authority, names the process and its addresses, serves both ends, and no authority."""
+    make_certificates(tmp_path, {"agent1": [*LOOPBACK, "192.0.2.7", "uav.example"]}, days=3)
+    own, authority = certificate(tmp_path / "agent1.pem"), certificate(tmp_path / AUTHORITY)
+    own.verify_directly_issued_by(authority)
+    assert own.subject.rfc4514_string() == "CN=agent1"
+    names = own.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    assert [str(ip) for ip in names.get_values_for_type(x509.IPAddress)] == ["127.0.0.1", "::1", "192.0.2.7"]
+    assert names.get_values_for_type(x509.DNSName) == ["localhost", "uav.example"]
+    usages = own.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
+    assert {usage.dotted_string for usage in usages} == {"1.3.6.1.5.5.7.3.1", "1.3.6.1.5.5.7.3.2"}
+    assert not own.extensions.get_extension_for_class(x509.BasicConstraints).value.ca
+    left = own.not_valid_after_utc - datetime.now(UTC)
+    assert timedelta(days=2) < left <= timedelta(days=3)
+    assert isinstance(own.public_key(), ec.EllipticCurvePublicKey)
+
+
+def test_secrets_are_nobody_elses(tmp_path: Path) -> None:
+    """Keys and passwords are readable by their owner alone."""
+    make_certificates(tmp_path / "c", {"plant": LOOPBACK}, days=1)
+    make_passwords(tmp_path / "p", ["plant"])
+    secret = [*tmp_path.glob("c/*.key"), *tmp_path.glob("p/*")]
+    assert {file.name for file in secret} == {AUTHORITY_KEY, "plant.key", "plant.password", USERS}
+    for file in secret:
+        assert stat.S_IMODE(file.stat().st_mode) == 0o600, file
+
+
+def test_more_keys_later(tmp_path: Path) -> None:
+    """What is there stays as it is; what is new is signed by the same authority."""
+    make_certificates(tmp_path, {"agent1": LOOPBACK}, days=1)
+    before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
+    make_certificates(tmp_path, {"agent1": LOOPBACK, "agent2": LOOPBACK}, days=1)
+    assert {name: (tmp_path / name).read_bytes() for name in before} == before
+    certificate(tmp_path / "agent2.pem").verify_directly_issued_by(certificate(tmp_path / AUTHORITY))
+    make_passwords(tmp_path / "p", ["a"])
+    once = (tmp_path / "p" / "a.password").read_text()
+    make_passwords(tmp_path / "p", ["a", "b"])
+    assert (tmp_path / "p" / "a.password").read_text() == once
+    assert [line.split(":")[0] for line in (tmp_path / "p" / USERS).read_text().splitlines()] == ["a", "b"]
+
+
+def test_half_an_authority_is_refused(tmp_path: Path) -> None:
+    """Without the key of the authority, or with another file in its place, nothing is made."""
+    make_certificates(tmp_path, {"agent1": LOOPBACK}, days=1)
+    (tmp_path / AUTHORITY_KEY).unlink()
+    with pytest.raises(KeysError, match=r"expected ca\.key beside"):
+        make_certificates(tmp_path, {"agent2": LOOPBACK}, days=1)
+    (tmp_path / AUTHORITY_KEY).write_text("no key")
+    with pytest.raises(KeysError, match="expected an authority in"):
+        make_certificates(tmp_path, {"agent2": LOOPBACK}, days=1)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(KeysError, match="cannot write"):
+        make_passwords(tmp_path / "file", ["a"])
+    assert not (tmp_path / "agent2.pem").exists()
+
+
+def test_keys_that_cannot_be_used(tmp_path: Path) -> None:
+    """A folder that is none, a certificate that is missing, and another's key are each named before anything starts."""
+    names = ("coordinator", "plant", "agent1")
+    with pytest.raises(SecurityError, match=r"expected a folder with ca\.pem or passwords"):
+        Security(tmp_path, names).check("plant", mode="peer")
+    make_certificates(tmp_path, dict.fromkeys(names, LOOPBACK), days=1)
+    Security(tmp_path, names).check("plant", mode="peer")
+    with pytest.raises(SecurityError, match=r"expected the file .*agent2\.pem, got none"):
+        Security(tmp_path, names).check("agent2", mode="peer")
+    other = tmp_path / "other"
+    make_certificates(other, {"coordinator": LOOPBACK}, days=1)
+    for end in ("pem", "key"):
+        (tmp_path / f"coordinator.{end}").write_bytes((other / f"coordinator.{end}").read_bytes())
+    with pytest.raises(SecurityError, match=r"coordinator\.pem: expected a certificate of ca\.pem that is good now"):
+        Security(tmp_path, names).check("coordinator", mode="peer")
+    old = tmp_path / "old"
+    make_certificates(old, {"agent1": LOOPBACK}, days=-1)
+    with pytest.raises(SecurityError, match="certificate has expired"):
+        Security(old, names).check("agent1", mode="peer")
+    (tmp_path / "plant.key").write_bytes((tmp_path / "agent1.key").read_bytes())
+    with pytest.raises(SecurityError, match="the key that belongs to it"):
+        Security(tmp_path, names).check("plant", mode="peer")
+    with pytest.raises(ssl.SSLError):  # as TLS itself has it
+        ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT).load_cert_chain(tmp_path / "plant.pem", tmp_path / "plant.key")
+
+
+def test_passwords_need_a_router(tmp_path: Path) -> None:
+    """In a mesh nobody would know who is who: passwords are refused there, and a router needs the whole list."""
+    make_passwords(tmp_path, ["plant", "router"])
+    security = Security(tmp_path, ("plant",))
+    security.check("plant", mode="client")
+    security.check("router", mode="router")
+    with pytest.raises(SecurityError, match=r"expected network\.router with passwords"):
+        security.check("plant", mode="peer")
+    with pytest.raises(SecurityError, match=r"agent1\.password, got none"):
+        security.check("agent1", mode="client")
+    assert [file.name for file in files_of(tmp_path, "plant")] == ["plant.password"]
+    assert [file.name for file in files_of(tmp_path, "router")] == ["router.password", USERS]
+    (tmp_path / USERS).unlink()
+    with pytest.raises(SecurityError, match=r"users\.txt on the router's host"):
+        security.check("router", mode="router")
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "is_exposed"),
+    [
+        ("tcp/127.0.0.1:7447", False),
+        ("tcp/127.8.9.1:7447", False),
+        ("tcp/[::1]:7447", False),
+        ("tcp/localhost:7447", False),
+        ("tls/0.0.0.0:7447", False),
+        ("tcp/0.0.0.0:7447", True),
+        ("tcp/[::]:7447", True),
+        ("udp/192.0.2.1:7447", True),
+        ("tcp/localhost.example:7447", True),
+        ("tcp/plant:7447", True),
+    ],
+)
+def test_what_is_exposed(endpoint: str, is_exposed: bool) -> None:
+    """Whatever others can reach without TLS; a name counts as reachable unless it is this host's own."""
+    assert exposed([endpoint]) == (endpoint if is_exposed else None)

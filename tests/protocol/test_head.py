@@ -1,0 +1,164 @@
+"""Heads of messages, what is refused by them alone, and the brake for who sends too many of those."""
+
+import time
+from contextlib import suppress
+from dataclasses import replace
+
+import msgpack
+import pytest
+
+from protocol import brake
+from protocol.brake import BURST, Brake
+from protocol.codec import VERSION, encode
+from protocol.gate import Gate
+from protocol.head import Head, head_of
+from protocol.health import Offset, offset, usage
+from protocol.keys import Keys
+from protocol.messages import KINDS, MessageError, Plan
+from protocol.rejections import Rejections
+from tests import runs
+from tests.garbage import VALUES
+from tests.protocol.samples import sample
+from tests.runs import setup
+
+KEYS = Keys("head")
+
+
+@pytest.mark.parametrize("kind", KINDS.values(), ids=list(KINDS))
+def test_heads_are_those_of_the_messages(kind: type) -> None:
+    """What the head says is what the message says, of every kind."""
+    message = sample(kind)
+    expected = Head(message.kind, message.sender, message.incarnation, message.sequence, message.tick)
+    assert head_of(encode(message)) == expected
+
+
+def test_what_is_no_head() -> None:
+    """Nothing, another version and no msgpack are refused; what needs more than the head to judge is left alone."""
+    for data, reason in (
+        (b"", "malformed"),
+        (b"\xffabc", "wrong_version"),
+        (bytes([VERSION, 0x95, 0xC1]), "malformed"),
+    ):
+        with pytest.raises(MessageError) as caught:
+            head_of(data)
+        assert caught.value.reason == reason
+    whole = encode(sample(Plan))
+    for cut in range(1, 40):
+        assert head_of(whole[:cut]) in (None, head_of(whole))
+    for value in VALUES:
+        for place in range(5):
+            values = ["plan", "agent1", 0, 1, 2, 3]
+            values[place] = value
+            with suppress(MessageError):
+                head_of(bytes([VERSION]) + msgpack.packb(values))
+
+
+class Door:
+    """The plant's gate with agent 1's plan of tick 5 behind it."""
+
+    def __init__(self) -> None:
+        self.rejections = Rejections()
+        self.gate = Gate("plant", KEYS, setup(), self.rejections)
+        self.gate.announce("agent1", 1)
+        self.plan = runs.plan(setup(), 1, 5)
+        self.key = KEYS.of(self.plan)
+        assert self.hears(self.plan)
+        assert self.gate.released() is None  # it has been heard
+
+    def hears(self, plan: Plan) -> bool:
+        """Whether a plan is let in."""
+        heard = self.gate.read(self.key, encode(plan))
+        return heard is not None and encode(heard) == encode(plan)
+
+
+def test_only_what_is_over_has_passed() -> None:
+    """A replay, and a tick that has been said: counted unread. The next tick, another start, another sender: read."""
+    door = Door()
+    over = [door.plan, replace(door.plan, sequence=99), replace(door.plan, sequence=98, tick=4, start_tick=4)]
+    for message in [*over, over[0]]:
+        assert door.gate.has_passed(door.key, encode(message))
+    news = [
+        runs.plan(setup(), 1, 6),
+        replace(door.plan, incarnation=2),
+        replace(door.plan, sender="agent2", agent=1),
+    ]
+    for message in news:
+        assert not door.gate.has_passed(door.key, encode(message))
+    assert not door.gate.has_passed(KEYS.of(runs.plan(setup(), 2, 5)), encode(runs.plan(setup(), 2, 5)))
+    assert door.rejections.total == 0  # the thread that reads counts
+    door.gate.count_unread()
+    assert {(entry.sender, entry.reason): entry.count for entry in door.rejections} == {
+        ("agent1", "replayed"): 2,
+        ("agent1", "past"): 2,
+    }
+    assert door.hears(news[0])
+
+
+def test_what_has_passed_would_be_refused() -> None:
+    """Whatever is refused unread, reading refuses as well, now and after all that may come in between."""
+    for between in ((), (6,), (6, 7)):
+        for sequence in (0, 10, 11, 99):
+            for tick in (4, 5, 6):
+                door = Door()
+                message = replace(door.plan, sequence=sequence, tick=tick, start_tick=tick)
+                if not door.gate.has_passed(door.key, encode(message)):
+                    continue
+                for k in between:
+                    assert door.hears(runs.plan(setup(), 1, k))
+                assert not door.hears(message)
+
+
+def test_one_negotiation_is_not_another() -> None:
+    """Within a tick agents exchange several plans: the second of them is not the first said again."""
+    run = setup("controller.rounds=2")
+    gate = Gate("plant", KEYS, run, Rejections())
+    gate.announce("agent1", 1)
+    first = replace(runs.plan(run, 1, 5), negotiation=1)
+    assert gate.read(KEYS.of(first), encode(first)) is not None
+    assert gate.released() is None
+    assert not gate.has_passed(KEYS.of(first), encode(replace(first, sequence=first.sequence + 1, negotiation=0)))
+
+
+def test_the_brake(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A burst is free; after that one message takes as long as its share of the rate, whoever had the burst."""
+    now, slept = [100.0], list[float]()
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+
+    def sleep(length_s: float) -> None:
+        slept.append(length_s)
+        now[0] += length_s
+
+    monkeypatch.setattr(time, "sleep", sleep)
+    held = Brake()
+    for _ in range(int(BURST)):
+        held.hold()
+    assert slept == []
+    for _ in range(10 * int(BURST)):
+        held.hold()
+    assert sum(slept) == pytest.approx(10 * BURST / brake.RATE_HZ, rel=0.2)
+    now[0] += 10.0  # peace
+    slept.clear()
+    held.hold()
+    assert slept == []
+
+
+def test_clock_offset() -> None:
+    """Equal ways give the offset exactly; the error is at most half of what the ways take together (RFC 5905)."""
+    assert offset(1_000, 6_500, 6_600, 2_100) == Offset(5e-6, 5e-7)
+    for there_ns in (0, 100, 900):
+        true_ns, way_ns = -3_000, 1_000
+        asked_ns = there_ns + true_ns
+        found = offset(0, asked_ns, asked_ns + 50, way_ns + 50)
+        assert abs(found.ahead_s - true_ns / 1e9) <= found.uncertainty_s + 1e-15
+    answers = iter([None])
+    assert Offset.measured(lambda: next(answers)) is None
+
+
+def test_usage() -> None:
+    """What a process uses is told in bytes, counts and seconds, and of one that is not there nothing is."""
+    used = usage()
+    assert 1e7 < (used["memory_bytes"] or 0) < 1e11
+    assert (used["threads"] or 0) >= 1
+    assert (used["open_files"] or 0) >= 3
+    assert (used["cpu_s"] or 0) > 0.0
+    assert set(usage("0").values()) == {None}
