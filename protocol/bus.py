@@ -55,6 +55,14 @@ class Interrupted:
 BusEvent = Event | Interrupted
 
 
+@dataclass(slots=True)
+class _Data:
+    """A message as it came."""
+
+    key_expr: str
+    data: bytes
+
+
 @dataclass(frozen=True, slots=True)
 class _Oversized:
     """In the place of a sample that is too large to be kept."""
@@ -336,24 +344,26 @@ class Bus:
         size, key = len(sample.payload), str(sample.key_expr)
         if size > self._gate.max_bytes:
             self._put(_Oversized(key, size))
-        elif self._gate.has_passed(key, sample.payload.to_bytes()):
+            return
+        data = sample.payload.to_bytes()
+        if self._gate.has_passed(key, data):
             self._brake.hold()
         else:
-            self._put(sample)
+            self._put(_Data(key, data))
 
     def _put(self, item: Any) -> None:
         self._inbox.put((time.time_ns(), item))
 
-    def _event(self, sample: zenoh.Sample | _Oversized | Request) -> Event | None:
+    def _event(self, sample: "zenoh.Sample | _Data | _Oversized | Request") -> Event | None:
+        if isinstance(sample, _Data):
+            return self._gate.read(sample.key_expr, sample.data)
         if isinstance(sample, Request):  # came while this process joined
             return sample
         key = str(sample.key_expr)
         if isinstance(sample, _Oversized):
             self._gate.refuse(key, self._gate.oversized(sample.size))
             return None
-        if self._keys.is_token(key):
-            return self._presence(key, here=sample.kind == zenoh.SampleKind.PUT)
-        return self._gate.read(key, sample.payload.to_bytes())
+        return self._presence(key, here=sample.kind == zenoh.SampleKind.PUT)  # all else is a token
 
     def _presence(self, key: str, *, here: bool) -> Presence | None:
         """What a token that has appeared or disappeared says about its process."""
@@ -375,10 +385,10 @@ class Bus:
             del self._alive[token.name]
         return Presence(token.name, token.incarnation, alive=False)
 
-    def _note_alive(self, item: zenoh.Sample | _Oversized) -> bool:
+    def _note_alive(self, item: zenoh.Sample | _Data | _Oversized) -> bool:
         """Take in one liveliness sample while joining; False for anything else."""
         key = str(item.key_expr)
-        if isinstance(item, _Oversized) or not key.startswith(f"{self._keys.prefix}/alive/"):
+        if isinstance(item, _Data | _Oversized) or not key.startswith(f"{self._keys.prefix}/alive/"):
             return False
         here = item.kind == zenoh.SampleKind.PUT
         try:
