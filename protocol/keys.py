@@ -157,6 +157,10 @@ class Keys:
         """Liveliness token of a process that has seen all the others."""
         return f"{self.prefix}/ready/{name}/{incarnation}"
 
+    def is_token(self, key: str) -> bool:
+        """Whether a key is that of a liveliness token."""
+        return self.end(key).startswith(("alive/", "ready/"))
+
     def is_ready(self, key: str, name: str) -> bool:
         """Whether a key is the `ready` token of a process."""
         return key.startswith(f"{self.prefix}/ready/{name}/")
