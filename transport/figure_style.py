@@ -73,6 +73,11 @@ def shade_phases(setup: Setup, panels: list["Axes"], until_s: float, *, named: b
         named: Whether to name them.
     """
     begin = 0.0
+    # In a narrow panel names side by side would touch: a letter is about 0.6 of its size wide.
+    points_per_s = 72.0 * panels[0].get_window_extent().width / panels[0].figure.dpi / until_s
+    wide = [phase for phase in setup.maneuver.phases if phase.duration_s > _NARROW * until_s]
+    fitting = (points_per_s * phase.duration_s / (0.62 * len(phase.name)) for phase in wide)
+    size = min([8.0, *fitting])
     for number, phase in enumerate(setup.maneuver.phases):
         end = min(begin + phase.duration_s, until_s)
         if end <= begin:
@@ -89,7 +94,7 @@ def shade_phases(setup: Setup, panels: list["Axes"], until_s: float, *, named: b
                 ha="center",
                 va="bottom",
                 color="#555555",
-                fontsize=8.0,
+                fontsize=size,
             )
         begin += phase.duration_s
     for axes in panels:
