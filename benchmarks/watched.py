@@ -40,15 +40,15 @@ TEXT = (
 _HOST = "127.0.0.1"
 _WAIT_S, _LEAVE_S = 60, 10
 _CHROMIUM = ("chromium", "chromium-browser", "google-chrome")
-_HEADLESS = (
+HEADLESS = (
     "--headless=new",
     "--no-sandbox",  # of no use in a container, where it cannot be had
     "--disable-dev-shm-usage",
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
     "--window-size=900,600",
-    "--remote-debugging-port=0",  # else it ends as soon as the page is loaded
 )
+_STAYS = "--remote-debugging-port=0"  # else it ends as soon as the page is loaded
 # How long each turn takes, and how long what was frozen takes to catch up, s.
 _BLOCK_S, _SKIP_S = 2.0, 0.5
 _LOWEST = 19
@@ -72,7 +72,9 @@ def measure(effort: Effort, say: Callable[[str], None]) -> list[Table]:
             with ExitStack() as windows:
                 browsers = [
                     windows.enter_context(
-                        _started([str(chromium), *_HEADLESS, f"--user-data-dir={at}-{k}", f"http://{_HOST}:{port}"])
+                        _started(
+                            [str(chromium), *HEADLESS, _STAYS, f"--user-data-dir={at}-{k}", f"http://{_HOST}:{port}"]
+                        )
                     )
                     for k in range(3 if chromium and _wait(lambda: _listens(port), ended) else 0)
                 ]

@@ -102,7 +102,7 @@ def compile_functions(N: int) -> bool:
     Whoever calls `functions` from then on gets them compiled. That changes no bit of a result, only its time, and
     takes seconds: for whoever starts processes, before it starts them.
     """
-    path = _library_path(N)
+    path = _compiled_file(N)
     if not compiler.enabled() or compiler.find_compiler() is None:
         return False
     if compiler.intact(path):
@@ -121,7 +121,7 @@ def _source(function: ca.Function) -> str:
 
 def _compiled(N: int) -> dict[str, ca.Function]:
     """Functions that have been compiled for this processor."""
-    path = _library_path(N)
+    path = _compiled_file(N)
     if not compiler.enabled() or not compiler.intact(path):
         return {}
     library = ca.Importer(str(path), "dll")
@@ -159,8 +159,8 @@ def _cache_path(N: int) -> Path:
     return cache_folder() / f"model-N{N}-{_digest()[:16]}.casadi"
 
 
-def _library_path(N: int) -> Path:
-    return compiler.library_path(f"model-N{N}", _digest().encode(), (*_FLAGS, str(_LONGEST)))
+def _compiled_file(N: int) -> Path:
+    return compiler.compiled_file(f"model-N{N}", _digest().encode(), (*_FLAGS, str(_LONGEST)))
 
 
 def _digest() -> str:

@@ -29,7 +29,7 @@ def find_compiler() -> str | None:
     return next(filter(None, map(shutil.which, filter(None, [os.environ.get("CC"), "cc", "gcc", "clang"]))), None)
 
 
-def library_path(name: str, source: bytes, flags: Sequence[str]) -> Path:
+def compiled_file(name: str, source: bytes, flags: Sequence[str]) -> Path:
     """Where a library is kept: the name has all that may make it differ or not run, the processor too."""
     digest = hashlib.sha256(source)
     digest.update(repr((tuple(flags), _processor())).encode())

@@ -149,7 +149,7 @@ def _load() -> Any:
     if not compiler.enabled():
         return None
     source = Path(__file__).with_name("kernels.c").read_bytes()
-    path = compiler.library_path("kernels", source, _FLAGS)
+    path = compiler.compiled_file("kernels", source, _FLAGS)
     if not compiler.intact(path) and not compiler.compile_library(path, source, _FLAGS):
         return None
     try:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from transport.answers import fail
+from transport.answers import fail, read_setup
 
 if TYPE_CHECKING:
     from deploy.hosts import Inventory
@@ -37,7 +37,7 @@ def deploy_keys(
 
     Example: transport deploy keys --out keys
     """
-    setup = _setup(scenario, None)
+    setup = read_setup(scenario, None)
     try:
         from deploy.keys import LOOPBACK, OTHERS, KeysError, make_certificates, make_passwords
     except ModuleNotFoundError as error:
@@ -75,7 +75,7 @@ def deploy_render(
 
     Example: transport deploy render --hosts hosts.toml --keys keys --out deployment
     """
-    setup = _setup(scenario, settings)
+    setup = read_setup(scenario, settings)
     inventory = _inventory(hosts, setup)
     try:
         from deploy.keys import KeysError
@@ -114,7 +114,7 @@ def router(
     from protocol.process import Journal, refuse_exposed, security_of
     from protocol.security import SecurityError
 
-    setup = _setup(scenario, settings)
+    setup = read_setup(scenario, settings)
     security = security_of(setup.scenario)
     endpoints = Endpoints(listen=listen, connect=connect or [], mode="router", security=security)
     over = threading.Event()
@@ -133,17 +133,6 @@ def router(
     except BusError as error:
         fail(str(error), EXIT_LOST)
     journal.say("finished")
-
-
-def _setup(scenario: str, settings: list[str] | None) -> "Setup":
-    from protocol.scenario_file import ScenarioError, find_scenario, read_scenario
-    from protocol.setup import Setup
-
-    try:
-        path = find_scenario(scenario)
-        return Setup.of(read_scenario(path, settings or []), str(path))
-    except ScenarioError as error:
-        fail(str(error.blaming(settings or [])), EXIT_SCENARIO)
 
 
 def _inventory(path: Path, setup: "Setup") -> "Inventory":

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from transport.answers import Format, fail
+from transport.answers import Format, fail, read_setup
 from transport.compare_commands import compare
 from transport.deploy_commands import deploy_app, router
 from transport.doctor_commands import doctor
@@ -130,7 +130,7 @@ def run(
     from transport.run import RunError, fly, new_folder
 
     console = Console(stderr=True)
-    setup = _setup(scenario, settings)
+    setup = read_setup(scenario, settings)
     folder = out if out is not None else new_folder(Path("runs"), setup.scenario.name)
     with viewer_beside(folder, host, port, setup.scenario.clock.join_timeout_s) if viewed else nullcontext() as linger:
         try:
@@ -161,7 +161,7 @@ def agent(
 
     Example: transport agent --id 2
     """
-    setup = _setup(scenario, settings)
+    setup = read_setup(scenario, settings)
     if number not in setup.agents:
         known = f"1 to {len(setup.agents)} of scenario {setup.scenario.name}"
         fail(f"--id: expected an agent from {known}, got {number}", EXIT_USAGE)
@@ -186,7 +186,7 @@ def plant(
     join_timeout: JoinOption = None,
 ) -> None:
     """Run the plant: the physics and the actuators."""
-    setup = _setup(scenario, settings)
+    setup = read_setup(scenario, settings)
     place = _place(setup, "plant", run_name, listen, connect, incarnation, join_timeout)
 
     def body() -> int:
@@ -211,7 +211,7 @@ def coordinator(
     ] = None,
 ) -> None:
     """Run the coordinator: the sampling clock and the roster."""
-    setup = _setup(scenario, settings)
+    setup = read_setup(scenario, settings)
     place = _place(setup, "coordinator", run_name, listen, connect, incarnation, join_timeout)
 
     def body() -> int:
@@ -240,7 +240,7 @@ def record(
 
     from transport.run import RunError, new_folder, observe
 
-    setup = _setup(scenario, settings)
+    setup = read_setup(scenario, settings)
     place = _place(setup, "recorder", run_name, None, connect, None, join_timeout)
     folder = out if out is not None else new_folder(Path("runs"), setup.scenario.name)
     try:
@@ -257,7 +257,7 @@ def validate(scenario: ScenarioArgument, settings: SetOption = None) -> None:
     """Check a scenario and print it with every default."""
     import tomli_w
 
-    setup = _setup(scenario, settings)
+    setup = read_setup(scenario, settings)
     typer.echo(tomli_w.dumps(setup.scenario.tree()), nl=False)
     for doubt in setup.doubts():
         typer.echo(f"warning: {doubt}", err=True)
@@ -373,17 +373,6 @@ def main() -> None:
     # Whoever ends a command by SIGTERM gets what Ctrl-C gives: exit code 130, and nothing is left half done.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     app()
-
-
-def _setup(scenario: str, settings: list[str] | None) -> "Setup":
-    from protocol.scenario_file import ScenarioError, find_scenario, read_scenario
-    from protocol.setup import Setup
-
-    try:
-        path = find_scenario(scenario)
-        return Setup.of(read_scenario(path, settings or []), str(path))
-    except ScenarioError as error:
-        fail(str(error.blaming(settings or [])), EXIT_SCENARIO)
 
 
 def _place(

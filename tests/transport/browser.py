@@ -16,6 +16,7 @@ from selenium.webdriver.chrome.options import Options
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.keys import Keys
 
+from benchmarks.watched import HEADLESS
 from tests.transport.commands import wait_for
 
 _CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -28,14 +29,6 @@ needs_browser = pytest.mark.skipif(
 
 # Three.js says of one of its own parts that it will go.
 _HARMLESS = ("THREE.Clock",)
-_OPTIONS = (
-    "--headless=new",
-    "--no-sandbox",  # of no use in a container, where it cannot be had
-    "--disable-dev-shm-usage",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--window-size=900,600",
-)
 
 
 class Browser:
@@ -104,7 +97,7 @@ def browser() -> Iterator[Browser]:
     """A browser that is gone afterwards."""
     options = Options()
     options.binary_location = str(_CHROMIUM)
-    for option in _OPTIONS:
+    for option in HEADLESS:
         options.add_argument(option)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
     driver = webdriver.Chrome(options=options, service=Service(str(_DRIVER)))
