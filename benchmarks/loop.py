@@ -24,7 +24,8 @@ TEAMS = (
     "`resilient` made into teams of N, flown with `transport run` as fast as it goes; wall-clock times in ms. A tick: "
     "mean. An agent's step, and all of a tick but the slowest step (`network_ms`): median (99th percentile). Floor: "
     "three messages one after the other, as many as wait for each other in a tick, over a bare pipe between two "
-    "processes, {size} bytes each, right before and after. Memory: peaks, of the largest agent and of the recorder."
+    "processes, {size} bytes each, right before and after. Memory: peaks of the largest agent and of the "
+    "recorder; of what processes share, each has its share."
 )
 MANEUVER = "The same {seconds:g} s of `paper` with processes and in memory, wall-clock time."
 RECORDING = (

@@ -12,6 +12,7 @@ from typing import Any
 import tomli_w
 
 from benchmarks.page import BenchmarkError
+from protocol.health import command_of
 from protocol.process import mesh, process_names
 from protocol.setup import Setup
 from transport.harness import Harness, free_ports
@@ -29,7 +30,7 @@ class Run:
     Attributes:
         summary: Its summary.json.
         tick_ms: Wall-clock time of a tick, mean.
-        memory_MB: Peak resident memory by process, that of the recorder's process under "recorder".
+        memory_MB: Most memory by process, of what several share its share; the recorder's process under "recorder".
     """
 
     summary: dict[str, Any]
@@ -56,7 +57,8 @@ def recorded(setup: Setup, folder: Path) -> Run:
                 while run.poll() is None:
                     if time.monotonic() > deadline:
                         raise BenchmarkError(f"{' '.join(command)}: expected to end in {_PATIENCE_S:g} s, it did not")
-                    memory_MB |= _memory_MB(run.pid)
+                    for name, share in _memory_MB(run.pid).items():
+                        memory_MB[name] = max(share, memory_MB.get(name, 0.0))
                     time.sleep(_LOOK_EVERY_S)
             finally:
                 if run.poll() is None:
@@ -120,7 +122,7 @@ def _end(run: subprocess.Popen[bytes]) -> None:
 
 
 def _memory_MB(parent: int) -> dict[str, float]:
-    """Peak resident memory until now of a run's processes, by name; nothing where the system does not tell."""
+    """Memory of a run's processes by name, of what several share its share; nothing where the system does not tell."""
     found = {}
     try:
         children = Path(f"/proc/{parent}/task/{parent}/children").read_text(encoding="utf-8").split()
@@ -128,13 +130,13 @@ def _memory_MB(parent: int) -> dict[str, float]:
         return {}
     for pid in [str(parent), *children]:
         try:
-            words = Path(f"/proc/{pid}/cmdline").read_text(encoding="utf-8").split("\0")
-            status = Path(f"/proc/{pid}/status").read_text(encoding="utf-8")
+            shares = Path(f"/proc/{pid}/smaps_rollup").read_text(encoding="utf-8")
         except OSError:
             continue  # it has ended
-        peak = [line.split()[1] for line in status.splitlines() if line.startswith("VmHWM:")]
-        if peak and "transport" in words:
-            found[_name(words)] = float(peak[0]) * 1024 / 1e6
+        share = [line.split()[1] for line in shares.splitlines() if line.startswith("Pss:")]
+        words = command_of(pid)
+        if share and "transport" in words:
+            found[_name(words)] = float(share[0]) * 1024 / 1e6
     return found
 
 

@@ -21,7 +21,7 @@ from tempfile import TemporaryDirectory
 from mcap.reader import make_reader
 
 from benchmarks.page import BenchmarkError, Table
-from protocol.health import usage
+from protocol.health import command_of, usage
 from protocol.keys import RECORDER
 from transport import live
 from transport.run import machine
@@ -174,7 +174,7 @@ def _children(parent: int) -> dict[str, int]:
     """Processes of a run by name, from the system's own table."""
     found = {}
     for number in (Path("/proc") / str(parent) / "task" / str(parent) / "children").read_text().split():
-        words = (Path("/proc") / number / "cmdline").read_bytes().decode().split("\0")
+        words = command_of(number)
         if "transport" in words:
             role = words[words.index("transport") + 1]
             found[f"agent{words[words.index('--id') + 1]}" if role == "agent" else role] = int(number)

@@ -25,7 +25,8 @@ from deploy.hosts import Host, Inventory, Posting, postings
 from deploy.keys import LOOPBACK, OTHERS, KeysError, make_certificates
 from deploy.render import RenderError, command, render
 from protocol.keys import RECORDER
-from protocol.process import ENVIRONMENT, EXIT_INTERRUPTED, process_names
+from protocol.parent import ENVIRONMENT
+from protocol.process import EXIT_INTERRUPTED, process_names
 from protocol.scenario_file import ScenarioError, find_scenario, read_scenario
 from protocol.setup import Setup
 

@@ -16,7 +16,8 @@ from deploy.hosts import Host, Inventory, Posting, postings
 from deploy.keys import files_of
 from protocol.bus import configuration
 from protocol.keys import OPERATOR, RECORDER, ROUTER, WATCHER, Keys
-from protocol.process import ENVIRONMENT, PATIENCE_S, process_names
+from protocol.parent import ENVIRONMENT
+from protocol.process import PATIENCE_S, process_names
 from protocol.security import AUTHORITY, Security
 from protocol.setup import Setup
 

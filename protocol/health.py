@@ -78,3 +78,16 @@ def usage(process: str = "self") -> dict[str, float | int | None]:
         }
     except (OSError, ValueError, IndexError):
         return dict.fromkeys(("memory_bytes", "threads", "open_files", "cpu_s"))
+
+
+def command_of(process: str) -> list[str]:
+    """Words of a process's command line, or of the title it has given itself; none when it has ended.
+
+    Args:
+        process: Its id.
+    """
+    try:
+        content = (Path("/proc") / process / "cmdline").read_bytes()
+    except OSError:
+        return []
+    return content.replace(b"\0", b" ").decode(errors="replace").split()

@@ -1,4 +1,4 @@
-"""A process that was started by another of this project ends with it, and begins when that one says so."""
+"""A process that was started by another of this project: its environment, its begin and its end are that one's."""
 
 import ctypes
 import os
@@ -10,6 +10,17 @@ from contextlib import suppress
 PARENT_PIPE = "PAYLOAD_TRANSPORT_PARENT_PIPE"
 # Set by a parent for a child that is to be ready ahead of its time: it waits for a byte on its standard input.
 STANDBY = "PAYLOAD_TRANSPORT_STANDBY"
+
+# One thread for linear algebra per process, and few for Zenoh: a run has more processes than a host has cores.
+# Three that receive: one is held up for seconds when the connection to a frozen process is given up, as closing it
+# waits for the frozen one to read, and meanwhile everybody else must be heard.
+ENVIRONMENT = {
+    "OPENBLAS_NUM_THREADS": "1",
+    "OMP_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    "ZENOH_RUNTIME": "(rx:(worker_threads:3),acc:(handover:net),app:(handover:net))",
+    "PYTHONUNBUFFERED": "1",
+}
 
 _PR_SET_PDEATHSIG = 1  # <sys/prctl.h>
 

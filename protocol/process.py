@@ -31,17 +31,6 @@ from protocol.setup import Setup
 EXIT_INTERRUPTED = 130
 DEFAULT_BASE_PORT = 7447
 
-# One thread for linear algebra per process, and few for Zenoh: a run has more processes than a host has cores.
-# Three that receive: one is held up for seconds when the connection to a frozen process is given up, as closing it
-# waits for the frozen one to read, and meanwhile everybody else must be heard.
-ENVIRONMENT = {
-    "OPENBLAS_NUM_THREADS": "1",
-    "OMP_NUM_THREADS": "1",
-    "MKL_NUM_THREADS": "1",
-    "ZENOH_RUNTIME": "(rx:(worker_threads:3),acc:(handover:net),app:(handover:net))",
-    "PYTHONUNBUFFERED": "1",
-}
-
 # Between collections of what reference counting does not free.
 _COLLECT_EVERY = 256
 # How long a peer that does not read may hold up the others before the link to it is closed, by clock mode.

@@ -2,6 +2,8 @@
 
 import sys
 from enum import StrEnum
+from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import typer
@@ -37,14 +39,31 @@ def read_setup(scenario: str, settings: list[str] | None) -> "Setup":
         scenario: File, or name of a ready one.
         settings: Changes, KEY=VALUE.
     """
-    from protocol.scenario_file import ScenarioError, find_scenario, read_scenario
-    from protocol.setup import Setup
+    from protocol.scenario_file import ScenarioError, find_scenario
 
     try:
         path = find_scenario(scenario)
-        return Setup.of(read_scenario(path, settings or []), str(path))
+        return _setup(path, tuple(settings or ()), _written(path))
     except ScenarioError as error:
         fail(str(error.blaming(settings or [])), EXIT_SCENARIO)
+
+
+def _written(path: Path) -> tuple[int, ...]:
+    """What changes when a file is written anew; nothing where there is none."""
+    try:
+        found = path.stat()
+    except OSError:
+        return ()
+    return found.st_ino, found.st_size, found.st_mtime_ns
+
+
+@lru_cache(maxsize=1)
+def _setup(path: Path, settings: tuple[str, ...], _: tuple[int, ...]) -> "Setup":
+    """A file's run, remembered until the file is written anew."""
+    from protocol.scenario_file import read_scenario
+    from protocol.setup import Setup
+
+    return Setup.of(read_scenario(path, settings), str(path))
 
 
 def show_json(content: Any) -> None:

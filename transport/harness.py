@@ -1,6 +1,5 @@
 """The local harness: starts the processes of a run, watches them, and always cleans them up."""
 
-import os
 import signal
 import socket
 import subprocess
@@ -17,7 +16,7 @@ from coordinator.node import EXIT_DIVERGED, EXIT_INTERRUPTED, EXIT_OVERRUN
 from protocol.bus import Endpoints
 from protocol.outbox import EXIT_LOST
 from protocol.parent import PARENT_PIPE, STANDBY
-from protocol.process import ENVIRONMENT
+from transport.fork_server import Started, fork_server
 
 # Exit codes of a process that has seen its run's end.
 _ENDS = {0, EXIT_LOST, EXIT_OVERRUN, EXIT_DIVERGED, EXIT_INTERRUPTED}
@@ -42,7 +41,7 @@ class Child:
     """
 
     name: str
-    process: subprocess.Popen[bytes]
+    process: Started
     log: Path
     incarnation: int = 0
 
@@ -175,15 +174,8 @@ class Harness:
     def _start(self, name: str, observers: Sequence[str], incarnation: int = 0, *, standby: bool = False) -> Child:
         log = self.logs / (f"{name}.log" if incarnation == 0 else f"{name}-{incarnation}.log")
         output: IO[bytes] = self._files.enter_context(log.open("wb"))
-        process = subprocess.Popen(
-            [sys.executable, "-m", "transport", *self._arguments(name, observers, incarnation)],
-            stdin=subprocess.PIPE,
-            stdout=output,
-            stderr=subprocess.STDOUT,
-            env={**ENVIRONMENT, **os.environ, PARENT_PIPE: "1", STANDBY: "1" if standby else ""},
-            # A session of its own: Ctrl-C reaches this process, which ends the run in order.
-            start_new_session=True,
-        )
+        extra = {PARENT_PIPE: "1", STANDBY: "1" if standby else ""}
+        process = fork_server().start(self._arguments(name, observers, incarnation), output, extra)
         return Child(name, process, log, incarnation)
 
     def _arguments(self, name: str, observers: Sequence[str], incarnation: int) -> list[str]:

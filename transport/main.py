@@ -124,6 +124,10 @@ def run(
 
     Example: transport run paper --set controller.relaxation=0.5 --out runs/relaxed
     """
+    from transport.fork_server import fork_server
+
+    fork_server()  # imports for the processes of the run, while this one does so for itself
+
     from rich.console import Console
 
     from transport.harness import HarnessError
@@ -372,7 +376,7 @@ def main() -> None:
     """Entry point of the command `transport`."""
     # Whoever ends a command by SIGTERM gets what Ctrl-C gives: exit code 130, and nothing is left half done.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    app()
+    app(prog_name="transport")
 
 
 def _place(

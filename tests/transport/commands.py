@@ -8,6 +8,8 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 from pathlib import Path
 
+from protocol.health import command_of
+
 # A maneuver short enough for tests that start processes: 1.5 s, 30 ticks.
 SHORT = (
     "maneuver.phase=["
@@ -58,10 +60,10 @@ def processes_of(run: str) -> dict[str, int]:
         if not entry.name.isdigit():
             continue
         try:
-            words = (entry / "cmdline").read_bytes().decode().split("\0")
             state = (entry / "stat").read_text().rsplit(")", 1)[1].split()[0]
         except (OSError, IndexError):
             continue
+        words = command_of(entry.name)
         if state == "Z" or "--run" not in words or words[words.index("--run") + 1] != run:
             continue
         role = words[words.index("transport") + 1]

@@ -20,6 +20,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from protocol.health import command_of
+
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
@@ -245,10 +247,10 @@ def processes_of(run: str) -> dict[str, int]:
         if not entry.name.isdecimal():
             continue
         try:
-            words = (entry / "cmdline").read_bytes().decode(errors="replace").split("\0")
             state = (entry / "stat").read_text().rsplit(")", 1)[1].split()[0]
         except (OSError, IndexError):
             continue
+        words = command_of(entry.name)
         if state == "Z" or "--run" not in words or words[words.index("--run") + 1 :][:1] != [run]:
             continue
         role = words[words.index("transport") + 1] if "transport" in words else words[0]
