@@ -9,9 +9,9 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from protocol.bus import Endpoints
 from protocol.keys import RECORDER, ROUTER
 from protocol.process import DEFAULT_BASE_PORT
+from protocol.session import Endpoints
 
 
 class InventoryError(ValueError):

@@ -14,11 +14,11 @@ import tomli_w
 
 from deploy.hosts import Host, Inventory, Posting, postings
 from deploy.keys import files_of
-from protocol.bus import configuration
 from protocol.keys import OPERATOR, RECORDER, ROUTER, WATCHER, Keys
 from protocol.parent import ENVIRONMENT
 from protocol.process import PATIENCE_S, process_names
 from protocol.security import AUTHORITY, Security
+from protocol.session import configuration
 from protocol.setup import Setup
 
 # Where things are on a host, as install.sh puts them.

@@ -1,52 +1,36 @@
 """The Zenoh bus: one session per process, one inbox, liveliness in and out.
 
 Everything that arrives (messages, tokens, signals) goes through one queue in arrival order and is handled
-by the one thread that asks for it; Zenoh's own threads only enqueue. Configuration is in one place, here.
+by the one thread that asks for it; Zenoh's own threads only enqueue.
 """
 
 import json
 import queue
-import threading
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Literal
+from typing import Any
 
 import zenoh
 
 from protocol.brake import Brake
-from protocol.codec import MAX_BYTES, VERSION, encode
+from protocol.codec import VERSION, encode
 from protocol.gate import Gate
 from protocol.health import Offset, usage
-from protocol.keys import ACTING, OPERATOR, ROUTER, WATCHER, Keys
+from protocol.keys import WATCHER, Keys
 from protocol.messages import Event, Message, MessageError, Presence, Request
-from protocol.security import Security, SecurityError
-
-# Closing can block for as long as a peer does not read (zenoh issue 2675); a process that has said all it
-# had to say does not wait for that longer than this.
-_CLOSE_S = 2.0
+from protocol.session import CLOSE_S, BusError, Endpoints, asked, in_bounded_time, log_errors, open_session
 
 # How long messages that are all refused may keep a process from what it has to do at a certain time.
 _FLOOD_S = 0.01
-
-# What Zenoh puts together for us at most; from the gate's limit up to here it is counted, beyond it just dropped.
-_MAX_RECEIVED_BYTES = 2 * MAX_BYTES
 
 # More messages than this in so short a time is more than a process of any run is told as fast as that goes: from then
 # on they are looked at as they come.
 _WINDOW, _WINDOW_NS = 128, 16_000_000
 
-# How long a client tries to connect at a time.
-_TRY_MS = 500
-
 # How often a process that joins a run that has begun asks whom it still has to wait for.
 _ASK_EVERY_S = 0.5
-
-
-class BusError(RuntimeError):
-    """The network cannot be used: the text says what was tried and what to do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,23 +49,6 @@ class _Oversized:
 
     key_expr: str
     size: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Endpoints:
-    """Where a process listens and whom it calls.
-
-    Attributes:
-        listen: Zenoh endpoints such as "tcp/127.0.0.1:7447"; none for an observer or a client.
-        connect: Endpoints of the processes it connects to; each pair of processes is connected once.
-        mode: A peer of the mesh, the client of a router, or a router.
-        security: Keys and what they allow; None where everybody who can connect may say everything.
-    """
-
-    listen: Sequence[str]
-    connect: Sequence[str]
-    mode: Literal["peer", "client", "router"] = "peer"
-    security: Security | None = None
 
 
 class Bus:
@@ -131,8 +98,8 @@ class Bus:
         self._tokens: list[zenoh.LivelinessToken] = []
         self._gate, self._brake = gate, Brake()
         self._came, self._window_ns, self._flooded = 0, 0, False
-        _log(to_output=name not in ("recorder", WATCHER))
-        self._session = _open(endpoints, patience_s, name, self._keys, reach_s)
+        log_errors(to_output=name not in ("recorder", WATCHER))
+        self._session = open_session(endpoints, patience_s, name, self._keys, reach_s)
         # Subscribers before the token: whoever sees the token may send at once, and nothing is lost.
         self._subscribers = [
             self._session.declare_subscriber(key, _directly(self._arrived)) for key in self._keys.subscriptions(name)
@@ -220,7 +187,7 @@ class Bus:
         self, name: str, what: str, given: Mapping[str, Any] | None = None, timeout_s: float = 5.0
     ) -> Mapping[str, Any] | None:
         """Ask a process for something and wait for its answer, or None if it does not give one in time."""
-        return _asked(self._session, self._keys.request(name, what), given or {}, timeout_s)
+        return asked(self._session, self._keys.request(name, what), given or {}, timeout_s)
 
     def publish(self, message: Message) -> None:
         """Send a message to whoever listens; blocks rather than drops when a peer is slow."""
@@ -264,7 +231,7 @@ class Bus:
 
     def wait_gone(self, names: Collection[str]) -> None:
         """Wait, within bounded time, until the named processes have left: what was said last has reached them."""
-        deadline = time.monotonic() + _CLOSE_S
+        deadline = time.monotonic() + CLOSE_S
         while set(names) & set(self._alive) and time.monotonic() < deadline:
             self.next(max(0.0, deadline - time.monotonic()))
 
@@ -274,7 +241,7 @@ class Bus:
 
     def close(self) -> None:
         """Undeclare everything and close the session, within bounded time."""
-        _in_bounded_time(self._close)
+        in_bounded_time(self._close)
 
     def _close(self) -> None:
         for token in self._tokens:
@@ -414,158 +381,6 @@ class Bus:
         return True
 
 
-def ask(
-    run: str,
-    connect: Sequence[str],
-    name: str,
-    what: str,
-    given: Mapping[str, Any],
-    timeout_s: float = 5.0,
-    security: Security | None = None,
-) -> Mapping[str, Any]:
-    """Ask a process of a run for something, from outside.
-
-    Args:
-        run: Name of the run.
-        connect: Endpoints of its processes, or of their router.
-        name: Process to ask.
-        what: Request; see docs/protocol.md.
-        given: Its arguments.
-        timeout_s: How long to look for the process, and how long to wait for its answer.
-        security: Keys of who asks, an operator or, for what changes nothing, a watcher.
-    Raises: BusError: there is no such process, or it does not answer.
-    """
-    keys = Keys(run)
-    _log(to_output=False)
-    # One endpoint may be a process or a router; a client is at home with both.
-    endpoints = Endpoints(listen=[], connect=connect, mode="client" if len(connect) == 1 else "peer", security=security)
-    deadline = time.monotonic() + timeout_s
-    session = _open(endpoints, 1.0, OPERATOR if what in ACTING else WATCHER, keys, timeout_s)
-    try:
-        while not any(reply.ok for reply in session.liveliness().get(f"{keys.prefix}/alive/{name}/**", timeout=1.0)):
-            if time.monotonic() > deadline:
-                raise BusError(f"no sign of {name} of run {run} within {timeout_s:g} s; tried {', '.join(connect)}")
-            time.sleep(0.02)
-        answer = _asked(session, keys.request(name, what), given, timeout_s)
-    finally:
-        _in_bounded_time(session.close)
-    if answer is None:
-        raise BusError(f"{name} of run {run} does not answer")
-    return answer
-
-
-def _log(*, to_output: bool) -> None:
-    """Let Zenoh write its errors to standard output, or leave that to RUST_LOG where a command's results go there."""
-    if to_output:
-        zenoh.init_log_from_env_or("error")
-    else:
-        zenoh.try_init_log_from_env()  # type: ignore[no-untyped-call]
-
-
 def _directly(callback: Callable[[zenoh.Sample], None]) -> "zenoh.handlers.Callback[zenoh.Sample]":
     """A callback on the thread that receives, which has to be short: otherwise each message passes through one more."""
     return zenoh.handlers.Callback(callback, indirect=False)
-
-
-def _in_bounded_time(close: Callable[[], Any]) -> None:
-    """Close something, or leave it to the end of the process when a peer that does not read holds it up."""
-
-    def run() -> None:
-        with suppress(zenoh.ZError):  # "timed out"
-            close()
-
-    closer = threading.Thread(target=run, daemon=True)
-    closer.start()
-    closer.join(_CLOSE_S)
-
-
-def _asked(session: zenoh.Session, key: str, request: Mapping[str, Any], timeout_s: float) -> Mapping[str, Any] | None:
-    """The answer to a request, or None if there is none in time."""
-    for reply in session.get(key, payload=json.dumps(request), timeout=timeout_s):
-        if reply.ok is not None:
-            answer: Mapping[str, Any] = json.loads(reply.ok.payload.to_string())
-            return answer
-    return None
-
-
-@contextmanager
-def route(endpoints: Endpoints) -> Iterator[None]:
-    """Pass on what the clients of any run say to each other, as long as the context is open.
-
-    Args:
-        endpoints: Where to listen, and other routers to call.
-    Raises: BusError: the endpoint cannot be listened on, or the keys not used.
-    """
-    _log(to_output=True)
-    session = _open(endpoints, 1.0, ROUTER, Keys.below("transport/*"), 0.0)
-    try:
-        yield
-    finally:
-        _in_bounded_time(session.close)
-
-
-def _open(endpoints: Endpoints, patience_s: float, name: str, keys: Keys, reach_s: float) -> zenoh.Session:
-    """A session under a name.
-
-    Raises: BusError: the endpoint cannot be listened on, the router not reached, or the keys not used.
-    """
-    try:
-        text = json.dumps(configuration(endpoints, patience_s, name, keys))
-    except SecurityError as error:
-        raise BusError(str(error)) from error
-    deadline = time.monotonic() + reach_s
-    while True:
-        try:
-            return zenoh.open(zenoh.Config.from_json5(text))
-        except zenoh.ZError as error:
-            if endpoints.mode != "client":
-                raise BusError(_listen_problem(endpoints, str(error))) from error
-            if time.monotonic() > deadline:
-                where = ", ".join(endpoints.connect)
-                raise BusError(
-                    f"{name}: no router lets it in at {where} within {reach_s:g} s ({str(error)[:200]})"
-                ) from error
-
-
-def configuration(endpoints: Endpoints, patience_s: float, name: str, keys: Keys) -> dict[str, Any]:
-    """Zenoh's configuration of a process: fixed endpoints, no discovery, fast retries, patience until `join` gives up.
-
-    Args:
-        endpoints: Where it is, with which keys.
-        patience_s: How long sending may wait for a peer that does not read.
-        name: The process's.
-        keys: Key expressions of its run.
-    Raises: SecurityError: keys that it cannot use.
-    """
-    found: dict[str, Any] = {
-        "mode": endpoints.mode,
-        "listen": {"endpoints": list(endpoints.listen), "exit_on_failure": True},
-        "connect": {
-            "endpoints": list(endpoints.connect),
-            # A client is nothing without its router, and tries again by itself (`_open`), where Ctrl-C is heard.
-            "timeout_ms": _TRY_MS if endpoints.mode == "client" else -1,
-            "exit_on_failure": endpoints.mode == "client",
-            "retry": {"period_init_ms": 50, "period_max_ms": 200, "period_increase_factor": 1.5},
-        },
-        "transport": {
-            "link": {
-                "rx": {"max_message_size": _MAX_RECEIVED_BYTES},
-                "tx": {"queue": {"congestion_control": {"block": {"wait_before_close": round(patience_s * 1e6)}}}},
-            }
-        },
-        "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
-    }
-    if endpoints.security is not None:
-        secure = endpoints.security.configuration(name, keys.prefix, mode=endpoints.mode)
-        transport = secure["transport"]
-        found["transport"]["link"] |= transport.pop("link", {})
-        found["transport"] |= transport
-        found |= {key: value for key, value in secure.items() if key != "transport"}
-    return found
-
-
-def _listen_problem(endpoints: Endpoints, detail: str) -> str:
-    where = ", ".join(endpoints.listen)
-    if "in use" in detail:
-        return f"{where}: address already in use; choose another base port, or end the process that has it"
-    return f"{where}: cannot listen ({detail[:200]})"

@@ -15,7 +15,7 @@ from typing import Any
 
 import threadpoolctl
 
-from protocol.bus import Bus, Endpoints, Interrupted
+from protocol.bus import Bus, Interrupted
 from protocol.faults import Fault, due
 from protocol.gate import Gate
 from protocol.keys import RECORDER, Keys
@@ -26,6 +26,7 @@ from protocol.parent import PARENT_PIPE
 from protocol.rejections import Notices
 from protocol.scenario import Scenario
 from protocol.security import Security, SecurityError, exposed
+from protocol.session import Endpoints
 from protocol.setup import Setup
 
 EXIT_INTERRUPTED = 130

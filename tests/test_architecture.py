@@ -120,9 +120,9 @@ def test_nodes_do_no_io(path: Path) -> None:
         assert not top(imports(file)) & OUTSIDE_WORLD, named(file)
 
 
-def test_only_the_bus_knows_zenoh() -> None:
-    """Zenoh is imported in one place."""
-    assert [named(path) for path in SOURCES if "zenoh" in top(imports(path))] == ["protocol/bus.py"]
+def test_only_sessions_and_bus_know_zenoh() -> None:
+    """Zenoh is imported in one place: its sessions, and what a process does with one."""
+    assert [named(path) for path in SOURCES if "zenoh" in top(imports(path))] == ["protocol/bus.py", "protocol/session.py"]
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=named)

@@ -109,10 +109,10 @@ def router(
     """
     import threading
 
-    from protocol.bus import BusError, Endpoints, route
     from protocol.keys import ROUTER
     from protocol.process import Journal, refuse_exposed, security_of
     from protocol.security import SecurityError
+    from protocol.session import BusError, Endpoints, route
 
     setup = read_setup(scenario, settings)
     security = security_of(setup.scenario)

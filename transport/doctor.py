@@ -151,11 +151,12 @@ def ports(setup: Setup) -> Check:
 
 def network(setup: Setup) -> Check:
     """Two Zenoh sessions on the loopback interface: whether one finds the other, and how long a question takes."""
-    from protocol.bus import Bus, Endpoints
+    from protocol.bus import Bus
     from protocol.gate import Gate
     from protocol.keys import WATCHER, Keys
     from protocol.messages import Request
     from protocol.rejections import Rejections
+    from protocol.session import Endpoints
     from transport.harness import free_ports
 
     run, host = "doctor", setup.scenario.network.host

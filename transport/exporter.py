@@ -9,7 +9,7 @@ import typer
 from transport.answers import fail
 
 if TYPE_CHECKING:
-    from protocol.bus import Endpoints
+    from protocol.session import Endpoints
 
 EXIT_USAGE, EXIT_SCENARIO = 2, 3
 
@@ -45,7 +45,7 @@ class Exporter:
 
     def health(self, name: str) -> dict[str, Any] | None:
         """How a process is, or None if it does not say so in time."""
-        from protocol.bus import BusError, ask
+        from protocol.session import BusError, ask
 
         place = self._places[name]
         try:
@@ -125,8 +125,8 @@ def asked_places(scenario: Any, connect: Sequence[str] | None = None) -> "dict[s
         connect: Endpoints in place of the usual ones, in the order of the mesh.
     Raises: SecurityError: keys that cannot be used.
     """
-    from protocol.bus import Endpoints
     from protocol.process import default_mesh, process_names, security_of
+    from protocol.session import Endpoints
 
     names = process_names(scenario)
     usual = default_mesh(scenario)

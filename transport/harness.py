@@ -13,9 +13,9 @@ from types import TracebackType
 from typing import IO
 
 from coordinator.node import EXIT_DIVERGED, EXIT_INTERRUPTED, EXIT_OVERRUN
-from protocol.bus import Endpoints
 from protocol.outbox import EXIT_LOST
 from protocol.parent import PARENT_PIPE, STANDBY
+from protocol.session import Endpoints
 from transport.fork_server import Started, fork_server
 
 # Exit codes of a process that has seen its run's end.

@@ -416,7 +416,7 @@ def _place(
 
 
 def _process(body: "Callable[[], int]") -> None:
-    from protocol.bus import BusError
+    from protocol.session import BusError
 
     try:
         code = body()

@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Collection
 
-from protocol.bus import Bus, BusError, Endpoints, Interrupted
+from protocol.bus import Bus, Interrupted
 from protocol.claims import Claims, check_moment
 from protocol.gate import Gate
 from protocol.keys import Keys
@@ -28,6 +28,7 @@ from protocol.messages import (
 )
 from protocol.outbox import Outbox
 from protocol.rejections import Notices, Rejections
+from protocol.session import BusError, Endpoints
 from protocol.setup import Setup
 from transport.log import LogError, LogWriter
 

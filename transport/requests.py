@@ -40,9 +40,9 @@ def request(
     Returns: The answer.
     Raises: RefusedError, UnansweredError.
     """
-    from protocol.bus import BusError, ask
     from protocol.keys import ROUTER
     from protocol.security import Security
+    from protocol.session import BusError, ask
 
     security = None if keys is None else Security(keys.resolve(), (name, ROUTER))
     try:

@@ -19,10 +19,10 @@ from rich.console import Console
 
 from model import native
 from model.compiled import compile_functions
-from protocol.bus import BusError, Endpoints
 from protocol.keys import RECORDER, Keys
 from protocol.process import EXIT_INTERRUPTED, Place, places, process_names
 from protocol.security import SecurityError
+from protocol.session import BusError, Endpoints
 from protocol.setup import Setup
 from transport import live
 from transport.fault_script import FaultScript

@@ -71,7 +71,7 @@ def top(
 
     Example: transport top --run runs/20260102-101500-paper
     """
-    from protocol.bus import BusError
+    from protocol.session import BusError
 
     if output is Format.json and not once:
         fail("--format json: expected it with --once, got it without", EXIT_USAGE)
@@ -132,11 +132,12 @@ def _folder(run: str | None) -> Path | None:
 
 
 def _listen(flight: _Flight) -> "Bus":
-    from protocol.bus import Bus, Endpoints
+    from protocol.bus import Bus
     from protocol.gate import Gate
     from protocol.keys import WATCHER, Keys
     from protocol.process import security_of
     from protocol.rejections import Rejections
+    from protocol.session import Endpoints
 
     # It never joins: it declares no token, so that nobody counts on it.
     return Bus(

@@ -9,13 +9,14 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from protocol.bus import Bus, Endpoints
+from protocol.bus import Bus
 from protocol.codec import VERSION, encode
 from protocol.gate import Gate
 from protocol.keys import ACTING, OPERATOR, ROUTER, WATCHER, Keys
 from protocol.messages import KINDS, Message, agent_name
 from protocol.rejections import Rejections
 from protocol.security import Security, access_control
+from protocol.session import Endpoints
 from tests import attack, runs
 from tests.deploy.keyrings import keyring
 from tests.protocol.samples import sample

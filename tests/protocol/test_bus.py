@@ -13,12 +13,13 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from protocol.bus import Bus, BusError, Endpoints
+from protocol.bus import Bus
 from protocol.codec import VERSION, encode
 from protocol.gate import Gate
 from protocol.keys import Keys
 from protocol.messages import Presence
 from protocol.rejections import Rejections
+from protocol.session import BusError, Endpoints
 from tests import runs
 from tests.runs import setup
 from tests.transport.commands import free_base
@@ -173,7 +174,8 @@ def test_a_flood_holds_nobody_up(network: tuple[Plant, zenoh.Session]) -> None:
 
 SPEAKS = """
 import sys, time
-from protocol.bus import Bus, BusError, Endpoints
+from protocol.bus import Bus
+from protocol.session import BusError, Endpoints
 from protocol.gate import Gate
 from protocol.keys import Keys
 from protocol.rejections import Rejections

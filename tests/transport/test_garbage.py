@@ -12,12 +12,12 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from protocol.bus import Endpoints
 from protocol.codec import encode
 from protocol.gate import Gate
 from protocol.keys import Keys
 from protocol.messages import Message, Reason, Rejected, agent_name
 from protocol.rejections import MAX_SENDERS, Rejections
+from protocol.session import Endpoints
 from protocol.setup import Setup
 from tests import runs
 from tests.garbage import Garbage

@@ -8,11 +8,12 @@ from typing import Any
 
 import pytest
 
-from protocol.bus import BusEvent, Endpoints
+from protocol.bus import BusEvent
 from protocol.codec import encode
 from protocol.gate import Gate
 from protocol.keys import Keys
 from protocol.messages import Control, LinkChange, Message, Presence, Rejected
+from protocol.session import Endpoints
 from protocol.setup import Setup
 from tests import runs
 from tests.protocol.samples import sample
