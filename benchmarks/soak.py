@@ -2,8 +2,7 @@
 
 All processes of a run hover at the pace of the clock, and the system is asked for what each uses. What is compared is
 the first and the last third of the time after the first tenth of it: by then caches are full. Exit code 0 only if
-memory is flat (the recorder's but for the index of its log), threads and open files are as many as before, and no more
-deadlines are missed than before.
+memory is flat, threads and open files are as many as before, and no more deadlines are missed than before.
 """
 
 import argparse
@@ -31,9 +30,6 @@ _WARM_UP = 0.1
 
 # Memory is flat if its median grows by no more than this over two thirds of the time: what an allocator wavers by.
 GROWTH, GROWTH_BYTES = 0.02, 2 * 1024**2
-
-# The recorder keeps the index of the log's chunks, one or a few of them per tick, until it writes it at the end.
-INDEX_BYTES_PER_TICK = 1536
 
 # Threads of a pool that has nothing to do come and go.
 THREADS = 2
@@ -100,9 +96,7 @@ def judge(records: Mapping[str, Record], missed: Sequence[int]) -> tuple[Table, 
         for what, values in (("memory", record.memory), ("threads", record.threads), ("files", record.files)):
             first, last = thirds(values)
             cells.append(_cell(what, first, last))
-            index = 2 / 3 * INDEX_BYTES_PER_TICK * len(missed) if name == RECORDER else 0.0
-            flat = max(GROWTH * first, GROWTH_BYTES)
-            allowed = {"memory": flat + index, "threads": THREADS, "files": 0.0}[what]
+            allowed = {"memory": max(GROWTH * first, GROWTH_BYTES), "threads": THREADS, "files": 0.0}[what]
             if last - first > allowed:
                 wrong.append(f"{name}: {what} {cells[-1]}")
         rows.append([name, *cells])
