@@ -38,6 +38,7 @@ THREADS = 2
 MISSES = 0.02
 
 _PATIENCE_S = 60.0
+_OUTPUT = "output.log"
 
 
 @dataclass(slots=True)
@@ -70,7 +71,7 @@ def soak(minutes: float, every_s: float, settings: Sequence[str], folder: Path) 
     chosen = ["clock.mode=realtime", "clock.speed=1", hover, *settings]
     words = [sys.executable, "-m", "transport", "run", "resilient", "--out", str(folder), "--no-figures"]
     words += [part for setting in chosen for part in ("--set", setting)]
-    with (folder.parent / "output.log").open("wb") as output:
+    with (folder.parent / _OUTPUT).open("wb") as output:
         run = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=output, stderr=output)
     try:
         records = _watched(run, folder, every_s)
@@ -79,7 +80,7 @@ def soak(minutes: float, every_s: float, settings: Sequence[str], folder: Path) 
         run.terminate()
         run.wait()
     if code != 0:
-        raise BenchmarkError(f"transport run: expected exit code 0, got {code}: see {folder.parent / 'soak.log'}")
+        raise BenchmarkError(f"transport run: expected exit code 0, got {code}: {_said(folder)}")
     return records, _missed(folder / "run.mcap")
 
 
@@ -145,7 +146,7 @@ def _watched(run: subprocess.Popen[bytes], folder: Path, every_s: float) -> dict
     deadline = time.monotonic() + _PATIENCE_S
     while live.read(folder) is None:
         if run.poll() is not None or time.monotonic() > deadline:
-            raise BenchmarkError(f"the run does not begin: see {folder.parent / 'soak.log'}")
+            raise BenchmarkError(f"the run does not begin: {_said(folder)}")
         time.sleep(0.1)
     logs = folder / "logs"
     while live.read(folder) is not None and not all('"joined"' in log.read_text() for log in logs.glob("*.log")):
@@ -162,6 +163,12 @@ def _watched(run: subprocess.Popen[bytes], folder: Path, every_s: float) -> dict
             record.files.append(float(used["open_files"]))
         time.sleep(every_s)
     return records
+
+
+def _said(folder: Path) -> str:
+    """The last line of what the command of a run said."""
+    lines = (folder.parent / _OUTPUT).read_text(encoding="utf-8", errors="replace").strip().splitlines()
+    return lines[-1] if lines else "it said nothing"
 
 
 def _children(parent: int) -> dict[str, int]:

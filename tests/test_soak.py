@@ -6,14 +6,19 @@ from benchmarks import soak
 from benchmarks.page import BenchmarkError
 from benchmarks.soak import GROWTH_BYTES, Record, judge, main
 
+# Besides the flight: its start and its report, on a host that is busy with other tests.
+PATIENCE_S = 240
+
+# All four agents' deadlines in every tick: how well time is kept while other tests run says nothing of the system.
+ALL_MISSED = 4.0
+
 
 @pytest.mark.slow
+@pytest.mark.timeout(60 * 2 + PATIENCE_S)
 def test_nothing_grows(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    """A fifth of a minute at the pace of the clock: no thread, no file and no memory to speak of is lost."""
-    # In so short a time caches are still filling, and a host that runs tests has moods.
-    monkeypatch.setattr(soak, "GROWTH_BYTES", 8 * GROWTH_BYTES)
-    monkeypatch.setattr(soak, "MISSES", 4.0)
-    assert main(["--minutes", "0.2"]) == 0, capsys.readouterr().err
+    """Two minutes at the pace of the clock, by the limits of thirty: no memory, no thread and no file is lost."""
+    monkeypatch.setattr(soak, "MISSES", ALL_MISSED)
+    assert main(["--minutes", "2"]) == 0, capsys.readouterr().err
     table = capsys.readouterr().out
     assert all(f"| {name} |" in table for name in ("recorder", "coordinator", "plant", "agent1", "agent4"))
 
