@@ -20,9 +20,9 @@ from transport.mcap_salvage import NotMcapError, Salvage, salvage
 from transport.mcap_stream import McapStream
 
 # What a kill costs at most: so much before compression, about three ticks of four agents, or so long, whatever is less.
-# Larger chunks would hardly be smaller together.
+# Larger chunks would hardly be smaller together; later ones would keep who watches a run in real time waiting.
 CHUNK_BYTES = 64 * 1024
-CHUNK_S = 0.1
+CHUNK_S = 0.03
 _CHUNK_NS = round(CHUNK_S * 1e9)
 
 _METADATA = "run"
