@@ -2,23 +2,21 @@
 
 import pytest
 
-from benchmarks import soak
 from benchmarks.page import BenchmarkError
 from benchmarks.soak import GROWTH_BYTES, Record, judge, main
 
-# Besides the flight: its start and its report, on a host that is busy with other tests.
+# Besides the flight: its start and its report, and a host that cannot keep up with the clock.
 PATIENCE_S = 240
-
-# All four agents' deadlines in every tick: how well time is kept while other tests run says nothing of the system.
-ALL_MISSED = 4.0
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(60 * 2 + PATIENCE_S)
-def test_nothing_grows(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two minutes at the pace of the clock, by the limits of thirty: no memory, no thread and no file is lost."""
-    monkeypatch.setattr(soak, "MISSES", ALL_MISSED)
-    assert main(["--minutes", "2"]) == 0, capsys.readouterr().err
+def test_nothing_grows(capsys: pytest.CaptureFixture[str]) -> None:
+    """Two minutes at the pace of the clock, by the limits of thirty: no memory, no thread and no file is lost.
+
+    In lockstep: in real time a host that is busy with other tests may lose the flight, or its deadlines.
+    """
+    assert main(["--minutes", "2", "--set", "clock.mode=lockstep"]) == 0, capsys.readouterr().err
     table = capsys.readouterr().out
     assert all(f"| {name} |" in table for name in ("recorder", "coordinator", "plant", "agent1", "agent4"))
 
