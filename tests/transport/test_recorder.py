@@ -134,6 +134,18 @@ def test_a_pause_is_used_to_write(record: Record, tmp_path: Path) -> None:
     assert [encode(message) for message in messages] == [encode(message) for message in said]
 
 
+def test_a_note_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is done to a process after the log has failed ends nothing at once: why recording ended is said."""
+    monkeypatch.setattr(recorder_module, "Bus", ScriptedBus)
+    writer = LogWriter(tmp_path / "run.mcap", HEADER, period_ns=RUN.period_ns)
+    recorder = Recorder(RUN, KEYS.run, writer, Endpoints(listen=[], connect=[]), 1.0)
+    writer.close()
+    recorder.note("agent1", "killed", "person")
+    assert recorder.error is not None
+    assert "the log is closed" in recorder.error
+    assert recorder.received == 0
+
+
 def test_refusals_are_on_record(record: Record) -> None:
     """What the recorder itself refuses is in the log, and nothing else of it."""
     said = flight(30)
