@@ -2,18 +2,21 @@
 
 import pytest
 
-from benchmarks import soak
 from benchmarks.page import BenchmarkError
 from benchmarks.soak import GROWTH_BYTES, Record, judge, main
 
+# Besides the flight: its start and its report, and a host that cannot keep up with the clock.
+PATIENCE_S = 240
+
 
 @pytest.mark.slow
-def test_nothing_grows(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    """A fifth of a minute at the pace of the clock: no thread, no file and no memory to speak of is lost."""
-    # In so short a time caches are still filling, and a host that runs tests has moods.
-    monkeypatch.setattr(soak, "GROWTH_BYTES", 8 * GROWTH_BYTES)
-    monkeypatch.setattr(soak, "MISSES", 4.0)
-    assert main(["--minutes", "0.2"]) == 0, capsys.readouterr().err
+@pytest.mark.timeout(60 * 2 + PATIENCE_S)
+def test_nothing_grows(capsys: pytest.CaptureFixture[str]) -> None:
+    """Two minutes at the pace of the clock, by the limits of thirty: no memory, no thread and no file is lost.
+
+    In lockstep: in real time a host that is busy with other tests may lose the flight, or its deadlines.
+    """
+    assert main(["--minutes", "2", "--set", "clock.mode=lockstep"]) == 0, capsys.readouterr().err
     table = capsys.readouterr().out
     assert all(f"| {name} |" in table for name in ("recorder", "coordinator", "plant", "agent1", "agent4"))
 

@@ -12,15 +12,18 @@ from types import TracebackType
 from typing import TypeVar
 
 import orjson
-from mcap.writer import CompressionType, Writer
 
 from protocol.keys import Keys
-from protocol.messages import KINDS, Control, LinkChange, Message
+from protocol.messages import KINDS, Control, FaultNote, LinkChange, Message
 from transport.json_messages import from_json, json_schema, to_json
 from transport.mcap_salvage import NotMcapError, Salvage, salvage
+from transport.mcap_stream import McapStream
 
-# About one tick of four agents: what a kill costs. Compression still takes off two thirds at this size.
-CHUNK_BYTES = 16 * 1024
+# What a kill costs at most: so much before compression, about three ticks of four agents, or so long, whatever is less.
+# Larger chunks would hardly be smaller together; later ones would keep who watches a run in real time waiting.
+CHUNK_BYTES = 64 * 1024
+CHUNK_S = 0.03
+_CHUNK_NS = round(CHUNK_S * 1e9)
 
 _METADATA = "run"
 # The metadata record of a copy that names the channels it has more than the log: made from its messages, none of them.
@@ -91,15 +94,16 @@ class LogWriter:
         self._period_ns = period_ns
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
+        self._oldest_ns = 0  # when the first message came that is not in the file yet
         self._closed = False
         try:
-            self._file = path.open("wb")
-            self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
-            self._writer.start(library="payload-transport")
-            self._writer.add_metadata(_METADATA, dict(header))
-            self._file.flush()
+            self._stream = McapStream(path, library="payload-transport", chunk_bytes=CHUNK_BYTES)
         except OSError as error:
             raise self._failed(error) from error
+        try:
+            self._stream.metadata(_METADATA, header)
+        except OSError as error:
+            raise self._abandoned(error) from error
 
     def __enter__(self) -> "LogWriter":
         return self
@@ -119,31 +123,53 @@ class LogWriter:
         """
         if self._closed:
             raise LogError(f"{self._path}: the log is closed, got a {message.kind}")
+        data = to_json(message)
         try:
-            self._writer.add_message(
+            if received_ns - self._oldest_ns > _CHUNK_NS:
+                self._stream.flush()
+            if self._stream.is_up_to_date:
+                self._oldest_ns = received_ns
+            self._stream.message(
                 self._channel(message),
                 log_time=min(message.tick * self._period_ns, _LAST_TIME_NS),
-                data=to_json(message),
                 publish_time=min(max(received_ns, 0), _LAST_TIME_NS),
                 sequence=message.sequence % _SEQUENCES,
+                data=data,
             )
-            if isinstance(message, Control):
-                self._writer.flush()  # type: ignore[no-untyped-call]  # how the run ended is not left to the closing
-            # Finished chunks go to the system at once; without one there is nothing to do.
-            self._file.flush()
+            if isinstance(message, Control | FaultNote):
+                self._stream.flush()  # how the run ended, and what was done to it, is not left to the closing
         except OSError as error:
-            raise self._failed(error) from error
+            raise self._abandoned(error) from error
+
+    def flush(self) -> None:
+        """Have all messages in the file: for who reads it meanwhile, and against kills.
+
+        Raises: LogError: the file cannot be written.
+        """
+        if self._closed:
+            return
+        try:
+            self._stream.flush()
+        except OSError as error:
+            raise self._abandoned(error) from error
+
+    @property
+    def is_up_to_date(self) -> bool:
+        """Whether all messages are in the file."""
+        return self._closed or self._stream.is_up_to_date
 
     def close(self) -> None:
-        """Write the index and close the file; a second time does nothing."""
+        """Write the index and close the file; a second time, or after a failure, does nothing.
+
+        Raises: LogError: the file cannot be written.
+        """
         if self._closed:
             return
         self._closed = True
         try:
-            self._writer.finish()  # type: ignore[no-untyped-call]
-            self._file.close()
+            self._stream.finish()
         except OSError as error:
-            raise self._failed(error) from error
+            raise self._abandoned(error) from error
 
     def _channel(self, message: Message) -> int:
         topic = topic_of(message)
@@ -151,12 +177,18 @@ class LogWriter:
         if channel is None:
             if message.kind not in self._schemas:
                 data = orjson.dumps(json_schema(message.kind))
-                self._schemas[message.kind] = self._writer.register_schema(
+                self._schemas[message.kind] = self._stream.schema(
                     f"transport.{type(message).__name__}", "jsonschema", data
                 )
-            channel = self._writer.register_channel(topic, "json", self._schemas[message.kind])
+            channel = self._stream.channel(topic, "json", self._schemas[message.kind])
             self._channels[topic] = channel
         return channel
+
+    def _abandoned(self, error: OSError) -> LogError:
+        """Leave the file as it is: behind half a record nobody would find another."""
+        self._closed = True
+        self._stream.abandon()
+        return self._failed(error)
 
     def _failed(self, error: OSError) -> LogError:
         return LogError(f"{self._path}: cannot write the log ({error.strerror or error})")

@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Collection
 
-from protocol.bus import Bus, Interrupted
+from protocol.bus import Bus, BusEvent, Interrupted
 from protocol.claims import Claims, check_moment
 from protocol.gate import Gate
 from protocol.keys import Keys
@@ -37,8 +37,11 @@ NAME = "recorder"
 # Why a run is over that nobody is left to end: what the recorder says of it.
 _GONE, UNHEARD = "coordinator is gone", "how the run ended did not reach the recorder"
 
-# Nobody waits for the recorder, and every time it wakes up costs those that fly.
-_GATHER_S = 0.01
+# Nobody waits for the recorder, and every time it wakes up costs those that fly: the more the faster they go. At the
+# pace of the clock it wakes up in time for who watches to see a tick before the next.
+_GATHER_S, _GATHER_PACED_S = 0.03, 0.01
+# What comes is in the file, for who watches, when nothing more has come for so long: less than the period of most runs.
+_PAUSE_S = 0.02
 # How long messages may trail the end of the run on their way here.
 _TRAIL_S = 2.0
 # How long nothing must come before the record counts as complete, once everybody but the coordinator has left.
@@ -106,7 +109,7 @@ class Recorder:
             endpoints=endpoints,
             gate=self.gate,
             serves=True,
-            gather_s=_GATHER_S,
+            gather_s=_GATHER_PACED_S if setup.scenario.clock.speed > 0.0 else _GATHER_S,
         )
         self._out = Outbox(NAME, incarnation)
         self._writing = threading.Lock()  # notes come from another thread
@@ -134,7 +137,10 @@ class Recorder:
     def note(self, target: str, what: str, origin: FaultOrigin, tick: int | None = None) -> None:
         """Put into the log what was done, or happened, to a process: at a tick, or at the newest there is."""
         tick = max(self.tick, 0) if tick is None else tick
-        self._take(self._out.stamp(FaultNote, tick=tick, target=target, what=what, origin=origin))
+        try:
+            self._take(self._out.stamp(FaultNote, tick=tick, target=target, what=what, origin=origin))
+        except LogError as error:  # the run is about to end of it
+            self.error = self.error or str(error)
 
     def close(self) -> None:
         """Leave the network and finish the log."""
@@ -166,7 +172,7 @@ class Recorder:
             timeout_s = None if deadline is None else max(0.0, deadline - time.monotonic())
             if self.control is not None and left <= {"coordinator"}:
                 timeout_s = _QUIET_S  # the coordinator leaves last, after this recorder
-            event = self._bus.next(timeout_s)
+            event = self._next(timeout_s)
             if event is None:
                 break
             match event:
@@ -192,6 +198,16 @@ class Recorder:
         if self.control is None:
             # An end that was declared while this process stood still was never heard here.
             self._end(UNHEARD if self._has_ended() else _GONE)
+
+    def _next(self, timeout_s: float | None) -> BusEvent | None:
+        """The next event, or None after the timeout; in flight a pause is used to write what waits for more."""
+        if timeout_s is None and not self._writer.is_up_to_date:
+            event = self._bus.next(_PAUSE_S)
+            if event is not None:
+                return event
+            with self._writing:
+                self._writer.flush()
+        return self._bus.next(timeout_s)
 
     def hear(self, message: Message, at_ns: int | None = None) -> None:
         """Record a message that came from the network, unless it cannot be of this run or of now.

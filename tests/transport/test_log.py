@@ -1,6 +1,7 @@
 """The log: equal bits back, readable after any accident, open to other programs."""
 
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -17,14 +18,16 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from protocol.codec import encode
-from protocol.messages import KINDS, Message, Tick
+from protocol.messages import KINDS, FaultNote, Message, Tick
 from tests import runs
+from tests.protocol.samples import sample
 from tests.protocol.strategies import messages as any_message
 from transport.json_messages import from_json, json_schema, to_json
-from transport.log import CHUNK_BYTES, LogError, LogWriter, RunLog, read_log
+from transport.log import CHUNK_BYTES, CHUNK_S, LogError, LogWriter, RunLog, read_log
 
 HEADER = {"run_id": "r1", "scenario": "name = 'x'\n", "versions": "python 3.12", "note": "Ω0"}
 RECEIVED_NS = 1_700_000_000_000_000_000
+FULL_BYTES = 40_000  # one chunk fits, or a few
 
 
 def write(path: Path, messages: Sequence[Message], period_ns: int = 50_000_000) -> Path:
@@ -232,6 +235,56 @@ def test_the_end_of_a_run_is_on_disk_at_once(tmp_path: Path, flight: list[Messag
     writer.close()
     with pytest.raises(LogError, match="closed"):
         writer.write(flight[0], 0)
+
+
+def test_what_is_done_to_a_process_is_on_disk_at_once(tmp_path: Path, flight: list[Message]) -> None:
+    """A note of a fault, and all before it, can be read before the log is closed."""
+    path = tmp_path / "run.mcap"
+    with LogWriter(path, HEADER, period_ns=50_000_000) as writer:
+        writer.write(flight[0], 0)
+        assert not writer.is_up_to_date
+        writer.write(sample(FaultNote), 0)
+        assert writer.is_up_to_date
+        assert len(read_log(path).messages) == 2
+
+
+def test_nothing_waits_for_long(tmp_path: Path, flight: list[Message]) -> None:
+    """Messages are in the file once one comes that is younger by more than the time of a chunk, and when asked for."""
+    path, age_ns = tmp_path / "run.mcap", round(CHUNK_S * 1e9)
+    with LogWriter(path, HEADER, period_ns=50_000_000) as writer:
+        for number, received_ns in enumerate((0, 1, age_ns, age_ns + 1, 2 * age_ns + 2)):
+            writer.write(flight[number], RECEIVED_NS + received_ns)
+            assert len(read_log(path).messages) == (0, 0, 0, 3, 4)[number]
+        writer.flush()
+        assert writer.is_up_to_date
+        assert read_bits(read_log(path)) == bits(flight[:5])
+
+
+def test_a_full_disk_leaves_what_fits(tmp_path: Path, flight: list[Message]) -> None:
+    """A write that fails is a LogError; the file stays as it is then, and is read like a cut one."""
+    path = tmp_path / "run.mcap"
+    writer = LogWriter(path, HEADER, period_ns=50_000_000)
+
+    def write_all() -> None:
+        for message in flight * 3:
+            writer.write(message, 0)
+
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (FULL_BYTES, limits[1]))
+    try:
+        with pytest.raises(LogError, match=r"run\.mcap: cannot write the log \(File too large\)"):
+            write_all()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    with pytest.raises(LogError, match="closed"):
+        writer.write(flight[0], 0)
+    writer.flush()
+    writer.close()
+    assert path.stat().st_size <= FULL_BYTES
+    log = read_log(path)
+    assert "it stops before its end" in log.cut
+    assert log.messages
+    assert read_bits(log) == bits((flight * 3)[: len(log.messages)])
 
 
 def test_other_files_are_refused(tmp_path: Path) -> None:

@@ -31,7 +31,8 @@ PROCESSES = ["coordinator", "plant"]
 class ScriptedBus:
     """In the place of the network: hands over, through the gate, what a test has prepared."""
 
-    script: tuple[tuple[str, bytes] | Presence | None, ...] = ()  # None: nothing comes for a long time
+    # None: nothing comes for a long time; a function is called in its turn.
+    script: tuple[tuple[str, bytes] | Presence | Callable[[], None] | None, ...] = ()
     arrived_ns = 0
 
     def __init__(self, *, gate: Gate, **_: object) -> None:
@@ -50,6 +51,9 @@ class ScriptedBus:
                 if timeout_s is not None:
                     return None
                 continue
+            if callable(item):
+                item()
+                continue
             event = item if isinstance(item, Presence) else self._gate.read(*item)
             if event is not None:
                 return event
@@ -67,7 +71,9 @@ def record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Record:
     """Records what a test says, to the end of the processes, and returns the log."""
     monkeypatch.setattr(recorder_module, "Bus", ScriptedBus)
 
-    def recorded(*said: Message | tuple[str, bytes] | Presence | None, run: Setup = RUN) -> list[Message]:
+    def recorded(
+        *said: Message | tuple[str, bytes] | Presence | Callable[[], None] | None, run: Setup = RUN
+    ) -> list[Message]:
         script = [(KEYS.of(item), encode(item)) if isinstance(item, Message) else item for item in said]
         gone = [Presence(name, 0, alive=False) for name in reversed(PROCESSES)]
         monkeypatch.setattr(ScriptedBus, "script", (*script, *gone))
@@ -115,6 +121,30 @@ def test_nothing_to_say(record: Record) -> None:
     """A flight without nonsense is recorded as it is: nobody speaks of refusals."""
     said = flight(5)
     assert [encode(message) for message in record(*said)] == [encode(message) for message in said]
+
+
+def test_a_pause_is_used_to_write(record: Record, tmp_path: Path) -> None:
+    """When nothing has come for a while, what came is in the file for who watches, and recording goes on."""
+    said, seen = flight(5), []
+
+    def look() -> None:
+        seen.append(len(read_log(tmp_path / "run.mcap").messages))
+
+    messages = record(*said[:4], look, None, look, *said[4:])
+    assert seen == [0, 4]
+    assert [encode(message) for message in messages] == [encode(message) for message in said]
+
+
+def test_a_note_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is done to a process after the log has failed ends nothing at once: why recording ended is said."""
+    monkeypatch.setattr(recorder_module, "Bus", ScriptedBus)
+    writer = LogWriter(tmp_path / "run.mcap", HEADER, period_ns=RUN.period_ns)
+    recorder = Recorder(RUN, KEYS.run, writer, Endpoints(listen=[], connect=[]), 1.0)
+    writer.close()
+    recorder.note("agent1", "killed", "person")
+    assert recorder.error is not None
+    assert "the log is closed" in recorder.error
+    assert recorder.received == 0
 
 
 def test_refusals_are_on_record(record: Record) -> None:
