@@ -122,7 +122,8 @@ def test_nodes_do_no_io(path: Path) -> None:
 
 def test_only_sessions_and_bus_know_zenoh() -> None:
     """Zenoh is imported in one place: its sessions, and what a process does with one."""
-    assert [named(path) for path in SOURCES if "zenoh" in top(imports(path))] == ["protocol/bus.py", "protocol/session.py"]
+    who = [named(path) for path in SOURCES if "zenoh" in top(imports(path))]
+    assert who == ["protocol/bus.py", "protocol/session.py"]
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=named)
