@@ -9,16 +9,15 @@ import threading
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
-from websockets import Subprotocol
 from websockets.sync.client import connect
 
+from benchmarks import readers
 from protocol.messages import FaultNote, LinkChange, Message, Plan, Truth
 from protocol.scenario_file import read_scenario
 from protocol.setup import Setup
@@ -69,11 +68,11 @@ def shown(folder: Path) -> Iterator[Viewer]:
 @contextmanager
 def spectators(address: str, count: int) -> Iterator[None]:
     """As many more that look on as browsers do, who are gone without a word afterwards."""
-    protocol = Subprotocol(f"viser-v{version('viser')}")
     with ExitStack() as stack:
         for _ in range(count):
-            connection = connect(address.replace("http", "ws"), subprotocols=[protocol], max_size=None)
+            connection = connect(**readers.target(address))
             stack.callback(connection.socket.close)
+            connection.send(readers.CAMERA)
             assert connection.recv(timeout=PATIENCE_S)
         yield
 
