@@ -44,8 +44,9 @@ TEXT = (
     "kind; in each, by turns, all of them are frozen, those who look on, and none, for {block:g} s each; the first "
     "{skip:g} s after each change do not count. Real-time factor, median of all turns (least to most). Loss: by how "
     "much it is lower than while nobody watched in the same turn, median (quartiles). Processors: how many those who "
-    "look on keep busy, mean. The viewer has a low priority (nice 10), browsers what is said once their pages are open; "
-    "with nice 10 and 19 goes the same for the session's share (`/proc/PID/autogroup`), with `chrt --idle` 19."
+    "look on keep busy, mean. Once their pages are open, browsers have the priority that is said, and but for the last "
+    "their sessions have the least share of the processors (`/proc/PID/autogroup` 19); the viewer has nice 10, its "
+    "session as well."
 )
 
 _HOST = "127.0.0.1"

@@ -25,13 +25,17 @@ from tests import runs
 from tests.transport.browser import END, RIGHT, Browser, browser, needs_browser
 from tests.transport.commands import PATIENCE_S, processes_of, settings, start, wait_for
 from tests.transport.logs import flown
+from transport.live import LiveRun
 from transport.log import read_log
 from transport.log_tail import LogTail
 from transport.main import app
 from transport.memory import fly
+from transport.run_folder import setup_of
 from transport.viewer.clock import Clock
 from transport.viewer.commands import viewer_of
-from transport.viewer.viewer import Viewer
+from transport.viewer.record import Record
+from transport.viewer.scene import Scenes
+from transport.viewer.viewer import Viewer, pause_s
 
 M = TypeVar("M", bound=Message)
 
@@ -127,6 +131,38 @@ def test_a_cut_log_is_shown(recorded: Path, tmp_path: Path, capfd: pytest.Captur
         assert lost in capfd.readouterr().err
         viewer.clock.seek(29)
         assert wait_for(lambda: viewer.shown is not None and 5 < viewer.shown.tick < 29)
+
+
+def test_nothing_is_drawn_of_a_flight_while_nobody_looks(recorded: Path, tmp_path: Path) -> None:
+    """Whoever comes is shown the newest there is; that the run has ended is seen in any case."""
+    data, log = (recorded / "run.mcap").read_bytes(), tmp_path / "run.mcap"
+    log.write_bytes(data[: round(CUT * len(data))])
+    scenes = Scenes(setup_of(recorded), Record(setup_of(recorded)))
+    flying = LiveRun(run="nowhere", endpoints={}, pid=os.getpid())
+
+    def seen() -> bool:
+        viewer.work()
+        return viewer.shown is not None
+
+    with Viewer(scenes, port=0, tail=LogTail(log), live=flying) as viewer:
+        assert not seen()
+        assert scenes.record.last > 0
+        with spectators(viewer.address, 1):
+            assert wait_for(seen)
+            assert viewer.shown is not None
+            assert viewer.shown.tick == scenes.record.last < 29
+        with log.open("ab") as growing:
+            growing.write(data[round(CUT * len(data)) :])
+        viewer.work()
+        assert viewer.notice.startswith("the run has ended: ")
+        assert viewer.shown.tick == 29
+
+
+def test_how_often_a_flight_is_drawn() -> None:
+    """Ten times a second, twice if it goes as fast as it can, and a tenth of a processor at most."""
+    assert (pause_s(0.0, fast=False), pause_s(0.0, fast=True)) == (0.1, 0.5)
+    for fast in (False, True):
+        assert pause_s(0.2, fast=fast) == pytest.approx(2.0)
 
 
 @needs_browser

@@ -121,8 +121,8 @@ class Viewer:
     def rest(self) -> None:
         """Wait until something may be due."""
         before_s, self._used_s = self._used_s, time.process_time()  # what is sent is sent while this rests
-        live_s = _DRAW_LIVE_S if self._paced or not self.clock.follows else _DRAW_FAST_S
-        time.sleep(_DRAW_S if self._over else max(live_s, (self._used_s - before_s) / _SHARE_LIVE))
+        fast = self.clock.follows and not self._paced
+        time.sleep(_DRAW_S if self._over else pause_s(self._used_s - before_s, fast=fast))
 
     def show_until(self, ended: Callable[[], bool]) -> None:
         """Show the run until that is so."""
@@ -156,6 +156,16 @@ class Viewer:
     def _show_layer(self, name: str, shown: bool) -> None:
         self.stage.show_layer(name, shown)
         self._redraw = True
+
+
+def pause_s(used_s: float, *, fast: bool) -> float:
+    """How long to wait before a run in flight is drawn again, s.
+
+    Args:
+        used_s: Processor time that it took last.
+        fast: Whether what is shown follows a run as fast as it goes.
+    """
+    return max(_DRAW_FAST_S if fast else _DRAW_LIVE_S, used_s / _SHARE_LIVE)
 
 
 def require_viser() -> None:
