@@ -62,7 +62,7 @@ HEADLESS = (
 )
 _STAYS = "--remote-debugging-port=0"  # else it ends as soon as the page is loaded
 # How long each part of a turn takes, and how long what was frozen takes to catch up, s.
-_BLOCK_S, _SKIP_S = 2.0, 0.5
+_BLOCK_S, _SKIP_S = 1.5, 0.5
 # How many look on, and how long their pages take to be drawn for the first time once they are connected, s.
 _COUNT, _OPEN_S = 3, 6.0
 
@@ -76,7 +76,8 @@ def measure(effort: Effort, say: Callable[[str], None]) -> list[Table]:
         if priority is not None and chromium is None:
             continue
         say(f"{run.maneuver.duration_s:g} s, by turns watched by {NOBODY}, {VIEWER}, {name}")
-        measured[name] = _flown(run, chromium, priority)
+        factors, busy = measured[name] = _flown(run, chromium, priority)
+        say(", ".join(_row(name, factors[:, 2], factors[:, 0], f"{busy:.2f}")))
     everything = np.concatenate([factors for factors, _ in measured.values()])
     rows = [_row(NOBODY, everything[:, 0]), _row(VIEWER, everything[:, 1], everything[:, 0])]
     for name in WATCHERS:

@@ -12,6 +12,7 @@ from tests.transport.logs import flown
 from transport.log import read_log
 from transport.log_tail import LogTail
 from transport.mcap_salvage import frames
+from transport.viewer.record import KINDS, Record
 
 
 @pytest.fixture(scope="module")
@@ -53,3 +54,18 @@ def test_damage_costs_what_is_damaged(log: Path, tmp_path: Path) -> None:
     messages, whole = LogTail(tmp_path / "run.mcap").read(), read_log(log).messages
     assert 0 < len(messages) < len(whole)
     assert messages[-1].kind == "control"
+
+
+def test_what_nobody_wants_is_left_out(log: Path) -> None:
+    """A viewer's record is the same, whether it was given all messages or those of its kinds."""
+    wanted = LogTail(log, KINDS).read()
+    everything = [entry.message for entry in read_log(log).messages]
+    assert {message.kind for message in everything} - {message.kind for message in wanted} == {"tick", "measurement"}
+    assert list(map(repr, wanted)) == [repr(message) for message in everything if message.kind in KINDS]
+    records = [Record(runs.setup(runs.ticks(8))) for _ in range(2)]
+    for record, messages in zip(records, (wanted, everything), strict=True):
+        record.add(messages)
+    first, second = (
+        {name: repr(value) for name, value in vars(record).items() if name != "_setup"} for record in records
+    )
+    assert first == second

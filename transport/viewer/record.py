@@ -6,6 +6,9 @@ from collections.abc import Iterable
 from protocol.messages import Control, FaultNote, LinkChange, Message, Plan, Roster, StepReport, Truth
 from protocol.setup import Setup
 
+# The kinds of messages that a record takes in; of others nothing is shown.
+KINDS = frozenset(kind.kind for kind in (Truth, Plan, StepReport, LinkChange, Roster, FaultNote, Control))
+
 
 class Record:
     """The messages of one run; grows as a log does that is read while it is written.
