@@ -24,7 +24,7 @@ class LogTail:
 
     Args:
         path: Of the file, which need not be there yet.
-        kinds: Of messages that are wanted: to read what nobody asks for takes a third of a log's time.
+        kinds: Of messages that are wanted: what nobody asks for is not taken apart.
 
     Attributes:
         ended: Whether the part with the messages has come to its proper end.
