@@ -27,7 +27,7 @@ from tests.transport.commands import PATIENCE_S, processes_of, settings, start, 
 from tests.transport.logs import flown
 from transport.live import LiveRun
 from transport.log import read_log
-from transport.log_tail import LogTail
+from transport.log_tail import LogTail, Unread
 from transport.main import app
 from transport.memory import fly
 from transport.run_folder import setup_of
@@ -223,7 +223,7 @@ class Growing(LogTail):
 
     def of(self, kind: type[M]) -> list[M]:
         """The messages of one kind until now."""
-        self._all += self.read()
+        self._all += [message for message in self.read() if not isinstance(message, Unread)]
         return [message for message in self._all if isinstance(message, kind)]
 
     def notes(self, target: str, what: str) -> bool:
