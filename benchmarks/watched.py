@@ -1,4 +1,4 @@
-"""What being watched costs: a flight as fast as it goes, by turns with nobody, with the viewer, with three browsers."""
+"""What being watched costs: flights as fast as they go, by turns with nobody, the viewer, and those who look on."""
 
 import os
 import shutil
@@ -8,7 +8,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from itertools import cycle, pairwise
 from pathlib import Path
@@ -23,18 +23,30 @@ from benchmarks.page import Table
 from benchmarks.timing import digits
 from model.arrays import Array
 from protocol.messages import Truth
+from protocol.setup import Setup
 from transport.harness import free_ports
 from transport.log import RunLog, read_log
 
-NOBODY, VIEWER, BROWSERS = "nobody", "the viewer", "the viewer and 3 browsers"
+NOBODY, VIEWER = "nobody", "the viewer, no browser"
+
+# Who looks on besides the viewer, and with what policy and nice value; None for those that draw elsewhere.
+WATCHERS: Mapping[str, tuple[int, int] | None] = {
+    "3 browsers on other machines": None,
+    "3 browsers here, what is idle (`chrt --idle 0`)": (os.SCHED_IDLE, 19),
+    "3 browsers here, least share (`nice -n 19`)": (os.SCHED_OTHER, 19),
+    "3 browsers here, as they come": (os.SCHED_OTHER, 0),
+}
 
 TEXT = (
-    "What being watched costs: one flight of `resilient` as fast as it goes, with the viewer and three windows of "
-    "headless Chromium beside it, 900 x 600 pixels, on the same machine and without a graphics processor. By turns all "
-    "of them are frozen, the browsers alone, and none, for {block:g} s each; the first {skip:g} s after each change do "
-    "not count. Real-time factor, median of {turns} turns (least to most); loss: by how much it is lower than while "
-    "nobody watched in the same turn. Once the pages are open, browsers have the lowest priority (nice 19), the viewer "
-    "has a low one (nice 10), their sessions as well."
+    "What being watched costs: `resilient` as fast as it goes, with the viewer and those who look on beside it: three "
+    "windows of headless Chromium, 900 x 600 pixels, on the same machine and without a graphics processor, or three "
+    "connections on which all is read that a browser is sent, as if it drew on another machine. One flight for each "
+    "kind; in each, by turns, all of them are frozen, those who look on, and none, for {block:g} s each; the first "
+    "{skip:g} s after each change do not count. Real-time factor, median of all turns (least to most). Loss: by how "
+    "much it is lower than while nobody watched in the same turn, median (quartiles). Processors: how many those who "
+    "look on keep busy, mean. Once their pages are open, browsers have the priority that is said, and but for the last "
+    "their sessions have the least share of the processors (`/proc/PID/autogroup` 19); the viewer has nice 10, its "
+    "session as well."
 )
 
 _HOST = "127.0.0.1"
@@ -49,19 +61,48 @@ HEADLESS = (
     "--window-size=900,600",
 )
 _STAYS = "--remote-debugging-port=0"  # else it ends as soon as the page is loaded
-# How long each turn takes, and how long what was frozen takes to catch up, s.
-_BLOCK_S, _SKIP_S = 2.0, 0.5
-_LOWEST = 19
+# How long each part of a turn takes, and how long what was frozen takes to catch up, s.
+_BLOCK_S, _SKIP_S = 1.5, 0.5
+# How many look on, and how long their pages take to be drawn for the first time once they are connected, s.
+_COUNT, _OPEN_S = 3, 6.0
 
 
 def measure(effort: Effort, say: Callable[[str], None]) -> list[Table]:
-    """Fly with processes, watched and not."""
+    """Fly with processes, watched and not, once for each kind of those who look on."""
     run = setup("resilient", effort.watched)
     chromium = next(filter(None, map(shutil.which, _CHROMIUM)), None)
-    cases = (NOBODY, VIEWER, BROWSERS) if chromium else (NOBODY, VIEWER)
+    measured: dict[str, tuple[Array, float]] = {}
+    for name, priority in WATCHERS.items():
+        if priority is not None and chromium is None:
+            continue
+        say(f"{run.maneuver.duration_s:g} s, by turns watched by {NOBODY}, {VIEWER}, {name}")
+        factors, busy = measured[name] = _flown(run, chromium, priority)
+        say(", ".join(_row(name, factors[:, 2], factors[:, 0], f"{busy:.2f}")))
+    everything = np.concatenate([factors for factors, _ in measured.values()])
+    rows = [_row(NOBODY, everything[:, 0]), _row(VIEWER, everything[:, 1], everything[:, 0])]
+    for name in WATCHERS:
+        if name in measured:
+            factors, busy = measured[name]
+            rows.append(_row(name, factors[:, 2], factors[:, 0], f"{busy:.2f}"))
+        else:
+            rows.append((name, "no Chromium", "-", "-", "-"))
+    columns = ("watched by", "real-time factor", "turns", "loss, %", "processors")
+    return [Table(text=TEXT.format(block=_BLOCK_S, skip=_SKIP_S), columns=columns, rows=rows)]
+
+
+def _flown(run: Setup, chromium: str | None, priority: tuple[int, int] | None) -> tuple[Array, float]:
+    """One flight, watched by turns.
+
+    Args:
+        run: What is flown.
+        chromium: The browser.
+        priority: Policy and nice value of the browsers; None for readers in their place.
+    Returns: Real-time factors with nobody, with the viewer, with all, (turns, 3); processors that those kept busy who
+        look on, while they did.
+    """
     changes: list[tuple[int, str]] = []
+    used_s: list[float] = []
     with tempfile.TemporaryDirectory(prefix="benchmarks-", ignore_cleanup_errors=True) as folder, ExitStack() as stack:
-        say(f"{run.maneuver.duration_s:g} s, by turns watched by {', '.join(cases)}")
         at, ended = Path(folder) / "flight", Event()
         with free_ports(_HOST, 1) as ports:
             port = ports[0]
@@ -69,26 +110,30 @@ def measure(effort: Effort, say: Callable[[str], None]) -> list[Table]:
         viewer = stack.enter_context(_started([sys.executable, "-m", "transport", *words]))
 
         def alternate() -> None:
-            with ExitStack() as windows:
-                browsers = [
-                    windows.enter_context(
-                        _started(
-                            [str(chromium), *HEADLESS, _STAYS, f"--user-data-dir={at}-{k}", f"http://{_HOST}:{port}"]
-                        )
-                    )
-                    for k in range(3 if chromium and _wait(lambda: _listens(port), ended) else 0)
-                ]
-                if not _wait(lambda: _connections(port) >= len(browsers), ended):
+            with ExitStack() as looking:
+                if not _wait(lambda: _listens(port), ended):
                     return
-                for process in browsers:
-                    _lower(process)
-                for name in cycle(cases):
-                    _freeze(viewer, name == NOBODY)
-                    for process in browsers:
-                        _freeze(process, name != BROWSERS)
-                    changes.append((time.time_ns(), name))
+                address = f"http://{_HOST}:{port}"
+                commands = [[sys.executable, "-m", "benchmarks.readers", address, str(_COUNT)]]
+                if priority is not None:
+                    browser = [str(chromium), *HEADLESS, _STAYS]
+                    commands = [[*browser, f"--user-data-dir={at}-{k}", address] for k in range(_COUNT)]
+                others = [looking.enter_context(_started(command)) for command in commands]
+                if not _wait(lambda: _connections(port) >= _COUNT, ended) or ended.wait(_OPEN_S):
+                    return
+                if priority is not None:
+                    for process in others:
+                        _set_priority(process.pid, *priority)
+                for kind in cycle(range(3)):
+                    _freeze(viewer, kind < 1)
+                    before_s = sum(_processor_s(process.pid) for process in others)
+                    for process in others:
+                        _freeze(process, kind < 2)
+                    changes.append((time.time_ns(), str(kind)))
                     if ended.wait(_BLOCK_S):
                         return
+                    if kind == 2:
+                        used_s.append(sum(_processor_s(process.pid) for process in others) - before_s)
 
         thread = Thread(target=alternate)
         thread.start()
@@ -98,21 +143,17 @@ def measure(effort: Effort, say: Callable[[str], None]) -> list[Table]:
             changes.append((time.time_ns(), ""))
             ended.set()
             thread.join()
-        factors = turns(read_log(at / "run.mcap"), changes, cases, run.settings.sampling_period_s)
-    rows = [_row(name, factors[:, k], factors[:, 0]) for k, name in enumerate(cases)]
-    if chromium is None:
-        rows.append((BROWSERS, "no Chromium", "-"))
-    text = TEXT.format(block=_BLOCK_S, skip=_SKIP_S, turns=len(factors))
-    return [Table(text=text, columns=("watched by", "real-time factor", "loss, %"), rows=rows)]
+        factors = turns(read_log(at / "run.mcap"), changes, 3, run.settings.sampling_period_s)
+    return factors, sum(used_s) / (_BLOCK_S * max(1, len(used_s)))
 
 
-def turns(log: RunLog, changes: Sequence[tuple[int, str]], cases: Sequence[str], period_s: float) -> Array:
+def turns(log: RunLog, changes: Sequence[tuple[int, str]], cases: int, period_s: float) -> Array:
     """Real-time factors of the turns that are whole.
 
     Args:
         log: Of the flight.
         changes: When who began to watch, ns since 1970; the last is the end.
-        cases: Who watches, in the order of a turn.
+        cases: How many there are in a turn.
         period_s: Sampling period, s.
     Returns: (turns, cases).
     """
@@ -122,17 +163,18 @@ def turns(log: RunLog, changes: Sequence[tuple[int, str]], cases: Sequence[str],
         inside = at_ns[(at_ns >= begin_ns + _SKIP_S * 1e9) & (at_ns < end_ns)]
         if end_ns - begin_ns >= _BLOCK_S * 1e9 and len(inside) > 1:
             found.append((len(inside) - 1) * period_s / (float(inside[-1] - inside[0]) / 1e9))
-    whole = len(found) // len(cases)
-    return np.array(found[: whole * len(cases)]).reshape(whole, len(cases))
+    whole = len(found) // cases
+    return np.array(found[: whole * cases]).reshape(whole, cases)
 
 
-def _row(name: str, factors: Array, alone: Array) -> tuple[str, str, str]:
+def _row(name: str, factors: Array, alone: Array | None = None, busy: str = "-") -> tuple[str, str, str, str, str]:
     if not len(factors):
-        return name, "-", "-"
-    losses = 100.0 * (1.0 - factors / alone)
-    loss = f"{np.median(losses):.1f} ({losses.min():.1f} to {losses.max():.1f})"
+        return name, "-", "0", "-", "-"
     spread = f"{digits(float(np.median(factors)))} ({digits(float(factors.min()))} to {digits(float(factors.max()))})"
-    return name, spread, "-" if name == NOBODY else loss
+    if alone is None:
+        return name, spread, str(len(factors)), "-", busy
+    low, middle, high = np.percentile(100.0 * (1.0 - factors / alone), (25, 50, 75))
+    return name, spread, str(len(factors)), f"{middle:.1f} ({low:.1f} to {high:.1f})", busy
 
 
 def _wait(condition: Callable[[], bool], ended: Event) -> bool:
@@ -155,11 +197,35 @@ def _connections(port: int) -> int:
     return sum(line.split()[1].endswith(f":{port:04X}") and line.split()[3] == "01" for line in lines)
 
 
-def _lower(process: "subprocess.Popen[bytes]") -> None:
-    """Give a process and its children the lowest priority."""
-    os.setpriority(os.PRIO_PGRP, process.pid, _LOWEST)
+def _tasks(session: int) -> list[Path]:
+    """The threads of all processes of a session, as a Linux kernel lists them."""
+    found = []
+    for process in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            if os.getsid(int(process.name)) == session:
+                found += list((process / "task").iterdir())
+    return found
+
+
+def _processor_s(session: int) -> float:
+    """Processor time that a session's threads have had, s."""
+    ticks = 0
+    for task in _tasks(session):
+        with suppress(OSError):
+            words = (task / "stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+            ticks += int(words[11]) + int(words[12])
+    return ticks / os.sysconf("SC_CLK_TCK")
+
+
+def _set_priority(session: int, policy: int, nice: int) -> None:
+    """Give all threads of a session a policy and a nice value, and the session the latter."""
+    for _ in range(2):  # the second time for those that were started meanwhile
+        for task in _tasks(session):
+            with suppress(ProcessLookupError):
+                os.sched_setscheduler(int(task.name), policy, os.sched_param(0))
+                os.setpriority(os.PRIO_PROCESS, int(task.name), nice)
     with suppress(OSError):  # where Linux shares processors among sessions first
-        Path(f"/proc/{process.pid}/autogroup").write_text(str(_LOWEST), encoding="ascii")
+        Path(f"/proc/{session}/autogroup").write_text(str(nice), encoding="ascii")
 
 
 def _freeze(process: "subprocess.Popen[bytes]", frozen: bool) -> None:

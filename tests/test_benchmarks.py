@@ -188,12 +188,12 @@ def test_turns_of_a_flight_that_is_watched() -> None:
     entries = [Recorded(message=truth(run, tick), received_ns=at_ms * 1_000_000) for tick, at_ms in enumerate(ticks_ms)]
     log = RunLog(header={}, messages=tuple(entries), cut="")
     changes = [(round(at_s * 1e9), "") for at_s in (0, 2, 4, 5.5)]
-    factors = watched.turns(log, changes, ("nobody", "viewer"), period_s=0.05)
+    factors = watched.turns(log, changes, 2, period_s=0.05)
     np.testing.assert_allclose(factors, [[1.0, 0.5]])
 
 
 @pytest.mark.slow
 def test_being_watched_has_its_rows() -> None:
-    """Nobody and the viewer, and browsers where there are any; a flight that short has no turn."""
+    """Nobody, the viewer, and each kind of those who look on; a flight that short has no turn."""
     (table,) = watched.measure(QUICK, silent)
-    assert first_cells(table) == [watched.NOBODY, watched.VIEWER, watched.BROWSERS]
+    assert first_cells(table) == [watched.NOBODY, watched.VIEWER, *watched.WATCHERS]

@@ -1,5 +1,6 @@
 """A log read while it is written."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -10,8 +11,9 @@ from protocol.messages import Message
 from tests import runs
 from tests.transport.logs import flown
 from transport.log import read_log
-from transport.log_tail import LogTail
+from transport.log_tail import LogTail, Unread
 from transport.mcap_salvage import frames
+from transport.viewer.record import KINDS, LATER, Record
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +24,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "run.mcap"
 
 
-def same(messages: list[Message], log: Path) -> bool:
+def same(messages: Sequence[Message | Unread], log: Path) -> bool:
     """Whether these are the messages of a log, bit for bit."""
     return list(map(repr, messages)) == [repr(entry.message) for entry in read_log(log).messages]
 
@@ -53,3 +55,33 @@ def test_damage_costs_what_is_damaged(log: Path, tmp_path: Path) -> None:
     messages, whole = LogTail(tmp_path / "run.mcap").read(), read_log(log).messages
     assert 0 < len(messages) < len(whole)
     assert messages[-1].kind == "control"
+
+
+def test_what_is_read_later_says_the_same(log: Path) -> None:
+    """A viewer's record is the same, given all messages or those of its kinds, most of them left for later."""
+    taken = LogTail(log, KINDS, LATER).read()
+    everything = [entry.message for entry in read_log(log).messages]
+    assert {message.kind for message in everything} - {message.kind for message in taken} == {"tick", "measurement"}
+    assert {message.kind for message in taken if isinstance(message, Unread)} == {"plan", "report"}
+    records = [Record(runs.setup(runs.ticks(8))) for _ in range(2)]
+    records[0].add(taken)
+    records[1].add(everything)
+    said = [
+        [
+            repr(found(agent, tick))
+            for found in (record.plan, record.report)
+            for agent in range(1, 6)
+            for tick in range(9)
+        ]
+        for record in records
+    ]
+    assert said[0] == said[1]
+    assert len(set(said[0])) == 1 + 4 * 8 * 2  # four agents, eight ticks; nothing of a fifth or a ninth
+    assert repr(records[0].truths) == repr(records[1].truths)
+
+
+def test_what_is_damaged_is_not_there() -> None:
+    """What turns out to be no message when it is asked for was never said."""
+    record = Record(runs.setup(runs.ticks(8)))
+    record.add(Unread(kind=kind, tick=3, agent=1, negotiation=0, data=b"{}") for kind in ("plan", "report"))
+    assert (record.plan(1, 3), record.report(1, 3)) == (None, None)

@@ -1,6 +1,7 @@
 """The scene of a run: what is where, what agents expect, which links are late or dark; and what it is drawn with."""
 
 import json
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,15 @@ from protocol.messages import LinkChange, Message
 from tests import runs
 from tests.transport.logs import flown
 from transport.viewer.fates import LinkState
-from transport.viewer.geometry import age_colour, link_segments, payload_mesh, quaternion, segments, span_m
+from transport.viewer.geometry import (
+    age_colour,
+    link_segments,
+    payload_mesh,
+    quaternion,
+    segments,
+    simplified,
+    span_m,
+)
 from transport.viewer.record import Record
 from transport.viewer.scene import Scenes
 
@@ -21,6 +30,8 @@ STEP_M = 1e-7
 # How far an agent's expectation of half a second may be off, where the others surprise it little.
 NEAR_M = 1e-2
 ROUNDING = 1e-9
+# Of 500 points of a circle of 1 m; 23 chords would be as near to it as NEAR_M.
+MOST_POINTS = 70
 
 DARK = "links.override=[{from='agent2',to='agent1',loss=1.0}]"
 LATE = "links.delay_s=0.2"
@@ -160,6 +171,7 @@ def test_links_are_broken_by_their_loss(loss: float) -> None:
     assert drawn == pytest.approx(1.0 - loss)
     assert pieces[..., 0].min() >= 1.0 - ROUNDING  # next to the receiver
     assert len(colours) == len(pieces)
+    assert len(pieces) == 1 or loss > 0.0  # nothing is cut that looks whole
     brightness = [sum(age_colour(age_s)) for age_s in (0.0, 0.2, 0.5, None)]
     assert brightness == sorted(brightness, reverse=True)
 
@@ -170,3 +182,18 @@ def test_uavs_do_not_overlap() -> None:
     assert span_m(places) < 0.5 < span_m(places[:1])
     assert segments(places).shape == (2, 2, 3)
     assert segments(places[:1]).shape == (0, 2, 3)
+
+
+def test_straight_paths_take_two_points() -> None:
+    """Of a path with a corner its ends and the corner are left; of a circle, as much as it takes to stay near it."""
+    corner = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 2.0, 0.0]])
+    dense = np.vstack([np.linspace(a, b, 33)[:-1] for a, b in pairwise(corner)] + [corner[2:]])
+    np.testing.assert_allclose(simplified(dense, NEAR_M), corner, atol=ROUNDING)
+    angles = np.linspace(0.0, 2.0 * np.pi, 500)
+    circle = np.column_stack([np.cos(angles), np.sin(angles), 0.0 * angles])
+    left = simplified(circle, NEAR_M)
+    assert 8 <= len(left) <= MOST_POINTS
+    np.testing.assert_array_equal(left[[0, -1]], circle[[0, -1]])
+    assert np.linalg.norm(left[1:] + left[:-1], axis=1).min() / 2.0 > 1.0 - 2.0 * NEAR_M  # the middles of its pieces
+    for few in range(3):
+        np.testing.assert_array_equal(simplified(circle[:few], NEAR_M), circle[:few])

@@ -9,16 +9,15 @@ import threading
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
-from websockets import Subprotocol
 from websockets.sync.client import connect
 
+from benchmarks import readers
 from protocol.messages import FaultNote, LinkChange, Message, Plan, Truth
 from protocol.scenario_file import read_scenario
 from protocol.setup import Setup
@@ -26,13 +25,17 @@ from tests import runs
 from tests.transport.browser import END, RIGHT, Browser, browser, needs_browser
 from tests.transport.commands import PATIENCE_S, processes_of, settings, start, wait_for
 from tests.transport.logs import flown
+from transport.live import LiveRun
 from transport.log import read_log
-from transport.log_tail import LogTail
+from transport.log_tail import LogTail, Unread
 from transport.main import app
 from transport.memory import fly
+from transport.run_folder import setup_of
 from transport.viewer.clock import Clock
 from transport.viewer.commands import viewer_of
-from transport.viewer.viewer import Viewer
+from transport.viewer.record import Record
+from transport.viewer.scene import Scenes
+from transport.viewer.viewer import Viewer, pause_s
 
 M = TypeVar("M", bound=Message)
 
@@ -69,11 +72,11 @@ def shown(folder: Path) -> Iterator[Viewer]:
 @contextmanager
 def spectators(address: str, count: int) -> Iterator[None]:
     """As many more that look on as browsers do, who are gone without a word afterwards."""
-    protocol = Subprotocol(f"viser-v{version('viser')}")
     with ExitStack() as stack:
         for _ in range(count):
-            connection = connect(address.replace("http", "ws"), subprotocols=[protocol], max_size=None)
+            connection = connect(**readers.target(address))
             stack.callback(connection.socket.close)
+            connection.send(readers.CAMERA)
             assert connection.recv(timeout=PATIENCE_S)
         yield
 
@@ -128,6 +131,38 @@ def test_a_cut_log_is_shown(recorded: Path, tmp_path: Path, capfd: pytest.Captur
         assert lost in capfd.readouterr().err
         viewer.clock.seek(29)
         assert wait_for(lambda: viewer.shown is not None and 5 < viewer.shown.tick < 29)
+
+
+def test_nothing_is_drawn_of_a_flight_while_nobody_looks(recorded: Path, tmp_path: Path) -> None:
+    """Whoever comes is shown the newest there is; that the run has ended is seen in any case."""
+    data, log = (recorded / "run.mcap").read_bytes(), tmp_path / "run.mcap"
+    log.write_bytes(data[: round(CUT * len(data))])
+    scenes = Scenes(setup_of(recorded), Record(setup_of(recorded)))
+    flying = LiveRun(run="nowhere", endpoints={}, pid=os.getpid())
+
+    def seen() -> bool:
+        viewer.work()
+        return viewer.shown is not None
+
+    with Viewer(scenes, port=0, tail=LogTail(log), live=flying) as viewer:
+        assert not seen()
+        assert scenes.record.last > 0
+        with spectators(viewer.address, 1):
+            assert wait_for(seen)
+            assert viewer.shown is not None
+            assert viewer.shown.tick == scenes.record.last < 29
+        with log.open("ab") as growing:
+            growing.write(data[round(CUT * len(data)) :])
+        viewer.work()
+        assert viewer.notice.startswith("the run has ended: ")
+        assert viewer.shown.tick == 29
+
+
+def test_how_often_a_flight_is_drawn() -> None:
+    """Ten times a second, twice if it goes as fast as it can, and a tenth of a processor at most."""
+    assert (pause_s(0.0, fast=False), pause_s(0.0, fast=True)) == (0.1, 0.5)
+    for fast in (False, True):
+        assert pause_s(0.2, fast=fast) == pytest.approx(2.0)
 
 
 @needs_browser
@@ -188,7 +223,7 @@ class Growing(LogTail):
 
     def of(self, kind: type[M]) -> list[M]:
         """The messages of one kind until now."""
-        self._all += self.read()
+        self._all += [message for message in self.read() if not isinstance(message, Unread)]
         return [message for message in self._all if isinstance(message, kind)]
 
     def notes(self, target: str, what: str) -> bool:

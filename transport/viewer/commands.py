@@ -133,7 +133,7 @@ def viewer_of(folder: Path, host: str, port: int) -> "Viewer":
     from transport import live
     from transport.log_tail import LogTail
     from transport.run_folder import open_run, setup_of
-    from transport.viewer.record import Record
+    from transport.viewer.record import KINDS, LATER, Record
     from transport.viewer.scene import Scenes
     from transport.viewer.viewer import Viewer
 
@@ -141,7 +141,7 @@ def viewer_of(folder: Path, host: str, port: int) -> "Viewer":
     if flying is not None:
         _stand_back()
         setup = setup_of(folder)
-        tail = LogTail(folder / _LOG)
+        tail = LogTail(folder / _LOG, KINDS, LATER)
         return Viewer(Scenes(setup, Record(setup)), host=host, port=port, tail=tail, live=flying)
     run = open_run(folder)
     scenes = Scenes.of(run.setup, run.log)

@@ -95,6 +95,23 @@ def dashed(path: Array, on: int = 1, off: int = 1) -> Array:
     return pieces[np.arange(len(pieces)) % (on + off) < on]
 
 
+def simplified(path: Array, tolerance_m: float) -> Array:
+    """A path, (k, 3), without points that it can do without: what is left is as far from it as the tolerance, about.
+
+    Every second point goes that is as near to the line between its neighbours, and so on until none goes: straight
+    pieces, of which maneuvers are made, take two points.
+    """
+    while True:
+        before, middle, after = path[:-2:2], path[1:-1:2], path[2::2]
+        along = after - before
+        squared = np.maximum(np.einsum("ij,ij->i", along, along), 1e-12)
+        share = np.clip(np.einsum("ij,ij->i", middle - before, along) / squared, 0.0, 1.0)
+        near = np.linalg.norm(middle - before - share[:, None] * along, axis=1) <= tolerance_m
+        if not near.any():
+            return path
+        path = np.delete(path, 1 + 2 * np.flatnonzero(near), axis=0)
+
+
 def segments(path: Array) -> Array:
     """Segments of a path, (k, 2, 3), from its points, (k + 1, 3)."""
     return np.stack([path[:-1], path[1:]], axis=1) if len(path) > 1 else np.zeros((0, 2, 3))
@@ -118,9 +135,10 @@ def link_segments(links: Sequence[LinkState], places: Array) -> tuple[Array, npt
     for link in links:
         near, far = places[link.receiver - 1], places[link.sender - 1]
         drawn = max(1.0 - link.loss, 0.15)  # of one that loses everything a trace is left
-        for k in range(_DASHES):
-            start = (k + 0.5 - drawn / 2.0) / _DASHES / 2.0
-            end = (k + 0.5 + drawn / 2.0) / _DASHES / 2.0
+        dashes = _DASHES if link.loss else 1
+        for k in range(dashes):
+            start = (k + 0.5 - drawn / 2.0) / dashes / 2.0
+            end = (k + 0.5 + drawn / 2.0) / dashes / 2.0
             pieces.append(np.array([near + start * (far - near), near + end * (far - near)]))
             colours.append(age_colour(link.age_s))
     return np.array(pieces).reshape(-1, 2, 3), np.array(colours, dtype=np.uint8).reshape(-1, 3)

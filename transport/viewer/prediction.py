@@ -48,7 +48,7 @@ class Predictor:
         own, truth = record.plan(agent, tick), record.truths.get(tick)
         if own is None or truth is None:
             return None
-        setup, report = self._setup, record.reports.get((agent, tick))
+        setup, report = self._setup, record.report(agent, tick)
         announced = AnnouncedInputs(
             setup.owned, setup.hover.u, alignment=setup.scenario.controller.received_plans, own=agent
         )

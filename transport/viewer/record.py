@@ -5,6 +5,12 @@ from collections.abc import Iterable
 
 from protocol.messages import Control, FaultNote, LinkChange, Message, Plan, Roster, StepReport, Truth
 from protocol.setup import Setup
+from transport.log_tail import Unread
+
+# The kinds of messages that a record takes in; of others nothing is shown.
+KINDS = frozenset(kind.kind for kind in (Truth, Plan, StepReport, LinkChange, Roster, FaultNote, Control))
+# Those that are most of a log, and of which those of few ticks are shown: a tail may leave them for later.
+LATER = frozenset(kind.kind for kind in (Plan, StepReport))
 
 
 class Record:
@@ -15,7 +21,6 @@ class Record:
 
     Attributes:
         truths: The plant's states by tick; a tick can be shown once its truth is here.
-        reports: Agents' reports by (agent, tick).
         changes: Changes of links in the order of their numbers, each once.
         control: How the run ended, once it has.
         news: Sentences about faults and the roster, each with its tick.
@@ -24,23 +29,24 @@ class Record:
     def __init__(self, setup: Setup) -> None:
         self._setup = setup
         self.truths: dict[int, Truth] = {}
-        self.reports: dict[tuple[int, int], StepReport] = {}
         self.changes: list[LinkChange] = []
         self.control: Control | None = None
         self.news: list[tuple[int, str]] = []
-        self._plans: dict[int, dict[int, Plan]] = {agent: {} for agent in setup.agents}
+        self._reports: dict[tuple[int, int], StepReport | Unread] = {}
+        self._plans: dict[tuple[int, int], Plan | Unread] = {}
         self._rosters: list[tuple[int, Roster]] = []
 
-    def add(self, messages: Iterable[Message]) -> None:
+    def add(self, messages: Iterable[Message | Unread]) -> None:
         """Take in messages; what cannot be of this run is left out."""
         for message in messages:
             match message:
                 case Truth() if message.x.shape == self._setup.hover.x.shape:
                     self.truths[message.tick] = message
-                case Plan() if message.negotiation == 0 and message.agent in self._plans:
-                    self._plans[message.agent][message.tick] = message
-                case StepReport():
-                    self.reports[message.agent, message.tick] = message
+                case Plan() | Unread(kind=Plan.kind):
+                    if message.negotiation == 0:
+                        self._plans[message.agent, message.tick] = message
+                case StepReport() | Unread(kind=StepReport.kind):
+                    self._reports[message.agent, message.tick] = message
                 case LinkChange() if message.number == len(self.changes) + 1:
                     self.changes.append(message)
                     self.news.append((message.tick, _said(message)))
@@ -65,7 +71,23 @@ class Record:
 
     def plan(self, agent: int, tick: int) -> Plan | None:
         """The plan an agent made at a tick."""
-        return self._plans[agent].get(tick)
+        plan = self._plans.get((agent, tick))
+        if isinstance(plan, Unread):
+            message = plan.message()
+            if not isinstance(message, Plan):
+                return None
+            plan = self._plans[agent, tick] = message
+        return plan
+
+    def report(self, agent: int, tick: int) -> StepReport | None:
+        """How an agent's step of a tick went."""
+        report = self._reports.get((agent, tick))
+        if isinstance(report, Unread):
+            message = report.message()
+            if not isinstance(message, StepReport):
+                return None
+            report = self._reports[agent, tick] = message
+        return report
 
     def nearest(self, tick: int) -> int:
         """The tick that can be shown next to one: the newest up to it, or the first; there is at least one."""

@@ -143,7 +143,7 @@ class Scenes:
         R_payload, R_uavs = rotation(view.Theta0), np.array([rotation(Theta) for Theta in view.Theta])
         y, y_ref = setup.model.outputs(truth.x), setup.reference.outputs(np.array([time_s]))[0]
         thrusts = truth.u.reshape(N, INPUTS)[:, 0]
-        reports = [self.record.reports.get((agent, tick)) for agent in setup.agents]
+        reports = [self.record.report(agent, tick) for agent in setup.agents]
         members = self.record.members(tick)
         return Scene(
             tick=tick,

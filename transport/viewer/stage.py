@@ -20,6 +20,7 @@ from transport.viewer.geometry import (
     quaternion,
     rotor_centres,
     segments,
+    simplified,
     span_m,
     uav_colour,
 )
@@ -45,8 +46,10 @@ _ARROW_M = 0.6
 # paths lie in the plane of the UAVs, so that both are seen from well above it. Seen from +y, x is to the right as it is
 # in the figures. With the camera's vertical angle, rad.
 _VIEW, _VIEW_TEAM, _FOV = np.array([0.5, 1.1, -0.6]), np.array([0.9, 1.9, -2.2]), 0.75
-# Points of a path that is drawn: more cannot be told apart.
-_POINTS = 240
+# Points of a path that is flown and of one asked for, and how far the former may be from what is drawn, in parts of the
+# maneuver's size: more cannot be told apart, and wide lines are a third of what a browser without a graphics processor
+# works at.
+_POINTS, _POINTS_ASKED, _TOLERANCE = 240, 120, 5e-4
 _NOTHING = np.zeros((1, 2, 3))
 
 
@@ -153,7 +156,8 @@ class Stage:
 
     def _show_flown(self, scene: Scene) -> None:
         payload_I, uavs_I = self._scenes.flown(scene.tick, _POINTS)
-        pieces = [segments(payload_I), *(segments(uavs_I[:, i]) for i in range(self._N))]
+        paths = [payload_I, *(uavs_I[:, i] for i in range(self._N))]
+        pieces = [segments(simplified(path, _TOLERANCE * self._size_m)) for path in paths]
         colours = [_FLOWN, *(uav_colour(i) for i in range(self._N))]
         _put(
             self._flown,
@@ -165,7 +169,7 @@ class Stage:
         """Grid, reference and camera, around the whole maneuver."""
         setup, scene = self._setup, self._server.scene
         duration_s = setup.ticks * setup.settings.sampling_period_s
-        times_s = np.linspace(0.0, duration_s, _POINTS)
+        times_s = np.linspace(0.0, duration_s, _POINTS_ASKED)
         payload_I = setup.maneuver.path(times_s)[0]
         uavs_I = setup.reference.outputs(times_s)[:, : 3 * self._N].reshape(len(times_s), self._N, 3)
         self._references = []
@@ -177,6 +181,7 @@ class Stage:
         everything = np.vstack([payload_I, above])
         low, high = everything.min(axis=0), everything.max(axis=0)
         size, middle = float(np.linalg.norm(high - low)), (low + high) / 2.0
+        self._size_m = size
         floor = float(high[2]) + 0.5
         scene.add_grid(
             "/grid",

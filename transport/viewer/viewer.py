@@ -23,9 +23,11 @@ from transport.viewer.stage import Stage
 if TYPE_CHECKING:
     import viser
 
-# How often the scene is drawn anew, and the numbers beside it, at most.
-_DRAW_S, _DRAW_LIVE_S, _NUMBERS_S = 0.05, 0.1, 0.2
-# The share of a processor that drawing may take while the run flies: large teams are drawn less often.
+# How often the scene is drawn anew, and the numbers beside it, at most. A run as fast as it goes leaves no time to
+# others, and browsers draw on for a quarter of a second after every change.
+_DRAW_S, _DRAW_LIVE_S, _DRAW_FAST_S, _NUMBERS_S = 0.05, 0.1, 0.5, 0.2
+# The share of a processor that drawing and sending may take while the run flies: large teams are drawn less often, and
+# all are if many look.
 _SHARE_LIVE = 0.1
 # How many ports to try from the one asked for.
 _PORTS = 100
@@ -77,8 +79,9 @@ class Viewer:
         self._say(notice or ("" if live is None else "in flight"), warning=bool(notice))
         self._redraw = True
         self._over = live is None
+        self._paced = scenes.setup.scenario.clock.speed > 0.0
         self._drawn_s = self._numbers_s = 0.0
-        self._asked_s, self._began_s = time.monotonic(), 0.0
+        self._asked_s, self._used_s = time.monotonic(), time.process_time()
 
     def __enter__(self) -> "Viewer":
         return self
@@ -90,7 +93,7 @@ class Viewer:
 
     def work(self) -> None:
         """Read what has come and draw what is due: to be called in turn with `rest`."""
-        now_s, self._began_s = time.monotonic(), time.thread_time()
+        now_s = time.monotonic()
         if self._tail is not None:
             self._scenes.record.add(self._tail.read())
         record = self._scenes.record
@@ -100,6 +103,8 @@ class Viewer:
         self._asked_s = now_s
         if not self._over and record.control is not None:
             self._end(record.control.outcome, record.control.reason)
+        if not self._over and not self._server.get_clients():
+            return  # nobody looks: whoever comes is shown the newest then
         moved = self.shown is None or record.nearest(tick) != self.shown.tick
         numbers = now_s >= self._numbers_s + _NUMBERS_S
         if not (moved or self._redraw or (numbers and self._drawn_s > self._numbers_s)):
@@ -115,8 +120,9 @@ class Viewer:
 
     def rest(self) -> None:
         """Wait until something may be due."""
-        worked_s = time.thread_time() - self._began_s
-        time.sleep(_DRAW_S if self._over else max(_DRAW_LIVE_S, worked_s * (1.0 / _SHARE_LIVE - 1.0)))
+        before_s, self._used_s = self._used_s, time.process_time()  # what is sent is sent while this rests
+        fast = self.clock.follows and not self._paced
+        time.sleep(_DRAW_S if self._over else pause_s(self._used_s - before_s, fast=fast))
 
     def show_until(self, ended: Callable[[], bool]) -> None:
         """Show the run until that is so."""
@@ -150,6 +156,16 @@ class Viewer:
     def _show_layer(self, name: str, shown: bool) -> None:
         self.stage.show_layer(name, shown)
         self._redraw = True
+
+
+def pause_s(used_s: float, *, fast: bool) -> float:
+    """How long to wait before a run in flight is drawn again, s.
+
+    Args:
+        used_s: Processor time that it took last.
+        fast: Whether what is shown follows a run as fast as it goes.
+    """
+    return max(_DRAW_FAST_S if fast else _DRAW_LIVE_S, used_s / _SHARE_LIVE)
 
 
 def require_viser() -> None:
