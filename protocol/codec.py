@@ -46,12 +46,14 @@ def decode(data: bytes) -> Message:
     if data[0] != VERSION:
         raise MessageError("wrong_version", f"protocol version {data[0]}, expected {VERSION}")
     try:
-        content = msgpack.unpackb(memoryview(data)[1:], ext_hook=_unpack_array, raw=False, strict_map_key=True)
+        content = msgpack.unpackb(
+            memoryview(data)[1:], ext_hook=_unpack_array, raw=False, strict_map_key=True, use_list=False
+        )
     except MessageError:
         raise
     except (ValueError, TypeError, RecursionError, msgpack.UnpackException) as error:
         raise MessageError("malformed", f"not msgpack ({type(error).__name__})") from error
-    if not (isinstance(content, list) and content and isinstance(content[0], str)):
+    if not (isinstance(content, tuple) and content and isinstance(content[0], str)):
         raise MessageError("malformed", "expected a list that starts with a message kind")
     kind, values = content[0], content[1:]
     if kind not in KINDS:
@@ -76,10 +78,11 @@ def _pack_array(value: Any) -> msgpack.ExtType:
 def _unpack_array(code: int, data: bytes) -> Array:
     if code != _ARRAY or len(data) < _HEADER.size:
         raise MessageError("malformed", f"unknown extension type {code} of {len(data)} bytes")
-    axes, *lengths = _HEADER.unpack_from(data)
+    header = _HEADER.unpack_from(data)
+    axes = header[0]
     if axes > _AXES:
         raise MessageError("malformed", f"array of {axes} axes, at most {_AXES} allowed")
-    shape = tuple(lengths[:axes])
+    shape = header[1 : 1 + axes]
     if len(data) - _HEADER.size != 8 * math.prod(shape):
         raise MessageError("malformed", f"array of shape {shape} in {len(data) - _HEADER.size} bytes")
     return np.ndarray(shape, _FLOAT64, data, _HEADER.size)

@@ -33,6 +33,7 @@ _BRIEFLY.maxstring = _BRIEFLY.maxother = _BRIEFLY.maxlong = 60
 
 _FLOAT64 = np.dtype(np.float64)
 _NAME = re.compile(r"coordinator|plant|recorder|agent[1-9][0-9]{0,2}")
+_NAMES = frozenset(["coordinator", "plant", "recorder", *(f"agent{agent}" for agent in range(1, MAX_UAVS + 1))])
 
 Outcome = Literal["completed", "diverged", "aborted"]
 FaultOrigin = Literal["script", "person", "unknown"]
@@ -102,7 +103,8 @@ class Message:
         self._integers("incarnation", "sequence", "tick")
 
     def _set(self, field: str, value: Any) -> None:
-        object.__setattr__(self, field, value)
+        if value is not getattr(self, field):  # mostly it is as it should be
+            object.__setattr__(self, field, value)
 
     def _integers(self, *fields: str, low: int = 0) -> None:
         for field in fields:
@@ -485,6 +487,8 @@ def is_name(value: object) -> bool:
 
 
 def _name(field: str, value: object) -> str:
+    if type(value) is str and value in _NAMES:
+        return value
     if not isinstance(value, str) or not _NAME.fullmatch(value):
         raise MessageError(_sort(value, str), f"{field}: expected a process name, got {_shown(value)}")
     return value
@@ -539,10 +543,25 @@ def _sequence(field: str, value: object) -> tuple[Any, ...] | list[Any]:
 
 
 def _integer_list(field: str, value: object, high: int = MAX_TICK, *, low: int = 0) -> tuple[int, ...]:
+    if type(value) is tuple and len(value) <= MAX_UAVS:  # as it mostly is: nothing to convert
+        for i in value:
+            if type(i) is not int or not low <= i <= high:
+                break
+        else:
+            return value
     return tuple([_integer(field, i, high, low=low) for i in _sequence(field, value)])
 
 
 def _ids(field: str, value: object) -> tuple[int, ...]:
+    if type(value) is tuple:  # as it mostly is
+        last = 0
+        for i in value:
+            if type(i) is not int or i <= last:
+                break
+            last = i
+        else:
+            if last <= MAX_UAVS:
+                return value
     ids = _integer_list(field, value, MAX_UAVS, low=1)
     if any(map(operator.ge, ids, ids[1:])):
         raise MessageError("out_of_range", f"{field}: expected ascending ids, got {list(ids)}")

@@ -201,6 +201,7 @@ def _at_import(environment: Mapping[str, str]) -> dict[str, str]:
 def _adopts_orphans() -> bool:
     """Make this process the parent of processes whose own ends: those that the server starts for it."""
     try:
+        os.close(os.pidfd_open(os.getpid()))  # older kernels, and some sandboxes, have none
         return bool(ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0) == 0)
     except (OSError, AttributeError):
         return False
