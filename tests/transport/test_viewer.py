@@ -1,6 +1,7 @@
 """The viewer in a browser: a recorded run, a log that was cut, a run in flight that is changed; what is refused."""
 
 import json
+import math
 import os
 import re
 import signal
@@ -35,7 +36,7 @@ from transport.viewer.clock import Clock
 from transport.viewer.commands import viewer_of
 from transport.viewer.record import Record
 from transport.viewer.scene import Scenes
-from transport.viewer.viewer import Viewer, pause_s
+from transport.viewer.viewer import IdleProcessors, Viewer, pause_s
 
 M = TypeVar("M", bound=Message)
 
@@ -163,6 +164,26 @@ def test_how_often_a_flight_is_drawn() -> None:
     assert (pause_s(0.0, fast=False), pause_s(0.0, fast=True)) == (0.1, 0.5)
     for fast in (False, True):
         assert pause_s(0.2, fast=fast) == pytest.approx(2.0)
+
+
+def test_idle_processors(tmp_path: Path) -> None:
+    """They are counted from what the kernel says of their time; where it says nothing, none is missing."""
+    path = tmp_path / "stat"
+
+    def tell(user: int, idle: int, waiting: int) -> None:
+        cpus = "".join(f"cpu{k} 0 0 0 0\n" for k in range(4))
+        path.write_text(f"cpu  {user} 0 0 {idle} {waiting} 0 0 0 {user} 0\n{cpus}intr 5\n")
+
+    tell(100, 50, 10)
+    idle = IdleProcessors(path)
+    tell(175, 70, 15)
+    assert idle.count() == pytest.approx(1.0)  # a quarter of the time of four
+    tell(275, 70, 15)
+    assert idle.count() == 0.0
+    assert idle.count() == 0.0  # no time has passed
+    path.write_text("none of this\n")
+    assert idle.count() == math.inf
+    assert IdleProcessors(tmp_path / "missing").count() == math.inf
 
 
 @needs_browser

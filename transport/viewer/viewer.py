@@ -5,10 +5,12 @@ the command line does.
 """
 
 import io
+import math
 import socket
 import time
 from collections.abc import Callable
 from contextlib import redirect_stdout
+from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING
 
@@ -24,8 +26,8 @@ if TYPE_CHECKING:
     import viser
 
 # How often the scene is drawn anew, and the numbers beside it, at most. A run as fast as it goes leaves no time to
-# others, and browsers draw on for a quarter of a second after every change.
-_DRAW_S, _DRAW_LIVE_S, _DRAW_FAST_S, _NUMBERS_S = 0.05, 0.1, 0.5, 0.2
+# others, and browsers draw on for a quarter of a second after every change: where no processor is idle, they wait.
+_DRAW_S, _DRAW_LIVE_S, _DRAW_FAST_S, _DRAW_FULL_S, _NUMBERS_S = 0.05, 0.1, 0.5, 3.0, 0.2
 # The share of a processor that drawing and sending may take while the run flies: large teams are drawn less often, and
 # all are if many look.
 _SHARE_LIVE = 0.1
@@ -81,6 +83,7 @@ class Viewer:
         self._over = live is None
         self._paced = scenes.setup.scenario.clock.speed > 0.0
         self._drawn_s = self._numbers_s = 0.0
+        self._idle = IdleProcessors()
         self._asked_s, self._used_s = time.monotonic(), time.process_time()
 
     def __enter__(self) -> "Viewer":
@@ -105,6 +108,13 @@ class Viewer:
             self._end(record.control.outcome, record.control.reason)
         if not self._over and not self._server.get_clients():
             return  # nobody looks: whoever comes is shown the newest then
+        if (
+            self._follows_fast
+            and not self._redraw
+            and now_s < self._drawn_s + _DRAW_FULL_S
+            and self._idle.count() < 1.0
+        ):
+            return
         moved = self.shown is None or record.nearest(tick) != self.shown.tick
         numbers = now_s >= self._numbers_s + _NUMBERS_S
         if not (moved or self._redraw or (numbers and self._drawn_s > self._numbers_s)):
@@ -121,8 +131,7 @@ class Viewer:
     def rest(self) -> None:
         """Wait until something may be due."""
         before_s, self._used_s = self._used_s, time.process_time()  # what is sent is sent while this rests
-        fast = self.clock.follows and not self._paced
-        time.sleep(_DRAW_S if self._over else pause_s(self._used_s - before_s, fast=fast))
+        time.sleep(_DRAW_S if self._over else pause_s(self._used_s - before_s, fast=self._follows_fast))
 
     def show_until(self, ended: Callable[[], bool]) -> None:
         """Show the run until that is so."""
@@ -134,6 +143,11 @@ class Viewer:
         """Stop the server; browsers are told that the connection is gone."""
         with redirect_stdout(io.StringIO()):
             self._server.stop()
+
+    @property
+    def _follows_fast(self) -> bool:
+        """Whether what is shown is the newest of a run as fast as it goes."""
+        return self.clock.follows and not self._paced and not self._over
 
     def _end(self, outcome: str, reason: str) -> None:
         self._over = True
@@ -166,6 +180,37 @@ def pause_s(used_s: float, *, fast: bool) -> float:
         fast: Whether what is shown follows a run as fast as it goes.
     """
     return max(_DRAW_FAST_S if fast else _DRAW_LIVE_S, used_s / _SHARE_LIVE)
+
+
+class IdleProcessors:
+    """How many processors of this machine have nothing to do.
+
+    Args:
+        path: Where a Linux kernel counts their time.
+    """
+
+    def __init__(self, path: Path = Path("/proc/stat")) -> None:
+        self._path = path
+        self._before = self._read()
+
+    def count(self) -> float:
+        """The mean since it was asked last; as many as one likes where the system does not tell."""
+        before, now = self._before, self._read()
+        self._before = now
+        if now is None or before is None:
+            return math.inf
+        idle, total, processors = now
+        idle_before, total_before, _ = before
+        return processors * (idle - idle_before) / max(1, total - total_before)
+
+    def _read(self) -> tuple[int, int, int] | None:
+        """Time idle, all time, in the kernel's ticks since it started; number of processors."""
+        try:
+            lines = self._path.read_text(encoding="ascii").splitlines()
+            times = [int(word) for word in lines[0].split()[1:9]]  # what guests take is in user time already
+        except (OSError, ValueError, IndexError):
+            return None
+        return times[3] + times[4], sum(times), sum(line.startswith("cpu") for line in lines) - 1
 
 
 def require_viser() -> None:
