@@ -21,7 +21,7 @@ class Effort:
         steps: At least so many of each are timed.
         repetitions: Of each program, and of what takes microseconds.
         programs: At most so many of a flight, from its beginning to its end.
-        centralized: Whether solvers are asked the programs of one agent for all, too.
+        large_programs: The same of one agent for all, of which each takes some solvers a second; 0 for none.
         maneuver: What is flown from beginning to end, a scenario and its settings.
         processes: UAVs of the teams that fly with processes.
         flown: What they fly, a setting.
@@ -38,7 +38,7 @@ class Effort:
     steps: int
     repetitions: int
     programs: int
-    centralized: bool
+    large_programs: int
     maneuver: tuple[str, ...]
     processes: tuple[int, ...]
     flown: str
@@ -56,7 +56,7 @@ FULL = Effort(
     steps=400,
     repetitions=5,
     programs=30,
-    centralized=True,
+    large_programs=5,
     maneuver=("paper",),
     processes=(4, 8, 16),
     flown=_climb(5.0, 1.0),
@@ -74,7 +74,7 @@ QUICK = Effort(
     steps=1,
     repetitions=1,
     programs=4,
-    centralized=False,
+    large_programs=0,
     maneuver=("paper", _climb(1.0, 0.5)),
     processes=(2,),
     flown=_climb(0.5, 0.1),

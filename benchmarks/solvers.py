@@ -112,12 +112,14 @@ def measure(effort: Effort, say: Callable[[str], None]) -> list[Table]:
     asked = [solver for solver in SOLVERS if solver.installed]
     rows: list[tuple[str, ...]] = []
     sizes = []
-    for name in ("paper", "centralized") if effort.centralized else ("paper",):
+    for name, count in (("paper", effort.programs), ("centralized", effort.large_programs)):
+        if count == 0:
+            continue
         outcomes = []
         for settings in ((), TIGHT):
-            qps = programs(setup(name, effort.climb, *settings), effort.programs)
+            qps = programs(setup(name, effort.climb, *settings), count)
             say(f"{name}{', tight limits' * bool(settings)}: {len(qps)} programs, {len(asked)} solvers")
-            outcomes.append(compare(asked, qps, effort.repetitions))
+            outcomes.append(compare(asked, qps, min(effort.repetitions, count)))
         sizes.append(f"{len(qps[0].g)} variables and {len(qps[0].A)} rows")
         for solver in SOLVERS:
             if not solver.installed:
