@@ -1,5 +1,9 @@
 """The soak, shorter than it is meant to be, and its judgement."""
 
+import os
+import time
+from pathlib import Path
+
 import pytest
 
 from benchmarks import soak
@@ -45,7 +49,27 @@ def test_judgement() -> None:
     early = flat()
     early.memory[:3] = [1e7] * 3  # the warm-up
     assert judge({"a": early}, [0] * 90)[1] == []
-    assert "0 in the first third, 30 in the last" in judge({"a": flat()}, [0] * 60 + [1] * 30)[1][0]
+    assert "0.000 in the first third, 1.000 in the last" in judge({"a": flat()}, [0] * 60 + [1] * 30)[1][0]
     assert judge({"a": flat()}, [1] * 60 + [0] * 30)[1] == []
+    assert judge({"a": flat()}, [0] * 61 + [None] * 29)[1] == []  # nobody's fault
     with pytest.raises(BenchmarkError, match="expected at least 4 looks"):
         judge({"a": Record(memory=[1.0], threads=[1.0], files=[1.0])}, [0] * 90)
+
+
+def test_stolen_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Seconds in which the host was away are known, with the second after each, and no others."""
+    now, path, hz = [100.0], tmp_path / "stat", os.sysconf("SC_CLK_TCK")
+    monkeypatch.setattr(time, "time", lambda: now[0])
+
+    def look(at_s: float, stolen_s: float) -> None:
+        now[0] = at_s
+        path.write_text(f"cpu  1 2 3 4 5 6 7 {round(stolen_s * hz)} 0 0\ncpu0 0\n")
+        stolen.look()
+
+    path.write_text("cpu  1 2 3 4 5 6 7 0 0 0\n")
+    stolen = soak.Stolen(path)
+    for at_s, stolen_s in ((101.0, 0.0), (102.0, 0.5), (103.0, 0.51), (104.0, 0.51), (105.0, 1.5), (106.0, 2.5)):
+        look(at_s, stolen_s)
+    at = [100.5, 101.0, 101.9, 102.9, 103.0, 103.9, 104.0, 105.5, 106.9, 107.0]
+    assert [stolen.covers(at_s) for at_s in at] == [False, True, True, True, False, False, True, True, True, False]
+    assert not soak.Stolen(tmp_path / "missing").covers(100.0)
