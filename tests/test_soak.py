@@ -8,7 +8,8 @@ import pytest
 
 from benchmarks import soak
 from benchmarks.page import BenchmarkError
-from benchmarks.soak import GROWTH_BYTES, Record, judge, main
+from benchmarks.soak import GROWTH_BYTES, Record, judge
+from tests.beside import Beside
 
 # Besides the flight: its start and its report, and a host that cannot keep up with the clock.
 PATIENCE_S = 240
@@ -16,15 +17,10 @@ PATIENCE_S = 240
 
 @pytest.mark.slow
 @pytest.mark.timeout(60 * 2 + PATIENCE_S)
-def test_nothing_grows(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two minutes in real time, by the limits of thirty: no memory, no thread and no file is lost.
-
-    Whoever is late is waited for: on a host that is busy with other tests the flight would be lost otherwise. And as
-    what a host does to others is not the run's, deadlines may be missed more often in one third than in another.
-    """
-    monkeypatch.setattr(soak, "MISSES", 0.25)
-    assert main(["--minutes", "2", "--set", "clock.on_overrun=hold"]) == 0, capsys.readouterr().err
-    table = capsys.readouterr().out
+def test_nothing_grows(soaked: Beside) -> None:
+    """Two minutes in real time, begun beside earlier tests: no memory, no thread and no file is lost."""
+    code, table, errors = soaked.result()
+    assert code == 0, errors
     assert all(f"| {name} |" in table for name in ("recorder", "coordinator", "plant", "agent1", "agent4"))
 
 
@@ -50,6 +46,7 @@ def test_judgement() -> None:
     early.memory[:3] = [1e7] * 3  # the warm-up
     assert judge({"a": early}, [0] * 90)[1] == []
     assert "0.000 in the first third, 1.000 in the last" in judge({"a": flat()}, [0] * 60 + [1] * 30)[1][0]
+    assert judge({"a": flat()}, [0] * 60 + [1] * 30, 1.0)[1] == []
     assert judge({"a": flat()}, [1] * 60 + [0] * 30)[1] == []
     assert judge({"a": flat()}, [0] * 61 + [None] * 29)[1] == []  # nobody's fault
     with pytest.raises(BenchmarkError, match="expected at least 4 looks"):

@@ -17,7 +17,7 @@ from tests.transport.experiments.flown import FLIGHTS, SMALL, here, kept, tables
 DONE, LOST, INTERRUPTED = 0, 4, 130
 
 # Flights long enough to be killed in.
-LONG = ("experiment", "latency", "--set", ticks(40), "--delay", "0.1", "--delay", "0.2", "--delay", "0.3")
+LONG = ("experiment", "latency", "--set", ticks(200), "--delay", "0.1", "--delay", "0.2", "--delay", "0.3")
 
 
 @pytest.fixture(scope="module")
