@@ -272,10 +272,9 @@ def _become(request: Mapping[str, Any], stdin: int, output: int) -> NoReturn:
         os.closerange(3, os.sysconf("SC_OPEN_MAX"))
         os.environ.clear()
         os.environ.update(request["environment"])
-        wake_with_its_end()
         sys.argv = ["transport", *request["arguments"]]
         setproctitle.setproctitle(" ".join(sys.argv))
-        from transport.main import main
+        from transport.__main__ import main
 
         main()
     except SystemExit as end:

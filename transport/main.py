@@ -2,7 +2,6 @@
 
 import re
 import shlex
-import signal
 import sys
 from contextlib import nullcontext
 from pathlib import Path
@@ -370,13 +369,6 @@ def scenario_new(
         fail(f"--out: cannot write {out} ({error.strerror})", EXIT_USAGE)
     sizes = f"{setup.system.N} UAVs, {len(setup.agents)} agents, hover thrust {setup.hover.u[0]:.2f} N"
     typer.echo(f"{sizes}; fly it with: transport run {shlex.quote(str(out))}", err=True)
-
-
-def main() -> None:
-    """Entry point of the command `transport`."""
-    # Whoever ends a command by SIGTERM gets what Ctrl-C gives: exit code 130, and nothing is left half done.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    app(prog_name="transport")
 
 
 def _place(

@@ -145,13 +145,13 @@ def test_nobody_flies_without(victim: str, tmp_path: Path) -> None:
 
 def test_a_frozen_plant(tmp_path: Path) -> None:
     """A plant that is stopped for good is noticed by the barrier, as nobody can answer without it."""
-    summary = aborted(tmp_path, "plant", "stop", "clock.barrier_timeout_s=1.0")
+    summary = aborted(tmp_path, "plant", "stop")
     assert summary["reason"] == "no agent answered tick 10 in time: is the plant alive?"
 
 
 def test_a_frozen_coordinator(tmp_path: Path) -> None:
     """A coordinator that is stopped for good is given up when the network's lease of ten seconds ends."""
-    summary = aborted(tmp_path, "coordinator", "stop", "clock.barrier_timeout_s=1.0")
+    summary = aborted(tmp_path, "coordinator", "stop")
     assert summary["reason"] == "coordinator is gone"
     assert summary["ticks"] == 10
 

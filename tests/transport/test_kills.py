@@ -4,6 +4,7 @@ import json
 import os
 import signal
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,23 @@ from tests.transport.commands import ENDLESS, PATIENCE_S, is_flying, processes_o
 from transport.log import read_log
 
 TEAM = ["coordinator", "plant", "agent1", "agent2", "agent3", "agent4"]
-LOST, INTERRUPTED = 4, 130
+USAGE, LOST, INTERRUPTED = 2, 4, 130
+
+# A command, and signals that come when it has ended: on its way out, and while the interpreter takes itself apart.
+SIGNALLED_AFTERWARDS = """
+import atexit, os, sys
+from transport.__main__ import main
+
+class Last:
+    def __del__(self, kill=os.kill, me=os.getpid()):
+        kill(me, {number})
+        print("signalled", flush=True)
+
+last = Last()
+atexit.register(os.kill, os.getpid(), {number})
+sys.argv[1:] = {arguments}
+main()
+"""
 
 
 def take_off(tmp_path: Path, run: str, *changes: str) -> subprocess.Popen[str]:
@@ -69,7 +86,7 @@ def test_a_killed_harness_leaves_no_orphans(tmp_path: Path) -> None:
 
 def test_a_frozen_agent_is_noticed_by_the_barrier(tmp_path: Path) -> None:
     """SIGSTOP leaves the token in place; the barrier timeout names the agent and the run ends, nobody left."""
-    process = take_off(tmp_path, "frozen", "clock.barrier_timeout_s=1.0")
+    process = take_off(tmp_path, "frozen")
     os.kill(processes_of("frozen")["agent2"], signal.SIGSTOP)
     _, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == LOST
@@ -87,3 +104,12 @@ def test_the_others_fly_on_when_told_to(tmp_path: Path) -> None:
     _, errors = process.communicate(timeout=PATIENCE_S)
     assert "agent3 is gone" in errors
     assert processes_of("continued") == {}
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(("arguments", "code"), [(["--help"], 0), (["plot", "nowhere"], USAGE)])
+def test_a_signal_after_the_end_changes_nothing(number: signal.Signals, arguments: list[str], code: int) -> None:
+    """A command that has ended keeps its exit code, whatever it is sent while its process is still there."""
+    program = SIGNALLED_AFTERWARDS.format(number=int(number), arguments=arguments)
+    result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
+    assert (result.returncode, "signalled" in result.stdout, "Traceback" in result.stderr) == (code, True, False)

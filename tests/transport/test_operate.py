@@ -16,7 +16,7 @@ from transport.log import RunLog, read_log
 from transport.main import app
 
 TEAM = ["coordinator", "plant", "agent1", "agent2", "agent3", "agent4"]
-PACED = ("clock.speed=1.0", "clock.on_agent_loss=continue", "clock.barrier_timeout_s=2.0")
+PACED = ("clock.speed=1.0", "clock.on_agent_loss=continue")
 PERIOD_S = 0.05
 USAGE, INTERRUPTED = 2, 130
 

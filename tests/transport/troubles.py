@@ -15,10 +15,10 @@ HEAVY = (
 )
 NEXT_TICK, ROUNDS = "clock.actuation=next_tick", "controller.rounds=2"
 
-# One agent frozen and thawed, another killed and started anew, for a while both of them away.
+# One agent frozen and thawed, another killed and started anew, for a while both of them away. Who is frozen is given up
+# after the usual 5 s and no sooner: a busy host lets any process stand still for a second.
 FAULTS = (
     "clock.on_agent_loss=continue",
-    "clock.barrier_timeout_s=1.0",
     "faults.event=[{at_s=0.3,do='stop',target='agent2'},{at_s=0.7,do='continue',target='agent2'},"
     "{at_s=0.5,do='kill',target='agent4'},{at_s=0.9,do='restart',target='agent4'}]",
 )
