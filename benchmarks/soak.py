@@ -102,7 +102,10 @@ def soak(
 
 
 def judge(
-    records: Mapping[str, Record], missed: Sequence[int | None], misses: float = MISSES
+    records: Mapping[str, Record],
+    missed: Sequence[int | None],
+    misses: float = MISSES,
+    growth_bytes: float = GROWTH_BYTES,
 ) -> tuple[Table, list[str]]:
     """The table of what was used, and what is wrong with it.
 
@@ -110,6 +113,7 @@ def judge(
         records: By process.
         missed: Deadlines in each tick; None for a tick that does not count.
         misses: By how many per tick the last third may have more than the first.
+        growth_bytes: By how much memory may grow, if that is more than `GROWTH` of it.
     """
     rows, wrong = [], []
     for name, record in records.items():
@@ -117,7 +121,7 @@ def judge(
         for what, values in (("memory", record.memory), ("threads", record.threads), ("files", record.files)):
             first, last = thirds(values)
             cells.append(_cell(what, first, last))
-            allowed = {"memory": max(GROWTH * first, GROWTH_BYTES), "threads": THREADS, "files": 0.0}[what]
+            allowed = {"memory": max(GROWTH * first, growth_bytes), "threads": THREADS, "files": 0.0}[what]
             if last - first > allowed:
                 wrong.append(f"{name}: {what} {cells[-1]}")
         rows.append([name, *cells])
@@ -152,13 +156,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--misses", type=float, default=MISSES, help="deadlines per tick by which the last third may differ"
     )
+    parser.add_argument(
+        "--growth", type=float, default=GROWTH_BYTES / 1024**2, help="MiB by which memory may grow between the thirds"
+    )
     parser.add_argument("--set", dest="settings", action="append", default=[], metavar="KEY=VALUE")
     asked = parser.parse_args(arguments)
     every_s = asked.every if asked.every is not None else 0.6 * asked.minutes
     try:
         with TemporaryDirectory() as folder:
             flown = soak(asked.minutes, every_s, asked.settings, Path(folder) / "soak")
-            table, wrong = judge(*flown, asked.misses)
+            table, wrong = judge(*flown, asked.misses, asked.growth * 1024**2)
     except BenchmarkError as error:
         sys.stderr.write(f"soak: {error}\n")
         return 1
@@ -210,7 +217,7 @@ def _watched(run: subprocess.Popen[bytes], folder: Path, every_s: float, stolen:
     logs = folder / "logs"
     while live.read(folder) is not None and not all('"joined"' in log.read_text() for log in logs.glob("*.log")):
         time.sleep(0.1)
-    # A busy host lets the recorder stand still now and then, and what comes meanwhile takes room, which its allocator
+    # A busy host lets the recorder stand still now and then, and what comes meanwhile takes room, some of which it
     # keeps. Once at the beginning, so that this is no growth later.
     run.send_signal(signal.SIGSTOP)
     time.sleep(_STANDSTILL_S)

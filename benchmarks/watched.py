@@ -61,8 +61,9 @@ HEADLESS = (
     "--window-size=900,600",
 )
 _STAYS = "--remote-debugging-port=0"  # else it ends as soon as the page is loaded
-# How long each part of a turn takes, and how long what was frozen takes to catch up, s.
-_BLOCK_S, _SKIP_S = 1.5, 0.5
+# How long each part of a turn takes, and how long what was frozen takes to catch up, s. What counts is as long as a
+# page that is held back goes without a picture: there is one in it.
+_BLOCK_S, _SKIP_S = 6.0, 1.0
 # How many look on, and how long their pages take to be drawn for the first time once they are connected, s.
 _COUNT, _OPEN_S = 3, 6.0
 

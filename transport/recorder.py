@@ -11,6 +11,7 @@ from collections.abc import Callable, Collection
 from protocol.bus import Bus, BusEvent, Interrupted
 from protocol.claims import Claims, check_moment
 from protocol.gate import Gate
+from protocol.health import give_back_memory
 from protocol.keys import Keys
 from protocol.links import told_change
 from protocol.messages import (
@@ -42,6 +43,8 @@ _GONE, UNHEARD = "coordinator is gone", "how the run ended did not reach the rec
 _GATHER_S, _GATHER_PACED_S = 0.03, 0.01
 # What comes is in the file, for who watches, when nothing more has come for so long: less than the period of most runs.
 _PAUSE_S = 0.02
+# What came while this process stood still took room, which is given back in such a pause, not more often than this.
+_TIDY_S = 5.0
 # How long messages may trail the end of the run on their way here.
 _TRAIL_S = 2.0
 # How long nothing must come before the record counts as complete, once everybody but the coordinator has left.
@@ -115,6 +118,7 @@ class Recorder:
         self._writing = threading.Lock()  # notes come from another thread
         self._thread = threading.Thread(target=self._run, name=NAME, daemon=True)
         self._expected: Collection[str] = ()
+        self._tidy_s = 0.0
 
     def start(self, expected: Collection[str]) -> None:
         """Begin; the expected processes are waited for on the recorder's thread."""
@@ -207,6 +211,9 @@ class Recorder:
                 return event
             with self._writing:
                 self._writer.flush()
+            if time.monotonic() > self._tidy_s:
+                give_back_memory()
+                self._tidy_s = time.monotonic() + _TIDY_S
         return self._bus.next(timeout_s)
 
     def hear(self, message: Message, at_ns: int | None = None) -> None:

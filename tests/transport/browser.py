@@ -78,6 +78,16 @@ class Browser:
             (folder / f"{name}.png").write_bytes(self.driver.get_screenshot_as_png())
         return np.asarray(imread(io.BytesIO(data), format="png"))[..., :3]
 
+    def put(self, element: str) -> None:
+        """Make an element, as HTML, all there is of the page."""
+        self.driver.execute_script("document.body.innerHTML = arguments[0]", element)
+
+    def drawn(self) -> int:
+        """How many pictures the page has been given since this was asked first, while it wants one after another."""
+        count = "if (window.drawn === undefined) { window.drawn = 0; const draw = () => { ++window.drawn; "
+        loop = "requestAnimationFrame(draw); }; requestAnimationFrame(draw); } return window.drawn;"
+        return int(self.driver.execute_script(count + loop))
+
     def complaints(self) -> list[str]:
         """Errors and warnings of its console."""
         log: list[dict[str, Any]] = self.driver.get_log("browser")  # type: ignore[no-untyped-call]

@@ -7,6 +7,7 @@ import re
 import signal
 import socket
 import threading
+import time
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
@@ -34,6 +35,7 @@ from transport.memory import fly
 from transport.run_folder import setup_of
 from transport.viewer.clock import Clock
 from transport.viewer.commands import viewer_of
+from transport.viewer.pace import pace
 from transport.viewer.record import Record
 from transport.viewer.scene import Scenes
 from transport.viewer.viewer import IdleProcessors, Viewer, pause_s
@@ -52,6 +54,7 @@ LONG = (
     "{name='climb',duration_s=300.0,displacement_m=[0,0,-20.0]}]"
 )
 DELAY_STEPS = 10  # of 10 ms
+HOUR_S = 3600.0
 AGENTS, VICTIM = 4, 2
 WANTED = {"delay_s": 0.1, "loss": 0.0}
 
@@ -118,6 +121,34 @@ def test_a_recorded_run_is_shown(recorded: Path, window: Browser) -> None:
         assert changed.mean() > PIXELS
         assert window.hosts() == {"127.0.0.1"}
         assert window.complaints() == []
+
+
+@needs_browser
+def test_a_page_draws_when_it_may(recorded: Path, window: Browser) -> None:
+    """Pictures are held back for as long as the viewer says, but not from who has just opened it or presses a key."""
+    window.leave()
+    for gap_s in (0.0, HOUR_S):
+        window.put(pace(gap_s))
+        assert wait_for(lambda: window.drawn() > 5)  # it has just been opened
+    assert wait_for(lambda: stands(window))
+    before = window.drawn()
+    window.driver.find_element("css selector", "body").send_keys(RIGHT)
+    assert wait_for(lambda: window.drawn() > before)
+    assert wait_for(lambda: stands(window))
+    before = window.drawn()
+    window.put(pace(0.0))
+    assert wait_for(lambda: window.drawn() > before + 5)
+    with shown(recorded) as viewer:
+        window.open(viewer.address)
+        assert wait_for(lambda: window.driver.execute_script("return typeof window.setPace") == "function")
+        assert window.complaints() == []
+
+
+def stands(window: Browser) -> bool:
+    """Whether a page has drawn nothing for half a second."""
+    before = window.drawn()
+    time.sleep(0.5)
+    return window.drawn() == before
 
 
 def test_a_cut_log_is_shown(recorded: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

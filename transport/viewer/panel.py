@@ -9,6 +9,7 @@ from protocol.messages import agent_name
 from transport.viewer import words
 from transport.viewer.acts import Acts
 from transport.viewer.clock import SPEEDS, Clock
+from transport.viewer.pace import pace
 from transport.viewer.scene import Scene, Scenes
 from transport.viewer.stage import LAYERS
 
@@ -53,6 +54,7 @@ class Panel:
         gui.main_panel.dock_right()
         gui.set_panel_label(f"transport: {self._setup.scenario.name}")
         self._notice = gui.add_html("")
+        self._pace = gui.add_html("")
         self._time = gui.add_slider("time (s)", 0.0, self._duration_s, self._period_s, 0.0)
         self._play = gui.add_button("Pause" if clock.playing else "Play")
         self._speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="1 x")
@@ -80,6 +82,12 @@ class Panel:
     def say(self, text: str, *, warning: bool = False) -> None:
         """Put a sentence above everything else."""
         self._notice.content = words.notice(text, warning=warning)
+
+    def set_pace(self, gap_s: float) -> None:
+        """Let browsers draw no more often than that, s; 0 for as often as they like."""
+        content = pace(gap_s)
+        if content != self._pace.content:
+            self._pace.content = content
 
     def show(self, scene: Scene, *, numbers: bool) -> None:
         """Show a scene's time and, if asked for, its numbers."""

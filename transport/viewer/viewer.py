@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     import viser
 
 # How often the scene is drawn anew, and the numbers beside it, at most. A run as fast as it goes leaves no time to
-# others, and browsers draw on for a quarter of a second after every change: where no processor is idle, they wait.
-_DRAW_S, _DRAW_LIVE_S, _DRAW_FAST_S, _DRAW_FULL_S, _NUMBERS_S = 0.05, 0.1, 0.5, 3.0, 0.2
+# others: where no processor is idle, whoever looks on waits.
+_DRAW_S, _DRAW_LIVE_S, _DRAW_FAST_S, _DRAW_FULL_S, _NUMBERS_S = 0.05, 0.1, 0.5, 5.0, 0.2
 # The share of a processor that drawing and sending may take while the run flies: large teams are drawn less often, and
 # all are if many look.
 _SHARE_LIVE = 0.1
@@ -106,14 +106,11 @@ class Viewer:
         self._asked_s = now_s
         if not self._over and record.control is not None:
             self._end(record.control.outcome, record.control.reason)
+        full = self._follows_fast and self._idle.count() < 1.0
+        self._panel.set_pace(0.0 if self._over else _DRAW_FULL_S if full else _DRAW_LIVE_S)
         if not self._over and not self._server.get_clients():
             return  # nobody looks: whoever comes is shown the newest then
-        if (
-            self._follows_fast
-            and not self._redraw
-            and now_s < self._drawn_s + _DRAW_FULL_S
-            and self._idle.count() < 1.0
-        ):
+        if full and not self._redraw and now_s < self._drawn_s + _DRAW_FULL_S:
             return
         moved = self.shown is None or record.nearest(tick) != self.shown.tick
         numbers = now_s >= self._numbers_s + _NUMBERS_S
