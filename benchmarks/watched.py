@@ -29,12 +29,11 @@ from transport.log import RunLog, read_log
 
 NOBODY, VIEWER = "nobody", "the viewer, no browser"
 
-# Who looks on besides the viewer, and with what policy and nice value; None for those that draw elsewhere.
-WATCHERS: Mapping[str, tuple[int, int] | None] = {
+# Who looks on besides the viewer, and with what nice value; None for those that draw elsewhere.
+WATCHERS: Mapping[str, int | None] = {
     "3 browsers on other machines": None,
-    "3 browsers here, what is idle (`chrt --idle 0`)": (os.SCHED_IDLE, 19),
-    "3 browsers here, least share (`nice -n 19`)": (os.SCHED_OTHER, 19),
-    "3 browsers here, as they come": (os.SCHED_OTHER, 0),
+    "3 browsers here, as they come": 0,
+    "3 browsers here, least share (`nice -n 19`)": 19,
 }
 
 TEXT = (
@@ -44,9 +43,8 @@ TEXT = (
     "kind; in each, by turns, all of them are frozen, those who look on, and none, for {block:g} s each; the first "
     "{skip:g} s after each change do not count. Real-time factor, median of all turns (least to most). Loss: by how "
     "much it is lower than while nobody watched in the same turn, median (quartiles). Processors: how many those who "
-    "look on keep busy, mean. Once their pages are open, browsers have the priority that is said, and but for the last "
-    "their sessions have the least share of the processors (`/proc/PID/autogroup` 19); the viewer has nice 10, its "
-    "session as well."
+    "look on keep busy then, mean. Once their pages are open, browsers have the priority that is said, and their "
+    "sessions as well (`/proc/PID/autogroup`); the viewer has nice 10, its session as well."
 )
 
 _HOST = "127.0.0.1"
@@ -63,7 +61,7 @@ HEADLESS = (
 _STAYS = "--remote-debugging-port=0"  # else it ends as soon as the page is loaded
 # How long each part of a turn takes, and how long what was frozen takes to catch up, s. What counts is as long as a
 # page that is held back goes without a picture: there is one in it.
-_BLOCK_S, _SKIP_S = 6.0, 1.0
+_BLOCK_S, _SKIP_S = 11.0, 1.0
 # How many look on, and how long their pages take to be drawn for the first time once they are connected, s.
 _COUNT, _OPEN_S = 3, 6.0
 
@@ -73,11 +71,11 @@ def measure(effort: Effort, say: Callable[[str], None]) -> list[Table]:
     run = setup("resilient", effort.watched)
     chromium = next(filter(None, map(shutil.which, _CHROMIUM)), None)
     measured: dict[str, tuple[Array, float]] = {}
-    for name, priority in WATCHERS.items():
-        if priority is not None and chromium is None:
+    for name, nice in WATCHERS.items():
+        if nice is not None and chromium is None:
             continue
         say(f"{run.maneuver.duration_s:g} s, by turns watched by {NOBODY}, {VIEWER}, {name}")
-        factors, busy = measured[name] = _flown(run, chromium, priority)
+        factors, busy = measured[name] = _flown(run, chromium, nice)
         say(", ".join(_row(name, factors[:, 2], factors[:, 0], f"{busy:.2f}")))
     everything = np.concatenate([factors for factors, _ in measured.values()])
     rows = [_row(NOBODY, everything[:, 0]), _row(VIEWER, everything[:, 1], everything[:, 0])]
@@ -91,13 +89,13 @@ def measure(effort: Effort, say: Callable[[str], None]) -> list[Table]:
     return [Table(text=TEXT.format(block=_BLOCK_S, skip=_SKIP_S), columns=columns, rows=rows)]
 
 
-def _flown(run: Setup, chromium: str | None, priority: tuple[int, int] | None) -> tuple[Array, float]:
+def _flown(run: Setup, chromium: str | None, nice: int | None) -> tuple[Array, float]:
     """One flight, watched by turns.
 
     Args:
         run: What is flown.
         chromium: The browser.
-        priority: Policy and nice value of the browsers; None for readers in their place.
+        nice: Value of the browsers; None for readers in their place.
     Returns: Real-time factors with nobody, with the viewer, with all, (turns, 3); processors that those kept busy who
         look on, while they did.
     """
@@ -116,22 +114,23 @@ def _flown(run: Setup, chromium: str | None, priority: tuple[int, int] | None) -
                     return
                 address = f"http://{_HOST}:{port}"
                 commands = [[sys.executable, "-m", "benchmarks.readers", address, str(_COUNT)]]
-                if priority is not None:
+                if nice is not None:
                     browser = [str(chromium), *HEADLESS, _STAYS]
                     commands = [[*browser, f"--user-data-dir={at}-{k}", address] for k in range(_COUNT)]
                 others = [looking.enter_context(_started(command)) for command in commands]
                 if not _wait(lambda: _connections(port) >= _COUNT, ended) or ended.wait(_OPEN_S):
                     return
-                if priority is not None:
+                if nice is not None:
                     for process in others:
-                        _set_priority(process.pid, *priority)
+                        _set_nice(process.pid, nice)
                 for kind in cycle(range(3)):
-                    _freeze(viewer, kind < 1)
-                    before_s = sum(_processor_s(process.pid) for process in others)
-                    for process in others:
-                        _freeze(process, kind < 2)
+                    for process in (viewer, *others):
+                        _freeze(process, kind < (1 if process is viewer else 2))
                     changes.append((time.time_ns(), str(kind)))
-                    if ended.wait(_BLOCK_S):
+                    if ended.wait(_SKIP_S):
+                        return
+                    before_s = sum(_processor_s(process.pid) for process in others)
+                    if ended.wait(_BLOCK_S - _SKIP_S):
                         return
                     if kind == 2:
                         used_s.append(sum(_processor_s(process.pid) for process in others) - before_s)
@@ -145,7 +144,7 @@ def _flown(run: Setup, chromium: str | None, priority: tuple[int, int] | None) -
             ended.set()
             thread.join()
         factors = turns(read_log(at / "run.mcap"), changes, 3, run.settings.sampling_period_s)
-    return factors, sum(used_s) / (_BLOCK_S * max(1, len(used_s)))
+    return factors, sum(used_s) / ((_BLOCK_S - _SKIP_S) * max(1, len(used_s)))
 
 
 def turns(log: RunLog, changes: Sequence[tuple[int, str]], cases: int, period_s: float) -> Array:
@@ -218,12 +217,11 @@ def _processor_s(session: int) -> float:
     return ticks / os.sysconf("SC_CLK_TCK")
 
 
-def _set_priority(session: int, policy: int, nice: int) -> None:
-    """Give all threads of a session a policy and a nice value, and the session the latter."""
+def _set_nice(session: int, nice: int) -> None:
+    """Give all threads of a session a nice value, and the session as well."""
     for _ in range(2):  # the second time for those that were started meanwhile
         for task in _tasks(session):
             with suppress(ProcessLookupError):
-                os.sched_setscheduler(int(task.name), policy, os.sched_param(0))
                 os.setpriority(os.PRIO_PROCESS, int(task.name), nice)
     with suppress(OSError):  # where Linux shares processors among sessions first
         Path(f"/proc/{session}/autogroup").write_text(str(nice), encoding="ascii")

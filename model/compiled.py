@@ -88,8 +88,8 @@ def functions(N: int) -> dict[str, ca.Function]:
     compiled = _compiled(N)
     if len(compiled) == len(_FUNCTIONS):
         return compiled
-    path = _cache_path(N)
-    found = _read_cache(path)
+    path, missing = _cache_path(N), [name for name in _FUNCTIONS if name not in compiled]
+    found = _read_cache(path, missing)
     if found is None:
         found = _build(N)
         _write_cache(path, found)
@@ -173,18 +173,24 @@ def _digest() -> str:
     return digest.hexdigest()
 
 
-def _read_cache(path: Path) -> dict[str, ca.Function] | None:
+def _read_cache(path: Path, names: Sequence[str]) -> dict[str, ca.Function] | None:
+    """Some of the functions, no more of the file in memory than these: those of large teams take some room."""
+    texts: dict[str, bytes] = {}
+    digest, count = hashlib.sha256(), 0
     try:
-        content = path.read_bytes()
+        with path.open("rb") as file:
+            checksum = file.readline().rstrip(b"\n")
+            for count, line in enumerate(file, start=1):
+                digest.update(line)
+                if count <= len(_FUNCTIONS) and _FUNCTIONS[count - 1] in names:
+                    texts[_FUNCTIONS[count - 1]] = line
     except OSError:
         return None
-    checksum, _, body = content.partition(b"\n")
-    if hashlib.sha256(body).hexdigest().encode() != checksum:
+    if digest.hexdigest().encode() != checksum:
         return None  # cut or damaged: CasADi must never see it
-    parts = body.decode("latin-1").split("\n")
-    if len(parts) != len(_FUNCTIONS):
+    if count != len(_FUNCTIONS):
         return None  # written by a process whose source was changed while it ran
-    return {name: ca.Function.deserialize(part) for name, part in zip(_FUNCTIONS, parts, strict=True)}
+    return {name: ca.Function.deserialize(texts.pop(name).decode("latin-1").rstrip("\n")) for name in names}
 
 
 def _write_cache(path: Path, built: dict[str, ca.Function]) -> None:

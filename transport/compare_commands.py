@@ -71,7 +71,7 @@ def _read(arguments: Sequence[str]) -> "list[Compared]":
         # Folders of the same name are told apart by their place in the command.
         usual = names[i] if names.count(names[i]) == 1 else f"{names[i]} ({i + 1})"
         try:
-            found.append(Compared.of(label or usual, open_run(folder)))
+            found.append(Compared.of(label or usual, open_run(folder, horizons=False)))
         except LogError as error:
             fail(str(error), EXIT_USAGE)
         except ScenarioError as error:

@@ -17,7 +17,7 @@ from protocol.messages import KINDS
 from transport.foxglove_schemas import NUMBERS, SCHEMAS
 from transport.json_messages import json_schema
 from transport.log import DERIVED
-from transport.mcap_salvage import salvage
+from transport.mcap_salvage import Salvage
 from transport.viewer.geometry import (
     ARM,
     BODY,
@@ -64,13 +64,15 @@ def write_foxglove(scenes: Scenes, log: Path, out: Path) -> int:
     Returns: How many ticks have a scene.
     Raises: OSError: it cannot be written.
     """
-    found = salvage(log.read_bytes())
+    with log.open("rb") as whole:
+        found = Salvage(whole)
+        entries = list(found.entries())
     partial = out.with_name(out.name + ".partial")
     with partial.open("wb") as file:
         copy = _Copy(Writer(file, compression=CompressionType.ZSTD))
         for name, values in {**found.metadata, DERIVED: dict(CHANNELS)}.items():
             copy.writer.add_metadata(name, values)
-        for topic, entry in found.entries:
+        for topic, entry in entries:
             kind = topic.lstrip("/").split("/", 1)[0]
             if kind in KINDS:
                 channel = copy.channel(topic, f"transport.{KINDS[kind].__name__}", json_schema(kind))

@@ -6,7 +6,7 @@ belongs to the run as a whole is in the metadata record "run", ahead of all mess
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import TypeVar
@@ -14,9 +14,9 @@ from typing import TypeVar
 import orjson
 
 from protocol.keys import Keys
-from protocol.messages import KINDS, Control, FaultNote, LinkChange, Message
+from protocol.messages import KINDS, Control, FaultNote, LinkChange, Message, Plan
 from transport.json_messages import from_json, json_schema, to_json
-from transport.mcap_salvage import NotMcapError, Salvage, salvage
+from transport.mcap_salvage import NotMcapError, Salvage
 from transport.mcap_stream import McapStream
 
 # What a kill costs at most: so much before compression, about three ticks of four agents, or so long, whatever is less.
@@ -200,16 +200,36 @@ def topic_of(message: Message) -> str:
     return f"/{message.kind}" if shared else _KEYS.of(message).removeprefix(_KEYS.prefix)
 
 
-def read_log(path: Path) -> RunLog:
+def read_log(path: Path, *, horizons: bool = True) -> RunLog:
     """Read a log, as much of it as there is.
 
     A file cut at any byte, or damaged behind its first bytes, gives the messages of every intact chunk and a
     sentence in `cut`. Messages equal the written ones bit for bit.
 
+    Args:
+        path: The file.
+        horizons: Whether plans are wanted as they are. Otherwise they have their first step alone, without corrections:
+            the rest is most of what is in a log.
     Raises: LogError: no such file, not an MCAP file, or not the log of a run.
     """
+    messages: list[Recorded] = []
+    foreign: list[tuple[str, str]] = []
     try:
-        found = salvage(path.read_bytes())
+        with path.open("rb") as file:
+            found = Salvage(file)
+            for topic, entry in found.entries():
+                kind = topic.lstrip("/").split("/", 1)[0]
+                if kind not in KINDS:
+                    foreign.append((topic, f"a channel {topic!r}"))
+                    continue
+                try:
+                    message = from_json(kind, entry.data)
+                    if not horizons and isinstance(message, Plan):
+                        message = _first_step(message)
+                except (ValueError, TypeError) as error:
+                    foreign.append((topic, f"{kind}: {error}"))
+                    continue
+                messages.append(Recorded(message=message, received_ns=entry.publish_time))
     except OSError as error:
         raise LogError(f"{path}: cannot read the log ({error.strerror or error})") from error
     except NotMcapError as error:
@@ -217,21 +237,14 @@ def read_log(path: Path) -> RunLog:
     header = found.metadata.get(_METADATA)
     if header is None and found.ended and not found.damaged:
         raise LogError(f'{path}: an MCAP file, but not the log of a run (no metadata record "{_METADATA}")')
-    messages: list[Recorded] = []
-    foreign: list[str] = []
     derived = found.metadata.get(DERIVED, {})
-    for topic, entry in found.entries:
-        kind = topic.lstrip("/").split("/", 1)[0]
-        if topic in derived:
-            continue
-        if kind not in KINDS:
-            foreign.append(f"a channel {topic!r}")
-            continue
-        try:
-            messages.append(Recorded(message=from_json(kind, entry.data), received_ns=entry.publish_time))
-        except (ValueError, TypeError) as error:
-            foreign.append(f"{kind}: {error}")
-    return RunLog(header=header or {}, messages=tuple(messages), cut=_cut(messages, foreign, found))
+    unknown = [text for topic, text in foreign if topic not in derived]
+    return RunLog(header=header or {}, messages=tuple(messages), cut=_cut(messages, unknown, found))
+
+
+def _first_step(plan: Plan) -> Plan:
+    """A plan of one step."""
+    return replace(plan, inputs=plan.inputs[:1].copy(), corrections=plan.corrections[:0].copy())
 
 
 def _cut(messages: list[Recorded], foreign: list[str], found: Salvage) -> str:

@@ -142,7 +142,7 @@ def run(
             fail(str(error), error.exit_code)
         except HarnessError as error:
             fail(str(error), EXIT_LOST)
-        _report(finished.folder, output, figures)
+        _report(finished.folder, output, figures, setup)
         if linger is not None and finished.exit_code != EXIT_INTERRUPTED:
             linger()
     if finished.exit_code != 0:
@@ -250,7 +250,7 @@ def record(
         finished = observe(setup, place, folder, Console(stderr=True))
     except RunError as error:
         fail(str(error), error.exit_code)
-    _report(finished.folder, Format.text, figures)
+    _report(finished.folder, Format.text, figures, setup)
     if finished.exit_code != 0:
         fail(finished.reason, finished.exit_code)
 
@@ -288,13 +288,13 @@ def plot(
 
     try:
         check_animation(animation)
-        if not read_log(folder / "run.mcap").messages:
+        if not read_log(folder / "run.mcap", horizons=False).messages:
             fail(f"{folder / 'run.mcap'}: not one message can be read", EXIT_USAGE)
     except LogError as error:
         fail(str(error), EXIT_USAGE)
     except AnimationError as error:
         fail(f"--animate: {error}", EXIT_USAGE)
-    _report(folder, output, figures=True)
+    _report(folder, output, figures=True, setup=None)
     if animation is not None:
         try:
             animate_run(folder, animation)
@@ -417,7 +417,7 @@ def _process(body: "Callable[[], int]") -> None:
     raise typer.Exit(code)
 
 
-def _report(folder: Path, output: Format, figures: bool) -> None:
+def _report(folder: Path, output: Format, figures: bool, setup: "Setup | None") -> None:
     from rich.console import Console
 
     from protocol.scenario_file import ScenarioError
@@ -425,7 +425,7 @@ def _report(folder: Path, output: Format, figures: bool) -> None:
     from transport.report import summary_table, write_report
 
     try:
-        summary = write_report(folder, figures=figures)
+        summary = write_report(folder, figures=figures, setup=setup)
     except LogError as error:
         fail(str(error), EXIT_USAGE)
     except ScenarioError as error:

@@ -6,8 +6,8 @@ one. Here a record counts only when all its bytes are there, and a chunk only wh
 
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
-from io import BytesIO
+from io import SEEK_END, BytesIO
+from typing import BinaryIO
 
 import zstandard
 from mcap.data_stream import ReadDataStream
@@ -27,61 +27,72 @@ class NotMcapError(ValueError):
     """The bytes do not begin like an MCAP file."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Salvage:
-    """What an MCAP file holds.
+    """An MCAP file, taken apart from its beginning to its end, whatever state it is in.
 
-    Attributes:
+    Args:
+        file: Open, at its beginning.
+
+    Attributes, of what has been read so far; of the whole file once `entries` has come to its end:
         metadata: Metadata records by name.
-        entries: Messages in file order, each with its topic; "" when the channel's record is lost.
         ended: The file has its proper end.
         data_ended: The part with the messages has its proper end.
         damaged: Records that are there but cannot be read.
+
+    Raises: NotMcapError: it does not begin like one; OSError: it cannot be read.
     """
 
-    metadata: dict[str, dict[str, str]]
-    entries: tuple[tuple[str, Message], ...]
-    ended: bool
-    data_ended: bool
-    damaged: int
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self._size = file.seek(0, SEEK_END)
+        file.seek(0)
+        start = file.read(len(MCAP0_MAGIC))
+        if not MCAP0_MAGIC.startswith(start):
+            raise NotMcapError(f"not an MCAP file, it starts with {start!r}")
+        self.metadata: dict[str, dict[str, str]] = {}
+        self.ended = self.data_ended = False
+        self.damaged = 0
 
+    def entries(self) -> Iterator[tuple[str, Message]]:
+        """Messages in file order, each with its topic; "" when the channel's record is lost.
 
-def salvage(data: bytes) -> Salvage:
-    """Take an MCAP file apart, whatever state it is in.
+        Raises: OSError: the file cannot be read.
+        """
+        topics: dict[int, str] = {}
+        # Channels are repeated at the end of the file. From the first message on whose channel is not known, because
+        # its chunk is damaged, all wait for that.
+        waiting: list[Message] = []
+        footer = False
+        for opcode, body in self._frames():
+            footer = footer or opcode == Opcode.FOOTER
+            self.data_ended = self.data_ended or opcode == Opcode.DATA_END
+            try:
+                records = records_of(opcode, body)
+            except DAMAGE:
+                self.damaged += 1
+                continue
+            for record in records:
+                match record:
+                    case Metadata():
+                        self.metadata[record.name] = record.metadata
+                    case Channel():
+                        topics.setdefault(record.id, record.topic)
+                    case Message() if waiting or record.channel_id not in topics:
+                        waiting.append(record)
+                    case Message():
+                        yield topics[record.channel_id], record
+        for message in waiting:
+            yield topics.get(message.channel_id, ""), message
+        self._file.seek(max(0, self._size - len(MCAP0_MAGIC)))
+        self.ended = footer and self._file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
 
-    Raises: NotMcapError: it does not begin like one.
-    """
-    start = data[: len(MCAP0_MAGIC)]
-    if not MCAP0_MAGIC.startswith(start):
-        raise NotMcapError(f"not an MCAP file, it starts with {start!r}")
-    metadata: dict[str, dict[str, str]] = {}
-    topics: dict[int, str] = {}
-    messages: list[Message] = []
-    opcodes: set[int] = set()
-    damaged = 0
-    for opcode, body in frames(data, len(MCAP0_MAGIC)):
-        opcodes.add(opcode)
-        try:
-            records = records_of(opcode, body)
-        except DAMAGE:
-            damaged += 1
-            continue
-        for record in records:
-            match record:
-                case Metadata():
-                    metadata[record.name] = record.metadata
-                case Channel():
-                    topics.setdefault(record.id, record.topic)
-                case Message():
-                    messages.append(record)
-    return Salvage(
-        metadata=metadata,
-        # Topics are looked up at the end: channels are repeated there, for when their chunk is damaged.
-        entries=tuple((topics.get(message.channel_id, ""), message) for message in messages),
-        ended=Opcode.FOOTER in opcodes and data.endswith(MCAP0_MAGIC),
-        data_ended=Opcode.DATA_END in opcodes,
-        damaged=damaged,
-    )
+    def _frames(self) -> Iterator[tuple[int, bytes]]:
+        """The whole records behind the magic bytes, as opcode and content, one in memory at a time."""
+        while len(head := self._file.read(_FRAME.size)) == _FRAME.size:
+            opcode, length = _FRAME.unpack(head)
+            if _is_end(opcode, length, self._size - self._file.tell()):
+                return
+            yield opcode, self._file.read(length)
 
 
 def frames(data: bytes, at: int) -> Iterator[tuple[int, bytes]]:
@@ -89,11 +100,15 @@ def frames(data: bytes, at: int) -> Iterator[tuple[int, bytes]]:
     while at + _FRAME.size <= len(data):
         opcode, length = _FRAME.unpack_from(data, at)
         at += _FRAME.size
-        # Opcode 0 is none: file systems leave zeros at the end of what they did not finish.
-        if opcode == 0 or length > len(data) - at:
+        if _is_end(opcode, length, len(data) - at):
             return
         yield opcode, data[at : at + length]
         at += length
+
+
+def _is_end(opcode: int, length: int, left: int) -> bool:
+    """Whether what is left is no whole record. Opcode 0 is none: file systems leave zeros where they did not finish."""
+    return opcode == 0 or length > left
 
 
 def records_of(opcode: int, body: bytes) -> list[McapRecord]:

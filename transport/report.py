@@ -4,9 +4,10 @@ import csv
 import io
 import os
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import orjson
 from rich.table import Table
@@ -28,20 +29,22 @@ _SHOWN_FAULTS = 8
 _COLOURS = {"completed": "green", "diverged": "red", "aborted": "red", "unknown": "yellow"}
 
 
-def write_report(folder: Path, *, figures: bool = True) -> dict[str, Any]:
+def write_report(folder: Path, *, figures: bool = True, setup: Setup | None = None) -> dict[str, Any]:
     """Write summary.json, steps.csv and the figures of a recorded run, anew if they are there.
 
     Args:
         folder: Run folder with run.mcap and scenario.toml.
         figures: Whether to draw; it takes most of the time.
+        setup: The run, where it is known; otherwise the folder says.
     Returns: The summary.
     Raises: LogError: there is no log, or it is none; ScenarioError: the folder's scenario cannot be read.
     """
-    run = open_run(folder)
+    run = open_run(folder, horizons=False, setup=setup)
     setup, log = run.setup, counted(run.setup, run.log)
     summary = summarise(setup, log)
     write_whole(folder / "summary.json", orjson.dumps(summary, option=orjson.OPT_INDENT_2) + b"\n")
-    write_whole(folder / "steps.csv", _csv(setup, log))
+    with _whole(folder / "steps.csv") as file:
+        _write_steps(file, setup, log)
     if figures:
         from transport.figures import draw  # matplotlib takes its time
 
@@ -157,17 +160,24 @@ def _text(value: float | None, form: str, sentence: str = "{}") -> str:
     return "-" if value is None else sentence.format(format(value, form))
 
 
-def _csv(setup: Setup, log: RunLog) -> bytes:
-    text = io.StringIO(newline="")
-    # Floats are written by repr: they read back as the same bits.
-    writer = csv.DictWriter(text, steps_columns(setup), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(steps_rows(setup, log))
-    return text.getvalue().encode()
+def _write_steps(file: BinaryIO, setup: Setup, log: RunLog) -> None:
+    with io.TextIOWrapper(file, encoding="utf-8", newline="") as text:
+        # Floats are written by repr: they read back as the same bits.
+        writer = csv.DictWriter(text, steps_columns(setup), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(steps_rows(setup, log))
 
 
 def write_whole(path: Path, content: bytes) -> None:
     """Write a file as a whole or not at all: readers never see half of it."""
+    with _whole(path) as file:
+        file.write(content)
+
+
+@contextmanager
+def _whole(path: Path) -> Iterator[BinaryIO]:
+    """A file to write that takes its name when all of it is there."""
     partial = path.with_name(path.name + ".partial")
-    partial.write_bytes(content)
+    with partial.open("wb") as file:
+        yield file
     os.replace(partial, path)

@@ -29,15 +29,18 @@ class RecordedRun:
         return self.folder / "scenario.toml"
 
 
-def open_run(folder: Path) -> RecordedRun:
+def open_run(folder: Path, *, horizons: bool = True, setup: Setup | None = None) -> RecordedRun:
     """Read a run folder.
 
+    Args:
+        folder: With run.mcap and scenario.toml.
+        horizons: Whether plans are wanted as they are, and not their first step alone (`read_log`).
+        setup: The run, where it is known; otherwise the folder says.
     Raises: LogError: it has no log, or none that can be read; ScenarioError: its scenario cannot be read.
     """
-    log = read_log(folder / "run.mcap")
-    return RecordedRun(
-        folder=folder, setup=setup_of(folder), log=replace(log, cut="; ".join(filter(None, (log.cut, missing(log)))))
-    )
+    log = read_log(folder / "run.mcap", horizons=horizons)
+    cut = "; ".join(filter(None, (log.cut, missing(log))))
+    return RecordedRun(folder=folder, setup=setup or setup_of(folder), log=replace(log, cut=cut))
 
 
 def setup_of(folder: Path) -> Setup:

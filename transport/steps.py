@@ -1,5 +1,6 @@
 """The steps of a run as a table: one row for each agent and tick."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -32,13 +33,13 @@ def steps_columns(setup: Setup) -> list[str]:
     ]
 
 
-def steps_rows(setup: Setup, log: RunLog) -> list[dict[str, Any]]:
+def steps_rows(setup: Setup, log: RunLog) -> Iterator[dict[str, Any]]:
     """One row for each agent and tick, sorted by tick, then agent.
 
     Args:
         setup: The run as it was flown.
         log: Its log, whole or not.
-    Returns: Values by column. `cost`, `attitude_deg`, `payload_error_m`, `separation_min_m` and
+    Yields: Values by column. `cost`, `attitude_deg`, `payload_error_m`, `separation_min_m` and
         `constraint_violation` are of the whole team and the same for every agent of a tick; `uav_error_m` and
         the inputs are of the UAVs the agent owns, other UAVs' inputs are None. None where the log does not say.
     """
@@ -48,9 +49,9 @@ def steps_rows(setup: Setup, log: RunLog) -> list[dict[str, Any]]:
     uavs_m = np.linalg.norm(series.uav_errors_I, axis=2)
     attitude_deg = series.attitude_max_deg
     reports = {(report.tick, report.agent): report for report in log.of(StepReport)}
-    rows = []
+    columns = steps_columns(setup)
     for (tick, agent), report in sorted(reports.items()):
-        row: dict[str, Any] = dict.fromkeys(steps_columns(setup))
+        row: dict[str, Any] = dict.fromkeys(columns)
         row |= {"tick": tick, "t_s": tick * setup.settings.sampling_period_s, "agent": agent}
         row |= {name: getattr(report, name) for name in _REPORT}
         row["fallback"] = int(report.fallback)
@@ -70,8 +71,7 @@ def steps_rows(setup: Setup, log: RunLog) -> list[dict[str, Any]]:
                 inputs = series.u[k, state.input_slice(i)]
                 row |= {name.format(i + 1): float(value) for name, value in zip(_INPUTS, inputs, strict=True)}
         row |= {f"{stage}{WALL_CLOCK}": float(ms) for stage, ms in zip(STAGES, report.times_ms, strict=True)}
-        rows.append(row)
-    return rows
+        yield row
 
 
 def _oldest(ages: tuple[int, ...]) -> int | None:

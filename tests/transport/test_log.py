@@ -5,7 +5,9 @@ import resource
 import signal
 import subprocess
 import sys
+import tracemalloc
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +20,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from protocol.codec import encode
-from protocol.messages import KINDS, FaultNote, Message, Tick
+from protocol.messages import KINDS, FaultNote, Message, Plan, Tick
 from tests import runs
 from tests.protocol.samples import sample
 from tests.protocol.strategies import messages as any_message
@@ -90,6 +92,30 @@ def test_a_flight_comes_back_bit_for_bit(tmp_path: Path, flight: list[Message]) 
     assert [entry.received_ns for entry in log.messages] == [RECEIVED_NS + 1000 * n for n in range(len(flight))]
     assert log.header == HEADER
     assert log.cut == ""
+
+
+def test_plans_can_be_read_without_their_horizon(tmp_path: Path, flight: list[Message]) -> None:
+    """They have their first step alone, everything else is as it is, and a long log takes a small part of its size."""
+    log = read_log(write(tmp_path / "run.mcap", flight), horizons=False)
+    for message, entry in zip(flight, log.messages, strict=True):
+        if not isinstance(message, Plan):
+            assert encode(entry.message) == encode(message)
+            continue
+        assert isinstance(entry.message, Plan)
+        assert entry.message.inputs.tobytes() == message.inputs[:1].tobytes()
+        assert len(entry.message.corrections) == 0
+        assert encode(replace(message, inputs=message.inputs[:1], corrections=message.corrections[:0])) == encode(
+            entry.message
+        )
+    plans = [message for message in flight if isinstance(message, Plan)] * 100
+    path = write(tmp_path / "long.mcap", plans)
+    del log
+    tracemalloc.start()
+    try:
+        assert len(read_log(path, horizons=False).messages) == len(plans)
+        assert tracemalloc.get_traced_memory()[1] < sum(len(to_json(plan)) for plan in plans) / 2
+    finally:
+        tracemalloc.stop()
 
 
 @settings(max_examples=20)

@@ -304,7 +304,7 @@ def test_one_row_for_each_agent_and_tick() -> None:
 
     pulled = report(run, 2, 1, plan_ages=(3,), force=np.array([0.5, -1.0, 4.4]))
     messages = [pulled, report(run, 1, 1), report(run, 1, 0), truth(run, 1, change)]
-    rows = steps_rows(run, log_of(messages))
+    rows = list(steps_rows(run, log_of(messages)))
     assert [(row["tick"], row["agent"]) for row in rows] == [(0, 1), (1, 1), (1, 2)]
     assert [list(row) for row in rows] == [steps_columns(run)] * 3
     assert (rows[0]["plan_age_max"], rows[1]["plan_age_max"], rows[2]["plan_age_max"]) == (-1, 1, 3)
