@@ -29,12 +29,8 @@ from transport.log import RunLog, read_log
 
 NOBODY, VIEWER = "nobody", "the viewer, no browser"
 
-# Who looks on besides the viewer, and with what nice value; None for those that draw elsewhere.
-WATCHERS: Mapping[str, int | None] = {
-    "3 browsers on other machines": None,
-    "3 browsers here, as they come": 0,
-    "3 browsers here, least share (`nice -n 19`)": 19,
-}
+# Who looks on besides the viewer, and whether they draw on this machine.
+WATCHERS: Mapping[str, bool] = {"3 browsers on other machines": False, "3 browsers here": True}
 
 TEXT = (
     "What being watched costs: `resilient` as fast as it goes, with the viewer and those who look on beside it: three "
@@ -43,8 +39,8 @@ TEXT = (
     "kind; in each, by turns, all of them are frozen, those who look on, and none, for {block:g} s each; the first "
     "{skip:g} s after each change do not count. Real-time factor, median of all turns (least to most). Loss: by how "
     "much it is lower than while nobody watched in the same turn, median (quartiles). Processors: how many those who "
-    "look on keep busy then, mean. Once their pages are open, browsers have the priority that is said, and their "
-    "sessions as well (`/proc/PID/autogroup`); the viewer has nice 10, its session as well."
+    "look on keep busy then, mean. Browsers have the priority of any program; the viewer has nice 10, and so has its "
+    "session."
 )
 
 _HOST = "127.0.0.1"
@@ -71,11 +67,11 @@ def measure(effort: Effort, say: Callable[[str], None]) -> list[Table]:
     run = setup("resilient", effort.watched)
     chromium = next(filter(None, map(shutil.which, _CHROMIUM)), None)
     measured: dict[str, tuple[Array, float]] = {}
-    for name, nice in WATCHERS.items():
-        if nice is not None and chromium is None:
+    for name, draws in WATCHERS.items():
+        if draws and chromium is None:
             continue
         say(f"{run.maneuver.duration_s:g} s, by turns watched by {NOBODY}, {VIEWER}, {name}")
-        factors, busy = measured[name] = _flown(run, chromium, nice)
+        factors, busy = measured[name] = _flown(run, chromium if draws else None)
         say(", ".join(_row(name, factors[:, 2], factors[:, 0], f"{busy:.2f}")))
     everything = np.concatenate([factors for factors, _ in measured.values()])
     rows = [_row(NOBODY, everything[:, 0]), _row(VIEWER, everything[:, 1], everything[:, 0])]
@@ -89,13 +85,12 @@ def measure(effort: Effort, say: Callable[[str], None]) -> list[Table]:
     return [Table(text=TEXT.format(block=_BLOCK_S, skip=_SKIP_S), columns=columns, rows=rows)]
 
 
-def _flown(run: Setup, chromium: str | None, nice: int | None) -> tuple[Array, float]:
+def _flown(run: Setup, chromium: str | None) -> tuple[Array, float]:
     """One flight, watched by turns.
 
     Args:
         run: What is flown.
-        chromium: The browser.
-        nice: Value of the browsers; None for readers in their place.
+        chromium: The browser; None for readers in its place.
     Returns: Real-time factors with nobody, with the viewer, with all, (turns, 3); processors that those kept busy who
         look on, while they did.
     """
@@ -114,15 +109,12 @@ def _flown(run: Setup, chromium: str | None, nice: int | None) -> tuple[Array, f
                     return
                 address = f"http://{_HOST}:{port}"
                 commands = [[sys.executable, "-m", "benchmarks.readers", address, str(_COUNT)]]
-                if nice is not None:
-                    browser = [str(chromium), *HEADLESS, _STAYS]
+                if chromium is not None:
+                    browser = [chromium, *HEADLESS, _STAYS]
                     commands = [[*browser, f"--user-data-dir={at}-{k}", address] for k in range(_COUNT)]
                 others = [looking.enter_context(_started(command)) for command in commands]
                 if not _wait(lambda: _connections(port) >= _COUNT, ended) or ended.wait(_OPEN_S):
                     return
-                if nice is not None:
-                    for process in others:
-                        _set_nice(process.pid, nice)
                 for kind in cycle(range(3)):
                     for process in (viewer, *others):
                         _freeze(process, kind < (1 if process is viewer else 2))
@@ -215,16 +207,6 @@ def _processor_s(session: int) -> float:
             words = (task / "stat").read_text(encoding="utf-8").rpartition(")")[2].split()
             ticks += int(words[11]) + int(words[12])
     return ticks / os.sysconf("SC_CLK_TCK")
-
-
-def _set_nice(session: int, nice: int) -> None:
-    """Give all threads of a session a nice value, and the session as well."""
-    for _ in range(2):  # the second time for those that were started meanwhile
-        for task in _tasks(session):
-            with suppress(ProcessLookupError):
-                os.setpriority(os.PRIO_PROCESS, int(task.name), nice)
-    with suppress(OSError):  # where Linux shares processors among sessions first
-        Path(f"/proc/{session}/autogroup").write_text(str(nice), encoding="ascii")
 
 
 def _freeze(process: "subprocess.Popen[bytes]", frozen: bool) -> None:
