@@ -18,7 +18,7 @@ from protocol.setup import Setup
 from transport.harness import Harness, free_ports
 
 # A run may take so long: sixteen agents need half a minute to start on two busy cores.
-_PATIENCE_S = 300.0
+_PATIENCE_S = 600.0
 _LEAVE_S = 20.0
 _LOOK_EVERY_S = 0.2
 

@@ -38,9 +38,9 @@ TEXT = (
     "connections on which all is read that a browser is sent, as if it drew on another machine. One flight for each "
     "kind; in each, by turns, all of them are frozen, those who look on, and none, for {block:g} s each; the first "
     "{skip:g} s after each change do not count. Real-time factor, median of all turns (least to most). Loss: by how "
-    "much it is lower than while nobody watched in the same turn, median (quartiles). Processors: how many those who "
-    "look on keep busy then, mean. Browsers have the priority of any program; the viewer has nice 10, and so has its "
-    "session."
+    "much it is lower than while nobody watched in the same turn, median (quartiles). Processors: how many are kept "
+    "busy then, by the viewer alone, and by those who look on, mean. Browsers have the priority of any program; the "
+    "viewer has nice 10, and so has its session."
 )
 
 _HOST = "127.0.0.1"
@@ -57,7 +57,7 @@ HEADLESS = (
 _STAYS = "--remote-debugging-port=0"  # else it ends as soon as the page is loaded
 # How long each part of a turn takes, and how long what was frozen takes to catch up, s. What counts is as long as a
 # page that is held back goes without a picture: there is one in it.
-_BLOCK_S, _SKIP_S = 11.0, 1.0
+_BLOCK_S, _SKIP_S = 22.0, 2.0
 # How many look on, and how long their pages take to be drawn for the first time once they are connected, s.
 _COUNT, _OPEN_S = 3, 6.0
 
@@ -66,36 +66,36 @@ def measure(effort: Effort, say: Callable[[str], None]) -> list[Table]:
     """Fly with processes, watched and not, once for each kind of those who look on."""
     run = setup("resilient", effort.watched)
     chromium = next(filter(None, map(shutil.which, _CHROMIUM)), None)
-    measured: dict[str, tuple[Array, float]] = {}
+    measured: dict[str, tuple[Array, Array]] = {}
     for name, draws in WATCHERS.items():
         if draws and chromium is None:
             continue
         say(f"{run.maneuver.duration_s:g} s, by turns watched by {NOBODY}, {VIEWER}, {name}")
         factors, busy = measured[name] = _flown(run, chromium if draws else None)
-        say(", ".join(_row(name, factors[:, 2], factors[:, 0], f"{busy:.2f}")))
-    everything = np.concatenate([factors for factors, _ in measured.values()])
-    rows = [_row(NOBODY, everything[:, 0]), _row(VIEWER, everything[:, 1], everything[:, 0])]
+        say(", ".join(_row(name, factors[:, 2], factors[:, 0], busy[:, 1])))
+    everything, every_busy = (np.concatenate(parts) for parts in zip(*measured.values(), strict=True))
+    rows = [_row(NOBODY, everything[:, 0]), _row(VIEWER, everything[:, 1], everything[:, 0], every_busy[:, 0])]
     for name in WATCHERS:
         if name in measured:
             factors, busy = measured[name]
-            rows.append(_row(name, factors[:, 2], factors[:, 0], f"{busy:.2f}"))
+            rows.append(_row(name, factors[:, 2], factors[:, 0], busy[:, 1]))
         else:
             rows.append((name, "no Chromium", "-", "-", "-"))
     columns = ("watched by", "real-time factor", "turns", "loss, %", "processors")
     return [Table(text=TEXT.format(block=_BLOCK_S, skip=_SKIP_S), columns=columns, rows=rows)]
 
 
-def _flown(run: Setup, chromium: str | None) -> tuple[Array, float]:
+def _flown(run: Setup, chromium: str | None) -> tuple[Array, Array]:
     """One flight, watched by turns.
 
     Args:
         run: What is flown.
         chromium: The browser; None for readers in its place.
-    Returns: Real-time factors with nobody, with the viewer, with all, (turns, 3); processors that those kept busy who
-        look on, while they did.
+    Returns: Real-time factors with nobody, with the viewer, with all, (turns, 3); processors that the viewer kept busy
+        alone, and those who looked on, (turns, 2).
     """
     changes: list[tuple[int, str]] = []
-    used_s: list[float] = []
+    used_s: list[float] = []  # of viewer and others, by turns
     with tempfile.TemporaryDirectory(prefix="benchmarks-", ignore_cleanup_errors=True) as folder, ExitStack() as stack:
         at, ended = Path(folder) / "flight", Event()
         with free_ports(_HOST, 1) as ports:
@@ -121,11 +121,12 @@ def _flown(run: Setup, chromium: str | None) -> tuple[Array, float]:
                     changes.append((time.time_ns(), str(kind)))
                     if ended.wait(_SKIP_S):
                         return
-                    before_s = sum(_processor_s(process.pid) for process in others)
+                    watching = ([], [viewer], others)[kind]
+                    before_s = sum(_processor_s(process.pid) for process in watching)
                     if ended.wait(_BLOCK_S - _SKIP_S):
                         return
-                    if kind == 2:
-                        used_s.append(sum(_processor_s(process.pid) for process in others) - before_s)
+                    if kind > 0:
+                        used_s.append(sum(_processor_s(process.pid) for process in watching) - before_s)
 
         thread = Thread(target=alternate)
         thread.start()
@@ -136,7 +137,7 @@ def _flown(run: Setup, chromium: str | None) -> tuple[Array, float]:
             ended.set()
             thread.join()
         factors = turns(read_log(at / "run.mcap"), changes, 3, run.settings.sampling_period_s)
-    return factors, sum(used_s) / ((_BLOCK_S - _SKIP_S) * max(1, len(used_s)))
+    return factors, np.array(used_s[: 2 * len(factors)]).reshape(-1, 2) / (_BLOCK_S - _SKIP_S)
 
 
 def turns(log: RunLog, changes: Sequence[tuple[int, str]], cases: int, period_s: float) -> Array:
@@ -159,14 +160,16 @@ def turns(log: RunLog, changes: Sequence[tuple[int, str]], cases: int, period_s:
     return np.array(found[: whole * cases]).reshape(whole, cases)
 
 
-def _row(name: str, factors: Array, alone: Array | None = None, busy: str = "-") -> tuple[str, str, str, str, str]:
+def _row(
+    name: str, factors: Array, alone: Array | None = None, busy: Array | None = None
+) -> tuple[str, str, str, str, str]:
     if not len(factors):
         return name, "-", "0", "-", "-"
     spread = f"{digits(float(np.median(factors)))} ({digits(float(factors.min()))} to {digits(float(factors.max()))})"
-    if alone is None:
-        return name, spread, str(len(factors)), "-", busy
+    if alone is None or busy is None:
+        return name, spread, str(len(factors)), "-", "-"
     low, middle, high = np.percentile(100.0 * (1.0 - factors / alone), (25, 50, 75))
-    return name, spread, str(len(factors)), f"{middle:.1f} ({low:.1f} to {high:.1f})", busy
+    return name, spread, str(len(factors)), f"{middle:.1f} ({low:.1f} to {high:.1f})", f"{busy.mean():.3f}"
 
 
 def _wait(condition: Callable[[], bool], ended: Event) -> bool:

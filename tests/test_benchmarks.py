@@ -183,11 +183,11 @@ def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: py
 
 def test_turns_of_a_flight_that_is_watched() -> None:
     """Factors are those of the ticks within each turn, without its beginning; what is not whole does not count."""
-    ticks_ms = [*range(0, 8000, 50), *range(8000, 16000, 100), *range(16000, 22000, 25)]
+    ticks_ms = [*range(0, 24000, 50), *range(24000, 48000, 100), *range(48000, 70000, 25)]
     run = setup("paper", QUICK.climb)
     entries = [Recorded(message=truth(run, tick), received_ns=at_ms * 1_000_000) for tick, at_ms in enumerate(ticks_ms)]
     log = RunLog(header={}, messages=tuple(entries), cut="")
-    changes = [(round(at_s * 1e9), "") for at_s in (0, 8, 16, 22)]
+    changes = [(round(at_s * 1e9), "") for at_s in (0, 24, 48, 70)]
     factors = watched.turns(log, changes, 2, period_s=0.05)
     np.testing.assert_allclose(factors, [[1.0, 0.5]])
 

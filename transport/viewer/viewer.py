@@ -27,10 +27,15 @@ if TYPE_CHECKING:
 
 # How often the scene is drawn anew, and the numbers beside it, at most. A run as fast as it goes leaves no time to
 # others: where no processor is idle, whoever looks on waits.
-_DRAW_S, _DRAW_LIVE_S, _DRAW_FAST_S, _DRAW_FULL_S, _NUMBERS_S = 0.05, 0.1, 0.5, 10.0, 0.2
+_DRAW_S, _DRAW_LIVE_S, _DRAW_FAST_S, _DRAW_FULL_S, _NUMBERS_S = 0.05, 0.1, 0.5, 20.0, 0.2
 # The share of a processor that drawing and sending may take while the run flies: large teams are drawn less often, and
 # all are if many look.
 _SHARE_LIVE = 0.1
+# What is said of a run in flight.
+_PACED = "in flight"
+_FAST = (
+    f"in flight, as fast as it goes: one picture in {_DRAW_FULL_S:g} s where no processor is idle; clock.speed paces it"
+)
 # How many ports to try from the one asked for.
 _PORTS = 100
 
@@ -78,10 +83,11 @@ class Viewer:
         self.stage = Stage(self._server, scenes)
         self._panel = Panel(self._server, scenes, self.clock, self._show_layer, self._look, acts)
         self.notice = ""
-        self._say(notice or ("" if live is None else "in flight"), warning=bool(notice))
+        paced = scenes.setup.scenario.clock.speed > 0.0
+        self._say(notice or ("" if live is None else _PACED if paced else _FAST), warning=bool(notice))
         self._redraw = True
         self._over = live is None
-        self._paced = scenes.setup.scenario.clock.speed > 0.0
+        self._paced = paced
         self._drawn_s = self._numbers_s = 0.0
         self._idle = IdleProcessors()
         self._asked_s, self._used_s = time.monotonic(), time.process_time()
