@@ -27,7 +27,7 @@ from protocol.setup import Setup
 from transport.harness import free_ports
 from transport.log import RunLog, read_log
 
-NOBODY, VIEWER = "nobody", "the viewer, no browser"
+NOBODY = "nobody"
 
 # Who looks on besides the viewer, and whether they draw on this machine.
 WATCHERS: Mapping[str, bool] = {"3 browsers on other machines": False, "3 browsers here": True}
@@ -36,11 +36,10 @@ TEXT = (
     "What being watched costs: `resilient` as fast as it goes, with the viewer and those who look on beside it: three "
     "windows of headless Chromium, 900 x 600 pixels, on the same machine and without a graphics processor, or three "
     "connections on which all is read that a browser is sent, as if it drew on another machine. One flight for each "
-    "kind; in each, by turns, all of them are frozen, those who look on, and none, for {block:g} s each; the first "
-    "{skip:g} s after each change do not count. Real-time factor, median of all turns (least to most). Loss: by how "
-    "much it is lower than while nobody watched in the same turn, median (quartiles). Processors: how many are kept "
-    "busy then, by the viewer alone, and by those who look on, mean. Browsers have the priority of any program; the "
-    "viewer has nice 10, and so has its session."
+    "kind; in each, by turns, all of them are frozen, and none, for {block:g} s each; the first {skip:g} s after each "
+    "change do not count. Real-time factor, median of all turns (least to most). Loss: by how much it is lower than "
+    "while nobody watched in the same turn, median (quartiles). Processors: how many the viewer keeps busy, and those "
+    "who look on, mean. Browsers have the priority of any program; the viewer has nice 10, and so has its session."
 )
 
 _HOST = "127.0.0.1"
@@ -56,7 +55,8 @@ HEADLESS = (
 )
 _STAYS = "--remote-debugging-port=0"  # else it ends as soon as the page is loaded
 # How long each part of a turn takes, and how long what was frozen takes to catch up, s. What counts is as long as a
-# page that is held back goes without a picture: there is one in it.
+# page that is held back goes without a picture: there is one in it. Were browsers frozen longer than the viewer, it
+# would give them up, and they would load all anew.
 _BLOCK_S, _SKIP_S = 22.0, 2.0
 # How many look on, and how long their pages take to be drawn for the first time once they are connected, s.
 _COUNT, _OPEN_S = 3, 6.0
@@ -70,15 +70,14 @@ def measure(effort: Effort, say: Callable[[str], None]) -> list[Table]:
     for name, draws in WATCHERS.items():
         if draws and chromium is None:
             continue
-        say(f"{run.maneuver.duration_s:g} s, by turns watched by {NOBODY}, {VIEWER}, {name}")
+        say(f"{run.maneuver.duration_s:g} s, by turns watched by {NOBODY} and {name}")
         factors, busy = measured[name] = _flown(run, chromium if draws else None)
-        say(", ".join(_row(name, factors[:, 2], factors[:, 0], busy[:, 1])))
-    everything, every_busy = (np.concatenate(parts) for parts in zip(*measured.values(), strict=True))
-    rows = [_row(NOBODY, everything[:, 0]), _row(VIEWER, everything[:, 1], everything[:, 0], every_busy[:, 0])]
+        say(", ".join(_row(name, factors[:, 1], factors[:, 0], busy)))
+    rows = [_row(NOBODY, np.concatenate([factors[:, 0] for factors, _ in measured.values()]))]
     for name in WATCHERS:
         if name in measured:
             factors, busy = measured[name]
-            rows.append(_row(name, factors[:, 2], factors[:, 0], busy[:, 1]))
+            rows.append(_row(name, factors[:, 1], factors[:, 0], busy))
         else:
             rows.append((name, "no Chromium", "-", "-", "-"))
     columns = ("watched by", "real-time factor", "turns", "loss, %", "processors")
@@ -91,11 +90,11 @@ def _flown(run: Setup, chromium: str | None) -> tuple[Array, Array]:
     Args:
         run: What is flown.
         chromium: The browser; None for readers in its place.
-    Returns: Real-time factors with nobody, with the viewer, with all, (turns, 3); processors that the viewer kept busy
-        alone, and those who looked on, (turns, 2).
+    Returns: Real-time factors with nobody and with all, (turns, 2); processors that the viewer kept busy then, and
+        those who looked on, (turns, 2).
     """
     changes: list[tuple[int, str]] = []
-    used_s: list[float] = []  # of viewer and others, by turns
+    used_s: list[Array] = []  # by viewer and others
     with tempfile.TemporaryDirectory(prefix="benchmarks-", ignore_cleanup_errors=True) as folder, ExitStack() as stack:
         at, ended = Path(folder) / "flight", Event()
         with free_ports(_HOST, 1) as ports:
@@ -115,18 +114,21 @@ def _flown(run: Setup, chromium: str | None) -> tuple[Array, Array]:
                 others = [looking.enter_context(_started(command)) for command in commands]
                 if not _wait(lambda: _connections(port) >= _COUNT, ended) or ended.wait(_OPEN_S):
                     return
-                for kind in cycle(range(3)):
+
+                def used() -> Array:
+                    return np.array([_processor_s(viewer.pid), sum(_processor_s(process.pid) for process in others)])
+
+                for watched in cycle((False, True)):
                     for process in (viewer, *others):
-                        _freeze(process, kind < (1 if process is viewer else 2))
-                    changes.append((time.time_ns(), str(kind)))
+                        _freeze(process, not watched)
+                    changes.append((time.time_ns(), str(watched)))
                     if ended.wait(_SKIP_S):
                         return
-                    watching = ([], [viewer], others)[kind]
-                    before_s = sum(_processor_s(process.pid) for process in watching)
+                    before_s = used()
                     if ended.wait(_BLOCK_S - _SKIP_S):
                         return
-                    if kind > 0:
-                        used_s.append(sum(_processor_s(process.pid) for process in watching) - before_s)
+                    if watched:
+                        used_s.append(used() - before_s)
 
         thread = Thread(target=alternate)
         thread.start()
@@ -136,8 +138,8 @@ def _flown(run: Setup, chromium: str | None) -> tuple[Array, Array]:
             changes.append((time.time_ns(), ""))
             ended.set()
             thread.join()
-        factors = turns(read_log(at / "run.mcap"), changes, 3, run.settings.sampling_period_s)
-    return factors, np.array(used_s[: 2 * len(factors)]).reshape(-1, 2) / (_BLOCK_S - _SKIP_S)
+        factors = turns(read_log(at / "run.mcap"), changes, 2, run.settings.sampling_period_s)
+    return factors, np.array(used_s[: len(factors)]).reshape(-1, 2) / (_BLOCK_S - _SKIP_S)
 
 
 def turns(log: RunLog, changes: Sequence[tuple[int, str]], cases: int, period_s: float) -> Array:
@@ -169,7 +171,13 @@ def _row(
     if alone is None or busy is None:
         return name, spread, str(len(factors)), "-", "-"
     low, middle, high = np.percentile(100.0 * (1.0 - factors / alone), (25, 50, 75))
-    return name, spread, str(len(factors)), f"{middle:.1f} ({low:.1f} to {high:.1f})", f"{busy.mean():.3f}"
+    return (
+        name,
+        spread,
+        str(len(factors)),
+        f"{middle:.1f} ({low:.1f} to {high:.1f})",
+        " + ".join(f"{one:.3f}" for one in busy.mean(axis=0)),
+    )
 
 
 def _wait(condition: Callable[[], bool], ended: Event) -> bool:

@@ -194,6 +194,6 @@ def test_turns_of_a_flight_that_is_watched() -> None:
 
 @pytest.mark.slow
 def test_being_watched_has_its_rows() -> None:
-    """Nobody, the viewer, and each kind of those who look on; a flight that short has no turn."""
+    """Nobody, and each kind of those who look on; a flight that short has no turn."""
     (table,) = watched.measure(QUICK, silent)
-    assert first_cells(table) == [watched.NOBODY, watched.VIEWER, *watched.WATCHERS]
+    assert first_cells(table) == [watched.NOBODY, *watched.WATCHERS]
