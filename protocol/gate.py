@@ -3,8 +3,10 @@
 What is checked here needs nothing but what has come in before: size, form, key, sender, which start of it, and the
 order of its messages. Whether a message fits the run and the moment is for the node to say.
 
-Zenoh keeps the order of one sender's messages under one key, and no other. So each key counts for itself: under
-it sequence numbers grow, and for kinds that are said once a tick so do the ticks.
+Zenoh keeps the order of one sender's messages under one key, and no other. So each key counts for itself. What
+grows under it is the tick for kinds that each tick brings, the version for rosters, and the sequence number for all
+others. Numbers do not count where ticks do: whoever has the sender's key as well and numbers higher than it could keep
+all it says from being heard, and the run would hang on what he repeats.
 """
 
 import threading
@@ -14,7 +16,7 @@ from dataclasses import dataclass
 from model.state import INPUTS, PAYLOAD, PER_UAV
 from protocol.claims import window
 from protocol.codec import MAX_BYTES, decode
-from protocol.head import ONCE_A_TICK, head_of
+from protocol.head import Head, head_of
 from protocol.keys import Keys
 from protocol.messages import (
     LinkChange,
@@ -103,11 +105,9 @@ class Gate:
             heard = self._heard.get(key)
             if head is None or heard is None or (head.sender, head.incarnation) != (heard.sender, heard.incarnation):
                 return False
-            if head.sequence <= heard.sequence:
-                text = f"{head.kind} number {head.sequence} after number {heard.sequence}"
-                raise MessageError("replayed", text, head.sender)
-            if head.kind in ONCE_A_TICK and heard.place is not None and (head.tick, 0) <= heard.place:
-                raise MessageError("past", f"{head.kind} {head.tick} after {heard.place[0]}", head.sender)
+            if head.kind == Roster.kind:
+                return False  # its version is not in its head
+            _check_new(head, head.place, heard)
         except MessageError as error:
             sender = error.sender or self._keys.end(key)
             with self._counting:
@@ -225,14 +225,8 @@ class Gate:
             text = f"{message.kind} of tick {message.tick}, the newest here is {self.tick}"
             raise MessageError("future", text, message.sender)
         heard = self._heard.get(key)
-        if heard is None or message.incarnation > heard.incarnation:
-            return
-        if message.sequence <= heard.sequence:
-            text = f"{message.kind} number {message.sequence} after number {heard.sequence}"
-            raise MessageError("replayed", text, message.sender)
-        place = _place(message)
-        if place is not None and heard.place is not None and place <= heard.place:
-            raise MessageError("past", f"{message.kind} {place[0]} after {heard.place[0]}", message.sender)
+        if heard is not None and message.incarnation == heard.incarnation:
+            _check_new(message, _place(message), heard)
 
     def _give(self, key: str, message: Message) -> Message:
         self._given = key, message, self._rejections.total
@@ -261,6 +255,18 @@ def _place(message: Message) -> tuple[int, int] | None:
         case Roster():
             return message.version, 0
     return None
+
+
+def _check_new(said: Message | Head, place: tuple[int, int] | None, heard: _Heard) -> None:
+    """Refuse what has been said under its key."""
+    known = said.sequence <= heard.sequence
+    if place is None or heard.place is None:
+        if known:
+            text = f"{said.kind} number {said.sequence} after number {heard.sequence}"
+            raise MessageError("replayed", text, said.sender)
+    elif place <= heard.place:
+        text = f"{said.kind} {place[0]} after {heard.place[0]}"
+        raise MessageError("replayed" if known else "past", text, said.sender)
 
 
 def _wrong_incarnation(message: Message) -> MessageError:

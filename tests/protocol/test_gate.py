@@ -85,6 +85,22 @@ def test_a_tick_is_said_once(number: int) -> None:
     assert door.refused() == [(message.sender, "past", 2)]
 
 
+@pytest.mark.parametrize("number", range(5))
+def test_high_numbers_shut_nobody_out(number: int) -> None:
+    """Who repeats somebody's message under a number of his own does not keep what that one says next from being heard.
+
+    Otherwise the run would hang on what he repeats: whatever came with a true number would be of the past.
+    """
+    door = Door()
+    for k in range(4):
+        message = each_tick(k)[number]
+        copied = replace(message, sequence=10**6 + k)
+        assert door.lets_in(*((copied, message) if k % 2 else (message, copied, copied))) == (
+            [True, False] if k % 2 else [True, False, False]
+        )
+    assert door.gate.tick == 3
+
+
 def test_rosters_grow() -> None:
     """A roster's version grows; several may be of one tick."""
     door = Door()

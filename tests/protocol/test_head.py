@@ -28,7 +28,8 @@ KEYS = Keys("head")
 def test_heads_are_those_of_the_messages(kind: type) -> None:
     """What the head says is what the message says, of every kind."""
     message = sample(kind)
-    expected = Head(message.kind, message.sender, message.incarnation, message.sequence, message.tick)
+    negotiation = message.negotiation if isinstance(message, Plan) else 0
+    expected = Head(message.kind, message.sender, message.incarnation, message.sequence, message.tick, negotiation)
     assert head_of(encode(message)) == expected
 
 
@@ -98,14 +99,16 @@ def test_what_has_passed_would_be_refused() -> None:
     """Whatever is refused unread, reading refuses as well, now and after all that may come in between."""
     for between in ((), (6,), (6, 7)):
         for sequence in (0, 10, 11, 99):
-            for tick in (4, 5, 6):
+            for tick, negotiation in ((4, 0), (5, 0), (5, 1), (6, 0), (6, 1)):
                 door = Door()
-                message = replace(door.plan, sequence=sequence, tick=tick, start_tick=tick)
-                if not door.gate.has_passed(door.key, encode(message)):
-                    continue
+                message = replace(door.plan, sequence=sequence, tick=tick, start_tick=tick, negotiation=negotiation)
+                passed = door.gate.has_passed(door.key, encode(message))
                 for k in between:
                     assert door.hears(runs.plan(setup(), 1, k))
-                assert not door.hears(message)
+                if passed:
+                    assert not door.hears(message)
+                else:
+                    assert door.hears(message) == (not between)
 
 
 def test_one_negotiation_is_not_another() -> None:
@@ -116,6 +119,7 @@ def test_one_negotiation_is_not_another() -> None:
     first = replace(runs.plan(run, 1, 5), negotiation=1)
     assert gate.read(KEYS.of(first), encode(first)) is not None
     assert gate.released() is None
+    assert gate.has_passed(KEYS.of(first), encode(first))
     assert not gate.has_passed(KEYS.of(first), encode(replace(first, sequence=first.sequence + 1, negotiation=0)))
 
 
