@@ -22,14 +22,19 @@ class Brake:
         self._filled_s = time.monotonic()
         self._waiting = threading.Lock()
 
-    def hold(self) -> None:
-        """Take a token; without one wait, unless another thread does: one has to be left that receives."""
+    def hold(self) -> int:
+        """Take a token; without one wait, unless another thread does: one has to be left that receives.
+
+        Returns: How long it has waited, ns.
+        """
         now_s = time.monotonic()
         filled = min(BURST, self._left + RATE_HZ * (now_s - self._filled_s))
         self._left = max(-BURST, filled - 1.0)  # nobody pays for others' floods for ever
         self._filled_s = now_s
-        if self._left < 0.0 and self._waiting.acquire(blocking=False):
-            try:
-                time.sleep(_WAIT_S)
-            finally:
-                self._waiting.release()
+        if self._left >= 0.0 or not self._waiting.acquire(blocking=False):
+            return 0
+        try:
+            time.sleep(_WAIT_S)
+        finally:
+            self._waiting.release()
+        return round(1e9 * (time.monotonic() - now_s))

@@ -316,7 +316,7 @@ class Bus:
         if size > self._gate.max_bytes:
             self._put(_Oversized(str(sample.key_expr), size))
         elif self._flooded and self._gate.has_passed(str(sample.key_expr), sample.payload.to_bytes()):
-            self._brake.hold()
+            self._window_ns += self._brake.hold()  # who is slowed down does not send less
         else:
             self._put(sample)
 
