@@ -26,6 +26,7 @@ from protocol.messages import Truth
 from protocol.setup import Setup
 from transport.harness import free_ports
 from transport.log import RunLog, read_log
+from transport.viewer.viewer import DRAW_FULL_S
 
 NOBODY = "nobody"
 
@@ -36,10 +37,12 @@ TEXT = (
     "What being watched costs: `resilient` as fast as it goes, with the viewer and those who look on beside it: three "
     "windows of headless Chromium, 900 x 600 pixels, on the same machine and without a graphics processor, or three "
     "connections on which all is read that a browser is sent, as if it drew on another machine. One flight for each "
-    "kind; in each, by turns, all of them are frozen, and none, for {block:g} s each; the first {skip:g} s after each "
-    "change do not count. Real-time factor, median of all turns (least to most). Loss: by how much it is lower than "
-    "while nobody watched in the same turn, median (quartiles). Processors: how many the viewer keeps busy, and those "
-    "who look on, mean. Browsers have the priority of any program; the viewer has nice 10, and so has its session."
+    "kind; in each, by turns, all of them are frozen for {alone:g} s, and none for {watched:g} s; the first {skip:g} s "
+    "after each change do not count. Real-time factor, median of all turns (least to most). Loss: by how much it is "
+    "lower than while nobody watched in the same turn, median (quartiles). Processors: how many the viewer keeps busy, "
+    "and those who look on, mean. Opening: processor time of the viewer and of those who look on, from the start of "
+    "their programs until {opened:g} s after all were connected, once. Browsers have the priority of any program; the "
+    "viewer has nice 10, and so has its session."
 )
 
 _HOST = "127.0.0.1"
@@ -54,47 +57,51 @@ HEADLESS = (
     "--window-size=900,600",
 )
 _STAYS = "--remote-debugging-port=0"  # else it ends as soon as the page is loaded
-# How long each part of a turn takes, and how long what was frozen takes to catch up, s. What counts is as long as a
-# page that is held back goes without a picture: there is one in it. Were browsers frozen longer than the viewer, it
-# would give them up, and they would load all anew.
-_BLOCK_S, _SKIP_S = 22.0, 2.0
-# How many look on, and how long their pages take to be drawn for the first time once they are connected, s.
-_COUNT, _OPEN_S = 3, 6.0
+# How long what was frozen takes to catch up, and how long the parts of a turn take, s. What counts of the watched one
+# is as long as a page that is held back goes without a picture: there is one in it. Were browsers frozen longer than
+# the viewer, or any of them for much longer, they would be given up, and load all anew.
+_SKIP_S = 2.0
+_BLOCKS_S = (22.0, DRAW_FULL_S + _SKIP_S)
+# How many look on, and how long their pages may take to be complete once they are connected, s.
+_COUNT, _OPEN_S = 3, 20.0
 
 
 def measure(effort: Effort, say: Callable[[str], None]) -> list[Table]:
     """Fly with processes, watched and not, once for each kind of those who look on."""
     run = setup("resilient", effort.watched)
     chromium = next(filter(None, map(shutil.which, _CHROMIUM)), None)
-    measured: dict[str, tuple[Array, Array]] = {}
+    measured: dict[str, tuple[Array, Array, Array]] = {}
     for name, draws in WATCHERS.items():
         if draws and chromium is None:
             continue
         say(f"{run.maneuver.duration_s:g} s, by turns watched by {NOBODY} and {name}")
-        factors, busy = measured[name] = _flown(run, chromium if draws else None)
-        say(", ".join(_row(name, factors[:, 1], factors[:, 0], busy)))
-    rows = [_row(NOBODY, np.concatenate([factors[:, 0] for factors, _ in measured.values()]))]
+        factors, busy, opening_s = measured[name] = _flown(run, chromium if draws else None)
+        say(", ".join(_row(name, factors[:, 1], factors[:, 0], busy, opening_s)))
+    rows = [_row(NOBODY, np.concatenate([factors[:, 0] for factors, _, _ in measured.values()]))]
     for name in WATCHERS:
         if name in measured:
-            factors, busy = measured[name]
-            rows.append(_row(name, factors[:, 1], factors[:, 0], busy))
+            factors, busy, opening_s = measured[name]
+            rows.append(_row(name, factors[:, 1], factors[:, 0], busy, opening_s))
         else:
-            rows.append((name, "no Chromium", "-", "-", "-"))
-    columns = ("watched by", "real-time factor", "turns", "loss, %", "processors")
-    return [Table(text=TEXT.format(block=_BLOCK_S, skip=_SKIP_S), columns=columns, rows=rows)]
+            rows.append((name, "no Chromium", "-", "-", "-", "-"))
+    columns = ("watched by", "real-time factor", "turns", "loss, %", "processors", "opening, s")
+    alone_s, watched_s = _BLOCKS_S
+    text = TEXT.format(alone=alone_s, watched=watched_s, skip=_SKIP_S, opened=_OPEN_S)
+    return [Table(text=text, columns=columns, rows=rows)]
 
 
-def _flown(run: Setup, chromium: str | None) -> tuple[Array, Array]:
+def _flown(run: Setup, chromium: str | None) -> tuple[Array, Array, Array]:
     """One flight, watched by turns.
 
     Args:
         run: What is flown.
         chromium: The browser; None for readers in its place.
     Returns: Real-time factors with nobody and with all, (turns, 2); processors that the viewer kept busy then, and
-        those who looked on, (turns, 2).
+        those who looked on, (turns, 2); processor time that their opening took, s, (2,), NaN if the flight was over.
     """
     changes: list[tuple[int, str]] = []
     used_s: list[Array] = []  # by viewer and others
+    opening_s = [np.full(2, np.nan)]
     with tempfile.TemporaryDirectory(prefix="benchmarks-", ignore_cleanup_errors=True) as folder, ExitStack() as stack:
         at, ended = Path(folder) / "flight", Event()
         with free_ports(_HOST, 1) as ports:
@@ -111,21 +118,24 @@ def _flown(run: Setup, chromium: str | None) -> tuple[Array, Array]:
                 if chromium is not None:
                     browser = [chromium, *HEADLESS, _STAYS]
                     commands = [[*browser, f"--user-data-dir={at}-{k}", address] for k in range(_COUNT)]
-                others = [looking.enter_context(_started(command)) for command in commands]
-                if not _wait(lambda: _connections(port) >= _COUNT, ended) or ended.wait(_OPEN_S):
-                    return
+                others: list[subprocess.Popen[bytes]] = []
 
                 def used() -> Array:
                     return np.array([_processor_s(viewer.pid), sum(_processor_s(process.pid) for process in others)])
 
-                for watched in cycle((False, True)):
+                before_s = used()
+                others += [looking.enter_context(_started(command)) for command in commands]
+                if not _wait(lambda: _connections(port) >= _COUNT, ended) or ended.wait(_OPEN_S):
+                    return
+                opening_s[0] = used() - before_s
+                for watched in cycle((False, True)):  # as in _BLOCKS_S
                     for process in (viewer, *others):
                         _freeze(process, not watched)
                     changes.append((time.time_ns(), str(watched)))
                     if ended.wait(_SKIP_S):
                         return
                     before_s = used()
-                    if ended.wait(_BLOCK_S - _SKIP_S):
+                    if ended.wait(_BLOCKS_S[watched] - _SKIP_S):
                         return
                     if watched:
                         used_s.append(used() - before_s)
@@ -138,38 +148,43 @@ def _flown(run: Setup, chromium: str | None) -> tuple[Array, Array]:
             changes.append((time.time_ns(), ""))
             ended.set()
             thread.join()
-        factors = turns(read_log(at / "run.mcap"), changes, 2, run.settings.sampling_period_s)
-    return factors, np.array(used_s[: len(factors)]).reshape(-1, 2) / (_BLOCK_S - _SKIP_S)
+        factors = turns(read_log(at / "run.mcap"), changes, _BLOCKS_S, run.settings.sampling_period_s)
+    busy = np.array(used_s[: len(factors)]).reshape(-1, 2) / (_BLOCKS_S[True] - _SKIP_S)
+    return factors, busy, opening_s[0]
 
 
-def turns(log: RunLog, changes: Sequence[tuple[int, str]], cases: int, period_s: float) -> Array:
+def turns(log: RunLog, changes: Sequence[tuple[int, str]], blocks_s: Sequence[float], period_s: float) -> Array:
     """Real-time factors of the turns that are whole.
 
     Args:
         log: Of the flight.
         changes: When who began to watch, ns since 1970; the last is the end.
-        cases: How many there are in a turn.
+        blocks_s: How long each part of a turn takes at least, s.
         period_s: Sampling period, s.
-    Returns: (turns, cases).
+    Returns: (turns, parts).
     """
     at_ns = np.array(sorted(log.received_ns(Truth).values()))
     found = []
-    for (begin_ns, _), (end_ns, _) in pairwise(changes):
+    for ((begin_ns, _), (end_ns, _)), block_s in zip(pairwise(changes), cycle(blocks_s), strict=False):
         inside = at_ns[(at_ns >= begin_ns + _SKIP_S * 1e9) & (at_ns < end_ns)]
-        if end_ns - begin_ns >= _BLOCK_S * 1e9 and len(inside) > 1:
+        if end_ns - begin_ns >= block_s * 1e9 and len(inside) > 1:
             found.append((len(inside) - 1) * period_s / (float(inside[-1] - inside[0]) / 1e9))
-    whole = len(found) // cases
-    return np.array(found[: whole * cases]).reshape(whole, cases)
+    whole = len(found) // len(blocks_s)
+    return np.array(found[: whole * len(blocks_s)]).reshape(whole, len(blocks_s))
 
 
 def _row(
-    name: str, factors: Array, alone: Array | None = None, busy: Array | None = None
-) -> tuple[str, str, str, str, str]:
+    name: str,
+    factors: Array,
+    alone: Array | None = None,
+    busy: Array | None = None,
+    opening_s: Array | None = None,
+) -> tuple[str, str, str, str, str, str]:
     if not len(factors):
-        return name, "-", "0", "-", "-"
+        return name, "-", "0", "-", "-", "-"
     spread = f"{digits(float(np.median(factors)))} ({digits(float(factors.min()))} to {digits(float(factors.max()))})"
-    if alone is None or busy is None:
-        return name, spread, str(len(factors)), "-", "-"
+    if alone is None or busy is None or opening_s is None:
+        return name, spread, str(len(factors)), "-", "-", "-"
     low, middle, high = np.percentile(100.0 * (1.0 - factors / alone), (25, 50, 75))
     return (
         name,
@@ -177,6 +192,7 @@ def _row(
         str(len(factors)),
         f"{middle:.1f} ({low:.1f} to {high:.1f})",
         " + ".join(f"{one:.3f}" for one in busy.mean(axis=0)),
+        " + ".join(f"{one:.1f}" for one in opening_s),
     )
 
 

@@ -188,8 +188,9 @@ def test_turns_of_a_flight_that_is_watched() -> None:
     entries = [Recorded(message=truth(run, tick), received_ns=at_ms * 1_000_000) for tick, at_ms in enumerate(ticks_ms)]
     log = RunLog(header={}, messages=tuple(entries), cut="")
     changes = [(round(at_s * 1e9), "") for at_s in (0, 24, 48, 70)]
-    factors = watched.turns(log, changes, 2, period_s=0.05)
+    factors = watched.turns(log, changes, (22.0, 24.0), period_s=0.05)
     np.testing.assert_allclose(factors, [[1.0, 0.5]])
+    assert watched.turns(log, changes, (25.0, 24.0), period_s=0.05).shape == (0, 2)
 
 
 @pytest.mark.slow

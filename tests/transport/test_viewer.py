@@ -14,10 +14,11 @@ from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
+import msgpack
 import numpy as np
 import pytest
 from typer.testing import CliRunner
-from websockets.sync.client import connect
+from websockets.sync.client import ClientConnection, connect
 
 from benchmarks import readers
 from protocol.messages import FaultNote, LinkChange, Message, Plan, Truth
@@ -74,15 +75,17 @@ def shown(folder: Path) -> Iterator[Viewer]:
 
 
 @contextmanager
-def spectators(address: str, count: int) -> Iterator[None]:
+def spectators(address: str, count: int) -> Iterator[list[ClientConnection]]:
     """As many more that look on as browsers do, who are gone without a word afterwards."""
+    connections: list[ClientConnection] = []
     with ExitStack() as stack:
         for _ in range(count):
             connection = connect(**readers.target(address))
             stack.callback(connection.socket.close)
             connection.send(readers.CAMERA)
             assert connection.recv(timeout=PATIENCE_S)
-        yield
+            connections.append(connection)
+        yield connections
 
 
 @pytest.fixture(scope="module")
@@ -188,6 +191,33 @@ def test_nothing_is_drawn_of_a_flight_while_nobody_looks(recorded: Path, tmp_pat
         viewer.work()
         assert viewer.notice.startswith("the run has ended: ")
         assert viewer.shown.tick == 29
+
+
+def test_a_flight_that_takes_all_is_drawn_for_who_turns_the_camera(
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where no processor is idle, a page that is left alone has to wait a minute for the next picture, no other."""
+    monkeypatch.setattr(IdleProcessors, "count", lambda self: 0.0)
+    data, log = (recorded / "run.mcap").read_bytes(), tmp_path / "run.mcap"
+    log.write_bytes(data[: round(0.4 * len(data))])
+    scenes = Scenes(setup_of(recorded), Record(setup_of(recorded)))
+    flying = LiveRun(run="nowhere", endpoints={}, pid=os.getpid())
+
+    def newest() -> bool:
+        viewer.work()
+        return viewer.shown is not None and viewer.shown.tick == scenes.record.last
+
+    with Viewer(scenes, port=0, tail=LogTail(log), live=flying) as viewer, spectators(viewer.address, 1) as (page,):
+        assert wait_for(newest)
+        first = scenes.record.last
+        log.write_bytes(data[: round(CUT * len(data))])
+        assert not newest()
+        assert first < scenes.record.last < 29
+        page.send(readers.CAMERA)  # as it was
+        time.sleep(0.3)
+        assert not newest()
+        page.send(msgpack.packb({**msgpack.unpackb(readers.CAMERA), "position": (0.0, -9.0, 1.0)}))
+        assert wait_for(newest)
 
 
 def test_how_often_a_flight_is_drawn() -> None:

@@ -21,6 +21,8 @@ class Record:
 
     Attributes:
         truths: The plant's states by tick; a tick can be shown once its truth is here.
+        first: The first tick that can be shown, 0 when there is none.
+        last: The newest tick that can be shown, -1 when there is none.
         changes: Changes of links in the order of their numbers, each once.
         control: How the run ended, once it has.
         news: Sentences about faults and the roster, each with its tick.
@@ -29,6 +31,7 @@ class Record:
     def __init__(self, setup: Setup) -> None:
         self._setup = setup
         self.truths: dict[int, Truth] = {}
+        self.first, self.last = 0, -1
         self.changes: list[LinkChange] = []
         self.control: Control | None = None
         self.news: list[tuple[int, str]] = []
@@ -41,6 +44,8 @@ class Record:
         for message in messages:
             match message:
                 case Truth() if message.x.shape == self._setup.hover.x.shape:
+                    self.first = min(self.first, message.tick) if self.truths else message.tick
+                    self.last = max(self.last, message.tick)
                     self.truths[message.tick] = message
                 case Plan() | Unread(kind=Plan.kind):
                     if message.negotiation == 0:
@@ -58,16 +63,6 @@ class Record:
                     self.news.append((message.tick, f"{message.target} {message.what}"))
                 case Control():
                     self.control = message
-
-    @property
-    def first(self) -> int:
-        """The first tick that can be shown, 0 when there is none."""
-        return min(self.truths, default=0)
-
-    @property
-    def last(self) -> int:
-        """The newest tick that can be shown, -1 when there is none."""
-        return max(self.truths, default=-1)
 
     def plan(self, agent: int, tick: int) -> Plan | None:
         """The plan an agent made at a tick."""

@@ -26,15 +26,17 @@ if TYPE_CHECKING:
     import viser
 
 # How often the scene is drawn anew, and the numbers beside it, at most. A run as fast as it goes leaves no time to
-# others: where no processor is idle, whoever looks on waits.
-_DRAW_S, _DRAW_LIVE_S, _DRAW_FAST_S, _DRAW_FULL_S, _NUMBERS_S = 0.05, 0.1, 0.5, 20.0, 0.2
+# others: where no processor is idle, whoever looks on waits, unless he turns the camera, and for a while after that.
+_DRAW_S, _DRAW_LIVE_S, _DRAW_FAST_S, DRAW_FULL_S, _NUMBERS_S = 0.05, 0.1, 0.5, 60.0, 0.2
+_TURNED_S = 3.0
 # The share of a processor that drawing and sending may take while the run flies: large teams are drawn less often, and
 # all are if many look.
 _SHARE_LIVE = 0.1
 # What is said of a run in flight.
 _PACED = "in flight"
 _FAST = (
-    f"in flight, as fast as it goes: one picture in {_DRAW_FULL_S:g} s where no processor is idle; clock.speed paces it"
+    f"in flight, as fast as it goes: where no processor is idle one picture in {DRAW_FULL_S:g} s, more while you turn "
+    "the camera; clock.speed paces it"
 )
 # How many ports to try from the one asked for.
 _PORTS = 100
@@ -89,6 +91,8 @@ class Viewer:
         self._over = live is None
         self._paced = paced
         self._drawn_s = self._numbers_s = 0.0
+        self._turned_s = -math.inf
+        self._server.on_client_connect(self._met)
         self._idle = IdleProcessors()
         self._asked_s, self._used_s = time.monotonic(), time.process_time()
 
@@ -112,11 +116,11 @@ class Viewer:
         self._asked_s = now_s
         if not self._over and record.control is not None:
             self._end(record.control.outcome, record.control.reason)
-        full = self._follows_fast and self._idle.count() < 1.0
-        self._panel.set_pace(0.0 if self._over else _DRAW_FULL_S if full else _DRAW_LIVE_S)
+        full = self._follows_fast and self._idle.count() < 1.0 and now_s > self._turned_s + _TURNED_S
+        self._panel.set_pace(0.0 if self._over else DRAW_FULL_S if full else _DRAW_LIVE_S)
         if not self._over and not self._server.get_clients():
             return  # nobody looks: whoever comes is shown the newest then
-        if full and not self._redraw and now_s < self._drawn_s + _DRAW_FULL_S:
+        if full and not self._redraw and now_s < self._drawn_s + DRAW_FULL_S:
             return
         moved = self.shown is None or record.nearest(tick) != self.shown.tick
         numbers = now_s >= self._numbers_s + _NUMBERS_S
@@ -167,12 +171,27 @@ class Viewer:
         self.notice = text
         self._panel.say(text, warning=warning)
 
+    def _met(self, client: "viser.ClientHandle") -> None:
+        """A browser has come. It tells where its camera is as it comes, too, and when its window changes."""
+        seen = _pose(client.camera)
+
+        @client.camera.on_update
+        def turned(camera: "viser.CameraHandle") -> None:
+            nonlocal seen
+            before, seen = seen, _pose(camera)
+            if seen != before:
+                self._turned_s = time.monotonic()
+
     def _look(self, team: bool) -> None:
         self.stage.look_at(self.shown if team else None)
 
     def _show_layer(self, name: str, shown: bool) -> None:
         self.stage.show_layer(name, shown)
         self._redraw = True
+
+
+def _pose(camera: "viser.CameraHandle") -> tuple[float, ...]:
+    return *camera.position, *camera.wxyz
 
 
 def pause_s(used_s: float, *, fast: bool) -> float:
