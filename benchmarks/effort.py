@@ -27,6 +27,8 @@ class Effort:
         flown: What they fly, a setting.
         recordings: Flights with and without a recorder, in turns.
         watched: What is flown by turns watched and not, a setting.
+        paced: What is flown at real speed, settings.
+        paced_flights: Of each, watched and not.
         round_trips: Over the bare pipe, before and after each flight.
     """
 
@@ -44,6 +46,8 @@ class Effort:
     flown: str
     recordings: int
     watched: str
+    paced: tuple[str, ...]
+    paced_flights: int
     round_trips: int
 
 
@@ -62,6 +66,8 @@ FULL = Effort(
     flown=_climb(5.0, 1.0),
     recordings=3,
     watched=_climb(2400.0, 2.0),
+    paced=(),
+    paced_flights=5,
     round_trips=2000,
 )
 
@@ -80,5 +86,7 @@ QUICK = Effort(
     flown=_climb(0.5, 0.1),
     recordings=1,
     watched=_climb(0.5, 0.1),
+    paced=(_climb(0.5, 0.1),),
+    paced_flights=1,
     round_trips=50,
 )

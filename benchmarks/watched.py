@@ -45,6 +45,11 @@ TEXT = (
     "viewer has nice 10, and so has its session."
 )
 
+PACED = (
+    "`resilient` at real speed (`clock.speed=1`, lockstep), whole flights by turns with nobody and with the viewer and "
+    "three such windows on the same machine, which open as the flight begins. Real-time factor, median (least to most)."
+)
+
 _HOST = "127.0.0.1"
 _WAIT_S, _LEAVE_S = 60, 10
 _CHROMIUM = ("chromium", "chromium-browser", "google-chrome")
@@ -87,7 +92,43 @@ def measure(effort: Effort, say: Callable[[str], None]) -> list[Table]:
     columns = ("watched by", "real-time factor", "turns", "loss, %", "processors", "opening, s")
     alone_s, watched_s = _BLOCKS_S
     text = TEXT.format(alone=alone_s, watched=watched_s, skip=_SKIP_S, opened=_OPEN_S)
-    return [Table(text=text, columns=columns, rows=rows)]
+    return [Table(text=text, columns=columns, rows=rows), _paced(effort, chromium, say)]
+
+
+def _paced(effort: Effort, chromium: str | None, say: Callable[[str], None]) -> Table:
+    """Whole flights at real speed, by turns watched and not."""
+    run = setup("resilient", *effort.paced, "clock.speed=1.0")
+    factors: dict[str, list[float]] = {NOBODY: [], **{name: [] for name, draws in WATCHERS.items() if draws}}
+    for _ in range(effort.paced_flights):
+        for name, found in factors.items():
+            if name == NOBODY or chromium is not None:
+                say(f"{run.maneuver.duration_s:g} s at real speed, watched by {name}")
+                found.append(_paced_flight(run, None if name == NOBODY else chromium))
+    rows = [_row(name, np.array(found))[:3] for name, found in factors.items()]
+    return Table(text=PACED, columns=("watched by", "real-time factor", "flights"), rows=rows)
+
+
+def _paced_flight(run: Setup, chromium: str | None) -> float:
+    """Real-time factor of a flight, with the viewer and browsers beside it if there is a browser."""
+    with tempfile.TemporaryDirectory(prefix="benchmarks-", ignore_cleanup_errors=True) as folder, ExitStack() as stack:
+        at, ended = Path(folder) / "flight", Event()
+
+        def look() -> None:
+            with ExitStack() as looking:
+                if chromium is not None and _wait(lambda: _listens(port), ended):
+                    for command in _windows(chromium, at, f"http://{_HOST}:{port}"):
+                        looking.enter_context(_started(command))
+                ended.wait()
+
+        if chromium is not None:
+            port = stack.enter_context(_viewer(at))[1]
+        thread = Thread(target=look)
+        thread.start()
+        try:
+            return float(processes.recorded(run, at).summary["real_time_factor"])
+        finally:
+            ended.set()
+            thread.join()
 
 
 def _flown(run: Setup, chromium: str | None) -> tuple[Array, Array, Array]:
@@ -104,10 +145,7 @@ def _flown(run: Setup, chromium: str | None) -> tuple[Array, Array, Array]:
     opening_s = [np.full(2, np.nan)]
     with tempfile.TemporaryDirectory(prefix="benchmarks-", ignore_cleanup_errors=True) as folder, ExitStack() as stack:
         at, ended = Path(folder) / "flight", Event()
-        with free_ports(_HOST, 1) as ports:
-            port = ports[0]
-        words = ("view", str(at), "--port", str(port), "--wait", str(_WAIT_S))
-        viewer = stack.enter_context(_started([sys.executable, "-m", "transport", *words]))
+        viewer, port = stack.enter_context(_viewer(at))
 
         def alternate() -> None:
             with ExitStack() as looking:
@@ -116,8 +154,7 @@ def _flown(run: Setup, chromium: str | None) -> tuple[Array, Array, Array]:
                 address = f"http://{_HOST}:{port}"
                 commands = [[sys.executable, "-m", "benchmarks.readers", address, str(_COUNT)]]
                 if chromium is not None:
-                    browser = [chromium, *HEADLESS, _STAYS]
-                    commands = [[*browser, f"--user-data-dir={at}-{k}", address] for k in range(_COUNT)]
+                    commands = _windows(chromium, at, address)
                 others: list[subprocess.Popen[bytes]] = []
 
                 def used() -> Array:
@@ -194,6 +231,21 @@ def _row(
         " + ".join(f"{one:.3f}" for one in busy.mean(axis=0)),
         " + ".join(f"{one:.1f}" for one in opening_s),
     )
+
+
+@contextmanager
+def _viewer(at: Path) -> Iterator[tuple["subprocess.Popen[bytes]", int]]:
+    """A viewer of a run that is to come, and its port."""
+    with free_ports(_HOST, 1) as ports:
+        port = ports[0]
+    words = ("view", str(at), "--port", str(port), "--wait", str(_WAIT_S))
+    with _started([sys.executable, "-m", "transport", *words]) as viewer:
+        yield viewer, port
+
+
+def _windows(chromium: str, at: Path, address: str) -> list[list[str]]:
+    """Commands of the browsers."""
+    return [[chromium, *HEADLESS, _STAYS, f"--user-data-dir={at}-{k}", address] for k in range(_COUNT)]
 
 
 def _wait(condition: Callable[[], bool], ended: Event) -> bool:

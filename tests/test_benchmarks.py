@@ -195,6 +195,8 @@ def test_turns_of_a_flight_that_is_watched() -> None:
 
 @pytest.mark.slow
 def test_being_watched_has_its_rows() -> None:
-    """Nobody, and each kind of those who look on; a flight that short has no turn."""
-    (table,) = watched.measure(QUICK, silent)
-    assert first_cells(table) == [watched.NOBODY, *watched.WATCHERS]
+    """Nobody, and each kind of those who look on; a flight that short has no turn, but at real speed a pace."""
+    by_turns, paced = watched.measure(QUICK, silent)
+    assert first_cells(by_turns) == [watched.NOBODY, *watched.WATCHERS]
+    assert first_cells(paced)[0] == watched.NOBODY
+    assert 0.5 < float(paced.rows[0][1].split()[0]) < 1.5

@@ -39,7 +39,7 @@ from transport.viewer.commands import viewer_of
 from transport.viewer.pace import pace
 from transport.viewer.record import Record
 from transport.viewer.scene import Scenes
-from transport.viewer.viewer import IdleProcessors, Viewer, pause_s
+from transport.viewer.viewer import IdleProcessors, Spare, Viewer, pause_s
 
 M = TypeVar("M", bound=Message)
 
@@ -225,6 +225,17 @@ def test_how_often_a_flight_is_drawn() -> None:
     assert (pause_s(0.0, fast=False), pause_s(0.0, fast=True)) == (0.1, 0.5)
     for fast in (False, True):
         assert pause_s(0.2, fast=fast) == pytest.approx(2.0)
+
+
+def test_a_paced_flight_is_drawn_as_often_as_leaves_it_room() -> None:
+    """Less often step by step while no processor is idle, as before while some of one is, and more often after that."""
+    idle, judged_s = [0.0] * 6 + [0.5] * 2 + [1.5] * 5, 2.0
+    told, found = iter(idle), list[float]()
+    spare = Spare(lambda: next(told))
+    for number in range(len(idle)):
+        found.append(spare.gap_s(number * judged_s))
+        assert spare.gap_s((number + 0.9) * judged_s) == found[-1]  # not looked at for long enough
+    assert found == [0.2, 0.5, 1.0, 2.0, 2.0, 2.0, 2.0, 2.0, 1.0, 0.5, 0.2, 0.1, 0.1]
 
 
 def test_idle_processors(tmp_path: Path) -> None:

@@ -29,6 +29,10 @@ if TYPE_CHECKING:
 # others: where no processor is idle, whoever looks on waits, unless he turns the camera, and for a while after that.
 _DRAW_S, _DRAW_LIVE_S, _DRAW_FAST_S, DRAW_FULL_S, _NUMBERS_S = 0.05, 0.1, 0.5, 60.0, 0.2
 _TURNED_S = 3.0
+# A paced run is drawn less often, step by step, as long as fewer processors are idle than the first, and more often
+# again when more are than the second; how long it is looked at before.
+_GAPS_S = (_DRAW_LIVE_S, 0.2, 0.5, 1.0, 2.0)
+_BUSY, _FREE, _JUDGED_S = 0.25, 0.75, 2.0
 # The share of a processor that drawing and sending may take while the run flies: large teams are drawn less often, and
 # all are if many look.
 _SHARE_LIVE = 0.1
@@ -94,6 +98,7 @@ class Viewer:
         self._turned_s = -math.inf
         self._server.on_client_connect(self._met)
         self._idle = IdleProcessors()
+        self._spare = Spare(IdleProcessors().count)
         self._asked_s, self._used_s = time.monotonic(), time.process_time()
 
     def __enter__(self) -> "Viewer":
@@ -116,11 +121,11 @@ class Viewer:
         self._asked_s = now_s
         if not self._over and record.control is not None:
             self._end(record.control.outcome, record.control.reason)
-        full = self._follows_fast and self._idle.count() < 1.0 and now_s > self._turned_s + _TURNED_S
-        self._panel.set_pace(0.0 if self._over else DRAW_FULL_S if full else _DRAW_LIVE_S)
+        gap_s = self._gap_s(now_s)
+        self._panel.set_pace(gap_s)
         if not self._over and not self._server.get_clients():
             return  # nobody looks: whoever comes is shown the newest then
-        if full and not self._redraw and now_s < self._drawn_s + DRAW_FULL_S:
+        if gap_s > _DRAW_LIVE_S and not self._redraw and now_s < self._drawn_s + gap_s:
             return
         moved = self.shown is None or record.nearest(tick) != self.shown.tick
         numbers = now_s >= self._numbers_s + _NUMBERS_S
@@ -150,6 +155,17 @@ class Viewer:
         """Stop the server; browsers are told that the connection is gone."""
         with redirect_stdout(io.StringIO()):
             self._server.stop()
+
+    def _gap_s(self, now_s: float) -> float:
+        """How long what is shown may be left as it is, s."""
+        if self._over:
+            return 0.0
+        spare_s = self._spare.gap_s(now_s) if self._paced else 0.0
+        if not self.clock.follows or now_s < self._turned_s + _TURNED_S:
+            return _DRAW_LIVE_S
+        if self._paced:
+            return spare_s
+        return DRAW_FULL_S if self._idle.count() < 1.0 else _DRAW_LIVE_S
 
     @property
     def _follows_fast(self) -> bool:
@@ -202,6 +218,26 @@ def pause_s(used_s: float, *, fast: bool) -> float:
         fast: Whether what is shown follows a run as fast as it goes.
     """
     return max(_DRAW_FAST_S if fast else _DRAW_LIVE_S, used_s / _SHARE_LIVE)
+
+
+class Spare:
+    """How often a paced run is drawn: as often as leaves it room.
+
+    Args:
+        idle: Tells how many processors have had nothing to do since it was asked last.
+    """
+
+    def __init__(self, idle: Callable[[], float]) -> None:
+        self._idle = idle
+        self._judged_s, self._step = -math.inf, 0
+
+    def gap_s(self, now_s: float) -> float:
+        """The least time between two pictures at a time of the monotonic clock, s."""
+        if now_s >= self._judged_s + _JUDGED_S:
+            self._judged_s, idle = now_s, self._idle()
+            change = 1 if idle < _BUSY else -1 if idle > _FREE else 0
+            self._step = min(max(0, self._step + change), len(_GAPS_S) - 1)
+        return _GAPS_S[self._step]
 
 
 class IdleProcessors:
