@@ -17,7 +17,7 @@ from protocol.process import mesh, process_names
 from protocol.setup import Setup
 from transport.harness import Harness, free_ports
 
-# A run may take so long: sixteen agents need half a minute to start on two busy cores.
+# A run may take so long besides what it flies: sixteen agents need half a minute to start on two busy cores.
 _PATIENCE_S = 600.0
 _LEAVE_S = 20.0
 _LOOK_EVERY_S = 0.2
@@ -53,10 +53,11 @@ def recorded(setup: Setup, folder: Path) -> Run:
         # A session of its own: Ctrl-C reaches this process, which ends the run in order.
         with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=errors, start_new_session=True) as run:
             try:
-                deadline = time.monotonic() + _PATIENCE_S
+                patience_s = _PATIENCE_S + setup.maneuver.duration_s
+                deadline = time.monotonic() + patience_s
                 while run.poll() is None:
                     if time.monotonic() > deadline:
-                        raise BenchmarkError(f"{' '.join(command)}: expected to end in {_PATIENCE_S:g} s, it did not")
+                        raise BenchmarkError(f"{' '.join(command)}: expected to end in {patience_s:g} s, it did not")
                     for name, share in _memory_MB(run.pid).items():
                         memory_MB[name] = max(share, memory_MB.get(name, 0.0))
                     time.sleep(_LOOK_EVERY_S)

@@ -1,5 +1,6 @@
 """What being watched costs: flights as fast as they go, by turns with nobody, the viewer, and those who look on."""
 
+import math
 import os
 import shutil
 import signal
@@ -41,7 +42,7 @@ TEXT = (
     "after each change do not count. Real-time factor, median of all turns (least to most). Loss: by how much it is "
     "lower than while nobody watched in the same turn, median (quartiles). Processors: how many the viewer keeps busy, "
     "and those who look on, mean. Opening: processor time of the viewer and of those who look on, from the start of "
-    "their programs until {opened:g} s after all were connected, once. Browsers have the priority of any program; the "
+    "the latter until {opened:g} s after all were connected, once. Browsers have the priority of any program; the "
     "viewer has nice 10, and so has its session."
 )
 
@@ -104,20 +105,25 @@ def _paced(effort: Effort, chromium: str | None, say: Callable[[str], None]) -> 
             if name == NOBODY or chromium is not None:
                 say(f"{run.maneuver.duration_s:g} s at real speed, watched by {name}")
                 found.append(_paced_flight(run, None if name == NOBODY else chromium))
-    rows = [_row(name, np.array(found))[:3] for name, found in factors.items()]
+    rows = [
+        _row(name, np.array([factor for factor in found if not math.isnan(factor)]))[:3]
+        for name, found in factors.items()
+    ]
     return Table(text=PACED, columns=("watched by", "real-time factor", "flights"), rows=rows)
 
 
 def _paced_flight(run: Setup, chromium: str | None) -> float:
     """Real-time factor of a flight, with the viewer and browsers beside it if there is a browser."""
     with tempfile.TemporaryDirectory(prefix="benchmarks-", ignore_cleanup_errors=True) as folder, ExitStack() as stack:
-        at, ended = Path(folder) / "flight", Event()
+        at, ended, seen = Path(folder) / "flight", Event(), Event()
 
         def look() -> None:
             with ExitStack() as looking:
                 if chromium is not None and _wait(lambda: _listens(port), ended):
                     for command in _windows(chromium, at, f"http://{_HOST}:{port}"):
                         looking.enter_context(_started(command))
+                    if _wait(lambda: _connections(port) >= _COUNT, ended):
+                        seen.set()
                 ended.wait()
 
         if chromium is not None:
@@ -125,10 +131,11 @@ def _paced_flight(run: Setup, chromium: str | None) -> float:
         thread = Thread(target=look)
         thread.start()
         try:
-            return float(processes.recorded(run, at).summary["real_time_factor"])
+            factor = float(processes.recorded(run, at).summary["real_time_factor"])
         finally:
             ended.set()
             thread.join()
+        return factor if chromium is None or seen.is_set() else math.nan  # over before they were there
 
 
 def _flown(run: Setup, chromium: str | None) -> tuple[Array, Array, Array]:
@@ -204,8 +211,9 @@ def turns(log: RunLog, changes: Sequence[tuple[int, str]], blocks_s: Sequence[fl
     found = []
     for ((begin_ns, _), (end_ns, _)), block_s in zip(pairwise(changes), cycle(blocks_s), strict=False):
         inside = at_ns[(at_ns >= begin_ns + _SKIP_S * 1e9) & (at_ns < end_ns)]
-        if end_ns - begin_ns >= block_s * 1e9 and len(inside) > 1:
-            found.append((len(inside) - 1) * period_s / (float(inside[-1] - inside[0]) / 1e9))
+        if end_ns - begin_ns >= block_s * 1e9:
+            time_s = float(inside[-1] - inside[0]) / 1e9 if len(inside) > 1 else math.inf
+            found.append((len(inside) - 1) * period_s / time_s)
     whole = len(found) // len(blocks_s)
     return np.array(found[: whole * len(blocks_s)]).reshape(whole, len(blocks_s))
 
@@ -268,23 +276,14 @@ def _connections(port: int) -> int:
     return sum(line.split()[1].endswith(f":{port:04X}") and line.split()[3] == "01" for line in lines)
 
 
-def _tasks(session: int) -> list[Path]:
-    """The threads of all processes of a session, as a Linux kernel lists them."""
-    found = []
+def _processor_s(session: int) -> float:
+    """Processor time that a session's processes have had, s, with threads and children that have ended."""
+    ticks = 0
     for process in Path("/proc").glob("[0-9]*"):
         with suppress(OSError):
             if os.getsid(int(process.name)) == session:
-                found += list((process / "task").iterdir())
-    return found
-
-
-def _processor_s(session: int) -> float:
-    """Processor time that a session's threads have had, s."""
-    ticks = 0
-    for task in _tasks(session):
-        with suppress(OSError):
-            words = (task / "stat").read_text(encoding="utf-8").rpartition(")")[2].split()
-            ticks += int(words[11]) + int(words[12])
+                words = (process / "stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+                ticks += sum(map(int, words[11:15]))
     return ticks / os.sysconf("SC_CLK_TCK")
 
 

@@ -25,10 +25,6 @@ from protocol.session import CLOSE_S, BusError, Endpoints, asked, in_bounded_tim
 # How long messages that are all refused may keep a process from what it has to do at a certain time.
 _FLOOD_S = 0.01
 
-# More messages than this in so short a time is more than a process of any run is told as fast as that goes: from then
-# on they are looked at as they come.
-_WINDOW, _WINDOW_NS = 128, 16_000_000
-
 # How often a process that joins a run that has begun asks whom it still has to wait for.
 _ASK_EVERY_S = 0.5
 
@@ -97,7 +93,6 @@ class Bus:
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._tokens: list[zenoh.LivelinessToken] = []
         self._gate, self._brake = gate, Brake()
-        self._came, self._window_ns, self._flooded = 0, 0, False
         log_errors(to_output=name not in ("recorder", WATCHER))
         self._session = open_session(endpoints, patience_s, name, self._keys, reach_s)
         # Subscribers before the token: whoever sees the token may send at once, and nothing is lost.
@@ -308,15 +303,12 @@ class Bus:
 
         Unless it is too large to wait there; or, where more come than any run has, is over.
         """
-        self._came += 1
-        if self._came % _WINDOW == 0:
-            now_ns = time.monotonic_ns()
-            self._flooded, self._window_ns = now_ns - self._window_ns < _WINDOW_NS, now_ns
+        flooded = self._brake.flooded()
         size = len(sample.payload)
         if size > self._gate.max_bytes:
             self._put(_Oversized(str(sample.key_expr), size))
-        elif self._flooded and self._gate.has_passed(str(sample.key_expr), sample.payload.to_bytes()):
-            self._window_ns += self._brake.hold()  # who is slowed down does not send less
+        elif flooded and self._gate.has_passed(str(sample.key_expr), sample.payload.to_bytes()):
+            self._brake.hold()
         else:
             self._put(sample)
 

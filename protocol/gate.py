@@ -3,10 +3,10 @@
 What is checked here needs nothing but what has come in before: size, form, key, sender, which start of it, and the
 order of its messages. Whether a message fits the run and the moment is for the node to say.
 
-Zenoh keeps the order of one sender's messages under one key, and no other. So each key counts for itself. What
-grows under it is the tick for kinds that each tick brings, the version for rosters, and the sequence number for all
-others. Numbers do not count where ticks do: whoever has the sender's key as well and numbers higher than it could keep
-all it says from being heard, and the run would hang on what he repeats.
+Zenoh keeps the order of one sender's messages under one key, and no other. So each key counts for itself, and each
+kind under it. What grows is the tick for kinds that each tick brings, the version for rosters, and the sequence number
+for all others. Numbers do not count where ticks do: whoever has the sender's key as well and numbers higher than it
+could keep all it says from being heard, and the run would hang on what he repeats.
 """
 
 import threading
@@ -16,19 +16,13 @@ from dataclasses import dataclass
 from model.state import INPUTS, PAYLOAD, PER_UAV
 from protocol.claims import window
 from protocol.codec import MAX_BYTES, decode
-from protocol.head import Head, head_of
+from protocol.head import Head, Place, head_of, place_of
 from protocol.keys import Keys
 from protocol.messages import (
     LinkChange,
-    Measurement,
     Message,
     MessageError,
-    Plan,
     Reason,
-    Roster,
-    StepReport,
-    Tick,
-    Truth,
     agent_name,
 )
 from protocol.rejections import MAX_SENDERS, Rejections
@@ -46,12 +40,12 @@ _AHEAD = 16
 
 @dataclass(frozen=True, slots=True)
 class _Heard:
-    """The newest message under a key."""
+    """The newest message of a kind under a key."""
 
     sender: str
     incarnation: int
     sequence: int
-    place: tuple[int, int] | None
+    place: Place | None
 
 
 class Gate:
@@ -82,7 +76,7 @@ class Gate:
         self.window = max(_AHEAD, window(setup))
         self._is_up_to_date = False  # whether `tick` is where the run is
         self._announced: dict[str, int] = {}  # newest incarnation, by name
-        self._heard: dict[str, _Heard] = {}  # by key
+        self._heard: dict[tuple[str, str], _Heard] = {}  # by key and kind
         self._unread: dict[tuple[str, Reason], tuple[MessageError, int]] = {}  # refused as they came, by sender
         self._counting = threading.Lock()  # of them: several threads receive
         self._given: tuple[str, Message, int] | None = None  # the last one let in: key, message, refusals before it
@@ -102,11 +96,9 @@ class Gate:
             head = head_of(data)
             if head is not None and head.sender == self._name:
                 raise MessageError("wrong_sender", f"{head.kind} of this process itself", head.sender)
-            heard = self._heard.get(key)
+            heard = None if head is None else self._heard.get((key, head.kind))
             if head is None or heard is None or (head.sender, head.incarnation) != (heard.sender, heard.incarnation):
                 return False
-            if head.kind == Roster.kind:
-                return False  # its version is not in its head
             _check_new(head, head.place, heard)
         except MessageError as error:
             sender = error.sender or self._keys.end(key)
@@ -224,9 +216,9 @@ class Gate:
         if self._is_up_to_date and message.tick > self.tick + self.window:
             text = f"{message.kind} of tick {message.tick}, the newest here is {self.tick}"
             raise MessageError("future", text, message.sender)
-        heard = self._heard.get(key)
+        heard = self._heard.get((key, message.kind))
         if heard is not None and message.incarnation == heard.incarnation:
-            _check_new(message, _place(message), heard)
+            _check_new(message, place_of(message), heard)
 
     def _give(self, key: str, message: Message) -> Message:
         self._given = key, message, self._rejections.total
@@ -239,26 +231,15 @@ class Gate:
         key, message, refused = self._given
         self._given = None
         if self._rejections.total == refused:
-            self._heard[key] = _Heard(message.sender, message.incarnation, message.sequence, _place(message))
+            heard = _Heard(message.sender, message.incarnation, message.sequence, place_of(message))
+            self._heard[key, message.kind] = heard
             if not isinstance(message, LinkChange):  # told again, it is of the past
                 self.tick = max(self.tick, message.tick)
                 self._is_up_to_date = True
 
 
-def _place(message: Message) -> tuple[int, int] | None:
-    """What grows from each message under a key to the next; None for kinds of which nothing does."""
-    match message:
-        case Plan():
-            return message.tick, -message.negotiation
-        case Tick() | Measurement() | StepReport() | Truth():
-            return message.tick, 0
-        case Roster():
-            return message.version, 0
-    return None
-
-
-def _check_new(said: Message | Head, place: tuple[int, int] | None, heard: _Heard) -> None:
-    """Refuse what has been said under its key."""
+def _check_new(said: Message | Head, place: Place | None, heard: _Heard) -> None:
+    """Refuse what has been said of its kind under its key."""
     known = said.sequence <= heard.sequence
     if place is None or heard.place is None:
         if known:

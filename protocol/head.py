@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import msgpack
 
 from protocol.codec import VERSION
-from protocol.messages import Measurement, MessageError, Plan, StepReport, Tick, Truth, is_name
+from protocol.messages import Measurement, Message, MessageError, Plan, Roster, StepReport, Tick, Truth, is_name
 
 # Bytes that hold the head of any message a process of a run sends: a name, a kind and up to six integers.
 _ENOUGH = 128
@@ -19,8 +19,11 @@ _ENOUGH = 128
 # Kinds of which each tick brings one under a key, once what they negotiate is settled.
 ONCE_A_TICK = (Tick.kind, Measurement.kind, Plan.kind, StepReport.kind, Truth.kind)
 
-# What follows the head of a plan, up to which of the tick's plans it is.
-_OF_PLAN = ("agent", "start_tick", "negotiation")
+# How much of what follows tells where among its kind a message belongs, the last of which does: a plan's negotiation, a
+# roster's version.
+_TO_PLACE = {Plan.kind: 3, Roster.kind: 1}
+
+Place = tuple[int, int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +31,8 @@ class Head:
     """What every message begins with.
 
     Attributes:
-        negotiation: A plan's; 0 for other kinds.
+        place: What grows from each message of its kind under a key to the next; None for kinds of which only the
+            number does.
     """
 
     kind: str
@@ -36,12 +40,17 @@ class Head:
     incarnation: int
     sequence: int
     tick: int
-    negotiation: int
+    place: Place | None
 
-    @property
-    def place(self) -> tuple[int, int] | None:
-        """What grows from each message under a key to the next, of kinds that each tick brings."""
-        return (self.tick, -self.negotiation) if self.kind in ONCE_A_TICK else None
+
+def place_of(message: Message) -> Place | None:
+    """The place of a message, as its head tells it."""
+    match message:
+        case Plan():
+            return _place(message.kind, message.tick, message.negotiation)
+        case Roster():
+            return _place(message.kind, message.tick, message.version)
+    return _place(message.kind, message.tick, 0)
 
 
 def head_of(data: bytes) -> Head | None:
@@ -55,19 +64,26 @@ def head_of(data: bytes) -> Head | None:
         raise MessageError("malformed", "empty message")
     if data[0] != VERSION:
         raise MessageError("wrong_version", f"protocol version {data[0]}, expected {VERSION}")
-    unpacker = msgpack.Unpacker(raw=False)
+    unpacker = msgpack.Unpacker(raw=False, max_buffer_size=_ENOUGH)  # which bounds what a header may announce, too
     unpacker.feed(memoryview(data)[1:_ENOUGH])
     try:
         if unpacker.read_array_header() < 5:
             return None
         kind, sender, incarnation, sequence, tick = (unpacker.unpack() for _ in range(5))
-        negotiation = [unpacker.unpack() for _ in _OF_PLAN][-1] if kind == Plan.kind else 0
+        further = [unpacker.unpack() for _ in range(_TO_PLACE.get(kind, 0))] if isinstance(kind, str) else []
     except msgpack.OutOfData:
         return None
     except (ValueError, TypeError, RecursionError, msgpack.UnpackException, struct.error) as error:
         raise MessageError("malformed", f"not msgpack ({type(error).__name__})") from error
     if not (is_name(sender) and isinstance(kind, str)):
         return None
-    if not all(type(number) is int for number in (incarnation, sequence, tick, negotiation)):
+    detail = further[-1] if further else 0
+    if not all(type(number) is int for number in (incarnation, sequence, tick, detail)):
         return None
-    return Head(kind, sender, incarnation, sequence, tick, negotiation)
+    return Head(kind, sender, incarnation, sequence, tick, _place(kind, tick, detail))
+
+
+def _place(kind: str, tick: int, detail: int) -> Place | None:
+    if kind == Roster.kind:
+        return detail, 0
+    return (tick, -detail) if kind in ONCE_A_TICK else None

@@ -101,6 +101,14 @@ def test_high_numbers_shut_nobody_out(number: int) -> None:
     assert door.gate.tick == 3
 
 
+def test_a_change_of_links_under_a_high_number_shuts_no_roster_out() -> None:
+    """Rosters and changes of links share a key, not what makes them new."""
+    door = Door()
+    change = sample(LinkChange, incarnation=0, sequence=10**6, tick=0)
+    first, second = (replace(runs.roster(version=version), sequence=version) for version in (1, 2))
+    assert door.lets_in(first, change, second, replace(first, sequence=10**7)) == [True, True, True, False]
+
+
 def test_rosters_grow() -> None:
     """A roster's version grows; several may be of one tick."""
     door = Door()

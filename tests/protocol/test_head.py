@@ -8,13 +8,13 @@ import msgpack
 import pytest
 
 from protocol import brake
-from protocol.brake import BURST, Brake
+from protocol.brake import BURST, WINDOW, WINDOW_S, Brake
 from protocol.codec import VERSION, encode
 from protocol.gate import Gate
-from protocol.head import Head, head_of
+from protocol.head import Head, head_of, place_of
 from protocol.health import Offset, offset, usage
 from protocol.keys import Keys
-from protocol.messages import KINDS, MessageError, Plan
+from protocol.messages import KINDS, LinkChange, MessageError, Plan
 from protocol.rejections import Rejections
 from tests import runs
 from tests.garbage import VALUES
@@ -28,8 +28,9 @@ KEYS = Keys("head")
 def test_heads_are_those_of_the_messages(kind: type) -> None:
     """What the head says is what the message says, of every kind."""
     message = sample(kind)
-    negotiation = message.negotiation if isinstance(message, Plan) else 0
-    expected = Head(message.kind, message.sender, message.incarnation, message.sequence, message.tick, negotiation)
+    expected = Head(
+        message.kind, message.sender, message.incarnation, message.sequence, message.tick, place_of(message)
+    )
     assert head_of(encode(message)) == expected
 
 
@@ -39,6 +40,7 @@ def test_what_is_no_head() -> None:
         (b"", "malformed"),
         (b"\xffabc", "wrong_version"),
         (bytes([VERSION, 0x95, 0xC1]), "malformed"),
+        (bytes([VERSION, 0x95, 0xDD, 0x05, 0xF5, 0xE1, 0x00]), "malformed"),  # a list of 10^8 that does not come
     ):
         with pytest.raises(MessageError) as caught:
             head_of(data)
@@ -111,6 +113,24 @@ def test_what_has_passed_would_be_refused() -> None:
                     assert door.hears(message) == (not between)
 
 
+def test_rosters_and_changes_of_links_do_not_count_for_each_other() -> None:
+    """Under the key they share a roster has passed by its version, a change of links by its number."""
+    gate = Gate("plant", KEYS, setup(), Rejections())
+    gate.announce("coordinator", 0)
+    first, second = (replace(runs.roster(version=version), sequence=version) for version in (1, 2))
+    change = sample(LinkChange, incarnation=0, sequence=5, tick=0)
+    key = KEYS.of(first)
+    for message in (replace(first, sequence=10**6), change):
+        assert gate.read(key, encode(message)) is not None
+        assert gate.released() is None
+    assert [gate.has_passed(key, encode(message)) for message in (first, second)] == [True, False]
+    assert gate.has_passed(key, encode(change))
+    assert not gate.has_passed(key, encode(replace(change, sequence=6)))
+    for message in (second, replace(change, sequence=6)):
+        assert gate.read(key, encode(message)) is not None
+    assert gate.has_passed(key, encode(replace(second, sequence=10**6)))
+
+
 def test_one_negotiation_is_not_another() -> None:
     """Within a tick agents exchange several plans: the second of them is not the first said again."""
     run = setup("controller.rounds=2")
@@ -123,27 +143,52 @@ def test_one_negotiation_is_not_another() -> None:
     assert not gate.has_passed(KEYS.of(first), encode(replace(first, sequence=first.sequence + 1, negotiation=0)))
 
 
+class FakeTime:
+    """A clock that only sleeping and the test itself move."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now_s, self.slept_s = 100.0, 0.0
+        monkeypatch.setattr(time, "monotonic", lambda: self.now_s)
+        monkeypatch.setattr(time, "sleep", self._sleep)
+
+    def _sleep(self, length_s: float) -> None:
+        self.slept_s += length_s
+        self.now_s += length_s
+
+
 def test_the_brake(monkeypatch: pytest.MonkeyPatch) -> None:
     """A burst is free; after that one message takes as long as its share of the rate, whoever had the burst."""
-    now, slept = [100.0], list[float]()
-    monkeypatch.setattr(time, "monotonic", lambda: now[0])
-
-    def sleep(length_s: float) -> None:
-        slept.append(length_s)
-        now[0] += length_s
-
-    monkeypatch.setattr(time, "sleep", sleep)
-    held = Brake()
+    clock, held = FakeTime(monkeypatch), Brake()
     for _ in range(int(BURST)):
         held.hold()
-    assert slept == []
-    waited_ns = sum(held.hold() for _ in range(10 * int(BURST)))
-    assert waited_ns == pytest.approx(1e9 * sum(slept))
-    assert sum(slept) == pytest.approx(10 * BURST / brake.RATE_HZ, rel=0.2)
-    now[0] += 10.0  # peace
-    slept.clear()
+    assert clock.slept_s == 0.0
+    for _ in range(10 * int(BURST)):
+        held.hold()
+    assert clock.slept_s == pytest.approx(10 * BURST / brake.RATE_HZ, rel=0.2)
+    clock.now_s += 10.0  # peace
+    before_s = clock.slept_s
     held.hold()
-    assert slept == []
+    assert clock.slept_s == before_s
+
+
+def test_a_flood_that_is_slowed_down_is_still_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """More than any run sends is a flood, for as long as it comes as fast as it is let; no run is."""
+    clock, held = FakeTime(monkeypatch), Brake()
+    flooded = []
+    for _ in range(20 * WINDOW):
+        clock.now_s += 1e-5  # what waits in the socket is there at once
+        flooded.append(held.flooded())
+        if flooded[-1]:
+            held.hold()
+    assert clock.slept_s > 1.0
+    assert all(flooded[2 * WINDOW :])
+    for _ in range(2 * WINDOW):
+        clock.now_s += 1.1 * WINDOW_S / WINDOW
+        flooded.append(held.flooded())
+    assert not flooded[-1]
+    for _ in range(20 * WINDOW):
+        clock.now_s += 1.1 * WINDOW_S / WINDOW
+        assert not held.flooded()
 
 
 def test_clock_offset() -> None:

@@ -34,6 +34,7 @@ from transport.log_tail import LogTail, Unread
 from transport.main import app
 from transport.memory import fly
 from transport.run_folder import setup_of
+from transport.viewer import viewer as viewer_module
 from transport.viewer.clock import Clock
 from transport.viewer.commands import viewer_of
 from transport.viewer.pace import pace
@@ -56,6 +57,7 @@ LONG = (
 )
 DELAY_STEPS = 10  # of 10 ms
 HOUR_S = 3600.0
+SOON_S = 10.0  # well before a minute is over
 AGENTS, VICTIM = 4, 2
 WANTED = {"delay_s": 0.1, "loss": 0.0}
 
@@ -196,7 +198,7 @@ def test_nothing_is_drawn_of_a_flight_while_nobody_looks(recorded: Path, tmp_pat
 def test_a_flight_that_takes_all_is_drawn_for_who_turns_the_camera(
     recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where no processor is idle, a page that is left alone has to wait a minute for the next picture, no other."""
+    """Where no processor is idle, a page left alone waits a minute for the next picture; who comes, does not."""
     monkeypatch.setattr(IdleProcessors, "count", lambda self: 0.0)
     data, log = (recorded / "run.mcap").read_bytes(), tmp_path / "run.mcap"
     log.write_bytes(data[: round(0.4 * len(data))])
@@ -209,6 +211,8 @@ def test_a_flight_that_takes_all_is_drawn_for_who_turns_the_camera(
 
     with Viewer(scenes, port=0, tail=LogTail(log), live=flying) as viewer, spectators(viewer.address, 1) as (page,):
         assert wait_for(newest)
+        time.sleep(0.3)  # that it has come is told on a thread of its own
+        assert newest()
         first = scenes.record.last
         log.write_bytes(data[: round(CUT * len(data))])
         assert not newest()
@@ -217,7 +221,12 @@ def test_a_flight_that_takes_all_is_drawn_for_who_turns_the_camera(
         time.sleep(0.3)
         assert not newest()
         page.send(msgpack.packb({**msgpack.unpackb(readers.CAMERA), "position": (0.0, -9.0, 1.0)}))
-        assert wait_for(newest)
+        assert wait_for(newest, SOON_S)
+        monkeypatch.setattr(viewer_module, "_TURNED_S", 0.0)
+        log.write_bytes(data[: round(0.8 * len(data))])
+        assert not newest()
+        with spectators(viewer.address, 1):
+            assert wait_for(newest, SOON_S)
 
 
 def test_how_often_a_flight_is_drawn() -> None:
@@ -232,6 +241,7 @@ def test_a_paced_flight_is_drawn_as_often_as_leaves_it_room() -> None:
     idle, judged_s = [0.0] * 6 + [0.5] * 2 + [1.5] * 5, 2.0
     told, found = iter(idle), list[float]()
     spare = Spare(lambda: next(told))
+    assert spare.gap_s(-judged_s) == 0.1  # nothing to judge by as yet
     for number in range(len(idle)):
         found.append(spare.gap_s(number * judged_s))
         assert spare.gap_s((number + 0.9) * judged_s) == found[-1]  # not looked at for long enough

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 # others: where no processor is idle, whoever looks on waits, unless he turns the camera, and for a while after that.
 _DRAW_S, _DRAW_LIVE_S, _DRAW_FAST_S, DRAW_FULL_S, _NUMBERS_S = 0.05, 0.1, 0.5, 60.0, 0.2
 _TURNED_S = 3.0
-# A paced run is drawn less often, step by step, as long as fewer processors are idle than the first, and more often
-# again when more are than the second; how long it is looked at before.
+# A paced run is drawn less often, step by step, while fewer than _BUSY processors are idle, and more often again while
+# more than _FREE are; what is idle is measured for so long before.
 _GAPS_S = (_DRAW_LIVE_S, 0.2, 0.5, 1.0, 2.0)
 _BUSY, _FREE, _JUDGED_S = 0.25, 0.75, 2.0
 # The share of a processor that drawing and sending may take while the run flies: large teams are drawn less often, and
@@ -188,7 +188,8 @@ class Viewer:
         self._panel.say(text, warning=warning)
 
     def _met(self, client: "viser.ClientHandle") -> None:
-        """A browser has come. It tells where its camera is as it comes, too, and when its window changes."""
+        """A browser has come, and is shown the newest. It tells where its camera is as it comes, too."""
+        self._redraw = True
         seen = _pose(client.camera)
 
         @client.camera.on_update
@@ -229,10 +230,13 @@ class Spare:
 
     def __init__(self, idle: Callable[[], float]) -> None:
         self._idle = idle
-        self._judged_s, self._step = -math.inf, 0
+        self._judged_s: float | None = None
+        self._step = 0
 
     def gap_s(self, now_s: float) -> float:
         """The least time between two pictures at a time of the monotonic clock, s."""
+        if self._judged_s is None:
+            self._judged_s = now_s
         if now_s >= self._judged_s + _JUDGED_S:
             self._judged_s, idle = now_s, self._idle()
             change = 1 if idle < _BUSY else -1 if idle > _FREE else 0
