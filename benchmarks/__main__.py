@@ -3,6 +3,7 @@
 import argparse
 import os
 import platform
+import signal
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -79,4 +80,6 @@ def _options() -> argparse.ArgumentParser:
 
 
 if __name__ == "__main__":
+    for number in (signal.SIGINT, signal.SIGTERM):  # what has been started is ended, in the background too
+        signal.signal(number, signal.default_int_handler)
     sys.exit(main())
