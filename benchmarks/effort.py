@@ -65,9 +65,9 @@ FULL = Effort(
     processes=(4, 8, 16),
     flown=_climb(5.0, 1.0),
     recordings=3,
-    watched=_climb(2400.0, 2.0),
+    watched=_climb(1200.0, 2.0),
     paced=(),
-    paced_flights=5,
+    paced_flights=3,
     round_trips=2000,
 )
 

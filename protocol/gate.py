@@ -5,8 +5,9 @@ order of its messages. Whether a message fits the run and the moment is for the 
 
 Zenoh keeps the order of one sender's messages under one key, and no other. So each key counts for itself, and each
 kind under it. What grows is the tick for kinds that each tick brings, the version for rosters, and the sequence number
-for all others. Numbers do not count where ticks do: whoever has the sender's key as well and numbers higher than it
-could keep all it says from being heard, and the run would hang on what he repeats.
+for all others. Higher numbers do not count where ticks do: whoever has the sender's key as well and numbers higher than
+it could keep all it says from being heard, and the run would hang on what he repeats. That a number is there twice is
+held against the second all the same.
 """
 
 import threading
@@ -33,6 +34,9 @@ _FRAME_BYTES = 16 * 1024
 
 # Messages kept for a token to come, of all senders together: a moment's worth.
 _KEPT = 256
+
+# How many of the last numbers under a key are known: a garbled tick does not make an old message new.
+_NUMBERS = 1024
 
 # How many ticks a message may be ahead of all others here: more than any connection is slower than another.
 _AHEAD = 16
@@ -77,6 +81,7 @@ class Gate:
         self._is_up_to_date = False  # whether `tick` is where the run is
         self._announced: dict[str, int] = {}  # newest incarnation, by name
         self._heard: dict[tuple[str, str], _Heard] = {}  # by key and kind
+        self._numbers: dict[tuple[str, str], dict[int, None]] = {}  # of messages heard, in their order
         self._unread: dict[tuple[str, Reason], tuple[MessageError, int]] = {}  # refused as they came, by sender
         self._counting = threading.Lock()  # of them: several threads receive
         self._given: tuple[str, Message, int] | None = None  # the last one let in: key, message, refusals before it
@@ -217,8 +222,11 @@ class Gate:
             text = f"{message.kind} of tick {message.tick}, the newest here is {self.tick}"
             raise MessageError("future", text, message.sender)
         heard = self._heard.get((key, message.kind))
-        if heard is not None and message.incarnation == heard.incarnation:
-            _check_new(message, place_of(message), heard)
+        if heard is None or message.incarnation > heard.incarnation:
+            return
+        _check_new(message, place_of(message), heard)
+        if message.sequence in self._numbers[key, message.kind]:
+            raise MessageError("replayed", f"{message.kind} number {message.sequence} again", message.sender)
 
     def _give(self, key: str, message: Message) -> Message:
         self._given = key, message, self._rejections.total
@@ -231,8 +239,15 @@ class Gate:
         key, message, refused = self._given
         self._given = None
         if self._rejections.total == refused:
-            heard = _Heard(message.sender, message.incarnation, message.sequence, place_of(message))
-            self._heard[key, message.kind] = heard
+            at = key, message.kind
+            before = self._heard.get(at)
+            if before is None or message.incarnation != before.incarnation:
+                self._numbers[at] = {}
+            numbers = self._numbers[at]
+            numbers[message.sequence] = None
+            if len(numbers) > _NUMBERS:
+                del numbers[next(iter(numbers))]
+            self._heard[at] = _Heard(message.sender, message.incarnation, message.sequence, place_of(message))
             if not isinstance(message, LinkChange):  # told again, it is of the past
                 self.tick = max(self.tick, message.tick)
                 self._is_up_to_date = True

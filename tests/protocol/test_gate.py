@@ -101,6 +101,18 @@ def test_high_numbers_shut_nobody_out(number: int) -> None:
     assert door.gate.tick == 3
 
 
+@pytest.mark.parametrize("number", range(5))
+def test_a_number_is_there_once(number: int) -> None:
+    """An old message whose tick alone has become another is told by its number."""
+    door = Door()
+    for k in range(3):
+        assert door.lets_in(each_tick(k)[number]) == [True]
+    old = each_tick(1)[number]
+    later: dict[str, Any] = {"tick": 3, "start_tick": 3} if isinstance(old, Plan) else {"tick": 3}
+    assert door.lets_in(replace(old, **later), each_tick(3)[number]) == [False, True]
+    assert door.refused() == [(old.sender, "replayed", 1)]
+
+
 def test_a_change_of_links_under_a_high_number_shuts_no_roster_out() -> None:
     """Rosters and changes of links share a key, not what makes them new."""
     door = Door()
