@@ -10,24 +10,26 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from itertools import cycle, pairwise
 from pathlib import Path
-from threading import Event, Thread
+from threading import Event
 
 import numpy as np
+from scipy.stats import quantile_test
 
 from benchmarks import processes
 from benchmarks.effort import Effort
 from benchmarks.flights import setup
-from benchmarks.page import Table
+from benchmarks.page import BenchmarkError, Table
 from benchmarks.timing import digits
 from model.arrays import Array
 from protocol.messages import Truth
 from protocol.setup import Setup
 from transport.harness import free_ports
 from transport.log import RunLog, read_log
-from transport.viewer.viewer import DRAW_FULL_S
+from transport.viewer.viewer import ViewerError, require_viser
 
 NOBODY = "nobody"
 
@@ -38,12 +40,13 @@ TEXT = (
     "What being watched costs: `resilient` as fast as it goes, with the viewer and those who look on beside it: three "
     "windows of headless Chromium, 900 x 600 pixels, on the same machine and without a graphics processor, or three "
     "connections on which all is read that a browser is sent, as if it drew on another machine. One flight for each "
-    "kind; in each, by turns, all of them are frozen for {alone:g} s, and none for {watched:g} s; the first {skip:g} s "
+    "kind; in each, by turns, all of them are frozen for {part:g} s, and none for {part:g} s; the first {skip:g} s "
     "after each change do not count. Real-time factor, median of all turns (least to most). Loss: by how much it is "
-    "lower than while nobody watched in the same turn, median (quartiles). Processors: how many the viewer keeps busy, "
-    "and those who look on, mean. Opening: processor time of the viewer and of those who look on, from the start of "
-    "the latter until {opened:g} s after all were connected, once. Browsers have the priority of any program; the "
-    "viewer has nice 10, and so has its session."
+    "lower than in the mean of the parts before and after, in which nobody watched, median ({confidence:.0%} "
+    "confidence interval of the median). Processors: how many the viewer keeps busy, and those who look on, mean, the "
+    "pictures they draw now and then included. Opening: processor time of the viewer and of those who look on, from "
+    "the start of the latter until {opened:g} s after all were connected, once. Browsers have the priority of any "
+    "program; the viewer has nice 10, and so has its session."
 )
 
 PACED = (
@@ -63,17 +66,21 @@ HEADLESS = (
     "--window-size=900,600",
 )
 _STAYS = "--remote-debugging-port=0"  # else it ends as soon as the page is loaded
-# How long what was frozen takes to catch up, and how long the parts of a turn take, s. What counts of the watched one
-# is as long as a page that is held back goes without a picture: there is one in it. Were browsers frozen longer than
-# the viewer, or any of them for much longer, they would be given up, and load all anew.
-_SKIP_S = 2.0
-_BLOCKS_S = (22.0, DRAW_FULL_S + _SKIP_S)
+# How long a part of a turn takes, and what was frozen takes to catch up, s: the machine's own speed changes from minute
+# to minute, so that many short turns tell more than few long ones. A page that is held back draws once a minute, frozen
+# or not in between, so that as many of its pictures are counted as of the time.
+_PART_S, _SKIP_S = 4.0, 1.0
+_CONFIDENCE = 0.95
 # How many look on, and how long their pages may take to be complete once they are connected, s.
 _COUNT, _OPEN_S = 3, 20.0
 
 
 def measure(effort: Effort, say: Callable[[str], None]) -> list[Table]:
     """Fly with processes, watched and not, once for each kind of those who look on."""
+    try:
+        require_viser()
+    except ViewerError as error:
+        raise BenchmarkError(str(error)) from error
     run = setup("resilient", effort.watched)
     chromium = next(filter(None, map(shutil.which, _CHROMIUM)), None)
     measured: dict[str, tuple[Array, Array, Array]] = {}
@@ -91,8 +98,7 @@ def measure(effort: Effort, say: Callable[[str], None]) -> list[Table]:
         else:
             rows.append((name, "no Chromium", "-", "-", "-", "-"))
     columns = ("watched by", "real-time factor", "turns", "loss, %", "processors", "opening, s")
-    alone_s, watched_s = _BLOCKS_S
-    text = TEXT.format(alone=alone_s, watched=watched_s, skip=_SKIP_S, opened=_OPEN_S)
+    text = TEXT.format(part=_PART_S, skip=_SKIP_S, opened=_OPEN_S, confidence=_CONFIDENCE)
     return [Table(text=text, columns=columns, rows=rows), _paced(effort, chromium, say)]
 
 
@@ -119,22 +125,22 @@ def _paced_flight(run: Setup, chromium: str | None) -> float:
 
         def look() -> None:
             with ExitStack() as looking:
-                if chromium is not None and _wait(lambda: _listens(port), ended):
-                    for command in _windows(chromium, at, f"http://{_HOST}:{port}"):
-                        looking.enter_context(_started(command))
-                    if _wait(lambda: _connections(port) >= _COUNT, ended):
+                if chromium is not None and _wait(lambda: _listens(port), ended, viewer):
+                    commands = _windows(chromium, at, f"http://{_HOST}:{port}")
+                    others = [looking.enter_context(_started(command)) for command in commands]
+                    if _wait(lambda: _connections(port) >= _COUNT, ended, viewer, *others):
                         seen.set()
                 ended.wait()
 
         if chromium is not None:
-            port = stack.enter_context(_viewer(at))[1]
-        thread = Thread(target=look)
-        thread.start()
-        try:
-            factor = float(processes.recorded(run, at).summary["real_time_factor"])
-        finally:
-            ended.set()
-            thread.join()
+            viewer, port = stack.enter_context(_viewer(at))
+        with ThreadPoolExecutor(1) as beside:
+            looked = beside.submit(look)
+            try:
+                factor = float(processes.recorded(run, at).summary["real_time_factor"])
+            finally:
+                ended.set()
+        looked.result()
         return factor if chromium is None or seen.is_set() else math.nan  # over before they were there
 
 
@@ -147,7 +153,7 @@ def _flown(run: Setup, chromium: str | None) -> tuple[Array, Array, Array]:
     Returns: Real-time factors with nobody and with all, (turns, 2); processors that the viewer kept busy then, and
         those who looked on, (turns, 2); processor time that their opening took, s, (2,), NaN if the flight was over.
     """
-    changes: list[tuple[int, str]] = []
+    changes_ns: list[int] = []
     used_s: list[Array] = []  # by viewer and others
     opening_s = [np.full(2, np.nan)]
     with tempfile.TemporaryDirectory(prefix="benchmarks-", ignore_cleanup_errors=True) as folder, ExitStack() as stack:
@@ -156,7 +162,7 @@ def _flown(run: Setup, chromium: str | None) -> tuple[Array, Array, Array]:
 
         def alternate() -> None:
             with ExitStack() as looking:
-                if not _wait(lambda: _listens(port), ended):
+                if not _wait(lambda: _listens(port), ended, viewer):
                     return
                 address = f"http://{_HOST}:{port}"
                 commands = [[sys.executable, "-m", "benchmarks.readers", address, str(_COUNT)]]
@@ -169,53 +175,52 @@ def _flown(run: Setup, chromium: str | None) -> tuple[Array, Array, Array]:
 
                 before_s = used()
                 others += [looking.enter_context(_started(command)) for command in commands]
-                if not _wait(lambda: _connections(port) >= _COUNT, ended) or ended.wait(_OPEN_S):
+                if not _wait(lambda: _connections(port) >= _COUNT, ended, viewer, *others) or ended.wait(_OPEN_S):
                     return
                 opening_s[0] = used() - before_s
-                for watched in cycle((False, True)):  # as in _BLOCKS_S
+                for watched in cycle((False, True)):
                     for process in (viewer, *others):
                         _freeze(process, not watched)
-                    changes.append((time.time_ns(), str(watched)))
+                    changes_ns.append(time.time_ns())
                     if ended.wait(_SKIP_S):
                         return
                     before_s = used()
-                    if ended.wait(_BLOCKS_S[watched] - _SKIP_S):
+                    if ended.wait(_PART_S - _SKIP_S):
                         return
                     if watched:
                         used_s.append(used() - before_s)
 
-        thread = Thread(target=alternate)
-        thread.start()
-        try:
-            processes.recorded(run, at)
-        finally:
-            changes.append((time.time_ns(), ""))
-            ended.set()
-            thread.join()
-        factors = turns(read_log(at / "run.mcap"), changes, _BLOCKS_S, run.settings.sampling_period_s)
-    busy = np.array(used_s[: len(factors)]).reshape(-1, 2) / (_BLOCKS_S[True] - _SKIP_S)
+        with ThreadPoolExecutor(1) as beside:
+            alternated = beside.submit(alternate)
+            try:
+                processes.recorded(run, at)
+            finally:
+                ended.set()
+        alternated.result()
+        factors = turns(read_log(at / "run.mcap"), changes_ns, run.settings.sampling_period_s)
+    busy = np.array(used_s[: len(factors)]).reshape(-1, 2) / (_PART_S - _SKIP_S)
     return factors, busy, opening_s[0]
 
 
-def turns(log: RunLog, changes: Sequence[tuple[int, str]], blocks_s: Sequence[float], period_s: float) -> Array:
+def turns(log: RunLog, changes_ns: Sequence[int], period_s: float) -> Array:
     """Real-time factors of the turns that are whole.
 
     Args:
         log: Of the flight.
-        changes: When who began to watch, ns since 1970; the last is the end.
-        blocks_s: How long each part of a turn takes at least, s.
+        changes_ns: When somebody ceased to watch and began to, by turns, ns since 1970.
         period_s: Sampling period, s.
-    Returns: (turns, parts).
+    Returns: (turns, 2): the mean of the parts before and after, in which nobody watched, and the part between them.
     """
     at_ns = np.array(sorted(log.received_ns(Truth).values()))
-    found = []
-    for ((begin_ns, _), (end_ns, _)), block_s in zip(pairwise(changes), cycle(blocks_s), strict=False):
+    parts = []
+    for begin_ns, end_ns in pairwise(changes_ns):
         inside = at_ns[(at_ns >= begin_ns + _SKIP_S * 1e9) & (at_ns < end_ns)]
-        if end_ns - begin_ns >= block_s * 1e9:
-            time_s = float(inside[-1] - inside[0]) / 1e9 if len(inside) > 1 else math.inf
-            found.append((len(inside) - 1) * period_s / time_s)
-    whole = len(found) // len(blocks_s)
-    return np.array(found[: whole * len(blocks_s)]).reshape(whole, len(blocks_s))
+        if end_ns > at_ns[-1] or len(inside) < 2:
+            break  # the flight is over, its report is being made
+        parts.append((len(inside) - 1) * period_s / (float(inside[-1] - inside[0]) / 1e9))
+    alone, watched = np.array(parts[::2]), np.array(parts[1::2])
+    count = min(len(watched), max(0, len(alone) - 1))
+    return np.column_stack([(alone[:count] + alone[1 : count + 1]) / 2.0, watched[:count]])
 
 
 def _row(
@@ -230,12 +235,13 @@ def _row(
     spread = f"{digits(float(np.median(factors)))} ({digits(float(factors.min()))} to {digits(float(factors.max()))})"
     if alone is None or busy is None or opening_s is None:
         return name, spread, str(len(factors)), "-", "-", "-"
-    low, middle, high = np.percentile(100.0 * (1.0 - factors / alone), (25, 50, 75))
+    loss = 100.0 * (1.0 - factors / alone)
+    low, high = quantile_test(loss, p=0.5).confidence_interval(_CONFIDENCE)
     return (
         name,
         spread,
         str(len(factors)),
-        f"{middle:.1f} ({low:.1f} to {high:.1f})",
+        f"{np.median(loss):.1f} ({low:.1f} to {high:.1f})",
         " + ".join(f"{one:.3f}" for one in busy.mean(axis=0)),
         " + ".join(f"{one:.1f}" for one in opening_s),
     )
@@ -256,11 +262,17 @@ def _windows(chromium: str, at: Path, address: str) -> list[list[str]]:
     return [[chromium, *HEADLESS, _STAYS, f"--user-data-dir={at}-{k}", address] for k in range(_COUNT)]
 
 
-def _wait(condition: Callable[[], bool], ended: Event) -> bool:
-    """Wait until something is so; False if the flight has ended before."""
+def _wait(condition: Callable[[], bool], ended: Event, *needed: "subprocess.Popen[bytes]") -> bool:
+    """Wait until something is so; False if the flight has ended before.
+
+    Raises: BenchmarkError: a process that is needed has ended.
+    """
     while not condition():
         if ended.wait(0.2):
             return False
+        for process in needed:
+            if process.poll() is not None:
+                raise BenchmarkError(f"{process.args}: expected to stay, ended with {process.returncode}")
     return True
 
 

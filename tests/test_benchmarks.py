@@ -182,15 +182,16 @@ def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: py
 
 
 def test_turns_of_a_flight_that_is_watched() -> None:
-    """Factors are those of the ticks within each turn, without its beginning; what is not whole does not count."""
-    ticks_ms = [*range(0, 24000, 50), *range(24000, 48000, 100), *range(48000, 70000, 25)]
+    """Factors are those of the ticks within each part, without its beginning; what the flight's end cuts is out."""
+    ticks_ms = [*range(0, 4000, 50), *range(4000, 8000, 100), *range(8000, 12000, 25), *range(12000, 18000, 50)]
     run = setup("paper", QUICK.climb)
     entries = [Recorded(message=truth(run, tick), received_ns=at_ms * 1_000_000) for tick, at_ms in enumerate(ticks_ms)]
     log = RunLog(header={}, messages=tuple(entries), cut="")
-    changes = [(round(at_s * 1e9), "") for at_s in (0, 24, 48, 70)]
-    factors = watched.turns(log, changes, (22.0, 24.0), period_s=0.05)
-    np.testing.assert_allclose(factors, [[1.0, 0.5]])
-    assert watched.turns(log, changes, (25.0, 24.0), period_s=0.05).shape == (0, 2)
+    changes_ns = [at_s * 1_000_000_000 for at_s in (0, 4, 8, 12, 16, 20)]
+    np.testing.assert_allclose(watched.turns(log, changes_ns, period_s=0.05), [[1.5, 0.5]])
+    np.testing.assert_allclose(watched.turns(log, changes_ns[:4], period_s=0.05), [[1.5, 0.5]])
+    for few in (changes_ns[:3], changes_ns[:1], []):
+        assert watched.turns(log, few, period_s=0.05).shape == (0, 2)
 
 
 @pytest.mark.slow
