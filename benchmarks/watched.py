@@ -272,7 +272,7 @@ def _wait(condition: Callable[[], bool], ended: Event, *needed: "subprocess.Pope
             return False
         for process in needed:
             if process.poll() is not None:
-                raise BenchmarkError(f"{process.args}: expected to stay, ended with {process.returncode}")
+                raise BenchmarkError(f"{process.args!r}: expected to stay, ended with {process.returncode}")
     return True
 
 
