@@ -4,19 +4,20 @@ This is how people watch a run without taking part in it: neither its processes 
 """
 
 import re
-from collections.abc import Collection
+from collections import OrderedDict
+from collections.abc import Collection, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from mcap.opcode import Opcode
 from mcap.records import Channel
-from mcap.records import Message as Entry
 from mcap.writer import MCAP0_MAGIC
 
 from protocol.messages import KINDS, Message
 from transport.json_messages import from_json
 from transport.log import LogError
-from transport.mcap_salvage import DAMAGE, frames, records_of
+from transport.mcap_salvage import DAMAGE, MESSAGE_HEAD, content_of, contents, frames, records_of
 
 _FRAME_BYTES = 9  # opcode and length
 
@@ -25,28 +26,67 @@ _HEAD = re.compile(rb'"tick":(\d+),"agent":(\d+),(?:"start_tick":\d+,"negotiatio
 _HEAD_BYTES = 200
 
 
+# What is looked back at lies close together: contents of so many chunks are kept.
+_CHUNKS = 8
+
+
+class Chunks:
+    """What is packed in the chunks of a log, taken from the file when somebody asks for it.
+
+    Args:
+        path: Of the file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._kept: OrderedDict[tuple[int, int], bytes] = OrderedDict()
+
+    def content(self, at: int, size: int) -> bytes | None:
+        """Of the chunk whose record has its body there; None if it cannot be read any more."""
+        if (at, size) in self._kept:
+            self._kept.move_to_end((at, size))
+            return self._kept[at, size]
+        try:
+            with self._path.open("rb") as file:
+                file.seek(at)
+                data = content_of(file.read(size))
+        except (OSError, *DAMAGE):
+            return None
+        self._kept[at, size] = data
+        if len(self._kept) > _CHUNKS:
+            self._kept.popitem(last=False)
+        return data
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Unread:
-    """A message that is taken apart when somebody asks for it.
+    """A message that stays in the file until somebody asks for it.
 
     Attributes:
         kind: Key of `protocol.messages.KINDS`.
         tick: k.
         agent: 1-based.
         negotiation: Round of a plan; 0 for other messages.
-        data: JSON.
+        chunks: Of the log it is in.
+        chunk: Offset and size of its chunk, bytes.
+        inside: From where to where it is in the chunk's content, bytes.
     """
 
     kind: str
     tick: int
     agent: int
     negotiation: int
-    data: bytes
+    chunks: Chunks
+    chunk: tuple[int, int]
+    inside: tuple[int, int]
 
     def message(self) -> Message | None:
-        """What it says; None if it is damaged."""
+        """What it says; None if it is damaged, or gone with its file."""
+        data = self.chunks.content(*self.chunk)
+        if data is None:
+            return None
         try:
-            return from_json(self.kind, self.data)
+            return from_json(self.kind, data[slice(*self.inside)])
         except (ValueError, TypeError):
             return None
 
@@ -57,7 +97,7 @@ class LogTail:
     Args:
         path: Of the file, which need not be there yet.
         kinds: Of messages that are wanted: what nobody asks for is not taken apart.
-        later: Those of them that are left as they are until they are asked for, which is most of the work.
+        later: Those of them that are left where they are until they are asked for, which is most of a log.
 
     Attributes:
         ended: Whether the part with the messages has come to its proper end.
@@ -65,6 +105,7 @@ class LogTail:
 
     def __init__(self, path: Path, kinds: Collection[str] = KINDS, later: Collection[str] = ()) -> None:
         self._path, self._wanted, self._later = path, frozenset(kinds), frozenset(later)
+        self._chunks = Chunks(path)
         self._at = len(MCAP0_MAGIC)
         self._kinds: dict[int, str] = {}  # by channel
         self.ended = False
@@ -86,26 +127,58 @@ class LogTail:
         for opcode, body in frames(data, 0):
             if self.ended:
                 break
-            self._at += _FRAME_BYTES + len(body)
+            begin, self._at = self._at + _FRAME_BYTES, self._at + _FRAME_BYTES + len(body)
             self.ended = opcode == Opcode.DATA_END
-            found += self._messages(opcode, body)
+            try:
+                if opcode == Opcode.CHUNK:
+                    content = content_of(body)
+                    for code, *inside in contents(content):
+                        self._take(code, content, inside, (begin, len(body)), found)
+                else:
+                    self._take(opcode, body, (0, len(body)), None, found)
+            except DAMAGE:
+                continue  # `read_log` says what a damaged log lacks
         return found
 
-    def _messages(self, opcode: int, body: bytes) -> list[Message | Unread]:
-        found: list[Message | Unread] = []
-        try:
-            for record in records_of(opcode, body):
+    def _take(
+        self,
+        opcode: int,
+        data: bytes,
+        inside: Sequence[int],
+        chunk: tuple[int, int] | None,
+        found: list[Message | Unread],
+    ) -> None:
+        """Take in one record, from where to where it is in a chunk's content, or by itself.
+
+        Raises: one of `DAMAGE`: it cannot be read.
+        """
+        begin, end = inside
+        if opcode == Opcode.CHANNEL:
+            for record in records_of(opcode, data[begin:end]):
                 if isinstance(record, Channel):
                     self._kinds[record.id] = record.topic.lstrip("/").split("/", 1)[0]
-                elif isinstance(record, Entry) and self._kinds.get(record.channel_id) in self._wanted:
-                    found.append(self._taken(self._kinds[record.channel_id], record.data))
-        except (*DAMAGE, TypeError):
-            return found  # `read_log` says what a damaged log lacks
-        return found
-
-    def _taken(self, kind: str, data: bytes) -> Message | Unread:
-        head = _HEAD.search(data, 0, _HEAD_BYTES) if kind in self._later else None
-        if head is None:
-            return from_json(kind, data)
-        tick, agent, negotiation = (int(number or 0) for number in head.groups())
-        return Unread(kind=kind, tick=tick, agent=agent, negotiation=negotiation, data=data)
+        if opcode != Opcode.MESSAGE:
+            return
+        kind = self._kinds.get(MESSAGE_HEAD.unpack_from(data, begin)[0])
+        if kind is None or kind not in self._wanted:
+            return
+        begin += MESSAGE_HEAD.size
+        head = None
+        if chunk is not None and kind in self._later:
+            head = _HEAD.search(data, begin, min(begin + _HEAD_BYTES, end))
+        if chunk is not None and head is not None:
+            tick, agent, negotiation = (int(number or 0) for number in head.groups())
+            found.append(
+                Unread(
+                    kind=kind,
+                    tick=tick,
+                    agent=agent,
+                    negotiation=negotiation,
+                    chunks=self._chunks,
+                    chunk=chunk,
+                    inside=(begin, end),
+                )
+            )
+            return
+        with suppress(ValueError, TypeError):
+            found.append(from_json(kind, data[begin:end]))

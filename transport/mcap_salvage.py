@@ -14,10 +14,11 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, McapRecord, Message, Metadata
-from mcap.stream_reader import breakup_chunk
+from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC
 
 _FRAME = struct.Struct("<BQ")  # opcode and length ahead of every record
+MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, when it was logged and published, ns; then what it says
 
 # What taking a damaged record apart can end in.
 DAMAGE = (McapError, zstandard.ZstdError, struct.error, ValueError, MemoryError, OverflowError)
@@ -112,17 +113,44 @@ def _is_end(opcode: int, length: int, left: int) -> bool:
 
 
 def records_of(opcode: int, body: bytes) -> list[McapRecord]:
-    """What a record says: those inside a chunk, itself, or nothing for one that is of no interest here.
+    """What a record says: channels and messages inside a chunk, itself, or nothing for one of no interest here.
 
     Raises: one of `DAMAGE`: it cannot be read.
     """
-    stream = ReadDataStream(BytesIO(body))
     if opcode == Opcode.CHUNK:
-        return breakup_chunk(Chunk.read(stream), validate_crc=True)
+        data = content_of(body)
+        return [record for code, begin, end in contents(data) for record in records_of(code, data[begin:end])]
+    stream = ReadDataStream(BytesIO(body))
     if opcode == Opcode.METADATA:
         return [Metadata.read(stream)]
     if opcode == Opcode.CHANNEL:
         return [Channel.read(stream)]
-    if opcode == Opcode.MESSAGE:  # other programs write them outside chunks
-        return [Message.read(stream, len(body))]
+    if opcode == Opcode.MESSAGE:
+        channel, sequence, log_ns, publish_ns = MESSAGE_HEAD.unpack_from(body)
+        return [Message(channel, log_ns, body[MESSAGE_HEAD.size :], publish_ns, sequence)]
     return []
+
+
+def content_of(body: bytes) -> bytes:
+    """What is packed in a chunk.
+
+    Raises: one of `DAMAGE`: it cannot be unpacked, or its checksum is wrong.
+    """
+    stream, size = get_chunk_data_stream(Chunk.read(ReadDataStream(BytesIO(body))), validate_crc=True)
+    return stream.read(size)
+
+
+def contents(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """The records of a chunk's content: opcode, and from where to where they are in it.
+
+    The mcap package calls a function for every number of them, which is most of the time that reading a log takes.
+
+    Raises: one of `DAMAGE`: the last is cut.
+    """
+    at = 0
+    while at < len(data):
+        opcode, length = _FRAME.unpack_from(data, at)
+        begin, at = at + _FRAME.size, at + _FRAME.size + length
+        if at > len(data):
+            raise ValueError(f"record in a chunk: expected at most {len(data) - begin} bytes, got {length}")
+        yield opcode, begin, at

@@ -1,6 +1,7 @@
 """A log read while it is written."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,9 +11,10 @@ from mcap.writer import MCAP0_MAGIC
 from protocol.messages import Message
 from tests import runs
 from tests.transport.logs import flown
+from transport import log_tail
 from transport.log import read_log
-from transport.log_tail import LogTail, Unread
-from transport.mcap_salvage import frames
+from transport.log_tail import Chunks, LogTail, Unread
+from transport.mcap_salvage import content_of, frames
 from transport.viewer.record import KINDS, LATER, Record
 
 
@@ -80,8 +82,45 @@ def test_what_is_read_later_says_the_same(log: Path) -> None:
     assert repr(records[0].truths) == repr(records[1].truths)
 
 
-def test_what_is_damaged_is_not_there() -> None:
-    """What turns out to be no message when it is asked for was never said."""
+def test_what_is_damaged_is_not_there(log: Path, tmp_path: Path) -> None:
+    """What cannot be read when it is asked for was never said: damaged or cut since, gone, or no message at all."""
+    path = tmp_path / "run.mcap"
+    path.write_bytes(log.read_bytes())
+    taken = [message for message in LogTail(path, KINDS, LATER).read() if isinstance(message, Unread)]
+    plan = next(message for message in taken if message.kind == "plan")
+    report = next(message for message in taken if message.kind == "report")
+    at, size = plan.chunk
+    whole = log.read_bytes()
+    for damaged in (whole[: at + size // 2], whole[:at] + bytes(size) + whole[at + size :]):
+        path.write_bytes(damaged)
+        assert said(replace(plan, chunks=Chunks(path))) == (None, None)
+    assert said(replace(plan, chunks=Chunks(tmp_path / "none.mcap"))) == (None, None)
+    others = Chunks(log)
+    assert said(replace(plan, chunks=others, inside=report.inside)) == (None, None)
+    assert said(replace(plan, chunks=others)) == (plan.tick, None)
+
+
+def said(message: Unread) -> tuple[int | None, int | None]:
+    """Tick of the plan and of the report that a record has, given one message."""
     record = Record(runs.setup(runs.ticks(8)))
-    record.add(Unread(kind=kind, tick=3, agent=1, negotiation=0, data=b"{}") for kind in ("plan", "report"))
-    assert (record.plan(1, 3), record.report(1, 3)) == (None, None)
+    record.add([message])
+    found = (record.plan(message.agent, message.tick), record.report(message.agent, message.tick))
+    return tuple(None if one is None else one.tick for one in found)  # type: ignore[return-value]
+
+
+def test_what_is_looked_back_at_is_read_once(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Messages of one chunk cost one look into the file, and what is kept is not the whole log."""
+    read = []
+
+    def unpacked(body: bytes) -> bytes:
+        read.append(body)
+        return content_of(body)
+
+    taken = [message for message in LogTail(log, KINDS, LATER).read() if isinstance(message, Unread)]
+    monkeypatch.setattr(log_tail, "content_of", unpacked)
+    monkeypatch.setattr(log_tail, "_CHUNKS", 1)
+    for _ in range(2):
+        assert all(message.message() is not None for message in taken)
+    chunks = {message.chunk for message in taken}
+    assert len(chunks) > 1
+    assert len(read) == 2 * len(chunks)

@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 import zstandard
-from mcap.data_stream import ReadDataStream
+from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader, make_reader
-from mcap.records import Chunk, ChunkIndex, DataEnd, Footer, McapRecord, Message, MessageIndex, SummaryOffset
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.records import Chunk, ChunkIndex, DataEnd, Footer, McapRecord, Message, MessageIndex, Schema, SummaryOffset
+from mcap.stream_reader import StreamReader, breakup_chunk, get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
-from transport.mcap_salvage import Salvage, frames
+from transport.mcap_salvage import DAMAGE, Salvage, frames, records_of
 from transport.mcap_stream import McapStream
 
 FRAME_BYTES, CRC_BYTES = 9, 4
@@ -190,6 +190,28 @@ def test_places_and_checksums(tmp_path: Path) -> None:
     offsets = [at for at, (opcode, _) in places.items() if opcode == Opcode.SUMMARY_OFFSET]
     assert footer.summary_offset_start == min(offsets)
     assert len(offsets) == 5  # schemas, channels, statistics, chunks, metadata
+
+
+def test_chunks_are_read_as_the_library_does(tmp_path: Path) -> None:
+    """Every chunk holds for us what it holds for the package, but for schemas; one that is cut inside is no chunk."""
+    path, read = both(tmp_path, 400)[0], 0
+    with path.open("rb") as file:
+        for chunk in StreamReader(file, emit_chunks=True).records:
+            if isinstance(chunk, Chunk):
+                theirs = [record for record in breakup_chunk(chunk) if not isinstance(record, Schema)]
+                assert records_of(Opcode.CHUNK, body_of(chunk)) == theirs
+                read += len(theirs)
+                cut = replace(chunk, compression="", data=get_chunk_data_stream(chunk)[0].read(10**9)[:-1])
+                with pytest.raises(DAMAGE):
+                    records_of(Opcode.CHUNK, body_of(replace(cut, uncompressed_crc=0)))
+    assert read == 400 + CHANNELS
+
+
+def body_of(chunk: Chunk) -> bytes:
+    """What is written of a chunk behind opcode and length."""
+    builder = RecordBuilder()
+    chunk.write(builder)
+    return bytes(builder.end())[FRAME_BYTES:]  # type: ignore[no-untyped-call]
 
 
 def test_others_seek_in_it(tmp_path: Path) -> None:
