@@ -15,7 +15,7 @@ run: $(VENV)/.installed ## set up and fly the paper's maneuver (SCENARIO=name fo
 test: $(VENV)/.installed-test ## set up and run all tests
 	@$(BIN)/python -m pytest
 
-bench: $(VENV)/.installed-bench ## measure what computing, coding and flying take, and renew docs/performance.md (minutes)
+bench: $(VENV)/.installed-bench ## measure what computing, coding and flying take, and renew docs/performance.md (an hour)
 	@$(BIN)/python -m benchmarks
 
 figures: $(VENV)/.installed ## fly every experiment and renew figures and tables of README and docs (40 minutes)

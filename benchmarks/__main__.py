@@ -40,6 +40,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if document is not None:
             check(document, names)
+        if "watched" in names:
+            watched.check()
         sections = {name: _section(name, QUICK if asked.quick else FULL) for name in names}
         if document is None:
             sys.stdout.write("\n\n".join(sections.values()) + "\n")

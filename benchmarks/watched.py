@@ -1,4 +1,4 @@
-"""What being watched costs: flights as fast as they go, by turns with nobody, the viewer, and those who look on."""
+"""What being watched costs: flights as fast as they go, by turns with nobody and with the viewer and who looks on."""
 
 import math
 import os
@@ -10,7 +10,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from itertools import cycle, pairwise
 from pathlib import Path
@@ -40,11 +40,12 @@ TEXT = (
     "What being watched costs: `resilient` as fast as it goes, with the viewer and those who look on beside it: three "
     "windows of headless Chromium, 900 x 600 pixels, on the same machine and without a graphics processor, or three "
     "connections on which all is read that a browser is sent, as if it drew on another machine. One flight for each "
-    "kind; in each, by turns, all of them are frozen for {part:g} s, and none for {part:g} s; the first {skip:g} s "
-    "after each change do not count. Real-time factor, median of all turns (least to most). Loss: by how much it is "
-    "lower than in the mean of the parts before and after, in which nobody watched, median ({confidence:.0%} "
-    "confidence interval of the median). Processors: how many the viewer keeps busy, and those who look on, mean, the "
-    "pictures they draw now and then included. Opening: processor time of the viewer and of those who look on, from "
+    "kind; in it, by turns, all of them are frozen for a while, and none for a while, {low:g} to {high:g} s each, as "
+    "a random number has it; the first {skip:g} s after each change do not count. Real-time factor, median of all "
+    "parts (least to most). Loss: by how much it is lower than in the mean of the parts before and after, in which "
+    "nobody watched, median ({confidence:.0%} confidence interval of the median, by ranks; neighbours share a part, "
+    "so that it is a little too narrow). Processors: how many the viewer keeps busy, and those who look on, mean, "
+    "with the pictures they draw now and then. Opening: processor time of the viewer and of those who look on, from "
     "the start of the latter until {opened:g} s after all were connected, once. Browsers have the priority of any "
     "program; the viewer has nice 10, and so has its session."
 )
@@ -66,21 +67,29 @@ HEADLESS = (
     "--window-size=900,600",
 )
 _STAYS = "--remote-debugging-port=0"  # else it ends as soon as the page is loaded
-# How long a part of a turn takes, and what was frozen takes to catch up, s: the machine's own speed changes from minute
-# to minute, so that many short turns tell more than few long ones. A page that is held back draws once a minute, frozen
-# or not in between, so that as many of its pictures are counted as of the time.
-_PART_S, _SKIP_S = 4.0, 1.0
+# How long a part of a turn takes, and how long what was frozen takes to catch up, s. The machine's own speed changes
+# from minute to minute, so that many short turns tell more than few long ones. Their length is random, or pictures that
+# are drawn once a minute would always fall into the same part of a turn.
+_PART_S, _SKIP_S = (4.0, 6.0), 2.0
+_SEED = 0
 _CONFIDENCE = 0.95
 # How many look on, and how long their pages may take to be complete once they are connected, s.
 _COUNT, _OPEN_S = 3, 20.0
 
 
-def measure(effort: Effort, say: Callable[[str], None]) -> list[Table]:
-    """Fly with processes, watched and not, once for each kind of those who look on."""
+def check() -> None:
+    """Refuse before anything is flown.
+
+    Raises: BenchmarkError: there is no viewer.
+    """
     try:
         require_viser()
     except ViewerError as error:
         raise BenchmarkError(str(error)) from error
+
+
+def measure(effort: Effort, say: Callable[[str], None]) -> list[Table]:
+    """Fly with processes, watched and not, once for each kind of those who look on."""
     run = setup("resilient", effort.watched)
     chromium = next(filter(None, map(shutil.which, _CHROMIUM)), None)
     measured: dict[str, tuple[Array, Array, Array]] = {}
@@ -89,16 +98,17 @@ def measure(effort: Effort, say: Callable[[str], None]) -> list[Table]:
             continue
         say(f"{run.maneuver.duration_s:g} s, by turns watched by {NOBODY} and {name}")
         factors, busy, opening_s = measured[name] = _flown(run, chromium if draws else None)
-        say(", ".join(_row(name, factors[:, 1], factors[:, 0], busy, opening_s)))
-    rows = [_row(NOBODY, np.concatenate([factors[:, 0] for factors, _, _ in measured.values()]))]
+        say(", ".join(_row(name, factors[1::2], losses(factors), busy, opening_s)))
+    rows = [_row(NOBODY, np.concatenate([factors[::2] for factors, _, _ in measured.values()]))]
     for name in WATCHERS:
         if name in measured:
             factors, busy, opening_s = measured[name]
-            rows.append(_row(name, factors[:, 1], factors[:, 0], busy, opening_s))
+            rows.append(_row(name, factors[1::2], losses(factors), busy, opening_s))
         else:
             rows.append((name, "no Chromium", "-", "-", "-", "-"))
-    columns = ("watched by", "real-time factor", "turns", "loss, %", "processors", "opening, s")
-    text = TEXT.format(part=_PART_S, skip=_SKIP_S, opened=_OPEN_S, confidence=_CONFIDENCE)
+    columns = ("watched by", "real-time factor", "parts", "loss, %", "processors", "opening, s")
+    low, high = _PART_S
+    text = TEXT.format(low=low, high=high, skip=_SKIP_S, opened=_OPEN_S, confidence=_CONFIDENCE)
     return [Table(text=text, columns=columns, rows=rows), _paced(effort, chromium, say)]
 
 
@@ -137,10 +147,10 @@ def _paced_flight(run: Setup, chromium: str | None) -> float:
         with ThreadPoolExecutor(1) as beside:
             looked = beside.submit(look)
             try:
-                factor = float(processes.recorded(run, at).summary["real_time_factor"])
+                factor = float(processes.recorded(run, at, given_up=_failed(looked)).summary["real_time_factor"])
             finally:
                 ended.set()
-        looked.result()
+                looked.result()
         return factor if chromium is None or seen.is_set() else math.nan  # over before they were there
 
 
@@ -150,11 +160,13 @@ def _flown(run: Setup, chromium: str | None) -> tuple[Array, Array, Array]:
     Args:
         run: What is flown.
         chromium: The browser; None for readers in its place.
-    Returns: Real-time factors with nobody and with all, (turns, 2); processors that the viewer kept busy then, and
-        those who looked on, (turns, 2); processor time that their opening took, s, (2,), NaN if the flight was over.
+    Returns: Real-time factors, (2 turns + 1,), with nobody and with all by turns; processors that the viewer kept busy
+        while all watched, and those who looked on, (turns, 2); processor time that their opening took, s, (2,), NaN if
+        the flight was over.
     """
     changes_ns: list[int] = []
-    used_s: list[Array] = []  # by viewer and others
+    busy: list[Array] = []  # by viewer and others
+    rng = np.random.default_rng(_SEED)
     opening_s = [np.full(2, np.nan)]
     with tempfile.TemporaryDirectory(prefix="benchmarks-", ignore_cleanup_errors=True) as folder, ExitStack() as stack:
         at, ended = Path(folder) / "flight", Event()
@@ -184,64 +196,79 @@ def _flown(run: Setup, chromium: str | None) -> tuple[Array, Array, Array]:
                     changes_ns.append(time.time_ns())
                     if ended.wait(_SKIP_S):
                         return
-                    before_s = used()
-                    if ended.wait(_PART_S - _SKIP_S):
+                    before_s, since = used(), time.monotonic()
+                    if ended.wait(rng.uniform(*_PART_S) - _SKIP_S):
                         return
                     if watched:
-                        used_s.append(used() - before_s)
+                        busy.append((used() - before_s) / (time.monotonic() - since))
+                        _require(viewer, *others)
+                        if _connections(port) < _COUNT and not ended.wait(_SKIP_S):
+                            raise BenchmarkError(f"{address}: expected {_COUNT} to look on, got {_connections(port)}")
 
         with ThreadPoolExecutor(1) as beside:
             alternated = beside.submit(alternate)
             try:
-                processes.recorded(run, at)
+                processes.recorded(run, at, given_up=_failed(alternated))
             finally:
                 ended.set()
-        alternated.result()
-        factors = turns(read_log(at / "run.mcap"), changes_ns, run.settings.sampling_period_s)
-    busy = np.array(used_s[: len(factors)]).reshape(-1, 2) / (_PART_S - _SKIP_S)
-    return factors, busy, opening_s[0]
+                alternated.result()
+        log = read_log(at / "run.mcap", horizons=False)
+        factors = paces(log, changes_ns, run.settings.sampling_period_s)
+    return factors, np.array(busy[: len(factors) // 2]).reshape(-1, 2), opening_s[0]
 
 
-def turns(log: RunLog, changes_ns: Sequence[int], period_s: float) -> Array:
-    """Real-time factors of the turns that are whole.
+def paces(log: RunLog, changes_ns: Sequence[int], period_s: float) -> Array:
+    """Real-time factors of the parts of a flight.
 
     Args:
         log: Of the flight.
         changes_ns: When somebody ceased to watch and began to, by turns, ns since 1970.
         period_s: Sampling period, s.
-    Returns: (turns, 2): the mean of the parts before and after, in which nobody watched, and the part between them.
+    Returns: (2 turns + 1,), 0 where the flight stood still; of parts that are whole, and none that is watched without
+        one behind it that is not.
     """
     at_ns = np.array(sorted(log.received_ns(Truth).values()))
-    parts = []
+    found = []
     for begin_ns, end_ns in pairwise(changes_ns):
-        inside = at_ns[(at_ns >= begin_ns + _SKIP_S * 1e9) & (at_ns < end_ns)]
-        if end_ns > at_ns[-1] or len(inside) < 2:
+        if not len(at_ns) or end_ns > at_ns[-1]:
             break  # the flight is over, its report is being made
-        parts.append((len(inside) - 1) * period_s / (float(inside[-1] - inside[0]) / 1e9))
-    alone, watched = np.array(parts[::2]), np.array(parts[1::2])
-    count = min(len(watched), max(0, len(alone) - 1))
-    return np.column_stack([(alone[:count] + alone[1 : count + 1]) / 2.0, watched[:count]])
+        counted_ns = begin_ns + _SKIP_S * 1e9
+        ticks = np.count_nonzero((at_ns >= counted_ns) & (at_ns < end_ns))
+        found.append(ticks * period_s / ((end_ns - counted_ns) / 1e9))
+    turns = (len(found) - 1) // 2
+    return np.array(found[: 2 * turns + 1] if turns > 0 else [])
+
+
+def losses(factors: Array) -> Array:
+    """By how much a flight is slower while it is watched, of the mean before and after, %.
+
+    Args:
+        factors: As from `paces`.
+    Returns: (turns,).
+    """
+    alone = (factors[:-2:2] + factors[2::2]) / 2.0
+    return 100.0 * (1.0 - factors[1::2] / alone)
 
 
 def _row(
     name: str,
     factors: Array,
-    alone: Array | None = None,
+    lost: Array | None = None,
     busy: Array | None = None,
     opening_s: Array | None = None,
 ) -> tuple[str, str, str, str, str, str]:
     if not len(factors):
         return name, "-", "0", "-", "-", "-"
     spread = f"{digits(float(np.median(factors)))} ({digits(float(factors.min()))} to {digits(float(factors.max()))})"
-    if alone is None or busy is None or opening_s is None:
+    if lost is None or busy is None or opening_s is None:
         return name, spread, str(len(factors)), "-", "-", "-"
-    loss = 100.0 * (1.0 - factors / alone)
-    low, high = quantile_test(loss, p=0.5).confidence_interval(_CONFIDENCE)
+    interval = quantile_test(lost, p=0.5).confidence_interval(_CONFIDENCE)
+    within = "{:.1f} to {:.1f}".format(*interval) if np.isfinite(interval).all() else "too few for an interval"
     return (
         name,
         spread,
         str(len(factors)),
-        f"{np.median(loss):.1f} ({low:.1f} to {high:.1f})",
+        f"{np.median(lost):.1f} ({within})",
         " + ".join(f"{one:.3f}" for one in busy.mean(axis=0)),
         " + ".join(f"{one:.1f}" for one in opening_s),
     )
@@ -270,10 +297,20 @@ def _wait(condition: Callable[[], bool], ended: Event, *needed: "subprocess.Pope
     while not condition():
         if ended.wait(0.2):
             return False
-        for process in needed:
-            if process.poll() is not None:
-                raise BenchmarkError(f"{process.args!r}: expected to stay, ended with {process.returncode}")
+        _require(*needed)
     return True
+
+
+def _require(*needed: "subprocess.Popen[bytes]") -> None:
+    """Raises: BenchmarkError: one of the processes has ended."""
+    for process in needed:
+        if process.poll() is not None:
+            raise BenchmarkError(f"{process.args!r}: expected to stay, ended with {process.returncode}")
+
+
+def _failed(beside: "Future[None]") -> Callable[[], bool]:
+    """Whether what is done beside a flight has failed, so that the flight is for nothing."""
+    return lambda: beside.done() and beside.exception() is not None
 
 
 def _listens(port: int) -> bool:
@@ -317,7 +354,8 @@ def _started(command: Sequence[str]) -> Iterator["subprocess.Popen[bytes]"]:
             yield process
         finally:
             for number in (signal.SIGTERM, signal.SIGCONT):
-                os.killpg(process.pid, number)
+                with suppress(ProcessLookupError):  # it has ended by itself
+                    os.killpg(process.pid, number)
             try:
                 process.wait(_LEAVE_S)
             except subprocess.TimeoutExpired:

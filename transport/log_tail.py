@@ -5,7 +5,7 @@ This is how people watch a run without taking part in it: neither its processes 
 
 import re
 from collections import OrderedDict
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -42,7 +42,12 @@ class Chunks:
         self._kept: OrderedDict[tuple[int, int], bytes] = OrderedDict()
 
     def content(self, at: int, size: int) -> bytes | None:
-        """Of the chunk whose record has its body there; None if it cannot be read any more."""
+        """What is packed in one; None if it cannot be read any more.
+
+        Args:
+            at: Where the body of its record is in the file, bytes.
+            size: Of that, bytes.
+        """
         if (at, size) in self._kept:
             self._kept.move_to_end((at, size))
             return self._kept[at, size]
@@ -86,9 +91,10 @@ class Unread:
         if data is None:
             return None
         try:
-            return from_json(self.kind, data[slice(*self.inside)])
+            message = from_json(self.kind, data[slice(*self.inside)])
         except (ValueError, TypeError):
             return None
+        return message if message.tick == self.tick else None  # else it is another file by now
 
 
 class LogTail:
@@ -97,7 +103,7 @@ class LogTail:
     Args:
         path: Of the file, which need not be there yet.
         kinds: Of messages that are wanted: what nobody asks for is not taken apart.
-        later: Those of them that are left where they are until they are asked for, which is most of a log.
+        later: Those of them that are left in their chunks until they are asked for, which is most of a log.
 
     Attributes:
         ended: Whether the part with the messages has come to its proper end.
@@ -127,13 +133,14 @@ class LogTail:
         for opcode, body in frames(data, 0):
             if self.ended:
                 break
-            begin, self._at = self._at + _FRAME_BYTES, self._at + _FRAME_BYTES + len(body)
+            where = (self._at + _FRAME_BYTES, len(body))
+            self._at = sum(where)
             self.ended = opcode == Opcode.DATA_END
             try:
                 if opcode == Opcode.CHUNK:
                     content = content_of(body)
-                    for code, *inside in contents(content):
-                        self._take(code, content, inside, (begin, len(body)), found)
+                    for code, begin, end in contents(content):
+                        self._take(code, content, (begin, end), where, found)
                 else:
                     self._take(opcode, body, (0, len(body)), None, found)
             except DAMAGE:
@@ -144,12 +151,18 @@ class LogTail:
         self,
         opcode: int,
         data: bytes,
-        inside: Sequence[int],
+        inside: tuple[int, int],
         chunk: tuple[int, int] | None,
         found: list[Message | Unread],
     ) -> None:
-        """Take in one record, from where to where it is in a chunk's content, or by itself.
+        """Take in one record.
 
+        Args:
+            opcode: Of the record.
+            data: What it is in: a chunk's content, or its body alone.
+            inside: From where to where its body is in that, bytes.
+            chunk: Offset and size of its chunk in the file, bytes; None for a record outside of chunks.
+            found: Where messages are put that are wanted.
         Raises: one of `DAMAGE`: it cannot be read.
         """
         begin, end = inside
@@ -159,13 +172,13 @@ class LogTail:
                     self._kinds[record.id] = record.topic.lstrip("/").split("/", 1)[0]
         if opcode != Opcode.MESSAGE:
             return
-        kind = self._kinds.get(MESSAGE_HEAD.unpack_from(data, begin)[0])
+        kind = self._kinds.get(MESSAGE_HEAD.unpack(data[begin : min(begin + MESSAGE_HEAD.size, end)])[0])
         if kind is None or kind not in self._wanted:
             return
-        begin += MESSAGE_HEAD.size
+        said = begin + MESSAGE_HEAD.size
         head = None
         if chunk is not None and kind in self._later:
-            head = _HEAD.search(data, begin, min(begin + _HEAD_BYTES, end))
+            head = _HEAD.search(data, said, min(said + _HEAD_BYTES, end))
         if chunk is not None and head is not None:
             tick, agent, negotiation = (int(number or 0) for number in head.groups())
             found.append(
@@ -176,9 +189,9 @@ class LogTail:
                     negotiation=negotiation,
                     chunks=self._chunks,
                     chunk=chunk,
-                    inside=(begin, end),
+                    inside=(said, end),
                 )
             )
             return
         with suppress(ValueError, TypeError):
-            found.append(from_json(kind, data[begin:end]))
+            found.append(from_json(kind, data[said:end]))

@@ -119,7 +119,12 @@ def records_of(opcode: int, body: bytes) -> list[McapRecord]:
     """
     if opcode == Opcode.CHUNK:
         data = content_of(body)
-        return [record for code, begin, end in contents(data) for record in records_of(code, data[begin:end])]
+        return [
+            record
+            for code, begin, end in contents(data)
+            if code in (Opcode.CHANNEL, Opcode.MESSAGE)
+            for record in records_of(code, data[begin:end])
+        ]
     stream = ReadDataStream(BytesIO(body))
     if opcode == Opcode.METADATA:
         return [Metadata.read(stream)]

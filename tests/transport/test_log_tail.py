@@ -5,13 +5,16 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, Message
 from mcap.writer import MCAP0_MAGIC
 
-from protocol.messages import Message
+from protocol import messages as protocol
 from tests import runs
 from tests.transport.logs import flown
 from transport import log_tail
+from transport.json_messages import to_json
 from transport.log import read_log
 from transport.log_tail import Chunks, LogTail, Unread
 from transport.mcap_salvage import content_of, frames
@@ -26,7 +29,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "run.mcap"
 
 
-def same(messages: Sequence[Message | Unread], log: Path) -> bool:
+def same(messages: Sequence[protocol.Message | Unread], log: Path) -> bool:
     """Whether these are the messages of a log, bit for bit."""
     return list(map(repr, messages)) == [repr(entry.message) for entry in read_log(log).messages]
 
@@ -82,30 +85,66 @@ def test_what_is_read_later_says_the_same(log: Path) -> None:
     assert repr(records[0].truths) == repr(records[1].truths)
 
 
-def test_what_is_damaged_is_not_there(log: Path, tmp_path: Path) -> None:
-    """What cannot be read when it is asked for was never said: damaged or cut since, gone, or no message at all."""
-    path = tmp_path / "run.mcap"
-    path.write_bytes(log.read_bytes())
-    taken = [message for message in LogTail(path, KINDS, LATER).read() if isinstance(message, Unread)]
-    plan = next(message for message in taken if message.kind == "plan")
-    report = next(message for message in taken if message.kind == "report")
-    at, size = plan.chunk
-    whole = log.read_bytes()
-    for damaged in (whole[: at + size // 2], whole[:at] + bytes(size) + whole[at + size :]):
+@pytest.mark.parametrize(("kind", "other"), [("plan", "report"), ("report", "plan")])
+def test_what_is_damaged_is_not_there(log: Path, tmp_path: Path, kind: str, other: str) -> None:
+    """What cannot be read when it is asked for was never said: damaged or cut since, gone, or another message."""
+    path, whole = tmp_path / "run.mcap", log.read_bytes()
+    taken = [message for message in LogTail(log, KINDS, LATER).read() if isinstance(message, Unread)]
+    one = next(message for message in taken if message.kind == kind)
+    assert said(one) == one.tick
+    at, size = one.chunk
+    flipped = bytearray(whole)
+    flipped[at + size // 2] ^= 0xFF
+    for damaged in (whole[: at + size // 2], flipped):
         path.write_bytes(damaged)
-        assert said(replace(plan, chunks=Chunks(path))) == (None, None)
-    assert said(replace(plan, chunks=Chunks(tmp_path / "none.mcap"))) == (None, None)
-    others = Chunks(log)
-    assert said(replace(plan, chunks=others, inside=report.inside)) == (None, None)
-    assert said(replace(plan, chunks=others)) == (plan.tick, None)
+        assert said(replace(one, chunks=Chunks(path))) is None
+    assert said(replace(one, chunks=Chunks(tmp_path / "none.mcap"))) is None
+    not_it = next(message for message in taken if message.kind == other and message.chunk == one.chunk)
+    later = next(message for message in taken if message.kind == kind and message.tick > one.tick)
+    assert said(replace(one, inside=not_it.inside)) is None
+    assert said(replace(one, chunk=later.chunk, inside=later.inside)) is None
 
 
-def said(message: Unread) -> tuple[int | None, int | None]:
-    """Tick of the plan and of the report that a record has, given one message."""
+def said(message: Unread) -> int | None:
+    """Tick of a plan or report that a record has, given that alone."""
     record = Record(runs.setup(runs.ticks(8)))
     record.add([message])
-    found = (record.plan(message.agent, message.tick), record.report(message.agent, message.tick))
-    return tuple(None if one is None else one.tick for one in found)  # type: ignore[return-value]
+    found = (record.plan if message.kind == "plan" else record.report)(message.agent, message.tick)
+    return None if found is None else found.tick
+
+
+def test_one_bad_message_costs_itself(log: Path, tmp_path: Path) -> None:
+    """Between good ones, in a chunk or by itself; so does one that is shorter than its head, and a chunk in a chunk."""
+    messages = [entry.message for entry in read_log(log).messages if entry.message.kind == "truth"][:3]
+    path = tmp_path / "run.mcap"
+    with path.open("wb") as file:
+        file.write(MCAP0_MAGIC)
+        for packed in (True, False):
+            builder = RecordBuilder()
+            Channel(id=1, topic="/truth/plant", message_encoding="json", metadata={}, schema_id=0).write(builder)
+            for data in (to_json(messages[0]), b"{}", to_json(messages[1])):
+                Message(channel_id=1, log_time=0, data=data, publish_time=0, sequence=0).write(builder)
+            inside = bytes(builder.end())  # type: ignore[no-untyped-call]
+            nested = chunk_of(inside)
+            file.write(chunk_of(inside + nested) if packed else inside)
+        file.write(chunk_of(inside + bytes([Opcode.MESSAGE]) + (4).to_bytes(8, "little") + b"\1\0\0\0"))
+    found = [message.tick for message in LogTail(path).read()]
+    assert found == [0, 1] * 3
+    assert [entry.message.tick for entry in read_log(path).messages] == [0, 1] * 2  # a chunk that is not right is none
+
+
+def chunk_of(data: bytes) -> bytes:
+    """A chunk that holds that."""
+    builder = RecordBuilder()
+    Chunk(
+        compression="",
+        data=data,
+        message_end_time=0,
+        message_start_time=0,
+        uncompressed_crc=0,
+        uncompressed_size=len(data),
+    ).write(builder)
+    return bytes(builder.end())  # type: ignore[no-untyped-call]
 
 
 def test_what_is_looked_back_at_is_read_once(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:

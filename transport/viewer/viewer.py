@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 # How often the scene is drawn anew, and the numbers beside it, at most. A run as fast as it goes leaves no time to
 # others: where no processor is idle, whoever looks on waits, unless he turns the camera, and for a while after that.
-_DRAW_S, _DRAW_LIVE_S, _DRAW_FAST_S, DRAW_FULL_S, _NUMBERS_S = 0.05, 0.1, 0.5, 60.0, 0.2
+_DRAW_S, _DRAW_LIVE_S, _DRAW_FAST_S, _DRAW_FULL_S, _NUMBERS_S = 0.05, 0.1, 0.5, 60.0, 0.2
 _TURNED_S = 3.0
 # A paced run is drawn less often, step by step, while fewer than _BUSY processors are idle, and more often again while
 # more than _FREE are; what is idle is measured for so long before.
@@ -39,7 +39,7 @@ _SHARE_LIVE = 0.1
 # What is said of a run in flight.
 _PACED = "in flight"
 _FAST = (
-    f"in flight, as fast as it goes: where no processor is idle one picture in {DRAW_FULL_S:g} s, more while you turn "
+    f"in flight, as fast as it goes: where no processor is idle one picture in {_DRAW_FULL_S:g} s, more while you turn "
     "the camera; clock.speed paces it"
 )
 # How many ports to try from the one asked for.
@@ -165,7 +165,7 @@ class Viewer:
             return _DRAW_LIVE_S
         if self._paced:
             return spare_s
-        return DRAW_FULL_S if self._idle.count() < 1.0 else _DRAW_LIVE_S
+        return _DRAW_FULL_S if self._idle.count() < 1.0 else _DRAW_LIVE_S
 
     @property
     def _follows_fast(self) -> bool:
