@@ -148,7 +148,10 @@ def content_of(body: bytes) -> bytes:
 def contents(data: bytes) -> Iterator[tuple[int, int, int]]:
     """The records of a chunk's content: opcode, and from where to where they are in it.
 
-    The mcap package calls a function for every number of them, which is most of the time that reading a log takes.
+    Args:
+        data: As from `content_of`.
+    Returns: Of each record its opcode, and where its body begins and ends in `data`, bytes. The mcap package calls a
+        function for every number of a record, which takes longer.
 
     Raises: one of `DAMAGE`: the last is cut.
     """
