@@ -1,7 +1,7 @@
 """What everybody has announced to do: received plans, shifted to any instant and held at their end."""
 
 from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Literal
 
 import numpy as np
@@ -9,11 +9,15 @@ import numpy as np
 from model.arrays import Array
 from model.state import input_indices
 from mpc.fail_safe import FailSafe
+from mpc.settings import Limits
 from protocol.messages import Plan
 
 # How a plan is laid along the horizon: shifted by its true age; by one tick, however old it is, as the paper has it; or
 # its input for now, held.
 Alignment = Literal["by_age", "by_one", "held"]
+
+# Inputs of all UAVs by the shared control law, without corrections, at a tick and a state; None without such a law.
+Law = Callable[[int, Array], Array | None]
 
 # Plans kept per agent: enough to know the inputs of the past over any delay worth flying with.
 KEPT_PLANS = 256
@@ -28,9 +32,12 @@ class AnnouncedInputs:
         fail_safe: What a UAV does after the last plan of an agent that is gone.
         alignment: How the others' plans are laid along the horizon.
         own: Agent whose plans are its own, so always laid by their age, 1-based; 0 for none.
+        law: What the others do after the first step of a plan, besides its corrections.
+        limits: Bounds of the actuators, which that law keeps to.
 
     Attributes:
         gone: Agents that make no more plans.
+        law_since: Tick from which on the shared control law is the present team's.
     """
 
     def __init__(
@@ -40,8 +47,14 @@ class AnnouncedInputs:
         fail_safe: FailSafe | None = None,
         alignment: Alignment = "by_age",
         own: int = 0,
+        law: Law = lambda _tick, _x: None,
+        limits: Limits | None = None,
     ) -> None:
         self.gone: set[int] = set()
+        self.law_since = 0
+        self._law = law
+        uavs = sum(map(len, owned))
+        self._bounds = None if limits is None else (limits.lower(uavs), limits.upper(uavs))
         self._alignment, self._own = alignment, own
         self._u_hover = u_hover
         self._owned, self._fail_safe = owned, fail_safe
@@ -94,10 +107,10 @@ class AnnouncedInputs:
                     U[len(entries) :, columns] = plan.inputs[-1]
         return U
 
-    def of_another_law(self, since: int, before: int) -> list[int]:
+    def of_another_law(self, before: int) -> list[int]:
         """Agents whose newest plan is from before the shared law last changed, and who still follow it."""
         newest = {agent: self.newest(agent, before) for agent in self._columns if agent not in self.gone}
-        return [agent for agent, plan in newest.items() if plan is not None and plan.tick < since]
+        return [agent for agent, plan in newest.items() if plan is not None and plan.tick < self.law_since]
 
     def corrections(self, start: int, steps: int, before: int) -> Array:
         """Announced corrections to the shared law from a tick on, shifted, zero after their end.
@@ -120,13 +133,19 @@ class AnnouncedInputs:
     def at(self, tick: int, before: int, x: Array | None = None) -> Array:
         """Inputs taken to be in force over [t_k, t_{k+1}): of each agent's plans that had started, the newest.
 
+        That plan's first input was applied as announced. Later ones have been replaced by plans that are not here:
+        with a shared control law, by what it makes of the state and of the corrections announced.
+
         Args:
             tick: k.
             before: Only plans made before this tick count.
-            x: State at t_k, (n,), if the fail-safe of those that are gone is to be part of it.
+            x: State at t_k, (n,), if the law of the others and the fail-safe of those that are gone are to be part of
+                it.
         Returns: (4 N,).
+        Source: docs/equations.md (32), (32a).
         """
         u = self._u_hover.copy()
+        by_law: Array | None = None
         for agent, columns in self._columns.items():
             plans = reversed(self._plans[agent])
             plan = next((p for p in plans if p.tick < before and p.start_tick <= tick), None)
@@ -136,8 +155,16 @@ class AnnouncedInputs:
                 if x is not None and self._fail_safe is not None:
                     u[columns] = np.concatenate([self._fail_safe.inputs(uav, x) for uav in self._owned[agent - 1]])
                 continue
-            u[columns] = plan.inputs[min(tick - plan.start_tick, len(plan.inputs) - 1)]
-        return u
+            step = tick - plan.start_tick
+            u[columns] = plan.inputs[min(step, len(plan.inputs) - 1)]
+            replaced = step > 0 and agent != self._own and agent not in self.gone and plan.tick >= self.law_since
+            if replaced and x is not None:
+                by_law = self._law(tick, x) if by_law is None else by_law
+                if by_law is not None:
+                    u[columns] = by_law[columns]
+                    if step < len(plan.corrections):
+                        u[columns] += plan.corrections[step]
+        return u if self._bounds is None else np.clip(u, *self._bounds)
 
     def _entries(self, sequence: Array, plan: Plan, start: int, steps: int) -> Array:
         """What of a plan's inputs or corrections is taken for the steps of the horizon, as far as it goes."""

@@ -95,6 +95,11 @@ class StateEstimator:
         self._forget()
         return self._estimates[-1]
 
+    def known(self, tick: int) -> Array | None:
+        """Estimate at a tick of the past, (n,), read-only; None where it is not kept."""
+        at = tick - self._first
+        return self._estimates[at] if 0 <= at < len(self._estimates) else None
+
     def age(self, agent: int, tick: int) -> int:
         """Ticks since the newest state received of another agent, -1 for none."""
         return tick - self._newest[agent] if agent in self._newest else -1

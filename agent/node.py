@@ -24,6 +24,7 @@ from model.state import input_indices
 from mpc.controller import Controller, Linear, Optimum
 from mpc.fail_safe import FailSafe
 from mpc.feedback import TeamLaw
+from mpc.regulation import CostToGo
 from protocol.arrivals import Arrivals
 from protocol.claims import Claims, check_moment, window
 from protocol.links import LinkChanges
@@ -67,6 +68,7 @@ class _Step:
     y_ref: Array
     U: Array
     law: TeamLaw | None
+    end: CostToGo | None
     linear: Linear
     discrete: Discrete | None
     negotiation: int  # exchanges still to come
@@ -95,11 +97,8 @@ class AgentNode:
         self._uavs = tuple(uav + 1 for uav in owned)
         self._own = input_indices(owned)
         self._own_states = np.concatenate([np.arange(state.PER_UAV) + state.uav_slice(uav).start for uav in owned])
-        self._controller = Controller(setup.model, setup.hover, setup.settings, owned)
-        # References at every instant any horizon reaches: only looked up in flight.
-        instants = np.arange(setup.ticks + setup.settings.horizon + 2, dtype=np.float64)
-        times = setup.settings.sampling_period_s * instants
-        self._y_ref, self._x_ref = setup.reference.outputs(times), setup.reference.states(times)
+        self._y_ref, self._x_ref = setup.Y_ref, setup.X_ref
+        self._controller = Controller(setup.model, setup.hover, setup.settings, owned, self._x_ref)
         self._peers = tuple(other for other in setup.agents if other != agent)
         clock = setup.scenario.clock
         self._waits = clock.mode == "lockstep"
@@ -118,7 +117,9 @@ class AgentNode:
         self._out = Outbox(self.name, incarnation)
         fail_safe = FailSafe(setup.system, setup.hover.u)
         alignment = setup.scenario.controller.received_plans
-        self._announced = AnnouncedInputs(setup.owned, setup.hover.u, fail_safe, alignment, own=self._agent)
+        self._announced = AnnouncedInputs(
+            setup.owned, setup.hover.u, fail_safe, alignment, self._agent, self._by_law, setup.settings.limits
+        )
         period_s, disturbance = setup.settings.sampling_period_s, setup.scenario.controller.disturbance
         self._disturbance: DisturbanceEstimator | None = None
         if disturbance.estimate:
@@ -140,7 +141,6 @@ class AgentNode:
         self._step: _Step | None = None  # being negotiated
         self._arrived: dict[int, set[int]] = {}  # whose plans are physically here, by tick
         self._proposals: dict[tuple[int, int], dict[int, Plan]] = {}  # by tick and negotiation, and agent
-        self._law_since = 0  # tick from which on the shared law is the present team's
         self._last_tick = -1
         # Plans that came while it was not on the roster as it knows it: those of two ticks.
         self._early: deque[Plan] = deque(maxlen=2 * len(self._peers) * setup.scenario.controller.rounds)
@@ -173,7 +173,7 @@ class AgentNode:
         forces = None if self._disturbance is None else self._disturbance.forces
         law = controller.law(hover.x, np.tile(hover.x, (len(U), 1)), np.zeros_like(U), forces)
         y_ref = np.tile(self._setup.model.outputs(hover.x), (len(U) + 1, 1))
-        controller.step(hover.x, hover.u, U, y_ref, law, forces)
+        controller.step(hover.x, hover.u, U, y_ref, law, forces, end=controller.end(hover.x, hover.x, forces))
         self._setup.model.integrate(hover.x, hover.u, self._setup.settings.sampling_period_s, _AHEAD_STEPS)
 
     def _hear(self, message: Message, now_ns: int) -> None:
@@ -273,7 +273,7 @@ class AgentNode:
             return
         for agent in self._gone - gone:
             self._announced.forget(agent)
-        self._gone, self._law_since = gone, measurement.tick
+        self._gone, self._announced.law_since = gone, measurement.tick
         self._controller.without([uav for agent in sorted(gone) for uav in self._setup.owned[agent - 1]])
 
     def _has_plans_for(self, measurement: Measurement) -> bool:
@@ -320,10 +320,9 @@ class AgentNode:
         else:
             start, x0, u0 = k, x, self._in_force(k)
         U = self._announced.sequence(start, steps, before=k)
-        law = None
-        if controller.gain is not None:
-            c = self._announced.corrections(start, steps, before=k)
-            law = controller.law(x0, self._x_ref[start : start + steps], c, forces)
+        c = self._announced.corrections(start, steps, before=k)
+        law = controller.law(x0, self._x_ref[start : start + steps], c, forces, start)
+        end = controller.end(x0, self._x_ref[start + steps], forces, start + steps)
         watch.append(self._stopwatch())
         linear = controller.linearise(x0, u0, forces)
         watch.append(self._stopwatch())
@@ -332,7 +331,7 @@ class AgentNode:
         except ShapeError:
             discrete = None  # the others' states, or this flight, are beyond all bounds
         if law is not None and discrete is not None:
-            foreign = self._announced.of_another_law(self._law_since, before=k)
+            foreign = self._announced.of_another_law(before=k)
             columns = [input_indices(self._setup.owned[agent - 1]) for agent in foreign]
             law = controller.adapted(law, discrete, u0, U, np.concatenate(columns)) if columns else law
         watch.append(self._stopwatch())
@@ -347,6 +346,7 @@ class AgentNode:
             y_ref=self._y_ref[start : start + steps + 1],
             U=U,
             law=law,
+            end=end,
             linear=linear,
             discrete=discrete,
             negotiation=self._setup.scenario.controller.rounds,
@@ -366,7 +366,7 @@ class AgentNode:
         else:
             with np.errstate(over="ignore", invalid="ignore"):
                 prediction = controller.predict(step.linear, step.discrete, step.U, step.law)
-                qp = controller.condense(step.linear, prediction, step.U, step.y_ref)
+                qp = controller.condense(step.linear, prediction, step.U, step.y_ref, step.law, step.end)
                 watch.append(self._stopwatch())
                 earlier = step.measurement.tick - self._membership.since.get(self._agent, 0)
                 optimum = controller.conclude(controller.solve(qp), prediction, step.U, step.law, earlier)
@@ -418,7 +418,9 @@ class AgentNode:
 
     def _in_force(self, k: int) -> Array:
         """Inputs until now: what the own actuators report if that is known, and what everybody announced."""
-        u = self._announced.at(k - 1, before=k) if k > 0 else self._setup.hover.u.copy()
+        u = self._setup.hover.u.copy()
+        if k > 0:
+            u = self._announced.at(k - 1, before=k, x=self._estimator.known(k - 1))
         reported = self._estimator.reported_inputs(k)
         if reported is not None:
             u[self._own] = reported.reshape(-1)
@@ -431,6 +433,11 @@ class AgentNode:
             for uav, block in zip(plan.uavs, plan.uav_states, strict=True):
                 x[state.uav_slice(uav - 1)] = block
         return x
+
+    def _by_law(self, tick: int, x: Array) -> Array | None:
+        """Inputs of all UAVs by the shared control law at a tick, without corrections, (m,); None without such a law."""
+        forces = None if self._disturbance is None else self._disturbance.forces
+        return self._controller.regulation.inputs(x, self._x_ref[tick], forces, tick)
 
     def _planned(self, tick: int) -> Array:
         planned: Array = self._x_ref[tick].copy()

@@ -144,7 +144,9 @@ def _build(N: int) -> dict[str, ca.Function]:
         ((b5 - b4) * k for b5, b4, k in zip(_DP_FIFTH, _DP_FOURTH, slopes, strict=True)),
         start=ca.SX.zeros(s.x.shape),
     )
-    linearised = [derivative, ca.jacobian(derivative, s.x), ca.jacobian(derivative, s.u), y, ca.jacobian(y, s.x)]
+    # The equations hold where |e| = 1; off it they would answer to rod length. Behind the projection they cannot.
+    A_c = ca.jacobian(derivative, s.x) @ ca.jacobian(dynamics.project(s.x, N), s.x)
+    linearised = [derivative, A_c, ca.jacobian(derivative, s.u), y, ca.jacobian(y, s.x)]
     return {
         "derivative": f,
         "tensions": ca.Function("tensions", [s.x, s.u, s.p, s.F], [tensions]),

@@ -138,9 +138,14 @@ def velocities(symbols: Symbols) -> ca.SX:
 
 
 def outputs(symbols: Symbols) -> ca.SX:
-    """y = h(x) = [r_1..r_N, Theta_0, yaw rates of the UAVs], (4 N + 3), SI. Source: docs/equations.md (14)."""
-    yaw_rates = [symbols.x[state.uav_slice(i)][state.OMEGA][2] for i in range(symbols.N)]
-    return ca.vertcat(*uav_positions(symbols), symbols.x[state.THETA0], *yaw_rates)
+    """y = h(x) = [r_1..r_N, Theta_0, yaw rates of the UAVs, r_0, r_0'], (4 N + 9), SI.
+
+    Positions and the payload's velocity are in the inertial frame. Source: docs/equations.md (14).
+    """
+    x = symbols.x
+    yaw_rates = [x[state.uav_slice(i)][state.OMEGA][2] for i in range(symbols.N)]
+    payload = [x[state.R0], rotation(x[state.THETA0]) @ x[state.V0]]
+    return ca.vertcat(*uav_positions(symbols), x[state.THETA0], *yaw_rates, *payload)
 
 
 def project(x: ca.SX, N: int) -> ca.SX:

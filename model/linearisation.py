@@ -16,7 +16,7 @@ class Linearisation:
 
     Attributes:
         f: x' at (x0, u0), (n,), SI.
-        A_c: df/dx, (n, n), 1/s.
+        A_c: df/dx along the manifold |e_i| = 1, e_i . Omega_i = 0, zero across it, (n, n), 1/s.
         B_c: df/du, (n, m).
         y: h(x0), (p,).
         C: dh/dx, (p, n).
@@ -61,7 +61,7 @@ class Model:
         return self._tensions(x, u, self._p, self._no_forces if forces is None else forces)[0]
 
     def outputs(self, x: Array) -> Array:
-        """y = h(x), (4 N + 3,), SI. Source: docs/equations.md (14)."""
+        """y = h(x), (4 N + 9,), SI. Source: docs/equations.md (14)."""
         return self._outputs(x, self._p)[0]
 
     def velocities(self, x: Array) -> Array:

@@ -131,17 +131,18 @@ class Reference:
         self._offsets = np.array([uav.rho - uav.rod_length * e for uav, e in zip(system.uavs, rods, strict=True)])
 
     def outputs(self, t_s: Array) -> Array:
-        """y_ref at the given times: UAV positions along the path, level payload, no yaw rates.
+        """y_ref at the given times: UAVs and payload along the path, level payload, no yaw rates.
 
         Args:
             t_s: Times, (k,), s.
-        Returns: (k, 4 N + 3), SI.
+        Returns: (k, 4 N + 9), SI.
         Source: docs/equations.md (14), (20).
         """
-        r0, _ = self.maneuver.path(t_s)
+        r0, v0 = self.maneuver.path(t_s)
         N = len(self._offsets)
-        y = np.zeros((len(t_s), 4 * N + 3))
+        y = np.zeros((len(t_s), 4 * N + 9))
         y[:, : 3 * N] = (r0[:, None, :] + self._offsets).reshape(len(t_s), 3 * N)
+        y[:, -6:-3], y[:, -3:] = r0, v0
         return y
 
     def states(self, t_s: Array) -> Array:

@@ -150,27 +150,26 @@ def pairs_of(N: int, owned: tuple[int, ...]) -> npt.NDArray[np.intp]:
     return np.array(pairs, dtype=np.intp).reshape(-1, 2)
 
 
-def separation_rows(y: Array, pairs: npt.NDArray[np.intp]) -> tuple[Array, Array]:
-    """Pairwise distances of the UAVs as linear functions of the output about y.
+def separation_rows(positions: Array, pairs: npt.NDArray[np.intp]) -> tuple[Array, Array]:
+    """Pairwise distances of the UAVs as linear functions of their positions.
 
     |r_i - r_j| is replaced by d' (r_i - r_j), d the present direction: a lower bound, so that keeping it
     above the limit keeps the true distance above it too.
 
     Args:
-        y: Output at the linearisation point, (4 N + 3,).
+        positions: Of the UAVs at the linearisation point, (3 N,), m.
         pairs: Which, (pairs, 2).
-    Returns: Distances now, (pairs,), m; rows with distance = row . y, (pairs, 4 N + 3).
+    Returns: Distances now, (pairs,), m; rows with distance = row . positions, (pairs, 3 N).
     Source: docs/equations.md (29).
     """
-    N = (len(y) - 3) // 4
-    r = y[: 3 * N].reshape(N, 3)
+    r = positions.reshape(-1, 3)
     apart = r[pairs[:, 0]] - r[pairs[:, 1]]
     distances = np.sqrt((apart * apart).sum(axis=1))
     # Two UAVs in one point have no direction; any will do to push them apart.
     together = distances == 0.0
     d = apart / np.where(together, 1.0, distances)[:, None]
     d[together] = [1.0, 0.0, 0.0]
-    rows = np.zeros((len(pairs), len(y)))
+    rows = np.zeros((len(pairs), len(positions)))
     for row, (i, j), direction in zip(rows, pairs.tolist(), d, strict=True):
         row[3 * i : 3 * i + 3] = direction
         row[3 * j : 3 * j + 3] = -direction

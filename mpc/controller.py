@@ -1,6 +1,5 @@
 """One controller for any set of owned UAVs: one is the paper's distributed controller, all the centralized one."""
 
-import contextlib
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
@@ -16,13 +15,12 @@ from model.state import LARGEST, input_indices
 from mpc import condensing
 from mpc.constraints import Affine, UserCosts, compile_constraints, pairs_of, rate_rows, separation_rows, tilt_states
 from mpc.cost import Cost
-from mpc.fail_safe import FailSafe
-from mpc.feedback import FeedbackError, TeamLaw, team_gain
+from mpc.feedback import TeamLaw
 from mpc.prediction import Prediction, closed_loop, free_response, open_loop
 from mpc.qp import QP, Solution
+from mpc.regulation import CostToGo, Regulation
 from mpc.settings import ControllerSettings, SettingsError
 from mpc.solvers import solve, unsolved
-from mpc.target import Target, target
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,10 +71,18 @@ class Controller:
         hover: Its equilibrium.
         settings: Rates, weights, limits.
         owned: UAVs this controller decides for, 0-based, ascending.
+        X_ref: Reference states at instants 0..K-1 of the maneuver, (K, n), for the preview.
     Raises: SettingsError: UAVs that do not exist, or a constraint that cannot be read.
     """
 
-    def __init__(self, model: Model, hover: Hover, settings: ControllerSettings, owned: Sequence[int]) -> None:
+    def __init__(
+        self,
+        model: Model,
+        hover: Hover,
+        settings: ControllerSettings,
+        owned: Sequence[int],
+        X_ref: Array | None = None,
+    ) -> None:
         if not owned or list(owned) != sorted(set(owned)) or not 0 <= owned[0] <= owned[-1] < model.system.N:
             raise SettingsError(f"owned: expected ascending indices below {model.system.N}, got {list(owned)}")
         self.model = model
@@ -85,14 +91,13 @@ class Controller:
         self.own = input_indices(self.owned)
         self._others = np.setdiff1d(np.arange(model.system.m), self.own)
         self.cost = Cost(settings.weights, hover)
-        self._hover, self._fail_safe = hover, FailSafe(model.system, hover.u)
-        self._alone: dict[int, Array] = {}  # feedback of the UAVs left to the fail-safe
-        self._target: Target | None = None
-        self.gain: Array | None = None
+        self.regulation = Regulation(model, hover, settings, X_ref)
         self._costs = UserCosts(settings.costs, model)
-        self._Q = np.concatenate([self.cost.Q, self._costs.weights])
-        if settings.prediction == "closed_loop":
-            self.gain = self._team_gain()
+        # Outputs without a weight stay out of the program; the positions of the UAVs always have one.
+        self._weighted = np.flatnonzero(self.cost.Q)
+        self._positions = 3 * model.system.N
+        self._Q = np.concatenate([self.cost.Q[self._weighted], self._costs.weights])
+        self._answering = self._others
         self._on_state, self._on_input = compile_constraints(settings.constraints, model)
         # What the others do to a constraint without owned inputs is theirs to keep.
         depends = self._on_input.depends
@@ -132,6 +137,7 @@ class Controller:
         law: TeamLaw | None = None,
         forces: Array | None = None,
         earlier: int | None = None,
+        end: CostToGo | None = None,
     ) -> Optimum:
         """One step of the controller.
 
@@ -144,56 +150,30 @@ class Controller:
             law: With closed-loop prediction, the shared law over the horizon (`law`).
             forces: Estimated external forces, (3 + 3 N,), inertial frame, N; None when nobody estimates them.
             earlier: Ticks since this controller began; see `conclude`.
+            end: With terminal "riccati", the cost after the horizon (`end`).
         Returns: The plan and how it was found. Never raises for a problem without solution.
         Raises: ShapeError: an argument of the wrong shape or not finite.
         """
         x0, u0, U, y_ref = self.check(x0, u0, U, y_ref)
         linear = self.linearise(x0, u0, forces)
         prediction = self.predict(linear, self.discretise(linear), U, law)
-        qp = self.condense(linear, prediction, U, y_ref)
+        qp = self.condense(linear, prediction, U, y_ref, law, end)
         return self.conclude(self.solve(qp), prediction, U, law, earlier)
 
-    @property
-    def target(self) -> Target:
-        """Where the team is to rest under external forces; found when it is first asked for."""
-        if self._target is None:
-            self._target = target(self.model, self._hover, self.cost, self._alone)
-        return self._target
+    def law(
+        self, x0: Array, x_ref: Array, c: Array, forces: Array | None = None, start: int = 0
+    ) -> TeamLaw | None:
+        """The shared control law over the horizon, or None with open-loop prediction; see `Regulation.law`."""
+        return self.regulation.law(x0, x_ref, c, forces, start)
 
-    def law(self, x0: Array, x_ref: Array, c: Array, forces: Array | None = None) -> TeamLaw | None:
-        """The shared law over the horizon, or None with open-loop prediction.
-
-        Args:
-            x0: State at the first step of the horizon, (n,).
-            x_ref: Reference states at steps 0..N_p-1, (N_p, n).
-            c: Announced corrections of all UAVs, (N_p, m).
-            forces: Estimated external forces, (3 + 3 N,), inertial frame, N; None when nobody estimates them.
-        Source: docs/equations.md (35), (40).
-        """
-        if self.gain is None:
-            return None
-        u_rest, error = self._hover.u, x0 - x_ref
-        if forces is not None:
-            u_rest, error = u_rest + self.target.M_u @ forces, error - self.target.M_x @ forces
-        return TeamLaw(K=self.gain, u_rest=u_rest, error=error, c=c)
+    def end(self, x0: Array, x_ref: Array, forces: Array | None = None, instant: int = 0) -> CostToGo | None:
+        """The cost after the horizon, or None where it is a multiple of the stage cost; see `Regulation.cost_to_go`."""
+        return self.regulation.cost_to_go(x0, x_ref, forces, instant)
 
     def without(self, uavs: Collection[int]) -> None:
-        """From now on some UAVs, 0-based, are on their own: they are left to the fail-safe, and predicted so.
-
-        Source: docs/equations.md (40), (45).
-        """
-        alone = {uav: self._fail_safe.gain(uav) for uav in uavs}
-        self._alone, self._target = alone, None
-        if self.gain is None:
-            return
-        # Where the others cannot stabilise what is left, the law of the whole team is as good as any.
-        with contextlib.suppress(FeedbackError):
-            self.gain = self._team_gain()
-
-    def _team_gain(self) -> Array:
-        """The shared law's gain, the user's terms of the cost included as they are about hover."""
-        period_s, further = self.settings.sampling_period_s, self._costs.about(self._hover.x)
-        return team_gain(self.model, self._hover, self.cost, period_s, self._alone, further)
+        """From now on some UAVs, 0-based, have no agent; see `Regulation.without`."""
+        self.regulation.without(uavs)
+        self._answering = np.setdiff1d(self._others, input_indices(sorted(uavs)))
 
     def adapted(self, law: TeamLaw, discrete: Discrete, u0: Array, U: Array, columns: npt.NDArray[np.intp]) -> TeamLaw:
         """The law with corrections that make some inputs what they were announced to be, whatever law that was under.
@@ -208,8 +188,7 @@ class Controller:
         """
         dX = free_response(discrete.A, discrete.f_d + (U - u0) @ discrete.B.T)
         c = law.c.copy()
-        without = replace(law, c=np.zeros_like(c)).inputs(columns)
-        c[:, columns] = U[:, columns] - without - dX[:-1] @ law.K[columns].T
+        c[:, columns] = U[:, columns] - law.uncorrected(columns) - dX[:-1] @ law.K[columns].T
         return replace(law, c=c)
 
     def check(self, x0: Array, u0: Array, U: Array, y_ref: Array) -> tuple[Array, Array, Array, Array]:
@@ -219,7 +198,7 @@ class Controller:
             checked("x0", x0, (system.n,)),
             checked("u0", u0, (system.m,)),
             checked("U", U, (steps, system.m)),
-            checked("y_ref", y_ref, (steps + 1, 4 * system.N + 3)),
+            checked("y_ref", y_ref, (steps + 1, 4 * system.N + 9)),
         )
 
     def linearise(self, x0: Array, u0: Array, forces: Array | None = None) -> Linear:
@@ -229,7 +208,7 @@ class Controller:
         """
         u_target = self.cost.u_target
         if forces is not None and self.settings.weights.priced == "deviation":
-            u_target = u_target + self.target.M_u @ forces
+            u_target = u_target + self.regulation.target.M_u @ forces
         return Linear(
             x0=x0,
             u0=u0,
@@ -251,27 +230,52 @@ class Controller:
             return open_loop(discrete, linear.u0, self.own, self._others, U)
         return closed_loop(discrete, linear.u0, self.own, self._others, law)
 
-    def condense(self, linear: Linear, prediction: Prediction, U: Array, y_ref: Array) -> QP:
+    def condense(
+        self,
+        linear: Linear,
+        prediction: Prediction,
+        U: Array,
+        y_ref: Array,
+        law: TeamLaw | None = None,
+        end: CostToGo | None = None,
+    ) -> QP:
         """The QP in the scaled decision and the slacks.
 
+        Args:
+            linear: The expansion.
+            prediction: Of the team.
+            U: Announced inputs of all UAVs over the horizon, (N_p, m).
+            y_ref: Reference outputs at steps 0..N_p, (N_p + 1, p).
+            law: With closed-loop prediction, the shared control law over the horizon.
+            end: With terminal "riccati", the cost after the horizon.
         Source: docs/equations.md (22)-(30), (48); paper (22)-(27).
         """
-        C, error_0 = linear.model.C, linear.model.y - y_ref
-        terminal = self.settings.weights.terminal
+        C, error_0 = linear.model.C[self._weighted], (linear.model.y - y_ref)[1:, self._weighted]
+        Q, terminal = self._Q, self.settings.weights.terminal
         if len(self._costs):
-            # The user's terms are outputs more, whose reference is zero.
+            # The user's terms are further outputs, whose reference is zero.
             C = np.concatenate([C, linear.costs.slope])
-            error_0 = np.hstack([error_0, np.tile(linear.costs.value, (len(y_ref), 1))])
+            error_0 = np.hstack([error_0, np.tile(linear.costs.value, (len(error_0), 1))])
+        error = error_0 + prediction.dX_free[1:] @ C.T
+        if end is not None:
+            terminal = 0.0  # the stage cost of the last state is part of the cost-to-go
+            if law is not None and len(self._answering):
+                # The others' effort, which answers to the state, has its weight in the regulator's cost as well.
+                C, error, Q = self._with_effort(C, error, linear, prediction, law)
         steps, m = prediction.U_free.shape
         decisions, slacks = steps * m, len(self._penalties)
 
-        error = error_0 + prediction.dX_free @ C.T
-        weighted = error[1:] * self._Q
+        weighted = error * Q
         weighted[-1] *= terminal
         # Decisions in their units from here on, and twice the cost, as solvers have a half in front.
         scaled = (C @ prediction.impulse) * self._scale
         H, g = np.zeros((decisions + slacks, decisions + slacks)), np.empty(decisions + slacks)
-        condensing.condense(scaled, 2.0 * self._Q, terminal, 2.0 * weighted, H, g)
+        condensing.condense(scaled, 2.0 * Q, terminal, 2.0 * weighted, H, g)
+        if end is not None:
+            last = np.ascontiguousarray(prediction.impulse[::-1].transpose(1, 0, 2) * self._scale).reshape(-1, decisions)
+            reached = end.root @ last
+            H[:decisions, :decisions] += 2.0 * (reached.T @ reached)
+            g[:decisions] += 2.0 * (reached.T @ (end.root @ (end.error + prediction.dX_free[-1])) + end.slope @ last)
         diagonal = H.reshape(-1)[:: decisions + slacks + 1]
         diagonal[:decisions] += self._effort_curvature
         diagonal[decisions:] = self._penalties
@@ -279,8 +283,24 @@ class Controller:
         g[decisions:] = self._penalties
 
         lower, upper = self._bounds(prediction, linear.u0)
-        rows, row_lower, row_upper = self._rows(linear, prediction, scaled[:, : len(linear.model.y)], U)
+        rows, row_lower, row_upper = self._rows(linear, prediction, scaled[:, : self._positions], U)
         return QP(H=H, g=g, lower=lower, upper=upper, A=rows, row_lower=row_lower, row_upper=row_upper)
+
+    def _with_effort(
+        self, C: Array, error: Array, linear: Linear, prediction: Prediction, law: TeamLaw
+    ) -> tuple[Array, Array, Array]:
+        """Outputs, errors at steps 1..N_p and weights, extended by the inputs of the others that have agents.
+
+        Source: docs/equations.md (36e).
+        """
+        among_others = np.searchsorted(self._others, self._answering)
+        effort = prediction.U_others[:, among_others] - linear.u_target[self._answering]
+        effort = np.concatenate([effort[1:], np.zeros((1, len(self._answering)))])  # step N_p has no input
+        return (
+            np.concatenate([C, law.K[self._answering]]),
+            np.hstack([error, effort]),
+            np.concatenate([self._Q, self.cost.R[self._answering]]),
+        )
 
     def solve(self, qp: QP) -> Solution:
         """Solve by the chosen solver, or by Clarabel when that fails."""
@@ -331,7 +351,7 @@ class Controller:
             inputs = np.clip(w * best + (1.0 - w) * previous, self._lower, self._upper) if solved else previous.copy()
             return Optimum(U=inputs, c=np.zeros((0, m)), solution=solution)
         c_best = np.zeros((steps, m))
-        K, at_x0 = law.K[self.own], law.inputs(self.own) - law.c[:, self.own]
+        K, at_x0 = law.K[self.own], law.uncorrected(self.own)
         if solved:
             dX = free_response(prediction.A, prediction.W + (best - prediction.U_free) @ prediction.B.T)
             c_best = best - at_x0 - dX[:-1] @ K.T
@@ -380,26 +400,26 @@ class Controller:
         )
 
     def _rows(
-        self, linear: Linear, prediction: Prediction, output_impulse: Array, U: Array
+        self, linear: Linear, prediction: Prediction, position_impulse: Array, U: Array
     ) -> tuple[Array, Array, Array]:
         """Rate limits, separation, tilt, and the user's constraints, stacked.
 
         Args:
             linear: The expansion.
             prediction: Of the team.
-            output_impulse: Effect of the scaled decision on the outputs, (N_p, p, m_own).
+            position_impulse: Effect of the scaled decision on the positions of the UAVs, (N_p, 3 N, m_own).
             U: Announced inputs.
         """
         steps, m = prediction.U_free.shape
         drift = (prediction.U_free[1:] - prediction.U_free[:-1]).reshape(-1)
         lower, upper = [-self._rates - drift], [self._rates - drift]
         A, at = self._template.copy(), len(drift)
-        C = linear.model.C
         if self._separation is not None:
-            _, direction = separation_rows(linear.model.y, self._pairs)
-            distance = (linear.model.y + prediction.dX_free[1:] @ C.T) @ direction.T
+            positions, C = linear.model.y[: self._positions], linear.model.C[: self._positions]
+            _, direction = separation_rows(positions, self._pairs)
+            distance = (positions + prediction.dX_free[1:] @ C.T) @ direction.T
             gap = self._separation.minimum_m - distance.reshape(-1)
-            at = _fill(direction @ output_impulse, A, at)
+            at = _fill(direction @ position_impulse, A, at)
             lower.append(gap)
             upper.append(self._no_gap)
         if self._tilt is not None:

@@ -1,14 +1,15 @@
-"""The stabilising law all agents share, and what it needs: u = u_rest + K (x - x_ref) + c.
+"""The regulator that all agents share: the infinite-horizon optimum of the team's cost about hover.
 
-K is the infinite-horizon optimum of the team's cost at hover, the same for every agent. Each agent decides
-its own corrections c and takes the others' as announced; near the unconstrained optimum they are small,
-so little depends on the network.
+Every agent computes the same gain and the same cost-to-go. Each agent decides its own corrections to the control law
+u = u_rest + K (x - x_ref) + feedforward + c and takes the others' as announced; near the unconstrained optimum the
+corrections are small, so little depends on the network.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from model import state
 from model.arrays import Array
@@ -22,6 +23,8 @@ from mpc.cost import Cost
 # metres forgets within some thousand sampling periods.
 _DOUBLINGS = 20
 _CONVERGED = 1e-12
+# Directions whose cost is below this share of the largest cost nothing (headings).
+_RANK = 1e-12
 
 
 class FeedbackError(ValueError):
@@ -30,37 +33,68 @@ class FeedbackError(ValueError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TeamLaw:
-    """The shared law over one horizon.
+    """The shared control law over one horizon.
 
     Attributes:
         K: Feedback gain, (m, n).
         u_rest: Input that holds the reference state: at hover, or as moved by external forces, (m,).
         error: x0 - x_ref, x_ref moved likewise, at steps 0..N_p-1, (N_p, n).
+        feedforward: What the reference ahead asks for in advance, (N_p, m).
         c: Announced corrections of all UAVs, (N_p, m); the owned columns hold the previous ones, shifted.
     """
 
     K: Array
     u_rest: Array
     error: Array
+    feedforward: Array
     c: Array
 
-    def inputs(self, columns: np.ndarray) -> Array:
+    def inputs(self, columns: npt.NDArray[np.intp]) -> Array:
         """Inputs of the given columns while the state stays at x0, (N_p, columns)."""
-        inputs: Array = self.u_rest[columns] + self.error @ self.K[columns].T + self.c[:, columns]
-        return inputs
+        return self.uncorrected(columns) + self.c[:, columns]
+
+    def uncorrected(self, columns: npt.NDArray[np.intp]) -> Array:
+        """The same without corrections, (N_p, columns)."""
+        held: Array = self.u_rest[columns] + self.error @ self.K[columns].T + self.feedforward[:, columns]
+        return held
 
 
-def team_gain(
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Regulator:
+    """Linear-quadratic regulator of the team about hover, in coordinates xi = T' (x - x_hover) of the manifold.
+
+    Attributes:
+        K: Feedback gain of all inputs, (m, n).
+        P: Cost-to-go, xi' P xi, (r, r).
+        root: Its square root, |root (x - x_hover)|^2 = xi' P xi, (rank of P, n).
+        T: Orthonormal basis of the manifold's directions, (n, r).
+        A: State matrix without the led UAVs' feedback, (r, r).
+        closed: State matrix with all feedback, (r, r).
+        ahead: Inputs of the led UAVs per slope of the cost-to-go one step later, -(R + B' P B)^-1 B', (m_led, r).
+        led: Inputs of the UAVs that have agents, (m_led,).
+    """
+
+    K: Array
+    P: Array
+    root: Array
+    T: Array
+    A: Array
+    closed: Array
+    ahead: Array
+    led: npt.NDArray[np.intp]
+
+
+def regulator(
     model: Model,
     hover: Hover,
     cost: Cost,
     period_s: float,
     alone: Mapping[int, Array] | None = None,
     further: Array | None = None,
-) -> Array:
-    """Feedback gain of the linear-quadratic regulator for the whole team about hover.
+) -> Regulator:
+    """Linear-quadratic regulator for the whole team about hover.
 
-    UAVs that nobody decides for any more follow a law of their own; the others' gain is the optimum given that.
+    UAVs without an agent follow a control law of their own; the others' gain is the optimum given that.
 
     Rod directions move on a sphere: the directions off |e| = 1 and e . Omega = 0 can be neither reached nor
     left, so the recursion runs in coordinates without them.
@@ -71,8 +105,8 @@ def team_gain(
         cost: Q on the outputs, R on all inputs.
         period_s: Sampling period, s.
         alone: Feedback from its own state, (4, 12), of each UAV without an agent, by its 0-based number.
-        further: What else has a price besides the outputs, (t, n): square roots of the weights times slopes at hover.
-    Returns: K with u = u_hover + K (x - x_ref), (m, n).
+        further: Further terms of the cost, (t, n): square roots of the weights times slopes at hover.
+    Returns: Gain, cost-to-go and what a preview of the reference needs.
     Raises: FeedbackError: the recursion does not converge.
     Source: docs/equations.md (33)-(34), (45).
     """
@@ -85,13 +119,19 @@ def team_gain(
     T = tangent(hover.x)
     A, B = T.T @ (discrete.A + discrete.B @ K) @ T, T.T @ discrete.B[:, led]
     C, R = linear.C @ T, cost.R[led]
-    priced = C.T @ (cost.Q[:, None] * C)
+    weighted = C.T @ (cost.Q[:, None] * C)
     if further is not None:
-        priced += T.T @ further.T @ further @ T
-    P = _riccati(A, B, priced, R)
-    K[led] = -np.linalg.solve(np.diag(R) + B.T @ P @ B, B.T @ P @ A) @ T.T
-    K.setflags(write=False)
-    return K
+        weighted += T.T @ further.T @ further @ T
+    P = _riccati(A, B, weighted, R)
+    ahead = -np.linalg.solve(np.diag(R) + B.T @ P @ B, B.T)
+    K[led] = ahead @ P @ A @ T.T
+    eigenvalues, vectors = np.linalg.eigh(P)
+    kept = eigenvalues > _RANK * eigenvalues[-1]
+    root = np.sqrt(eigenvalues[kept])[:, None] * vectors[:, kept].T @ T.T
+    closed = A + B @ K[led] @ T
+    for array in (K, P, root, T, A, closed, ahead, led):
+        array.setflags(write=False)
+    return Regulator(K=K, P=P, root=root, T=T, A=A, closed=closed, ahead=ahead, led=led)
 
 
 def _riccati(A: Array, B: Array, Q: Array, R: Array) -> Array:

@@ -9,6 +9,7 @@ from model.arrays import Array
 
 SolverName = Literal["daqp", "clarabel"]
 PredictionName = Literal["open_loop", "closed_loop"]
+TerminalName = Literal["multiple", "riccati"]
 DiscretisationName = Literal["exact", "euler"]
 Pricing = Literal["deviation", "absolute"]
 
@@ -25,7 +26,9 @@ class Weights:
         position: On each UAV position error, 1/m^2.
         attitude: On payload roll, pitch, yaw, 1/rad^2.
         yaw_rate: On each UAV yaw rate, s^2/rad^2.
-        terminal: Q_f as a multiple of Q.
+        payload_position: On the payload's position error, 1/m^2.
+        payload_velocity: On the payload's velocity error, s^2/m^2.
+        terminal: Q_f as a multiple of Q, with a terminal cost of that kind.
         thrust: 1/N^2.
         moments: About the UAV's body axes, (3,), 1/(N m)^2.
         priced: Whether R prices the input's deviation from hover, or the input itself as in paper (17).
@@ -34,14 +37,17 @@ class Weights:
     position: float = 1.0
     attitude: float = 5.0
     yaw_rate: float = 0.05
+    payload_position: float = 0.0
+    payload_velocity: float = 0.0
     terminal: float = 5.0
     thrust: float = 1e-3
     moments: tuple[float, float, float] = (1e-2, 1e-2, 1e-2)
     priced: Pricing = "deviation"
 
     def Q(self, N: int) -> Array:
-        """Diagonal of Q for N UAVs, (4 N + 3,)."""
-        return np.concatenate([np.full(3 * N, self.position), np.full(3, self.attitude), np.full(N, self.yaw_rate)])
+        """Diagonal of Q for N UAVs, (4 N + 9,)."""
+        weights = (self.position, self.attitude, self.yaw_rate, self.payload_position, self.payload_velocity)
+        return np.repeat(weights, [3 * N, 3, N, 3, 3])
 
     def R(self, N: int) -> Array:
         """Diagonal of R for N UAVs, (4 N,)."""
@@ -155,6 +161,9 @@ class ControllerSettings:
         horizon: N_p, in sampling periods.
         prediction: How the others are predicted: by the inputs they announced ("open_loop", the paper), or by
             the law all share and the corrections they announced ("closed_loop").
+        terminal: Cost of the last state: a multiple of the stage cost ("multiple", the paper), or the infinite-horizon
+            cost-to-go of the team's linear-quadratic regulator ("riccati").
+        preview: Whether that regulator, and with it the shared law and the cost-to-go, knows the reference ahead.
         discretisation: Exact zero-order hold, or one step of Euler's method for comparison.
         relaxation: w in (0, 1]; the published plan is w U* + (1 - w) U_shifted, in closed loop the same of the
             corrections.
@@ -170,6 +179,8 @@ class ControllerSettings:
     constraints: tuple[Constraint, ...] = ()
     costs: tuple[CostTerm, ...] = ()
     prediction: PredictionName = "open_loop"
+    terminal: TerminalName = "multiple"
+    preview: bool = False
     discretisation: DiscretisationName = "exact"
     relaxation: float = 1.0
     solver: SolverName = "daqp"

@@ -106,6 +106,8 @@ class WeightsSection(Section):
     position: Positive = 1.0
     attitude: Positive = 5.0
     yaw_rate: Positive = 0.05
+    payload_position: NotNegative = 0.0
+    payload_velocity: NotNegative = 0.0
     terminal: NotNegative = 5.0
     thrust: Positive = 1e-3
     moments: PositiveVector = [1e-2, 1e-2, 1e-2]
@@ -163,6 +165,8 @@ class ControllerSection(Section):
     sampling_period_s: Positive = 0.05
     horizon: Annotated[int, Field(ge=1, le=10_000)] = 20
     prediction: Literal["open_loop", "closed_loop"] = "open_loop"
+    terminal: Literal["multiple", "riccati"] = "multiple"
+    preview: bool = False
     received_plans: Literal["by_age", "by_one", "held"] = "by_age"
     received_states: Literal["predicted", "as_received"] = "predicted"
     discretisation: Literal["exact", "euler"] = "exact"

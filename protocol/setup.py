@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
+from model.arrays import Array
 from model.hover import Hover, hover
 from model.linearisation import Model
 from model.maneuver import Maneuver, Phase, Reference
 from model.parameters import Payload, System, Uav
 from mpc.constraints import UserCosts, compile_constraints
-from mpc.cost import Cost
-from mpc.feedback import team_gain
+from mpc.regulation import Regulation
 from mpc.settings import Constraint, ControllerSettings, CostTerm, Limits, Separation, Tilt, Weights
 from protocol.faults import Fault, scripted
 from protocol.links import Link, link
@@ -72,13 +72,8 @@ class Setup:
             samples_s=_samples(scenario, source),
         )
         building(source, "controller.constraint", lambda: compile_constraints(settings.constraints, setup.model))
-        further = building(
-            source, "controller.cost", lambda: UserCosts(settings.costs, setup.model).about(equilibrium.x)
-        )
-        if settings.prediction == "closed_loop":
-            cost, period_s = Cost(settings.weights, equilibrium), settings.sampling_period_s
-            law = partial(team_gain, setup.model, equilibrium, cost, period_s, further=further)
-            building(source, "controller.prediction", law)
+        building(source, "controller.cost", lambda: UserCosts(settings.costs, setup.model).about(equilibrium.x))
+        building(source, "controller.prediction", lambda: Regulation(setup.model, equilibrium, settings))
         setup._check_hover_is_possible(source)
         return setup
 
@@ -91,6 +86,20 @@ class Setup:
     def reference(self) -> Reference:
         """Reference outputs and states."""
         return Reference(self.system, self.hover, self.maneuver)
+
+    @cached_property
+    def Y_ref(self) -> Array:
+        """Reference outputs at every instant that any horizon reaches, (K, 4 N + 9)."""
+        return self.reference.outputs(self._instants_s())
+
+    @cached_property
+    def X_ref(self) -> Array:
+        """Reference states at the same instants, (K, n)."""
+        return self.reference.states(self._instants_s())
+
+    def _instants_s(self) -> Array:
+        instants = np.arange(self.ticks + self.settings.horizon + 2, dtype=np.float64)
+        return self.settings.sampling_period_s * instants
 
     @property
     def agents(self) -> tuple[int, ...]:
@@ -225,6 +234,8 @@ def _settings(scenario: Scenario) -> ControllerSettings:
             position=weights.position,
             attitude=weights.attitude,
             yaw_rate=weights.yaw_rate,
+            payload_position=weights.payload_position,
+            payload_velocity=weights.payload_velocity,
             terminal=weights.terminal,
             thrust=weights.thrust,
             moments=_three(weights.moments),
@@ -245,6 +256,8 @@ def _settings(scenario: Scenario) -> ControllerSettings:
         ),
         costs=tuple(CostTerm(expression=c.expression, weight=c.weight) for c in section.cost),
         prediction=section.prediction,
+        terminal=section.terminal,
+        preview=section.preview,
         discretisation=section.discretisation,
         relaxation=relaxation,
         solver=section.solver,

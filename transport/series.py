@@ -72,7 +72,7 @@ def series_of(setup: Setup, log: RunLog) -> Series:
     N = setup.system.N
     x = np.array([truths[tick].x for tick in ticks]).reshape(-1, len(setup.hover.x))
     u = np.array([truths[tick].u for tick in ticks]).reshape(-1, state.INPUTS * N)
-    y = np.array([setup.model.outputs(row) for row in x]).reshape(len(ticks), 4 * N + 3)
+    y = np.array([setup.model.outputs(row) for row in x]).reshape(len(ticks), 4 * N + 9)
     y_ref = setup.reference.outputs(times_s)
     cost = Cost(setup.settings.weights, setup.hover)
     uavs_I = y[:, : 3 * N].reshape(len(ticks), N, 3)

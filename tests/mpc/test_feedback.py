@@ -12,7 +12,7 @@ from model.discretisation import zero_order_hold
 from model.state import input_indices
 from mpc.controller import Controller
 from mpc.cost import Cost
-from mpc.feedback import TeamLaw, team_gain
+from mpc.feedback import TeamLaw, regulator
 from mpc.prediction import closed_loop
 from mpc.settings import ControllerSettings, Weights
 from tests.mpc.systems import Situation, paper_setup, situation
@@ -32,7 +32,7 @@ OPTIMUM_TOLERANCE = 1e-6
 def gain() -> Array:
     """The paper system's gain."""
     setup = paper_setup()
-    return team_gain(setup.model, setup.hover, Cost(Weights(), setup.hover), PERIOD_S)
+    return regulator(setup.model, setup.hover, Cost(Weights(), setup.hover), PERIOD_S).K
 
 
 def hover_model() -> tuple[Array, Array, Array]:

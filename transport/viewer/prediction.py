@@ -8,9 +8,8 @@ import numpy as np
 from agent.announced import AnnouncedInputs
 from model.arrays import Array
 from model.compiled import Compiled, functions
-from mpc.constraints import UserCosts
-from mpc.cost import Cost
-from mpc.feedback import FeedbackError, team_gain
+from mpc.feedback import FeedbackError
+from mpc.regulation import Regulation
 from protocol.messages import Plan, StepReport
 from protocol.setup import Setup
 from transport.viewer.record import Record
@@ -22,8 +21,8 @@ _STEP_S = 0.05
 class Predictor:
     """Predicts what agents predict, with the whole model instead of its linearisation.
 
-    With the shared law (closed-loop prediction) everybody is taken to follow u = u_hover + K (x - x_ref) + c, with the
-    corrections each has announced; without it, the announced inputs themselves.
+    With the shared control law (closed-loop prediction) every agent follows u = u_hover + K (x - x_ref) + feedforward
+    + c, with the corrections it has announced; without it, the announced inputs themselves.
 
     Args:
         setup: The run.
@@ -32,8 +31,8 @@ class Predictor:
     def __init__(self, setup: Setup) -> None:
         self._setup = setup
         self._steps = setup.settings.horizon
-        self._gain = _gain(setup)
-        self._rollout = Compiled(_rollout(setup, self._gain))
+        self._regulation = _regulation(setup)
+        self._rollout = Compiled(_rollout(setup, self._regulation))
 
     def states(self, record: Record, agent: int, tick: int) -> Array | None:
         """The states an agent expected when it made its plan of a tick.
@@ -58,12 +57,12 @@ class Predictor:
         waits = min(max(own.start_tick - tick, 0), self._steps)
         U = np.tile(truth.u, (self._steps, 1))
         x_ref = np.zeros((self._steps, len(truth.x)))
-        if self._gain is None:
+        if self._regulation is None:
             U[waits:] = announced.sequence(own.start_tick, self._steps - waits, tick + 1)
         else:
-            U[:] = setup.hover.u + announced.corrections(tick, self._steps, tick + 1)
-            times_s: Array = setup.settings.sampling_period_s * np.arange(tick, tick + self._steps, dtype=np.float64)
-            x_ref = setup.reference.states(times_s)
+            c = announced.corrections(tick, self._steps, tick + 1)
+            U[:] = setup.hover.u + self._regulation.feedforward(tick, self._steps) + c
+            x_ref = setup.X_ref[tick : tick + self._steps]
         forces = np.zeros(3 + 3 * setup.system.N)
         if report is not None:
             forces[:3] = report.force
@@ -80,26 +79,25 @@ def _used(record: Record, report: StepReport | None, tick: int) -> list[Plan]:
     return [plan for plan in found if plan is not None]
 
 
-def _gain(setup: Setup) -> Array | None:
-    """The shared law's gain of the whole team; None with open-loop prediction."""
+def _regulation(setup: Setup) -> Regulation | None:
+    """The shared control law of the whole team; None with open-loop prediction."""
     if setup.settings.prediction != "closed_loop":
         return None
-    cost = Cost(setup.settings.weights, setup.hover)
-    further = UserCosts(setup.settings.costs, setup.model).about(setup.hover.x)
     try:
-        return team_gain(setup.model, setup.hover, cost, setup.settings.sampling_period_s, further=further)
+        return Regulation(setup.model, setup.hover, setup.settings, setup.X_ref)
     except FeedbackError:
         return None
 
 
-def _rollout(setup: Setup, gain: Array | None) -> ca.Function:
+def _rollout(setup: Setup, regulation: Regulation | None) -> ca.Function:
     """(x0, U row by row, x_ref row by row, F) -> states after each sampling period, (n, N_p)."""
     system, settings = setup.system, setup.settings
     n, m, steps = system.n, system.m, settings.horizon
     x, u, x_ref = ca.MX.sym("x", n), ca.MX.sym("u", m), ca.MX.sym("x_ref", n)
     F = ca.MX.sym("F", 3 + 3 * system.N)
     step = functions(system.N)["step"]
-    held = u if gain is None else u + ca.mtimes(ca.DM(gain), x - x_ref)
+    regulator = None if regulation is None else regulation.regulator
+    held = u if regulator is None else u + ca.mtimes(ca.DM(regulator.K), x - x_ref)
     lower, upper = settings.limits.lower(system.N), settings.limits.upper(system.N)
     held = ca.fmin(ca.fmax(held, ca.DM(lower)), ca.DM(upper))
     parts = max(1, math.ceil(settings.sampling_period_s / _STEP_S - 1e-9))

@@ -1,0 +1,75 @@
+"""What the reference ahead changes in the team's optimum: a feedforward of the inputs, and a slope of the cost-to-go.
+
+The regulator of `mpc.feedback` is the optimum for a reference at rest. A reference that moves is a known disturbance of
+the deviation from it; one backward recursion along the whole maneuver gives the optimum under that disturbance
+(linear-quadratic tracking with preview: Anderson and Moore 1990, chapter 4; Tomizuka 1975). It is computed once for a
+maneuver and a team.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from model.arrays import Array
+from mpc.feedback import Regulator
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Preview:
+    """The optimum's dependence on the reference, at instants 0..K-1 of a maneuver; beyond, that of the last instant.
+
+    Attributes:
+        feedforward: Added to the shared control law, (K, m).
+        slope: Half the gradient of the cost-to-go where the deviation from the reference is zero, (K, n).
+    """
+
+    feedforward: Array
+    slope: Array
+
+
+def preview(regulator: Regulator, X_ref: Array, pull: Array) -> Preview:
+    """Solve the tracking problem backwards from a reference at rest.
+
+    With xi the deviation from the reference, the regulator's problem becomes
+
+        xi(k+1) = A xi(k) + B du(k) + d(k),    d(k) = A xi_ref(k) - xi_ref(k+1),
+        stage cost xi' Q xi + 2 pull(k)' xi + du' R du,    cost-to-go xi' P xi + 2 p(k)' xi + constant,
+        p(k) = closed' (p(k+1) + P d(k)) + pull(k),    du(k) = K xi(k) - (R + B' P B)^-1 B' (p(k+1) + P d(k)).
+
+    Args:
+        regulator: Of the team.
+        X_ref: Reference states at the instants of the maneuver, (K, n); held after the last one.
+        pull: Half the gradient of the stage cost where the deviation is zero, (K, n).
+    Returns: Feedforward and slope at each instant.
+    Source: docs/equations.md (36b), (36c).
+    """
+    T, P, closed = regulator.T, regulator.P, regulator.closed
+    reference, pulled = X_ref @ T, pull @ T
+    drift = np.zeros_like(reference)
+    drift[:-1] = reference[:-1] @ regulator.A.T - reference[1:]
+    pushed = drift @ P  # P is symmetric
+    slope = np.empty_like(reference)
+    feedforward = np.zeros((len(X_ref), len(regulator.K)))
+    p = at_rest(regulator, pulled[-1])
+    for k in range(len(X_ref) - 1, -1, -1):
+        h = p + pushed[k]
+        feedforward[k, regulator.led] = regulator.ahead @ h
+        p = slope[k] = h @ closed + pulled[k]
+    slope = slope @ T.T
+    for array in (feedforward, slope):
+        array.setflags(write=False)
+    return Preview(feedforward=feedforward, slope=slope)
+
+
+def at_rest(regulator: Regulator, pulled: Array) -> Array:
+    """Slope of the cost-to-go under a pull that lasts: p = closed' p + pulled.
+
+    Directions that cost nothing (headings) are neither pulled nor forgotten; the least-norm solution leaves them out.
+
+    Args:
+        regulator: Of the team.
+        pulled: Half the gradient of the stage cost, in the regulator's coordinates, (r,) or (r, columns).
+    Returns: p, the same shape.
+    """
+    solution: Array = np.linalg.lstsq(np.eye(len(regulator.closed)) - regulator.closed.T, pulled, rcond=1e-9)[0]
+    return solution

@@ -1,0 +1,166 @@
+"""What all agents of a team share: regulator, preview of the reference, and target, for the UAVs that have agents."""
+
+import contextlib
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from model.arrays import Array
+from model.hover import Hover
+from model.linearisation import Model
+from mpc.constraints import UserCosts
+from mpc.cost import Cost
+from mpc.fail_safe import FailSafe
+from mpc.feedback import FeedbackError, Regulator, TeamLaw, regulator
+from mpc.preview import Preview, at_rest, preview
+from mpc.settings import ControllerSettings
+from mpc.target import Target, target
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CostToGo:
+    """Cost after the horizon as a function of the last state: |root (error + dx)|^2 + 2 slope' dx + constant.
+
+    Attributes:
+        root: Square root of the Riccati solution, (rank, n).
+        error: x0 - x_ref at step N_p, x_ref moved by external forces, (n,).
+        slope: What reference and forces add, (n,).
+    """
+
+    root: Array
+    error: Array
+    slope: Array
+
+
+class Regulation:
+    """The shared control law and cost-to-go of one maneuver.
+
+    Args:
+        model: The system as the controller knows it.
+        hover: Its equilibrium.
+        settings: Of the controllers.
+        X_ref: Reference states at instants 0..K-1, (K, n), where the preview is to know them; the last one is held.
+    Raises: FeedbackError: the settings want a regulator and none stabilises the team.
+
+    Attributes:
+        regulator: None where the settings use none.
+    """
+
+    def __init__(self, model: Model, hover: Hover, settings: ControllerSettings, X_ref: Array | None = None) -> None:
+        self._model, self._hover, self._settings = model, hover, settings
+        self._cost, self._user_costs = Cost(settings.weights, hover), UserCosts(settings.costs, model)
+        self._fail_safe = FailSafe(model.system, hover.u)
+        self._alone: dict[int, Array] = {}  # feedback of the UAVs left to the fail-safe
+        self._target: Target | None = None
+        self._by_forces: tuple[Array, Array] | None = None
+        self._X_ref = X_ref if settings.preview else None
+        self._preview: Preview | None = None
+        self.regulator: Regulator | None = None
+        if settings.prediction == "closed_loop" or settings.terminal == "riccati":
+            self._regulate()
+
+    @property
+    def target(self) -> Target:
+        """Where the team is to rest under external forces; found when it is first asked for."""
+        if self._target is None:
+            self._target = target(self._model, self._hover, self._cost, self._alone)
+        return self._target
+
+    def without(self, uavs: Collection[int]) -> None:
+        """From now on some UAVs, 0-based, have no agent: they follow the fail-safe, and are predicted so.
+
+        Source: docs/equations.md (40), (45).
+        """
+        self._alone = {uav: self._fail_safe.gain(uav) for uav in uavs}
+        self._target = self._by_forces = None
+        if self.regulator is not None:
+            # Where the others cannot stabilise what is left, the regulator of the whole team stays.
+            with contextlib.suppress(FeedbackError):
+                self._regulate()
+
+    def law(self, x0: Array, x_ref: Array, c: Array, forces: Array | None, start: int) -> TeamLaw | None:
+        """The shared control law over the horizon; None with open-loop prediction.
+
+        Args:
+            x0: State at the first step of the horizon, (n,).
+            x_ref: Reference states at steps 0..N_p-1, (N_p, n).
+            c: Announced corrections of all UAVs, (N_p, m).
+            forces: Estimated external forces, (3 + 3 N,), inertial frame, N; None without estimate.
+            start: Instant of the first step.
+        Source: docs/equations.md (35), (40).
+        """
+        if self.regulator is None or self._settings.prediction != "closed_loop":
+            return None
+        u_rest, error = self._hover.u, x0 - x_ref
+        feedforward = self.feedforward(start, len(x_ref))
+        if forces is not None:
+            u_rest, error = u_rest + self.target.M_u @ forces, error - self.target.M_x @ forces
+            feedforward = feedforward + self._forced(self.regulator)[0] @ forces
+        return TeamLaw(K=self.regulator.K, u_rest=u_rest, error=error, feedforward=feedforward, c=c)
+
+    def inputs(self, x: Array, x_ref: Array, forces: Array | None, instant: int) -> Array | None:
+        """Inputs by the shared control law at one instant, without corrections, (m,).
+
+        None with open-loop prediction. Arguments as those of `law`, for one step. Source: docs/equations.md (35).
+        """
+        law = self.law(x, x_ref[None], np.zeros((1, self._model.system.m)), forces, instant)
+        return None if law is None else law.inputs(np.arange(self._model.system.m))[0]
+
+    def cost_to_go(self, x0: Array, x_ref: Array, forces: Array | None, instant: int) -> CostToGo | None:
+        """Cost after the horizon; None where it is a multiple of the stage cost.
+
+        Args:
+            x0: State at the first step of the horizon, (n,).
+            x_ref: Reference state at step N_p, (n,).
+            forces: Estimated external forces, (3 + 3 N,), inertial frame, N; None without estimate.
+            instant: Of step N_p.
+        Source: docs/equations.md (36d).
+        """
+        if self.regulator is None or self._settings.terminal != "riccati":
+            return None
+        error = x0 - x_ref
+        slope = np.zeros_like(x0) if self._preview is None else self._preview.slope[self._within(instant, 1)[0]]
+        if forces is not None:
+            error = error - self.target.M_x @ forces
+            slope = slope + self._forced(self.regulator)[1] @ forces
+        return CostToGo(root=self.regulator.root, error=error, slope=slope)
+
+    def feedforward(self, start: int, steps: int) -> Array:
+        """What the reference ahead asks for in advance at some instants, (steps, m); zero without preview."""
+        if self._preview is None:
+            return np.zeros((steps, self._model.system.m))
+        return self._preview.feedforward[self._within(start, steps)]
+
+    def _regulate(self) -> None:
+        further = self._user_costs.about(self._hover.x)
+        period_s = self._settings.sampling_period_s
+        found = regulator(self._model, self._hover, self._cost, period_s, self._alone, further)
+        self.regulator, self._by_forces = found, None
+        if self._X_ref is not None:
+            # The outputs follow the reference exactly; the user's terms have values of their own along it.
+            values = np.array([self._user_costs.at(x).value for x in self._X_ref])
+            pull = (np.sqrt(self._user_costs.weights) * values) @ further
+            self._preview = preview(found, self._X_ref, pull)
+
+    def _within(self, start: int, steps: int) -> npt.NDArray[np.intp]:
+        """Instants of the maneuver, its last one in place of what comes after it."""
+        known = 0 if self._preview is None else len(self._preview.slope)
+        return np.minimum(np.arange(start, start + steps), known - 1)
+
+    def _forced(self, regulator: Regulator) -> tuple[Array, Array]:
+        """Feedforward (m, 3 + 3 N) and slope of the cost-to-go (n, 3 + 3 N) per newton: where the target misses outputs.
+
+        Source: docs/equations.md (40a).
+        """
+        if self._by_forces is None:
+            C = self._model.linearise(self._hover.x, self._hover.u).C
+            missed = C.T @ (self._cost.Q[:, None] * (C @ self.target.M_x))
+            further = self._user_costs.about(self._hover.x)
+            missed = missed + further.T @ (further @ self.target.M_x)
+            p = at_rest(regulator, regulator.T.T @ missed)
+            feedforward = np.zeros_like(self.target.M_u)
+            feedforward[regulator.led] = regulator.ahead @ p
+            self._by_forces = feedforward, regulator.T @ p
+        return self._by_forces
