@@ -13,6 +13,9 @@ import numpy as np
 from model.arrays import Array
 from mpc.feedback import Regulator
 
+# Directions that the closed loop changes by less than this share per step are not regulated (headings).
+_RANK = 1e-9
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Preview:
@@ -50,7 +53,7 @@ def preview(regulator: Regulator, X_ref: Array, pull: Array) -> Preview:
     pushed = drift @ P  # P is symmetric
     slope = np.empty_like(reference)
     feedforward = np.zeros((len(X_ref), len(regulator.K)))
-    p = at_rest(regulator, pulled[-1])
+    p: Array = at_rest(regulator, pulled[-1])
     for k in range(len(X_ref) - 1, -1, -1):
         h = p + pushed[k]
         feedforward[k, regulator.led] = regulator.ahead @ h
@@ -71,5 +74,5 @@ def at_rest(regulator: Regulator, pulled: Array) -> Array:
         pulled: Half the gradient of the stage cost, in the regulator's coordinates, (r,) or (r, columns).
     Returns: p, the same shape.
     """
-    solution: Array = np.linalg.lstsq(np.eye(len(regulator.closed)) - regulator.closed.T, pulled, rcond=1e-9)[0]
+    solution: Array = np.linalg.lstsq(np.eye(len(regulator.closed)) - regulator.closed.T, pulled, rcond=_RANK)[0]
     return solution

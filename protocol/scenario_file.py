@@ -148,6 +148,7 @@ def _check_relations(scenario: Scenario, source: str) -> None:
         raise ScenarioError(source, "agents.owned", f"expected each UAV once, got none for UAV{missing[0]}")
     names = [f"agent{agent}" for agent in range(1, len(scenario.owned) + 1)]
     _check_links(scenario, source, names)
+    _check_controller(scenario, source)
     _check_clock(scenario, source)
     _check_faults(scenario, source, names)
     low, high = scenario.controller.limits.thrust_N
@@ -159,6 +160,16 @@ def _check_relations(scenario: Scenario, source: str) -> None:
     _check_drag(scenario, source)
     _check_path(scenario, source)
     _check_network(scenario, source)
+
+
+def _check_controller(scenario: Scenario, source: str) -> None:
+    section = scenario.controller
+    if section.terminal == "riccati" and section.weights.priced == "absolute":
+        expected = "expected 'deviation' with controller.terminal = 'riccati', whose optimum rests at hover"
+        raise ScenarioError(source, "controller.weights.priced", f"{expected}, got 'absolute'")
+    if section.preview and section.prediction == "open_loop" and section.terminal == "multiple":
+        expected = "expected controller.prediction = 'closed_loop' or controller.terminal = 'riccati' with it"
+        raise ScenarioError(source, "controller.preview", f"{expected}, got neither")
 
 
 def _check_links(scenario: Scenario, source: str, agents: list[str]) -> None:
