@@ -63,6 +63,7 @@ OUTCOME: Columns = {
     "cost over unimpaired": number("cost_ratio"),
     "cost, 1e-3": number("cost_mean", 1e3),
     "attitude, deg": number("attitude_max_deg"),
+    "swing, m": number("swing_m"),
 }
 
 COMPARED: Columns = {
@@ -76,6 +77,7 @@ COMPARED: Columns = {
     "over centralized": number("cost_mean_ratio", digits=3),
     "peak over centralized": number("cost_max_ratio", digits=3),
     "attitude, deg": lambda row: number("attitude_max_deg")(row).partition(" ")[0],
+    "swing, m": lambda row: number("swing_m")(row).partition(" ")[0],
     "CPU of a step, ms": lambda row: number("cpu_step_p50_ms")(row).partition(" ")[0],
     "of the team, s/s": lambda row: number("cpu_team_s_per_s")(row).partition(" ")[0],
 }
@@ -89,6 +91,7 @@ GROWTH: Columns = {
     "plans, kB/s": lambda row: number("plan_bytes_per_s", 1e-3, 0)(row).partition(" ")[0],
     "cost, 1e-3": lambda row: number("cost_mean", 1e3)(row).partition(" ")[0],
     "over centralized": number("cost_ratio"),
+    "swing, m": lambda row: number("swing_m")(row).partition(" ")[0],
 }
 
 
@@ -241,7 +244,8 @@ def page(sections: Sequence[tuple[Section, list[str], str]]) -> str:
         "Every number here comes from the command above it, and `make figures` makes them all again. Costs, attitudes "
         "and survival are the same on every machine; processor times are of the machine named below a table. Costs are "
         "means over a flight of the team's cost at each tick ([equations.md](equations.md) (21)), ± half the 95 % "
-        "confidence interval where chance plays a part. How experiments work: [experiments.md](experiments.md)."
+        "confidence interval where chance plays a part. `swing` is the largest distance of the payload from its "
+        "reference in the last 4 s of a flight. How experiments work: [experiments.md](experiments.md)."
     ]
     for section, sentences, machine in sections:
         command = " ".join(("transport experiment", section.name, *section.arguments))
@@ -260,6 +264,12 @@ def machine_of(section: Section) -> str:
     return identity["machine"]
 
 
+def between(values: Sequence[float]) -> str:
+    """The range of values, two digits each; a single value where both ends round to the same."""
+    low, high = f"{min(values):.2f}", f"{max(values):.2f}"
+    return high if low == high else f"{low} to {high}"
+
+
 def at_a_glance() -> str:
     """The table of the README: what the network does to the two algorithms."""
     by_name = {section.name: read(section) for section in SECTIONS}
@@ -275,10 +285,9 @@ def at_a_glance() -> str:
         if not completed:
             first = min(float(row["first_lost_s"]) for row in rows)
             return f"lost, at {first:.1f} s" if flights == 1 else f"all {flights} lost, from {first:.1f} s on"
-        low, high = f"{min(ratios):.2f}", f"{max(ratios):.2f}"
-        cost = f"{high} times the cost" if low == high else f"{low} to {high} times the cost"
         count = "completes" if flights == 1 else f"{completed} of {flights} complete"
-        return f"{count}, {cost}"
+        swings = [float(row["swing_m"]) for row in rows if row["swing_m"]]
+        return f"{count}, {between(ratios)} times the cost, swing {between(swings)} m"
 
     lines = ["| | `paper`, as printed | `resilient` |", "|---|---|---|"]
     for what, name, labels in (

@@ -57,7 +57,8 @@ def preview(regulator: Regulator, X_ref: Array, pull: Array) -> Preview:
     for k in range(len(X_ref) - 1, -1, -1):
         h = p + pushed[k]
         feedforward[k, regulator.led] = regulator.ahead @ h
-        p = slope[k] = h @ closed + pulled[k]
+        slope[k] = h @ closed + pulled[k]
+        p = slope[k]
     slope = slope @ T.T
     for array in (feedforward, slope):
         array.setflags(write=False)

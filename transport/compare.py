@@ -9,6 +9,7 @@ from transport.metrics import summarise
 from transport.report import HELD
 from transport.run_folder import RecordedRun
 from transport.series import Series, series_of
+from transport.swing import SWING_S
 
 Summary = dict[str, Any]
 
@@ -80,6 +81,11 @@ def _exceeded(summary: Summary) -> float | None:
     return None if share is None else 0.0 if share < HELD else 100.0 * share
 
 
+def _decays(summary: Summary) -> str | None:
+    decays = summary["payload_tracking"]["decays"]
+    return None if decays is None else "yes" if decays else "no"
+
+
 # What is compared: name, unit, and where it stands in the summary (docs/summary.md).
 _QUANTITIES: tuple[tuple[str, str, Callable[[Summary], Any]], ...] = (
     ("scenario", "", _at("scenario")),
@@ -89,8 +95,12 @@ _QUANTITIES: tuple[tuple[str, str, Callable[[Summary], Any]], ...] = (
     ("cost, max", "", _at("cost", "max")),
     ("cost, max after hover", "", _at("cost", "max_after_hover")),
     ("payload attitude, max", "deg", _at("attitude_max_deg")),
-    ("payload error, rms", "m", _at("tracking", "rms_m")),
-    ("payload error, max", "m", _at("tracking", "max_m")),
+    ("UAV error, rms", "m", _at("uav_tracking", "rms_m")),
+    ("UAV error, max", "m", _at("uav_tracking", "max_m")),
+    ("payload error, rms", "m", _at("payload_tracking", "rms_m")),
+    ("payload error, max", "m", _at("payload_tracking", "max_m")),
+    (f"payload error, max of last {SWING_S:g} s", "m", _at("payload_tracking", "swing_m")),
+    ("payload swing decays", "", _decays),
     ("separation, min", "m", _at("separation_min_m")),
     ("limits exceeded, max", "%", _exceeded),
     ("agent step, median", "ms", _at("agent_step_ms", "p50")),
@@ -128,7 +138,7 @@ def doubts(runs: Sequence[Compared]) -> Iterator[str]:
         if differs.maneuver != scenario.maneuver:
             yield (
                 f"{other.label} flies another maneuver than {first.label}: errors are each against its own reference; "
-                "cost, attitude and tracking do not tell which controller is better"
+                "cost, attitude and position errors do not tell which controller is better"
             )
         if differs.system != scenario.system:
             yield f"{other.label} is another system than {first.label} (UAVs or payload): cost is not of the same"

@@ -11,6 +11,7 @@ from protocol.messages import STAGES, Control, FaultNote, Message, Plan, Rejecte
 from protocol.setup import Setup
 from transport.log import RunLog
 from transport.series import Series, series_of
+from transport.swing import swing_of
 
 
 def summarise(setup: Setup, log: RunLog) -> dict[str, Any]:
@@ -107,7 +108,7 @@ def _durations(setup: Setup, log: RunLog, series: Series) -> dict[str, Any]:
 def _flight(setup: Setup, series: Series) -> dict[str, Any]:
     # The first phase lets the formation settle about its hover, as in the paper's section V.
     settled = series.times_s >= setup.maneuver.phases[0].duration_s
-    errors_m = np.linalg.norm(series.payload_error_I, axis=1)
+    swing = swing_of(setup, series)
     return {
         "cost": {
             "mean": _number(series.cost.mean()) if len(series.cost) else None,
@@ -115,12 +116,23 @@ def _flight(setup: Setup, series: Series) -> dict[str, Any]:
             "max_after_hover": _largest(series.cost[settled]),
         },
         "attitude_max_deg": _largest(series.attitude_max_deg),
-        "tracking": {
-            "rms_m": _number(np.sqrt(np.mean(errors_m**2))) if len(errors_m) else None,
-            "max_m": _largest(errors_m),
+        "uav_tracking": _tracking(series.uav_errors_I),
+        "payload_tracking": {
+            **_tracking(series.payload_error_I),
+            "swing_m": None if swing.largest_m is None else _number(swing.largest_m),
+            "decays": swing.decays,
         },
         "separation_min_m": _number(series.separation_m.min(initial=np.inf)),
         "constraint_violation_max": _largest(series.violation),
+    }
+
+
+def _tracking(errors_I: Array) -> dict[str, float | None]:
+    """RMS and maximum of the lengths of position errors, (..., 3), m."""
+    errors_m = np.linalg.norm(errors_I, axis=-1).ravel()
+    return {
+        "rms_m": _number(np.sqrt(np.mean(errors_m**2))) if len(errors_m) else None,
+        "max_m": _largest(errors_m),
     }
 
 

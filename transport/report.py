@@ -19,6 +19,7 @@ from transport.log import RunLog
 from transport.metrics import summarise
 from transport.run_folder import open_run
 from transport.steps import steps_columns, steps_rows
+from transport.swing import SWING_S
 
 # Below this share of a constraint's range a violation is the solver's tolerance, nothing to tell people.
 HELD = 1e-6
@@ -75,7 +76,8 @@ def _title(summary: Mapping[str, Any]) -> Text:
 
 
 def _lines(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
-    cost, tracking, controller, solver = (summary[part] for part in ("cost", "tracking", "controller", "solver"))
+    cost, controller, solver = (summary[part] for part in ("cost", "controller", "solver"))
+    uavs, payload = summary["uav_tracking"], summary["payload_tracking"]
     lines = [
         (
             "flown",
@@ -90,7 +92,9 @@ def _lines(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         ),
         ("cost", f"mean {_text(cost['mean'], '.3g')}, max {_text(cost['max'], '.3g')}"),
         ("payload attitude", _text(summary["attitude_max_deg"], ".2f", "max {} deg")),
-        ("payload tracking", f"rms {_text(tracking['rms_m'], '.3f')} m, max {_text(tracking['max_m'], '.3f')} m"),
+        ("UAV error", _error(uavs)),
+        ("payload error", _error(payload)),
+        ("payload swing", _swing(payload)),
         ("separation", _text(summary["separation_min_m"], ".3f", "min {} m")),
         ("limits", _constraints(summary["constraint_violation_max"])),
         ("agent step", _milliseconds(summary["agent_step_ms"])),
@@ -110,6 +114,15 @@ def _lines(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     if summary["log_cut"]:
         lines.append(("log", summary["log_cut"]))
     return lines
+
+
+def _error(tracking: Mapping[str, Any]) -> str:
+    return f"rms {_text(tracking['rms_m'], '.3f')} m, max {_text(tracking['max_m'], '.3f')} m"
+
+
+def _swing(payload: Mapping[str, Any]) -> str:
+    text = _text(payload["swing_m"], ".3f", f"max {{}} m in the last {SWING_S:g} s")
+    return text if payload["decays"] is None else f"{text}, {'decays' if payload['decays'] else 'does not decay'}"
 
 
 def _constraints(violation: float | None) -> str:

@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from model import state
 from model.arrays import Array
+from model.rotations import rotation
 from mpc.cost import Cost
 from protocol.messages import Truth
 from protocol.setup import Setup
@@ -49,6 +50,12 @@ class Series:
         return self.x[:, state.R0] - self.payload_reference_I
 
     @property
+    def payload_velocity_I(self) -> Array:
+        """Payload velocity, (T, 3), inertial frame, m/s."""
+        R_IP = np.array([rotation(Theta0) for Theta0 in self.x[:, state.THETA0]]).reshape(-1, 3, 3)
+        return np.asarray(np.einsum("tij,tj->ti", R_IP, self.x[:, state.V0]))
+
+    @property
     def uav_errors_I(self) -> Array:
         """UAV positions minus their references, (T, N, 3), inertial frame, m."""
         return self.uavs_I - self.uav_references_I
@@ -72,8 +79,8 @@ def series_of(setup: Setup, log: RunLog) -> Series:
     N = setup.system.N
     x = np.array([truths[tick].x for tick in ticks]).reshape(-1, len(setup.hover.x))
     u = np.array([truths[tick].u for tick in ticks]).reshape(-1, state.INPUTS * N)
-    y = np.array([setup.model.outputs(row) for row in x]).reshape(len(ticks), 4 * N + 9)
     y_ref = setup.reference.outputs(times_s)
+    y = np.array([setup.model.outputs(row) for row in x]).reshape(y_ref.shape)
     cost = Cost(setup.settings.weights, setup.hover)
     uavs_I = y[:, : 3 * N].reshape(len(ticks), N, 3)
     separation_m = _separation(uavs_I)

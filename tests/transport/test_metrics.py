@@ -61,10 +61,25 @@ def test_cost_of_a_displaced_team() -> None:
     summary = summarise(run, log_of([truth(run, 0), truth(run, 1, change)]))
     assert summary["cost"]["max"] == pytest.approx(4 * 0.2**2 + 1e-3, rel=ROUNDING)
     assert summary["cost"]["mean"] == pytest.approx((4 * 0.2**2 + 1e-3) / 2, rel=ROUNDING)
-    assert summary["tracking"]["max_m"] == pytest.approx(0.2, rel=ROUNDING)
-    assert summary["tracking"]["rms_m"] == pytest.approx(np.sqrt(0.2**2 / 2), rel=ROUNDING)
+    for tracking in ("uav_tracking", "payload_tracking"):
+        assert summary[tracking]["max_m"] == pytest.approx(0.2, rel=ROUNDING)
+        assert summary[tracking]["rms_m"] == pytest.approx(np.sqrt(0.2**2 / 2), rel=ROUNDING)
     series = series_of(run, log_of([truth(run, 1, change)]))
     assert series.uav_errors_I == pytest.approx(np.tile([0.0, 0.2, 0.0], (1, 4, 1)), abs=ROUNDING)
+
+
+def test_uav_and_payload_errors_are_told_apart() -> None:
+    """A rod that leans moves its UAV and not the payload: one UAV of four is off, at one tick of two."""
+    run = runs.setup(HOVER)
+
+    def lean(x: Array, u: Array) -> None:
+        x[state.uav_slice(2)][state.E] = [0.0, 0.6, 0.8]
+
+    summary = summarise(run, log_of([truth(run, 0), truth(run, 1, lean)]))
+    off_m = 3.2 * np.hypot(0.6, 0.2)
+    assert summary["uav_tracking"]["max_m"] == pytest.approx(off_m, rel=ROUNDING)
+    assert summary["uav_tracking"]["rms_m"] == pytest.approx(np.sqrt(off_m**2 / 8), rel=ROUNDING)
+    assert summary["payload_tracking"] == {"rms_m": 0.0, "max_m": 0.0, "swing_m": 0.0, "decays": None}
 
 
 def test_attitude_is_the_largest_angle() -> None:
@@ -291,7 +306,8 @@ def test_an_empty_log_says_nothing() -> None:
     assert summary["ticks"] == 0
     for number in ("wall_time_s", "real_time_factor", "attitude_max_deg", "separation_min_m"):
         assert summary[number] is None
-    assert set(summary["cost"].values()) == {None}
+    for part in ("cost", "uav_tracking", "payload_tracking"):
+        assert set(summary[part].values()) == {None}
     assert summary["messages"]["sent"] == 0
 
 

@@ -140,11 +140,32 @@ def test_a_folder_without_a_log_is_refused(tmp_path: Path) -> None:
 
 
 def test_the_table_answers_the_first_questions(flight: tuple[Path, list[Message]]) -> None:
-    """At the end of a run a person reads outcome, speed, cost, attitude, tracking, times, losses, solver."""
+    """At the end of a run a person reads outcome, speed, cost, attitude, errors, swing, times, losses, solver."""
     text = printed(write_report(flight[0], figures=False))
-    for word in ("completed", "real time", "cost", "attitude", "tracking", "agent step", "network", "lost", "solver"):
+    for word in ("completed", "real time", "cost", "attitude", "agent step", "network", "lost", "solver"):
         assert word in text
+    for name in ("UAV error", "payload error", "payload swing"):
+        assert name in text
     assert len(text.splitlines()) <= MOST_LINES
+
+
+@pytest.mark.parametrize(
+    ("swing_m", "decays", "shown"),
+    [
+        (0.5538, False, "max 0.554 m in the last 4 s, does not decay"),
+        (0.12, True, "max 0.120 m in the last 4 s, decays"),
+        (0.12, None, "max 0.120 m in the last 4 s"),
+        (None, None, "-"),
+    ],
+)
+def test_the_table_says_whether_the_load_swings(
+    flight: tuple[Path, list[Message]], swing_m: float | None, decays: bool | None, shown: str
+) -> None:
+    """Size of the swing at the end, and whether it decays where the run tells."""
+    summary = write_report(flight[0], figures=False)
+    payload = summary["payload_tracking"] | {"swing_m": swing_m, "decays": decays}
+    lines = [" ".join(line.split()) for line in printed(summary | {"payload_tracking": payload}).splitlines()]
+    assert [line for line in lines if line.startswith("payload swing")] == [f"payload swing {shown}"]
 
 
 def test_the_table_names_the_worst_offender(flight: tuple[Path, list[Message]]) -> None:

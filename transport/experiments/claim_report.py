@@ -36,7 +36,7 @@ _SHOWN = (
     ("peak\n(1e-3)", "cost_max", 1e3, 1, False),
     ("peak over\ncentralized", "cost_max", 1.0, 3, True),
     ("attitude\n(deg)", "attitude_max_deg", 1.0, 2, False),
-    ("error\n(mm)", "tracking_rms_m", 1e3, 1, False),
+    ("error\n(mm)", "payload_rms_m", 1e3, 1, False),
     ("CPU step\n(ms)", "cpu_step_p50_ms", 1.0, 2, False),
     ("team\n(s/s)", "cpu_team_s_per_s", 1.0, 2, False),
 )

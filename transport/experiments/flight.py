@@ -30,8 +30,11 @@ NUMBERS = (
     "cost_mean",
     "cost_max",
     "attitude_max_deg",
-    "tracking_rms_m",
-    "tracking_max_m",
+    "uav_rms_m",
+    "uav_max_m",
+    "payload_rms_m",
+    "payload_max_m",
+    "swing_m",  # largest payload error at the end, swing.SWING_S
     "separation_min_m",
     "plan_age_mean_ticks",
     "plan_age_max_ticks",
@@ -123,13 +126,17 @@ def _result(case: Case, flight: Callable[[Setup], tuple[dict[str, Any], RunLog]]
 
 def _numbers(summary: dict[str, Any]) -> list[float | None]:
     """In the order of `NUMBERS`, behind the first."""
-    cost, tracking, ages, messages = (summary[part] for part in ("cost", "tracking", "plan_age_ticks", "messages"))
+    cost, ages, messages = (summary[part] for part in ("cost", "plan_age_ticks", "messages"))
+    uavs, payload = summary["uav_tracking"], summary["payload_tracking"]
     return [
         cost["mean"],
         cost["max"],
         summary["attitude_max_deg"],
-        tracking["rms_m"],
-        tracking["max_m"],
+        uavs["rms_m"],
+        uavs["max_m"],
+        payload["rms_m"],
+        payload["max_m"],
+        payload["swing_m"],
         summary["separation_min_m"],
         ages["mean"],
         ages["max"],

@@ -9,7 +9,7 @@ from types import TracebackType
 import orjson
 
 from transport.experiments.errors import ExperimentError, refused
-from transport.experiments.flight import ERROR, Result
+from transport.experiments.flight import ERROR, NUMBERS, Result
 from transport.report import write_whole
 
 _IDENTITY, _RESULTS = "experiment.json", "results.jsonl"
@@ -73,6 +73,10 @@ class Results:
                 result = Result(**orjson.loads(line))
             except (ValueError, TypeError):
                 self.notices.append(f"{path}: line {number} is no result; its flight is flown again")
+                continue
+            missing = [name for name in NUMBERS if name not in result.numbers]
+            if missing and result.outcome != ERROR:
+                self.notices.append(f"{path}: line {number} has no {missing[0]}; its flight is flown again")
                 continue
             self._by_key[result.key] = result
 

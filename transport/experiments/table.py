@@ -33,13 +33,14 @@ class _Shown(NamedTuple):
 
 
 _SHOWN = [
-    _Shown("lost at\n(s)", _LOST, 1.0, 1, False),
+    _Shown("lost\n(s)", _LOST, 1.0, 1, False),
     _Shown("cost mean\n(1e-3)", "cost_mean", 1e3, 2, True),
     _Shown("cost\nratio", _RATIO, 1.0, 2, False),
     _Shown("max\n(1e-3)", "cost_max", 1e3, 1, False),
     _Shown("attitude\n(deg)", "attitude_max_deg", 1.0, 2, True),
+    _Shown("swing\n(m)", "swing_m", 1.0, 2, False),
     _Shown("apart\n(m)", "separation_min_m", 1.0, 3, False),
-    _Shown("age\n(ticks)", "plan_age_mean_ticks", 1.0, 2, False),
+    _Shown("age\n(tick)", "plan_age_mean_ticks", 1.0, 2, False),
 ]
 
 # What is read of flights whose computation was measured.
@@ -47,12 +48,13 @@ _SHOWN_TIMED = [
     _Shown("CPU step\np50 (ms)", "cpu_step_p50_ms", 1.0, 2, True),
     _Shown("p99\n(ms)", "cpu_step_p99_ms", 1.0, 2, False),
     _Shown("team\n(ms)", "cpu_team_tick_ms", 1.0, 1, False),
-    _Shown("flight\n(s/s)", "cpu_flight_s_per_s", 1.0, 2, False),
+    _Shown("run\n(s/s)", "cpu_flight_s_per_s", 1.0, 2, False),
     _Shown("plans\n/tick", "plans_per_tick", 1.0, 0, False),
-    _Shown("\n(kB/s)", "plan_bytes_per_s", 1e-3, 1, False),
+    _Shown("\nkB/s", "plan_bytes_per_s", 1e-3, 1, False),
     _Shown("cost\n(1e-3)", "cost_mean", 1e3, 2, False),
     _Shown("cost\nratio", _RATIO, 1.0, 2, False),
     _Shown("attitude\n(deg)", "attitude_max_deg", 1.0, 2, False),
+    _Shown("swing\n(m)", "swing_m", 1.0, 2, False),
 ]
 
 

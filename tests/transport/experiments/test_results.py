@@ -1,17 +1,19 @@
 """The folder of an experiment: kept results survive, damage is told, other people's folders are left alone."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from transport.experiments.errors import EXIT_USAGE, ExperimentError
-from transport.experiments.flight import ERROR, Result
+from transport.experiments.flight import ERROR, NUMBERS, Result
 from transport.experiments.results import Results
 
 
 def result(key: str, outcome: str = "completed", cost: float = 0.1 + 0.2) -> Result:
     """What came of a flight."""
-    return Result(key=key, outcome=outcome, reason="", numbers={"cost_mean": cost, "lost_s": None})
+    numbers: dict[str, float | None] = dict.fromkeys(NUMBERS)
+    return Result(key=key, outcome=outcome, reason="", numbers=numbers | {"cost_mean": cost})
 
 
 def opened(folder: Path, experiment: str = "latency") -> Results:
@@ -66,6 +68,19 @@ def test_a_foreign_line_is_told(tmp_path: Path) -> None:
     with opened(tmp_path) as results:
         assert results.notices == [f"{path}: line 1 is no result; its flight is flown again"]
         assert results.done("a")
+
+
+def test_a_result_of_an_older_version_is_flown_again(tmp_path: Path) -> None:
+    """A result without one of the numbers is named and skipped; an error has no numbers and is kept."""
+    older = replace(result("a"), numbers={"cost_mean": 0.1, "lost_s": None})
+    with opened(tmp_path) as results:
+        results.add(older)
+        results.add(Result(key="b", outcome=ERROR, reason="why", numbers={}))
+    with opened(tmp_path) as results:
+        path = tmp_path / "results.jsonl"
+        assert results.notices == [f"{path}: line 1 has no {NUMBERS[2]}; its flight is flown again"]
+        assert not results.done("a")
+        assert results["b"].outcome == ERROR
 
 
 def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:

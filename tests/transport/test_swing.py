@@ -1,0 +1,179 @@
+"""Payload swing at the end of a run: synthetic pendulums of known damping, and the paper's maneuver."""
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+
+from model import state
+from model.arrays import Array
+from model.rotations import rotation
+from protocol.messages import Truth
+from protocol.scenario_file import find_scenario, read_scenario
+from protocol.setup import Setup
+from tests import runs
+from tests.transport.logs import ALONE, log_of, truth
+from transport.memory import fly
+from transport.metrics import summarise
+from transport.series import series_of
+from transport.swing import AT_REST_M, Swing, swing_of
+
+# The last hover of the paper's maneuver, after a second of translation.
+HOLD = (
+    "maneuver.phase=[{name='translate',duration_s=1.0,displacement_m=[0.5,0,0]},"
+    "{name='hover',duration_s=5.0,displacement_m=[0,0,0]}]"
+)
+TICKS = 120
+OMEGA = math.sqrt(9.81 / 3.2)  # pendulum of the paper's rods, rad/s
+
+# Phases at t = 0 that cover the half period in which the speed repeats.
+PHASES = [math.pi * i / 8.0 for i in range(8)]
+
+# The largest error between two samples 50 ms apart: 1 - cos(OMEGA 0.025) = 1e-3, and the damping in between.
+SAMPLING = 5e-3
+
+
+def swinging(
+    run: Setup,
+    *,
+    amplitude_m: float = 0.3,
+    damping: float = 0.0,
+    phase: float = 0.0,
+    omega: float = OMEGA,
+    offset_I: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    vertical_mps: float = 0.0,
+    ticks: Iterable[int] = range(TICKS),
+) -> Swing:
+    """Measure a pendulum in y, amplitude_m exp(-damping t) cos(omega t + phase), about an offset of the payload.
+
+    Args:
+        run: Its payload carries the swing on top of the reference.
+        amplitude_m: At t = 0.
+        damping: 1/s; negative for a growing swing.
+        phase: At t = 0, rad.
+        omega: rad/s.
+        offset_I: Constant position error, (3,), m.
+        vertical_mps: Vertical speed at t = 0, that decays with 1/s.
+        ticks: Those in the log.
+    """
+
+    def at(k: int) -> Truth:
+        t_s = 0.05 * k
+        envelope_m = amplitude_m * math.exp(-damping * t_s)
+        cos, sin = math.cos(omega * t_s + phase), math.sin(omega * t_s + phase)
+
+        def change(x: Array, u: Array) -> None:
+            x[state.R0] += offset_I
+            x[1] += envelope_m * cos
+            x[state.V0] = [0.0, -envelope_m * (damping * cos + omega * sin), vertical_mps * math.exp(-t_s)]
+
+        return truth(run, k, change)
+
+    return swing_of(run, series_of(run, log_of([at(k) for k in ticks])))
+
+
+@pytest.mark.parametrize("phase", PHASES)
+def test_a_sustained_swing_does_not_decay(phase: float) -> None:
+    """A constant or growing amplitude never counts as decaying, whatever the phase at the end of the run."""
+    run = runs.setup(HOLD)
+    swing = swinging(run, phase=phase)
+    assert swing.decays is False
+    assert swing.largest_m == pytest.approx(0.3, rel=SAMPLING)
+    assert swinging(run, phase=phase, damping=-0.1).decays is False
+
+
+@pytest.mark.parametrize("phase", PHASES)
+def test_a_damped_swing_decays(phase: float) -> None:
+    """A damping ratio of 0.02 counts as decaying at any phase; one of 0.005 does not."""
+    run = runs.setup(HOLD)
+    assert swinging(run, phase=phase, damping=0.02 * OMEGA).decays is True
+    assert swinging(run, phase=phase, damping=0.005 * OMEGA).decays is False
+
+
+def test_a_constant_offset_is_no_swing() -> None:
+    """Rods that lean in wind add to the error; whether the swing about it decays does not depend on that."""
+    run, lean = runs.setup(HOLD), (0.0, 0.22, 0.0)
+    still = swinging(run, amplitude_m=0.0, offset_I=lean)
+    assert still.decays is True
+    assert still.largest_m == pytest.approx(0.22, rel=1e-12)
+    for phase in PHASES:
+        assert swinging(run, phase=phase, offset_I=lean).decays is False
+        assert swinging(run, phase=phase, offset_I=lean, damping=0.02 * OMEGA).decays is True
+
+
+def test_vertical_motion_is_no_swing() -> None:
+    """A vertical error that vanishes does not make a sustained swing decay."""
+    assert swinging(runs.setup(HOLD), amplitude_m=0.05, vertical_mps=5.0).decays is False
+
+
+def test_a_small_swing_is_at_rest() -> None:
+    """Below 1 cm a swing counts as at rest even if it is sustained."""
+    run = runs.setup(HOLD)
+    assert swinging(run, amplitude_m=0.9 * AT_REST_M).decays is True
+    assert swinging(run, amplitude_m=1.1 * AT_REST_M).decays is False
+
+
+def test_runs_that_do_not_tell() -> None:
+    """Without 4 s of hold at the end, or with a gap in them, there is no answer; the error is known all the same."""
+    run = runs.setup(HOLD)
+    short = runs.setup(HOLD.replace("duration_s=5.0", "duration_s=3.95"))
+    moving = runs.setup(HOLD.replace("[0,0,0]", "[0,0,0.1]"))
+    assert swinging(short, ticks=range(99)).decays is None
+    assert swinging(moving).decays is None
+    assert swinging(run, ticks=range(99)).decays is None  # ended 3.95 s into the hold
+    assert swinging(run, ticks=range(100)).decays is False
+    gap = swinging(run, ticks=[*range(100), *range(101, TICKS)])
+    assert gap.decays is None
+    assert gap.largest_m == pytest.approx(0.3, rel=SAMPLING)
+    assert swinging(run, ticks=[]) == Swing(largest_m=None, decays=None)
+
+
+def test_only_the_end_of_the_run_counts() -> None:
+    """The largest error is of the last 4 s: 80 ticks of 50 ms."""
+    run = runs.setup(HOLD)
+
+    def off(x: Array, u: Array) -> None:
+        x[1] += 1.0
+
+    for k, expected_m in ((39, 0.0), (40, 1.0)):
+        records = [truth(run, i, off) if i == k else truth(run, i) for i in range(TICKS)]
+        assert swing_of(run, series_of(run, log_of(records))).largest_m == pytest.approx(expected_m, abs=1e-12)
+
+
+def test_holds_in_a_row_are_one() -> None:
+    """Two holds of 2.5 s at the end are as good as one of 5 s."""
+    half = "{name='hover',duration_s=2.5,displacement_m=[0,0,0]}"
+    run = runs.setup(HOLD.replace("{name='hover',duration_s=5.0,displacement_m=[0,0,0]}", f"{half},{half}"))
+    assert swinging(run).decays is False
+
+
+@pytest.mark.parametrize("phase", PHASES)
+def test_windows_are_as_long_as_the_rods_need(phase: float) -> None:
+    """On a rod of 6 m half a period is 2.46 s: the windows cover it, so that no phase looks like a decay."""
+    run = runs.setup(HOLD, ALONE[0].replace("3.2", "6.0"), *ALONE[1:])
+    assert swinging(run, phase=phase, omega=math.sqrt(9.81 / 6.0)).decays is False
+
+
+def test_velocity_in_the_inertial_frame() -> None:
+    """The velocity of a tilted and yawed payload is the same as of a level one."""
+    run, moving = runs.setup(HOLD), np.array([0.3, -0.2, 0.1])
+
+    def turned(x: Array, u: Array) -> None:
+        x[state.THETA0] = [0.1, -0.2, 1.0]
+        x[state.V0] = rotation(x[state.THETA0]).T @ moving
+
+    series = series_of(run, log_of([truth(run, 0), truth(run, 1, turned)]))
+    assert series.payload_velocity_I[1] == pytest.approx(moving, rel=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("damped", [False, True])
+def test_the_papers_maneuver(damped: bool) -> None:
+    """The cost of the paper leaves a sustained swing of 0.55 m; one more term, of the payload's speed, damps it."""
+    term = "controller.cost=[{expression='v0[0]',weight=0.1}]"
+    run = Setup.of(read_scenario(find_scenario("resilient"), [term] if damped else []), "resilient")
+    messages = runs.recorded(run, fly)
+    payload = summarise(run, log_of(messages))["payload_tracking"]
+    assert payload["decays"] is damped
+    assert (payload["swing_m"] < 0.4) is damped
