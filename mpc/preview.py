@@ -75,5 +75,5 @@ def at_rest(regulator: Regulator, pulled: Array) -> Array:
         pulled: Half the gradient of the stage cost, in the regulator's coordinates, (r,) or (r, columns).
     Returns: p, the same shape.
     """
-    solution: Array = np.linalg.lstsq(np.eye(len(regulator.closed)) - regulator.closed.T, pulled, rcond=_RANK)[0]
-    return solution
+    forgetting = np.eye(len(regulator.closed)) - regulator.closed.T
+    return np.asarray(np.linalg.lstsq(forgetting, pulled, rcond=_RANK)[0], dtype=np.float64)

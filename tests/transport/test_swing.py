@@ -85,10 +85,10 @@ def test_a_sustained_swing_does_not_decay(phase: float) -> None:
 
 @pytest.mark.parametrize("phase", PHASES)
 def test_a_damped_swing_decays(phase: float) -> None:
-    """A damping ratio of 0.02 counts as decaying at any phase; one of 0.005 does not."""
+    """A damping ratio of 0.02 counts as decaying at any phase; one of 0.003 does not."""
     run = runs.setup(HOLD)
     assert swinging(run, phase=phase, damping=0.02 * OMEGA).decays is True
-    assert swinging(run, phase=phase, damping=0.005 * OMEGA).decays is False
+    assert swinging(run, phase=phase, damping=0.003 * OMEGA).decays is False
 
 
 def test_a_constant_offset_is_no_swing() -> None:
@@ -168,12 +168,11 @@ def test_velocity_in_the_inertial_frame() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("damped", [False, True])
-def test_the_papers_maneuver(damped: bool) -> None:
-    """The cost of the paper leaves a sustained swing of 0.55 m; one more term, of the payload's speed, damps it."""
-    term = "controller.cost=[{expression='v0[0]',weight=0.1}]"
-    run = Setup.of(read_scenario(find_scenario("resilient"), [term] if damped else []), "resilient")
+@pytest.mark.parametrize(("name", "decays"), [("centralized", False), ("centralized_lq", True)])
+def test_the_papers_maneuver(name: str, decays: bool) -> None:
+    """A horizon of 1 s leaves a sustained swing of 0.55 m; with the infinite horizon behind it the swing dies out."""
+    run = Setup.of(read_scenario(find_scenario(name), []), name)
     messages = runs.recorded(run, fly)
     payload = summarise(run, log_of(messages))["payload_tracking"]
-    assert payload["decays"] is damped
-    assert (payload["swing_m"] < 0.4) is damped
+    assert payload["decays"] is decays
+    assert (payload["swing_m"] < 0.4) is decays
