@@ -17,6 +17,7 @@ import numpy.typing as npt
 from agent.announced import AnnouncedInputs
 from agent.disturbance import DisturbanceEstimator
 from agent.estimator import StateEstimator
+from agent.sharing import Sharing
 from model import state
 from model.arrays import Array, ShapeError
 from model.discretisation import Discrete
@@ -141,6 +142,8 @@ class AgentNode:
         self._step: _Step | None = None  # being negotiated
         self._arrived: dict[int, set[int]] = {}  # whose plans are physically here, by tick
         self._proposals: dict[tuple[int, int], dict[int, Plan]] = {}  # by tick and negotiation, and agent
+        limits, uavs = setup.settings.limits, len(self._uavs)
+        self._sharing = Sharing(setup.scenario.controller, limits.lower(uavs), limits.upper(uavs))
         self._last_tick = -1
         # Plans that came while it was not on the roster as it knows it: those of two ticks.
         self._early: deque[Plan] = deque(maxlen=2 * len(self._peers) * setup.scenario.controller.rounds)
@@ -277,14 +280,14 @@ class AgentNode:
         self._controller.without([uav for agent in sorted(gone) for uav in self._setup.owned[agent - 1]])
 
     def _has_plans_for(self, measurement: Measurement) -> bool:
-        """Whether the roster is here, and the plans of the tick before from whoever sent one and is still on it."""
+        """Whether the roster is here, and the plans of the tick before from those on it that shared one."""
         if not self._waits:
             return True
         if measurement.roster > self._membership.version:
             return False
         if measurement.tick - 1 < self._membership.since.get(self._agent, 0):
             return True  # what was sent before this process took part is not for it
-        senders = set(measurement.answered) & self._membership.took_part(measurement.tick - 1) - {self._agent}
+        senders = set(measurement.shared) & self._membership.took_part(measurement.tick - 1) - {self._agent}
         return senders <= self._arrived.get(measurement.tick - 1, set())
 
     def _has_proposals_for(self, step: _Step) -> bool:
@@ -375,9 +378,10 @@ class AgentNode:
         for stage, (begun, done) in zip(_IN_A_ROUND, pairwise(watch), strict=True):
             step.times_ns[stage] += done - begun
         step.negotiation -= 1
+        k, roster = step.measurement.tick, step.measurement.roster
         plan = self._out.stamp(
             Plan,
-            tick=step.measurement.tick,
+            tick=k,
             agent=self._agent,
             start_tick=step.start,
             uavs=self._uavs,
@@ -386,6 +390,7 @@ class AgentNode:
             corrections=optimum.c,
             status=optimum.solution.status,
             negotiation=step.negotiation,
+            shared=step.negotiation > 0 or self._sharing.decide(k, step.start, optimum.c, roster),
         )
         if step.negotiation > 0:
             return [plan]

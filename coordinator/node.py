@@ -63,6 +63,7 @@ class CoordinatorNode:
         self._members: set[int] = set(setup.agents)
         self._joining: dict[int, int] = {}  # agents to be put on the roster, with their incarnations
         self._answered: set[int] = set()
+        self._shared: set[int] = set()  # those of them whose plans the other agents got
         self._negotiating: dict[int, int] = {}  # exchanges still to come in the open tick, of who has proposed in it
         self._owes_ns: dict[int, int] = {}  # in real time: since when there is something that an agent has not answered
         self._waits = self._clock.mode == "lockstep"
@@ -175,6 +176,9 @@ class CoordinatorNode:
                 raise MessageError("wrong_incarnation", "plan of an incarnation that is not on the roster")
             check_moment(message, self._tick if self._waits else 0, self._tick)
             if message.negotiation == 0:
+                if message.tick == self._tick and message.agent in self._answered:
+                    # A plan has two keys it can come under, and only one of them may count.
+                    raise MessageError("replayed", f"plan of tick {message.tick} again")
                 self._answer(message, now_ns)
             else:
                 self._negotiating[message.agent] = message.negotiation
@@ -267,6 +271,8 @@ class CoordinatorNode:
         self._owes_ns[plan.agent] = now_ns
         if plan.tick == self._tick:
             self._answered.add(plan.agent)
+            if plan.shared:
+                self._shared.add(plan.agent)
             del self._owes_ns[plan.agent]
         if not self._waits:
             self._overrun_ns = max(self._overrun_ns, now_ns - self._deadline_ns(plan.tick + 1))
@@ -377,13 +383,13 @@ class CoordinatorNode:
             self._joining = {}
             changes = [self._out.again(change) for change in self._changes]
             news = [*changes, self._roster(f"{names} joined at {self._time(self._tick + 1)}", self._tick + 1)]
-        answered = tuple(sorted(self._answered))
+        answered, shared = tuple(sorted(self._answered)), tuple(sorted(self._shared))
         late_ns = 0 if self._waits or self._tick < 0 else max(0, now_ns - self._due_ns())
         if self._clock.on_overrun == "hold" and not self._waits:
             self._start_ns += late_ns  # the deadlines move by what was waited
         overrun_ns, self._overrun_ns = self._overrun_ns, 0
         self._tick += 1
-        self._answered, self._negotiating = set(), {}
+        self._answered, self._shared, self._negotiating = set(), set(), {}
         self._opened_ns = now_ns
         if self._last_truth + 1 == self._tick:
             self._truth_ns = now_ns
@@ -396,6 +402,7 @@ class CoordinatorNode:
                 tick=self._tick,
                 members=tuple(sorted(self._members)),
                 answered=answered,
+                shared=shared,
                 roster=self._roster_version,
                 late_ns=late_ns,
                 overrun_ns=overrun_ns,

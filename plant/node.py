@@ -134,6 +134,8 @@ class PlantNode:
     def _take(self, plan: Plan, now_ns: int) -> None:
         check_moment(plan, 0, self._measured_tick)
         if plan.negotiation == 0:
+            if plan.agent in self._arrived.get(plan.tick, ()):
+                raise MessageError("replayed", f"plan of tick {plan.tick} again")  # shared, and unshared
             self._plans.put(plan, now_ns)
             self._arrived.setdefault(plan.tick, set()).add(plan.agent)
 
@@ -179,6 +181,7 @@ class PlantNode:
                 tick=tick.tick,
                 agent=agent,
                 answered=tick.answered,
+                shared=tick.shared,
                 roster=tick.roster,
                 payload=seen[agent][: state.PAYLOAD],
                 uavs=tuple(i + 1 for i in owned),

@@ -69,6 +69,7 @@ class Claims:
             case Measurement():
                 self._check_owner(message, message.agent, message.uavs)
                 self._check_others("answered", message.answered)
+                self._check_others("shared", message.shared)
                 _check_size("payload", message.payload)
                 _check_states(message.uav_states)
                 _check_size("inputs", message.inputs)
@@ -77,6 +78,7 @@ class Claims:
             case Tick():
                 self._check_others("members", message.members)
                 self._check_others("answered", message.answered)
+                self._check_others("shared", message.shared)
             case Roster():
                 self._check_others("agents", message.agents)
             case StepReport():

@@ -3,6 +3,7 @@
 transport/{run}/tick                     coordinator -> plant
 transport/{run}/measurement/{agent}      plant -> that agent
 transport/{run}/plan/{agent}             agent -> other agents, plant, coordinator
+transport/{run}/unshared/{agent}         agent -> plant, coordinator: plans that the other agents do not get
 transport/{run}/roster, .../control      coordinator -> everybody; changes of links come under the key of the roster
 transport/{run}/truth                    plant -> coordinator, recorder
 transport/{run}/report/{agent}           agent -> recorder
@@ -33,7 +34,10 @@ from protocol.messages import (
 _RUN = re.compile(r"[A-Za-z0-9_.-]{1,80}")
 _ALIVE = re.compile(r"alive/([^/]+)/([0-9]{1,15})/([^/]+)(?:/([0-9]{1,5}))?")
 _READY = re.compile(r"ready/([^/]+)/([0-9]{1,15})()()")
-_SEVERAL = (Measurement.kind, Plan.kind, StepReport.kind, Rejected.kind)  # one key per agent or process
+# Where plans travel that are not shared with the other agents: they have no subscription that covers it.
+_UNSHARED = "unshared"
+# One key per agent or process.
+_SEVERAL = (Measurement.kind, Plan.kind, _UNSHARED, StepReport.kind, Rejected.kind)
 
 # Name of the process that records a run and takes no other part in it.
 RECORDER = "recorder"
@@ -106,6 +110,8 @@ class Keys:
     def of(self, message: Message) -> str:
         """Key a message travels under."""
         match message:
+            case Plan(agent=agent, shared=False):
+                return f"{self.prefix}/{_UNSHARED}/{agent}"
             case Measurement(agent=agent) | Plan(agent=agent) | StepReport(agent=agent):
                 return f"{self.prefix}/{message.kind}/{agent}"
             case Rejected(sender=sender):
@@ -118,7 +124,7 @@ class Keys:
     def subscriptions(self, name: str) -> list[str]:
         """Key expressions a process listens to, by its name."""
         everybody = [f"{self.prefix}/{kind}" for kind in (Roster.kind, Control.kind)]
-        plans = f"{self.prefix}/{Plan.kind}/*"
+        plans, unshared = f"{self.prefix}/{Plan.kind}/*", f"{self.prefix}/{_UNSHARED}/*"
         if name == RECORDER:
             return [
                 *everybody,
@@ -132,9 +138,9 @@ class Keys:
                 *[f"{self.prefix}/{kind}/*" for kind in (StepReport.kind, Rejected.kind)],
             ]
         if name == "coordinator":
-            return [plans, f"{self.prefix}/{Truth.kind}"]
+            return [plans, unshared, f"{self.prefix}/{Truth.kind}"]
         if name == "plant":
-            return [*everybody, plans, f"{self.prefix}/{Tick.kind}"]
+            return [*everybody, plans, unshared, f"{self.prefix}/{Tick.kind}"]
         return [*everybody, plans, f"{self.prefix}/{Measurement.kind}/{name.removeprefix('agent')}"]
 
     def publications(self, name: str) -> list[str]:
@@ -144,7 +150,7 @@ class Keys:
         elif name == "plant":
             kinds = [f"{Measurement.kind}/*", Truth.kind]
         elif name.startswith("agent"):
-            kinds = [f"{kind}/{name.removeprefix('agent')}" for kind in (Plan.kind, StepReport.kind)]
+            kinds = [f"{kind}/{name.removeprefix('agent')}" for kind in (Plan.kind, _UNSHARED, StepReport.kind)]
         else:
             return []
         return [f"{self.prefix}/{end}" for end in (*kinds, f"{Rejected.kind}/{name}")]

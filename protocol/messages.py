@@ -1,9 +1,9 @@
 """The messages of a run: frozen, validated at construction, equal on every runtime.
 
-Who sends what to whom, per tick: coordinator -> plant `Tick`; plant -> each agent `Measurement`; agent ->
-everybody `Plan`. For the record: plant `Truth`, agents `StepReport`, anybody `Rejected`. Around them:
-coordinator `Roster` and `Control`. Presence is not a message: it comes from liveliness tokens, and nodes are told
-as an event.
+Who sends what to whom, per tick: coordinator -> plant `Tick`; plant -> each agent `Measurement`; agent -> plant,
+coordinator and, when it is shared, the other agents `Plan`. For the record: plant `Truth`, agents `StepReport`, anybody
+`Rejected`. Around them: coordinator `Roster` and `Control`. Presence is not a message: it comes from liveliness tokens,
+and nodes are told as an event.
 """
 
 import math
@@ -120,6 +120,7 @@ class Tick(Message):
     Attributes:
         members: Agents whose plans of this tick the clock will wait for.
         answered: Agents whose plans of tick k - 1 count: whoever uses plans of k - 1 waits for these.
+        shared: Those of them that sent the plan to the other agents as well.
         roster: Version of the roster in force: whoever has an older one waits for it.
         late_ns: In real time, how long after its deadline the tick was opened; else 0.
         overrun_ns: In real time, by how much the latest plan that came since the tick before missed its
@@ -130,14 +131,15 @@ class Tick(Message):
 
     members: tuple[int, ...]
     answered: tuple[int, ...]
+    shared: tuple[int, ...]
     roster: int
     late_ns: int
     overrun_ns: int
 
     def __post_init__(self) -> None:
         Message.__post_init__(self)
-        self._set("members", _ids("members", self.members))
-        self._set("answered", _ids("answered", self.answered))
+        for field in ("members", "answered", "shared"):
+            self._set(field, _ids(field, getattr(self, field)))
         self._integers("roster", "late_ns", "overrun_ns")
 
 
@@ -178,7 +180,8 @@ class Measurement(Message):
 
     Attributes:
         agent: The agent it is for.
-        answered: Forwarded from the tick: whose plans of tick k - 1 to wait for.
+        answered: Forwarded from the tick: who planned at tick k - 1.
+        shared: Forwarded from the tick: whose plans of tick k - 1 to wait for.
         roster: Forwarded from the tick: the version of the roster in force.
         payload: Payload states r0, v0, Theta0, omega0, (12,), SI.
         uavs: Owned UAVs, 1-based ids, ascending.
@@ -190,6 +193,7 @@ class Measurement(Message):
 
     agent: int
     answered: tuple[int, ...]
+    shared: tuple[int, ...]
     roster: int
     payload: Array
     uavs: tuple[int, ...]
@@ -199,7 +203,8 @@ class Measurement(Message):
     def __post_init__(self) -> None:
         Message.__post_init__(self)
         self._set("agent", _integer("agent", self.agent, MAX_UAVS, low=1))
-        self._set("answered", _ids("answered", self.answered))
+        for field in ("answered", "shared"):
+            self._set(field, _ids(field, getattr(self, field)))
         self._integers("roster")
         self._set("payload", _array("payload", self.payload, (PAYLOAD,)))
         self._set("uavs", _ids("uavs", self.uavs))
@@ -209,7 +214,7 @@ class Measurement(Message):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan(Message):
-    """Agent to everybody: its own state now and the inputs it will apply.
+    """Agent to plant and coordinator, and if shared to the other agents: its state now and the inputs it will apply.
 
     Attributes:
         agent: Who planned.
@@ -220,6 +225,7 @@ class Plan(Message):
         corrections: Corrections to the shared law that go with them, (N_p, 4 owned); no rows without that law.
         status: How the solve went; anything but "solved" means the shifted previous plan.
         negotiation: 0 for the plan a tick ends with; otherwise how many exchanges within the tick follow.
+        shared: Whether the other agents get it: it travels under another key if not.
     """
 
     kind: ClassVar[str] = "plan"
@@ -227,6 +233,7 @@ class Plan(Message):
     agent: int
     start_tick: int
     negotiation: int
+    shared: bool
     uavs: tuple[int, ...]
     uav_states: Array
     inputs: Array
@@ -238,6 +245,7 @@ class Plan(Message):
         self._set("agent", _integer("agent", self.agent, MAX_UAVS, low=1))
         self._integers("start_tick")
         self._set("negotiation", _integer("negotiation", self.negotiation, MAX_ROUNDS - 1))
+        self._set("shared", _boolean("shared", self.shared))
         self._set("uavs", _ids("uavs", self.uavs))
         self._set("uav_states", _array("uav_states", self.uav_states, (len(self.uavs), PER_UAV)))
         for field in ("inputs", "corrections"):

@@ -173,6 +173,9 @@ class ControllerSection(Section):
     rounds: Annotated[int, Field(ge=1, le=20)] = 1
     relaxation: Annotated[float | str, AfterValidator(_relaxation)] = 1.0
     solver: Literal["daqp", "clarabel"] = "daqp"
+    share: Literal["always", "on_change"] = "always"
+    share_threshold: NotNegative = 0.01
+    share_heartbeat_s: Positive = 1.0
     weights: WeightsSection = WeightsSection()
     limits: LimitsSection = LimitsSection()
     separation: SeparationSection | None = None

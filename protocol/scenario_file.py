@@ -151,6 +151,7 @@ def _check_relations(scenario: Scenario, source: str) -> None:
     _check_controller(scenario, source)
     _check_clock(scenario, source)
     _check_faults(scenario, source, names)
+    _check_sharing(scenario, source)
     low, high = scenario.controller.limits.thrust_N
     if low >= high:
         raise ScenarioError(source, "controller.limits.thrust_N", f"expected smallest < largest, got {[low, high]}")
@@ -211,6 +212,23 @@ def _check_clock(scenario: Scenario, source: str) -> None:
             "controller.rounds",
             f"expected 1 with mode realtime, where nobody waits, got {scenario.controller.rounds}",
         )
+
+
+def _check_sharing(scenario: Scenario, source: str) -> None:
+    """Plans that are not shared are replaced by the shared law and plans that grow old."""
+    controller = scenario.controller
+    if controller.share == "always":
+        return
+    for key, expected, why in (
+        ("prediction", "closed_loop", "where the others know the law that acts between two plans"),
+        ("received_plans", "by_age", "as plans are used for longer than a period"),
+        ("received_states", "predicted", "as states are used for longer than a period"),
+        ("rounds", 1, "as each round exchanges every plan"),
+    ):
+        got = getattr(controller, key)
+        if got != expected:
+            text = f"expected {expected!r} with controller.share 'on_change', {why}, got {got!r}"
+            raise ScenarioError(source, f"controller.{key}", text)
 
 
 def _check_faults(scenario: Scenario, source: str, agents: list[str]) -> None:

@@ -73,6 +73,7 @@ def tick(k: int, answered: Sequence[int] = EVERYBODY, members: Sequence[int] = E
         tick=k,
         members=tuple(members),
         answered=tuple(answered) if k else (),
+        shared=tuple(answered) if k else (),
         roster=version,
         late_ns=0,
         overrun_ns=0,
@@ -111,6 +112,7 @@ def measurement(
     *,
     x: Array | None = None,
     answered: Sequence[int] = EVERYBODY,
+    shared: Sequence[int] | None = None,
     version: int = 1,
 ) -> Measurement:
     """What the plant measures for an agent at tick k: the given state, or the initial one, at hover inputs."""
@@ -123,6 +125,7 @@ def measurement(
         tick=k,
         agent=agent,
         answered=tuple(answered) if k else (),
+        shared=tuple(answered if shared is None else shared) if k else (),
         roster=version,
         payload=x[: state.PAYLOAD],
         uavs=tuple(uav + 1 for uav in owned),
@@ -140,6 +143,7 @@ def plan(
     delay: int = 0,
     x: Array | None = None,
     incarnation: int = INCARNATION,
+    shared: bool = True,
 ) -> Plan:
     """An agent's plan of tick k for k + delay on: the given inputs, or hover; its state from x or the initial one."""
     owned = run.owned[agent - 1]
@@ -153,6 +157,7 @@ def plan(
         agent=agent,
         start_tick=k + delay,
         negotiation=0,
+        shared=shared,
         uavs=tuple(uav + 1 for uav in owned),
         uav_states=state.StateView(x).uavs[list(owned)],
         inputs=hover if inputs is None else inputs,

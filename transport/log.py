@@ -195,9 +195,13 @@ class LogWriter:
 
 
 def topic_of(message: Message) -> str:
-    """The channel of a message: each kind has channels of its own, also the one that shares a key with another."""
-    shared = isinstance(message, LinkChange)
-    return f"/{message.kind}" if shared else _KEYS.of(message).removeprefix(_KEYS.prefix)
+    """The channel of a message: each kind has its own, whatever keys it travels under."""
+    match message:
+        case LinkChange():  # under the key of the rosters
+            return f"/{message.kind}"
+        case Plan(agent=agent):  # under one of two keys
+            return f"/{message.kind}/{agent}"
+    return _KEYS.of(message).removeprefix(_KEYS.prefix)
 
 
 def read_log(path: Path, *, horizons: bool = True) -> RunLog:

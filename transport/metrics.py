@@ -148,7 +148,7 @@ def _ages(reports: Iterable[StepReport]) -> dict[str, float | int | None]:
 
 
 def _messages(setup: Setup, log: RunLog, reports: Iterable[StepReport]) -> dict[str, int]:
-    """Plans between agents: each counts as sent to every other agent that takes a step it could be used at.
+    """Plans between agents: a shared one counts as sent to every other agent that takes a step it could be used at.
 
     What is neither delivered nor lost was on its way when the run, or its receiver, ended.
     """
@@ -161,15 +161,15 @@ def _messages(setup: Setup, log: RunLog, reports: Iterable[StepReport]) -> dict[
         # In real time steps are skipped: what comes meanwhile is used at the next one, perhaps the plan's own.
         first = joined.get(start, min(taken))
         uses[start] = range(first, max(taken) + 1) if realtime else {tick - 1 for tick in taken}
+    plans = [plan for plan in log.of(Plan) if not plan.negotiation]
+    shared = [plan for plan in plans if plan.shared]
     sent = sum(
-        plan.tick in usable
-        for plan in log.of(Plan)
-        if not plan.negotiation
-        for (receiver, _), usable in uses.items()
-        if receiver != plan.agent
+        plan.tick in usable for plan in shared for (receiver, _), usable in uses.items() if receiver != plan.agent
     )
     delivered = sum(report.delivered for report in reports)
     return {
+        "planned": len(plans),
+        "shared": len(shared),
         "sent": sent,
         "delivered": delivered,
         "lost": sum(report.lost for report in reports),

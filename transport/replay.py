@@ -207,8 +207,8 @@ class Replay:
                     # Those before it joined are told again ahead of the roster that admits it.
                     if life.end_version is not None and sequence > admitted.sequence and entry.message.tick > life.end:
                         continue
-                case Plan(agent=agent, tick=tick):
-                    if agent == self.agent or not life.first <= tick < life.end:
+                case Plan(agent=agent, tick=tick, shared=shared):
+                    if agent == self.agent or not shared or not life.first <= tick < life.end:
                         continue
                 case _:
                     continue

@@ -134,8 +134,10 @@ def _constraints(violation: float | None) -> str:
 def _plans(messages: Mapping[str, Any], ages: Mapping[str, Any]) -> str:
     if ages["mean"] is None and not messages["sent"]:
         return "-"
+    shared, planned = messages["shared"], messages["planned"]
+    unsent = f"{shared} of {planned} sent to the other agents ({shared / planned:.1%}); " if shared < planned else ""
     return (
-        f"{messages['lost']} of {messages['sent']} lost, {messages['late']} late; "
+        f"{unsent}{messages['lost']} of {messages['sent']} lost, {messages['late']} late; "
         f"age {_text(ages['mean'], '.2f')} ticks, max {_text(ages['max'], 'd')}"
     )
 

@@ -17,7 +17,7 @@ import msgpack
 import numpy as np
 import zenoh
 
-AGENTS, VERSION, STEPS = 4, 3, 20
+AGENTS, VERSION, STEPS = 4, 4, 20
 # What UAV 3 is, what it carries at hover, and its corner of the payload.
 MASS, INERTIA, THRUST, RHO = 1.5, np.array([0.029, 0.029, 0.055]), 22.0725, (-0.25, -0.25)
 
@@ -73,16 +73,16 @@ def main(run, digest, agent, port):
             if kind == "control":
                 return
             if kind == "plan":
-                plans[tick, fields[0]] = fields[4].mean(axis=0)  # e, Omega, Theta, omega of its UAVs
+                plans[tick, fields[0]] = fields[5].mean(axis=0)  # e, Omega, Theta, omega of its UAVs
             else:
                 measured = tick, fields
-            if measured is None or any((measured[0] - 1, a) not in plans for a in measured[1][1] if a != me):
+            if measured is None or any((measured[0] - 1, a) not in plans for a in measured[1][2] if a != me):
                 continue  # nothing to answer, or plans of the tick before are still on their way
-            (tick, (_, answered, _, payload, _, states, _)), measured = measured, None
-            others = [plans.pop((tick - 1, a)) for a in answered if a != me]
+            (tick, (_, _, shared, _, payload, _, states, _)), measured = measured, None
+            others = [plans.pop((tick - 1, a)) for a in shared if a != me]
             inputs = np.tile([THRUST, 0.0, 0.0, 0.0], (STEPS, 1))  # what it will do after this tick it cannot tell
             inputs[0] = control(payload, states[0], np.mean(others, axis=0) if others else states[0])
-            plan = [me, tick, 0, [me], pack(states), pack(inputs), pack(np.zeros((0, 4))), "solved"]
+            plan = [me, tick, 0, True, [me], pack(states), pack(inputs), pack(np.zeros((0, 4))), "solved"]
             data = bytes([VERSION]) + msgpack.packb(["plan", f"agent{me}", 0, tick, tick, *plan])
             session.put(f"{prefix}/plan/{me}", data, congestion_control=zenoh.CongestionControl.BLOCK)
 

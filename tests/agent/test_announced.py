@@ -28,6 +28,7 @@ def labelled(agent: int, k: int, *, steps: int = STEPS, delay: int = 0) -> Plan:
         agent=agent,
         start_tick=k + delay,
         negotiation=0,
+        shared=True,
         uavs=uavs,
         uav_states=np.zeros((len(uavs), 12)),
         inputs=1e6 * agent + 1e3 * k + 10.0 * np.arange(steps)[:, None] + columns / 10.0,

@@ -51,6 +51,7 @@ def labelled(agent: int, k: int, delay: int = 0) -> Plan:
         agent=agent,
         start_tick=k + delay,
         negotiation=0,
+        shared=True,
         uavs=uavs,
         uav_states=np.zeros((len(uavs), 12)),
         inputs=1000.0 * k + np.arange(STEPS)[:, None] + columns,

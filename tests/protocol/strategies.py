@@ -56,7 +56,9 @@ def _listed(length: int, entries: SearchStrategy[int]) -> SearchStrategy[list[in
     return st.lists(entries, min_size=length, max_size=length)
 
 
-ticks = st.builds(Tick, members=_ids, answered=_ids, roster=_count, late_ns=_count, overrun_ns=_count, **_head)
+ticks = st.builds(
+    Tick, members=_ids, answered=_ids, shared=_ids, roster=_count, late_ns=_count, overrun_ns=_count, **_head
+)
 rosters = _ids.flatmap(
     lambda ids: st.builds(
         Roster,
@@ -80,6 +82,7 @@ measurements = _ids.flatmap(
         Measurement,
         agent=_agent,
         answered=_ids,
+        shared=_ids,
         roster=_count,
         payload=_array(12),
         uavs=st.just(ids),
@@ -94,6 +97,7 @@ plans = st.tuples(_ids, st.integers(1, _STEPS), st.booleans()).flatmap(
         agent=_agent,
         start_tick=_count,
         negotiation=st.integers(0, MAX_ROUNDS - 1),
+        shared=st.booleans(),
         uavs=st.just(drawn[0]),
         uav_states=_array(len(drawn[0]), 12),
         inputs=_array(drawn[1], 4 * len(drawn[0])),

@@ -72,6 +72,29 @@ def test_measurements_reach_their_agent_alone(agent: int) -> None:
     assert listeners(sample(Measurement, agent=agent)) == {agent_name(agent), "recorder"}
 
 
+def test_unshared_plans_reach_no_other_agent() -> None:
+    """An unshared plan reaches plant, coordinator and recorder, once each, and no agent."""
+    message = sample(Plan, shared=False)
+    key = KEYS.of(message)
+    assert key == "transport/run-1/unshared/2"
+    assert listeners(message) == {"coordinator", "plant", "recorder"}
+    for name in ("coordinator", "plant", "recorder"):
+        assert sum(matches(expression, key) for expression in KEYS.subscriptions(name)) == 1
+
+
+def test_each_key_of_plans_has_its_own() -> None:
+    """A shared plan is refused under the key of unshared ones and the reverse; neither key is another agent's."""
+    shared, unshared = sample(Plan), sample(Plan, shared=False)
+    KEYS.check_sender(KEYS.of(unshared), unshared)
+    for message, key in ((shared, KEYS.of(unshared)), (unshared, KEYS.of(shared))):
+        with pytest.raises(MessageError, match="plan of agent2 under the key"):
+            KEYS.check_sender(key, message)
+    with pytest.raises(MessageError, match="plan from agent1, expected it from agent2"):
+        KEYS.check_sender(KEYS.of(unshared), sample(Plan, shared=False, sender="agent1"))
+    may_say = {name for name in NAMES if any(matches(key, KEYS.of(unshared)) for key in KEYS.publications(name))}
+    assert may_say == {"agent2"}
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_no_message_arrives_twice(name: str) -> None:
     """At most one subscription of a process covers a key: on the network two would deliver twice."""

@@ -67,6 +67,7 @@ SORTS: dict[type[Message], dict[str, str]] = {
     Tick: {
         "members": "ids",
         "answered": "ids",
+        "shared": "ids",
         "roster": "count",
         "late_ns": "count",
         "overrun_ns": "count",
@@ -76,6 +77,7 @@ SORTS: dict[type[Message], dict[str, str]] = {
     Measurement: {
         "agent": "agent",
         "answered": "ids",
+        "shared": "ids",
         "roster": "count",
         "payload": "array",
         "uavs": "ids",
@@ -86,6 +88,7 @@ SORTS: dict[type[Message], dict[str, str]] = {
         "agent": "agent",
         "start_tick": "count",
         "negotiation": "rounds",
+        "shared": "flag",
         "uavs": "ids",
         "uav_states": "array",
         "inputs": "array",

@@ -21,6 +21,7 @@ OTHER_WORDS = {
     "profile": "step",
     "priced": "absolute",
     "solver": "clarabel",
+    "share": "on_change",
     "received_plans": "held",
     "received_states": "as_received",
     "discretisation": "euler",

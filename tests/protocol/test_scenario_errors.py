@@ -19,6 +19,7 @@ LONGEST_SHOWN = 80
 
 ENDS = "expected one of plant, agent1, agent2, agent3, agent4, got "
 REALTIME = "clock.mode=realtime"
+ON_CHANGE = ("controller.prediction=closed_loop", "controller.received_plans=by_age", "controller.share=on_change")
 
 # What is set, the field that must be named, what the text must say.
 WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
@@ -160,6 +161,32 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
         ("controller.rounds=2", REALTIME, "clock.speed=1"),
         "controller.rounds",
         "expected 1 with mode realtime, where nobody waits, got 2",
+    ),
+    # Sharing.
+    ("controller.share=never", "controller.share", "expected 'always' or 'on_change', got 'never'"),
+    ("controller.share_threshold=-0.1", "controller.share_threshold", "expected a number >= 0.0, got -0.1"),
+    ("controller.share_heartbeat_s=0", "controller.share_heartbeat_s", "expected a number > 0.0, got 0"),
+    (
+        ("controller.share=on_change",),
+        "controller.prediction",
+        "expected 'closed_loop' with controller.share 'on_change', where the others know the law that acts between two "
+        "plans, got 'open_loop'",
+    ),
+    (
+        ("controller.prediction=closed_loop", "controller.share=on_change"),
+        "controller.received_plans",
+        "expected 'by_age' with controller.share 'on_change', as plans are used for longer than a period, got 'by_one'",
+    ),
+    (
+        ("controller.received_states=as_received", *ON_CHANGE),
+        "controller.received_states",
+        "expected 'predicted' with controller.share 'on_change', as states are used for longer than a period, got "
+        "'as_received'",
+    ),
+    (
+        ("controller.rounds=2", *ON_CHANGE),
+        "controller.rounds",
+        "expected 1 with controller.share 'on_change', as each round exchanges every plan, got 2",
     ),
     ("controller.rounds=0", "controller.rounds", "expected a number >= 1, got 0"),
     ("controller.rounds=21", "controller.rounds", "expected a number <= 20, got 21"),

@@ -80,6 +80,7 @@ def plan(run: Setup, agent: int, k: int) -> Plan:
         agent=agent,
         start_tick=k,
         negotiation=0,
+        shared=True,
         uavs=tuple(uav + 1 for uav in owned),
         uav_states=state.StateView(run.hover.x).uavs[list(owned)],
         inputs=np.tile(run.hover.u[state.input_indices(owned)], (2, 1)),

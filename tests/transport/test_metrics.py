@@ -8,7 +8,7 @@ import pytest
 
 from model import state
 from model.arrays import Array
-from protocol.messages import Control, Message, Outcome, Reason, Rejected, StepReport
+from protocol.messages import Control, Message, Outcome, Plan, Reason, Rejected, StepReport
 from tests import runs
 from tests.transport.logs import ALONE, log_of, plan, report, truth
 from transport.metrics import network_ms, summarise
@@ -150,13 +150,30 @@ def test_violations_are_shares_of_the_range() -> None:
 def test_a_perfect_network_loses_nothing() -> None:
     """Four agents and five ticks: 4 x 3 plans of each of the first four ticks, all delivered, one tick old."""
     summary = summarise(runs.setup(HOVER), log_of(perfect(5)))
-    assert summary["messages"] == {"sent": 48, "delivered": 48, "lost": 0, "late": 0, "rejected": 0}
+    assert summary["messages"] == {
+        "planned": 20,
+        "shared": 20,
+        "sent": 48,
+        "delivered": 48,
+        "lost": 0,
+        "late": 0,
+        "rejected": 0,
+    }
     assert summary["rejections"] == []
     assert summary["plan_age_ticks"] == {"mean": 1.0, "max": 1}
     assert summary["solver"] == {"fallbacks": 0, "failures": 0}
     assert summary["faults"] == []
     assert (summary["outcome"], summary["exit_code"], summary["ticks"]) == ("completed", 0, 5)
     assert summary["sim_time_s"] == pytest.approx(0.25)
+
+
+def test_unshared_plans_are_not_messages_between_agents() -> None:
+    """Plans that only plant and coordinator got count as planned, and as sent to nobody."""
+    messages = [
+        replace(message, shared=message.tick != 2) if isinstance(message, Plan) else message for message in perfect(5)
+    ]
+    counts = summarise(runs.setup(HOVER), log_of(messages))["messages"]
+    assert (counts["planned"], counts["shared"], counts["sent"]) == (20, 16, 36)
 
 
 def test_lost_and_late_plans_are_counted() -> None:
@@ -175,7 +192,15 @@ def test_lost_and_late_plans_are_counted() -> None:
         for message in perfect(4)
     ]
     summary = summarise(run, log_of(messages))
-    assert summary["messages"] == {"sent": 36, "delivered": 35, "lost": 1, "late": 1, "rejected": 0}
+    assert summary["messages"] == {
+        "planned": 16,
+        "shared": 16,
+        "sent": 36,
+        "delivered": 35,
+        "lost": 1,
+        "late": 1,
+        "rejected": 0,
+    }
     assert summary["plan_age_ticks"]["max"] == 2
     assert summary["plan_age_ticks"]["mean"] == pytest.approx((35 + 1) / 35)
     assert summary["solver"] == {"fallbacks": 2, "failures": 1}
@@ -217,7 +242,15 @@ def test_a_cut_tick_loses_nothing() -> None:
     """Reports that the end of the log cut off are not taken for lost plans."""
     messages = [m for m in perfect(5) if not (m.kind in ("report", "control") and m.tick == 4)]
     summary = summarise(runs.setup(HOVER), log_of(messages, cut="the log is not whole"))
-    assert summary["messages"] == {"sent": 36, "delivered": 36, "lost": 0, "late": 0, "rejected": 0}
+    assert summary["messages"] == {
+        "planned": 20,
+        "shared": 20,
+        "sent": 36,
+        "delivered": 36,
+        "lost": 0,
+        "late": 0,
+        "rejected": 0,
+    }
     assert (summary["outcome"], summary["exit_code"]) == ("unknown", None)
     assert summary["log_cut"] == "the log is not whole"
 

@@ -43,7 +43,8 @@ class Point:
         text: The same in a sentence, such as "200 ms".
         settings: Changes on top of the scenario, as for `--set`.
         baseline: Whether it is the scenario's flight without impairment; with teams, the one that others of as many
-            UAVs are compared to.
+            UAVs are compared to; with groups, those of its group.
+        group: Points of a scenario that are compared to a baseline of their own, by name.
         team: Who flies instead of the scenario's own team.
     """
 
@@ -52,6 +53,7 @@ class Point:
     text: str
     settings: tuple[str, ...] = ()
     baseline: bool = False
+    group: str = ""
     team: Team | None = None
 
 

@@ -62,7 +62,7 @@ class Experiment:
         points: What is flown.
         x: Along the horizontal axis.
         y: Along the vertical axis of a map.
-        drawn_as: Curves, a map, the growth of a team, or a row for each variant.
+        drawn_as: Curves, a map, the growth of a team, a row for each variant, or cost against messages.
         curves: Column that tells the curves of a scenario from each other; points with "none" in it belong to all.
         legend: What its values are called in the figure.
         timed: Whether computation and messages are measured as well.
@@ -72,7 +72,7 @@ class Experiment:
     points: tuple[Point, ...]
     x: Axis
     y: Axis | None = None
-    drawn_as: Literal["curves", "map", "growth", "variants"] = "curves"
+    drawn_as: Literal["curves", "map", "growth", "variants", "tradeoff"] = "curves"
     curves: str | None = None
     legend: Mapping[str | float, str] = field(default_factory=dict)
     timed: bool = False
@@ -80,7 +80,7 @@ class Experiment:
 
 def latency(scenarios: Sequence[str], delays_s: Sequence[float]) -> Experiment:
     """A fixed delay of every plan."""
-    _check_numbers("--delay", delays_s, "a delay >= 0 s", 0.0, math.inf)
+    check_numbers("--delay", delays_s, "a delay >= 0 s", 0.0, math.inf)
     points = [
         Point(
             scenario=scenario,
@@ -89,8 +89,8 @@ def latency(scenarios: Sequence[str], delays_s: Sequence[float]) -> Experiment:
             settings=(f"links.delay_s={delay_s!r}",),
             baseline=delay_s == 0.0,
         )
-        for scenario in _distinct("--scenario", scenarios)
-        for delay_s in sorted({0.0, *_distinct("--delay", delays_s)})
+        for scenario in distinct("--scenario", scenarios)
+        for delay_s in sorted({0.0, *distinct("--delay", delays_s)})
     ]
     return Experiment(name="latency", points=tuple(points), x=DELAY_AXIS)
 
@@ -103,13 +103,13 @@ def loss(scenarios: Sequence[str], shares: Sequence[float], burst_ticks: float) 
         shares: Of lost plans, on average.
         burst_ticks: Mean length of a burst, in which everything is lost, ticks.
     """
-    _check_numbers("--loss", shares, "a share from 0 to below 1", 0.0, 1.0)
-    _check_numbers("--burst", [burst_ticks], "a mean length >= 1 tick", 1.0, math.inf)
-    some = sorted(share for share in _distinct("--loss", shares) if share > 0.0)
+    check_numbers("--loss", shares, "a share from 0 to below 1", 0.0, 1.0)
+    check_numbers("--burst", [burst_ticks], "a mean length >= 1 tick", 1.0, math.inf)
+    some = sorted(share for share in distinct("--loss", shares) if share > 0.0)
     alone = {share: f"links.loss={share!r}" for share in some}
     bursts = {share: _bursts(share, burst_ticks) for share in some}
     points: list[Point] = []
-    for scenario in _distinct("--scenario", scenarios):
+    for scenario in distinct("--scenario", scenarios):
         points.append(
             Point(
                 scenario=scenario,
@@ -147,13 +147,13 @@ def jitter(
     for distribution in distributions:
         if distribution not in JITTER:
             raise refused("--distribution", f"one of {', '.join(JITTER)}", distribution)
-    _check_numbers("--mean", [mean_s], "a delay >= 0 s", 0.0, math.inf)
-    for distribution in _distinct("--distribution", distributions):
+    check_numbers("--mean", [mean_s], "a delay >= 0 s", 0.0, math.inf)
+    for distribution in distinct("--distribution", distributions):
         largest_s = mean_s / SMALLEST_MEAN[distribution]
         expected = f"a standard deviation from 0 to {largest_s:.3g} s ({distribution}, mean {mean_s:g} s)"
-        _check_numbers("--std", deviations_s, expected, 0.0, math.nextafter(largest_s, math.inf))
+        check_numbers("--std", deviations_s, expected, 0.0, math.nextafter(largest_s, math.inf))
     points: list[Point] = []
-    for scenario in _distinct("--scenario", scenarios):
+    for scenario in distinct("--scenario", scenarios):
         points += [
             Point(
                 scenario=scenario,
@@ -166,7 +166,7 @@ def jitter(
         ]
         for distribution in distributions:
             unit, mean_of_unit = JITTER[distribution]
-            for deviation_s in sorted(std_s for std_s in _distinct("--std", deviations_s) if std_s > 0.0):
+            for deviation_s in sorted(std_s for std_s in distinct("--std", deviations_s) if std_s > 0.0):
                 scale_s = deviation_s / unit
                 links = {"delay_s": mean_s - mean_of_unit * scale_s, "jitter_s": scale_s}
                 points.append(
@@ -192,7 +192,7 @@ def kill(agents: Mapping[str, int], kill_s: float, restart_s: float) -> Experime
         kill_s: When the agent is killed, scenario time.
         restart_s: When it is started again.
     """
-    _check_numbers("--at", [kill_s], "a time >= 0 s", 0.0, math.inf)
+    check_numbers("--at", [kill_s], "a time >= 0 s", 0.0, math.inf)
     if not kill_s < restart_s < math.inf:
         raise refused("--restart", f"a time after --at {kill_s:g} s", f"{restart_s:g}")
     points: list[Point] = []
@@ -227,8 +227,8 @@ def kill(agents: Mapping[str, int], kill_s: float, restart_s: float) -> Experime
 
 def matrix(scenarios: Sequence[str], delays_s: Sequence[float], shares: Sequence[float]) -> Experiment:
     """Every delay with every loss."""
-    _check_numbers("--delay", delays_s, "a delay >= 0 s", 0.0, math.inf)
-    _check_numbers("--loss", shares, "a share from 0 to 1", 0.0, math.nextafter(1.0, 2.0))
+    check_numbers("--delay", delays_s, "a delay >= 0 s", 0.0, math.inf)
+    check_numbers("--loss", shares, "a share from 0 to 1", 0.0, math.nextafter(1.0, 2.0))
     points = [
         Point(
             scenario=scenario,
@@ -237,9 +237,9 @@ def matrix(scenarios: Sequence[str], delays_s: Sequence[float], shares: Sequence
             settings=(f"links.delay_s={delay_s!r}", f"links.loss={share!r}"),
             baseline=delay_s == share == 0.0,
         )
-        for scenario in _distinct("--scenario", scenarios)
-        for delay_s in sorted({0.0, *_distinct("--delay", delays_s)})
-        for share in sorted({0.0, *_distinct("--loss", shares)})
+        for scenario in distinct("--scenario", scenarios)
+        for delay_s in sorted({0.0, *distinct("--delay", delays_s)})
+        for share in sorted({0.0, *distinct("--loss", shares)})
     ]
     return Experiment(name="matrix", points=tuple(points), x=DELAY_AXIS, y=LOSS_AXIS, drawn_as="map")
 
@@ -283,13 +283,21 @@ def _bursts(share: float, burst_ticks: float) -> str:
     return f"links.gilbert_elliott={{enter={enter!r},leave={leave!r},loss=1.0}}"
 
 
-def _check_numbers(option: str, values: Sequence[float], expected: str, low: float, below: float) -> None:
+def check_numbers(option: str, values: Sequence[float], expected: str, low: float, below: float) -> None:
+    """Refuse numbers of an option outside [low, below).
+
+    Raises: ExperimentError: with the option, what was expected and what came.
+    """
     for value in values:
         if not low <= value < below:
             raise refused(option, expected, f"{value:g}")
 
 
-def _distinct(option: str, values: Sequence[T]) -> Sequence[T]:
+def distinct(option: str, values: Sequence[T]) -> Sequence[T]:
+    """The values of an option.
+
+    Raises: ExperimentError: one of them is there twice.
+    """
     for value in values:
         if values.count(value) > 1:
             raise refused(option, "each value once", f"{value} {values.count(value)} times")

@@ -257,6 +257,31 @@ def ablation(
     return ablation({name: read_scenario(find_scenario(name), shared.changes()) for name in names})
 
 
+@_sweep(usual_seeds=5)
+def sharing(
+    shared: _Options,
+    thresholds: Annotated[
+        list[float] | None,
+        typer.Option(
+            "--threshold", help="Change from which on a plan is sent, share of the input's range. Repeatable."
+        ),
+    ] = None,
+    heartbeat: Annotated[float, typer.Option("--heartbeat", help="A plan is sent at least that often, s.")] = 1.0,
+) -> "Experiment":
+    """How few plans have to be sent to the other agents.
+
+    Messages against cost, on a perfect network and on one with 200 ms delay and 30 % loss.
+
+    Flies resilient unless told otherwise: agents need the shared law.
+
+    Example: transport experiment sharing --threshold 0.01 --threshold 0.1
+    """
+    from transport.experiments.sharing import sharing as built
+
+    usual = [0.01] if shared.quick else [0.002, 0.005, 0.01, 0.02, 0.05, 0.1]
+    return built(shared.scenarios or ["resilient"], thresholds or usual, heartbeat)
+
+
 @experiment_app.command()
 def paper(
     gust: Annotated[

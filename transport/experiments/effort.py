@@ -27,8 +27,8 @@ EFFORT = (*MESSAGES, *CPU)
 def effort(setup: Setup, log: RunLog) -> dict[str, float | None]:
     """What a flight took, by name.
 
-    A plan counts once for each other agent, as on a network without multicast. What plant and coordinator hear is
-    not counted: it would be on board, or is not there in the field.
+    A shared plan counts once for each other agent, as on a network without multicast. What plant and coordinator
+    hear is not counted: it would be on board, or is not there in the field.
 
     Args:
         setup: The flight.
@@ -44,7 +44,7 @@ def effort(setup: Setup, log: RunLog) -> dict[str, float | None]:
     steps_ms = np.array([report.times_ms for report in reports])
     stages_ms = np.median(steps_ms, axis=0)
     flown_s = len(totals_ms) * setup.settings.sampling_period_s
-    bytes_of_plans = [len(encode(plan)) for plan in log.of(Plan)]
+    bytes_of_plans = [len(encode(plan)) for plan in log.of(Plan) if plan.shared]
     receivers = len(setup.agents) - 1
     began_ns, ended_ns = min(log.received_ns(Tick).values()), max(log.received_ns(Control).values())
     return {

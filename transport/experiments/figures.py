@@ -8,6 +8,7 @@ from transport.experiments.curves import draw_curves
 from transport.experiments.growth_figure import draw_growth
 from transport.experiments.maps import draw_maps
 from transport.experiments.statistics import Measured
+from transport.experiments.tradeoff_figure import draw_tradeoff
 from transport.experiments.variants_figure import draw_variants
 from transport.figure_style import RC, save
 
@@ -30,6 +31,8 @@ def draw(experiment: Experiment, measured: Sequence[Measured], folder: Path) -> 
             draw_growth(figure, measured)
         elif experiment.drawn_as == "variants":
             draw_variants(figure, measured)
+        elif experiment.drawn_as == "tradeoff":
+            draw_tradeoff(figure, measured)
         elif experiment.y is not None:
             draw_maps(figure, experiment.x, experiment.y, measured)
         else:

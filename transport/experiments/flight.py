@@ -39,6 +39,7 @@ NUMBERS = (
     "plan_age_mean_ticks",
     "plan_age_max_ticks",
     "plans_lost_share",
+    "plans_shared_share",
 )
 
 
@@ -141,4 +142,5 @@ def _numbers(summary: dict[str, Any]) -> list[float | None]:
         ages["mean"],
         ages["max"],
         messages["lost"] / messages["sent"] if messages["sent"] else None,
+        messages["shared"] / messages["planned"] if messages["planned"] else None,
     ]

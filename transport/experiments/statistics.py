@@ -56,7 +56,7 @@ class Measured:
         lost_s: When the others ended, ascending, scenario time.
         numbers: Estimates over the completed flights, by name (flight.NUMBERS).
         cost_ratio: Mean cost over that of the scenario's flights without impairment (with teams: those of as many
-            UAVs), if both are known.
+            UAVs; with groups: the group's baseline), if both are known.
     """
 
     point: Point
@@ -83,7 +83,7 @@ def measure(points: Sequence[Point], results: Sequence[Sequence[Result]], names:
         results: Of each point, in the order of the seeds.
         names: Numbers to estimate.
     """
-    costs: dict[tuple[str, int], float] = {}
+    costs: dict[tuple[str, str, int], float] = {}
     for point, found in zip(points, results, strict=True):
         cost = estimate(_completed(found, "cost_mean"))
         if point.baseline and cost is not None:
@@ -108,9 +108,9 @@ def measure(points: Sequence[Point], results: Sequence[Sequence[Result]], names:
     return measured
 
 
-def _compared(point: Point) -> tuple[str, int]:
-    """What a point has in common with those it is compared to: scenario and number of UAVs."""
-    return point.scenario, 0 if point.team is None else point.team.uavs
+def _compared(point: Point) -> tuple[str, str, int]:
+    """What a point has in common with those it is compared to: scenario, group and number of UAVs."""
+    return point.scenario, point.group, 0 if point.team is None else point.team.uavs
 
 
 def _completed(results: Sequence[Result], name: str) -> list[float]:

@@ -43,6 +43,12 @@ _SHOWN = [
     _Shown("age\n(tick)", "plan_age_mean_ticks", 1.0, 2, False),
 ]
 
+# What is read of flights in which agents do not send every plan.
+_SHOWN_SHARING = [
+    _Shown("plans\nsent (%)", "plans_shared_share", 100.0, 1, True),
+    *(shown for shown in _SHOWN if shown.name not in ("cost_max", "separation_min_m")),
+]
+
 # What is read of flights whose computation was measured.
 _SHOWN_TIMED = [
     _Shown("CPU step\np50 (ms)", "cpu_step_p50_ms", 1.0, 2, True),
@@ -108,7 +114,8 @@ def table_of(title: str, measured: Sequence[Measured], *, timed: bool = False) -
         measured: The points, in the order of the sweep.
         timed: Whether it is about computation and messages; then all points are of one scenario.
     """
-    columns, named = (_SHOWN_TIMED, False) if timed else (_SHOWN, True)
+    sharing = "share_threshold" in measured[0].point.labels
+    columns, named = (_SHOWN_TIMED, False) if timed else (_SHOWN_SHARING if sharing else _SHOWN, True)
     table = Table(box=None, title=title, title_justify="left", title_style="bold", padding=(0, 1, 0, 0))
     headings = [name.replace("_", "\n", 1) for name in measured[0].point.labels]
     for heading in [*["scenario"] * named, *headings]:
