@@ -186,6 +186,24 @@ SECTIONS = (
         alt="Survival, mean cost and payload attitude for each agent killed",
     ),
     Section(
+        name="sharing",
+        title="How few plans have to be sent?",
+        text="A plan is sent to the other agents when its corrections to the shared control law change by more than a "
+        "threshold, a share of the input's range, and at least once a second. Threshold 0: all plans are sent; the "
+        "costs on each network are over those of that row.",
+        columns={
+            **SCENARIO,
+            "network": plain("network"),
+            "threshold": plain("share_threshold"),
+            "plans sent, %": number("plans_shared_share", 100.0, 1),
+            "completed": done,
+            "cost over all sent": number("cost_ratio", digits=3),
+            "cost, 1e-3": number("cost_mean", 1e3),
+            "attitude, deg": number("attitude_max_deg"),
+        },
+        alt="Mean cost over that with all plans sent, and payload attitude, over the share of plans sent",
+    ),
+    Section(
         name="ablation",
         title="What each part is worth",
         text="One setting changed at a time, on a perfect network and on one that is 0.2 s late and loses 30 %.",

@@ -215,7 +215,7 @@ def _check_clock(scenario: Scenario, source: str) -> None:
 
 
 def _check_sharing(scenario: Scenario, source: str) -> None:
-    """Plans that are not shared are replaced by the shared law and plans that grow old."""
+    """Sharing on change requires receivers that can predict the sender between two of its plans."""
     controller = scenario.controller
     if controller.share == "always":
         return
