@@ -13,7 +13,7 @@ from protocol.bus import Bus
 from protocol.codec import VERSION, encode
 from protocol.gate import Gate
 from protocol.keys import ACTING, OPERATOR, ROUTER, WATCHER, Keys
-from protocol.messages import KINDS, Message, agent_name
+from protocol.messages import KINDS, Message, Plan, agent_name
 from protocol.rejections import Rejections
 from protocol.security import Security, access_control
 from protocol.session import Endpoints
@@ -204,3 +204,19 @@ def test_rights_are_those_of_the_keys() -> None:
         owners = [name for name, keys in may_put.items() if key in keys or f"{key.rpartition('/')[0]}/*" in keys]
         assert owners == [message.sender], kind
     assert f"{KEYS.prefix}/plan/2" in may_put[agent_name(2)]
+    unshared = KEYS.of(sample(Plan, shared=False))
+    assert [name for name, keys in may_put.items() if unshared in keys] == [agent_name(2)]
+
+
+def test_no_agent_may_listen_to_unshared_plans() -> None:
+    """Only plant, coordinator, recorder and whoever looks on may subscribe to plans that are not shared."""
+    rules = access_control(TEAM, KEYS.prefix, "cert_common_names")
+    by_id = {rule["id"]: rule for rule in rules["rules"]}
+    may_listen = set()
+    for policy in rules["policies"]:
+        (name,) = policy["subjects"]
+        own = [by_id[rule] for rule in policy["rules"] if "ingress" in by_id[rule]["flows"]]
+        keys = {key for rule in own if "declare_subscriber" in rule["messages"] for key in rule["key_exprs"]}
+        if keys & {f"{KEYS.prefix}/unshared/*", f"{KEYS.prefix}/**"}:
+            may_listen.add(name)
+    assert may_listen == {"coordinator", "plant", "recorder", WATCHER, OPERATOR, ROUTER}

@@ -278,7 +278,7 @@ def sharing(
     """
     from transport.experiments.sharing import sharing as built
 
-    usual = [0.01] if shared.quick else [0.002, 0.005, 0.01, 0.02, 0.05, 0.1]
+    usual = [0.01] if shared.quick else [0.002, 0.005, 0.01, 0.02, 0.05]
     return built(shared.scenarios or ["resilient"], thresholds or usual, heartbeat)
 
 

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 _PANELS = (("mean cost over that\nwith all plans sent", ""), ("largest payload\nattitude (deg)", "attitude_max_deg"))
 _PANEL_IN, _AROUND_IN = 1.7, 0.9
 
+# Room on either side of a logarithmic axis, as a factor.
+_MARGIN = 0.75
+
 
 def draw_tradeoff(figure: "Figure", measured: Sequence[Measured]) -> None:
     """A column of panels for each scenario, a curve for each network, a point for each threshold.
@@ -39,10 +42,12 @@ def draw_tradeoff(figure: "Figure", measured: Sequence[Measured]) -> None:
                     if index == 0 and math.isfinite(x) and math.isfinite(y):
                         text, away = f"{m.point.labels['share_threshold']:g}", (0.0, 1.2 * MARKER)
                         panel.annotate(text, (x, y), away, textcoords="offset points", ha="center", fontsize=PRINT)
-        column[-1].set_xlabel("plans sent (%)")
+        column[-1].set_xlabel("plans sent (%); numbers in the figure: threshold")
         column[-1].set_xscale("log")
         column[-1].set_xticks([1, 2, 5, 10, 20, 50, 100], ["1", "2", "5", "10", "20", "50", "100"])
         column[-1].minorticks_off()
+        sent = [share.mean for m in measured if (share := m.numbers["plans_shared_share"]) is not None]
+        column[-1].set_xlim(_MARGIN * 100.0 * min(sent, default=0.01), 100.0 / _MARGIN)
         if len(scenarios) > 1:
             column[0].set_title(scenario)
     for panel, (title, _) in zip(panels[:, 0], _PANELS, strict=True):
