@@ -64,7 +64,15 @@ def test_a_flight_is_summarised(flight: tuple[Path, list[Message]]) -> None:
     """The summary of a flown run keeps the schema and says what the run did."""
     summary = checked(flight[0])
     assert (summary["outcome"], summary["ticks"], summary["scenario"]) == ("completed", 30, "paper")
-    assert summary["messages"] == {"sent": 29 * 12, "delivered": 29 * 12, "lost": 0, "late": 0, "rejected": 0}
+    assert summary["messages"] == {
+        "planned": 120,
+        "shared": 120,
+        "sent": 29 * 12,
+        "delivered": 29 * 12,
+        "lost": 0,
+        "late": 0,
+        "rejected": 0,
+    }
     assert 0.0 < summary["cost"]["mean"] < summary["cost"]["max"] < 1.0
     assert summary["versions"] == {"python": "3.12.1", "numpy": "2.0.0"}
     assert summary["log_cut"] is None
@@ -166,6 +174,14 @@ def test_the_table_says_whether_the_load_swings(
     payload = summary["payload_tracking"] | {"swing_m": swing_m, "decays": decays}
     lines = [" ".join(line.split()) for line in printed(summary | {"payload_tracking": payload}).splitlines()]
     assert [line for line in lines if line.startswith("payload swing")] == [f"payload swing {shown}"]
+
+
+def test_the_table_tells_of_unshared_plans(flight: tuple[Path, list[Message]]) -> None:
+    """How many plans were sent to the other agents is told where it is not all of them."""
+    summary = checked(flight[0])
+    assert "sent to the other agents" not in printed(summary)
+    summary["messages"]["shared"] = 9
+    assert "9 of 120 sent to the other agents (7.5%)" in printed(summary)
 
 
 def test_the_table_names_the_worst_offender(flight: tuple[Path, list[Message]]) -> None:

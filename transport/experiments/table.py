@@ -46,7 +46,7 @@ _SHOWN = [
 # What is read of flights in which agents do not send every plan.
 _SHOWN_SHARING = [
     _Shown("plans\nsent (%)", "plans_shared_share", 100.0, 1, True),
-    *(shown for shown in _SHOWN if shown.name not in (_LOST, "cost_max", "separation_min_m")),
+    *(shown for shown in _SHOWN if shown.name not in (_LOST, "cost_max", "swing_m", "separation_min_m")),
 ]
 
 # What is read of flights whose computation was measured.

@@ -4,6 +4,7 @@ import csv
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 from tests.runs import ticks
 from tests.transport.experiments.flown import here
@@ -13,6 +14,7 @@ from transport.experiments.errors import ExperimentError
 from transport.experiments.flight import NUMBERS, Result
 from transport.experiments.sharing import sharing
 from transport.experiments.statistics import measure
+from transport.experiments.table import WIDTH, table_of
 
 HEARTBEAT_S = 0.5
 
@@ -40,6 +42,19 @@ def test_costs_are_over_the_same_network() -> None:
         for cost in costs
     ]
     assert [m.cost_ratio for m in measure(points, results, NUMBERS)] == [1.0, 1.5, 1.0, 1.25]
+
+
+def test_the_table_fits() -> None:
+    """With confidence intervals, too, the table is whole where people read it."""
+    points = sharing(["resilient"], [0.002], HEARTBEAT_S).points
+    flights = [
+        Result(key="", outcome="completed", reason="", numbers=dict.fromkeys(NUMBERS, number)) for number in (0.39, 0.4)
+    ]
+    console = Console(width=WIDTH)
+    with console.capture() as capture:
+        console.print(table_of("sharing", measure(points, [flights] * len(points), NUMBERS)))
+    assert "39.5 ±6.4" in capture.get()
+    assert "…" not in capture.get()
 
 
 @pytest.mark.parametrize(
