@@ -260,6 +260,7 @@ def test_the_whole_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
         raise AssertionError("measured or run again")
 
     monkeypatch.setattr(claim, "measure_in_turns", never)
+    monkeypatch.setattr("transport.experiments.claim_figure.draw", lambda *_: [])
     monkeypatch.setattr("transport.experiments.workers.fly_in_memory", never)
     again = here(*arguments, "--set", ticks(6))
     assert again.exit_code == 0, again.output
