@@ -118,8 +118,8 @@ def _columns(
     The centralized controller, the paper's algorithm at its rate, and at the period of the grid that is nearest to
     the same computation of one agent.
     """
-    own = [node.cell for curve in costs if (curve.controller, curve.kept) == (claim.PAPER, claim.STEPS)
-           and curve.weather == claim.STILL for node in curve.nodes]  # fmt: skip
+    curve = next(c for c in costs if (c.controller, c.kept, c.weather) == (claim.PAPER, claim.STEPS, claim.STILL))
+    own = [node.cell for node in curve.nodes]
     shown = {
         reference: claim.CENTRALIZED,
         **{cell: f"{claim.PAPER}, same rate" for cell in own if cell.period_s == reference.period_s},

@@ -292,7 +292,7 @@ def horizon(
     ] = None,
     delay: Annotated[float, typer.Option("--delay", help="Delay of every plan on the second network, s.")] = 0.2,
 ) -> "Experiment":
-    """How much depends on the prediction horizon and on the terminal weight.
+    """Effect of prediction horizon and terminal weight.
 
     Each horizon with each weight, on a perfect network and with a delay.
 
@@ -316,7 +316,7 @@ def hover(
         typer.Option("--duration", help="Duration of the last phase, s; by default 5, 20, 60. Repeatable."),
     ] = None,
 ) -> "Experiment":
-    """Whether a controller is stable in a long hover after the maneuver.
+    """Stability in a long hover after the maneuver.
 
     The last phase lasts longer, all else stays.
 

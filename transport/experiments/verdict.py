@@ -30,6 +30,12 @@ WORDS = (
     "diverged",
 )
 
+# Verdicts where the same computation lies beyond all periods that are run.
+_OUTSIDE = {
+    Span(math.inf, math.inf): "computes more at every period",
+    Span(0.0, 0.0): "computes less at every period",
+}
+
 HOLDS, FAILS, UNDECIDED = "holds", "does not hold", "cannot be told"
 
 
@@ -43,8 +49,8 @@ class Verdict:
         budget: What both have in common: `SAME_RATE`, or the computation of the `TEAM` or of one `AGENT`.
         kept: Whether the horizon keeps the reference's "steps" or "seconds".
         periods: Sampling periods at which that is so, over the repetitions of the measurement.
-        ratios: Lowest and highest mean cost over the centralized controller's at these periods; None if no run of
-            the grid is there.
+        ratios: Lowest and highest mean cost over the centralized controller's at these periods; None if no period
+            of the grid is there.
     """
 
     controller: str
@@ -58,7 +64,7 @@ class Verdict:
     def words(self) -> str:
         """The verdict: both ends of the range, the worse first, where they differ."""
         if self.ratios is None:
-            return "no such period" if self.periods.is_open else "not compared"
+            return _OUTSIDE.get(self.periods, "not compared")
         best, worst = (word(ratio) for ratio in self.ratios)
         return best if best == worst else f"{worst} to {best}"
 
@@ -125,7 +131,8 @@ def lines(found: Sequence[Verdict]) -> Iterator[str]:
         kept = "" if verdict.budget == SAME_RATE else f", as many {verdict.kept} of horizon"
         who = f"{verdict.weather}, {verdict.controller}, {BUDGETS[verdict.budget]}{kept}"
         cost = "" if verdict.ratios is None else f", cost {ratios_text(verdict.ratios)}"
-        yield f"{who}: T_s {periods_text(verdict.periods)}{cost}: {verdict.words}"
+        where = "" if verdict.periods in _OUTSIDE else f"T_s {periods_text(verdict.periods)}{cost}: "
+        yield f"{who}: {where}{verdict.words}"
 
 
 def statements(found: Sequence[Verdict]) -> list[str]:
@@ -145,8 +152,8 @@ def _statement(claim: str, where: str, found: Sequence[Verdict]) -> str:
     first = found[0]
     which = "" if first.budget == SAME_RATE else f" ({first.budget}, as many {first.kept} of horizon)"
     supports = [verdict.supports(claim) for verdict in found]
-    if found[0].ratios is None and len(set(supports)) == 1:
-        told = f"{supports[0]} among those run, T_s {periods_text(first.periods)}"
+    if first.ratios is None and len(set(supports)) == 1:
+        told = supports[0]
     elif len(set(supports)) == 1:
         told = f"{supports[0]} ({', '.join(f'{verdict.words} in {verdict.weather}' for verdict in found)})"
     else:
@@ -156,13 +163,15 @@ def _statement(claim: str, where: str, found: Sequence[Verdict]) -> str:
 
 
 def periods_text(span: Span) -> str:
-    """An interval of periods in ms; "above" or "below" where it lies beyond the grid."""
+    """An interval of periods in ms; an end beyond the grid is left open."""
     if span.low_s == span.high_s and not span.is_open:
         return f"{1e3 * span.low_s:.3g} ms"
+    if span.low_s == 0.0 and math.isinf(span.high_s):
+        return "not determined"
     if span.low_s == 0.0:
-        return "below the shortest" if span.high_s == 0.0 else f"up to {1e3 * span.high_s:.3g} ms"
+        return f"up to {1e3 * span.high_s:.3g} ms"
     if math.isinf(span.high_s):
-        return "above the longest" if math.isinf(span.low_s) else f"{1e3 * span.low_s:.3g} ms and more"
+        return f"{1e3 * span.low_s:.3g} ms and more"
     return f"{1e3 * span.low_s:.3g} to {1e3 * span.high_s:.3g} ms"
 
 
