@@ -55,7 +55,7 @@ def milliseconds(name: str) -> Callable[[Row], str]:
 
 def done(row: Row) -> str:
     """How many flights came to their end, and when the first of the others did not."""
-    lost = f", lost at {float(row['first_lost_s']):.1f} s" if row["first_lost_s"] else ""
+    lost = f", diverged at {float(row['first_lost_s']):.1f} s" if row["first_lost_s"] else ""
     return f"{row['completed']} of {row['flights']}{lost}"
 
 
@@ -380,7 +380,7 @@ def at_a_glance() -> str:
         ratios = [float(row["cost_ratio"]) for row in rows if row["cost_ratio"]]
         if not completed:
             first = min(float(row["first_lost_s"]) for row in rows)
-            return f"lost, at {first:.1f} s" if flights == 1 else f"all {flights} lost, from {first:.1f} s on"
+            return f"diverges at {first:.1f} s" if flights == 1 else f"all {flights} diverge, from {first:.1f} s on"
         count = "completes" if flights == 1 else f"{completed} of {flights} complete"
         swings = [float(row["swing_m"]) for row in rows if row["swing_m"]]
         return f"{count}, {between(ratios)} times the cost, swing {between(swings)} m"

@@ -14,7 +14,7 @@ from rich.table import Table
 
 from protocol.setup import Setup
 from transport.experiments import claim, claim_figure
-from transport.experiments.cases import Case, cases_of
+from transport.experiments.cases import Case, Point, cases_of
 from transport.experiments.claim import Cell
 from transport.experiments.computation import AGENT, TEAM, Load
 from transport.experiments.cost_curves import Curve, Node, cost_curves
@@ -103,7 +103,7 @@ def conduct(
         write_whole(folder / name, content)
     drawn = [
         *draw_costs(costs, loads, reference, folder),
-        *claim_figure.draw(list(_columns(costs, judged, reference, cases)), folder),
+        *claim_figure.draw(list(_columns(costs, judged, reference, experiment.points, cases)), folder),
     ]
     files = [*(folder / name for name in written), *drawn]
     told = ["", *words, "", f"machine: {machine()}", *(f" {path}" for path in files)]
@@ -111,7 +111,11 @@ def conduct(
 
 
 def _columns(
-    costs: Sequence[Curve], judged: Sequence[Verdict], reference: Cell, cases: Sequence[Case]
+    costs: Sequence[Curve],
+    judged: Sequence[Verdict],
+    reference: Cell,
+    points: Sequence[Point],
+    cases: Sequence[Case],
 ) -> Iterator[tuple[str, Setup]]:
     """The runs of the paper's figures 3, 5 and 6, in still air with as many steps of horizon.
 
@@ -131,23 +135,13 @@ def _columns(
             middle_s = math.sqrt(low_s * high_s)
             nearest = min(own, key=lambda cell: abs(math.log(cell.period_s / middle_s)))
             shown.setdefault(nearest, f"{claim.PAPER}, same computation")
-    setups = {_cell_of(case): Setup.of(case.scenario, case.source) for case in cases if _is_still(case)}
+    still = {}
+    for case in cases:
+        labels: dict[str, Any] = dict(points[case.point].labels)
+        if labels.pop("weather") == claim.STILL:
+            still[Cell(**labels)] = case
     for cell, title in shown.items():
-        yield f"{title}, {1e3 * cell.period_s:g} ms", setups[cell]
-
-
-def _cell_of(case: Case) -> Cell:
-    controllers = {scenario: controller for controller, scenario in claim.SCENARIOS.items()}
-    settings = case.scenario.controller
-    return Cell(
-        controller=controllers[Path(case.source).stem],
-        period_s=settings.sampling_period_s,
-        horizon=settings.horizon,
-    )
-
-
-def _is_still(case: Case) -> bool:
-    return not any(case.scenario.plant.wind.gust_mps)
+        yield f"{title}, {1e3 * cell.period_s:g} ms", Setup.of(still[cell].scenario, still[cell].source)
 
 
 def table_of(costs: Sequence[Curve], loads: Loads) -> Table:
