@@ -192,7 +192,8 @@ SECTIONS = (
         "range of periods at which a controller computes as much per second as the centralized one at 50 ms, and by "
         "the cost curve a range of cost ratios. `the whole team` counts all agents together, `one agent` each for "
         "itself. At another rate a horizon of as many steps is longer or shorter in time, so horizons of as many "
-        "seconds are run, too. Vertical lines in the figure: the computation of the centralized controller at 50 ms.",
+        "seconds are run, too. In the figure vertical lines are the computation of the "
+        "centralized controller at 50 ms, crosses are periods with a diverged run, arrows costs above the axis.",
         columns=COMPARED,
         table="curves.csv",
         before=("verdict.csv", VERDICT),

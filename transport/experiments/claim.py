@@ -78,8 +78,9 @@ def curves_of(period_s: float, horizon: int, *, quick: bool = False) -> Curves:
     return {
         (controller, kept): [
             Cell(controller=controller, period_s=own_s, horizon=horizon_of(horizon, period_s, own_s, kept))
-            for own_s in (round(factor * period_s, 6) for factor in (QUICK_GRID if quick else GRID))
-            if own_s >= _SHORTEST.get((controller, kept), 0.0) * period_s
+            for factor in (QUICK_GRID if quick else GRID)
+            if factor >= _SHORTEST.get((controller, kept), 0.0)
+            for own_s in (round(factor * period_s, 6),)
         ]
         for controller, kept in CURVES
     }

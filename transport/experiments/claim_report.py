@@ -125,8 +125,8 @@ def _columns(
     curve = next(c for c in costs if (c.controller, c.kept, c.weather) == (claim.PAPER, claim.STEPS, claim.STILL))
     own = [node.cell for node in curve.nodes]
     shown = {
-        reference: claim.CENTRALIZED,
-        **{cell: f"{claim.PAPER}, same rate" for cell in own if cell.period_s == reference.period_s},
+        reference: f"{claim.CENTRALIZED}\n",
+        **{cell: f"{claim.PAPER}\nsame rate, " for cell in own if cell.period_s == reference.period_s},
     }
     for verdict in judged:
         wanted = (verdict.controller, verdict.weather, verdict.budget, verdict.kept)
@@ -134,14 +134,14 @@ def _columns(
         if wanted == (claim.PAPER, claim.STILL, AGENT, claim.STEPS) and not verdict.periods.is_open:
             middle_s = math.sqrt(low_s * high_s)
             nearest = min(own, key=lambda cell: abs(math.log(cell.period_s / middle_s)))
-            shown.setdefault(nearest, f"{claim.PAPER}, same computation")
+            shown.setdefault(nearest, f"{claim.PAPER}\nsame computation, ")
     still = {}
     for case in cases:
         labels: dict[str, Any] = dict(points[case.point].labels)
         if labels.pop("weather") == claim.STILL:
             still[Cell(**labels)] = case
     for cell, title in shown.items():
-        yield f"{title}, {1e3 * cell.period_s:g} ms", Setup.of(still[cell].scenario, still[cell].source)
+        yield f"{title}{1e3 * cell.period_s:g} ms", Setup.of(still[cell].scenario, still[cell].source)
 
 
 def table_of(costs: Sequence[Curve], loads: Loads) -> Table:

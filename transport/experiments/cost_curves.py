@@ -88,7 +88,7 @@ class Curve:
         """
         shortest_s, longest_s = self.nodes[-1].cell.period_s, self.nodes[0].cell.period_s
         low_s, high_s = max(span.low_s, shortest_s), min(span.high_s, longest_s)
-        if span.high_s < shortest_s or span.low_s > longest_s:
+        if low_s > high_s:
             return None
         inside = [node.cell.period_s for node in self.nodes if low_s < node.cell.period_s < high_s]
         ranges = [_interval(self.cost_ratios(period_s)) for period_s in (low_s, *inside, high_s)]

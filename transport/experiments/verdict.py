@@ -30,10 +30,10 @@ WORDS = (
     "diverged",
 )
 
-# Verdicts where the same computation lies beyond all periods that are run.
+# Verdicts where the same computation lies beyond all periods at which a controller completes.
 _OUTSIDE = {
-    Span(math.inf, math.inf): "computes more at every period",
-    Span(0.0, 0.0): "computes less at every period",
+    Span(math.inf, math.inf): "computes more wherever it completes",
+    Span(0.0, 0.0): "computes less wherever it completes",
 }
 
 HOLDS, FAILS, UNDECIDED = "holds", "does not hold", "cannot be told"
@@ -104,13 +104,15 @@ def verdicts(curves: Sequence[Curve], loads: Sequence[Load], reference: Cell) ->
     for curve in curves:
         if curve.controller == CENTRALIZED:
             continue
-        cells = [node.cell for node in curve.nodes]
+        # A diverging team computes something else: its processor time says nothing of a longer or shorter period.
+        cells = [node.cell for node in curve.nodes if node.flights and not node.lost_s]
         own = [by_cell[cell.controller, cell.period_s, cell.horizon] for cell in cells]
         spans = {SAME_RATE: Span(reference.period_s, reference.period_s)}
         if (curve.controller, curve.weather) in told:
             del spans[SAME_RATE]  # both horizons are the same there
         told.add((curve.controller, curve.weather))
-        spans |= {budget: equal_periods(own, budget) for budget in (TEAM, AGENT)}
+        if own:
+            spans |= {budget: equal_periods(own, budget) for budget in (TEAM, AGENT)}
         found += [
             Verdict(
                 controller=curve.controller,

@@ -128,7 +128,12 @@ def test_grid() -> None:
         assert periods_s[0] == 0.1
         assert 0.05 in periods_s
         assert all(cell.horizon == claim.horizon_of(20, 0.05, cell.period_s, kept) for cell in cells)
-    assert min(cell.period_s for cell in curves[PAPER, STEPS]) == 0.015
+    shortest_s = {curve: cells[-1].period_s for curve, cells in curves.items()}
+    assert (shortest_s[PAPER, STEPS], shortest_s[PAPER, SECONDS], shortest_s[CENTRALIZED, SECONDS]) == (
+        0.015,
+        0.02,
+        0.025,
+    )
     cells = claim.cells_of(curves)
     assert len(set(cells)) == len(cells) == sum(map(len, curves.values())) - 2
 

@@ -82,8 +82,8 @@ def test_a_range_beyond_the_grid_decides_little() -> None:
     part = made(1.02, 1.09, periods=Span(0.08, math.inf))
     assert part.supports("slightly worse") == part.supports("slightly better") == UNDECIDED
     none = made(None, periods=Span(math.inf, math.inf))
-    assert none.words == none.supports("slightly better") == "computes more at every period"
-    assert made(None, periods=Span(0.0, 0.0)).words == "computes less at every period"
+    assert none.words == none.supports("slightly better") == "computes more wherever it completes"
+    assert made(None, periods=Span(0.0, 0.0)).words == "computes less wherever it completes"
     assert made(None).words == "not compared"
 
 
@@ -118,7 +118,7 @@ def test_the_papers_statements() -> None:
     assert statements(found) == [
         '"slightly worse at the same rate": does not hold in still air (much worse), holds in gusts (slightly worse)',
         '"slightly better at the same computation" (whole team, as many steps of horizon): '
-        "computes more at every period",
+        "computes more wherever it completes",
         '"slightly better at the same computation" (one agent, as many steps of horizon): '
         "does not hold (worse in still air, worse in gusts)",
         '"slightly better at the same computation" (one agent, as many seconds of horizon): '
@@ -127,25 +127,27 @@ def test_the_papers_statements() -> None:
 
 
 def curve(controller: str, kept: str, costs: dict[float, float]) -> Curve:
-    """A cost curve in still air from ratios by period."""
+    """A cost curve in still air from ratios by period; an infinite one is a run that diverged."""
     nodes = [
         Node(
             cell=Cell(controller=controller, period_s=period_s, horizon=20),
             weather=STILL,
             flights=1,
-            lost_s=(),
+            lost_s=() if math.isfinite(ratio) else (3.5,),
             numbers={COST: estimate([ratio])},
-            ratios={COST: {0: ratio}},
+            ratios={COST: {0: ratio}} if math.isfinite(ratio) else {},
         )
         for period_s, ratio in costs.items()
     ]
     return Curve(controller=controller, kept=kept, weather=STILL, nodes=tuple(nodes))
 
 
-def test_verdicts_follow_from_curves_and_loads() -> None:
-    """The spread of the processor time becomes a spread of periods, and by the cost curve one of the verdict."""
-    costs = {0.1: 4.0, 0.05: 1.3, 0.025: 0.9}
-    loads = [
+REFERENCE = Cell(controller=CENTRALIZED, period_s=0.05, horizon=20)
+
+
+def measured(*periods_s: float) -> list[Load]:
+    """Two repetitions of the processor time of both controllers: 8 ms a step, and 4 or 5 ms for each agent."""
+    return [
         Load(
             controller=controller,
             period_s=period_s,
@@ -156,12 +158,16 @@ def test_verdicts_follow_from_curves_and_loads() -> None:
             reference_step_ms=[8.0, 8.0],
         )
         for controller in (CENTRALIZED, PAPER)
-        for period_s in costs
+        for period_s in periods_s
     ]
+
+
+def test_verdicts_follow_from_curves_and_loads() -> None:
+    """The spread of the processor time becomes a spread of periods, and by the cost curve one of the verdict."""
+    costs = {0.1: 4.0, 0.05: 1.3, 0.025: 0.9}
     curves = [curve(CENTRALIZED, STEPS, dict.fromkeys(costs, 1.0)), curve(PAPER, STEPS, costs)]
     curves.append(curve(PAPER, SECONDS, costs))
-    reference = Cell(controller=CENTRALIZED, period_s=0.05, horizon=20)
-    found = verdicts(curves, loads, reference)
+    found = verdicts(curves, measured(*costs), REFERENCE)
     assert [(verdict.budget, verdict.kept) for verdict in found] == [
         (SAME_RATE, STEPS),
         (TEAM, STEPS),
@@ -180,3 +186,15 @@ def test_verdicts_follow_from_curves_and_loads() -> None:
         "still air, paper's algorithm, same computation of one agent, as many steps of horizon: "
         "T_s 25 to 31.2 ms, cost x0.90 to x1.01: slightly worse to slightly better"
     )
+
+
+def test_a_diverging_team_has_no_computation() -> None:
+    """Periods with a diverged run do not count as periods of the same computation; without any other there is none."""
+    costs = {0.1: math.inf, 0.05: 1.3, 0.025: 0.9}
+    _, team, agent = verdicts([curve(PAPER, STEPS, costs)], measured(*costs), REFERENCE)
+    assert team.words == "computes more wherever it completes"
+    assert agent.words == "slightly worse to slightly better"
+    (same_rate,) = verdicts([curve(PAPER, STEPS, dict.fromkeys(costs, math.inf))], measured(*costs), REFERENCE)
+    assert (same_rate.budget, same_rate.words) == (SAME_RATE, "diverged")
+    statement = '"slightly worse at the same rate": does not hold (diverged in still air)'
+    assert statements([same_rate]) == [statement]
