@@ -6,6 +6,7 @@ docs/images/ and what the README says of them. Some forty minutes on two cores f
 
 import csv
 import json
+import math
 import re
 import shutil
 import subprocess
@@ -54,9 +55,44 @@ def milliseconds(name: str) -> Callable[[Row], str]:
 
 def done(row: Row) -> str:
     """How many flights came to their end, and when the first of the others did not."""
-    lost = f", lost at {float(row['first_lost_s']):.1f} s" if row["first_lost_s"] else ""
+    lost = f", diverged at {float(row['first_lost_s']):.1f} s" if row["first_lost_s"] else ""
     return f"{row['completed']} of {row['flights']}{lost}"
 
+
+def spread(name: str, digits: int = 2) -> Callable[[Row], str]:
+    """The median of repetitions, with the smallest and the largest."""
+    return lambda row: (
+        f"{float(row[name]):.{digits}f} ({float(row[f'{name}_min']):.{digits}f} to "
+        f"{float(row[f'{name}_max']):.{digits}f})"
+    )
+
+
+def periods(row: Row) -> str:
+    """The sampling periods of equal computation, ms; an end beyond those measured is left open."""
+    low, high = (f"{1e3 * float(row[name]):.3g}" if row[name] else "" for name in ("period_low_s", "period_high_s"))
+    if low == high:
+        return low or "none of the grid"
+    return f"{low} to {high}" if low and high else f"from {low}" if low else f"up to {high}"
+
+
+def cost_range(row: Row) -> str:
+    """The range of cost ratios at these periods."""
+    if not row["cost_ratio_low"]:
+        return ""
+    ratios = [float(row[name]) for name in ("cost_ratio_low", "cost_ratio_high")]
+    low, high = (f"{ratio:.2f}" if math.isfinite(ratio) else "diverged" for ratio in ratios)
+    return low if low == high else f"{low} to {high}"
+
+
+# Rows of the paper's comparison: what both controllers have in common, and what the horizon keeps.
+COMPARED_AT = {
+    ("same rate", "steps"): "the same rate",
+    ("same rate", "seconds"): "the same rate",
+    ("whole team", "steps"): "the same computation of the whole team, as many steps of horizon",
+    ("whole team", "seconds"): "the same computation of the whole team, as many seconds of horizon",
+    ("one agent", "steps"): "the same computation of one agent, as many steps of horizon",
+    ("one agent", "seconds"): "the same computation of one agent, as many seconds of horizon",
+}
 
 OUTCOME: Columns = {
     "completed": done,
@@ -69,7 +105,7 @@ OUTCOME: Columns = {
 COMPARED: Columns = {
     "weather": plain("weather"),
     "controller": plain("controller"),
-    "computation": plain("budget"),
+    "horizon kept": plain("kept"),
     "T_s, ms": milliseconds("period_s"),
     "N_p": plain("horizon"),
     "completed": done,
@@ -78,8 +114,18 @@ COMPARED: Columns = {
     "peak over centralized": number("cost_max_ratio", digits=3),
     "attitude, deg": lambda row: number("attitude_max_deg")(row).partition(" ")[0],
     "swing, m": lambda row: number("swing_m")(row).partition(" ")[0],
-    "CPU of a step, ms": lambda row: number("cpu_step_p50_ms")(row).partition(" ")[0],
-    "of the team, s/s": lambda row: number("cpu_team_s_per_s")(row).partition(" ")[0],
+    "CPU of a step, ms": spread("cpu_step_ms"),
+    "of an agent, s/s": spread("cpu_agent_s_per_s", digits=3),
+    "of the team, s/s": spread("cpu_team_s_per_s", digits=3),
+}
+
+VERDICT: Columns = {
+    "weather": plain("weather"),
+    "controller": plain("controller"),
+    "compared at": lambda row: COMPARED_AT[row["budget"], row["kept"]],
+    "T_s, ms": periods,
+    "cost over centralized": cost_range,
+    "verdict": plain("verdict"),
 }
 
 GROWTH: Columns = {
@@ -115,6 +161,8 @@ class Section:
         table: File it is made of.
         figure: File that is shown.
         alt: What the figure shows, for those who cannot see it.
+        before: A table ahead of the other, its file and columns.
+        second: A second figure: its file, its name in docs/images, and what it shows.
         arguments: Further arguments of the command.
     """
 
@@ -125,29 +173,42 @@ class Section:
     table: str = "points.csv"
     figure: str = "figure.png"
     alt: str
+    before: tuple[str, Columns] | None = None
+    second: tuple[str, str, str] | None = None
     arguments: tuple[str, ...] = ()
 
 
 SCENARIO: Columns = {"scenario": plain("scenario")}
 
+HOVER_TITLE = "Is a long hover stable?"
+
 SECTIONS = (
     Section(
         name="paper",
         title="Is distributed worse at the same rate, and better at the same computation?",
-        text="The paper's comparison. `as printed` is its distributed controller, `closed loop` that of `resilient`. "
-        "Computation is processor time of the whole step, measured first; `one processor`: the team together computes "
-        "as much per second as the centralized controller, `one each`: each agent does. At a higher rate a horizon of "
-        "as many steps is a shorter one, so both are flown: as many steps, as in the paper, and as many seconds.",
+        text="The paper's comparison over a grid of sampling periods. `paper's algorithm` is its distributed algorithm "
+        "with our weights, as it prints none; `closed loop` is that of `resilient`. Costs are deterministic. Processor "
+        "time is that of the whole step, measured in turns, and has a spread: the range of its repetitions gives a "
+        "range of periods at which a controller computes as much per second as the centralized one at 50 ms, and by "
+        "the cost curve a range of cost ratios. `the whole team` counts all agents together, `one agent` each for "
+        "itself. At another rate a horizon of as many steps is longer or shorter in time, so horizons of as many "
+        "seconds are run, too. In the figure vertical lines are the computation of the "
+        "centralized controller at 50 ms, crosses are periods with a diverged run, arrows costs above the axis.",
         columns=COMPARED,
-        table="comparison.csv",
-        figure="maneuver.png",
-        alt="Position errors, payload attitude and cost of the centralized controller, and of the distributed one at "
-        "the same rate and at the same computation",
+        table="curves.csv",
+        before=("verdict.csv", VERDICT),
+        alt="Mean cost over processor time of the whole team and of one agent, a curve for each controller and horizon",
+        second=(
+            "maneuver.png",
+            "maneuver.png",
+            "Position errors, payload attitude and cost of the centralized controller, and of the paper's algorithm at "
+            "the same rate and at the same computation",
+        ),
     ),
     Section(
         name="latency",
         title="How late may plans be?",
-        text="Every plan late by the same time. Plans wait for the next tick anyway, so 50 ms are none.",
+        text="The same delay of every plan. Plans wait for the next tick anyway, so 50 ms change nothing.",
         columns={**SCENARIO, "delay, ms": milliseconds("delay_s"), **OUTCOME},
         alt="Survival, mean cost and payload attitude over the delay of plans",
     ),
@@ -206,7 +267,7 @@ SECTIONS = (
     Section(
         name="ablation",
         title="What each part is worth",
-        text="One setting changed at a time, on a perfect network and on one that is 0.2 s late and loses 30 %.",
+        text="One setting changed at a time, on a perfect network and on one with 200 ms delay and 30 % loss.",
         columns={
             **SCENARIO,
             "network": plain("network"),
@@ -215,6 +276,32 @@ SECTIONS = (
             **OUTCOME,
         },
         alt="Cost of every variant over that of the scenario as it is",
+    ),
+    Section(
+        name="horizon",
+        title="What horizon and terminal weight decide",
+        text="The paper's N_p = 20 is a choice, and it prints no terminal weight. Each horizon with each weight where "
+        "the prediction is open loop, on a perfect network and with a delay of 200 ms.",
+        columns={
+            **SCENARIO,
+            "network": plain("network"),
+            "N_p": plain("horizon"),
+            "terminal weight": lambda row: f"{float(row['terminal']):g}",
+            **OUTCOME,
+        },
+        alt="Cost of every horizon and terminal weight over that of the scenario as it is",
+    ),
+    Section(
+        name="hover",
+        title=HOVER_TITLE,
+        text="The paper's maneuver with a longer and longer hover as its last phase, on a perfect network. Costs are "
+        "means over runs of different length: compare them between controllers.",
+        columns={
+            **SCENARIO,
+            "last hover, s": lambda row: f"{float(row['hover_s']):g}",
+            **{heading: cell for heading, cell in OUTCOME.items() if heading != "cost over unimpaired"},
+        },
+        alt="Survival, mean cost and payload attitude over the duration of the last hover",
     ),
     Section(
         name="scaling",
@@ -236,16 +323,21 @@ def fly(section: Section) -> list[str]:
     executable = str(Path(sys.executable).parent / "transport")
     done = subprocess.run([executable, *command[1:]], stdout=subprocess.PIPE, text=True, check=True, cwd=ROOT)
     shutil.copy(folder / section.figure, IMAGES / f"{section.name}.png")
-    # Behind the table, in front of the machine and the files.
-    behind = done.stdout.rpartition("\nmachine: ")[0].rstrip().split("\n\n")
-    paragraphs = behind[2:] if section.table == "comparison.csv" else behind[-1:]
-    return [line for paragraph in paragraphs for line in paragraph.splitlines()]
+    if section.second is not None:
+        shutil.copy(folder / section.second[0], IMAGES / section.second[1])
+    # The last paragraph in front of the machine and the files.
+    return done.stdout.rpartition("\nmachine: ")[0].rstrip().rpartition("\n\n")[2].splitlines()
 
 
-def read(section: Section) -> list[dict[str, str]]:
-    """The rows of an experiment's table."""
-    with (RUNS / section.name / section.table).open(encoding="utf-8", newline="") as file:
+def read(section: Section, table: str | None = None) -> list[dict[str, str]]:
+    """The rows of an experiment's table, or of another of its files."""
+    with (RUNS / section.name / (table or section.table)).open(encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file))
+
+
+def section_of(name: str) -> Section:
+    """The section of an experiment."""
+    return next(section for section in SECTIONS if section.name == name)
 
 
 def table(columns: Columns, rows: Iterable[Row]) -> str:
@@ -267,12 +359,17 @@ def page(sections: Sequence[tuple[Section, list[str], str]]) -> str:
     ]
     for section, sentences, machine in sections:
         command = " ".join(("transport experiment", section.name, *section.arguments))
-        parts.append(
-            f"## {section.title}\n\n```\n{command}\n```\n\n{section.text}\n\n"
-            f"![{section.alt}](images/{section.name}.png)\n\n"
-            + "\n".join(f"- {sentence}" for sentence in sentences)
-            + f"\n\n{table(section.columns, read(section))}\n\n*{machine}*"
-        )
+        pieces = [f"## {section.title}", f"```\n{command}\n```", section.text]
+        pieces.append(f"![{section.alt}](images/{section.name}.png)")
+        pieces.append("\n".join(f"- {sentence}" for sentence in sentences))
+        if section.before is not None:
+            file, columns = section.before
+            pieces.append(table(columns, read(section, file)))
+        pieces.append(table(section.columns, read(section)))
+        if section.second is not None:
+            _, image, alt = section.second
+            pieces.append(f"![{alt}](images/{image})")
+        parts.append("\n\n".join([*pieces, f"*{machine}*"]))
     return "\n\n".join(parts) + "\n"
 
 
@@ -302,48 +399,61 @@ def at_a_glance() -> str:
         ratios = [float(row["cost_ratio"]) for row in rows if row["cost_ratio"]]
         if not completed:
             first = min(float(row["first_lost_s"]) for row in rows)
-            return f"lost, at {first:.1f} s" if flights == 1 else f"all {flights} lost, from {first:.1f} s on"
+            return f"diverges at {first:.1f} s" if flights == 1 else f"all {flights} diverge, from {first:.1f} s on"
         count = "completes" if flights == 1 else f"{completed} of {flights} complete"
         swings = [float(row["swing_m"]) for row in rows if row["swing_m"]]
         return f"{count}, {between(ratios)} times the cost, swing {between(swings)} m"
 
-    lines = ["| | `paper`, as printed | `resilient` |", "|---|---|---|"]
+    lines = ["| | `paper`: the paper's algorithm with our weights | `resilient` |", "|---|---|---|"]
     for what, name, labels in (
-        ("`transport experiment latency`: plans 0.1 s late", "latency", {"delay_s": "0.1"}),
-        ("0.4 s late", "latency", {"delay_s": "0.4"}),
-        ("`transport experiment loss`: 10 % of them lost", "loss", {"loss": "0.1", "model": "bernoulli"}),
-        ("60 % lost, in bursts", "loss", {"loss": "0.6", "model": "bursts"}),
-        ("`transport experiment kill`: an agent killed, and back after 2 s", "kill", {"restart_s": "10.0"}),
-        ("never back", "kill", {"restart_s": "never"}),
+        ("`transport experiment latency`: 100 ms delay", "latency", {"delay_s": "0.1"}),
+        ("400 ms delay", "latency", {"delay_s": "0.4"}),
+        ("`transport experiment loss`: 10 % packet loss", "loss", {"loss": "0.1", "model": "bernoulli"}),
+        ("60 % burst loss", "loss", {"loss": "0.6", "model": "bursts"}),
+        ("`transport experiment kill`: an agent killed and restarted after 2 s", "kill", {"restart_s": "10.0"}),
+        ("never restarted", "kill", {"restart_s": "never"}),
     ):
         lines.append(f"| {what} | {cell(name, 'paper', **labels)} | {cell(name, 'resilient', **labels)} |")
     return "\n".join(lines)
 
 
 def claim() -> str:
-    """What the paper's distributed controller costs, for the README: a row for each reading of its two statements."""
-    readings = {
-        ("same rate", "steps"): "at the same rate",
-        ("one processor", "steps"): "same computation of the whole team, as many steps of horizon",
-        ("one processor", "seconds"): "the same, as many seconds of horizon",
-        ("one each", "steps"): "same computation of each agent, as many steps",
-        ("one each", "seconds"): "the same, as many seconds",
-    }
-    rows = [row for row in read(SECTIONS[0]) if row["controller"] == "as printed"]
+    """The paper's algorithm against the centralized controller, for the README: a row for each way to compare."""
+    rows = [row for row in read(section_of("paper"), "verdict.csv") if row["controller"] == "paper's algorithm"]
     weathers = list(dict.fromkeys(row["weather"] for row in rows))
-    lines = [f"| distributed, as printed | {' | '.join(weathers)} |", "|" + "---|" * (1 + len(weathers))]
-    for (budget, kept), text in readings.items():
-        found = {row["weather"]: row for row in rows if (row["budget"], row["kept"]) == (budget, kept)}
-        if not found:
-            lines.append(f"| {text} | no such rate |" + " |" * (len(weathers) - 1))
-            continue
-        period = milliseconds("period_s")(next(iter(found.values())))
+    lines = [f"| the paper's algorithm with our weights | {' | '.join(weathers)} |", "|" + "---|" * (1 + len(weathers))]
+    for key in dict.fromkeys((row["budget"], row["kept"]) for row in rows):
+        found = {row["weather"]: row for row in rows if (row["budget"], row["kept"]) == key}
         cells = [
-            f"{number('cost_mean_ratio')(row)}: {row['judged']}" if row["cost_mean_ratio"] else row["judged"]
-            for row in (found[weather] for weather in weathers)
+            f"{cost_range(found[weather])}: {found[weather]['verdict']}"
+            if cost_range(found[weather]) not in ("", "diverged")
+            else found[weather]["verdict"]
+            for weather in weathers
         ]
-        lines.append(f"| {text} (every {period} ms) | {' | '.join(cells)} |")
+        period = periods(found[weathers[0]])
+        where = f" (T_s {period} ms)" if period != "none of the grid" else ""
+        lines.append(f"| at {COMPARED_AT[key]}{where} | {' | '.join(cells)} |")
     return "\n".join(lines)
+
+
+def hover() -> str:
+    """Whether the paper's algorithm is stable in a long hover, for the README."""
+    rows = read(section_of("hover"))
+    longest = max(float(row["hover_s"]) for row in rows)
+    by_scenario = {row["scenario"]: row for row in rows if float(row["hover_s"]) == longest}
+    own = by_scenario.pop("paper")
+    anchor = re.sub(r"[^\w -]", "", HOVER_TITLE.lower()).replace(" ", "-")
+    if own["first_lost_s"]:
+        found = f"is unstable: it diverges at {float(own['first_lost_s']):.1f} s"
+    else:
+        found = f"completes, with a payload attitude of up to {number('attitude_max_deg')(own)} deg"
+    others = "; ".join(
+        f"`{name}` {'diverges' if row['first_lost_s'] else 'completes'}" for name, row in by_scenario.items()
+    )
+    return (
+        f"In a hover of {longest:g} s at the end of the maneuver the paper's algorithm with our weights {found}; "
+        f"{others} ([table](docs/results.md#{anchor}))."
+    )
 
 
 def put(document: Path, name: str, content: str) -> None:
@@ -385,6 +495,7 @@ def main() -> None:
     PAGE.write_text(page(flown), encoding="utf-8")
     put(README, "network", at_a_glance())
     put(README, "claim", claim())
+    put(README, "hover", hover())
     sys.stderr.write(f"written: {PAGE.name}, images/, {README.name}\n")
 
 

@@ -22,7 +22,7 @@ PARTS: Mapping[str, tuple[str, tuple[str, ...]]] = {
 
 NETWORKS: Mapping[str, tuple[str, ...]] = {
     "perfect": ("links.delay_s=0.0", "links.loss=0.0"),
-    "0.2 s late, 30 % lost": ("links.delay_s=0.2", "links.loss=0.3"),
+    "200 ms delay, 30 % loss": ("links.delay_s=0.2", "links.loss=0.3"),
 }
 
 

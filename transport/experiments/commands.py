@@ -15,6 +15,7 @@ import typer
 from transport.experiments.errors import EXIT_CASES, EXIT_SCENARIO, EXIT_USAGE, ExperimentError, refused
 
 if TYPE_CHECKING:
+    from protocol.scenario import Scenario
     from transport.experiments.catalogue import Experiment
     from transport.experiments.flight import Result
     from transport.experiments.sweep import Fly
@@ -26,7 +27,15 @@ _QUICK = (
     "maneuver.phase=[{name='hover',duration_s=0.5,displacement_m=[0,0,0]},"
     "{name='climb',duration_s=1.0,displacement_m=[0,0,-0.5]}]"
 )
+_HOVERING = ("paper", "centralized", "resilient", "centralized_lq", "precise")
+_QUICK_HOVER = (
+    "maneuver.phase=[{name='climb',duration_s=0.5,displacement_m=[0,0,-0.25]},"
+    "{name='hover',duration_s=0.5,displacement_m=[0,0,0]}]"
+)
 _QUICK_SEEDS = 2
+
+# What most experiments run unless told otherwise.
+_USUAL = ("paper", "resilient")
 
 # What teams of all sizes fly: the paper's speed, 0.5 m/s, in 10 s instead of 25.
 _SHORTENED = (
@@ -45,7 +54,10 @@ experiment_app = typer.Typer(
 
 ScenariosOption = Annotated[
     list[str] | None,
-    typer.Option("--scenario", help="Scenario file or name; paper and resilient by default. Repeatable."),
+    typer.Option(
+        "--scenario",
+        help="Scenario file or name; by default paper and resilient, in hover centralized as well. Repeatable.",
+    ),
 ]
 SetOption = Annotated[
     list[str] | None,
@@ -83,22 +95,40 @@ class _Options:
     dask: str | None = None
     processes: bool = False
     maneuver: str = ""
+    quick_maneuver: str = _QUICK
+    usual_scenarios: tuple[str, ...] = _USUAL
 
     def named(self) -> list[str]:
         """Scenarios to fly."""
-        return self.scenarios or ["paper", "resilient"]
+        return self.scenarios or list(self.usual_scenarios)
+
+    def read(self) -> "dict[str, Scenario]":
+        """Scenarios to fly, by name, with the changes of every scenario.
+
+        Raises: ExperimentError: one is named twice. ScenarioError: one that cannot be.
+        """
+        from protocol.scenario_file import find_scenario, read_scenario
+
+        names = self.named()
+        if len(set(names)) < len(names):
+            raise refused("--scenario", "each value once", ", ".join(names))
+        return {name: read_scenario(find_scenario(name), self.changes()) for name in names}
 
     def changes(self) -> list[str]:
         """Changes of every scenario, the experiment's own maneuver first."""
-        maneuver = _QUICK if self.quick else self.maneuver
+        maneuver = self.quick_maneuver if self.quick else self.maneuver
         return [*([maneuver] if maneuver else []), *(self.settings or [])]
 
 
-def _sweep(*, usual_seeds: int) -> Callable[[Callable[..., "Experiment"]], None]:
+def _sweep(
+    *, usual_seeds: int, usual_scenarios: tuple[str, ...] = _USUAL, quick_maneuver: str = _QUICK
+) -> Callable[[Callable[..., "Experiment"]], None]:
     """Make a command of a function that says what to fly: with its own options, and those that all sweeps have.
 
     Args:
-        usual_seeds: Repetitions where nobody says how many.
+        usual_seeds: Repetitions without `--seeds`.
+        usual_scenarios: Scenarios without `--scenario`.
+        quick_maneuver: Setting of the maneuver with `--quick`.
     """
 
     def shared_options(
@@ -120,6 +150,8 @@ def _sweep(*, usual_seeds: int) -> Callable[[Callable[..., "Experiment"]], None]
             scenarios=scenarios,
             dask=dask,
             processes=processes,
+            quick_maneuver=quick_maneuver,
+            usual_scenarios=usual_scenarios,
         )
 
     def command_of(build: Callable[..., "Experiment"]) -> None:
@@ -207,13 +239,9 @@ def kill(
 
     Each in turn is killed, and started again or not; the others fly on.
     """
-    from protocol.scenario_file import find_scenario, read_scenario
     from transport.experiments import catalogue
 
-    names = shared.named()
-    agents = {name: len(read_scenario(find_scenario(name), shared.changes()).owned) for name in names}
-    if len(agents) < len(names):
-        raise refused("--scenario", "each value once", ", ".join(names))
+    agents = {name: len(scenario.owned) for name, scenario in shared.read().items()}
     usual = (0.5, 1.0) if shared.quick else (8.0, 10.0)
     kill_s, restart_s = (then if given is None else given for given, then in zip((at, restart), usual, strict=True))
     return catalogue.kill(agents, kill_s, restart_s)
@@ -248,13 +276,59 @@ def ablation(
 
     One setting changed at a time, on a perfect network and on one that is late and lossy.
     """
-    from protocol.scenario_file import find_scenario, read_scenario
     from transport.experiments.ablation import ablation
 
-    names = shared.named()
-    if len(set(names)) < len(names):
-        raise refused("--scenario", "each value once", ", ".join(names))
-    return ablation({name: read_scenario(find_scenario(name), shared.changes()) for name in names})
+    return ablation(shared.read())
+
+
+@_sweep(usual_seeds=1)
+def horizon(
+    shared: _Options,
+    horizons: Annotated[
+        list[int] | None, typer.Option("--horizon", help="N_p, steps; by default 5, 10, 20, 30. Repeatable.")
+    ] = None,
+    terminals: Annotated[
+        list[float] | None,
+        typer.Option("--terminal", help="Terminal weight, for open-loop prediction; by default 1, 5, 20. Repeatable."),
+    ] = None,
+    delay: Annotated[float, typer.Option("--delay", help="Delay of every plan on the second network, s.")] = 0.2,
+) -> "Experiment":
+    """Effect of prediction horizon and terminal weight.
+
+    Each horizon with each weight, on a perfect network and with a delay.
+
+    Example: transport experiment horizon --horizon 10 --horizon 20 --scenario paper
+    """
+    from transport.experiments import choices
+
+    quick = shared.quick
+    steps, weights = (
+        horizons or ([10] if quick else [5, 10, 20, 30]),
+        terminals or ([5.0] if quick else [1.0, 5.0, 20.0]),
+    )
+    return choices.horizon(shared.read(), steps, weights, delay)
+
+
+@_sweep(usual_seeds=1, usual_scenarios=_HOVERING, quick_maneuver=_QUICK_HOVER)
+def hover(
+    shared: _Options,
+    durations: Annotated[
+        list[float] | None,
+        typer.Option(
+            "--duration",
+            help="Duration of the last phase, s; by default 5, 20, 65: the end of the maneuver, and 60 s after it. Repeatable.",
+        ),
+    ] = None,
+) -> "Experiment":
+    """Stability in a long hover after the maneuver.
+
+    The last phase lasts longer, all else stays.
+
+    Example: transport experiment hover --duration 60 --scenario resilient
+    """
+    from transport.experiments import choices
+
+    return choices.hover(shared.read(), durations or ([0.5, 1.0] if shared.quick else [5.0, 20.0, 65.0]))
 
 
 @_sweep(usual_seeds=5)
@@ -293,11 +367,11 @@ def paper(
     jobs: JobsOption = None,
     quick: QuickOption = False,
 ) -> None:
-    """The paper's claim: centralized against distributed.
+    """The paper's claim: centralized against distributed control.
 
-    At the same rate, and at the rate that costs the same computation, which is measured first.
+    Both run at a grid of sampling periods: mean cost over processor time, which is measured first.
 
-    Ends with a table, the paper's figures side by side, and a verdict.
+    Ends with a table, figures, and a verdict with its spread at the same rate and at the same computation.
 
     Example: transport experiment paper --seeds 10
     """
@@ -440,7 +514,7 @@ def _fly(experiment: "Experiment", options: _Options) -> None:
 
 
 def _compare(gust_mps: float, options: _Options) -> None:
-    """The paper's comparison, which measures before it knows what to fly."""
+    """The paper's comparison, which measures processor time besides."""
     from rich.console import Console
 
     from transport.experiments import claim, claim_report

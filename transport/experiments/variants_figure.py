@@ -1,4 +1,4 @@
-"""The figure of an ablation: what the cost becomes when one part is changed, for each network."""
+"""The figure of variants of a scenario, of an ablation for one: a row for each, a colour for each network."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -21,7 +21,7 @@ def draw_variants(figure: "Figure", measured: Sequence[Measured]) -> None:
 
     Args:
         figure: To draw into; its size is set.
-        measured: Points with the labels "network", "part" and "value".
+        measured: Points with the label "network", and others that name the variant.
     """
     from matplotlib.transforms import blended_transform_factory
 
@@ -72,4 +72,6 @@ def draw_variants(figure: "Figure", measured: Sequence[Measured]) -> None:
 
 
 def _name(m: Measured) -> str:
-    return f"{m.point.labels['part']} {m.point.labels['value']}".replace("_", " ").strip()
+    labels = ((name, value) for name, value in m.point.labels.items() if name != "network")
+    words = (value if isinstance(value, str) else f"{name} {value:g}" for name, value in labels)
+    return " ".join(words).replace("_", " ").strip()

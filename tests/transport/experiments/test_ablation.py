@@ -93,4 +93,4 @@ def test_the_whole_command(tmp_path: Path) -> None:
         assert sum(value in result.stdout for value in values) >= len(values) - 1, part
     drawn = (out / "figure.svg").read_text()
     assert "received states as received" in drawn
-    assert "0.2 s late, 30 % lost" in drawn
+    assert "200 ms delay, 30 % loss" in drawn

@@ -1,10 +1,9 @@
-"""The paper's comparison: rates of equal computation, ratios seed by seed, and words that follow from the numbers."""
+"""The paper's comparison: periods of equal computation, cost curves seed by seed, and the whole command."""
 
 import csv
 import itertools
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,108 +11,103 @@ import pytest
 from protocol.setup import Setup
 from tests.runs import ticks
 from tests.transport.experiments.flown import here
-from transport.experiments import claim
+from transport.experiments import claim, cost_curves
 from transport.experiments.cases import Case, cases_of
-from transport.experiments.claim import (
-    AS_PRINTED,
-    CENTRALIZED,
-    CLOSED_LOOP,
-    GUSTS,
-    ONE_EACH,
-    ONE_PROCESSOR,
-    SAME_RATE,
-    SECONDS,
-    STEPS,
-    STILL,
-    Compared,
-    Row,
-    compare,
-    verdict,
-)
+from transport.experiments.claim import CENTRALIZED, CLOSED_LOOP, GUSTS, PAPER, SECONDS, STEPS, STILL, Cell
 from transport.experiments.computation import (
+    AGENT,
     MANEUVER,
-    REPEATS,
-    SHRINK,
+    TEAM,
     Load,
-    compared,
-    equal_period_s,
-    faster_and_faster,
+    Span,
+    crossing_s,
+    equal_periods,
+    measure_in_turns,
     step_ms,
 )
-from transport.experiments.flight import NUMBERS, Result
+from transport.experiments.cost_curves import COST, Curve
+from transport.experiments.flight import ERROR, NUMBERS, Result
 from transport.experiments.statistics import estimate
 
 AGENTS = 4
-LONGEST_S = 0.05
+LONGEST_S = 0.1
+REFERENCE = Cell(controller=CENTRALIZED, period_s=0.05, horizon=20)
+PERIODS_S = [factor * REFERENCE.period_s for factor in claim.GRID]
 
 
-def load(period_s: float, one_each: float) -> Load:
-    """What somebody computes."""
+def load(period_s: float, *ratios: float) -> Load:
+    """Processor time of one agent over the reference's, a repetition each."""
     return Load(
-        controller=AS_PRINTED,
-        kept=STEPS,
+        controller=PAPER,
         period_s=period_s,
         horizon=20,
         agents=AGENTS,
-        step_ms=1.0,
-        reference_step_ms=10.0,
-        one_each=one_each,
+        reference_period_s=0.05,
+        step_ms=[8.0 * ratio * period_s / 0.05 for ratio in ratios],
+        reference_step_ms=[8.0] * len(ratios),
     )
 
 
-def power(factor: float, exponent: float) -> Callable[[float], Load]:
-    """Computation that grows as a power of the rate."""
-    return lambda period_s: load(period_s, factor * (period_s / LONGEST_S) ** -exponent)
-
-
 @pytest.mark.parametrize("exponent", [1.0, 2.3])
-@pytest.mark.parametrize(("budget", "agents"), [(ONE_EACH, 1), (ONE_PROCESSOR, AGENTS)])
+@pytest.mark.parametrize(("budget", "agents"), [(AGENT, 1), (TEAM, AGENTS)])
 def test_equal_computation(exponent: float, budget: str, agents: int) -> None:
-    """The period at which a power law passes the reference's computation, to the tenth of a millisecond above it."""
-    loads = list(faster_and_faster(power(0.1, exponent), LONGEST_S))
-    exact_s = LONGEST_S * (0.1 * agents) ** (1.0 / exponent)
-    period_s = equal_period_s(loads, budget)
-    assert period_s is not None
-    assert exact_s - 1e-9 <= period_s < exact_s + 2e-4
-    assert period_s == round(period_s, 4)
+    """The period at which a power law passes the reference's computation is found exactly, whatever the grid."""
+    loads = [load(period_s, 0.2 * (period_s / LONGEST_S) ** -exponent) for period_s in PERIODS_S]
+    exact_s = LONGEST_S * (0.2 * agents) ** (1.0 / exponent)
+    span = equal_periods(loads, budget)
+    assert span.low_s == span.high_s == pytest.approx(exact_s, rel=1e-12)
+    assert not span.is_open
 
 
-def test_who_computes_more_anyway_has_no_such_rate() -> None:
-    """A team that computes more than the reference at its rate would have to be slower than it."""
-    loads = [load(LONGEST_S, 0.3)]
-    assert equal_period_s(loads, ONE_PROCESSOR) is None
-    assert equal_period_s(loads, ONE_EACH) == LONGEST_S
-    assert equal_period_s([], ONE_EACH) is None
+def test_repetitions_give_an_interval() -> None:
+    """The interval reaches from the smallest to the largest period of the repetitions: a slow minute widens it."""
+    slow = (1.0, 1.1, 0.9)
+    loads = [load(period_s, *(0.4 * LONGEST_S / period_s * factor for factor in slow)) for period_s in PERIODS_S]
+    span = equal_periods(loads, AGENT)
+    assert (span.low_s, span.high_s) == pytest.approx((0.036, 0.044), rel=1e-12)
 
 
-def test_measured_until_each_alone_computes_more() -> None:
-    """Periods shrink by a constant factor and end behind the first at which an agent computes more."""
-    loads = list(faster_and_faster(power(0.3, 1.0), LONGEST_S))
-    assert [entry.one_each > 1.0 for entry in loads] == [False] * (len(loads) - 1) + [True]
-    for longer, shorter in itertools.pairwise(loads):
-        assert shorter.period_s / longer.period_s == pytest.approx(SHRINK, abs=5e-3)
-    endless = list(faster_and_faster(power(1e-6, 1.0), LONGEST_S))
-    assert equal_period_s(endless, ONE_PROCESSOR) == endless[-1].period_s
+def test_periods_beyond_the_grid() -> None:
+    """A team that computes more at every period, or less, has an open interval; so has one that sometimes does."""
+    more, less = [load(0.1, 1.5), load(0.05, 3.0)], [load(0.1, 0.1), load(0.05, 0.2)]
+    assert equal_periods(more, AGENT) == Span(math.inf, math.inf)
+    assert equal_periods(less, AGENT) == Span(0.0, 0.0)
+    sometimes = equal_periods([load(0.1, 0.5, 1.1), load(0.05, 2.0, 2.2)], AGENT)
+    assert sometimes.low_s == pytest.approx(0.1 * 0.5**0.5)
+    assert math.isinf(sometimes.high_s)
+    assert sometimes.is_open
 
 
-def test_one_slow_minute_does_not_decide() -> None:
-    """Of several pairs of flights the median ratio counts, so one that was disturbed changes nothing."""
-    reference, candidate = (claim.setup_of(name, [MANEUVER]) for name in (CENTRALIZED, AS_PRINTED))
-    own, first = iter([2.0, 50.0, 2.0]), iter([8.0, 8.0, 8.0])
-    assert REPEATS == 3
+@pytest.mark.parametrize(("ratios", "expected_s"), [((1.0, 2.0), 0.1), ((0.5, 1.0), 0.05), ((0.5, 0.9), 0.0)])
+def test_crossing_at_the_ends(ratios: tuple[float, float], expected_s: float) -> None:
+    """A ratio of exactly one at an end of the grid is found there; one that is not reached is below it."""
+    assert crossing_s([0.1, 0.05], ratios) == pytest.approx(expected_s)
+
+
+def test_all_are_measured_in_turns() -> None:
+    """Each repetition measures every candidate once, each right behind the reference; ratios are of these pairs."""
+    reference, printed = (claim.setup_of(name, [MANEUVER]) for name in (CENTRALIZED, PAPER))
+    closed = claim.setup_of(CLOSED_LOOP, [MANEUVER])
+    order: list[Setup] = []
+    finished: list[int] = []
 
     def measured(setup: Setup) -> float:
-        return next(first if setup is reference else own)
+        order.append(setup)
+        slow = 10.0 if len(order) in (3, 4) else 1.0  # the machine is busy for one pair
+        return slow * (8.0 if setup is reference else 2.0)
 
-    found = compared(reference, candidate, AS_PRINTED, STEPS, measure=measured)
-    assert (found.step_ms, found.reference_step_ms, found.one_each, found.one_processor) == (2.0, 8.0, 0.25, 1.0)
+    found = measure_in_turns(reference, [(PAPER, printed), (CLOSED_LOOP, closed)], 2, finished.append, measure=measured)
+    assert order == [reference, printed, reference, closed] * 2
+    assert finished == [1, 2]
+    assert [entry.step_ms for entry in found] == [[2.0, 2.0], [20.0, 2.0]]
+    assert [entry.ratios(AGENT) for entry in found] == [[0.25, 0.25]] * 2
+    assert found[0].ratios(TEAM) == [1.0, 1.0]
+    assert found[0].seconds_per_second(TEAM) == pytest.approx([4 * 2e-3 / 0.05] * 2)
 
 
 def test_a_step_takes_time() -> None:
     """Centralized control of four computes more than one of four agents, whatever machine this is."""
-    assert (
-        step_ms(claim.setup_of(CENTRALIZED, [MANEUVER])) > 1.5 * step_ms(claim.setup_of(AS_PRINTED, [MANEUVER])) > 0.0
-    )
+    assert step_ms(claim.setup_of(CENTRALIZED, [MANEUVER])) > 1.5 * step_ms(claim.setup_of(PAPER, [MANEUVER])) > 0.0
 
 
 @pytest.mark.parametrize(
@@ -124,156 +118,154 @@ def test_horizons(kept: str, period_s: float, horizon: int) -> None:
     assert claim.horizon_of(20, 0.05, period_s, kept) == horizon
 
 
-LOADS = [
-    replace(load(period_s, 0.2 * LONGEST_S / period_s), controller=controller, kept=kept)
-    for controller, kept in ((AS_PRINTED, STEPS), (AS_PRINTED, SECONDS), (CLOSED_LOOP, SECONDS))
-    for period_s in (0.05, 0.025, 0.0125, 0.00625)
-]
+def test_grid() -> None:
+    """Both controllers have curves around the reference's period, which belongs to each of them, longest first."""
+    curves = claim.curves_of(0.05, 20)
+    assert set(curves) == set(claim.CURVES)
+    for (_, kept), cells in curves.items():
+        periods_s = [cell.period_s for cell in cells]
+        assert periods_s == sorted(periods_s, reverse=True)
+        assert periods_s[0] == 0.1
+        assert 0.05 in periods_s
+        assert all(cell.horizon == claim.horizon_of(20, 0.05, cell.period_s, kept) for cell in cells)
+    shortest_s = {curve: cells[-1].period_s for curve, cells in curves.items()}
+    assert (shortest_s[PAPER, STEPS], shortest_s[PAPER, SECONDS], shortest_s[CENTRALIZED, SECONDS]) == (
+        0.015,
+        0.02,
+        0.025,
+    )
+    cells = claim.cells_of(curves)
+    assert len(set(cells)) == len(cells) == sum(map(len, curves.values())) - 2
 
 
-def test_rows() -> None:
-    """One reference; both distributed controllers at its rate, and at either reading of its computation."""
-    rows = claim.rows(0.05, 20, LOADS)
-    assert [(row.controller, row.budget, row.kept, row.period_s, row.horizon) for row in rows] == [
-        (CENTRALIZED, claim.REFERENCE, STEPS, 0.05, 20),
-        (AS_PRINTED, SAME_RATE, STEPS, 0.05, 20),
-        (AS_PRINTED, ONE_PROCESSOR, STEPS, 0.04, 20),
-        (AS_PRINTED, ONE_PROCESSOR, SECONDS, 0.04, 25),
-        (AS_PRINTED, ONE_EACH, STEPS, 0.01, 20),
-        (AS_PRINTED, ONE_EACH, SECONDS, 0.01, 100),
-        (CLOSED_LOOP, SAME_RATE, STEPS, 0.05, 20),
-        (CLOSED_LOOP, ONE_PROCESSOR, SECONDS, 0.04, 25),
-        (CLOSED_LOOP, ONE_EACH, SECONDS, 0.01, 100),
-    ]
-
-
-def test_every_row_can_be_flown() -> None:
-    """Rates and horizons reach the scenarios, in still air and in gusts; without gusts there is still air alone."""
-    rows = claim.rows(0.05, 20, LOADS)
-    points = claim.experiment(rows, 0.5).points
-    cases = cases_of(points, [MANEUVER], 1, timed=True)
-    assert len(cases) == 2 * len(rows)
+def test_every_cell_can_be_run() -> None:
+    """Periods and horizons reach the scenarios, in still air and in gusts; without gusts there is still air alone."""
+    cells = claim.cells_of(claim.curves_of(0.05, 20))
+    points = claim.experiment(cells, REFERENCE, 0.5).points
+    cases = cases_of(points, [MANEUVER], 1)
+    assert len(cases) == 2 * len(cells)
     for case in cases:
         labels, scenario = points[case.point].labels, case.scenario
         assert scenario.controller.sampling_period_s == labels["period_s"]
         assert scenario.controller.horizon == labels["horizon"]
         assert scenario.plant.wind.gust_mps == [0.5 if labels["weather"] == GUSTS else 0.0] * 3
-    assert {point.labels["weather"] for point in claim.experiment(rows, 0.0).points} == {STILL}
+    assert {point.labels["weather"] for point in claim.experiment(cells, REFERENCE, 0.0).points} == {STILL}
+    assert sum(point.baseline for point in points) == 2
 
 
-COSTS = {CENTRALIZED: (1.0, 2.0, 4.0), AS_PRINTED: (1.2, 2.2, 4.8)}
+# Costs of three seeds of wind, by controller and period.
+COSTS = {
+    (CENTRALIZED, 0.05): (1.0, 2.0, 4.0),
+    (PAPER, 0.1): (4.0, 8.0, 16.0),
+    (PAPER, 0.05): (1.2, 2.2, 4.8),
+    (PAPER, 0.025): (0.9, 1.8, 3.6),
+}
 
 
-def flown(outcome: Callable[[Case], str] = lambda _: "completed") -> list[Compared]:
-    """Three seeds of wind under two controllers, with made-up costs."""
-    rows = claim.rows(0.05, 20, [])[:2]
-    points = [point for point in claim.experiment(rows, 0.5).points if point.labels["weather"] == GUSTS]
-    cases = cases_of(points, [MANEUVER], 3, timed=True)
+def paper_curve(outcome: Callable[[Case], str] = lambda _: "completed", seeds: int = 3) -> Curve:
+    """The cost curve of the paper's algorithm in gusts, with made-up costs."""
+    cells = [Cell(controller=controller, period_s=period_s, horizon=20) for controller, period_s in COSTS]
+    points = [point for point in claim.experiment(cells, REFERENCE, 0.5).points if point.labels["weather"] == GUSTS]
+    cases = cases_of(points, [MANEUVER], seeds)
     results = []
     for case in cases:
         numbers: dict[str, float | None] = dict.fromkeys(NUMBERS)
-        numbers["cost_mean"] = COSTS[str(points[case.point].labels["controller"])][case.scenario.seed]
+        labels = points[case.point].labels
+        numbers[COST] = COSTS[str(labels["controller"]), float(labels["period_s"])][case.scenario.seed]
         numbers["lost_s"] = None if outcome(case) == "completed" else 3.5
-        numbers["cpu_team_tick_ms"] = 5.0 * (1 + case.point)
         results.append(Result(key=case.key, outcome=outcome(case), reason="", numbers=numbers))
-    return compare(points, cases, results)
+    curves = {(CENTRALIZED, STEPS): cells[:1], (PAPER, STEPS): cells[1:]}
+    _, curve = cost_curves.cost_curves(curves, points, cases, results)
+    return curve
+
+
+def at(case: Case, controller: str, period_s: float) -> bool:
+    """Whether a case is of a controller at a period."""
+    scenario = case.scenario
+    return scenario.name == claim.SCENARIOS[controller] and scenario.controller.sampling_period_s == period_s
 
 
 def test_ratios_are_taken_seed_by_seed() -> None:
-    """The mean of ratios in the same wind, not the ratio of means; computation is per second of flight."""
-    central, printed = flown()
-    ratios = estimate([1.2, 1.1, 1.2])
-    assert printed.ratios["cost_mean"] == ratios
-    assert central.ratios["cost_mean"] == estimate([1.0] * 3)
-    per_second = printed.numbers["cpu_team_s_per_s"]
-    assert per_second is not None
-    assert per_second.mean == pytest.approx(0.01 / 0.05)
+    """The mean of ratios in the same wind, not the ratio of means; the curve goes through them."""
+    curve = paper_curve()
+    assert [node.cell.period_s for node in curve.nodes] == [0.1, 0.05, 0.025]
+    assert curve.nodes[1].ratio(COST) == estimate([1.2, 1.1, 1.2])
+    assert curve.cost_ratios(0.05) == pytest.approx([1.2, 1.1, 1.2])
 
 
-def test_lost_flights_are_not_compared() -> None:
-    """A lost flight has no ratio, and a lost reference takes away those of its seed."""
-    central, printed = flown(lambda case: "diverged" if case.point == 1 and case.scenario.seed == 0 else "completed")
-    assert (printed.flights, printed.completed, printed.lost_s) == (3, 2, (3.5,))
-    assert printed.ratios["cost_mean"] == estimate([1.1, 1.2])
-    assert claim.judged(printed) == "lost"
-    assert "1 of 3 flights lost, the first at 3.5 s" in verdict([central, printed])[0]
-    central, printed = flown(lambda case: "diverged" if case.point == 0 and case.scenario.seed == 1 else "completed")
-    assert printed.ratios["cost_mean"] == estimate([1.2, 1.2])
+def test_between_periods_the_cost_is_a_power_of_the_period() -> None:
+    """Halfway between two periods, by their ratio, the cost is the geometric mean of theirs, for each seed."""
+    found = paper_curve().cost_ratios(0.05 * math.sqrt(2.0))
+    assert found == pytest.approx([math.sqrt(4.0 * ratio) for ratio in (1.2, 1.1, 1.2)])
 
 
-def made(ratios: list[float], budget: str = SAME_RATE, weather: str = STILL, kept: str = STEPS) -> Compared:
-    """A row with given ratios of the mean cost."""
-    row = Row(controller=AS_PRINTED, budget=budget, kept=kept, period_s=0.05, horizon=20)
-    found = {"cost_mean": estimate(ratios), "cost_max": estimate(ratios)}
-    return Compared(row=row, weather=weather, flights=len(ratios), lost_s=(), numbers=found, ratios=found)
+def test_cost_of_an_interval() -> None:
+    """A range of periods gives the range of ratios, that of a period inside it included, with their confidence."""
+    single = paper_curve(seeds=1)
+    assert single.cost_range(Span(0.05, 0.05)) == pytest.approx((1.2, 1.2))
+    assert single.cost_range(Span(0.025, 0.1)) == pytest.approx((0.9, 4.0))
+    low, high = single.cost_range(Span(0.04, 0.06)) or (0.0, 0.0)
+    assert 0.9 < low < 1.2 < high < 4.0
+    mean = estimate([1.2, 1.1, 1.2])
+    assert mean is not None
+    assert mean.half_width is not None
+    expected = (mean.mean - mean.half_width, mean.mean + mean.half_width)
+    assert paper_curve().cost_range(Span(0.05, 0.05)) == pytest.approx(expected)
 
 
-@pytest.mark.parametrize(
-    ("ratios", "words"),
-    [
-        ([1.05], "slightly worse"),
-        ([0.95], "slightly better"),
-        ([1.3], "worse"),
-        ([0.7], "better"),
-        ([1.8], "much worse"),
-        ([1.0], "no difference that can be told"),
-        ([1.0, 1.1], "no difference that can be told"),
-        ([1.04, 1.05, 1.06], "slightly worse"),
-        ([0.94, 0.95, 0.96], "slightly better"),
-    ],
-)
-def test_words_follow_from_the_numbers(ratios: list[float], words: str) -> None:
-    """Better or worse only if the confidence interval leaves out equal, and how much by the mean."""
-    assert claim.judged(made(ratios)) == words
+def test_what_lies_beyond_the_grid_has_no_cost() -> None:
+    """An interval partly beyond the grid is cut off there, one wholly beyond it has no cost."""
+    curve = paper_curve(seeds=1)
+    assert curve.cost_range(Span(0.1, math.inf)) == pytest.approx((4.0, 4.0))
+    assert curve.cost_range(Span(math.inf, math.inf)) is None
+    assert curve.cost_range(Span(0.0, 0.0)) is None
 
 
-def test_the_papers_statements() -> None:
-    """Each holds, does not hold or depends on the weather, by what was measured."""
-    rows = [
-        made([1.98], weather=STILL),
-        made([1.08, 1.081], weather=GUSTS),
-        made([1.08], ONE_PROCESSOR, STILL),
-        made([0.952, 0.953], ONE_PROCESSOR, GUSTS),
-        made([1.2], ONE_EACH, STILL, SECONDS),
-    ]
-    statements = verdict(rows)[len(rows) + 1 :]
-    assert statements[0] == (
-        '"slightly worse at the same rate": holds (much worse in still air, slightly worse in gusts)'
-    )
-    assert ": depends on the weather (slightly worse in still air, slightly better in gusts)" in statements[1]
-    assert statements[2].endswith("no such rate, even at the centralized one's they compute more")
-    assert statements[4].endswith("as many seconds of horizon: does not hold (worse in still air)")
+def test_diverged_runs_are_not_compared() -> None:
+    """Next to a period with a diverged run the cost is infinite; elsewhere the curve is as it was."""
+    curve = paper_curve(lambda case: "diverged" if at(case, PAPER, 0.1) and case.scenario.seed == 0 else "completed")
+    assert (curve.nodes[0].flights, curve.nodes[0].completed, curve.nodes[0].lost_s) == (3, 2, (3.5,))
+    assert curve.cost_range(Span(0.07, 0.08)) == (math.inf, math.inf)
+    assert (curve.cost_range(Span(0.04, 0.06)) or (0.0, 0.0))[1] == math.inf
+    assert curve.cost_ratios(0.05) == pytest.approx([1.2, 1.1, 1.2])
 
 
-def test_an_interval_of_two_is_wide() -> None:
-    """Student's interval of two ratios: 12.7 standard errors; the words know."""
-    ratio = estimate([1.0, 1.02])
-    assert ratio is not None
-    assert ratio.half_width == pytest.approx(12.706 * math.sqrt(2.0 * 0.01**2) / math.sqrt(2.0), rel=1e-3)
-    assert claim.judged(made([1.0, 1.02])) == "no difference that can be told"
+def test_a_diverged_reference_takes_its_seed_away() -> None:
+    """A seed that the reference does not complete is compared nowhere; without any there is no ratio."""
+    curve = paper_curve(lambda case: "diverged" if at(case, CENTRALIZED, 0.05) and case.scenario.seed else "completed")
+    assert curve.cost_ratios(0.05) == pytest.approx([1.2])
+    curve = paper_curve(lambda case: ERROR if at(case, CENTRALIZED, 0.05) else "completed")
+    assert curve.cost_range(Span(0.05, 0.05)) is None
 
 
 def test_the_whole_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Measures, flies, compares, draws, judges; a folder goes on with the rates it has, but not with other settings."""
+    """Measures, runs, compares, draws, judges; a folder goes on with what was measured, but not with other settings."""
     out = tmp_path / "out"
     arguments = ("experiment", "paper", "--quick", "--gust", "0", "--jobs", "1", "--out", out)
     result = here(*arguments, "--set", ticks(6))
     assert result.exit_code == 0, result.output
-    files = {"comparison.csv", "computation.csv", "cases.csv", "verdict.txt", "maneuver.png", "maneuver.svg"}
+    files = {"curves.csv", "verdict.csv", "computation.csv", "cases.csv", "verdict.txt"}
+    files |= {f"{figure}.{kind}" for figure in ("figure", "maneuver") for kind in ("png", "svg")}
     assert files <= {path.name for path in out.iterdir()}
-    with (out / "comparison.csv").open(newline="") as file:
+    with (out / "curves.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    assert [row["controller"] for row in rows[:2]] == [CENTRALIZED, AS_PRINTED]
+    assert {(row["controller"], row["kept"]) for row in rows} == set(claim.CURVES)
     assert float(rows[0]["cost_mean_ratio"]) == 1.0
-    assert all(float(row["period_s"]) <= 0.05 for row in rows)
+    for row in rows:
+        times = [float(row[name]) for name in ("cpu_team_s_per_s_min", "cpu_team_s_per_s", "cpu_team_s_per_s_max")]
+        assert all(low <= high for low, high in itertools.pairwise(times))
+    with (out / "verdict.csv").open(newline="") as file:
+        verdicts = list(csv.DictReader(file))
+    assert (verdicts[0]["budget"], verdicts[0]["claim"]) == ("same rate", "slightly worse")
     words = (out / "verdict.txt").read_text()
     assert words.partition("\nmachine")[0].strip() in result.stdout
     assert '"slightly worse at the same rate": ' in words
 
     def never(*_: object, **__: object) -> None:
-        raise AssertionError("measured or flown again")
+        raise AssertionError("measured or run again")
 
-    monkeypatch.setattr(claim, "compared", never)
+    monkeypatch.setattr(claim, "measure_in_turns", never)
+    monkeypatch.setattr("transport.experiments.claim_figure.draw", lambda *_: [])
     monkeypatch.setattr("transport.experiments.workers.fly_in_memory", never)
     again = here(*arguments, "--set", ticks(6))
     assert again.exit_code == 0, again.output
@@ -281,3 +273,7 @@ def test_the_whole_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     other = here(*arguments, "--set", ticks(7))
     assert other.exit_code == 2
     assert "--set: expected the settings" in other.stderr
+    (out / "computation.json").write_text((out / "computation.json").read_text().replace("reference_period_s", "of_s"))
+    older = here(*arguments, "--set", ticks(6))
+    assert older.exit_code == 2
+    assert "--out: expected a folder of this version of the experiment" in older.stderr
