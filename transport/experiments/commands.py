@@ -316,7 +316,7 @@ def hover(
         list[float] | None,
         typer.Option(
             "--duration",
-            help="Duration of the last phase, s; by default 5, 20, 65: the end of the maneuver, and 60 s after it. Repeatable.",
+            help="Duration of the last phase, s; by default 5, 20, 65. Repeatable.",
         ),
     ] = None,
 ) -> "Experiment":
