@@ -32,7 +32,7 @@ from tests.mpc.linear_model import (
     small_state,
     uneven,
 )
-from tests.mpc.systems import INTEGRATION_STEPS, ring
+from tests.mpc.systems import INTEGRATION_STEPS
 
 # Of the largest deviation of the inputs from hover: two solutions of one linear problem with condition around 1e5,
 # one by the Riccati recursion, one by condensing and a solver.
@@ -73,7 +73,6 @@ class Case:
     costs: tuple[CostTerm, ...] = ()
 
 
-ALL: dict[str, object] = {"forced": True, "weights": PAYLOAD, "costs": TERMS}
 CASES = {
     "single": Case(),
     "pair": Case(owned=(1, 2)),
@@ -87,7 +86,7 @@ CASES = {
     "centralized, all": Case(owned=(0, 1, 2, 3), forced=True, weights=PAYLOAD, costs=TERMS),
     "single, all, gone": Case(gone=[2], forced=True, weights=PAYLOAD, costs=TERMS),
     "pair, all, pair gone": Case(
-        system=ring(6), owned=(0, 1), gone=[2, 3], forced=True, weights=PAYLOAD, costs=TERMS
+        system=uneven(), owned=(0, 1), gone=[2, 3], forced=True, weights=PAYLOAD, costs=TERMS
     ),
     "uneven": Case(system=uneven(), owned=(1, 4), forced=True, weights=PAYLOAD, costs=TERMS),
     "uneven, gone": Case(system=uneven(), owned=(1, 4), gone=[2], forced=True, weights=PAYLOAD, costs=TERMS),
@@ -109,38 +108,41 @@ def optimum(one: Controller, X_ref: Array, k: int, x: Array, u0: Array, forces: 
     return one.step(x, u0, U, reference_outputs(one.model, window), law, forces, end=end)
 
 
-def correction(case: Case, settings: ControllerSettings, k: int) -> float:
-    """Largest correction an agent finds from a random small state, relative to the largest input deviation."""
+def corrections(case: Case, settings: ControllerSettings, starts: Sequence[int] = STARTS) -> list[float]:
+    """Largest correction an agent finds from random small states, relative to the largest input deviation."""
     at = hover(case.system)
     model = LinearModel(case.system, at)
     X_ref = reference_states(case.system, at, "ramp", INSTANTS)
     settings = replace(settings, weights=case.weights, costs=case.costs)
     one = Controller(model, at, settings, case.owned, X_ref)
-    one.without(case.gone)
-    rng = np.random.default_rng(100 * settings.horizon + k)
-    forces = rng.normal(0.0, 2.0, 3 + 3 * case.system.N) if case.forced else None
-    x = held(X_ref, k, 1)[0] + small_state(at, rng, 0.05)
-    u0 = at.u + 0.1 * rng.standard_normal(len(at.u))
-    found = optimum(one, X_ref, k, x, u0, forces)
-    assert found.solution.status == "solved"
-    assert not np.any(found.solution.row_multipliers), "a constraint is active: the theorem says nothing"
-    deviation = float(np.abs(found.U - at.u[one.own]).max())
-    assert deviation > 0.1, "nothing to do: the comparison shows nothing"
-    return float(np.abs(found.c).max()) / deviation
+    if case.gone:
+        one.without(case.gone)
+    shares = []
+    for k in starts:
+        rng = np.random.default_rng(100 * settings.horizon + k)
+        forces = rng.normal(0.0, 2.0, 3 + 3 * case.system.N) if case.forced else None
+        x = held(X_ref, k, 1)[0] + small_state(at, rng, 0.05)
+        u0 = at.u + 0.1 * rng.standard_normal(len(at.u))
+        found = optimum(one, X_ref, k, x, u0, forces)
+        assert found.solution.status == "solved"
+        assert not np.any(found.solution.row_multipliers), "a constraint is active: the theorem says nothing"
+        deviation = float(np.abs(found.U - at.u[one.own]).max())
+        assert deviation > 0.1, "nothing to do: the comparison shows nothing"
+        shares.append(float(np.abs(found.c).max()) / deviation)
+    return shares
 
 
 @pytest.mark.parametrize("horizon", [1, 5, 20])
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 def test_no_agent_leaves_the_law(case: Case, horizon: int) -> None:
     """c = 0 is the optimum of every program, from any small state and instant, docs/equations.md (36a)-(36e)."""
-    for k in STARTS:
-        assert correction(case, replace(LQ, horizon=horizon), k) < NO_CORRECTION, f"instant {k}"
+    assert max(corrections(case, replace(LQ, horizon=horizon))) < NO_CORRECTION
 
 
 @pytest.mark.parametrize("change", [{"terminal": "multiple"}, {"preview": False}])
 def test_another_cost_has_corrections(change: dict[str, object]) -> None:
     """Without the cost-to-go or the preview the same program leaves the law: the theorem is about them."""
-    assert correction(Case(), replace(LQ, **change), 15) > A_CORRECTION  # type: ignore[arg-type]
+    assert min(corrections(Case(), replace(LQ, **change), [15])) > A_CORRECTION  # type: ignore[arg-type]
 
 
 def test_others_effort_is_part_of_the_program() -> None:
@@ -175,7 +177,7 @@ def test_at_hover_the_model_itself_gives_no_corrections(owned: tuple[int, ...]) 
 
 def test_without_preview_nothing_is_missing_at_rest() -> None:
     """With a reference at rest the law needs no preview, (36c)."""
-    assert correction(Case(), replace(LQ, preview=False), INSTANTS) < NO_CORRECTION
+    assert max(corrections(Case(), replace(LQ, preview=False), [INSTANTS])) < NO_CORRECTION
 
 
 @pytest.mark.parametrize("forced", [False, True])
@@ -264,16 +266,19 @@ def test_no_gain_is_better(gone: list[int]) -> None:
 
 
 def test_a_team_that_cannot_go_on_keeps_its_regulator() -> None:
-    """Where the rest of the team cannot stabilise the payload, the law and its preview stay those of all, (45)."""
+    """Where those left cannot make the cost finite, the law and its preview stay those of all, (45).
+
+    Two equal UAVs without agents swing against each other for ever: no other UAV feels it, and it has a cost.
+    """
     system = table_1()
     at, model = hover(system), Model(system)
     X_ref = reference_states(system, at, "ramp", INSTANTS)
-    alone = {uav: FailSafe(system, at.u).gain(uav) for uav in (1, 2, 3)}
+    alone = {uav: FailSafe(system, at.u).gain(uav) for uav in (2, 3)}
     with pytest.raises(FeedbackError):
         regulator(model, at, Cost(LQ.weights, at), PERIOD_S, alone)
     regulation = Regulation(model, at, LQ, X_ref)
     before, feedforward = regulation.regulator, regulation.feedforward(0, INSTANTS)
-    regulation.without([1, 2, 3])
+    regulation.without([2, 3])
     assert regulation.regulator is before
     np.testing.assert_array_equal(regulation.feedforward(0, INSTANTS), feedforward)
 
