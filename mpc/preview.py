@@ -44,7 +44,8 @@ def preview(regulator: Regulator, X_ref: Array, pull: Array) -> Preview:
     Source: docs/equations.md (36b), (36c).
     """
     T, P, closed = regulator.T, regulator.P, regulator.closed
-    reference, pulled = X_ref @ T, pull @ T
+    # From the last instant, which is at rest: hover itself is no deviation, whatever its attitudes.
+    reference, pulled = (X_ref - X_ref[-1]) @ T, pull @ T
     drift = np.zeros_like(reference)
     drift[:-1] = reference[:-1] @ regulator.A.T - reference[1:]
     pushed = drift @ P  # P is symmetric
