@@ -65,12 +65,15 @@ def preview(regulator: Regulator, X_ref: Array, pull: Array) -> Preview:
 def at_rest(regulator: Regulator, pulled: Array) -> Array:
     """Slope of the cost-to-go under a pull that lasts: p = closed' p + pulled.
 
-    Directions that cost nothing (headings) are neither pulled nor forgotten; the least-norm solution leaves them out.
+    Directions that cost nothing (headings) are neither pulled nor forgotten. The slope has no part along them, and
+    within the others, which closed' does not leave, the equation has one solution: the sum of the pull's future.
 
     Args:
         regulator: Of the team.
         pulled: Half the gradient of the stage cost, in the regulator's coordinates, (r,) or (r, columns).
     Returns: p, the same shape.
     """
-    solution: Array = np.linalg.lstsq(np.eye(len(regulator.closed)) - regulator.closed.T, pulled, rcond=1e-9)[0]
+    costly = np.linalg.svd(regulator.root @ regulator.T, full_matrices=False)[2]  # orthonormal basis, (rank, r)
+    within = np.eye(len(costly)) - costly @ regulator.closed.T @ costly.T
+    solution: Array = costly.T @ np.linalg.solve(within, costly @ pulled)
     return solution
