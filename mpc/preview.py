@@ -13,9 +13,6 @@ import numpy as np
 from model.arrays import Array
 from mpc.feedback import Regulator
 
-# Directions that the closed loop changes by less than this share per step are not regulated (headings).
-_RANK = 1e-9
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Preview:
@@ -47,7 +44,8 @@ def preview(regulator: Regulator, X_ref: Array, pull: Array) -> Preview:
     Source: docs/equations.md (36b), (36c).
     """
     T, P, closed = regulator.T, regulator.P, regulator.closed
-    reference, pulled = X_ref @ T, pull @ T
+    # From the last instant, which is at rest: hover itself is no deviation, whatever its attitudes.
+    reference, pulled = (X_ref - X_ref[-1]) @ T, pull @ T
     drift = np.zeros_like(reference)
     drift[:-1] = reference[:-1] @ regulator.A.T - reference[1:]
     pushed = drift @ P  # P is symmetric
@@ -68,12 +66,15 @@ def preview(regulator: Regulator, X_ref: Array, pull: Array) -> Preview:
 def at_rest(regulator: Regulator, pulled: Array) -> Array:
     """Slope of the cost-to-go under a pull that lasts: p = closed' p + pulled.
 
-    Directions that cost nothing (headings) are neither pulled nor forgotten; the least-norm solution leaves them out.
+    Directions that cost nothing (headings) are neither pulled nor forgotten. The slope has no part along them, and
+    within the others, which closed' does not leave, the equation has one solution: the sum of the pull's future.
 
     Args:
         regulator: Of the team.
         pulled: Half the gradient of the stage cost, in the regulator's coordinates, (r,) or (r, columns).
     Returns: p, the same shape.
     """
-    forgetting = np.eye(len(regulator.closed)) - regulator.closed.T
-    return np.asarray(np.linalg.lstsq(forgetting, pulled, rcond=_RANK)[0], dtype=np.float64)
+    costly = np.linalg.svd(regulator.root @ regulator.T, full_matrices=False)[2]  # orthonormal basis, (rank, r)
+    within = np.eye(len(costly)) - costly @ regulator.closed.T @ costly.T
+    solution: Array = costly.T @ np.linalg.solve(within, costly @ pulled)
+    return solution

@@ -1,13 +1,17 @@
-"""Announced inputs: plans shifted by their true age and held at their end, whatever order they arrive in."""
+"""Announced inputs: plans shifted by their true age and held at their end, whatever order they arrive in.
+
+Past inputs of the others: the first step of a plan as announced, then the shared control law with its corrections.
+"""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from agent.announced import KEPT_PLANS, Alignment, AnnouncedInputs
+from agent.announced import KEPT_PLANS, Alignment, AnnouncedInputs, Law
 from model.arrays import Array
 from model.state import input_indices
+from mpc.settings import Limits
 from protocol.messages import Plan
 
 OWNED = ((0, 2), (1,))  # agent 1 owns UAV1 and UAV3, agent 2 owns UAV2
@@ -220,3 +224,108 @@ def test_results_are_the_callers() -> None:
     inputs.at(0, before=1)[:] = 0.0
     assert rows(1, inputs.sequence(1, STEPS, before=1)).all()
     np.testing.assert_array_equal(U_HOVER, hover)
+
+
+X = np.linspace(-1.0, 1.0, 48)
+
+
+def by_law(tick: int, x: Array) -> Array:
+    """Inputs of a law whose every number tells tick, state and input."""
+    inputs: Array = 100.0 * tick + 7.0 * x[:12] + np.arange(12.0)
+    return inputs
+
+
+def under_law(*plans: Plan, own: int = 0, law: Law = by_law, limits: Limits | None = None) -> AnnouncedInputs:
+    """What an agent that shares a control law knows after some plans."""
+    inputs = AnnouncedInputs(OWNED, U_HOVER, own=own, law=law, limits=limits)
+    for plan in plans:
+        inputs.add(plan)
+    return inputs
+
+
+@pytest.mark.parametrize("age", range(STEPS + 3))
+@pytest.mark.parametrize("delay", [0, 1])
+def test_later_inputs_follow_the_law(age: int, delay: int) -> None:
+    """After the first step of a plan its agent followed the law with the corrections announced, (32a)."""
+    plan = labelled(1, 7, delay=delay)
+    k = plan.start_tick + age
+    u = rows(1, under_law(plan).at(k, before=k + 1, x=X))
+    if age == 0:
+        np.testing.assert_array_equal(u, plan.inputs[0])
+    else:
+        c = plan.corrections[age] if age < STEPS else np.zeros(8)  # none after the end of the plan
+        np.testing.assert_array_equal(u, by_law(k, X)[COLUMNS[1]] + c)
+
+
+def test_own_inputs_are_known() -> None:
+    """The own plan is played on as announced, whatever the law says: the plant's schedule does so, (32a)."""
+    plan = labelled(1, 7)
+    inputs = under_law(plan, labelled(2, 7), own=1)
+    for age in range(STEPS + 2):
+        u = inputs.at(7 + age, before=20, x=X)
+        np.testing.assert_array_equal(rows(1, u), plan.inputs[min(age, STEPS - 1)])
+        if age:
+            assert rows(2, u)[0] == by_law(7 + age, X)[4] + (labelled(2, 7).corrections[age][0] if age < STEPS else 0.0)
+
+
+def test_the_gone_follow_no_law() -> None:
+    """The last plan of an agent that is gone is played as announced, without the law, (32a)."""
+    plan = labelled(1, 7)
+    inputs = under_law(plan)
+    inputs.gone = {1}
+    for age in range(STEPS):
+        np.testing.assert_array_equal(rows(1, inputs.at(7 + age, before=20, x=X)), plan.inputs[age])
+
+
+def test_plans_under_another_law_are_played_as_announced() -> None:
+    """Corrections belong to the law they were made under: older plans count by their inputs, (46)."""
+    older, newer = labelled(1, 7), labelled(2, 9)
+    inputs = under_law(older, newer)
+    inputs.law_since = 9
+    assert inputs.of_another_law(before=12) == [1]
+    u = inputs.at(10, before=12, x=X)
+    np.testing.assert_array_equal(rows(1, u), older.inputs[3])
+    np.testing.assert_array_equal(rows(2, u), by_law(10, X)[COLUMNS[2]] + newer.corrections[1])
+
+
+def test_who_follows_another_law() -> None:
+    """Agents whose newest usable plan is older than the law; not those without plan, nor those that are gone."""
+    inputs = under_law(labelled(1, 3), labelled(1, 8), labelled(2, 3))
+    assert inputs.of_another_law(before=10) == []
+    inputs.law_since = 5
+    assert inputs.of_another_law(before=10) == [2]
+    assert inputs.of_another_law(before=8) == [1, 2]  # that of tick 8 is not usable yet
+    assert inputs.of_another_law(before=3) == []
+    inputs.gone = {2}
+    assert inputs.of_another_law(before=8) == [1]
+    inputs.forget(1)
+    assert inputs.of_another_law(before=8) == []
+
+
+def test_without_a_state_there_is_no_law() -> None:
+    """Without a state, or with a law that says nothing (open-loop prediction), plans are played on and held."""
+    plan = labelled(1, 7)
+    expected = [plan.inputs[min(age, STEPS - 1)] for age in range(STEPS + 2)]
+    for inputs, x in ((under_law(plan), None), (under_law(plan, law=lambda _tick, _x: None), X)):
+        found = [rows(1, inputs.at(7 + age, before=20, x=x)) for age in range(STEPS + 2)]
+        np.testing.assert_array_equal(found, expected)
+
+
+def test_inputs_taken_to_be_in_force_are_within_limits() -> None:
+    """Actuators keep to their limits, so no input in force is taken to be beyond them: by plan, law or hover, (32a)."""
+    limits = Limits(thrust_N=(0.0, 30.0), moments_Nm=(1.0, 2.0, 3.0))
+    low, high = limits.lower(3), limits.upper(3)
+    rng = np.random.default_rng(0)
+
+    def wild(_tick: int, x: Array) -> Array:
+        return 40.0 * rng.standard_normal(len(x[:12]))
+
+    inputs = under_law(labelled(1, 7), law=wild, limits=limits)
+    for k in (6, 7, 8, 9, 30):
+        u = inputs.at(k, before=50, x=X)
+        assert (low <= u).all()
+        assert (u <= high).all()
+    modest = replace(labelled(1, 7), corrections=np.full((STEPS, 8), 0.25))
+    within = np.array([15.0, 0.5, -0.5, 0.5] * 3)
+    inputs = under_law(modest, law=lambda _tick, _x: within, limits=limits)
+    np.testing.assert_array_equal(rows(1, inputs.at(8, before=9, x=X)), within[:8] + 0.25)

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from model import state
 from model.arrays import Array, ShapeError
 from model.hover import hover
 from model.linearisation import Model
@@ -18,8 +19,21 @@ from tests.model.random_systems import random_forces, random_input, random_state
 STEP = 2e-3
 WEIGHTS = {1: 45.0 / 60.0, 2: -9.0 / 60.0, 3: 1.0 / 60.0}
 JACOBIAN_TOLERANCE = 1e-10
+# Of the largest entry: rounding of |e| = 1 and e . Omega = 0 in the random state, times entries of that size.
+ACROSS_TOLERANCE = 1e-9
 # A handful of products and sums per position.
 OUTPUT_TOLERANCE = 1e-13
+
+
+def retracted(x: Array) -> Array:
+    """The state of the manifold next to x: e -> e / |e|, Omega -> Omega - e (e . Omega), docs/equations.md (13a)."""
+    x = x.copy()
+    for i in range((len(x) - state.PAYLOAD) // state.PER_UAV):
+        block = x[state.uav_slice(i)]
+        e = block[state.E] / np.linalg.norm(block[state.E])
+        block[state.E] = e
+        block[state.ROD_RATE] -= e * (e @ block[state.ROD_RATE])
+    return x
 
 
 def jacobian(function: Callable[[Array], Array], at: Array) -> Array:
@@ -49,12 +63,31 @@ def drawn(N: int) -> tuple[System, Model, Array, Array]:
 
 @pytest.mark.parametrize("N", range(1, 9))
 def test_jacobians_are_those_of_finite_differences(N: int) -> None:
-    """A_c = df/dx, B_c = df/du and C = dh/dx about a non-equilibrium point, paper (13)."""
+    """A_c = df/dx along the manifold, B_c = df/du and C = dh/dx about a non-equilibrium point, (15); paper (13)."""
     _, model, x, u = drawn(N)
     linear = model.linearise(x, u)
-    assert deviation(linear.A_c, jacobian(lambda z: model.derivative(z, u), x)) < JACOBIAN_TOLERANCE
+    assert deviation(linear.A_c, jacobian(lambda z: model.derivative(retracted(z), u), x)) < JACOBIAN_TOLERANCE
     assert deviation(linear.B_c, jacobian(lambda z: model.derivative(x, z), u)) < JACOBIAN_TOLERANCE
     assert deviation(linear.C, jacobian(model.outputs, x)) < JACOBIAN_TOLERANCE
+
+
+@pytest.mark.parametrize("N", range(1, 9))
+def test_dynamics_do_not_see_rod_length(N: int) -> None:
+    """A_c is zero across the manifold, along e_i and along Omega_i parallel to e_i, docs/equations.md (15).
+
+    The equations of motion, simplified with |e| = 1, do answer to rod length: without the projection the test fails.
+    """
+    _, model, x, u = drawn(N)
+    A_c = model.linearise(x, u).A_c
+    stiffness = 0.0
+    for i in range(N):
+        for part in (state.E, state.ROD_RATE):
+            across = np.zeros(len(x))
+            across[state.uav_slice(i)][part] = StateView(x).e_P[i]
+            assert np.abs(A_c @ across).max() <= ACROSS_TOLERANCE * np.abs(A_c).max()
+            change = model.derivative(x + STEP * across, u) - model.derivative(x - STEP * across, u)
+            stiffness = max(stiffness, float(np.abs(change).max()) / (2.0 * STEP))
+    assert stiffness > 0.01 * np.abs(A_c).max()
 
 
 @pytest.mark.parametrize("N", [1, 4])
@@ -64,7 +97,8 @@ def test_jacobians_under_external_forces(N: int) -> None:
     F = random_forces(np.random.default_rng(1450 + N), N)
     linear = model.linearise(x, u, forces=F)
     assert deviation(linear.f, model.derivative(x, u, forces=F)) < OUTPUT_TOLERANCE
-    assert deviation(linear.A_c, jacobian(lambda z: model.derivative(z, u, forces=F), x)) < JACOBIAN_TOLERANCE
+    along = jacobian(lambda z: model.derivative(retracted(z), u, forces=F), x)
+    assert deviation(linear.A_c, along) < JACOBIAN_TOLERANCE
     assert deviation(linear.B_c, jacobian(lambda z: model.derivative(x, z, forces=F), u)) < JACOBIAN_TOLERANCE
     effect = jacobian(lambda z: model.derivative(x, u, forces=z), F)
     assert deviation(model.force_effect(x, u), effect) < JACOBIAN_TOLERANCE
@@ -100,12 +134,13 @@ def test_expansion_starts_at_the_point(N: int) -> None:
 
 
 @pytest.mark.parametrize("N", range(1, 9))
-def test_outputs_are_positions_attitude_and_yaw_rates(N: int) -> None:
-    """y stacks r_i of paper (1), the payload's Euler angles and the UAVs' yaw rates (paper, section V-A)."""
+def test_outputs_by_hand(N: int) -> None:
+    """y stacks r_i of paper (1), payload angles, yaw rates (paper, section V-A), payload position and velocity, (14)."""
     system, model, x, _ = drawn(N)
     view = StateView(x)
     positions, _ = vehicle_motion(system, x)
-    expected = np.concatenate([positions.reshape(-1), view.Theta0, view.omega_B[:, 2]])
+    payload = [view.r0_I, attitude(view.Theta0) @ view.v0_P]
+    expected = np.concatenate([positions.reshape(-1), view.Theta0, view.omega_B[:, 2], *payload])
     assert deviation(model.outputs(x), expected) < OUTPUT_TOLERANCE
 
 

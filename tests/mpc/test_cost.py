@@ -14,13 +14,15 @@ ROUNDING = 1e-13
 def test_stage_cost_by_hand() -> None:
     """(y - y_ref)' Q (y - y_ref) + (u - u_hover)' R (u - u_hover), paper (17), term by term for one UAV."""
     setup = ring_setup(1)
-    cost = Cost(Weights(position=2.0, attitude=3.0, yaw_rate=0.5, thrust=0.1, moments=(1.0, 10.0, 100.0)), setup.hover)
-    y_ref = np.zeros(7)
-    y = np.array([1.0, -2.0, 3.0, 0.1, 0.2, -0.3, 4.0])
+    outputs = {"position": 2.0, "attitude": 3.0, "yaw_rate": 0.5, "payload_position": 7.0, "payload_velocity": 0.25}
+    cost = Cost(Weights(**outputs, thrust=0.1, moments=(1.0, 10.0, 100.0)), setup.hover)
+    y_ref = np.zeros(13)
+    y = np.array([1.0, -2.0, 3.0, 0.1, 0.2, -0.3, 4.0, 0.5, -1.0, 1.5, 2.0, 0.0, -6.0])
     u = setup.hover.u + np.array([2.0, 0.1, -0.2, 0.3])
     positions, attitudes, yaw_rate = 2.0 * (1.0 + 4.0 + 9.0), 3.0 * (0.01 + 0.04 + 0.09), 0.5 * 16.0
+    payload = 7.0 * (0.25 + 1.0 + 2.25) + 0.25 * (4.0 + 36.0)
     efforts = 0.1 * 4.0 + 1.0 * 0.01 + 10.0 * 0.04 + 100.0 * 0.09
-    assert cost.stage(y, y_ref, u) == pytest.approx(positions + attitudes + yaw_rate + efforts, rel=ROUNDING)
+    assert cost.stage(y, y_ref, u) == pytest.approx(positions + attitudes + yaw_rate + payload + efforts, rel=ROUNDING)
 
 
 def test_error_is_measured_from_the_reference() -> None:
@@ -28,7 +30,7 @@ def test_error_is_measured_from_the_reference() -> None:
     setup = paper_setup()
     cost = Cost(Weights(), setup.hover)
     rng = np.random.default_rng(0)
-    y, y_ref, u = rng.integers(-8, 8, 19) / 4.0, rng.integers(-8, 8, 19) / 4.0, setup.hover.u
+    y, y_ref, u = rng.integers(-8, 8, 25) / 4.0, rng.integers(-8, 8, 25) / 4.0, setup.hover.u
     assert cost.stage(y + 0.5, y_ref + 0.5, u) == cost.stage(y, y_ref, u)
     assert cost.stage(y, y, u) == 0.0
 
@@ -56,6 +58,6 @@ def test_absolute_prices_from_zero() -> None:
 def test_weights_for_any_team(N: int) -> None:
     """Q, Q_f and R have one entry per output and input, and the terminal weight is a multiple of Q."""
     cost = Cost(Weights(terminal=7.0), ring_setup(N).hover)
-    assert cost.Q.shape == cost.Q_f.shape == (4 * N + 3,)
+    assert cost.Q.shape == cost.Q_f.shape == (4 * N + 9,)
     assert cost.R.shape == cost.u_target.shape == (4 * N,)
     assert np.array_equal(cost.Q_f, 7.0 * cost.Q)

@@ -79,7 +79,8 @@ def test_prediction_is_the_team_under_the_law(owned: tuple[int, ...]) -> None:
     others = np.setdiff1d(np.arange(setup.system.m), own)
     discrete = zero_order_hold(setup.model.linearise(at.x, at.u), PERIOD_S)
     x_ref = at.x + 0.1 * rng.standard_normal((steps, setup.system.n))
-    law = TeamLaw(K=gain(), u_rest=setup.hover.u, error=at.x - x_ref, c=rng.standard_normal((steps, setup.system.m)))
+    feedforward, c = rng.standard_normal((2, steps, setup.system.m))
+    law = TeamLaw(K=gain(), u_rest=setup.hover.u, error=at.x - x_ref, feedforward=feedforward, c=c)
     prediction = closed_loop(discrete, at.u, own, others, law)
     v = 0.1 * rng.standard_normal((steps, len(own)))
 
@@ -87,7 +88,7 @@ def test_prediction_is_the_team_under_the_law(owned: tuple[int, ...]) -> None:
     for k in range(steps):
         u = np.empty(setup.system.m)
         u[own] = at.u[own] + v[k]
-        u[others] = (setup.hover.u + gain() @ (at.x + dx - x_ref[k]) + law.c[k])[others]
+        u[others] = (setup.hover.u + gain() @ (at.x + dx - x_ref[k]) + feedforward[k] + c[k])[others]
         dx = discrete.f_d + discrete.A @ dx + discrete.B @ (u - at.u)
         convolved = sum(prediction.impulse[k - j] @ v[j] for j in range(k + 1))
         assert np.abs(prediction.dX_free[k + 1] + convolved - dx).max() < ROLLOUT_TOLERANCE

@@ -26,6 +26,7 @@ OTHER_WORDS = {
     "received_states": "as_received",
     "discretisation": "euler",
     "prediction": "closed_loop",
+    "terminal": "riccati",
     "actuation": "immediate",
     "mode": "realtime",
     "on_agent_loss": "continue",

@@ -1,0 +1,96 @@
+"""The linear model about hover as a model of its own: where the theorems of the shared control law hold exactly."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from model.arrays import Array
+from model.discretisation import zero_order_hold
+from model.hover import Hover
+from model.linearisation import Linearisation, Model
+from model.maneuver import Maneuver, Phase, Profile, Reference
+from model.parameters import Payload, System, Uav
+from mpc.feedback import tangent
+
+PERIOD_S = 0.05
+
+
+class LinearModel(Model):
+    """Everywhere the A_c, B_c and C of hover, and constant forces with their effect at hover.
+
+    Args:
+        system: Physical parameters.
+        at: Its equilibrium.
+    """
+
+    def __init__(self, system: System, at: Hover) -> None:
+        super().__init__(system)
+        self._at, self._about = at, super().linearise(at.x, at.u)
+        self._by_forces = self.force_effect(at.x, at.u)
+
+    def outputs(self, x: Array) -> Array:
+        """y = h(x_hover) + C (x - x_hover)."""
+        y: Array = self._about.y + self._about.C @ (x - self._at.x)
+        return y
+
+    def linearise(self, x: Array, u: Array, *, forces: Array | None = None) -> Linearisation:
+        """The expansion about hover, written about (x, u)."""
+        about = self._about
+        f = about.f + about.A_c @ (x - self._at.x) + about.B_c @ (u - self._at.u)
+        if forces is not None:
+            f = f + self._by_forces @ forces
+        return Linearisation(f=f, A_c=about.A_c, B_c=about.B_c, y=self.outputs(x), C=about.C)
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """Difference equation of the deviation from hover over one sampling period, and its outputs."""
+
+    A: Array
+    B: Array
+    C: Array
+
+
+def difference(system: System, at: Hover) -> Difference:
+    """A, B and C of a system about hover."""
+    linear = Model(system).linearise(at.x, at.u)
+    discrete = zero_order_hold(linear, PERIOD_S)
+    return Difference(discrete.A, discrete.B, linear.C)
+
+
+def uneven() -> System:
+    """Five unequal UAVs on unequal rods around an unsymmetric payload: nothing cancels by symmetry."""
+    angles = 2.0 * np.pi * np.arange(5) / 5 + np.array([0.0, 0.2, -0.1, 0.15, 0.05])
+    return System(
+        payload=Payload(mass=4.0, inertia=[0.5, 0.7, 0.9]),
+        uavs=[
+            Uav(
+                mass=1.2 + 0.15 * i,
+                inertia=[0.025 + 0.002 * i, 0.03, 0.05],
+                rho=[0.5 * np.cos(angle), 0.4 * np.sin(angle), -0.1 - 0.02 * i],
+                rod_length=2.4 + 0.3 * i,
+            )
+            for i, angle in enumerate(angles)
+        ],
+    )
+
+
+def reference_states(system: System, at: Hover, profile: Profile, instants: int, start_I: Array | None = None) -> Array:
+    """Reference states of a move in all directions, at rest well before the last instant, (instants, n)."""
+    start = np.array([1.0, -2.0, -10.0]) if start_I is None else start_I
+    legs = [("hover", 0.5, [0.0, 0.0, 0.0]), ("there", 0.7, [0.1, -0.05, 0.08]), ("on", 0.5, [0.0, 0.1, -0.05])]
+    phases = [Phase(name=name, duration_s=duration, displacement_I=way) for name, duration, way in legs]
+    reference = Reference(system, at, Maneuver(start_I=start, phases=phases, profile=profile))
+    return reference.states(PERIOD_S * np.arange(instants, dtype=np.float64))
+
+
+def reference_outputs(model: Model, X_ref: Array) -> Array:
+    """Outputs of reference states, (instants, 4 N + 9)."""
+    return np.array([model.outputs(x) for x in X_ref])
+
+
+def small_state(at: Hover, rng: np.random.Generator, size: float) -> Array:
+    """A deviation from hover by about `size` along the manifold, headings included, (n,)."""
+    T = tangent(at.x)
+    deviation: Array = T @ (size * rng.standard_normal(T.shape[1]))
+    return deviation

@@ -1,0 +1,219 @@
+"""The preview against the explicit tracking problem: one dense least-squares problem over the whole maneuver."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+from model import state
+from model.arrays import Array
+from model.hover import Hover, hover
+from model.linearisation import Model
+from model.maneuver import Profile
+from model.parameters import System, table_1
+from model.state import input_indices
+from mpc.cost import Cost
+from mpc.fail_safe import FailSafe
+from mpc.feedback import Regulator, regulator
+from mpc.preview import at_rest, preview
+from mpc.regulation import Regulation
+from mpc.settings import ControllerSettings, CostTerm, Weights
+from tests.mpc import naive
+from tests.mpc.linear_model import PERIOD_S, Difference, difference, reference_states, small_state
+
+# Of the largest value: two solutions of one linear problem whose Hessian has a condition of around 1e5.
+AGREEMENT = 1e-8
+# Of the largest value: positions of a hundred metres carry the rounding of 1e-14 m into the drift.
+FAR = 1e-9
+# N and N m, and per unit of state: rounding of products of the entries of P, which reach 1e3.
+ROUNDING = 1e-10
+
+INSTANTS = 45
+# Steps after which the closed loop has forgotten whatever has a cost.
+STEPS_TO_REST = 5000
+PAYLOAD = Weights(position=0.1, payload_position=1.0, payload_velocity=0.1)
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """A tracking problem in full coordinates.
+
+    Attributes:
+        model: Difference equation with the feedback of the UAVs without agents in it.
+        led: Inputs of those that have agents.
+        X_ref: Reference states, (K, n).
+        pull: Half the gradient of the stage cost at zero deviation, (K, n).
+    """
+
+    system: System
+    at: Hover
+    cost: Cost
+    law: Regulator
+    model: Difference
+    led: Array
+    X_ref: Array
+    pull: Array
+
+
+@lru_cache
+def problem(profile: Profile, pulled: str, gone: tuple[int, ...] = (), weights: Weights = PAYLOAD) -> Problem:
+    """The paper's system on a short move, with a pull that passes, one that lasts, or none."""
+    system = table_1()
+    at = hover(system)
+    cost, model = Cost(weights, at), difference(system, at)
+    alone = {uav: FailSafe(system, at.u).gain(uav) for uav in gone}
+    K = np.zeros((len(at.u), len(at.x)))
+    for uav, gain in alone.items():
+        K[state.input_slice(uav), state.uav_slice(uav)] = gain
+    led = np.setdiff1d(np.arange(len(at.u)), input_indices(gone))
+    X_ref = reference_states(system, at, profile, INSTANTS)
+    pull = np.zeros_like(X_ref)
+    if pulled != "none":
+        # What moves outputs without moving headings, as the square of a term does.
+        slope = model.C.T @ (cost.Q * np.random.default_rng(2).standard_normal(len(cost.Q)))
+        pull = np.sin(np.arange(INSTANTS) / 5.0)[:, None] * slope * 0.05
+        pull[-1] = 0.02 * slope if pulled == "lasting" else 0.0
+    return Problem(
+        system=system,
+        at=at,
+        cost=cost,
+        law=regulator(Model(system), at, cost, PERIOD_S, alone),
+        model=Difference(model.A + model.B @ K, model.B[:, led], model.C),
+        led=led,
+        X_ref=X_ref,
+        pull=pull,
+    )
+
+
+def slope_at_the_end(of: Problem) -> Array:
+    """What the last pull, lasting for ever, adds to half the slope of the cost-to-go: summed step by step, (n,)."""
+    closed = of.model.A + of.model.B @ of.law.K[of.led]
+    p = np.zeros(len(of.at.x))
+    for _ in range(STEPS_TO_REST):
+        p = closed.T @ p + of.pull[-1]
+    return p
+
+
+def dense(of: Problem, xi0: Array) -> tuple[Array, Array, Array]:
+    """The optimum over the whole maneuver from stacked matrices: no recursion, no coordinates of the manifold.
+
+    min over du of sum_{k<K} (xi' C'QC xi + 2 pull' xi + du' R du) + xi(K)' P xi(K) + 2 p(K)' xi(K) subject to
+    xi(k+1) = A xi(k) + B du(k) + A x_ref(k) - x_ref(k+1), the deviations of the reference from hover.
+
+    Returns: du (K, m_led), xi (K + 1, n), and half the derivative of the optimal cost with respect to xi0, (n,).
+    """
+    steps, n = len(of.X_ref), len(of.at.x)
+    A, B, C = of.model.A, of.model.B, of.model.C
+    reference = np.vstack([of.X_ref, of.X_ref[-1:]]) - of.at.x
+    drift = reference[:-1] @ A.T - reference[1:]
+    G, Gamma = naive.stacked_state(A, steps), naive.stacked_input(A, B, steps)
+    free = naive.simulate(A, np.eye(n), np.zeros(n), drift).reshape(-1) + G @ xi0
+    stage = C.T @ (of.cost.Q[:, None] * C)
+    weight = np.zeros(((steps + 1) * n, (steps + 1) * n))
+    for k in range(steps):
+        weight[k * n : (k + 1) * n, k * n : (k + 1) * n] = stage
+    weight[-n:, -n:] = of.law.T @ of.law.P @ of.law.T.T
+    linear = np.concatenate([of.pull.reshape(-1), slope_at_the_end(of)])
+    H = Gamma.T @ weight @ Gamma + np.diag(np.tile(of.cost.R[of.led], steps))
+    du = -np.linalg.solve(H, Gamma.T @ (weight @ free + linear))
+    xi = free + Gamma @ du
+    # At the optimum the inputs' own part of the derivative vanishes.
+    return du.reshape(steps, -1), xi.reshape(steps + 1, n), G.T @ (weight @ xi + linear)
+
+
+CASES: dict[str, tuple[Profile, str, tuple[int, ...]]] = {
+    "ramp": ("ramp", "none", ()),
+    "min_jerk": ("min_jerk", "none", ()),
+    "step": ("step", "none", ()),
+    "passing pull": ("ramp", "passing", ()),
+    "lasting pull": ("min_jerk", "lasting", ()),
+    "one gone": ("ramp", "passing", (2,)),
+}
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+def test_preview_is_the_optimum_of_the_tracking_problem(case: tuple[Profile, str, tuple[int, ...]]) -> None:
+    """Along the optimal path every input is K xi + feedforward, from any first deviation, (36b), (36c)."""
+    of = problem(*case)
+    found = preview(of.law, of.X_ref, of.pull)
+    for size in (0.0, 0.1):
+        du, xi, _ = dense(of, small_state(of.at, np.random.default_rng(3), size))
+        by_law = xi[:-1] @ of.law.K[of.led].T + found.feedforward[:, of.led]
+        assert np.abs(by_law - du).max() < AGREEMENT * np.abs(du).max()
+    others = np.setdiff1d(np.arange(len(of.at.u)), of.led)
+    assert not found.feedforward[:, others].any()
+    assert np.abs(found.feedforward).max() > 0.01, "nothing to see ahead: the comparison shows nothing"
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+def test_slope_is_that_of_the_optimal_cost(case: tuple[Profile, str, tuple[int, ...]]) -> None:
+    """Half the derivative of the optimal cost with respect to the first deviation is P xi + p(0), (36b), (36c)."""
+    of = problem(*case)
+    found = preview(of.law, of.X_ref, of.pull)
+    T = of.law.T
+    for size in (0.0, 0.1):
+        xi0 = small_state(of.at, np.random.default_rng(4), size)
+        _, _, derivative = dense(of, xi0)
+        expected = T.T @ derivative
+        value = of.law.P @ T.T @ xi0 + T.T @ found.slope[0]
+        assert np.abs(value - expected).max() < AGREEMENT * np.abs(expected).max()
+
+
+def test_it_does_not_matter_where_the_maneuver_is() -> None:
+    """Far from the origin, feedforward and slope are the same: the drift knows differences only, (36b)."""
+    of = problem("ramp", "passing")
+    here = preview(of.law, of.X_ref, of.pull)
+    moved = of.X_ref.copy()
+    moved[:, state.R0] += [70.0, -100.0, 40.0]
+    there = preview(of.law, moved, of.pull)
+    assert np.abs(there.feedforward - here.feedforward).max() < FAR * np.abs(here.feedforward).max()
+    assert np.abs(there.slope - here.slope).max() < FAR * np.abs(here.slope).max()
+
+
+@pytest.mark.parametrize("rods", ["vertical", "leaning"])
+def test_a_reference_at_rest_asks_for_nothing(rods: str) -> None:
+    """Hover anywhere, with whatever rods, needs no feedforward and no slope: the regulator is its optimum."""
+    system = table_1()
+    e = None
+    if rods == "leaning":
+        outwards = np.array([uav.rho for uav in system.uavs]) * [1.0, 1.0, 0.0]
+        e = np.array([0.0, 0.0, 1.0]) - 0.8 * outwards  # the UAVs stand wider than their attachment points
+        e /= np.linalg.norm(e, axis=1)[:, None]
+    at = hover(system, e)
+    law = regulator(Model(system), at, Cost(PAYLOAD, at), PERIOD_S)
+    X_ref = np.tile(at.x, (20, 1))
+    X_ref[:, state.R0] += [3.0, -4.0, -10.0]
+    found = preview(law, X_ref, np.zeros_like(X_ref))
+    assert np.abs(found.feedforward).max() < ROUNDING
+    assert np.abs(found.slope).max() < ROUNDING
+
+
+def test_beyond_the_maneuver_its_last_instant_counts() -> None:
+    """After the last instant the reference rests: feedforward and slope are those of the last one."""
+    of = problem("min_jerk", "none")
+    settings = ControllerSettings(
+        prediction="closed_loop", terminal="riccati", preview=True, weights=PAYLOAD,
+        costs=(CostTerm(expression="e1[0] - 0.02", weight=0.5),),
+    )  # fmt: skip
+    regulation = Regulation(Model(of.system), of.at, settings, of.X_ref)
+    ahead = regulation.feedforward(INSTANTS - 2, 6)
+    assert ahead.shape == (6, len(of.at.u))
+    assert ahead[1].any()
+    np.testing.assert_array_equal(ahead[1:], np.tile(ahead[1], (5, 1)))
+    ends = [regulation.cost_to_go(of.at.x, of.at.x, None, k) for k in (INSTANTS - 1, INSTANTS + 100)]
+    assert ends[0] is not None
+    assert ends[1] is not None
+    np.testing.assert_array_equal(ends[0].slope, ends[1].slope)
+    assert ends[0].slope.any()
+
+
+def test_a_lasting_pull_is_summed() -> None:
+    """p = closed' p + pulled is the sum of the pull's future, headings left out, for several pulls at once."""
+    of = problem("ramp", "lasting")
+    pulls = of.law.T.T @ np.column_stack([of.pull[-1], of.model.C.T @ of.cost.Q])
+    p = at_rest(of.law, pulls)
+    total, carried = np.zeros_like(p), pulls
+    for _ in range(STEPS_TO_REST):
+        total, carried = total + carried, of.law.closed.T @ carried
+    assert np.abs(p - total).max() < AGREEMENT * np.abs(total).max()

@@ -1,0 +1,321 @@
+"""Shared law, cost-to-go and preview make one problem of all programs: where nothing binds, no agent leaves the law.
+
+The theorem of docs/equations.md (36a)-(36e): on the linear model about hover, with no constraint active, c = 0 is the
+optimum of every agent's program, whatever it owns and however short its horizon.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+from model import state
+from model.arrays import Array
+from model.hover import Hover, hover
+from model.linearisation import Model
+from model.parameters import System, table_1
+from model.state import input_indices
+from mpc.controller import Controller, Optimum
+from mpc.cost import Cost
+from mpc.fail_safe import FailSafe
+from mpc.feedback import FeedbackError, regulator
+from mpc.regulation import Regulation
+from mpc.settings import ControllerSettings, CostTerm, Limits, Weights
+from tests.mpc.linear_model import (
+    PERIOD_S,
+    LinearModel,
+    difference,
+    reference_outputs,
+    reference_states,
+    small_state,
+    uneven,
+)
+from tests.mpc.systems import INTEGRATION_STEPS
+
+# Of the largest deviation of the inputs from hover: two solutions of one linear problem with condition around 1e5,
+# one by the Riccati recursion, one by condensing and a solver.
+NO_CORRECTION = 1e-8
+# Of the same: a correction this large is no rounding, and a program with another cost has one.
+A_CORRECTION = 1e-2
+# Relative, the same sum of 5000 products in another order; the slowest mode that costs has died out by then.
+SAME_COST = 1e-8
+STEPS_TO_REST = 5000
+
+INSTANTS = 80
+# In the hover before the maneuver, within a leg, shortly before a corner, at rest behind it, beyond the last instant.
+STARTS = (0, 15, 23, 40, INSTANTS + 3)
+
+# So wide that no bound or rate limit is active.
+WIDE = Limits(thrust_N=(0.0, 100.0), moments_Nm=(1e2,) * 3, thrust_rate_N_s=1e4, moment_rates_Nm_s=(1e4,) * 3)
+LQ = ControllerSettings(prediction="closed_loop", terminal="riccati", preview=True, limits=WIDE)
+PAYLOAD = Weights(position=0.1, payload_position=1.0, payload_velocity=0.1)
+# One of them pulls at the reference itself for ever: its value there is not zero.
+TERMS = (CostTerm(expression="v0[0]", weight=0.3), CostTerm(expression="e1[0] - 0.02", weight=0.5))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Case:
+    """A team and what its controllers are told.
+
+    Attributes:
+        owned: UAVs of the agent whose program is solved, 0-based.
+        gone: UAVs without an agent.
+        forced: Whether external forces are estimated.
+    """
+
+    system: System = field(default_factory=table_1)
+    owned: Sequence[int] = (1,)
+    gone: Sequence[int] = ()
+    forced: bool = False
+    weights: Weights = field(default_factory=Weights)
+    costs: tuple[CostTerm, ...] = ()
+
+
+CASES = {
+    "single": Case(),
+    "pair": Case(owned=(1, 2)),
+    "centralized": Case(owned=(0, 1, 2, 3)),
+    "forces": Case(forced=True),
+    "payload": Case(weights=PAYLOAD),
+    "costs": Case(costs=TERMS),
+    "gone": Case(gone=[2]),
+    "single, all": Case(forced=True, weights=PAYLOAD, costs=TERMS),
+    "pair, all": Case(owned=(0, 3), forced=True, weights=PAYLOAD, costs=TERMS),
+    "centralized, all": Case(owned=(0, 1, 2, 3), forced=True, weights=PAYLOAD, costs=TERMS),
+    "single, all, gone": Case(gone=[2], forced=True, weights=PAYLOAD, costs=TERMS),
+    "pair, all, pair gone": Case(
+        system=uneven(), owned=(0, 1), gone=[2, 3], forced=True, weights=PAYLOAD, costs=TERMS
+    ),
+    "uneven": Case(system=uneven(), owned=(1, 4), forced=True, weights=PAYLOAD, costs=TERMS),
+    "uneven, gone": Case(system=uneven(), owned=(1, 4), gone=[2], forced=True, weights=PAYLOAD, costs=TERMS),
+}  # fmt: skip
+
+
+def held(X: Array, start: int, count: int) -> Array:
+    """Rows from `start` on, the last one in place of those behind it."""
+    return np.asarray(X[np.minimum(np.arange(start, start + count), len(X) - 1)])
+
+
+def optimum(one: Controller, X_ref: Array, k: int, x: Array, u0: Array, forces: Array | None) -> Optimum:
+    """One step of a controller at an instant of the maneuver, all announced corrections zero."""
+    steps = one.settings.horizon
+    window = held(X_ref, k, steps + 1)
+    U = np.tile(u0, (steps, 1))
+    law = one.law(x, window[:-1], np.zeros_like(U), forces, k)
+    end = one.end(x, window[-1], forces, k + steps)
+    return one.step(x, u0, U, reference_outputs(one.model, window), law, forces, end=end)
+
+
+def corrections(case: Case, settings: ControllerSettings, starts: Sequence[int] = STARTS) -> list[float]:
+    """Largest correction an agent finds from random small states, relative to the largest input deviation."""
+    at = hover(case.system)
+    model = LinearModel(case.system, at)
+    X_ref = reference_states(case.system, at, "ramp", INSTANTS)
+    settings = replace(settings, weights=case.weights, costs=case.costs)
+    one = Controller(model, at, settings, case.owned, X_ref)
+    if case.gone:
+        one.without(case.gone)
+    shares = []
+    for k in starts:
+        rng = np.random.default_rng(100 * settings.horizon + k)
+        forces = rng.normal(0.0, 2.0, 3 + 3 * case.system.N) if case.forced else None
+        x = held(X_ref, k, 1)[0] + small_state(at, rng, 0.05)
+        u0 = at.u + 0.1 * rng.standard_normal(len(at.u))
+        found = optimum(one, X_ref, k, x, u0, forces)
+        assert found.solution.status == "solved"
+        assert not np.any(found.solution.row_multipliers), "a constraint is active: the theorem says nothing"
+        deviation = float(np.abs(found.U - at.u[one.own]).max())
+        assert deviation > 0.1, "nothing to do: the comparison shows nothing"
+        shares.append(float(np.abs(found.c).max()) / deviation)
+    return shares
+
+
+@pytest.mark.parametrize("horizon", [1, 5, 20])
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+def test_no_agent_leaves_the_law(case: Case, horizon: int) -> None:
+    """c = 0 is the optimum of every program, from any small state and instant, docs/equations.md (36a)-(36e)."""
+    assert max(corrections(case, replace(LQ, horizon=horizon))) < NO_CORRECTION
+
+
+@pytest.mark.parametrize("change", [{"terminal": "multiple"}, {"preview": False}])
+def test_another_cost_has_corrections(change: dict[str, object]) -> None:
+    """Without the cost-to-go or the preview the same program leaves the law: the theorem is about them."""
+    assert min(corrections(Case(), replace(LQ, **change), [15])) > A_CORRECTION  # type: ignore[arg-type]
+
+
+def test_others_effort_is_part_of_the_program() -> None:
+    """Without the weight of the others' inputs an agent would leave the law to let them work, (36e)."""
+    case = Case()
+    at = hover(case.system)
+    X_ref = reference_states(case.system, at, "ramp", INSTANTS)
+    found = []
+    for answering in (True, False):
+        one = Controller(LinearModel(case.system, at), at, LQ, case.owned, X_ref)
+        if not answering:
+            one._answering = np.zeros(0, dtype=np.intp)
+        x = X_ref[15] + small_state(at, np.random.default_rng(1), 0.05)
+        found.append(np.abs(optimum(one, X_ref, 15, x, at.u, None).c).max())
+    assert found[0] < NO_CORRECTION
+    assert found[1] > A_CORRECTION
+
+
+@pytest.mark.parametrize("owned", [(0,), (1, 2), (0, 1, 2, 3)])
+def test_at_hover_the_model_itself_gives_no_corrections(owned: tuple[int, ...]) -> None:
+    """At the hover state the expansion is the one about hover: no correction on the way to a reference that moves."""
+    system = table_1()
+    at, model = hover(system), Model(system)
+    X_ref = reference_states(system, at, "ramp", INSTANTS)
+    one = Controller(model, at, LQ, owned, X_ref)
+    for k in (0, 15, 23):
+        found = optimum(one, X_ref, k, X_ref[0], at.u, None)
+        deviation = np.abs(found.U - at.u[one.own]).max()
+        assert deviation > 0.1
+        assert np.abs(found.c).max() < NO_CORRECTION * deviation
+
+
+def test_without_preview_nothing_is_missing_at_rest() -> None:
+    """With a reference at rest the law needs no preview, (36c)."""
+    assert max(corrections(Case(), replace(LQ, preview=False), [INSTANTS])) < NO_CORRECTION
+
+
+@pytest.mark.parametrize("forced", [False, True])
+def test_centralized_open_loop_program_is_the_law(forced: bool) -> None:
+    """With all UAVs owned, cost-to-go and preview, the program without a shared law plans what the law does, (36d)."""
+    system = table_1()
+    at = hover(system)
+    model, X_ref = LinearModel(system, at), reference_states(system, at, "min_jerk", INSTANTS)
+    free = Controller(model, at, replace(LQ, prediction="open_loop"), range(4), X_ref)
+    shared = Controller(model, at, LQ, range(4), X_ref)
+    rng = np.random.default_rng(4)
+    forces = rng.normal(0.0, 2.0, 15) if forced else None
+    x = X_ref[15] + small_state(at, rng, 0.05)
+    plan = optimum(free, X_ref, 15, x, at.u, forces)
+    law = optimum(shared, X_ref, 15, x, at.u, forces)
+    assert plan.c.shape == (0, 16)
+    assert np.abs(plan.U - law.U).max() < NO_CORRECTION * np.abs(law.U - at.u).max()
+    first = shared.regulation.inputs(x, X_ref[15], forces, 15)
+    assert first is not None
+    assert np.abs(plan.U[0] - first).max() < NO_CORRECTION * np.abs(law.U - at.u).max()
+
+
+@lru_cache
+def uneven_hover() -> Hover:
+    """Equilibrium of the uneven team."""
+    return hover(uneven())
+
+
+@pytest.mark.parametrize("terms", [(), TERMS[:1]])
+@pytest.mark.parametrize("gone", [[], [2]])
+def test_cost_to_go_is_the_sum_of_the_costs_to_come(gone: list[int], terms: tuple[CostTerm, ...]) -> None:
+    """|root (x - x_hover)|^2 is the cost of the closed loop summed until it rests, docs/equations.md (36d)."""
+    system, at = uneven(), uneven_hover()
+    model = difference(system, at)
+    regulation = Regulation(Model(system), at, replace(LQ, weights=PAYLOAD, costs=terms))
+    regulation.without(gone)
+    law, cost = regulation.regulator, Cost(PAYLOAD, at)
+    assert law is not None
+    deviation = small_state(at, np.random.default_rng(2), 0.1)
+    x, R = deviation, cost.R.copy()
+    R[input_indices(gone)] = 0.0  # the fail-safe of a UAV without an agent is given, not optimised
+    total = 0.0
+    for _ in range(STEPS_TO_REST):
+        y, u = model.C @ x, law.K @ x
+        total += float(y @ (cost.Q * y) + u @ (R * u)) + sum(term.weight * x[state.V0.start] ** 2 for term in terms)
+        x = model.A @ x + model.B @ u
+    end = regulation.cost_to_go(at.x + deviation, at.x, None, 0)
+    assert end is not None
+    assert not end.slope.any()
+    assert np.linalg.norm(end.root @ end.error) ** 2 == pytest.approx(total, rel=SAME_COST)
+
+
+@pytest.mark.parametrize("gone", [[], [2]])
+def test_no_gain_is_better(gone: list[int]) -> None:
+    """Any small change of the led inputs' law raises the sum: K is the minimiser, those without an agent as given."""
+    system, at = uneven(), uneven_hover()
+    model, cost = difference(system, at), Cost(PAYLOAD, at)
+    regulation = Regulation(Model(system), at, replace(LQ, weights=PAYLOAD))
+    regulation.without(gone)
+    law = regulation.regulator
+    assert law is not None
+    rng = np.random.default_rng(3)
+    x0 = small_state(at, rng, 0.1)
+    own = {uav: FailSafe(system, at.u).gain(uav) for uav in gone}
+    for uav, gain in own.items():
+        np.testing.assert_array_equal(law.K[state.input_slice(uav), state.uav_slice(uav)], gain)
+        others = np.delete(law.K[state.input_slice(uav)], np.arange(len(at.x))[state.uav_slice(uav)], axis=1)
+        assert not others.any()
+    push = np.zeros((40, len(at.u)))
+    push[:, law.led] = rng.standard_normal((40, len(law.led)))
+
+    def costs(size: float) -> float:
+        """Cost over 2000 steps with a push besides the law."""
+        x, total = x0, 0.0
+        for k in range(2000):
+            u = law.K @ x + (size * push[k] if k < len(push) else 0.0)
+            y = model.C @ x
+            total += float(y @ (cost.Q * y) + u[law.led] @ (cost.R[law.led] * u[law.led]))
+            x = model.A @ x + model.B @ u
+        return total
+
+    least, more, less = costs(0.0), costs(0.01), costs(-0.01)
+    assert min(more, less) > least
+    # A minimum: what a push of either sign adds is the same, so no slope is left.
+    assert abs(more - less) < 1e-5 * (more + less - 2.0 * least) + SAME_COST * least
+
+
+def test_a_team_that_cannot_go_on_keeps_its_regulator() -> None:
+    """Where those left cannot make the cost finite, the law and its preview stay those of all, (45).
+
+    Two equal UAVs without agents swing against each other for ever: no other UAV feels it, and it has a cost.
+    """
+    system = table_1()
+    at, model = hover(system), Model(system)
+    X_ref = reference_states(system, at, "ramp", INSTANTS)
+    alone = {uav: FailSafe(system, at.u).gain(uav) for uav in (2, 3)}
+    with pytest.raises(FeedbackError):
+        regulator(model, at, Cost(LQ.weights, at), PERIOD_S, alone)
+    regulation = Regulation(model, at, LQ, X_ref)
+    before, feedforward = regulation.regulator, regulation.feedforward(0, INSTANTS)
+    regulation.without([2, 3])
+    assert regulation.regulator is before
+    np.testing.assert_array_equal(regulation.feedforward(0, INSTANTS), feedforward)
+
+
+def test_coming_back_restores_everything() -> None:
+    """An agent that goes and comes back leaves regulator, feedforward and cost-to-go as they were, bit for bit."""
+    system = table_1()
+    at, model = hover(system), Model(system)
+    X_ref = reference_states(system, at, "ramp", INSTANTS)
+    regulation = Regulation(model, at, LQ, X_ref)
+    forces = np.random.default_rng(5).normal(0.0, 2.0, 15)
+
+    def everything() -> list[Array]:
+        law = regulation.law(X_ref[3], X_ref[:20], np.zeros((20, 16)), forces, 0)
+        end = regulation.cost_to_go(X_ref[3], X_ref[20], forces, 20)
+        assert law is not None
+        assert end is not None
+        return [law.K, law.u_rest, law.error, law.feedforward, end.root, end.error, end.slope]
+
+    before = everything()
+    regulation.without([2])
+    assert not np.array_equal(everything()[3], before[3])
+    regulation.without([])
+    for now, then in zip(everything(), before, strict=True):
+        np.testing.assert_array_equal(now, then)
+
+
+def test_small_motions_are_no_corrections_either() -> None:
+    """On the nonlinear model corrections fall faster than the deviation: they are what the expansion leaves out."""
+    system = table_1()
+    at, model = hover(system), Model(system)
+    X_ref = reference_states(system, at, "ramp", INSTANTS)
+    one = Controller(model, at, LQ, (0,), X_ref)
+    deviation = small_state(at, np.random.default_rng(6), 1.0)
+    found = []
+    for size in (0.02, 0.01):
+        x = X_ref[INSTANTS - 1] + size * deviation
+        x, _ = model.integrate(x, at.u, 1e-6, INTEGRATION_STEPS)  # back onto the manifold
+        found.append(np.abs(optimum(one, X_ref, INSTANTS, x, at.u, None).c).max())
+    assert found[1] < 0.35 * found[0]  # a quarter by second order, a half by first
