@@ -110,6 +110,24 @@ INLINE double dot(ptrdiff_t n, const double *a, const double *b)
 }
 
 /* Numbers of doubles of work space that the functions below ask for. */
+/* A := A Pi, with Pi the derivative of the projection of the rods, (15a). A is stored column by column; each rod's
+   direction e and rate Omega begin a block of `block` states, the first one behind `payload` states. */
+void along_manifold(ptrdiff_t n, ptrdiff_t payload, ptrdiff_t block, const double *x, double *A)
+{
+    for (ptrdiff_t at = payload; at < n; at += block) {
+        const double *e = x + at, *Omega = e + 3;
+        double *by_e = A + at * n, *by_Omega = by_e + 3 * n;
+        for (ptrdiff_t i = 0; i < n; i++) {
+            const double across = by_e[i] * e[0] + by_e[n + i] * e[1] + by_e[2 * n + i] * e[2];
+            const double rate = by_Omega[i] * e[0] + by_Omega[n + i] * e[1] + by_Omega[2 * n + i] * e[2];
+            for (ptrdiff_t j = 0; j < 3; j++) {
+                by_e[j * n + i] -= across * e[j] + rate * Omega[j];
+                by_Omega[j * n + i] -= rate * e[j];
+            }
+        }
+    }
+}
+
 ptrdiff_t zero_order_hold_work(ptrdiff_t n, ptrdiff_t m)
 {
     return 6 * n * padded(n) + 2 * n * padded(m + 1) + 2 * n * n + n + 1 + padded(n);

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from model import native, state
 from model.arrays import Array
 from model.compiled import Compiled, functions
 from model.parameters import System
@@ -72,8 +73,12 @@ class Model:
         return self._velocities(x, self._p)[0]
 
     def linearise(self, x: Array, u: Array, *, forces: Array | None = None) -> Linearisation:
-        """Exact derivatives about (x, u) under constant forces. Source: docs/equations.md (15), (37); paper (13)."""
+        """Exact derivatives about (x, u) under constant forces.
+
+        Source: docs/equations.md (15), (15a), (37); paper (13).
+        """
         f, A_c, B_c, y, C = self._linearise(x, u, self._p, self._no_forces if forces is None else forces)
+        along_manifold(A_c, x)
         return Linearisation(f=f, A_c=A_c, B_c=B_c, y=y, C=C)
 
     def force_effect(self, x: Array, u: Array) -> Array:
@@ -103,6 +108,30 @@ class Model:
         held = self._no_forces if forces is None else forces
         end, errors = self._steps[steps](x, u, self._p, held, duration_s / steps)
         return end, float(errors[0])
+
+
+def along_manifold(A_c: Array, x: Array) -> None:
+    """Make a derivative blind to what lies across |e_i| = 1, e_i . Omega_i = 0: multiply it by that of the projection.
+
+    Args:
+        A_c: df/dx, (n, n), column by column in memory; changed in place.
+        x: State, (n,).
+    Source: docs/equations.md (15a).
+    """
+    if native.AVAILABLE:
+        native.along_manifold(A_c, x)
+    else:
+        _along_manifold(A_c, x)
+
+
+def _along_manifold(A_c: Array, x: Array) -> None:
+    for uav in range((len(x) - state.PAYLOAD) // state.PER_UAV):
+        rod = state.uav_slice(uav)
+        by_e, by_Omega = A_c[:, rod][:, state.E], A_c[:, rod][:, state.ROD_RATE]
+        e, Omega = x[rod][state.E], x[rod][state.ROD_RATE]
+        across, across_rate = by_e @ e, by_Omega @ e
+        by_e -= np.outer(across, e) + np.outer(across_rate, Omega)
+        by_Omega -= np.outer(across_rate, e)
 
 
 def _last_and_errors(chained: ca.Function, system: System, steps: int) -> ca.Function:

@@ -12,13 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from model import compiler
+from model import compiler, state
 from model.arrays import Array
 
 _FLAGS = ("-O3", "-march=native", "-fno-math-errno")
 
 _address, _number = ctypes.c_void_p, ctypes.c_ssize_t
 _SIGNATURES: dict[str, tuple[Any, Sequence[Any]]] = {
+    "along_manifold": (None, [_number] * 3 + [_address] * 2),
     "zero_order_hold_work": (_number, [_number] * 2),
     "zero_order_hold": (ctypes.c_double, [_number] * 2 + [_address] * 3 + [ctypes.c_double] * 4 + [_address] * 4),
     "responses_work": (_number, [_number] * 2),
@@ -34,6 +35,11 @@ _SIGNATURES: dict[str, tuple[Any, Sequence[Any]]] = {
     "within_bounds": (ctypes.c_int, [_number] + [_address] * 4 + [ctypes.c_int] + [_address] * 3),
     "residuals": (None, [_number] * 2 + [_address] * 12),
 }
+
+
+def along_manifold(A_c: Array, x: Array) -> None:
+    """See `model.linearisation.along_manifold`."""
+    _KERNELS.along_manifold(len(x), state.PAYLOAD, state.PER_UAV, _at(x), _at(A_c.T))
 
 
 def zero_order_hold(

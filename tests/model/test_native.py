@@ -14,7 +14,7 @@ from model import compiler, native
 from model.arrays import ShapeError
 from model.compiled import Compiled, compile_functions, functions
 from model.discretisation import _zero_order_hold, zero_order_hold
-from model.linearisation import Linearisation
+from model.linearisation import Linearisation, _along_manifold, along_manifold
 from tests.model.random_systems import random_forces, random_input, random_state, random_system
 
 needs_compiler = pytest.mark.skipif(compiler.find_compiler() is None, reason="no C compiler on this machine")
@@ -39,6 +39,22 @@ def linearisation(n: int, m: int, filled: float, growth: float, seed: int) -> Li
         y=np.zeros(1),
         C=np.zeros((1, n)),
     )
+
+
+@needs_kernels
+@pytest.mark.parametrize("N", [1, 2, 4, 7])
+def test_along_manifold_is_its_twin(N: int) -> None:
+    """Columns of rods lose what lies across the manifold, all others stay; docs/equations.md (15a)."""
+    rng = np.random.default_rng(N)
+    x, n = random_state(rng, N), 12 + 12 * N
+    found = np.asfortranarray(rng.standard_normal((n, n)))
+    expected, before = found.copy(order="F"), found.copy()
+    along_manifold(found, x)
+    _along_manifold(expected, x)
+    assert np.abs(found - expected).max() <= ROUNDING * np.abs(before).max()
+    rods = np.array([any(12 + 12 * i <= column < 18 + 12 * i for i in range(N)) for column in range(n)])
+    assert (found[:, ~rods] == before[:, ~rods]).all()
+    assert (found[:, rods] != before[:, rods]).any(axis=0).all()
 
 
 @needs_kernels
