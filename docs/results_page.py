@@ -247,6 +247,14 @@ SECTIONS = (
         alt="Survival, mean cost and payload attitude for each agent killed",
     ),
     Section(
+        name="deaths",
+        title="An agent killed for good, at any time",
+        text="Random agents killed at random times, one in each run, never restarted. Their UAVs play the last plan "
+        "and then hold hover thrust and level attitude.",
+        columns={**SCENARIO, "killed": plain("agent"), "at, s": plain("killed_s"), **OUTCOME},
+        alt="Survival, mean cost and payload attitude over the time of death",
+    ),
+    Section(
         name="sharing",
         title="How few plans have to be sent?",
         text="A plan is sent to the other agents when its corrections to the shared control law change by more than a "

@@ -247,6 +247,23 @@ def kill(
     return catalogue.kill(agents, kill_s, restart_s)
 
 
+@_sweep(usual_seeds=1, usual_scenarios=("resilient",))
+def deaths(
+    shared: _Options,
+    count: Annotated[int | None, typer.Option("--count", min=1, help="Deaths of each scenario; by default 20.")] = None,
+    draw: Annotated[int, typer.Option("--draw", min=0, help="Seed of the times and of who is killed.")] = 0,
+) -> "Experiment":
+    """Random agents killed for good at random times.
+
+    Each run kills one agent and never restarts it; the others fly on.
+
+    Example: transport experiment deaths --processes
+    """
+    from transport.experiments import deaths as random_deaths
+
+    return random_deaths.deaths(shared.read(), count or (2 if shared.quick else 20), draw)
+
+
 @_sweep(usual_seeds=3)
 def matrix(
     shared: _Options,
