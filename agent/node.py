@@ -435,7 +435,7 @@ class AgentNode:
         return x
 
     def _by_law(self, tick: int, x: Array) -> Array | None:
-        """Inputs of all UAVs by the shared control law at a tick, without corrections, (m,); None without such a law."""
+        """Inputs of all UAVs by the shared control law at a tick, without corrections, (m,); None without a law."""
         forces = None if self._disturbance is None else self._disturbance.forces
         return self._controller.regulation.inputs(x, self._x_ref[tick], forces, tick)
 

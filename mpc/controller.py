@@ -160,9 +160,7 @@ class Controller:
         qp = self.condense(linear, prediction, U, y_ref, law, end)
         return self.conclude(self.solve(qp), prediction, U, law, earlier)
 
-    def law(
-        self, x0: Array, x_ref: Array, c: Array, forces: Array | None = None, start: int = 0
-    ) -> TeamLaw | None:
+    def law(self, x0: Array, x_ref: Array, c: Array, forces: Array | None = None, start: int = 0) -> TeamLaw | None:
         """The shared control law over the horizon, or None with open-loop prediction; see `Regulation.law`."""
         return self.regulation.law(x0, x_ref, c, forces, start)
 
@@ -272,7 +270,8 @@ class Controller:
         H, g = np.zeros((decisions + slacks, decisions + slacks)), np.empty(decisions + slacks)
         condensing.condense(scaled, 2.0 * Q, terminal, 2.0 * weighted, H, g)
         if end is not None:
-            last = np.ascontiguousarray(prediction.impulse[::-1].transpose(1, 0, 2) * self._scale).reshape(-1, decisions)
+            last = prediction.impulse[::-1].transpose(1, 0, 2) * self._scale  # on the state at step N_p
+            last = np.ascontiguousarray(last).reshape(-1, decisions)
             reached = end.root @ last
             H[:decisions, :decisions] += 2.0 * (reached.T @ reached)
             g[:decisions] += 2.0 * (reached.T @ (end.root @ (end.error + prediction.dX_free[-1])) + end.slope @ last)

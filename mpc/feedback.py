@@ -123,7 +123,7 @@ def regulator(
     if further is not None:
         weighted += T.T @ further.T @ further @ T
     P = _riccati(A, B, weighted, R)
-    ahead = -np.linalg.solve(np.diag(R) + B.T @ P @ B, B.T)
+    ahead: Array = -np.linalg.solve(np.diag(R) + B.T @ P @ B, B.T)
     K[led] = ahead @ P @ A @ T.T
     eigenvalues, vectors = np.linalg.eigh(P)
     kept = eigenvalues > _RANK * eigenvalues[-1]

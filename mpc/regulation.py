@@ -150,7 +150,7 @@ class Regulation:
         return np.minimum(np.arange(start, start + steps), known - 1)
 
     def _forced(self, regulator: Regulator) -> tuple[Array, Array]:
-        """Feedforward (m, 3 + 3 N) and slope of the cost-to-go (n, 3 + 3 N) per newton: where the target misses outputs.
+        """Feedforward (m, 3 + 3 N) and slope of the cost-to-go (n, 3 + 3 N) per newton: the target misses outputs.
 
         Source: docs/equations.md (40a).
         """

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from model import state
@@ -51,7 +52,7 @@ class Problem:
     cost: Cost
     law: Regulator
     model: Difference
-    led: Array
+    led: npt.NDArray[np.intp]
     X_ref: Array
     pull: Array
 
