@@ -123,7 +123,7 @@ def regulator(
     if further is not None:
         weighted += T.T @ further.T @ further @ T
     P = _riccati(A, B, weighted, R)
-    ahead: Array = -np.linalg.solve(np.diag(R) + B.T @ P @ B, B.T)
+    ahead = -np.asarray(np.linalg.solve(np.diag(R) + B.T @ P @ B, B.T), dtype=np.float64)
     K[led] = ahead @ P @ A @ T.T
     eigenvalues, vectors = np.linalg.eigh(P)
     kept = eigenvalues > _RANK * eigenvalues[-1]
