@@ -78,7 +78,7 @@ def estimates(
         truth: What happens.
         arrivals: Others' plans, by the tick before whose estimate they arrive.
         missed: Ticks whose measurement never comes.
-        law: What the others do after the first step of a plan.
+        law: Control law of the other agents after the first step of a plan.
     """
     run = truth.run
     estimator = StateEstimator(run.model, lambda k: run.initial_state(), PERIOD_S)
@@ -285,7 +285,7 @@ class LedFlight:
     c: Array
 
     def late(self) -> Arrivals:
-        """Everybody's plans, LATE ticks late: the true first input, held, and the true corrections."""
+        """Plans of all agents with a delay of LATE ticks: the true first input, held, and the true corrections."""
         arrivals = arriving(self.flight, lambda k: k + LATE)
         owned = self.flight.run.owned
 
@@ -299,7 +299,7 @@ class LedFlight:
 
 @lru_cache
 def led_flight(force_N: float = 0.0) -> LedFlight:
-    """All follow the law on a climb, from a start off the plan, under a force on the payload that nobody knows."""
+    """All agents follow the control law on a climb, from a start off the plan, under an unknown force on the payload."""
     closed = ("controller.prediction=closed_loop", "controller.terminal=riccati", "controller.preview=true")
     run = setup(SHORT, *closed)
     regulation = Regulation(run.model, run.hover, run.settings, run.X_ref)
@@ -324,7 +324,7 @@ def led_flight(force_N: float = 0.0) -> LedFlight:
 
 
 def test_the_law_makes_late_states_exact() -> None:
-    """Under the shared law the estimate is the true state however late plans are, whatever inputs they foresaw, (32a).
+    """Under the shared control law the estimate is the true state for any delay and any predicted inputs, (32a).
 
     By induction: a true state gives the true inputs by the law, and those the next true state.
     """
@@ -338,7 +338,7 @@ def test_the_law_makes_late_states_exact() -> None:
 
 
 def test_the_law_is_better_than_held_plans_under_an_unknown_force() -> None:
-    """Under a force nobody knows the estimate with the law is no longer exact, but closer than that with held plans."""
+    """Under an unknown force the estimate by the control law is not exact, but closer than that by held plans."""
     led = led_flight(3.0)
     truth = led.flight
     errors = []

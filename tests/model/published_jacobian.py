@@ -1,6 +1,6 @@
 """The expansion of the paper's own equations (7)-(11), no unknown eliminated: an oracle for the expansion in use.
 
-Rod lengths are not assumed to be one anywhere; that is what an elimination before the derivative may do.
+No term assumes |e_i| = 1, as an elimination before the derivative may do.
 """
 
 import casadi as ca
@@ -16,8 +16,8 @@ from model.rotations import euler_rates, rotation
 K = ca.DM([0.0, 0.0, 1.0])  # direction of gravity, inertial frame
 
 
-class PrintedModel(Model):
-    """The model of a system with A_c from the printed equations, by implicit differentiation of (11).
+class PublishedModel(Model):
+    """The model of a system with A_c from the published equations, by implicit differentiation of (11).
 
     Args:
         system: Physical parameters.
@@ -27,7 +27,7 @@ class PrintedModel(Model):
         super().__init__(system)
         self._vector, symbols = system.vector(), Symbols.of(system.N)
         x, u, p = symbols.x, symbols.u, symbols.p
-        M, b = printed(symbols)
+        M, b = published(symbols)
         q = ca.SX.sym("q", b.shape[0])  # v0', omega0', Omega_1' .. Omega_N'
         # M q = b: the derivative of q is M^-1 times that of b - M q at constant q.
         slope = ca.jacobian(b - M @ q, x)
@@ -44,7 +44,7 @@ class PrintedModel(Model):
         return np.asarray(np.linalg.solve(np.asarray(M), np.asarray(b)[:, 0]))
 
     def linearise(self, x: Array, u: Array, *, forces: Array | None = None) -> Linearisation:
-        """As that of the model, with A_c = df/dx of the printed equations; without external forces."""
+        """As that of the model, with A_c = df/dx of the published equations; without external forces."""
         found = super().linearise(x, u, forces=forces)
         at = np.concatenate([x, u]).tobytes()
         if self._newest is None or self._newest[0] != at:
@@ -64,7 +64,7 @@ def _rod_rates(N: int) -> list[Array]:
     return [np.arange(3) + state.uav_slice(i).start + state.ROD_RATE.start for i in range(N)]
 
 
-def printed(symbols: Symbols) -> tuple[ca.SX, ca.SX]:
+def published(symbols: Symbols) -> tuple[ca.SX, ca.SX]:
     """M_0q and f_0q of paper (11), with the index of (7) inside its sum as (11) has it (`tests.model.paper_form`)."""
     x, N = symbols.x, symbols.N
     v0, w = x[state.V0], ca.skew(x[state.OMEGA0])
