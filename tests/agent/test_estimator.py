@@ -299,7 +299,7 @@ class LedFlight:
 
 @lru_cache
 def led_flight(force_N: float = 0.0) -> LedFlight:
-    """All agents follow the control law on a climb, from a start off the plan, under an unknown force on the payload."""
+    """All agents follow the control law on a climb, from a start off the plan, under an unknown payload force."""
     closed = ("controller.prediction=closed_loop", "controller.terminal=riccati", "controller.preview=true")
     run = setup(SHORT, *closed)
     regulation = Regulation(run.model, run.hover, run.settings, run.X_ref)
