@@ -230,7 +230,7 @@ X = np.linspace(-1.0, 1.0, 48)
 
 
 def by_law(tick: int, x: Array) -> Array:
-    """Inputs of a law whose every number tells tick, state and input."""
+    """Control law whose every number tells tick, state and input."""
     inputs: Array = 100.0 * tick + 7.0 * x[:12] + np.arange(12.0)
     return inputs
 
@@ -246,7 +246,7 @@ def under_law(*plans: Plan, own: int = 0, law: Law = by_law, limits: Limits | No
 @pytest.mark.parametrize("age", range(STEPS + 3))
 @pytest.mark.parametrize("delay", [0, 1])
 def test_later_inputs_follow_the_law(age: int, delay: int) -> None:
-    """After the first step of a plan its agent followed the law with the corrections announced, (32a)."""
+    """After the first step of a plan its agent followed the control law with the announced corrections, (32a)."""
     plan = labelled(1, 7, delay=delay)
     k = plan.start_tick + age
     u = rows(1, under_law(plan).at(k, before=k + 1, x=X))
@@ -258,7 +258,7 @@ def test_later_inputs_follow_the_law(age: int, delay: int) -> None:
 
 
 def test_own_inputs_are_known() -> None:
-    """The own plan is played on as announced, whatever the law says: the plant's schedule does so, (32a)."""
+    """The own plan is played on as announced, not by the control law: so does the plant's schedule, (32a)."""
     plan = labelled(1, 7)
     inputs = under_law(plan, labelled(2, 7), own=1)
     for age in range(STEPS + 2):

@@ -135,7 +135,7 @@ def test_expansion_starts_at_the_point(N: int) -> None:
 
 @pytest.mark.parametrize("N", range(1, 9))
 def test_outputs_by_hand(N: int) -> None:
-    """y stacks r_i of paper (1), payload angles, yaw rates (paper, section V-A), payload position and velocity, (14)."""
+    """y stacks r_i of paper (1), payload angles, yaw rates (paper, section V-A), payload position, velocity, (14)."""
     system, model, x, _ = drawn(N)
     view = StateView(x)
     positions, _ = vehicle_motion(system, x)

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from model import state
@@ -30,7 +31,7 @@ FAR = 1e-9
 ROUNDING = 1e-10
 
 INSTANTS = 45
-# Steps after which the closed loop has forgotten whatever has a cost.
+# Steps after which every mode of the closed loop that has a cost has decayed.
 STEPS_TO_REST = 5000
 PAYLOAD = Weights(position=0.1, payload_position=1.0, payload_velocity=0.1)
 
@@ -51,7 +52,7 @@ class Problem:
     cost: Cost
     law: Regulator
     model: Difference
-    led: Array
+    led: npt.NDArray[np.intp]
     X_ref: Array
     pull: Array
 
@@ -70,7 +71,7 @@ def problem(profile: Profile, pulled: str, gone: tuple[int, ...] = (), weights: 
     X_ref = reference_states(system, at, profile, INSTANTS)
     pull = np.zeros_like(X_ref)
     if pulled != "none":
-        # What moves outputs without moving headings, as the square of a term does.
+        # A pull through the outputs, as a cost term has it; headings are not pulled.
         slope = model.C.T @ (cost.Q * np.random.default_rng(2).standard_normal(len(cost.Q)))
         pull = np.sin(np.arange(INSTANTS) / 5.0)[:, None] * slope * 0.05
         pull[-1] = 0.02 * slope if pulled == "lasting" else 0.0
@@ -173,7 +174,7 @@ def test_it_does_not_matter_where_the_maneuver_is() -> None:
 
 @pytest.mark.parametrize("rods", ["vertical", "leaning"])
 def test_a_reference_at_rest_asks_for_nothing(rods: str) -> None:
-    """Hover anywhere, with whatever rods, needs no feedforward and no slope: the regulator is its optimum."""
+    """Hover at any place, with vertical or leaning rods, needs no feedforward and no slope, (36b), (36c)."""
     system = table_1()
     e = None
     if rods == "leaning":

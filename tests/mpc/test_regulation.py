@@ -1,7 +1,7 @@
-"""Shared law, cost-to-go and preview make one problem of all programs: where nothing binds, no agent leaves the law.
+"""Control law, cost-to-go and preview are one problem: without active constraints no agent leaves the control law.
 
 The theorem of docs/equations.md (36a)-(36e): on the linear model about hover, with no constraint active, c = 0 is the
-optimum of every agent's program, whatever it owns and however short its horizon.
+optimum of every agent's program, for any owned UAVs and any horizon.
 """
 
 from collections.abc import Sequence
@@ -37,7 +37,7 @@ from tests.mpc.systems import INTEGRATION_STEPS
 # Of the largest deviation of the inputs from hover: two solutions of one linear problem with condition around 1e5,
 # one by the Riccati recursion, one by condensing and a solver.
 NO_CORRECTION = 1e-8
-# Of the same: a correction this large is no rounding, and a program with another cost has one.
+# Share of the same deviation: above any rounding; a program with another cost has larger corrections.
 A_CORRECTION = 1e-2
 # Relative, the same sum of 5000 products in another order; the slowest mode that costs has died out by then.
 SAME_COST = 1e-8
@@ -266,7 +266,7 @@ def test_no_gain_is_better(gone: list[int]) -> None:
 
 
 def test_a_team_that_cannot_go_on_keeps_its_regulator() -> None:
-    """Where those left cannot make the cost finite, the law and its preview stay those of all, (45).
+    """Where the remaining agents cannot make the cost finite, the law and its preview stay those of all, (45).
 
     Two equal UAVs without agents swing against each other for ever: no other UAV feels it, and it has a cost.
     """

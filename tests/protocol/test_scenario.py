@@ -14,7 +14,7 @@ import tomli_w
 from protocol.scenario import Scenario
 from protocol.scenario_file import ScenarioError, read_scenario, validate
 from protocol.setup import Setup
-from tests.runs import PAPER, SCENARIOS, setup, ticks
+from tests.runs import PAPER, SCENARIOS, SHORT, setup, ticks
 
 # A value of the same type that differs, for what cannot simply be counted up.
 OTHER_WORDS = {
@@ -278,6 +278,52 @@ def test_automatic_relaxation() -> None:
     """Relaxation "auto" is 1/M for M agents: the descent guarantee of cooperative distributed MPC."""
     assert setup("controller.relaxation=auto").settings.relaxation == 0.25
     assert setup("controller.relaxation=auto", "agents.owned=[[1,2],[3,4]]").settings.relaxation == 0.5
+
+
+def test_cost_to_go_and_payload_weights_reach_the_controller() -> None:
+    """`controller.terminal`, `.preview` and the payload's weights become settings; the paper's defaults are without."""
+    plain = setup().settings
+    assert (plain.terminal, plain.preview) == ("multiple", False)
+    assert (plain.weights.payload_position, plain.weights.payload_velocity) == (0.0, 0.0)
+    told = setup(
+        "controller.terminal=riccati",
+        "controller.preview=true",
+        "controller.weights.payload_position=2.5",
+        "controller.weights.payload_velocity=0.5",
+    ).settings
+    assert (told.terminal, told.preview) == ("riccati", True)
+    assert (told.weights.payload_position, told.weights.payload_velocity) == (2.5, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("name", "payload"), [("resilient", 0.0), ("windy", 0.0), ("centralized_lq", 0.0), ("precise", 1.0)]
+)
+def test_scenarios_with_cost_to_go_and_preview(name: str, payload: float) -> None:
+    """The ready scenarios that share a control law know the cost after the horizon and the reference ahead."""
+    run = Setup.of(read_scenario(SCENARIOS / f"{name}.toml"), name)
+    settings = run.settings
+    assert (settings.prediction, settings.terminal, settings.preview) == ("closed_loop", "riccati", True)
+    assert settings.weights.payload_position == payload
+    assert len(run.owned) == (1 if name == "centralized_lq" else 4)
+
+
+@pytest.mark.parametrize("weight", ["payload_position", "payload_velocity"])
+def test_payload_weights_are_not_negative(weight: str) -> None:
+    """A negative weight on the payload is refused by name; zero is the paper's."""
+    with pytest.raises(ScenarioError, match=weight):
+        setup(f"controller.weights.{weight}=-0.1")
+
+
+def test_references_reach_as_far_as_any_horizon() -> None:
+    """Reference states and outputs hold every instant that the last tick's horizon sees, (20)."""
+    run = setup(SHORT)
+    instants = run.ticks + run.settings.horizon + 2
+    assert run.X_ref.shape == (instants, run.system.n)
+    assert run.Y_ref.shape == (instants, 4 * run.system.N + 9)
+    np.testing.assert_array_equal(run.X_ref[0], run.initial_state())
+    # Outputs of states that move with a level payload: only sums and products by one.
+    for k in (0, run.ticks // 2, instants - 1):
+        np.testing.assert_allclose(run.model.outputs(run.X_ref[k]), run.Y_ref[k], rtol=0.0, atol=1e-14)
 
 
 def test_initial_state() -> None:
