@@ -10,6 +10,8 @@ import numpy as np
 
 from model import state
 from model.arrays import Array
+from model.hover import Hover, hover
+from model.linearisation import Model
 from model.parameters import System, Uav
 from model.rotations import rotation
 
@@ -28,13 +30,27 @@ def with_released(system: System, released: Collection[int]) -> System:
         released: UAVs, 0-based.
     Source: docs/equations.md (49).
     """
-    uavs = [
-        Uav(mass=RELEASED_MASS_KG, inertia=uav.inertia, rho=uav.rho, rod_length=uav.rod_length)
-        if i in released
-        else uav
-        for i, uav in enumerate(system.uavs)
-    ]
+    uavs = [_bob(uav) if i in released else uav for i, uav in enumerate(system.uavs)]
     return System(payload=system.payload, uavs=uavs, gravity=system.gravity)
+
+
+def failed_team(system: System, off: Collection[int], released: Collection[int]) -> tuple[Model, Hover]:
+    """Return model and hover of a team some of whose UAVs have no motors.
+
+    The model's inputs of these UAVs have no effect. In hover a motor-off UAV stands upright on its rod: that is where
+    it is when its motors stop, and the payload feels the same weight there as from below.
+
+    Args:
+        system: Physical parameters of the whole team.
+        off: UAVs without motors, 0-based, the released ones among them.
+        released: UAVs cut loose, 0-based.
+    Raises: ParameterError: the UAVs that are left cannot hold the payload.
+    Source: docs/equations.md (49), (50).
+    """
+    changed = with_released(system, released)
+    rods = np.tile([0.0, 0.0, 1.0], (system.N, 1))
+    rods[sorted(released)] *= -1.0
+    return Model(changed, off=off, released=released), hover(changed, rods, off)
 
 
 def motor_off_state(x: Array, uav: int) -> Array:
@@ -53,7 +69,7 @@ def motor_off_state(x: Array, uav: int) -> Array:
 
 
 def released_state(x: Array, uav: int) -> Array:
-    """Return the state with a UAV's rod hanging straight down from its attachment point, everything there at rest, (n,).
+    """Return the state with a bob at rest straight below the attachment point of a UAV, (n,).
 
     Args:
         x: State, (n,).
@@ -77,3 +93,7 @@ def no_inputs(u: Array, uavs: Collection[int]) -> Array:
     u = u.copy()
     u[..., state.input_indices(sorted(uavs))] = 0.0
     return np.asarray(u)
+
+
+def _bob(uav: Uav) -> Uav:
+    return Uav(mass=RELEASED_MASS_KG, inertia=uav.inertia, rho=uav.rho, rod_length=uav.rod_length)

@@ -13,7 +13,6 @@ from typing import Literal
 from protocol.messages import Measurement, Message, Tick
 from protocol.scenario import Scenario
 
-
 Action = Literal["kill", "stop", "continue", "start", "motor_off", "release"]
 
 
