@@ -34,23 +34,34 @@ def with_released(system: System, released: Collection[int]) -> System:
     return System(payload=system.payload, uavs=uavs, gravity=system.gravity)
 
 
-def failed_team(system: System, off: Collection[int], released: Collection[int]) -> tuple[Model, Hover]:
-    """Return model and hover of a team some of whose UAVs have no motors.
+def failed_model(system: System, off: Collection[int], released: Collection[int]) -> Model:
+    """Return the model of a team some of whose UAVs have no motors: their inputs have no effect.
 
-    The model's inputs of these UAVs have no effect. In hover a motor-off UAV stands upright on its rod: that is where
-    it is when its motors stop, and the payload feels the same weight there as from below.
+    Args:
+        system: Physical parameters of the whole team.
+        off: UAVs without motors, 0-based, the released ones among them.
+        released: UAVs cut loose, 0-based.
+    Source: docs/equations.md (49).
+    """
+    return Model(with_released(system, released), off=off, released=released)
+
+
+def failed_hover(system: System, off: Collection[int], released: Collection[int]) -> Hover:
+    """Return the hover of a team some of whose UAVs have no motors, the payload level.
+
+    A motor-off UAV stands upright on its rod: that is where it is when its motors stop, and the payload feels the same
+    weight from there as from below.
 
     Args:
         system: Physical parameters of the whole team.
         off: UAVs without motors, 0-based, the released ones among them.
         released: UAVs cut loose, 0-based.
     Raises: ParameterError: the UAVs that are left cannot hold the payload.
-    Source: docs/equations.md (49), (50).
+    Source: docs/equations.md (50).
     """
-    changed = with_released(system, released)
     rods = np.tile([0.0, 0.0, 1.0], (system.N, 1))
     rods[sorted(released)] *= -1.0
-    return Model(changed, off=off, released=released), hover(changed, rods, off)
+    return hover(with_released(system, released), rods, off)
 
 
 def motor_off_state(x: Array, uav: int) -> Array:

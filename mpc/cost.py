@@ -17,7 +17,8 @@ class Cost:
     Args:
         weights: Of outputs and inputs.
         hover: The equilibrium.
-        released: UAVs that are no longer on their rods, 0-based: their outputs have no weight.
+        off: UAVs without motors, 0-based: their yaw rates have no weight.
+        released: UAVs that are no longer on their rods, 0-based: none of their outputs has.
 
     Attributes:
         Q: Stage weight on the output error, (p,).
@@ -31,11 +32,15 @@ class Cost:
     R: Array
     u_target: Array
 
-    def __init__(self, weights: Weights, hover: Hover, released: Collection[int] = ()) -> None:
+    def __init__(
+        self, weights: Weights, hover: Hover, off: Collection[int] = (), released: Collection[int] = ()
+    ) -> None:
         N = len(hover.tensions)
         Q = weights.Q(N)
         for uav in released:
-            Q[3 * uav : 3 * uav + 3] = Q[3 * N + 3 + uav] = 0.0
+            Q[3 * uav : 3 * uav + 3] = 0.0
+        for uav in off:
+            Q[3 * N + 3 + uav] = 0.0
         object.__setattr__(self, "Q", Q)
         object.__setattr__(self, "Q_f", weights.terminal * Q)
         object.__setattr__(self, "R", weights.R(N))

@@ -91,6 +91,7 @@ def regulator(
     period_s: float,
     alone: Mapping[int, Array] | None = None,
     further: Array | None = None,
+    off: Collection[int] = (),
     released: Collection[int] = (),
 ) -> Regulator:
     """Linear-quadratic regulator for the whole team about hover.
@@ -107,7 +108,8 @@ def regulator(
         period_s: Sampling period, s.
         alone: Feedback from its own state, (4, 12), of each UAV without an agent, by its 0-based number.
         further: Further terms of the cost, (t, n): square roots of the weights times slopes at hover.
-        released: UAVs that are no longer on their rods, 0-based: the control law does not look at their states.
+        off: UAVs without motors, 0-based: nothing moves their attitude, and it moves nothing.
+        released: UAVs that are no longer on their rods, 0-based: the same holds for all their states.
     Returns: Gain, cost-to-go and what a preview of the reference needs.
     Raises: FeedbackError: the recursion does not converge.
     Source: docs/equations.md (33)-(34), (45).
@@ -118,7 +120,7 @@ def regulator(
     for uav, own in (alone or {}).items():
         K[state.input_slice(uav), state.uav_slice(uav)] = own
     led = np.setdiff1d(np.arange(len(hover.u)), input_indices(sorted(alone or {})))
-    T = tangent(hover.x, released)
+    T = tangent(hover.x, off, released)
     A, B = T.T @ (discrete.A + discrete.B @ K) @ T, T.T @ discrete.B[:, led]
     C, R = linear.C @ T, cost.R[led]
     weighted = C.T @ (cost.Q[:, None] * C)
@@ -156,12 +158,13 @@ def _riccati(A: Array, B: Array, Q: Array, R: Array) -> Array:
     raise FeedbackError(f"{expected}, got a Riccati recursion that has not converged after 2^{_DOUBLINGS} steps")
 
 
-def tangent(x: Array, without: Collection[int] = ()) -> Array:
+def tangent(x: Array, off: Collection[int] = (), released: Collection[int] = ()) -> Array:
     """Orthonormal basis of the directions the state can take at x, (n, n - 2 N).
 
     Args:
         x: State, (n,).
-        without: UAVs, 0-based, whose states stay out: the basis then has 10 columns less for each of them.
+        off: UAVs, 0-based, whose attitudes and their rates stay out: 6 columns less for each of them.
+        released: UAVs, 0-based, all of whose states stay out: 10 columns less.
     """
     blocks = [np.eye(state.PAYLOAD)]
     for e in state.StateView(x).e_P:
@@ -172,7 +175,10 @@ def tangent(x: Array, without: Collection[int] = ()) -> Array:
     for block in blocks:
         basis[row : row + block.shape[0], column : column + block.shape[1]] = block
         row, column = row + block.shape[0], column + block.shape[1]
-    if without:
-        rows = np.concatenate([np.arange(len(x))[state.uav_slice(uav)] for uav in sorted(without)])
-        basis = basis[:, ~basis[rows].any(axis=0)]
-    return basis
+    out = np.zeros(len(x), dtype=bool)
+    for uav in off:
+        out[state.uav_slice(uav)][state.THETA.start :] = True
+    for uav in released:
+        out[state.uav_slice(uav)] = True
+    kept: Array = basis[:, ~basis[out].any(axis=0)]
+    return kept

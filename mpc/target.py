@@ -39,6 +39,7 @@ def target(
     hover: Hover,
     cost: Cost,
     alone: Mapping[int, Array] | None = None,
+    off: Collection[int] = (),
     released: Collection[int] = (),
 ) -> Target:
     """Of all steady states of the linearisation about hover, those of least output error, of these least input effort.
@@ -53,12 +54,13 @@ def target(
         cost: Q weighs the output error, R the input deviation.
         alone: Feedback from its own state, (4, 12), of each UAV without an agent, by its 0-based number: its inputs
             are no means to reach the target.
-        released: UAVs that are no longer on their rods, 0-based: their states are not part of the target.
+        off: UAVs without motors, 0-based: their attitudes are not part of the target.
+        released: UAVs that are no longer on their rods, 0-based: none of their states is.
     Source: docs/equations.md (40).
     """
     linear = model.linearise(hover.x, hover.u)
     E = model.force_effect(hover.x, hover.u)
-    T = tangent(hover.x, released)
+    T = tangent(hover.x, off, released)
     states, inputs = T.shape[1], len(hover.u)
     at_rest = [(T.T @ np.hstack([linear.A_c @ T, linear.B_c]), -T.T @ E)]
     for uav, K in (alone or {}).items():
