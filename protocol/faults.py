@@ -37,8 +37,12 @@ def uav_name(uav: int) -> str:
     return f"uav{uav + 1}"
 
 
-def uav_faults(faults: Sequence[Fault]) -> tuple[tuple[int, Literal["motor_off", "release"], int], ...]:
-    """Return what happens to UAVs, in the order of time: tick, what, UAV (0-based)."""
+# What happens to a UAV: tick, what, UAV (0-based).
+UavFault = tuple[int, Literal["motor_off", "release"], int]
+
+
+def uav_faults(faults: Sequence[Fault]) -> tuple[UavFault, ...]:
+    """Return what happens to UAVs, in the order of time."""
     return tuple(
         (fault.tick, fault.do, int(fault.target.removeprefix("uav")) - 1)
         for fault in faults
