@@ -23,6 +23,8 @@ from mpc.cost import Cost
 # metres forgets within some thousand sampling periods.
 _DOUBLINGS = 20
 _CONVERGED = 1e-12
+# Headings and the places of UAVs without agents stay as they are: eigenvalues of 1. A UAV that falls over has 1.1.
+_STABLE = 1.0 + 1e-3
 # Directions whose cost is below this share of the largest cost nothing (headings).
 _RANK = 1e-12
 
@@ -133,6 +135,11 @@ def regulator(
     kept = eigenvalues > _RANK * eigenvalues[-1]
     root = np.sqrt(eigenvalues[kept])[:, None] * vectors[:, kept].T @ T.T
     closed = A + B @ K[led] @ T
+    largest = float(np.abs(np.linalg.eigvals(closed)).max())
+    if not largest < _STABLE:
+        # Where no input reaches an unstable mode the recursion may still seem to end.
+        expected = "expected a team that a linear law can stabilise about hover"
+        raise FeedbackError(f"{expected}, got a closed loop whose largest eigenvalue is {largest:.3g}")
     for array in (K, P, root, T, A, closed, ahead, led):
         array.setflags(write=False)
     return Regulator(K=K, P=P, root=root, T=T, A=A, closed=closed, ahead=ahead, led=led)
