@@ -26,10 +26,11 @@ from transport.series import Series, series_of
 # The parts of the paper's maneuver at its speeds, shortened: the fault comes in the climb, a corner after it.
 MANEUVER = (
     "maneuver.phase=[{name='hover',duration_s=0.5,displacement_m=[0,0,0]},"
-    "{name='climb',duration_s=1.5,displacement_m=[0,0,-0.75]},"
-    "{name='translate',duration_s=1.5,displacement_m=[0.75,0,0]},"
-    "{name='hover',duration_s=2.0,displacement_m=[0,0,0]}]"
+    "{name='climb',duration_s=1.0,displacement_m=[0,0,-0.5]},"
+    "{name='translate',duration_s=1.0,displacement_m=[0.5,0,0]},"
+    "{name='hover',duration_s=1.0,displacement_m=[0,0,0]}]"
 )
+LONGER = "maneuver.phase.4.duration_s=3.5"
 AT_S = 1.0
 LATE = ("links.delay_s=0.2", "links.loss=0.3")
 
@@ -102,22 +103,17 @@ def test_its_agent_may_die_with_it() -> None:
 
 def test_four_do_not_fly_with_the_dead_one_on_its_rod() -> None:
     """It falls over, and nothing that the other three can do reaches it: docs/guarantees.md."""
-    flight = flown(4, "resilient", OFF)
+    flight = flown(4, "resilient", OFF, LONGER)
     assert flight.control.outcome == "diverged"
-    assert flight.series.times_s[-1] < AT_S + 1.0  # measured: 0.4 s
+    assert 2.0 < flight.series.times_s[-1] - AT_S < 5.0  # measured: 3.6
 
 
-@pytest.mark.parametrize(("after_s", "limit_deg"), [(0.05, 6.0), (0.1, 12.0)])
+@pytest.mark.parametrize(("after_s", "limit_deg"), [(0.05, 4.0), (0.25, 12.0)])
 def test_a_late_release_of_the_dead_one(after_s: float, limit_deg: float) -> None:
-    """One or two periods on its rod are survived; measured 0.25 s are not."""
+    """Some periods on its rod are survived, the payload tilts meanwhile: measured 2.3 and 8.8 deg."""
     flight = flown(4, "resilient", failures((0.0, "motor_off"), (after_s, "release")))
     assert flight.control.outcome == "completed"
     assert 1.0 < flight.attitude_deg < limit_deg
-
-
-def test_a_release_that_is_too_late() -> None:
-    """After 0.25 s with the dead one on its rod the flight of four is lost."""
-    assert flown(4, "resilient", failures((0.0, "motor_off"), (0.25, "release"))).control.outcome == "diverged"
 
 
 @pytest.mark.parametrize("uavs", [5, 6])
@@ -129,10 +125,16 @@ def test_five_and_six_balance_the_dead_one(uavs: int) -> None:
     assert flight.series.uavs_I[-1, 2, 2] < flight.series.x[-1, 2] - 3.0  # above the payload: z is down
 
 
-def test_six_balance_it_on_a_perfect_network_only() -> None:
-    """What falls over at 2 rad/s cannot wait for plans that are 200 ms late; without the dead one six can."""
+def test_six_do_not_balance_it_on_a_late_network() -> None:
+    """What falls over at 2 rad/s cannot wait for plans that are 200 ms late."""
     assert flown(6, "resilient", OFF, *LATE).control.outcome == "diverged"
-    assert flown(6, "resilient", RELEASED, *LATE).control.outcome == "completed"
+
+
+def test_six_fly_on_without_the_released_one() -> None:
+    """Cut loose, the sixth is hardly missed even then."""
+    flight = flown(6, "resilient", RELEASED, *LATE)
+    assert flight.control.outcome == "completed"
+    assert flight.attitude_deg < 2.0  # measured: 1.0
 
 
 def test_the_cost_is_that_of_the_team_that_is_left() -> None:
@@ -145,7 +147,7 @@ def test_the_cost_is_that_of_the_team_that_is_left() -> None:
 
 
 def test_nobody_knows_before_it_happens() -> None:
-    """Until the tick of the fault every message is that of a flight without: no controller looks ahead in the script."""
+    """Until the tick of the fault every message is that of a flight without: no controller looks ahead."""
     at = round(AT_S / 0.05)
 
     def said(flight: Flight) -> list[tuple[str, int, int]]:
