@@ -9,6 +9,7 @@ from model import state
 from model.arrays import Array
 from model.discretisation import zero_order_hold
 from model.failure import failed_hover, failed_model
+from model.hover import hover
 from model.parameters import System, table_1
 from model.state import input_indices
 from mpc.controller import Controller
@@ -84,6 +85,17 @@ def test_four_with_the_dead_one_cannot_be_stabilised() -> None:
     growth, margin = control_margin(table_1(), at.x, at.u)
     assert margin < UNCONTROLLABLE
     assert growth == pytest.approx(np.exp(2.255 * PERIOD_S), rel=1e-3)  # doubles every 0.31 s
+
+
+def test_four_with_the_dead_one_hanging_are_at_a_bound() -> None:
+    """Below its corner the dead UAV leaves an unstable mode that has an input, and a thrust of zero to steer it with."""
+    rods = np.tile([0.0, 0.0, 1.0], (4, 1))
+    rods[DEAD] *= -1.0
+    at = hover(table_1(), rods, {DEAD})
+    growth, margin = control_margin(table_1(), at.x, at.u)
+    assert growth == pytest.approx(np.exp(2.193 * PERIOD_S), rel=1e-3)
+    assert margin > CONTROLLABLE
+    assert at.u[4 * OPPOSITE] == 0.0
 
 
 def test_a_tilted_payload_can_be_stabilised() -> None:
