@@ -88,7 +88,7 @@ def test_four_with_the_dead_one_cannot_be_stabilised() -> None:
 
 
 def test_four_with_the_dead_one_hanging_are_at_a_bound() -> None:
-    """Below its corner the dead UAV leaves an unstable mode that has an input, and a thrust of zero to steer it with."""
+    """A dead UAV below its corner leaves an unstable mode that has an input, and zero thrust to steer it with."""
     rods = np.tile([0.0, 0.0, 1.0], (4, 1))
     rods[DEAD] *= -1.0
     at = hover(table_1(), rods, {DEAD})
