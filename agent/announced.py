@@ -38,6 +38,8 @@ class AnnouncedInputs:
     Attributes:
         gone: Agents that make no more plans.
         law_since: Tick from which on the shared control law is the present team's.
+        failed_since: Tick at which a UAV last failed: every agent knows and follows the control law of the UAVs that
+            are left from then on, and what was announced before counts up to then.
     """
 
     def __init__(
@@ -52,6 +54,7 @@ class AnnouncedInputs:
     ) -> None:
         self.gone: set[int] = set()
         self.law_since = 0
+        self.failed_since = 0
         self._law = law
         uavs = sum(map(len, owned))
         self._bounds = None if limits is None else (limits.lower(uavs), limits.upper(uavs))
@@ -110,7 +113,11 @@ class AnnouncedInputs:
     def of_another_law(self, before: int) -> list[int]:
         """Agents whose newest plan is from before the shared law last changed, and who still follow it."""
         newest = {agent: self.newest(agent, before) for agent in self._columns if agent not in self.gone}
-        return [agent for agent, plan in newest.items() if plan is not None and plan.tick < self.law_since]
+        return [
+            agent
+            for agent, plan in newest.items()
+            if plan is not None and self.failed_since <= plan.tick < self.law_since
+        ]
 
     def corrections(self, start: int, steps: int, before: int) -> Array:
         """Announced corrections to the shared law from a tick on, shifted, zero after their end.
@@ -125,7 +132,7 @@ class AnnouncedInputs:
         c = np.zeros((steps, len(self._u_hover)))
         for agent, columns in self._columns.items():
             plan = self.newest(agent, before)
-            if plan is not None and agent not in self.gone:
+            if plan is not None and agent not in self.gone and plan.tick >= self.failed_since:
                 entries = self._entries(plan.corrections, plan, start, steps)
                 c[: len(entries), columns] = entries
         return c
@@ -157,12 +164,16 @@ class AnnouncedInputs:
                 continue
             step = tick - plan.start_tick
             u[columns] = plan.inputs[min(step, len(plan.inputs) - 1)]
-            replaced = step > 0 and agent != self._own and agent not in self.gone and plan.tick >= self.law_since
+            replaced = step > 0 and agent != self._own and agent not in self.gone
+            if plan.tick < self.failed_since:
+                replaced = replaced and tick >= self.failed_since
+            else:
+                replaced = replaced and plan.tick >= self.law_since
             if replaced and x is not None:
                 by_law = self._law(tick, x) if by_law is None else by_law
                 if by_law is not None:
                     u[columns] = by_law[columns]
-                    if step < len(plan.corrections):
+                    if plan.tick >= self.failed_since and step < len(plan.corrections):
                         u[columns] += plan.corrections[step]
         return u if self._bounds is None else np.clip(u, *self._bounds)
 

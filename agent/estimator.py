@@ -52,6 +52,7 @@ class StateEstimator:
         self._measured: dict[int, Measurement] = {}
         self._stale_from: int | None = None  # earliest tick whose estimate or inputs have changed
         self._newest: dict[int, int] = {}
+        self._breaks: list[tuple[int, Model, Callable[[Array], Array]]] = []  # see `change`, ascending in the tick
 
     def take(self, plan: Plan) -> None:
         """Take in another agent's state at a tick before the next measurement's, and what it did from then on."""
@@ -68,6 +69,17 @@ class StateEstimator:
             # The disturbance shows in the period before: that is predicted again, too.
             self._changed(measurement.tick - (self._disturbance is not None))
 
+    def change(self, tick: int, model: Model, moved: Callable[[Array], Array]) -> None:
+        """From a tick on the system is another, and its state there is another, too.
+
+        Args:
+            tick: From which on; not before that of the change before.
+            model: Of the system from then on.
+            moved: From the state before the change to the one after it, (n,) to (n,).
+        """
+        self._breaks.append((tick, model, moved))
+        self._changed(tick - 1)
+
     def estimate(self, k: int, announced: AnnouncedInputs) -> Array:
         """Estimate at a tick.
 
@@ -78,7 +90,7 @@ class StateEstimator:
         """
         if not self._estimates:
             self._first = k
-            self._estimates = [self._overwritten(self._planned(k), k)]
+            self._estimates = [self._overwritten(self._guessed(k), k)]
         begin = self._first + len(self._estimates) - 1
         if self._stale_from is not None:
             begin = min(begin, max(self._stale_from, self._first))
@@ -140,8 +152,22 @@ class StateEstimator:
 
         What somebody says of itself may be a state from which there is no going on: then what was planned.
         """
-        ahead, _ = self._model.integrate(self._estimates[-1], u, self._period_s, _STEPS, forces=forces)
-        return ahead if np.abs(ahead).max() <= state.LARGEST else self._planned(tick + 1)
+        model = next((model for since, model, _ in reversed(self._breaks) if since <= tick), self._model)
+        ahead, _ = model.integrate(self._estimates[-1], u, self._period_s, _STEPS, forces=forces)
+        if np.abs(ahead).max() > state.LARGEST:
+            return self._guessed(tick + 1)
+        for since, _, moved in self._breaks:
+            if since == tick + 1:
+                ahead = moved(ahead)
+        return ahead
+
+    def _guessed(self, tick: int) -> Array:
+        """State the maneuver plans for a tick, with what has failed by then, (n,)."""
+        x = self._planned(tick)
+        for since, _, moved in self._breaks:
+            if since <= tick:
+                x = moved(x)
+        return x
 
     def _overwritten(self, x: Array, tick: int) -> Array:
         """Replace predicted states by what was measured or received for that tick."""

@@ -21,6 +21,7 @@ from agent.sharing import Sharing
 from model import state
 from model.arrays import Array, ShapeError
 from model.discretisation import Discrete
+from model.failure import motor_off_state, released_state
 from model.state import input_indices
 from mpc.controller import Controller, Linear, Optimum
 from mpc.fail_safe import FailSafe
@@ -140,6 +141,7 @@ class AgentNode:
         self._link_changes = LinkChanges(links, setup.samples_s)
         self._measurement: Measurement | None = None  # of the open tick, until it is worked on
         self._step: _Step | None = None  # being negotiated
+        self._failed: tuple[frozenset[int], frozenset[int]] = frozenset(), frozenset()  # UAVs off, and released
         self._arrived: dict[int, set[int]] = {}  # whose plans are physically here, by tick
         self._proposals: dict[tuple[int, int], dict[int, Plan]] = {}  # by tick and negotiation, and agent
         limits, uavs = setup.settings.limits, len(self._uavs)
@@ -272,12 +274,33 @@ class AgentNode:
         """Take note of who takes part from this tick on: the same for everybody at the same tick."""
         gone = set(self._setup.agents) - self._membership.agents_at(measurement.roster)
         self._announced.gone = gone
+        self._meet_failures(measurement)
         if gone == self._gone:
             return
         for agent in self._gone - gone:
             self._announced.forget(agent)
         self._gone, self._announced.law_since = gone, measurement.tick
         self._controller.without([uav for agent in sorted(gone) for uav in self._setup.owned[agent - 1]])
+
+    def _meet_failures(self, measurement: Measurement) -> None:
+        """Take note of UAVs that have failed: from this tick on model and control law are those of what is left."""
+        off, released = self._membership.failed_at(measurement.roster)
+        known_off, known_released = self._failed
+        if (off, released) == self._failed:
+            return
+        self._failed = off, released
+        stopped, cut = sorted(off - known_off - released), sorted(released - known_released)
+
+        def moved(x: Array) -> Array:
+            for uav in stopped:
+                x = motor_off_state(x, uav)
+            for uav in cut:
+                x = released_state(x, uav)
+            return x
+
+        self._controller.fail(off, released)
+        self._estimator.change(measurement.tick, self._controller.model, moved)
+        self._announced.failed_since = measurement.tick
 
     def _has_plans_for(self, measurement: Measurement) -> bool:
         """Whether the roster is here, and the plans of the tick before from those on it that shared one."""
@@ -319,7 +342,7 @@ class AgentNode:
         forces = None if self._disturbance is None else self._disturbance.forces
         if self._setup.scenario.clock.next_tick:
             start, u0 = k + 1, self._announced.at(k, before=k, x=x)
-            x0, _ = self._setup.model.integrate(x, u0, period_s, _AHEAD_STEPS, forces=forces)
+            x0, _ = controller.model.integrate(x, u0, period_s, _AHEAD_STEPS, forces=forces)
         else:
             start, x0, u0 = k, x, self._in_force(k)
         U = self._announced.sequence(start, steps, before=k)

@@ -12,6 +12,7 @@ import json
 from collections.abc import Sequence
 
 from protocol.claims import Claims, check_moment
+from protocol.faults import uav_faults, uav_name
 from protocol.links import LinkError, link_change
 from protocol.messages import (
     Control,
@@ -71,6 +72,9 @@ class CoordinatorNode:
         self._setup = setup
         self._changes: list[LinkChange] = []
         self._returns = _returns(setup)  # in lockstep: agents to wait for, by the tick they are to be back at
+        self._uav_faults = list(uav_faults(setup.faults))  # still to be reported
+        self._off: set[int] = set()  # UAVs without motors, 1-based
+        self._released: set[int] = set()
         self._held_ns: int | None = None  # since when a tick is held for them
         self._overruns = 0  # missed deadlines
         self._overrun_ns = 0  # worst since the last tick
@@ -383,6 +387,7 @@ class CoordinatorNode:
             self._joining = {}
             changes = [self._out.again(change) for change in self._changes]
             news = [*changes, self._roster(f"{names} joined at {self._time(self._tick + 1)}", self._tick + 1)]
+        news += self._uav_news(self._tick + 1)
         answered, shared = tuple(sorted(self._answered)), tuple(sorted(self._shared))
         late_ns = 0 if self._waits or self._tick < 0 else max(0, now_ns - self._due_ns())
         if self._clock.on_overrun == "hold" and not self._waits:
@@ -409,6 +414,18 @@ class CoordinatorNode:
             ),
         ]
 
+    def _uav_news(self, tick: int) -> list[Message]:
+        """Report the UAVs whose motors or rods fail at a tick, as their flight controllers would: not before."""
+        news: list[Message] = []
+        while self._uav_faults and self._uav_faults[0][0] <= tick:
+            _, what, uav = self._uav_faults.pop(0)
+            self._off.add(uav + 1)
+            if what == "release":
+                self._released.add(uav + 1)
+            words = "released" if what == "release" else "motors off"
+            news.append(self._roster(f"{uav_name(uav)} {words} at {self._time(tick)}", tick))
+        return news
+
     def _roster(self, reason: str, tick: int | None = None) -> Roster:
         members = sorted(self._members)
         self._roster_version += 1
@@ -418,6 +435,8 @@ class CoordinatorNode:
             version=self._roster_version,
             agents=tuple(members),
             incarnations=tuple(self._incarnations[agent_name(agent)] for agent in members),
+            off=tuple(sorted(self._off)),
+            released=tuple(sorted(self._released)),
             reason=reason,
         )
 

@@ -1,5 +1,6 @@
 """Hover: the equilibrium the maneuver starts from, ends in, and is measured against."""
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,18 +29,20 @@ class Hover:
     tensions: Array
 
 
-def hover(system: System, rods_P: ArrayLike | None = None) -> Hover:
+def hover(system: System, rods_P: ArrayLike | None = None, off: Collection[int] = ()) -> Hover:
     """Equilibrium of the system with given rod directions.
 
     The rods hold the payload's weight and no moment: sum_i T_i [e_i; rho_i x e_i] = [m0 g k; 0], the
-    least-norm solution when several exist. Each UAV then pulls against its rod and its own weight.
+    least-norm solution when several exist. Each UAV then pulls against its rod and its own weight. A UAV without
+    thrust stands on its vertical rod, or hangs from it: the rod carries its weight, and the others balance that.
 
     Args:
         system: Physical parameters.
         rods_P: Rod directions from UAV to attachment point, (N, 3), payload frame, unit; straight down when None.
+        off: UAVs without thrust, 0-based; their rods are vertical.
     Returns: State with the payload at the origin, input, tensions.
     Raises: ParameterError: no rod tensions balance the payload, or a UAV would have to push down.
-    Source: docs/equations.md (18)-(19).
+    Source: docs/equations.md (18)-(19), (50).
     """
     N = system.N
     e = np.tile([0.0, 0.0, 1.0], (N, 1)) if rods_P is None else checked("rods", rods_P, (N, 3))
@@ -49,7 +52,15 @@ def hover(system: System, rods_P: ArrayLike | None = None) -> Hover:
     weight = system.payload.mass * system.gravity
     wrenches = np.concatenate([e, np.cross(rho, e)], axis=1).T
     target = np.array([0.0, 0.0, weight, 0.0, 0.0, 0.0])
-    tensions = np.linalg.lstsq(wrenches, target, rcond=None)[0]
+    tensions = np.zeros(N)
+    idle = sorted(off)
+    led = np.setdiff1d(np.arange(N), idle)
+    for i in idle:
+        if abs(e[i, 2]) < 1.0 - _BALANCE_TOLERANCE:
+            raise ParameterError(f"rods: expected a vertical one for UAV{i + 1} without thrust, got {e[i].tolist()}")
+        tensions[i] = -system.uavs[i].mass * system.gravity * e[i, 2]
+    carried = target - wrenches[:, idle] @ tensions[idle]
+    tensions[led] = np.linalg.lstsq(wrenches[:, led], carried, rcond=None)[0]
     unbalanced = np.abs(wrenches @ tensions - target).max()
     if unbalanced > _BALANCE_TOLERANCE * max(weight, 1.0):
         raise ParameterError(
@@ -61,6 +72,8 @@ def hover(system: System, rods_P: ArrayLike | None = None) -> Hover:
     for i, uav in enumerate(system.uavs):
         force_I = -(uav.mass * system.gravity * np.array([0.0, 0.0, 1.0]) + tensions[i] * e[i])
         thrust = float(np.linalg.norm(force_I))
+        if thrust <= _BALANCE_TOLERANCE * max(weight, 1.0):
+            thrust = 0.0  # none is needed but for rounding
         if thrust > 0.0 and force_I[2] >= 0.0:
             raise ParameterError(
                 f"no hover equilibrium: UAV{i + 1} would have to push down or sideways ({force_I[2]:.3g} N)"

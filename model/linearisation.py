@@ -1,5 +1,6 @@
 """The model of one system, numerically: derivative, outputs, exact linearisation, integration."""
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import casadi as ca
@@ -9,6 +10,7 @@ from model import native, state
 from model.arrays import Array
 from model.compiled import Compiled, functions
 from model.parameters import System
+from model.state import input_indices
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,10 +41,14 @@ class Model:
 
     Args:
         system: Physical parameters.
+        off: UAVs without motors, 0-based: their inputs have no effect.
+        released: UAVs that are no longer on their rods, 0-based: forces on them have no effect.
     """
 
-    def __init__(self, system: System) -> None:
+    def __init__(self, system: System, off: Collection[int] = (), released: Collection[int] = ()) -> None:
         self.system = system
+        self._off = input_indices(sorted(off))
+        self._beyond = np.array([3 + 3 * uav + axis for uav in sorted(released) for axis in range(3)], dtype=np.intp)
         self._p = system.vector()
         self._functions = functions(system.N)
         self._derivative = Compiled(self._functions["derivative"])
@@ -53,13 +59,31 @@ class Model:
         self._steps: dict[int, Compiled] = {}
         self._no_forces = np.zeros(3 + 3 * system.N)
 
+    def _effective(self, u: Array) -> Array:
+        """Inputs without those of motor-off UAVs, (m,)."""
+        if not len(self._off):
+            return u
+        u = u.copy()
+        u[self._off] = 0.0
+        return u
+
+    def _acting(self, forces: Array | None) -> Array:
+        """External forces without those on released UAVs, (3 + 3 N,)."""
+        if forces is None:
+            return self._no_forces
+        if not len(self._beyond):
+            return forces
+        forces = forces.copy()
+        forces[self._beyond] = 0.0
+        return forces
+
     def derivative(self, x: Array, u: Array, *, forces: Array | None = None) -> Array:
         """x' = f(x, u, F), (n,), SI. Source: docs/equations.md (4)-(13), (37)."""
-        return self._derivative(x, u, self._p, self._no_forces if forces is None else forces)[0]
+        return self._derivative(x, self._effective(u), self._p, self._acting(forces))[0]
 
     def tensions(self, x: Array, u: Array, *, forces: Array | None = None) -> Array:
         """Rod tensions, (N,), N; positive when the rod pulls. Source: docs/equations.md (9), (37)."""
-        return self._tensions(x, u, self._p, self._no_forces if forces is None else forces)[0]
+        return self._tensions(x, self._effective(u), self._p, self._acting(forces))[0]
 
     def outputs(self, x: Array) -> Array:
         """y = h(x), (4 N + 9,), SI. Source: docs/equations.md (14)."""
@@ -77,8 +101,11 @@ class Model:
 
         Source: docs/equations.md (15), (15a), (37); paper (13).
         """
-        f, A_c, B_c, y, C = self._linearise(x, u, self._p, self._no_forces if forces is None else forces)
+        f, A_c, B_c, y, C = self._linearise(x, self._effective(u), self._p, self._acting(forces))
         along_manifold(A_c, x)
+        if len(self._off):
+            B_c = B_c.copy()
+            B_c[:, self._off] = 0.0
         return Linearisation(f=f, A_c=A_c, B_c=B_c, y=y, C=C)
 
     def force_effect(self, x: Array, u: Array) -> Array:
@@ -105,8 +132,8 @@ class Model:
         if steps not in self._steps:
             chained = self._functions["step"].mapaccum(steps)
             self._steps[steps] = Compiled(_last_and_errors(chained, self.system, steps))
-        held = self._no_forces if forces is None else forces
-        end, errors = self._steps[steps](x, u, self._p, held, duration_s / steps)
+        held = self._acting(forces)
+        end, errors = self._steps[steps](x, self._effective(u), self._p, held, duration_s / steps)
         return end, float(errors[0])
 
 

@@ -9,13 +9,15 @@ import numpy.typing as npt
 
 from model.arrays import Array, checked
 from model.discretisation import Discrete, euler, zero_order_hold
+from model.failure import failed_hover, failed_model
 from model.hover import Hover
 from model.linearisation import Linearisation, Model
+from model.parameters import ParameterError
 from model.state import LARGEST, input_indices
 from mpc import condensing
 from mpc.constraints import Affine, UserCosts, compile_constraints, pairs_of, rate_rows, separation_rows, tilt_states
 from mpc.cost import Cost
-from mpc.feedback import TeamLaw
+from mpc.feedback import FeedbackError, TeamLaw
 from mpc.prediction import Prediction, closed_loop, free_response, open_loop
 from mpc.qp import QP, Solution
 from mpc.regulation import CostToGo, Regulation
@@ -86,6 +88,7 @@ class Controller:
         if not owned or list(owned) != sorted(set(owned)) or not 0 <= owned[0] <= owned[-1] < model.system.N:
             raise SettingsError(f"owned: expected ascending indices below {model.system.N}, got {list(owned)}")
         self.model = model
+        self._whole = model.system  # with all UAVs
         self.settings = settings
         self.owned = tuple(owned)
         self.own = input_indices(self.owned)
@@ -172,6 +175,26 @@ class Controller:
         """From now on some UAVs, 0-based, have no agent; see `Regulation.without`."""
         self.regulation.without(uavs)
         self._answering = np.setdiff1d(self._others, input_indices(sorted(uavs)))
+
+    def fail(self, off: Collection[int], released: Collection[int]) -> None:
+        """From now on some UAVs, 0-based, have no motors, and some of those are no longer on their rods.
+
+        Where the UAVs that are left have no hover, or none that they can stabilise, cost and control law stay what they
+        were before: the model alone knows.
+
+        Args:
+            off: UAVs without motors, the released ones among them.
+            released: UAVs cut loose.
+        Source: docs/equations.md (49), (50).
+        """
+        self.model = failed_model(self._whole, off, released)
+        try:
+            hover = failed_hover(self._whole, off, released)
+            self.regulation.fail(self.model, hover, off, released)
+        except (ParameterError, FeedbackError):
+            return
+        self.cost = Cost(self.settings.weights, hover, off, released)
+        self._Q = np.concatenate([self.cost.Q[self._weighted], self._costs.weights])
 
     def adapted(self, law: TeamLaw, discrete: Discrete, u0: Array, U: Array, columns: npt.NDArray[np.intp]) -> TeamLaw:
         """The law with corrections that make some inputs what they were announced to be, whatever law that was under.

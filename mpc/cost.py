@@ -1,5 +1,6 @@
 """The cost every agent minimises and every run is judged by."""
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,12 @@ from mpc.settings import Weights
 class Cost:
     """Quadratic cost with diagonal weights.
 
+    Args:
+        weights: Of outputs and inputs.
+        hover: The equilibrium.
+        off: UAVs without motors, 0-based: their yaw rates have no weight.
+        released: UAVs that are no longer on their rods, 0-based: none of their outputs has.
+
     Attributes:
         Q: Stage weight on the output error, (p,).
         Q_f: Terminal weight on the output error, (p,).
@@ -25,10 +32,17 @@ class Cost:
     R: Array
     u_target: Array
 
-    def __init__(self, weights: Weights, hover: Hover) -> None:
+    def __init__(
+        self, weights: Weights, hover: Hover, off: Collection[int] = (), released: Collection[int] = ()
+    ) -> None:
         N = len(hover.tensions)
-        object.__setattr__(self, "Q", weights.Q(N))
-        object.__setattr__(self, "Q_f", weights.terminal * weights.Q(N))
+        Q = weights.Q(N)
+        for uav in released:
+            Q[3 * uav : 3 * uav + 3] = 0.0
+        for uav in off:
+            Q[3 * N + 3 + uav] = 0.0
+        object.__setattr__(self, "Q", Q)
+        object.__setattr__(self, "Q_f", weights.terminal * Q)
         object.__setattr__(self, "R", weights.R(N))
         object.__setattr__(self, "u_target", hover.u if weights.priced == "deviation" else np.zeros_like(hover.u))
 

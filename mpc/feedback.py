@@ -5,7 +5,7 @@ u = u_rest + K (x - x_ref) + feedforward + c and takes the others' as announced;
 corrections are small, so little depends on the network.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +23,8 @@ from mpc.cost import Cost
 # metres forgets within some thousand sampling periods.
 _DOUBLINGS = 20
 _CONVERGED = 1e-12
+# Headings and the places of UAVs without agents stay as they are: eigenvalues of 1. A UAV that falls over has 1.1.
+_STABLE = 1.0 + 1e-3
 # Directions whose cost is below this share of the largest cost nothing (headings).
 _RANK = 1e-12
 
@@ -91,6 +93,8 @@ def regulator(
     period_s: float,
     alone: Mapping[int, Array] | None = None,
     further: Array | None = None,
+    off: Collection[int] = (),
+    released: Collection[int] = (),
 ) -> Regulator:
     """Linear-quadratic regulator for the whole team about hover.
 
@@ -106,6 +110,8 @@ def regulator(
         period_s: Sampling period, s.
         alone: Feedback from its own state, (4, 12), of each UAV without an agent, by its 0-based number.
         further: Further terms of the cost, (t, n): square roots of the weights times slopes at hover.
+        off: UAVs without motors, 0-based: nothing moves their attitude, and it moves nothing.
+        released: UAVs that are no longer on their rods, 0-based: the same holds for all their states.
     Returns: Gain, cost-to-go and what a preview of the reference needs.
     Raises: FeedbackError: the recursion does not converge.
     Source: docs/equations.md (33)-(34), (45).
@@ -116,7 +122,7 @@ def regulator(
     for uav, own in (alone or {}).items():
         K[state.input_slice(uav), state.uav_slice(uav)] = own
     led = np.setdiff1d(np.arange(len(hover.u)), input_indices(sorted(alone or {})))
-    T = tangent(hover.x)
+    T = tangent(hover.x, off, released)
     A, B = T.T @ (discrete.A + discrete.B @ K) @ T, T.T @ discrete.B[:, led]
     C, R = linear.C @ T, cost.R[led]
     weighted = C.T @ (cost.Q[:, None] * C)
@@ -129,6 +135,11 @@ def regulator(
     kept = eigenvalues > _RANK * eigenvalues[-1]
     root = np.sqrt(eigenvalues[kept])[:, None] * vectors[:, kept].T @ T.T
     closed = A + B @ K[led] @ T
+    largest = float(np.abs(np.linalg.eigvals(closed)).max())
+    if not largest < _STABLE:
+        # Where no input reaches an unstable mode the recursion may still seem to end.
+        expected = "expected a team that a linear law can stabilise about hover"
+        raise FeedbackError(f"{expected}, got a closed loop whose largest eigenvalue is {largest:.3g}")
     for array in (K, P, root, T, A, closed, ahead, led):
         array.setflags(write=False)
     return Regulator(K=K, P=P, root=root, T=T, A=A, closed=closed, ahead=ahead, led=led)
@@ -154,8 +165,14 @@ def _riccati(A: Array, B: Array, Q: Array, R: Array) -> Array:
     raise FeedbackError(f"{expected}, got a Riccati recursion that has not converged after 2^{_DOUBLINGS} steps")
 
 
-def tangent(x: Array) -> Array:
-    """Orthonormal basis of the directions the state can take at x, (n, n - 2 N)."""
+def tangent(x: Array, off: Collection[int] = (), released: Collection[int] = ()) -> Array:
+    """Orthonormal basis of the directions the state can take at x, (n, n - 2 N).
+
+    Args:
+        x: State, (n,).
+        off: UAVs, 0-based, whose attitudes and their rates stay out: 6 columns less for each of them.
+        released: UAVs, 0-based, all of whose states stay out: 10 columns less.
+    """
     blocks = [np.eye(state.PAYLOAD)]
     for e in state.StateView(x).e_P:
         across = np.linalg.svd(e[None, :])[2][1:].T  # two unit vectors across the rod
@@ -165,4 +182,10 @@ def tangent(x: Array) -> Array:
     for block in blocks:
         basis[row : row + block.shape[0], column : column + block.shape[1]] = block
         row, column = row + block.shape[0], column + block.shape[1]
-    return basis
+    out = np.zeros(len(x), dtype=bool)
+    for uav in off:
+        out[state.uav_slice(uav)][state.THETA.start :] = True
+    for uav in released:
+        out[state.uav_slice(uav)] = True
+    kept: Array = basis[:, ~basis[out].any(axis=0)]
+    return kept

@@ -53,6 +53,8 @@ class Regulation:
         self._cost, self._user_costs = Cost(settings.weights, hover), UserCosts(settings.costs, model)
         self._fail_safe = FailSafe(model.system, hover.u)
         self._alone: dict[int, Array] = {}  # feedback of the UAVs left to the fail-safe
+        self._off: frozenset[int] = frozenset()  # UAVs without motors, the released ones among them
+        self._released: frozenset[int] = frozenset()
         self._target: Target | None = None
         self._by_forces: tuple[Array, Array] | None = None
         self._X_ref = X_ref if settings.preview else None
@@ -65,7 +67,7 @@ class Regulation:
     def target(self) -> Target:
         """Where the team is to rest under external forces; found when it is first asked for."""
         if self._target is None:
-            self._target = target(self._model, self._hover, self._cost, self._alone)
+            self._target = target(self._model, self._hover, self._cost, self._led_alone, self._off, self._released)
         return self._target
 
     def without(self, uavs: Collection[int]) -> None:
@@ -79,6 +81,34 @@ class Regulation:
             # Where the others cannot stabilise what is left, the regulator of the whole team stays.
             with contextlib.suppress(FeedbackError):
                 self._regulate()
+
+    def fail(self, model: Model, hover: Hover, off: Collection[int], released: Collection[int]) -> None:
+        """From now on some UAVs, 0-based, have no motors, and some of those are no longer on their rods.
+
+        Args:
+            model: Of the team as it is now (`model.failure.failed_team`).
+            hover: Its equilibrium.
+            off: UAVs without motors, the released ones among them.
+            released: UAVs cut loose.
+        Raises: FeedbackError: the UAVs that are left cannot stabilise the team; nothing has changed then.
+        Source: docs/equations.md (49), (50).
+        """
+        before = self._model, self._hover, self._cost, self._off, self._released
+        self._model, self._hover = model, hover
+        self._off, self._released = frozenset(off), frozenset(released)
+        self._cost = Cost(self._settings.weights, hover, off, released)
+        self._target = self._by_forces = None
+        if self.regulator is not None:
+            try:
+                self._regulate()
+            except FeedbackError:
+                self._model, self._hover, self._cost, self._off, self._released = before
+                raise
+
+    @property
+    def _led_alone(self) -> dict[int, Array]:
+        """Feedback of the UAVs that follow the fail-safe: without motors there is none."""
+        return {uav: gain for uav, gain in self._alone.items() if uav not in self._off}
 
     def law(self, x0: Array, x_ref: Array, c: Array, forces: Array | None, start: int) -> TeamLaw | None:
         """The shared control law over the horizon; None with open-loop prediction.
@@ -136,7 +166,9 @@ class Regulation:
     def _regulate(self) -> None:
         further = self._user_costs.about(self._hover.x)
         period_s = self._settings.sampling_period_s
-        found = regulator(self._model, self._hover, self._cost, period_s, self._alone, further)
+        found = regulator(
+            self._model, self._hover, self._cost, period_s, self._led_alone, further, self._off, self._released
+        )
         self.regulator, self._by_forces = found, None
         if self._X_ref is not None:
             # The outputs follow the reference exactly; the user's terms have values of their own along it.

@@ -5,7 +5,7 @@ Moving the state and the input it steers to by what the forces take removes the 
 Maeder, Borrelli, Morari 2009).
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,7 +34,14 @@ class Target:
     M_u: Array
 
 
-def target(model: Model, hover: Hover, cost: Cost, alone: Mapping[int, Array] | None = None) -> Target:
+def target(
+    model: Model,
+    hover: Hover,
+    cost: Cost,
+    alone: Mapping[int, Array] | None = None,
+    off: Collection[int] = (),
+    released: Collection[int] = (),
+) -> Target:
     """Of all steady states of the linearisation about hover, those of least output error, of these least input effort.
 
     What is still free then, such as the headings of the UAVs, stays as it is at hover. A steady state exists for any
@@ -47,11 +54,13 @@ def target(model: Model, hover: Hover, cost: Cost, alone: Mapping[int, Array] | 
         cost: Q weighs the output error, R the input deviation.
         alone: Feedback from its own state, (4, 12), of each UAV without an agent, by its 0-based number: its inputs
             are no means to reach the target.
+        off: UAVs without motors, 0-based: their attitudes are not part of the target.
+        released: UAVs that are no longer on their rods, 0-based: none of their states is.
     Source: docs/equations.md (40).
     """
     linear = model.linearise(hover.x, hover.u)
     E = model.force_effect(hover.x, hover.u)
-    T = tangent(hover.x)
+    T = tangent(hover.x, off, released)
     states, inputs = T.shape[1], len(hover.u)
     at_rest = [(T.T @ np.hstack([linear.A_c @ T, linear.B_c]), -T.T @ E)]
     for uav, K in (alone or {}).items():

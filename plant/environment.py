@@ -6,11 +6,13 @@ happens at a tick does not depend on what was asked before, or by whom.
 
 import hashlib
 import math
+from collections.abc import Collection
 
 import numpy as np
 from numpy.random import Generator, Philox
 
 from model.arrays import Array
+from model.failure import with_released
 from model.linearisation import Model
 from model.parameters import Payload, System, Uav
 from model.state import StateView
@@ -53,6 +55,11 @@ class Environment:
             [noise.rod_direction_rad, noise.rod_rate_rads, noise.attitude_rad, noise.rate_rads], 3
         )
         self._is_noisy = bool(self._payload_noise.any() or self._uav_noise.any())
+
+    def release(self, uavs: Collection[int]) -> None:
+        """Replace UAVs, 0-based, by bobs of negligible mass, on which no air acts. Source: docs/equations.md (49)."""
+        self.model = Model(with_released(self.model.system, uavs))
+        self._drag[[1 + uav for uav in uavs]] = 0.0
 
     def wind(self, tick: int) -> Array:
         """Velocity of the air, (3,), inertial frame, m/s. Source: docs/equations.md (43)."""

@@ -13,11 +13,13 @@ import numpy as np
 
 from model import state
 from model.arrays import Array
+from model.failure import motor_off_state, no_inputs, released_state
 from mpc.fail_safe import FailSafe
 from plant.environment import Environment
-from plant.schedule import ActuatorSchedule
+from plant.schedule import MOTOR_OFF, ActuatorSchedule
 from protocol.arrivals import Arrivals
 from protocol.claims import Claims, check_moment, window
+from protocol.faults import uav_faults
 from protocol.links import LinkChanges
 from protocol.membership import Membership
 from protocol.messages import (
@@ -71,6 +73,8 @@ class PlantNode:
         instants = np.arange(setup.ticks + 1, dtype=np.float64)
         self._path, _ = setup.maneuver.path(self._period_s * instants)
         self._schedule = ActuatorSchedule(setup.hover.u, fail_safe, setup.settings.limits, self._period_s)
+        self._uav_faults = deque(uav_faults(setup.faults))  # still to come
+        self._off: set[int] = set()  # UAVs without motors, 0-based
         self._x: Array = setup.initial_state()
         self._u: Array = setup.hover.u.copy()  # in force until now
         self._state_tick = 0  # self._x is the state at this tick
@@ -173,6 +177,7 @@ class PlantNode:
     def _measure(self) -> list[Message]:
         tick = self._pending.popleft()
         self._measured_tick = tick.tick
+        self._fail_uavs(tick.tick)
         seen = {a: self.environment.measured(tick.tick, a, self._x) for a in self._membership.agents}
         u = self._u.reshape(-1, state.INPUTS)
         return [
@@ -192,11 +197,25 @@ class PlantNode:
             if agent in self._membership.agents
         ]
 
+    def _fail_uavs(self, tick: int) -> None:
+        """Do what the scenario does to UAVs at a tick, before it is measured."""
+        while self._uav_faults and self._uav_faults[0][0] <= tick:
+            _, what, uav = self._uav_faults.popleft()
+            self._off.add(uav)
+            if what == "release":
+                self.environment.release([uav])
+                self._x = released_state(self._x, uav)
+            else:
+                self._x = motor_off_state(self._x, uav)
+
     def _integrate(self, now_ns: int) -> Truth:
         k, x = self._state_tick, self._x
         for plan in self._plans.take(k, now_ns)[0]:
             self._schedule.add(plan)
         u, sources = self._schedule.inputs(k, x, self._u)
+        if self._off:
+            u = no_inputs(u, self._off)
+            sources = tuple(MOTOR_OFF if i in self._off else source for i, source in enumerate(sources))
         forces = self.environment.forces(k, x)
         end, error = self.environment.model.integrate(x, u, self._period_s, self.steps, forces=forces)
         reason = self._divergence(k + 1, end)

@@ -9,7 +9,7 @@ from mpc.settings import Limits
 from protocol.messages import Plan
 
 # Sources of an input that is not from a plan (`Truth.plan_ticks`).
-BEFORE_ANY_PLAN, FAIL_SAFE = -1, -2
+BEFORE_ANY_PLAN, FAIL_SAFE, MOTOR_OFF = -1, -2, -3
 
 
 class ActuatorSchedule:

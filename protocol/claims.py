@@ -54,6 +54,7 @@ class Claims:
         self._rounds = setup.scenario.controller.rounds
         self._delay = 1 if clock.next_tick else 0
         self._states = len(setup.hover.x)
+        self._N = setup.system.N
         self._uavs = {agent: tuple(uav + 1 for uav in owned) for agent, owned in enumerate(setup.owned, start=1)}
         self._limits = {agent: (limits.lower(len(uavs)), limits.upper(len(uavs))) for agent, uavs in self._uavs.items()}
 
@@ -81,6 +82,7 @@ class Claims:
                 self._check_others("shared", message.shared)
             case Roster():
                 self._check_others("agents", message.agents)
+                self._check_uavs("off", message.off)
             case StepReport():
                 self._check_others("peers", message.peers)
             case Truth():
@@ -111,6 +113,10 @@ class Claims:
             raise MessageError("unknown_agent", f"{message.kind} of agent {agent}, the run has {len(self._uavs)}")
         if uavs != owned:
             raise MessageError("wrong_uavs", f"{message.kind} of UAVs {list(uavs)}, agent {agent} has {list(owned)}")
+
+    def _check_uavs(self, field: str, uavs: Collection[int]) -> None:
+        if max(uavs, default=0) > self._N:
+            raise MessageError("out_of_range", f"{field}: expected UAVs of this run, 1 to {self._N}, got {max(uavs)}")
 
     def _check_others(self, field: str, agents: Collection[int]) -> None:
         if not self._agents.issuperset(agents):

@@ -1,7 +1,8 @@
-"""Scripted faults: what happens to which process at which tick.
+"""Scripted faults: what happens to which process or UAV at which tick.
 
 A process that is to be killed or stopped at a tick does that to itself, on the message that opens the tick for
-it: so the fault happens at that tick on every machine. What brings a process back, its parent does.
+it: so the fault happens at that tick on every machine. What brings a process back, its parent does. What happens to
+a UAV, the plant does, and the coordinator reports it with the roster of the tick.
 """
 
 import math
@@ -12,6 +13,8 @@ from typing import Literal
 from protocol.messages import Measurement, Message, Tick
 from protocol.scenario import Scenario
 
+Action = Literal["kill", "stop", "continue", "start", "motor_off", "release"]
+
 
 @dataclass(frozen=True, slots=True)
 class Fault:
@@ -20,13 +23,31 @@ class Fault:
     Attributes:
         tick: When.
         do: "kill" and "stop" happen when the tick opens for the target; "continue" and "start" are to have
-            brought it back when the tick opens.
-        target: Process name.
+            brought it back when the tick opens; "motor_off" and "release" count from the tick on.
+        target: Process name; for "motor_off" and "release" the name of a UAV, such as "uav3".
     """
 
     tick: int
-    do: Literal["kill", "stop", "continue", "start"]
+    do: Action
     target: str
+
+
+def uav_name(uav: int) -> str:
+    """Name of a UAV as a target of faults, e.g. "uav3" for the 0-based 2."""
+    return f"uav{uav + 1}"
+
+
+# What happens to a UAV: tick, what, UAV (0-based).
+UavFault = tuple[int, Literal["motor_off", "release"], int]
+
+
+def uav_faults(faults: Sequence[Fault]) -> tuple[UavFault, ...]:
+    """Return what happens to UAVs, in the order of time."""
+    return tuple(
+        (fault.tick, fault.do, int(fault.target.removeprefix("uav")) - 1)
+        for fault in faults
+        if fault.do in ("motor_off", "release")
+    )
 
 
 def scripted(scenario: Scenario) -> tuple[Fault, ...]:
@@ -36,6 +57,9 @@ def scripted(scenario: Scenario) -> tuple[Fault, ...]:
     down: dict[str, int] = {}  # who is not running, since which tick
     for event in sorted(scenario.faults.event, key=lambda event: event.at_s):
         tick, target = math.ceil(event.at_s / period_s - 1e-9), event.target
+        if event.do in ("motor_off", "release"):
+            found.append(Fault(tick, event.do, target))
+            continue
         if event.do in ("kill", "stop"):
             found.append(Fault(tick, "kill" if event.do == "kill" else "stop", target))
             down.setdefault(target, tick)

@@ -27,7 +27,7 @@ class Membership:
         self._early: list[Plan] = []
         self._left: dict[int, tuple[int, int]] = {}  # last incarnation of those that left, and the tick they did at
         self._closed: dict[int, int] = {}  # newest incarnation of each agent that is known to be gone
-        self._history: dict[int, frozenset[int]] = {0: frozenset()}  # agents by version of the roster
+        self._history: dict[int, Roster | None] = {0: None}  # by version
 
     @property
     def agents(self) -> set[int]:
@@ -55,6 +55,17 @@ class Membership:
 
     def agents_at(self, version: int) -> frozenset[int]:
         """Agents on the roster of a version: what everybody knows at a tick that names it, whatever has come since."""
+        roster = self._roster_at(version)
+        return frozenset() if roster is None else frozenset(roster.agents)
+
+    def failed_at(self, version: int) -> tuple[frozenset[int], frozenset[int]]:
+        """UAVs, 0-based, whose motors are off by the roster of a version, and those of them that are released."""
+        roster = self._roster_at(version)
+        if roster is None:
+            return frozenset(), frozenset()
+        return frozenset(uav - 1 for uav in roster.off), frozenset(uav - 1 for uav in roster.released)
+
+    def _roster_at(self, version: int) -> Roster | None:
         known = max((v for v in self._history if v <= version), default=min(self._history))
         for old in [v for v in self._history if v < known]:
             del self._history[old]
@@ -73,7 +84,7 @@ class Membership:
         if roster.version <= self.version:
             raise MessageError("past", f"roster of version {roster.version} after version {self.version}")
         self.version = roster.version
-        self._history[roster.version] = frozenset(roster.agents)
+        self._history[roster.version] = roster
         before = self._incarnations
         self._incarnations = dict(zip(roster.agents, roster.incarnations, strict=True))
         for agent, incarnation in before.items():

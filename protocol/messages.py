@@ -151,6 +151,8 @@ class Roster(Message):
         version: Grows with every change.
         agents: Agents on the roster.
         incarnations: Their incarnations, in the same order; messages of other incarnations are refused.
+        off: UAVs whose motors give no thrust and no moments, 1-based ids, ascending; the released ones too.
+        released: UAVs that are no longer on their rods, 1-based ids, ascending.
         reason: Why it changed, for people.
     """
 
@@ -159,6 +161,8 @@ class Roster(Message):
     version: int
     agents: tuple[int, ...]
     incarnations: tuple[int, ...]
+    off: tuple[int, ...]
+    released: tuple[int, ...]
     reason: str
 
     def __post_init__(self) -> None:
@@ -166,7 +170,13 @@ class Roster(Message):
         self._integers("version")
         self._set("agents", _ids("agents", self.agents))
         self._set("incarnations", _integer_list("incarnations", self.incarnations))
+        self._set("off", _ids("off", self.off))
+        self._set("released", _ids("released", self.released))
         self._set("reason", _text("reason", self.reason))
+        if not set(self.released) <= set(self.off):
+            raise MessageError(
+                "out_of_range", f"released: expected UAVs among those off {list(self.off)}, got {list(self.released)}"
+            )
         if len(self.agents) != len(self.incarnations):
             raise MessageError(
                 "wrong_shape",
@@ -326,7 +336,8 @@ class Truth(Message):
     Attributes:
         x: State at t_k, (12 + 12 N,), SI.
         u: Inputs applied over [t_k, t_{k+1}), (4 N,), N and N m.
-        plan_ticks: Tick of the plan each UAV's actuators followed, (N): -1 before any plan, -2 for the fail-safe.
+        plan_ticks: Tick of the plan each UAV's actuators followed, (N): -1 before any plan, -2 for the fail-safe,
+            -3 with the motors off.
         local_error: Largest local error estimate of the integration over the interval, SI.
         diverged: Empty, or why the flight ends after this interval.
     """
@@ -341,7 +352,7 @@ class Truth(Message):
 
     def __post_init__(self) -> None:
         Message.__post_init__(self)
-        self._set("plan_ticks", _integer_list("plan_ticks", self.plan_ticks, low=-2))
+        self._set("plan_ticks", _integer_list("plan_ticks", self.plan_ticks, low=-3))
         N = len(self.plan_ticks)
         self._set("x", _array("x", self.x, (PAYLOAD + PER_UAV * N,)))
         self._set("u", _array("u", self.u, (INPUTS * N,)))

@@ -287,10 +287,10 @@ class LinksSection(LinkSection):
 
 
 class FaultSection(Section):
-    """Something done to a process at an instant of the flight."""
+    """Something done to a process or a UAV at an instant of the flight."""
 
     at_s: NotNegative
-    do: Literal["kill", "stop", "continue", "restart"]
+    do: Literal["kill", "stop", "continue", "restart", "motor_off", "release"]
     target: str
 
 

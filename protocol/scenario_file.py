@@ -233,20 +233,27 @@ def _check_sharing(scenario: Scenario, source: str) -> None:
 
 def _check_faults(scenario: Scenario, source: str, agents: list[str]) -> None:
     names = ["coordinator", "plant", *agents]
-    state = dict.fromkeys(names, "running")
+    uavs = [f"uav{section.id}" for section in scenario.system.uav]
+    state = dict.fromkeys([*names, *uavs], "running")
     # What may follow what: nothing can be stopped that is not running.
     allowed = {
         "kill": ("running", "stopped"),
         "stop": ("running",),
         "continue": ("stopped",),
         "restart": ("running", "stopped", "killed"),
+        "motor_off": ("running",),
+        "release": ("running", "off"),  # of a running one: its motors go off with it
     }
     after = {"kill": "killed", "stop": "stopped", "continue": "running", "restart": "running"}
+    after |= {"motor_off": "off", "release": "released"}
     events = list(enumerate(scenario.faults.event, start=1))
     for i, event in sorted(events, key=lambda entry: entry[1].at_s):
         field = f"faults.event.{i}"
-        if event.target not in names:
-            raise ScenarioError(source, f"{field}.target", f"expected one of {', '.join(names)}, got {event.target!r}")
+        possible = uavs if event.do in ("motor_off", "release") else names
+        if event.target not in possible:
+            raise ScenarioError(
+                source, f"{field}.target", f"expected one of {', '.join(possible)}, got {event.target!r}"
+            )
         if event.do == "restart" and event.target not in agents:
             expected = f"expected an agent to restart, as a run ends with its {event.target}, got 'restart'"
             raise ScenarioError(source, f"{field}.do", expected)
@@ -254,6 +261,9 @@ def _check_faults(scenario: Scenario, source: str, agents: list[str]) -> None:
             expected = f"expected what can be done to {event.target}, which is {state[event.target]} by then"
             raise ScenarioError(source, f"{field}.do", f"{expected}, got {event.do!r}")
         state[event.target] = after[event.do]
+    if uavs and all(state[uav] in ("off", "released") for uav in uavs):
+        expected = "expected at least one UAV that keeps its motors"
+        raise ScenarioError(source, "faults.event", f"{expected}, got motor_off or release for all {len(uavs)}")
 
 
 def _check_drag(scenario: Scenario, source: str) -> None:

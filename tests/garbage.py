@@ -265,7 +265,7 @@ class Garbage:
         }
         said: list[Message] = [
             Control(outcome="aborted", reason="because", exit_code=4, **head),
-            Roster(version=2**40, agents=(2,), incarnations=(2**48,), reason="because", **head),
+            Roster(version=2**40, agents=(2,), incarnations=(2**48,), off=(), released=(), reason="because", **head),
             LinkChange(number=1, source="", target="", settings='{"loss": 1.0}', **head),
         ]
         message = self._one_of(said)

@@ -91,6 +91,8 @@ def roster(incarnations: dict[int, int] | None = None, k: int = 0, version: int 
         version=version,
         agents=tuple(taking_part),
         incarnations=tuple(taking_part.values()),
+        off=(),
+        released=(),
         reason="test",
     )
 

@@ -29,7 +29,8 @@ class FaultScript:
 
     def __init__(self, setup: Setup, harness: Harness, recorder: Recorder) -> None:
         self._setup, self._harness, self._recorder = setup, harness, recorder
-        self._faults = list(setup.faults)
+        # What happens to UAVs the plant does, and the roster reports.
+        self._faults = [fault for fault in setup.faults if fault.do not in ("motor_off", "release")]
         self._dead: set[int] = set()  # children whose end is noted
         self._seen_dead_s: dict[int, float] = {}  # when others were first seen to have ended
         for target in {fault.target for fault in self._faults if fault.do == "start"}:

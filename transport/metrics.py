@@ -223,6 +223,7 @@ def _faults(setup: Setup, log: RunLog, control: Control | None) -> list[dict[str
     began_ns = min(log.received_ns(Tick).values(), default=None)
     events: list[dict[str, Any]] = []
     members: set[int] | None = None
+    failed: tuple[set[int], set[int]] = (set(), set())  # UAVs off, and released
 
     def note(message: Message, received_ns: int | None, kind: str, what: str, who: Iterable[str]) -> None:
         events.append(
@@ -242,7 +243,12 @@ def _faults(setup: Setup, log: RunLog, control: Control | None) -> list[dict[str
             by = {"script": " by script", "person": " by hand", "unknown": ""}[message.origin]
             note(message, entry.received_ns, "fault", f"{message.target} {message.what}{by}", [message.target])
         elif isinstance(message, Roster):
-            now = set(message.agents)
+            now, health = set(message.agents), (set(message.off), set(message.released))
+            if health != failed:
+                uavs = sorted((health[0] - failed[0]) | (health[1] - failed[1]))
+                note(message, entry.received_ns, "fault", f"{message.reason} by script", [f"uav{uav}" for uav in uavs])
+                members, failed = now, health
+                continue
             if members is not None:
                 left, joined = (sorted(map(agent_name, names)) for names in (members - now, now - members))
                 kind = "detected" if left else "rejoined" if joined else "notice"

@@ -1,5 +1,6 @@
 """What happened at each tick of a run, as arrays over time: the basis of every metric and figure."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,8 +8,11 @@ import numpy.typing as npt
 
 from model import state
 from model.arrays import Array
+from model.failure import failed_hover
+from model.parameters import ParameterError
 from model.rotations import rotation
 from mpc.cost import Cost
+from protocol.faults import UavFault, uav_faults
 from protocol.messages import Truth
 from protocol.setup import Setup
 from transport.log import RunLog
@@ -26,9 +30,9 @@ class Series:
         uavs_I: UAV positions, (T, N, 3), inertial frame (z down), m.
         payload_reference_I: Reference of the payload's position, (T, 3), inertial frame, m.
         uav_references_I: References of the UAVs' positions, (T, N, 3), inertial frame, m.
-        cost: Stage cost, docs/equations.md (21), (T,).
+        cost: Stage cost, docs/equations.md (21), (T,); after a UAV has failed that of the team that is left.
         attitude_deg: Payload roll, pitch, yaw, (T, 3), deg.
-        separation_m: Smallest distance between two UAVs, (T,), m; infinite for one UAV.
+        separation_m: Smallest distance between two UAVs on their rods, (T,), m; infinite for one UAV.
         violation: Largest constraint violation relative to the constraint's range, (T,); see `_violation`.
     """
 
@@ -81,9 +85,9 @@ def series_of(setup: Setup, log: RunLog) -> Series:
     u = np.array([truths[tick].u for tick in ticks]).reshape(-1, state.INPUTS * N)
     y_ref = setup.reference.outputs(times_s)
     y = np.array([setup.model.outputs(row) for row in x]).reshape(y_ref.shape)
-    cost = Cost(setup.settings.weights, setup.hover)
     uavs_I = y[:, : 3 * N].reshape(len(ticks), N, 3)
-    separation_m = _separation(uavs_I)
+    failures = uav_faults(setup.faults)
+    separation_m = _separation(uavs_I, ticks, failures)
     return Series(
         ticks=ticks,
         times_s=times_s,
@@ -92,19 +96,42 @@ def series_of(setup: Setup, log: RunLog) -> Series:
         uavs_I=uavs_I,
         payload_reference_I=setup.maneuver.path(times_s)[0],
         uav_references_I=y_ref[:, : 3 * N].reshape(len(ticks), N, 3),
-        cost=np.array([cost.stage(*at) for at in zip(y, y_ref, u, strict=True)], dtype=np.float64),
+        cost=_stage_costs(setup, ticks, failures, y, y_ref, u),
         attitude_deg=np.degrees(x[:, state.THETA0]),
         separation_m=separation_m,
         violation=_violation(setup, ticks, u, separation_m),
     )
 
 
-def _separation(uavs_I: Array) -> Array:
-    """Smallest distance between any two UAVs, (T,), m."""
+def _stage_costs(
+    setup: Setup, ticks: npt.NDArray[np.int64], failures: Sequence[UavFault], y: Array, y_ref: Array, u: Array
+) -> Array:
+    """Stage costs, (T,): inputs against the hover of the UAVs that have motors, outputs of those on their rods."""
+    costs = np.zeros(len(ticks))
+    begins = sorted({0, *(tick for tick, _, _ in failures)})
+    for begin, end in zip(begins, [*begins[1:], None], strict=True):
+        off = {uav for tick, _, uav in failures if tick <= begin}
+        released = {uav for tick, what, uav in failures if tick <= begin and what == "release"}
+        try:
+            equilibrium = failed_hover(setup.system, off, released) if off else setup.hover
+        except ParameterError:
+            equilibrium = setup.hover  # there is none: the control law holds on to this one as well
+        cost = Cost(setup.settings.weights, equilibrium, off, released)
+        for row in np.flatnonzero((ticks >= begin) & (True if end is None else ticks < end)):
+            costs[row] = cost.stage(y[row], y_ref[row], u[row])
+    return costs
+
+
+def _separation(uavs_I: Array, ticks: npt.NDArray[np.int64], failures: Sequence[UavFault]) -> Array:
+    """Smallest distance between any two UAVs on their rods, (T,), m."""
     smallest = np.full(len(uavs_I), np.inf)
+    present = np.ones(uavs_I.shape[:2], dtype=bool)
+    for tick, what, uav in failures:
+        present[ticks >= tick, uav] &= what != "release"
     for i in range(uavs_I.shape[1]):
         for j in range(i + 1, uavs_I.shape[1]):
-            smallest = np.minimum(smallest, np.linalg.norm(uavs_I[:, i] - uavs_I[:, j], axis=1))
+            distance = np.linalg.norm(uavs_I[:, i] - uavs_I[:, j], axis=1)
+            smallest = np.where(present[:, i] & present[:, j], np.minimum(smallest, distance), smallest)
     return smallest
 
 
@@ -121,7 +148,10 @@ def _violation(setup: Setup, ticks: npt.NDArray[np.int64], u: Array, separation_
     worst = (np.maximum(lower - u, u - upper) / (upper - lower)).max(axis=1, initial=0.0)
     before = np.vstack([setup.hover.u[None], u[:-1]])[: len(u)]
     consecutive = np.diff(ticks, prepend=-1) == 1
-    change = ((np.abs(u - before) - step) / (2.0 * step)).max(axis=1, initial=0.0)
+    change = (np.abs(u - before) - step) / (2.0 * step)
+    for tick, _, uav in uav_faults(setup.faults):
+        change[ticks == tick, state.input_slice(uav)] = 0.0  # motors that stop are no limit exceeded
+    change = change.max(axis=1, initial=0.0)
     worst = np.maximum(worst, np.where(consecutive, change, 0.0))
     if setup.settings.separation is not None:
         minimum_m = setup.settings.separation.minimum_m

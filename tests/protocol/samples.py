@@ -36,7 +36,15 @@ def fields(kind: type[Message]) -> dict[str, Any]:
             "late_ns": 50_000,
             "overrun_ns": 1_200_000,
         },
-        Roster: {"sender": "coordinator", "version": 2, "agents": (1, 3), "incarnations": (0, 5), "reason": "ready"},
+        Roster: {
+            "sender": "coordinator",
+            "version": 2,
+            "agents": (1, 3),
+            "incarnations": (0, 5),
+            "off": (2, 3),
+            "released": (3,),
+            "reason": "ready",
+        },
         LinkChange: {
             "sender": "coordinator",
             "number": 2,

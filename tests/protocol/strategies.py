@@ -65,6 +65,8 @@ rosters = _ids.flatmap(
         version=_count,
         agents=st.just(ids),
         incarnations=_listed(len(ids), _count),
+        off=st.just(ids),
+        released=st.just(ids[1:]),
         reason=_text,
         **_head,
     )
@@ -132,7 +134,7 @@ truths = st.integers(0, _UAVS).flatmap(
         Truth,
         x=_array(12 + 12 * N),
         u=_array(4 * N),
-        plan_ticks=_listed(N, st.integers(-2, MAX_TICK)),
+        plan_ticks=_listed(N, st.integers(-3, MAX_TICK)),
         local_error=_number,
         diverged=_text,
         **_head,

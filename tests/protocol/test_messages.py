@@ -51,7 +51,7 @@ WRONG: dict[str, list[Any]] = {
     "rounds": [-1, MAX_ROUNDS, 1.0, True, "1", None],
     "end": ["agent", "agent0", "Plant", "any", "*", " ", 3, None, b"plant"],
     "age": [-2, MAX_TICK + 1, 1.0, True, "1", None],
-    "source": [-3, MAX_TICK + 1, 1.0, True, "1", None],
+    "source": [-4, MAX_TICK + 1, 1.0, True, "1", None],
     "agent": [0, -1, MAX_UAVS + 1, 1.0, True, "1", None],
     "code": [-1, 256, 4.0, True, "4", None],
     "ids": [(2, 1), (1, 1), (0, 1), (1, MAX_UAVS + 1), (1.0,), (True,), ("1",), (None,), ((1,),)],
@@ -72,7 +72,14 @@ SORTS: dict[type[Message], dict[str, str]] = {
         "late_ns": "count",
         "overrun_ns": "count",
     },
-    Roster: {"version": "count", "agents": "ids", "incarnations": "list", "reason": "text"},
+    Roster: {
+        "version": "count",
+        "agents": "ids",
+        "incarnations": "list",
+        "off": "ids",
+        "released": "ids",
+        "reason": "text",
+    },
     LinkChange: {"number": "number", "source": "end", "target": "end", "settings": "text"},
     Measurement: {
         "agent": "agent",
@@ -304,6 +311,7 @@ def test_messages_are_frozen(kind: type[Message]) -> None:
     [
         (Roster, {"incarnations": (0,)}, "incarnations: expected one for each of 2 agents, got 1"),
         (Roster, {"agents": ()}, "incarnations: expected one for each of 0 agents, got 2"),
+        (Roster, {"off": (2,)}, "released: expected UAVs among those off [2], got [3]"),
         (StepReport, {"plan_ages": (1,)}, "plan_ages: expected one for each of 2 peers, got 1"),
         (StepReport, {"state_ages": (1, 1, 1)}, "state_ages: expected one for each of 2 peers, got 3"),
         (Measurement, {"uavs": (2,)}, "uav_states: expected shape (1, 12), got (2, 12)"),

@@ -198,7 +198,7 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
     # Faults.
     ("faults.event=[{at_s=1,do='kill'}]", "faults.event.1.target", "expected a value, got nothing"),
     ("faults.event=[{at_s=-1,do='kill',target='plant'}]", "faults.event.1.at_s", "expected a number >= 0.0, got -1"),
-    ("faults.event=[{at_s=1,do='stab',target='plant'}]", "faults.event.1.do", "or 'restart', got 'stab'"),
+    ("faults.event=[{at_s=1,do='stab',target='plant'}]", "faults.event.1.do", "or 'release', got 'stab'"),
     (
         "faults.event=[{at_s=1,do='kill',target='agent5'}]",
         "faults.event.1.target",
@@ -234,6 +234,28 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
         "faults.event=[{at_s=1,do='stop',target='agent1'},{at_s=2,do='stop',target='agent1'}]",
         "faults.event.2.do",
         "expected what can be done to agent1, which is stopped by then, got 'stop'",
+    ),
+    (
+        "faults.event=[{at_s=1,do='motor_off',target='agent3'}]",
+        "faults.event.1.target",
+        "expected one of uav1, uav2, uav3, uav4, got 'agent3'",
+    ),
+    ("faults.event=[{at_s=1,do='kill',target='uav3'}]", "faults.event.1.target", "expected one of coordinator, "),
+    (
+        "faults.event=[{at_s=1,do='release',target='uav3'},{at_s=2,do='motor_off',target='uav3'}]",
+        "faults.event.2.do",
+        "expected what can be done to uav3, which is released by then, got 'motor_off'",
+    ),
+    (
+        "faults.event=[{at_s=1,do='motor_off',target='uav3'},{at_s=2,do='motor_off',target='uav3'}]",
+        "faults.event.2.do",
+        "expected what can be done to uav3, which is off by then, got 'motor_off'",
+    ),
+    (
+        "faults.event=[{at_s=1,do='release',target='uav1'},{at_s=1,do='release',target='uav2'},"
+        "{at_s=1,do='release',target='uav3'},{at_s=1,do='motor_off',target='uav4'}]",
+        "faults.event",
+        "expected at least one UAV that keeps its motors, got motor_off or release for all 4",
     ),
     # The truth, and what is to be estimated of it.
     ("plant.payload_mass_factor=0", "plant.payload_mass_factor", "expected a number > 0.0, got 0"),

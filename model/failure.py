@@ -1,0 +1,110 @@
+"""A UAV whose motors are off, and one that has been cut loose, in the state and the parameters of the whole team.
+
+The layout of state and input stays that of N UAVs. A motor-off UAV keeps mass and rod and has no inputs. A released
+UAV is replaced at the end of its rod by a bob of negligible mass that hangs below its attachment point.
+"""
+
+from collections.abc import Collection
+
+import numpy as np
+
+from model import state
+from model.arrays import Array
+from model.hover import Hover, hover
+from model.linearisation import Model
+from model.parameters import System, Uav
+from model.rotations import rotation
+
+# A millionth of a kilogram pulls with 1e-5 N. The equations of motion divide by no mass but where a thrust or a force
+# acts on it, so the bob needs to be no heavier; a test compares with the system that has no such rod.
+RELEASED_MASS_KG = 1e-6
+
+
+def with_released(system: System, released: Collection[int]) -> System:
+    """Return the system with bobs of `RELEASED_MASS_KG` in place of some UAVs.
+
+    The bob keeps the UAV's inertia: with neither moment nor rotation it is without effect.
+
+    Args:
+        system: Physical parameters.
+        released: UAVs, 0-based.
+    Source: docs/equations.md (49).
+    """
+    uavs = [_bob(uav) if i in released else uav for i, uav in enumerate(system.uavs)]
+    return System(payload=system.payload, uavs=uavs, gravity=system.gravity)
+
+
+def failed_model(system: System, off: Collection[int], released: Collection[int]) -> Model:
+    """Return the model of a team some of whose UAVs have no motors: their inputs have no effect.
+
+    Args:
+        system: Physical parameters of the whole team.
+        off: UAVs without motors, 0-based, the released ones among them.
+        released: UAVs cut loose, 0-based.
+    Source: docs/equations.md (49).
+    """
+    return Model(with_released(system, released), off=off, released=released)
+
+
+def failed_hover(system: System, off: Collection[int], released: Collection[int]) -> Hover:
+    """Return the hover of a team some of whose UAVs have no motors, the payload level.
+
+    A motor-off UAV stands upright on its rod: that is where it is when its motors stop, and the payload feels the same
+    weight from there as from below.
+
+    Args:
+        system: Physical parameters of the whole team.
+        off: UAVs without motors, 0-based, the released ones among them.
+        released: UAVs cut loose, 0-based.
+    Raises: ParameterError: the UAVs that are left cannot hold the payload.
+    Source: docs/equations.md (50).
+    """
+    rods = np.tile([0.0, 0.0, 1.0], (system.N, 1))
+    rods[sorted(released)] *= -1.0
+    return hover(with_released(system, released), rods, off)
+
+
+def motor_off_state(x: Array, uav: int) -> Array:
+    """Return the state with a UAV's rotation stopped, (n,).
+
+    Without thrust its attitude acts on nothing: rods end in ball joints at centres of mass. A rotation that no moment
+    stops would only carry the angles into the singularity of docs/equations.md (3).
+
+    Args:
+        x: State, (n,).
+        uav: 0-based.
+    """
+    x = x.copy()
+    x[state.uav_slice(uav)][state.OMEGA] = 0.0
+    return x
+
+
+def released_state(x: Array, uav: int) -> Array:
+    """Return the state with a bob at rest straight below the attachment point of a UAV, (n,).
+
+    Args:
+        x: State, (n,).
+        uav: 0-based.
+    Source: docs/equations.md (49).
+    """
+    x = x.copy()
+    block = x[state.uav_slice(uav)]
+    block[:] = 0.0
+    block[state.E] = -rotation(x[state.THETA0])[2]  # minus the inertial z axis in the payload frame
+    return x
+
+
+def no_inputs(u: Array, uavs: Collection[int]) -> Array:
+    """Return inputs with those of some UAVs zero.
+
+    Args:
+        u: Inputs, (..., m).
+        uavs: 0-based.
+    """
+    u = u.copy()
+    u[..., state.input_indices(sorted(uavs))] = 0.0
+    return np.asarray(u)
+
+
+def _bob(uav: Uav) -> Uav:
+    return Uav(mass=RELEASED_MASS_KG, inertia=uav.inertia, rho=uav.rho, rod_length=uav.rod_length)

@@ -1,0 +1,200 @@
+"""What is left of a team when a UAV's motors stop: statics with the UAV on its rod, and without it."""
+
+import math
+
+import numpy as np
+import pytest
+
+from model import state
+from model.arrays import Array
+from model.failure import RELEASED_MASS_KG, failed_hover, failed_model, motor_off_state, no_inputs, released_state
+from model.hover import hover
+from model.linearisation import Model
+from model.parameters import ParameterError, System, table_1
+from model.rotations import euler_angles, rotation
+from model.state import INPUTS, StateView
+from protocol.scenario_file import read_scenario
+from protocol.setup import Setup
+from protocol.team import resized
+from tests.runs import SCENARIOS
+
+DEAD = 2  # UAV 3; UAV 1 is opposite, UAVs 2 and 4 are its neighbours
+OPPOSITE, NEIGHBOURS = 0, (1, 3)
+WEIGHT_N = 1.5 * 9.81  # of a UAV of Table I
+MOST_N = 45.0  # default of controller.limits.thrust_N
+
+# Accelerations left by the rounding of forces of up to 100 N, m/s^2 and rad/s^2.
+AT_REST = 1e-10
+FORCE_TOLERANCE_N = 1e-10
+# The bob of a released UAV weighs 1e-5 N.
+BOB_TOLERANCE_N = 2.0 * RELEASED_MASS_KG * 9.81
+# That weight moves a payload of 3 kg by 3e-6 m/s^2; within 1 s, with rods that fall over at 2 rad/s, below 1e-5.
+BOB_DEVIATION = 1e-5
+
+
+def larger(uavs: int) -> System:
+    """A team of another size, as `transport scenario new` makes it."""
+    ready = read_scenario(SCENARIOS / "resilient.toml")
+    return Setup.of(resized(ready, SCENARIOS, uavs, group=None, name=None, source="resilient"), "larger").system
+
+
+def thrusts(u: Array) -> Array:
+    """Thrusts of all UAVs, (N,), N."""
+    return u[::INPUTS]
+
+
+def tilted(system: System, angle: float) -> tuple[Array, Array]:
+    """Equilibrium with the payload tilted about the diagonal of the neighbours, the corner of the dead UAV downwards.
+
+    All rods are vertical, the dead UAV is upright on its own. Returns: x (n,), u (m,).
+    """
+    rho = np.array([uav.rho for uav in system.uavs])
+    toward = np.append(rho[DEAD, :2], 0.0) / np.linalg.norm(rho[DEAD, :2])
+    axis = np.cross([0.0, 0.0, 1.0], toward)  # z is down: a positive turn about it lifts that corner
+    x, u = hover(system).x.copy(), np.zeros(system.m)
+    turned = np.array(
+        [
+            [math.cos(angle) + (1 - math.cos(angle)) * axis[0] ** 2, (1 - math.cos(angle)) * axis[0] * axis[1], 0.0],
+            [(1 - math.cos(angle)) * axis[0] * axis[1], math.cos(angle) + (1 - math.cos(angle)) * axis[1] ** 2, 0.0],
+            [0.0, 0.0, math.cos(angle)],
+        ]
+    ) - math.sin(angle) * np.array([[0, 0, axis[1]], [0, 0, -axis[0]], [-axis[1], axis[0], 0]])
+    x[state.THETA0] = euler_angles(turned)
+    StateView(x).e_P[:] = turned[2]
+    at = rho @ turned.T  # attachment points, inertial axes
+    live = [i for i in range(system.N) if i != DEAD]
+    balance = np.vstack([np.ones(3), at[live, 0], at[live, 1]])
+    weight = system.uavs[DEAD].mass * system.gravity
+    carried = np.array([system.payload.mass * system.gravity + weight, weight * at[DEAD, 0], weight * at[DEAD, 1]])
+    for i, tension in zip(live, np.linalg.solve(balance, carried), strict=True):
+        u[INPUTS * i] = system.uavs[i].mass * system.gravity + tension
+    return x, u
+
+
+def test_three_hold_a_payload_without_the_fourth() -> None:
+    """Cut loose: the neighbours carry half the payload each, the opposite UAV nothing. docs/equations.md (50)."""
+    at = failed_hover(table_1(), {DEAD}, {DEAD})
+    np.testing.assert_allclose(thrusts(at.u)[list(NEIGHBOURS)], 2.0 * WEIGHT_N, atol=BOB_TOLERANCE_N)
+    assert thrusts(at.u)[OPPOSITE] == pytest.approx(WEIGHT_N, abs=BOB_TOLERANCE_N)
+    assert thrusts(at.u)[DEAD] == 0.0
+    assert np.abs(failed_model(table_1(), {DEAD}, {DEAD}).derivative(at.x, at.u)).max() < AT_REST
+    assert at.x[state.uav_slice(DEAD)][2] == -1.0
+
+
+def test_with_the_fourth_on_its_rod_the_opposite_one_has_no_thrust() -> None:
+    """Four UAVs, level payload: the opposite one rests on its rod, its neighbours are 0.9 N from their bound."""
+    at = failed_hover(table_1(), {DEAD}, set())
+    assert thrusts(at.u)[OPPOSITE] == 0.0
+    np.testing.assert_allclose(thrusts(at.u)[list(NEIGHBOURS)], 3.0 * WEIGHT_N, atol=FORCE_TOLERANCE_N)
+    assert pytest.approx(0.855) == MOST_N - 3.0 * WEIGHT_N
+    np.testing.assert_allclose(at.tensions[[OPPOSITE, DEAD]], -WEIGHT_N, atol=FORCE_TOLERANCE_N)
+    assert np.abs(Model(table_1()).derivative(at.x, at.u)).max() < AT_REST
+
+
+def test_hanging_or_upright_is_the_same_for_the_payload() -> None:
+    """A dead UAV below its corner pulls with its weight as one above it pushes."""
+    rods = np.tile([0.0, 0.0, 1.0], (4, 1))
+    rods[DEAD] *= -1.0
+    upright, hanging = failed_hover(table_1(), {DEAD}, set()), hover(table_1(), rods, {DEAD})
+    np.testing.assert_allclose(upright.u, hanging.u, atol=FORCE_TOLERANCE_N)
+    assert hanging.tensions[DEAD] == pytest.approx(WEIGHT_N)
+    assert np.abs(Model(table_1()).derivative(hanging.x, hanging.u)).max() < AT_REST
+
+
+@pytest.mark.parametrize("angle_deg", [5.0, 15.0, 30.0])
+def test_inclined_rods_do_not_relieve_the_opposite_one(angle_deg: float) -> None:
+    """With the payload level, neighbours that lean outwards only need more thrust. docs/equations.md (50)."""
+    rods = np.tile([0.0, 0.0, 1.0], (4, 1))
+    for i in NEIGHBOURS:
+        outwards = np.append(table_1().uavs[i].rho[:2], 0.0)
+        rods[i] = math.cos(math.radians(angle_deg)) * rods[i] - math.sin(math.radians(angle_deg)) * (
+            outwards / np.linalg.norm(outwards)
+        )
+    at = hover(table_1(), rods, {DEAD})
+    assert thrusts(at.u)[OPPOSITE] == 0.0
+    assert (thrusts(at.u)[list(NEIGHBOURS)] > 3.0 * WEIGHT_N + 0.05).all()
+
+
+@pytest.mark.parametrize("angle_deg", [0.0, 10.0, 30.0, 54.0])
+def test_a_tilted_payload_gives_the_opposite_one_thrust(angle_deg: float) -> None:
+    """The centre of mass moves towards the opposite corner: thrust m0 g h tan(angle) / d. docs/equations.md (51)."""
+    system = table_1()
+    x, u = tilted(system, math.radians(angle_deg))
+    assert np.abs(Model(system).derivative(x, u)).max() < AT_REST
+    h, d = 0.125, 0.25 * math.sqrt(2.0)
+    expected = 3.0 * 9.81 * h / d * math.tan(math.radians(angle_deg))
+    assert thrusts(u)[OPPOSITE] == pytest.approx(expected, abs=FORCE_TOLERANCE_N)
+    # Down goes the corner that carries more: the payload's third axis leans away from it.
+    corner = rotation(x[state.THETA0]) @ system.uavs[DEAD].rho
+    assert angle_deg == 0.0 or corner[2] > -h
+
+
+@pytest.mark.parametrize(("uavs", "least", "most"), [(5, 15.2, 40.0), (6, 14.7, 36.8), (8, 17.6, 32.8)])
+def test_five_and_more_hold_a_dead_uav(uavs: int, least: float, most: float) -> None:
+    """With five or more a level hover exists in which every other UAV has thrust to spare in both directions."""
+    system = larger(uavs)
+    at = failed_hover(system, {DEAD}, set())
+    others = np.delete(thrusts(at.u), DEAD)
+    assert least < others.min()
+    assert others.max() < most
+    assert np.abs(Model(system).derivative(at.x, at.u)).max() < AT_REST
+
+
+def test_two_neighbours_gone_is_too_much() -> None:
+    """Two UAVs that are left on one side of the payload have no hover, and the text says so."""
+    with pytest.raises(ParameterError, match="no hover equilibrium"):
+        failed_hover(table_1(), {0, 1}, {0, 1})
+
+
+def test_a_thrustless_uav_needs_a_vertical_rod() -> None:
+    """The rod of a UAV without thrust carries its weight along itself only."""
+    rods = np.tile([0.0, 0.0, 1.0], (4, 1))
+    rods[DEAD] = [0.6, 0.0, 0.8]
+    with pytest.raises(ParameterError, match="expected a vertical one for UAV3 without thrust"):
+        hover(table_1(), rods, {DEAD})
+
+
+def moving(system: System) -> tuple[Array, Array]:
+    """A state off its equilibrium, everything in motion, and inputs near hover."""
+    rng = np.random.default_rng(17)
+    at = hover(system)
+    x = at.x + 0.05 * rng.standard_normal(system.n)
+    view = StateView(x)
+    view.e_P[:] /= np.linalg.norm(view.e_P, axis=1, keepdims=True)
+    view.Omega_P[:] -= view.e_P * (view.e_P * view.Omega_P).sum(axis=1, keepdims=True)
+    return x, at.u * (1.0 + 0.02 * rng.standard_normal(system.m))
+
+
+def test_the_rest_moves_as_a_system_without_the_released_uav() -> None:
+    """Payload and the UAVs that are left follow the trajectory of a system that never had the fourth."""
+    system = table_1()
+    live = [i for i in range(4) if i != DEAD]
+    three = System(payload=system.payload, uavs=[system.uavs[i] for i in live], gravity=system.gravity)
+    x, u = moving(system)
+    columns = np.concatenate([np.arange(12), *[np.arange(12) + state.uav_slice(i).start for i in live]])
+    with_bob, without = released_state(x, DEAD), x[columns]
+    model, reference = failed_model(system, {DEAD}, {DEAD}), Model(three)
+    for _ in range(20):
+        with_bob, _ = model.integrate(with_bob, u, 0.05, 5)
+        without, _ = reference.integrate(without, u[state.input_indices(live)], 0.05, 5)
+        assert np.abs(with_bob[columns] - without).max() < BOB_DEVIATION
+    assert np.abs(without[:12] - x[:12]).max() > 0.1  # it has moved
+
+
+def test_a_motor_off_uav_acts_by_its_mass_alone() -> None:
+    """Its inputs have no effect whatever they are, nor has its attitude; a wind on a released UAV has none either."""
+    system = table_1()
+    x, u = moving(system)
+    x = motor_off_state(x, DEAD)
+    assert not x[state.uav_slice(DEAD)][state.OMEGA].any()
+    off = failed_model(system, {DEAD}, set())
+    dead = Model(system).derivative(x, no_inputs(u, [DEAD]))
+    np.testing.assert_array_equal(off.derivative(x, u), dead)
+    assert not off.linearise(x, u).B_c[:, state.input_slice(DEAD)].any()
+    turned = x.copy()
+    turned[state.uav_slice(DEAD)][state.THETA] += 0.3
+    np.testing.assert_allclose(off.derivative(turned, u), dead, atol=AT_REST)
+    released, hung = failed_model(system, {DEAD}, {DEAD}), released_state(x, DEAD)
+    gust = np.zeros(15)
+    gust[9:12] = [1.0, 2.0, -3.0]
+    np.testing.assert_array_equal(released.derivative(hung, u, forces=gust), released.derivative(hung, u))

@@ -1,0 +1,145 @@
+"""Which teams the shared regulator stabilises when a UAV's motors stop, and what follows where it cannot."""
+
+from collections.abc import Set as AbstractSet
+
+import numpy as np
+import pytest
+
+from model import state
+from model.arrays import Array
+from model.discretisation import zero_order_hold
+from model.failure import failed_hover, failed_model
+from model.hover import hover
+from model.parameters import System, table_1
+from model.state import input_indices
+from mpc.controller import Controller
+from mpc.cost import Cost
+from mpc.feedback import FeedbackError, Regulator, regulator, tangent
+from mpc.settings import ControllerSettings, Weights
+from tests.model.test_failure import DEAD, OPPOSITE, larger, tilted
+from tests.mpc.systems import paper_setup
+
+PERIOD_S = 0.05
+CLOSED = ControllerSettings(prediction="closed_loop", relaxation=1.0, terminal="riccati")
+
+# Headings cost nothing and stay as they are: eigenvalue 1 to rounding. Everything else decays.
+MARGINAL = 1e-6
+# Rounding of a singular value of matrices of size one.
+UNCONTROLLABLE = 1e-9
+# Measured 7e-3 to 1e-2 where the regulator exists.
+CONTROLLABLE = 1e-3
+# Two Riccati recursions, the bob's 1e-6 kg between them, on gains of up to 30.
+GAIN_TOLERANCE = 1e-3
+
+
+def found(system: System, off: AbstractSet[int], released: AbstractSet[int]) -> Regulator:
+    """The regulator of what is left of a team."""
+    at = failed_hover(system, off, released)
+    cost = Cost(Weights(), at, off, released)
+    return regulator(failed_model(system, off, released), at, cost, PERIOD_S, off=off, released=released)
+
+
+def control_margin(system: System, x: Array, u: Array) -> tuple[float, float]:
+    """Largest |eigenvalue| of the sampled linearisation, and how far that mode is from uncontrollable.
+
+    The latter is the smallest singular value of [A - z I, B] over the eigenvalues z outside the unit circle (the
+    Popov-Belevitch-Hautus test). The UAV `DEAD` has no inputs.
+    """
+    discrete = zero_order_hold(failed_model(system, {DEAD}, set()).linearise(x, u), PERIOD_S)
+    T = tangent(x, off={DEAD})
+    A, B = T.T @ discrete.A @ T, T.T @ discrete.B
+    eigenvalues = np.linalg.eigvals(A)
+    unstable = eigenvalues[np.abs(eigenvalues) > 1.0 + 1e-3]
+    margins = [np.linalg.svd(np.hstack([A - z * np.eye(len(A)), B]))[1][-1] for z in unstable]
+    return float(np.abs(eigenvalues).max()), float(min(margins))
+
+
+def test_three_stabilise_the_payload_without_the_fourth() -> None:
+    """The regulator of the team without the released UAV is that of a system of three, and does not look at the bob."""
+    system = table_1()
+    live = [i for i in range(4) if i != DEAD]
+    three = System(payload=system.payload, uavs=[system.uavs[i] for i in live], gravity=system.gravity)
+    at = failed_hover(three, set(), set())
+    cost = Cost(Weights(), at)
+    alone = regulator(failed_model(three, set(), set()), at, cost, PERIOD_S)
+    K = found(system, {DEAD}, {DEAD}).K
+    assert not K[state.input_slice(DEAD)].any()
+    assert not K[:, state.uav_slice(DEAD)].any()
+    columns = np.concatenate([np.arange(12), *[np.arange(12) + state.uav_slice(i).start for i in live]])
+    np.testing.assert_allclose(K[input_indices(live)][:, columns], alone.K, atol=GAIN_TOLERANCE)
+
+
+@pytest.mark.parametrize(("uavs", "released"), [(4, True), (5, False), (6, False), (6, True)])
+def test_what_can_be_stabilised(uavs: int, released: bool) -> None:
+    """Four without the dead UAV, five and more with it balanced on its rod."""
+    system = table_1() if uavs == 4 else larger(uavs)
+    closed = found(system, {DEAD}, {DEAD} if released else set()).closed
+    assert np.abs(np.linalg.eigvals(closed)).max() < 1.0 + MARGINAL
+
+
+def test_four_with_the_dead_one_cannot_be_stabilised() -> None:
+    """The dead UAV falls over: with the opposite one at zero thrust no input reaches that mode."""
+    with pytest.raises(FeedbackError, match="expected a team that a linear law can stabilise"):
+        found(table_1(), {DEAD}, set())
+    at = failed_hover(table_1(), {DEAD}, set())
+    growth, margin = control_margin(table_1(), at.x, at.u)
+    assert margin < UNCONTROLLABLE
+    assert growth == pytest.approx(np.exp(2.255 * PERIOD_S), rel=1e-3)  # doubles every 0.31 s
+
+
+def test_four_with_the_dead_one_hanging_are_at_a_bound() -> None:
+    """A dead UAV below its corner leaves an unstable mode that has an input, and zero thrust to steer it with."""
+    rods = np.tile([0.0, 0.0, 1.0], (4, 1))
+    rods[DEAD] *= -1.0
+    at = hover(table_1(), rods, {DEAD})
+    growth, margin = control_margin(table_1(), at.x, at.u)
+    assert growth == pytest.approx(np.exp(2.193 * PERIOD_S), rel=1e-3)
+    assert margin > CONTROLLABLE
+    assert at.u[4 * OPPOSITE] == 0.0
+
+
+def test_a_tilted_payload_can_be_stabilised() -> None:
+    """With the payload tilted by 10 degrees the opposite UAV has 1.8 N, and every unstable mode an input."""
+    x, u = tilted(table_1(), np.radians(10.0))
+    assert u[4 * OPPOSITE] == pytest.approx(1.83, abs=0.01)
+    assert control_margin(table_1(), x, u)[1] > CONTROLLABLE
+
+
+def test_five_can_be_stabilised_with_the_dead_one() -> None:
+    """The level hover of five with a dead one on its rod is unstable, and every unstable mode has an input."""
+    at = failed_hover(larger(5), {DEAD}, set())
+    growth, margin = control_margin(larger(5), at.x, at.u)
+    assert margin > CONTROLLABLE
+    assert growth > 1.1
+
+
+@pytest.mark.parametrize("released", [set(), {0, 1}])
+def test_where_nothing_helps_the_control_law_stays(released: set[int]) -> None:
+    """Without a hover, or one that can be stabilised, gain and cost are those of the whole team."""
+    setup = paper_setup()
+    controller = Controller(setup.model, setup.hover, CLOSED, [3])
+    before, cost = controller.regulation.regulator, controller.cost
+    controller.fail(released or {DEAD}, released)
+    assert controller.regulation.regulator is before
+    assert controller.cost is cost
+    assert (
+        not controller.model.linearise(setup.hover.x, setup.hover.u)
+        .B_c[:, input_indices(sorted(released or {DEAD}))]
+        .any()
+    )
+
+
+def test_at_hover_nothing_is_to_be_corrected() -> None:
+    """In the hover of those that are left the law gives just that hover, and every agent's corrections are zero."""
+    setup = paper_setup()
+    controller = Controller(setup.model, setup.hover, CLOSED, [3])
+    controller.fail({DEAD}, {DEAD})
+    at = failed_hover(setup.system, {DEAD}, {DEAD})
+    steps = CLOSED.horizon
+    x_ref, U = np.tile(setup.hover.x, (steps, 1)), np.tile(at.u, (steps, 1))
+    law = controller.law(at.x, x_ref, np.zeros_like(U))
+    y_ref = np.tile(setup.model.outputs(setup.hover.x), (steps + 1, 1))
+    found = controller.step(at.x, at.u, U, y_ref, law, end=controller.end(at.x, x_ref[0]))
+    assert found.solution.status == "solved"
+    np.testing.assert_allclose(found.U, U[:, controller.own], atol=1e-5)
+    np.testing.assert_allclose(found.c, 0.0, atol=1e-5)

@@ -1,0 +1,89 @@
+"""The plant's motors off and rods released, by script: from the tick on, whatever the plans say."""
+
+import numpy as np
+import pytest
+
+from model import state
+from plant.node import PlantNode
+from plant.schedule import MOTOR_OFF
+from protocol.messages import Measurement, Message, Roster, Truth
+from protocol.setup import Setup
+from tests.runs import EVERYBODY, plan, roster, setup, tick
+
+TICKS = 6
+UAV = 2
+MOTORS_OFF = setup("faults.event=[{at_s=0.1,do='motor_off',target='uav3'}]")
+RELEASED = setup("faults.event=[{at_s=0.1,do='release',target='uav3'}]")
+AT = 2  # tick of both
+
+
+def flown(run: Setup) -> list[Message]:
+    """What the plant says while every agent asks for hover."""
+    node = PlantNode(run)
+    messages = list(node.receive(roster(), 0))
+    for k in range(TICKS):
+        messages += node.receive(tick(k), 0)
+        for agent in EVERYBODY:
+            messages += node.receive(plan(run, agent, k), 0)
+    return messages
+
+
+def truths(messages: list[Message]) -> list[Truth]:
+    """The record, tick by tick."""
+    return [message for message in messages if isinstance(message, Truth)]
+
+
+@pytest.mark.parametrize("run", [MOTORS_OFF, RELEASED], ids=["motor_off", "release"])
+def test_no_wrench_from_the_tick_on(run: Setup) -> None:
+    """Thrust and moments are exactly zero from the tick on, and the record says that no plan was followed."""
+    record = truths(flown(run))
+    assert len(record) == TICKS
+    for k, truth in enumerate(record):
+        inputs = truth.u[state.input_slice(UAV)]
+        assert inputs.any() == (k < AT)
+        assert truth.plan_ticks == ((k,) * 4 if k < AT else (k, k, MOTOR_OFF, k))
+        assert np.delete(truth.u, state.input_indices([UAV])).any()
+
+
+def test_measurements_tell_the_motors_are_off() -> None:
+    """What the actuators did until a tick is part of the measurement: zero in the tick after, as is the rotation."""
+    found = [m for m in flown(MOTORS_OFF) if isinstance(m, Measurement) and m.agent == UAV + 1]
+    assert [bool(m.inputs.any()) for m in found] == [True, True, True, False, False, False]
+    assert not any(m.uav_states[:, state.OMEGA].any() for m in found[AT:])
+
+
+def test_a_released_rod_hangs_down() -> None:
+    """At the tick of the release the bob is at rest below its corner; until then the flight is that without a fault."""
+    record, before = truths(flown(RELEASED)), truths(flown(setup()))
+    for k in range(AT):
+        np.testing.assert_array_equal(record[k].x, before[k].x)
+    hung = record[AT].x[state.uav_slice(UAV)]
+    np.testing.assert_allclose(hung[state.E], [0.0, 0.0, -1.0], atol=1e-9)
+    assert not hung[3:].any()
+    others = np.delete(np.arange(len(record[AT].x)), np.arange(60)[state.uav_slice(UAV)])
+    np.testing.assert_array_equal(record[AT].x[others], before[AT].x[others])
+    # Three at the thrust of four sink by (3 - 3 x 7.36 / 9.81) kg g; nobody has told them yet.
+    assert record[-1].x[5] > 0.1
+
+
+def test_no_wind_blows_on_what_is_gone() -> None:
+    """Drag acts on payload and UAVs that are on their rods: a millionth of a kilogram would not survive it."""
+    run = setup("faults.event=[{at_s=0.1,do='release',target='uav3'}]", "plant.wind.speed_mps=[5.0,0.0,0.0]")
+    node = PlantNode(run)
+    node.environment.release([UAV])
+    forces = node.environment.forces(0, run.initial_state())
+    assert forces is not None
+    np.testing.assert_array_equal(forces.reshape(-1, 3).any(axis=1), [True, True, True, False, True])
+
+
+def test_the_roster_is_no_source_of_the_plants() -> None:
+    """Motors stop by the scenario, not by what a roster claims."""
+    node = PlantNode(setup())
+    said = roster()
+    claim = {field: getattr(said, field) for field in ("sender", "incarnation", "sequence", "tick", "version")}
+    lying = Roster(agents=said.agents, incarnations=said.incarnations, off=(3,), released=(3,), reason="", **claim)
+    messages = list(node.receive(lying, 0))
+    messages += node.receive(tick(0), 0)
+    for agent in EVERYBODY:
+        messages += node.receive(plan(setup(), agent, 0), 0)
+    assert truths(messages)[0].u[state.input_slice(UAV)].any()
