@@ -28,7 +28,7 @@ def with_released(system: System, released: Collection[int]) -> System:
     Args:
         system: Physical parameters.
         released: UAVs, 0-based.
-    Source: docs/equations.md (49).
+    Source: docs/equations.md (50).
     """
     uavs = [_bob(uav) if i in released else uav for i, uav in enumerate(system.uavs)]
     return System(payload=system.payload, uavs=uavs, gravity=system.gravity)
@@ -41,7 +41,7 @@ def failed_model(system: System, off: Collection[int], released: Collection[int]
         system: Physical parameters of the whole team.
         off: UAVs without motors, 0-based, the released ones among them.
         released: UAVs cut loose, 0-based.
-    Source: docs/equations.md (49).
+    Source: docs/equations.md (50).
     """
     return Model(with_released(system, released), off=off, released=released)
 
@@ -57,7 +57,7 @@ def failed_hover(system: System, off: Collection[int], released: Collection[int]
         off: UAVs without motors, 0-based, the released ones among them.
         released: UAVs cut loose, 0-based.
     Raises: ParameterError: the UAVs that are left cannot hold the payload.
-    Source: docs/equations.md (50).
+    Source: docs/equations.md (51).
     """
     rods = np.tile([0.0, 0.0, 1.0], (system.N, 1))
     rods[sorted(released)] *= -1.0
@@ -85,7 +85,7 @@ def released_state(x: Array, uav: int) -> Array:
     Args:
         x: State, (n,).
         uav: 0-based.
-    Source: docs/equations.md (49).
+    Source: docs/equations.md (50).
     """
     x = x.copy()
     block = x[state.uav_slice(uav)]

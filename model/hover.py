@@ -42,7 +42,7 @@ def hover(system: System, rods_P: ArrayLike | None = None, off: Collection[int] 
         off: UAVs without thrust, 0-based; their rods are vertical.
     Returns: State with the payload at the origin, input, tensions.
     Raises: ParameterError: no rod tensions balance the payload, or a UAV would have to push down.
-    Source: docs/equations.md (18)-(19), (50).
+    Source: docs/equations.md (18)-(19), (51).
     """
     N = system.N
     e = np.tile([0.0, 0.0, 1.0], (N, 1)) if rods_P is None else checked("rods", rods_P, (N, 3))

@@ -185,7 +185,7 @@ class Controller:
         Args:
             off: UAVs without motors, the released ones among them.
             released: UAVs cut loose.
-        Source: docs/equations.md (49), (50).
+        Source: docs/equations.md (50), (51).
         """
         self.model = failed_model(self._whole, off, released)
         try:

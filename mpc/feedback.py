@@ -23,6 +23,8 @@ from mpc.cost import Cost
 # metres forgets within some thousand sampling periods.
 _DOUBLINGS = 20
 _CONVERGED = 1e-12
+# Of the cost per sampling period, squared, where without it the cost is infinite: 1e-4 forgets in 500 s at 50 ms.
+_DISCOUNT = 1.0 - 1e-4
 # Headings and the places of UAVs without agents stay as they are: eigenvalues of 1. A UAV that falls over has 1.1.
 _STABLE = 1.0 + 1e-3
 # Directions whose cost is below this share of the largest cost nothing (headings).
@@ -113,7 +115,7 @@ def regulator(
         off: UAVs without motors, 0-based: nothing moves their attitude, and it moves nothing.
         released: UAVs that are no longer on their rods, 0-based: the same holds for all their states.
     Returns: Gain, cost-to-go and what a preview of the reference needs.
-    Raises: FeedbackError: the recursion does not converge.
+    Raises: FeedbackError: the recursion does not converge, or its feedback does not stabilise the team.
     Source: docs/equations.md (33)-(34), (45).
     """
     linear = model.linearise(hover.x, hover.u)
@@ -128,8 +130,13 @@ def regulator(
     weighted = C.T @ (cost.Q[:, None] * C)
     if further is not None:
         weighted += T.T @ further.T @ further @ T
-    P = _riccati(A, B, weighted, R)
-    ahead = np.negative(np.linalg.solve(np.diag(R) + B.T @ P @ B, B.T), dtype=np.float64)
+    try:
+        P, discount = _riccati(A, B, weighted, R), 1.0
+    except FeedbackError:
+        # Equal UAVs without agents swing against each other for ever, which no other UAV can reach and which has a
+        # cost: the infinite sum is finite only if the far future counts less.
+        P, discount = _riccati(_DISCOUNT * A, _DISCOUNT * B, weighted, R), _DISCOUNT
+    ahead = np.negative(np.linalg.solve(np.diag(R) / discount**2 + B.T @ P @ B, B.T), dtype=np.float64)
     K[led] = ahead @ P @ A @ T.T
     eigenvalues, vectors = np.linalg.eigh(P)
     kept = eigenvalues > _RANK * eigenvalues[-1]

@@ -91,7 +91,7 @@ class Regulation:
             off: UAVs without motors, the released ones among them.
             released: UAVs cut loose.
         Raises: FeedbackError: the UAVs that are left cannot stabilise the team; nothing has changed then.
-        Source: docs/equations.md (49), (50).
+        Source: docs/equations.md (50), (51).
         """
         before = self._model, self._hover, self._cost, self._off, self._released
         self._model, self._hover = model, hover

@@ -57,7 +57,7 @@ class Environment:
         self._is_noisy = bool(self._payload_noise.any() or self._uav_noise.any())
 
     def release(self, uavs: Collection[int]) -> None:
-        """Replace UAVs, 0-based, by bobs of negligible mass, on which no air acts. Source: docs/equations.md (49)."""
+        """Replace UAVs, 0-based, by bobs of negligible mass, on which no air acts. Source: docs/equations.md (50)."""
         self.model = Model(with_released(self.model.system, uavs))
         self._drag[[1 + uav for uav in uavs]] = 0.0
 

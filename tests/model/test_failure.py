@@ -72,7 +72,7 @@ def tilted(system: System, angle: float) -> tuple[Array, Array]:
 
 
 def test_three_hold_a_payload_without_the_fourth() -> None:
-    """Cut loose: the neighbours carry half the payload each, the opposite UAV nothing. docs/equations.md (50)."""
+    """Cut loose: the neighbours carry half the payload each, the opposite UAV nothing. docs/equations.md (51)."""
     at = failed_hover(table_1(), {DEAD}, {DEAD})
     np.testing.assert_allclose(thrusts(at.u)[list(NEIGHBOURS)], 2.0 * WEIGHT_N, atol=BOB_TOLERANCE_N)
     assert thrusts(at.u)[OPPOSITE] == pytest.approx(WEIGHT_N, abs=BOB_TOLERANCE_N)
@@ -103,7 +103,7 @@ def test_hanging_or_upright_is_the_same_for_the_payload() -> None:
 
 @pytest.mark.parametrize("angle_deg", [5.0, 15.0, 30.0])
 def test_inclined_rods_do_not_relieve_the_opposite_one(angle_deg: float) -> None:
-    """With the payload level, neighbours that lean outwards only need more thrust. docs/equations.md (50)."""
+    """With the payload level, neighbours that lean outwards only need more thrust. docs/equations.md (51)."""
     rods = np.tile([0.0, 0.0, 1.0], (4, 1))
     for i in NEIGHBOURS:
         outwards = np.append(table_1().uavs[i].rho[:2], 0.0)

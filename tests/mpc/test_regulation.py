@@ -13,18 +13,18 @@ import pytest
 
 from model import state
 from model.arrays import Array
+from model.failure import failed_hover, failed_model
 from model.hover import Hover, hover
 from model.linearisation import Model
-from model.parameters import System, table_1
-from model.state import input_indices
+from model.parameters import ParameterError, System, table_1
+from model.state import input_indices, input_slice, uav_slice
 from mpc.controller import Controller, Optimum
 from mpc.cost import Cost
 from mpc.fail_safe import FailSafe
-from mpc.feedback import FeedbackError, regulator
+from mpc.feedback import FeedbackError
 from mpc.regulation import Regulation
 from mpc.settings import ControllerSettings, CostTerm, Limits, Weights
 from tests.mpc.linear_model import (
-    PERIOD_S,
     LinearModel,
     difference,
     reference_outputs,
@@ -42,6 +42,8 @@ A_CORRECTION = 1e-2
 # Relative, the same sum of 5000 products in another order; the slowest mode that costs has died out by then.
 SAME_COST = 1e-8
 STEPS_TO_REST = 5000
+# Modes without damping have modulus 1: headings, and equal rods against each other. Rounding of their eigenvalues.
+MODE_TOLERANCE = 1e-6
 
 INSTANTS = 80
 # In the hover before the maneuver, within a leg, shortly before a corner, at rest behind it, beyond the last instant.
@@ -265,20 +267,37 @@ def test_no_gain_is_better(gone: list[int]) -> None:
     assert abs(more - less) < 1e-5 * (more + less - 2.0 * least) + SAME_COST * least
 
 
-def test_a_team_that_cannot_go_on_keeps_its_regulator() -> None:
-    """Where the remaining agents cannot make the cost finite, the law and its preview stay those of all, (45).
+@pytest.mark.parametrize("gone", [[2, 3], [1, 3], [1, 2, 3]])
+def test_equal_uavs_without_agents(gone: list[int]) -> None:
+    """Two equal UAVs without agents swing against each other for ever: the others' gain is found all the same, (45).
 
-    Two equal UAVs without agents swing against each other for ever: no other UAV feels it, and it has a cost.
+    No other UAV feels that mode, and it has a cost; with a discount of the far future the cost is finite. Rows of those
+    without agents are the fail-safe's, and no mode of the closed loop grows.
     """
     system = table_1()
     at, model = hover(system), Model(system)
-    X_ref = reference_states(system, at, "ramp", INSTANTS)
-    alone = {uav: FailSafe(system, at.u).gain(uav) for uav in (2, 3)}
-    with pytest.raises(FeedbackError):
-        regulator(model, at, Cost(LQ.weights, at), PERIOD_S, alone)
-    regulation = Regulation(model, at, LQ, X_ref)
+    regulation = Regulation(model, at, LQ, reference_states(system, at, "ramp", INSTANTS))
+    regulation.without(gone)
+    found = regulation.regulator
+    assert found is not None
+    assert np.abs(np.linalg.eigvals(found.closed)).max() < 1.0 + MODE_TOLERANCE
+    for uav in gone:
+        fail_safe = FailSafe(system, at.u).gain(uav)
+        np.testing.assert_array_equal(found.K[input_slice(uav), uav_slice(uav)], fail_safe)
+        assert np.count_nonzero(found.K[input_slice(uav)]) == np.count_nonzero(fail_safe)
+
+
+def test_a_team_that_cannot_go_on_keeps_its_regulator() -> None:
+    """Where the remaining agents cannot stabilise the team, the law and its preview stay those of all, (45).
+
+    With UAV 3's motors off and its vehicle still on the rod, three of four cannot keep it upright.
+    """
+    system = table_1()
+    at, model = hover(system), Model(system)
+    regulation = Regulation(model, at, LQ, reference_states(system, at, "ramp", INSTANTS))
     before, feedforward = regulation.regulator, regulation.feedforward(0, INSTANTS)
-    regulation.without([2, 3])
+    with pytest.raises((FeedbackError, ParameterError)):
+        regulation.fail(failed_model(system, [2], []), failed_hover(system, [2], []), [2], [])
     assert regulation.regulator is before
     np.testing.assert_array_equal(regulation.feedforward(0, INSTANTS), feedforward)
 
