@@ -1,34 +1,22 @@
-"""One BLAS thread, as in every process of a run; and the soak, which takes minutes and little else, beside others."""
-
-from collections.abc import Iterator
+"""One BLAS thread, as in every process of a run; and how several pytest workers share the tests."""
 
 import pytest
 import threadpoolctl
 
-from tests.beside import SOAK, Beside
+from tests import sharing
 
 # Sums in one order, so that equal inputs give equal bits.
 threadpoolctl.threadpool_limits(1)
 
-_SOAK = Beside(SOAK)
-# The first of the tests that start no processes of their own.
-_ALONGSIDE = "tests/model/"
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the soak first, then the other tests that start processes, then the rest."""
+    items.sort(key=lambda item: sharing.order(item.nodeid))
 
 
-def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Begin with the soak when tests begin that leave a processor free, if it is asked for at all."""
-    if item.nodeid.startswith(_ALONGSIDE) and any("test_soak.py::test_nothing" in i.nodeid for i in item.session.items):
-        _SOAK.begin()
-
-
-@pytest.fixture
-def soaked() -> Iterator[Beside]:
-    """The soak, under way."""
-    _SOAK.begin()
-    yield _SOAK
-    _SOAK.end()
-
-
-def pytest_unconfigure() -> None:
-    """Leave nothing behind."""
-    _SOAK.end()
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> sharing.Sharing:
+    """Give all tests that start processes to one worker."""
+    config.option.loadscopereorder = False  # work units in the order of their tests
+    return sharing.Sharing(config, log)
