@@ -13,7 +13,9 @@ from xdist.scheduler import LoadFileScheduling
 ROOT = Path(__file__).resolve().parent.parent
 
 # Test modules that import one of these, directly or through helpers below tests/, are for the first worker.
-SERIAL = ("benchmarks", "distributed", "socket", "zenoh")
+SERIAL = frozenset(
+    {"benchmarks.loop", "benchmarks.soak", "benchmarks.watched", "distributed", "selenium", "socket", "zenoh"}
+)
 
 # Begins before all others: its two minutes are mostly waiting, which leaves room for style and types beside the tests,
 # and its deadlines are missed less often, not more often, when they are done.
@@ -48,7 +50,7 @@ def helpers(path: Path) -> set[Path]:
 @cache
 def is_serial(file: str) -> bool:
     """Return whether the tests of a file, given relative to the project, start processes or open sockets."""
-    return any(name.partition(".")[0] in SERIAL for path in helpers(ROOT / file) for name in imports(path))
+    return any(imports(path) & SERIAL for path in helpers(ROOT / file))
 
 
 def order(nodeid: str) -> int:
