@@ -1,4 +1,7 @@
-"""One BLAS thread, as in every process of a run; and how several pytest workers share the tests."""
+"""One BLAS thread, as in every process of a run; how several pytest workers share the tests, and compiled models."""
+
+import os
+from collections.abc import Iterator
 
 import pytest
 import threadpoolctl
@@ -9,10 +12,9 @@ from tests import sharing
 threadpoolctl.threadpool_limits(1)
 
 
-@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put the soak first, then the other tests that start processes, then the rest."""
-    items.sort(key=lambda item: sharing.order(item.nodeid))
+    """Put the tests in the order in which workers take them."""
+    items[:] = sharing.in_order(items)
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -20,3 +22,14 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> sharing.S
     """Give all tests that start processes to one worker."""
     config.option.loadscopereorder = False  # work units in the order of their tests
     return sharing.Sharing(config, log)
+
+
+@pytest.fixture(autouse=True, scope="session")
+def cache_of_the_run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Keep compiled models of this test run in a folder of its own; the user's cache is neither read nor filled."""
+    base = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        base = base.parent  # of all workers of this test run
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PAYLOAD_TRANSPORT_CACHE", str(base / "models"))
+        yield

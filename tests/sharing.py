@@ -8,6 +8,7 @@ import ast
 from functools import cache
 from pathlib import Path
 
+import pytest
 from xdist.scheduler import LoadFileScheduling
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -47,21 +48,34 @@ def helpers(path: Path) -> set[Path]:
     return found
 
 
+def file_of(nodeid: str) -> str:
+    """Return the file of a test, relative to the project."""
+    return nodeid.partition("::")[0]
+
+
 @cache
 def is_serial(file: str) -> bool:
     """Return whether the tests of a file, given relative to the project, start processes or open sockets."""
     return any(imports(path) & SERIAL for path in helpers(ROOT / file))
 
 
-def order(nodeid: str) -> int:
-    """Return the sort key of a test: the soak, then other tests with processes, then the rest."""
-    file = nodeid.partition("::")[0]
-    return 0 if file == FIRST else 1 if is_serial(file) else 2
+def in_order(items: list[pytest.Item]) -> list[pytest.Item]:
+    """Return the soak first, then the other tests with processes, then files with slow tests, then the rest.
+
+    Long files last would leave one worker waiting for the other at the end.
+    """
+    slow = {file_of(item.nodeid) for item in items if item.get_closest_marker("slow")}
+
+    def rank(item: pytest.Item) -> int:
+        file = file_of(item.nodeid)
+        return 0 if file == FIRST else 1 if is_serial(file) else 2 if file in slow else 3
+
+    return sorted(items, key=rank)
 
 
 class Sharing(LoadFileScheduling):  # type: ignore[misc]
     """Scheduler of pytest-xdist: tests with processes are one work unit, the first one; each other file is one."""
 
     def _split_scope(self, nodeid: str) -> str:
-        file = nodeid.partition("::")[0]
+        file = file_of(nodeid)
         return "serial" if is_serial(file) else file
