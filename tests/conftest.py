@@ -3,6 +3,7 @@
 import os
 from collections.abc import Iterator
 
+import hypothesis
 import pytest
 import threadpoolctl
 
@@ -10,6 +11,10 @@ from tests import sharing
 
 # Sums in one order, so that equal inputs give equal bits.
 threadpoolctl.threadpool_limits(1)
+
+# The time of one example is the host's affair: another worker is busy.
+hypothesis.settings.register_profile("workers", deadline=None)
+hypothesis.settings.load_profile("workers")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
