@@ -12,8 +12,8 @@ help: ## show this
 run: $(VENV)/.installed ## set up and fly the paper's maneuver (SCENARIO=name for another)
 	@$(BIN)/transport run $(SCENARIO)
 
-test: $(VENV)/.installed-test ## set up and run all tests
-	@$(BIN)/python -m pytest
+test: $(VENV)/.installed-test ## set up and run all tests, on two processors
+	@$(BIN)/python -m pytest --numprocesses 2
 
 bench: $(VENV)/.installed-bench ## measure what computing, coding and flying take, and renew docs/performance.md (an hour)
 	@$(BIN)/python -m benchmarks

@@ -1,34 +1,40 @@
-"""One BLAS thread, as in every process of a run; and the soak, which takes minutes and little else, beside others."""
+"""One BLAS thread, as in every process of a run; how several pytest workers share the tests, and compiled models."""
 
+import os
 from collections.abc import Iterator
 
+import hypothesis
 import pytest
 import threadpoolctl
 
-from tests.beside import SOAK, Beside
+from tests import sharing
 
 # Sums in one order, so that equal inputs give equal bits.
 threadpoolctl.threadpool_limits(1)
 
-_SOAK = Beside(SOAK)
-# The first of the tests that start no processes of their own.
-_ALONGSIDE = "tests/model/"
+# The time of one example is the host's affair: another worker is busy.
+hypothesis.settings.register_profile("workers", deadline=None)
+hypothesis.settings.load_profile("workers")
 
 
-def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Begin with the soak when tests begin that leave a processor free, if it is asked for at all."""
-    if item.nodeid.startswith(_ALONGSIDE) and any("test_soak.py::test_nothing" in i.nodeid for i in item.session.items):
-        _SOAK.begin()
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the tests in the order in which workers take them."""
+    items[:] = sharing.in_order(items)
 
 
-@pytest.fixture
-def soaked() -> Iterator[Beside]:
-    """The soak, under way."""
-    _SOAK.begin()
-    yield _SOAK
-    _SOAK.end()
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> sharing.Sharing:
+    """Give all tests that start processes to one worker."""
+    config.option.loadscopereorder = False  # work units in the order of their tests
+    return sharing.Sharing(config, log)
 
 
-def pytest_unconfigure() -> None:
-    """Leave nothing behind."""
-    _SOAK.end()
+@pytest.fixture(autouse=True, scope="session")
+def cache_of_the_run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Keep compiled models of this test run in a folder of its own; the user's cache is neither read nor filled."""
+    base = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        base = base.parent  # of all workers of this test run
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PAYLOAD_TRANSPORT_CACHE", str(base / "models"))
+        yield

@@ -1,5 +1,6 @@
 """Running the command `transport` as a person would: as a process."""
 
+import os
 import socket
 import subprocess
 import sys
@@ -92,8 +93,11 @@ def is_flying(folder: Path, names: Sequence[str]) -> Callable[[], bool]:
 
 
 def free_base() -> int:
-    """A base port with room for a run above it."""
-    return next(base for base in range(20_000, 30_000, 16) if all(is_free(base + i) for i in range(8)))
+    """Return a base port with room for a run above it; test runs at the same time begin to look at different ones."""
+    bases = range(20_000, 30_000, 16)
+    first = os.getpid() % len(bases)
+    candidates: list[int] = [*bases[first:], *bases[:first]]
+    return next(base for base in candidates if all(is_free(base + i) for i in range(8)))
 
 
 def is_free(port: int) -> bool:

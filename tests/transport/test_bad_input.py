@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from tests.transport.commands import processes_of, settings, transport
+from tests.transport.experiments.flown import here
 
 USAGE, SCENARIO, LOST = 2, 3, 4
 
@@ -25,10 +26,13 @@ REFUSED_SCENARIOS = [
 
 
 @pytest.mark.parametrize(("change", "expected"), REFUSED_SCENARIOS)
-def test_scenario_that_cannot_be_is_refused_in_one_line(change: str, expected: str, tmp_path: Path) -> None:
+def test_scenario_that_cannot_be_is_refused_in_one_line(
+    change: str, expected: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A wrong value ends with exit code 3 and one line of setting, expected and got; no run folder appears."""
-    result = transport("run", "paper", *settings(change), "--out", "out", cwd=tmp_path)
-    assert result.returncode == SCENARIO
+    monkeypatch.chdir(tmp_path)
+    result = here("run", "paper", *settings(change), "--out", "out")
+    assert result.exit_code == SCENARIO
     assert result.stderr.startswith(f"transport: --set {change}: ")
     assert expected in result.stderr
     assert len(result.stderr.strip().splitlines()) == 1

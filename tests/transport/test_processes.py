@@ -49,10 +49,26 @@ def steps_without_times(folder: Path) -> list[list[str]]:
     return [[row[i] for i in kept] for row in rows]
 
 
+@pytest.fixture(scope="module")
+def paper(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """Run the paper's whole maneuver; return its folder and summary."""
+    folder = tmp_path_factory.mktemp("paper") / "run"
+    summary = run_json(folder, "paper")
+    assert processes_of("run") == {}
+    return folder, summary
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """Run a short maneuver of the paper's team; return its folder and summary."""
+    folder = tmp_path_factory.mktemp("short") / "run"
+    return folder, run_json(folder, "paper", *settings(SHORT))
+
+
 @pytest.mark.slow
-def test_the_papers_maneuver_across_processes(tmp_path: Path) -> None:
+def test_the_papers_maneuver_across_processes(paper: tuple[Path, dict[str, Any]]) -> None:
     """Section V: four agents, plant and coordinator fly all 25 s; attitude within 2.5 deg, separation kept."""
-    summary = run_json(tmp_path / "run", "paper")
+    folder, summary = paper
     assert summary["outcome"] == "completed"
     assert summary["processes"] == 6
     assert summary["ticks"] == 500
@@ -60,19 +76,18 @@ def test_the_papers_maneuver_across_processes(tmp_path: Path) -> None:
     assert summary["separation_min_m"] > 0.4
     assert summary["solver"]["failures"] == 0
     assert summary["messages"]["lost"] == summary["messages"]["late"] == summary["messages"]["rejected"] == 0
-    assert processes_of("run") == {}
 
     setup = Setup.of(read_scenario(find_scenario("paper")), "paper")
     memory: list[Message] = []
     fly(setup, memory.append)
-    log = [recorded.message for recorded in read_log(tmp_path / "run" / "run.mcap").messages]
+    log = [recorded.message for recorded in read_log(folder / "run.mcap").messages]
     assert reproducible(log) == reproducible(memory)
 
 
 @pytest.mark.slow
-def test_centralized_costs_less(tmp_path: Path) -> None:
+def test_centralized_costs_less(paper: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
     """One agent that owns all UAVs completes the maneuver, at a lower mean cost than the four (section V-C)."""
-    distributed = run_json(tmp_path / "distributed", "paper")
+    _, distributed = paper
     centralized = run_json(tmp_path / "centralized", "centralized")
     assert centralized["outcome"] == "completed"
     assert centralized["processes"] == 3
@@ -80,19 +95,19 @@ def test_centralized_costs_less(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_other_solver_finds_the_same_flight(tmp_path: Path) -> None:
+def test_the_other_solver_finds_the_same_flight(short: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
     """Clarabel in place of DAQP gives the same cost."""
-    daqp = run_json(tmp_path / "daqp", "paper", *settings(SHORT))
+    _, daqp = short
     clarabel = run_json(tmp_path / "clarabel", "paper", *settings(SHORT, "controller.solver=clarabel"))
     assert clarabel["controller"]["solver"] == "clarabel"
     assert clarabel["cost"]["mean"] == pytest.approx(daqp["cost"]["mean"], rel=SOLVER_TOLERANCE)
 
 
-def test_two_runs_are_equal(tmp_path: Path) -> None:
+def test_two_runs_are_equal(short: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
     """Two runs of one scenario differ in nothing but wall-clock columns."""
-    run_json(tmp_path / "a", "paper", *settings(SHORT))
-    run_json(tmp_path / "b", "paper", *settings(SHORT))
-    assert steps_without_times(tmp_path / "a") == steps_without_times(tmp_path / "b")
+    folder, _ = short
+    run_json(tmp_path / "again", "paper", *settings(SHORT))
+    assert steps_without_times(folder) == steps_without_times(tmp_path / "again")
 
 
 @pytest.mark.parametrize("change", ["clock.actuation=next_tick", "agents.owned=[[1, 2], [3, 4]]"])

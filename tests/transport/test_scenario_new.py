@@ -10,6 +10,7 @@ from protocol.setup import Setup
 from protocol.team import resized
 from tests.runs import PAPER, SCENARIOS
 from tests.transport.commands import transport
+from tests.transport.experiments.flown import here
 
 USAGE, SCENARIO = 2, 3
 NEW = ("scenario", "new")
@@ -65,11 +66,14 @@ def folder_with_templates(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize(("options", "code", "text"), REFUSED, ids=[" ".join(options) for options, _, _ in REFUSED])
-def test_refusals(options: tuple[str, ...], code: int, text: str, folder: Path) -> None:
+def test_refusals(
+    options: tuple[str, ...], code: int, text: str, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """What cannot be made is refused on one line with the documented code, and no file is written or changed."""
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
-    result = transport(*NEW, *options, cwd=folder)
-    assert (result.returncode, result.stdout) == (code, "")
+    monkeypatch.chdir(folder)
+    result = here(*NEW, *options)
+    assert (result.exit_code, result.stdout) == (code, "")
     assert result.stderr.startswith(f"transport: {text}")
     assert len(result.stderr.strip().splitlines()) == 1
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
