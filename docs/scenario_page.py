@@ -210,7 +210,7 @@ def _spread(values: Sequence[float], text: Callable[[float], str]) -> str:
     return " / ".join(text(value) for value in (min(values), sum(values) / len(values), max(values)))
 
 
-TEAMS = (2, 3, 4, 6, 8, 12, 16)
+TEAMS = (2, 3, 4, 6, 8, 12)
 PAPER_TEAMS = (2, 3, 4, 6, 8)
 DELAY = ("links.delay_s=0.1",)
 
