@@ -7,8 +7,11 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 
-# What decides the result of a flight.
-FLOWN = ("model", "mpc", "protocol", "agent", "plant", "coordinator", "transport", "scenarios")
+# Sources that decide the numbers of a simulation in memory.
+FLOWN = (
+    *("model", "mpc", "protocol", "agent", "plant", "coordinator", "scenarios"),
+    *(f"transport/{name}.py" for name in ("memory", "metrics", "series", "swing")),
+)
 
 
 def table(headings: Iterable[str], rows: Iterable[Sequence[str]]) -> str:
@@ -47,7 +50,7 @@ def put(document: Path, name: str, content: str) -> None:
 
 
 def commit() -> str:
-    """Return the last commit that changed what is flown; "unknown" outside a repository.
+    """Return the last commit that changed the simulation; "unknown" outside a repository.
 
     A tree with uncommitted changes there has no commit of its own: its name ends with " and changes".
     """
