@@ -15,7 +15,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
+from tables import ROOT, put, table
+
 RUNS, IMAGES = ROOT / "runs" / "figures", ROOT / "docs" / "images"
 PAGE, README = ROOT / "docs" / "results.md", ROOT / "README.md"
 
@@ -348,11 +349,9 @@ def section_of(name: str) -> Section:
     return next(section for section in SECTIONS if section.name == name)
 
 
-def table(columns: Columns, rows: Iterable[Row]) -> str:
-    """A table in Markdown."""
-    lines = [f"| {' | '.join(columns)} |", "|" + "---|" * len(columns)]
-    lines += [f"| {' | '.join(cell(row) for cell in columns.values())} |" for row in rows]
-    return "\n".join(lines)
+def listed(columns: Columns, rows: Iterable[Row]) -> str:
+    """Return rows as a table in Markdown."""
+    return table(columns, ([cell(row) for cell in columns.values()] for row in rows))
 
 
 def page(sections: Sequence[tuple[Section, list[str], str]]) -> str:
@@ -372,8 +371,8 @@ def page(sections: Sequence[tuple[Section, list[str], str]]) -> str:
         pieces.append("\n".join(f"- {sentence}" for sentence in sentences))
         if section.before is not None:
             file, columns = section.before
-            pieces.append(table(columns, read(section, file)))
-        pieces.append(table(section.columns, read(section)))
+            pieces.append(listed(columns, read(section, file)))
+        pieces.append(listed(section.columns, read(section)))
         if section.second is not None:
             _, image, alt = section.second
             pieces.append(f"![{alt}](images/{image})")
@@ -462,15 +461,6 @@ def hover() -> str:
         f"In a hover of {longest:g} s at the end of the maneuver the paper's algorithm with our weights {found}; "
         f"{others} ([table](docs/results.md#{anchor}))."
     )
-
-
-def put(document: Path, name: str, content: str) -> None:
-    """Replace what stands between two markers of a document."""
-    text = document.read_text(encoding="utf-8")
-    pattern = re.compile(rf"(<!-- {name} -->\n).*?(\n<!-- end of {name} -->)", re.DOTALL)
-    if not pattern.search(text):
-        raise SystemExit(f"{document}: expected the markers of {name!r}, got none")
-    document.write_text(pattern.sub(lambda found: found[1] + content + found[2], text), encoding="utf-8")
 
 
 def figures_of_a_run() -> None:

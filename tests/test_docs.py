@@ -2,6 +2,8 @@
 
 import re
 import shlex
+import subprocess
+import sys
 import tomllib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -35,6 +37,15 @@ TOP_LEVEL = "### Top level"
 KEY_ROW = re.compile(r"\| `(\w+)` \| [^|]+ \| ([^|]+) \| [^|]+ \|")
 # These have the keys of a link besides their own; the document says so instead of repeating them.
 LIKE_LINKS = ("links.measurement", "links.actuation", "links.override", "links.change")
+
+# Names of the measured tables of docs/scenario.md, once each of their runs has been read.
+TABLES = """
+from scenario_page import TABLES
+from protocol.scenario_file import find_scenario, read_scenario
+for run in {run for table in TABLES for run in table.runs}:
+    read_scenario(find_scenario(run.scenario), run.settings)
+print(*(table.name for table in TABLES))
+"""
 
 Command = TyperCommand | TyperGroup
 
@@ -187,6 +198,17 @@ def test_relative_links_resolve(document: Path) -> None:
         assert path.is_relative_to(ROOT), target
         assert path.exists(), f"{document.name} links to {target}, which is not there"
         assert not anchor or anchor in anchors(path), f"{document.name} links to {target}, which has no such heading"
+
+
+def test_measured_tables_have_a_place() -> None:
+    """docs/scenario.md has markers for each table of docs/scenario_page.py and no others; all runs are scenarios."""
+    done = subprocess.run(
+        [sys.executable, "-c", TABLES], stdout=subprocess.PIPE, text=True, check=True, cwd=ROOT / "docs"
+    )
+    names = done.stdout.split()
+    text = SCENARIO.read_text(encoding="utf-8")
+    assert re.findall(r"^<!-- end of (\w+) -->$", text, re.MULTILINE) == ["origin", *names]
+    assert re.findall(r"^<!-- (\w+) -->$", text, re.MULTILINE) == ["origin", *names]
 
 
 def command_lines(document: Path) -> list[list[str]]:

@@ -9,9 +9,12 @@ from transport.experiments.catalogue import Axis, Experiment
 
 AS_IT_IS = "as it is"
 
-# Settings of each part, by what it is called. Those that a scenario has anyway are left out there.
+# Settings of each part, by what it is called. Those that a scenario has anyway, or that are refused with its other
+# settings, are left out there.
 PARTS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "prediction": ("controller.prediction", ("open_loop", "closed_loop")),
+    "terminal": ("controller.terminal", ("multiple", "riccati")),
+    "preview": ("controller.preview", ("false", "true")),
     "relaxation": ("controller.relaxation", ("1.0", "0.5", "0.25", "0.1")),
     "rounds": ("controller.rounds", ("1", "2", "4")),
     "received plans": ("controller.received_plans", ("by_age", "by_one", "held")),
@@ -39,7 +42,7 @@ def ablation(scenarios: Mapping[str, Scenario]) -> Experiment:
                 (part, value, (f"{key}={value}",))
                 for part, (key, values) in PARTS.items()
                 for value in values
-                if not _has(scenario, key, value)
+                if not _has(scenario, key, value) and _is_possible(scenario, key, value)
             ]
             points += [
                 Point(
@@ -61,4 +64,19 @@ def _has(scenario: Scenario, key: str, value: str) -> bool:
     own: Any = scenario.tree()
     for name in key.split("."):
         own = own[name]
-    return str(own) == value or (own == "auto" and value == str(1.0 / len(scenario.owned)))
+    text = str(own).lower() if isinstance(own, bool) else str(own)
+    return text == value or (own == "auto" and value == str(1.0 / len(scenario.owned)))
+
+
+def _is_possible(scenario: Scenario, key: str, value: str) -> bool:
+    """Return whether a value can be combined with the scenario's other settings (docs/scenario.md, `[controller]`)."""
+    controller = scenario.controller
+    chosen = {
+        "controller.prediction": controller.prediction,
+        "controller.terminal": controller.terminal,
+        "controller.preview": str(controller.preview).lower(),
+        key: value,
+    }
+    if chosen["controller.terminal"] == "riccati":
+        return controller.weights.priced == "deviation"
+    return chosen["controller.preview"] == "false" or chosen["controller.prediction"] == "closed_loop"

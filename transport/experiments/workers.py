@@ -9,11 +9,14 @@ import re
 import signal
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from typing import TypeVar
 
 from transport.experiments.cases import Case
 from transport.experiments.errors import EXIT_LOST, ExperimentError, refused
 from transport.experiments.flight import ERROR, Result, fly_in_memory
+
+T = TypeVar("T")
 
 # How long a cluster may take to answer, and how often a worker looks whether its command is still there, s.
 _ANSWER_S, _LOOK_S = 15.0, 0.5
@@ -29,8 +32,20 @@ def on_cores(cases: Sequence[Case], jobs: int) -> Iterator[Result]:
         jobs: How many at a time, in a process each; a single one in this process.
     Raises: ExperimentError: a worker process has died.
     """
+    yield from each_on_cores(fly_in_memory, cases, jobs)
+
+
+def each_on_cores(do: Callable[[Case], T], cases: Sequence[Case], jobs: int) -> Iterator[T]:
+    """Return what a function gives for each case, in any order, from processes of this machine.
+
+    Args:
+        do: Called once for each case.
+        cases: What to fly.
+        jobs: How many at a time, in a process each; a single one in this process.
+    Raises: ExperimentError: a worker process has died.
+    """
     if jobs == 1:
-        yield from map(fly_in_memory, cases)
+        yield from map(do, cases)
         return
     import joblib
     from joblib.externals.loky import get_reusable_executor
@@ -45,7 +60,7 @@ def on_cores(cases: Sequence[Case], jobs: int) -> Iterator[Result]:
         initargs=(os.getpid(),),
     )
     try:
-        yield from team(joblib.delayed(fly_in_memory)(case) for case in cases)
+        yield from team(joblib.delayed(do)(case) for case in cases)
     except TerminatedWorkerError as error:
         raise ExperimentError(f"a worker process died: {str(error).splitlines()[0]}", EXIT_LOST) from error
     finally:

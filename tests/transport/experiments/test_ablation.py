@@ -12,6 +12,7 @@ from transport.experiments.cases import cases_of
 from transport.experiments.catalogue import Experiment
 
 NAMES = ("paper", "resilient")
+OFF = "controller.preview=false"
 
 
 def built(*settings: str) -> Experiment:
@@ -41,15 +42,43 @@ def test_one_part_at_a_time() -> None:
         assert differing == (set() if part == AS_IT_IS else {PARTS[str(part)][0]}), (scenario, network, part, value)
 
 
+def variants(name: str, *settings: str) -> dict[str, list[set[str]]]:
+    """Values that are flown of each part, for each network."""
+    points = [point for point in built(*settings).points if point.scenario == name]
+    return {
+        part: [
+            {str(p.labels["value"]) for p in points if (p.labels["network"], p.labels["part"]) == (network, part)}
+            for network in NETWORKS
+        ]
+        for part in PARTS
+    }
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_every_part_has_every_value(name: str) -> None:
-    """The value that a scenario has is its row as it is; all the others are there, on every network."""
-    points = [point for point in built().points if point.scenario == name]
-    for network in NETWORKS:
-        flown = [(p.labels["part"], p.labels["value"]) for p in points if p.labels["network"] == network]
-        for part, (_, values) in PARTS.items():
-            missing = set(values) - {value for of, value in flown if of == part}
-            assert len(missing) == 1, part
+    """The value that a scenario has is its row as it is; all the others are there, on every network.
+
+    A preview needs closed-loop prediction or the Riccati cost-to-go: `paper` has neither.
+    """
+    for part, flown in variants(name).items():
+        refused = {"true"} if (name, part) == ("paper", "preview") else set()
+        for values in flown:
+            assert len(set(PARTS[part][1]) - values - refused) == 1, part
+
+
+def test_terminal_cost_and_preview_are_parts() -> None:
+    """Of `resilient`: the multiple of Q with preview, the cost-to-go without it. Of `paper`: the cost-to-go."""
+    resilient, paper = variants("resilient"), variants("paper")
+    assert (resilient["terminal"][0], resilient["preview"][0]) == ({"multiple"}, {"false"})
+    assert (paper["terminal"][0], paper["preview"][0]) == ({"riccati"}, set())
+
+
+def test_settings_that_contradict_each_other_are_left_out() -> None:
+    """A preview without closed loop needs the cost-to-go, the cost-to-go a price on the deviation from hover."""
+    open_loop = variants("resilient", "controller.prediction=open_loop", "controller.terminal=riccati")
+    assert open_loop["terminal"] == [set(), set()]
+    absolute = variants("paper", "controller.weights.priced=absolute", "controller.terminal=multiple", OFF)
+    assert absolute["terminal"] == [set(), set()]
 
 
 def test_what_a_setting_gives_is_not_flown_twice() -> None:

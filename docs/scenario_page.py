@@ -1,0 +1,521 @@
+"""Renew the measured tables of docs/scenario.md: part of `make figures`.
+
+Runs the simulations in memory, on all cores (four minutes on two), and keeps their results in runs/figures/scenario/, a
+file for each commit. A commit with complete results is not simulated again.
+"""
+
+import json
+import os
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+
+import numpy as np
+import threadpoolctl
+from tables import ROOT, commit, place, put, table
+
+from protocol.messages import Message
+from protocol.setup import Setup
+from transport import memory
+from transport.experiments.cases import Case, Point, Team, cases_of
+from transport.experiments.workers import each_on_cores
+from transport.log import Recorded, RunLog
+from transport.metrics import summarise
+from transport.run import machine, versions
+from transport.series import series_of
+
+DOCUMENT = ROOT / "docs" / "scenario.md"
+RESULTS = ROOT / "runs" / "figures" / "scenario"
+
+LATE_AND_LOSSY = ("links.delay_s=0.1", "links.loss=0.3")
+LONG_HOVER = "maneuver.phase.5.duration_s=60"
+LOST = "lost"
+
+
+@dataclass(frozen=True, slots=True)
+class Flown:
+    """Result of one simulation.
+
+    Attributes:
+        outcome: As in a summary.
+        end_s: Scenario time of its end.
+        phase: Phase of the maneuver in which it ended.
+        cost_mean, cost_max, cost_max_settled: Cost of a tick; the last one after the first phase.
+        attitude_deg: Largest payload attitude.
+        uav_rms_m, uav_last_m: Distance of the UAVs from their references: RMS, and maximum at the last tick.
+        payload_rms_m, payload_max_m, swing_m: Distance of the payload from its reference.
+        separation_m: Smallest distance of two UAVs.
+        front_m: Largest x of a UAV.
+    """
+
+    outcome: str
+    end_s: float
+    phase: str
+    cost_mean: float
+    cost_max: float
+    cost_max_settled: float
+    attitude_deg: float
+    uav_rms_m: float
+    uav_last_m: float
+    payload_rms_m: float
+    payload_max_m: float
+    swing_m: float
+    separation_m: float
+    front_m: float
+
+    @property
+    def completed(self) -> bool:
+        """Whether the maneuver was flown to its end."""
+        return self.outcome == "completed"
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """What is simulated.
+
+    Attributes:
+        scenario: Name.
+        settings: Changes on top of it.
+        team: In place of the scenario's own.
+        seeds: How many, from 0; 1 where nothing is random.
+    """
+
+    scenario: str
+    settings: tuple[str, ...] = ()
+    team: Team | None = None
+    seeds: int = 1
+
+    def cases(self) -> list[Case]:
+        """Return the simulation for each seed."""
+        point = Point(scenario=self.scenario, labels={}, text="team", settings=self.settings, team=self.team)
+        return cases_of([point], (), self.seeds)
+
+
+# Results by run, in the order of the seeds.
+Found = Mapping[Run, Sequence[Flown]]
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """A table of the document.
+
+    Attributes:
+        name: Of its markers.
+        runs: What it needs.
+        text: Writes it.
+    """
+
+    name: str
+    runs: tuple[Run, ...]
+    text: Callable[[Found], str]
+
+
+def number(value: float, digits: int = 2) -> str:
+    """Return a number with so many digits behind the point."""
+    return f"{value:.{digits}f}"
+
+
+def significant(value: float, digits: int = 3) -> str:
+    """Return a number with so many significant digits, without an exponent."""
+    return np.format_float_positional(value, precision=digits, fractional=False, unique=False, trim="k").rstrip(".")
+
+
+def or_lost(flown: Flown, cell: Callable[[Flown], str]) -> str:
+    """Return a cell, or when the run was lost."""
+    return cell(flown) if flown.completed else f"{LOST} at {flown.end_s:.0f} s ({flown.phase})"
+
+
+def attitude(flown: Flown) -> str:
+    """Return the largest payload attitude."""
+    return f"{flown.attitude_deg:.2f} deg"
+
+
+def cost(flown: Flown) -> str:
+    """Return the mean cost."""
+    return significant(flown.cost_mean)
+
+
+def one(found: Found, run: Run) -> Flown:
+    """Return the only result of a run."""
+    (flown,) = found[run]
+    return flown
+
+
+# Collision: setting, and its text.
+COLLISION = {
+    "as it is": (),
+    "`controller.separation.minimum_m=0.001`": ("controller.separation.minimum_m=0.001",),
+    "`agents.owned=[[1,2,3,4]]`": ("agents.owned=[[1,2,3,4]]",),
+    "all three penalties 60": (
+        "controller.separation.penalty=60",
+        "controller.constraint.1.penalty=60",
+        "controller.constraint.2.penalty=60",
+    ),
+}
+
+
+def collision(found: Found) -> str:
+    """Return the table of the collision."""
+    rows = []
+    for text, settings in COLLISION.items():
+        flown = one(found, Run("collision", settings))
+        front, apart = number(flown.front_m, 3), number(flown.separation_m, 3)
+        rows.append([text, or_lost(flown, lambda _, apart=apart: f"{apart} m"), f"{front} m", attitude(flown)])  # type: ignore[misc]
+    return table(["", "smallest distance", "front pair, largest x", "payload attitude, largest"], rows)
+
+
+WINDY = (
+    ("as it is", (), 16),
+    ("as it is", (), 8),
+    ("without the estimate", ("controller.disturbance.estimate=false",), 8),
+    ("100 ms delay, 30 % loss", LATE_AND_LOSSY, 8),
+    ("weight of the moments of `resilient`", ("controller.weights.moments=[0.01,0.01,0.01]",), 8),
+    (
+        "open-loop prediction",
+        ("controller.prediction=open_loop", "controller.terminal=multiple", "controller.preview=false"),
+        8,
+    ),
+)
+
+
+def windy(found: Found) -> str:
+    """Return the table of the flights in wind."""
+    rows = []
+    for text, settings, seeds in WINDY:
+        # The first seeds of those that were simulated.
+        flown = next(results for run, results in found.items() if run == _windy(settings))[:seeds]
+        there = [f for f in flown if f.completed]
+        cells = [text, f"0 to {seeds - 1}", f"{len(there)} of {seeds}"]
+        if there:
+            cells += [
+                _spread([f.attitude_deg for f in there], number),
+                _spread([f.cost_mean for f in there], partial(significant, digits=2)),
+                f"{min(f.separation_m for f in there):.2f}",
+                f"{max(f.swing_m for f in there):.2f}",
+            ]
+        else:
+            cells += [""] * 4
+        rows.append(cells)
+    headings = ["", "seeds", "completed", "payload attitude, deg", "mean cost", "smallest distance, m", "swing, m"]
+    return table(headings, rows)
+
+
+def _windy(settings: tuple[str, ...]) -> Run:
+    return Run("windy", settings, seeds=max(seeds for _, own, seeds in WINDY if own == settings))
+
+
+def _spread(values: Sequence[float], text: Callable[[float], str]) -> str:
+    """Return smallest, mean and largest value."""
+    return " / ".join(text(value) for value in (min(values), sum(values) / len(values), max(values)))
+
+
+TEAMS = (2, 3, 4, 6, 8, 12)
+PAPER_TEAMS = (2, 3, 4, 6, 8)
+DELAY = ("links.delay_s=0.1",)
+
+
+def _team(scenario: str, uavs: int, settings: tuple[str, ...] = ()) -> Run:
+    return Run(scenario, settings, Team(uavs, 1))
+
+
+def teams(found: Found) -> str:
+    """Return the table of teams of all sizes."""
+    rows = []
+    for uavs in TEAMS:
+        both = [one(found, _team("resilient", uavs, settings)) for settings in ((), DELAY)]
+        cells = [str(uavs)]
+        for cell in (
+            cost,
+            lambda flown: f"{flown.attitude_deg:.2f}",
+            lambda flown: f"{flown.swing_m:.2f}",
+            lambda flown: f"{flown.separation_m:.3f}",
+        ):
+            cells.append(", ".join(cell(flown) if flown.completed else LOST for flown in both))
+        paper = one(found, _team("paper", uavs)) if uavs in PAPER_TEAMS else None
+        cells.append("" if paper is None else or_lost(paper, cost))
+        rows.append(cells)
+    headings = [
+        "UAVs",
+        "mean cost",
+        "payload attitude, deg",
+        "swing, m",
+        "smallest distance, m",
+        "mean cost with `--from paper`",
+    ]
+    return table(headings, rows)
+
+
+COMPARED = ("paper", "centralized", "resilient", "centralized_lq", "precise")
+
+
+def follows(found: Found) -> str:
+    """Return the table of the ready scenarios of the paper's maneuver."""
+    cells: Mapping[str, Callable[[Flown], str]] = {
+        "cost of a tick, mean": cost,
+        "cost of a tick, largest": lambda flown: significant(flown.cost_max),
+        "payload attitude, largest": attitude,
+        "UAV position error, rms": lambda flown: f"{100 * flown.uav_rms_m:.1f} cm",
+        "payload position error, rms": lambda flown: f"{100 * flown.payload_rms_m:.1f} cm",
+        "payload position error, largest": lambda flown: f"{100 * flown.payload_max_m:.1f} cm",
+        "the same in the last 4 s": lambda flown: f"{100 * flown.swing_m:.1f} cm",
+        "smallest distance of two UAVs": lambda flown: f"{flown.separation_m:.3f} m",
+    }
+    rows = [[text, *(or_lost(one(found, Run(name)), cell) for name in COMPARED)] for text, cell in cells.items()]
+    return table(["", *(f"`{name}`" for name in COMPARED)], rows)
+
+
+def hover(found: Found) -> str:
+    """Return the table of a long hover after the maneuver."""
+    cells: Mapping[str, Callable[[Flown], str]] = {
+        "payload attitude, largest": attitude,
+        "payload position error, last 4 s": lambda flown: f"{100 * flown.swing_m:.1f} cm",
+    }
+    rows = [
+        [text, *(or_lost(one(found, Run(name, (LONG_HOVER,))), cell) for name in COMPARED)]
+        for text, cell in cells.items()
+    ]
+    return table(["", *(f"`{name}`" for name in COMPARED)], rows)
+
+
+SCALE = 128.0
+
+
+def levels(found: Found) -> str:
+    """Return the table of the paper's levels."""
+    both = [one(found, Run(name)) for name in ("centralized", "paper")]
+    rows = [
+        ["cost of a tick after the first hover, largest", "3", *(number(SCALE * f.cost_max_settled) for f in both)],
+        ["factor at which that is 3", "", *(number(3.0 / f.cost_max_settled, 0) for f in both)],
+        ["payload attitude, largest", "2.5 deg", *map(attitude, both)],
+    ]
+    return table(["weights times 128", "paper", "`centralized`", "`paper`"], rows)
+
+
+# One setting changed: in `paper`, and in `resilient`. None: refused there, or without effect.
+WEIGHTS: Mapping[str, tuple[bool, bool]] = {
+    "controller.weights.attitude=0.5": (True, True),
+    "controller.weights.attitude=50": (True, True),
+    "controller.weights.thrust=1e-4": (True, True),
+    "controller.weights.thrust=1e-2": (True, True),
+    "controller.weights.moments=[1e-3,1e-3,1e-3]": (True, True),
+    "controller.weights.moments=[1e-1,1e-1,1e-1]": (True, True),
+    "controller.weights.terminal=1": (True, False),
+    "controller.weights.terminal=25": (True, False),
+    "controller.horizon=5": (True, True),
+    "controller.horizon=10": (True, True),
+    "controller.horizon=30": (True, True),
+    "maneuver.profile=min_jerk": (True, True),
+    "maneuver.profile=step": (True, True),
+}
+
+
+def _changed() -> list[tuple[str, str, tuple[str, ...]]]:
+    """Return every run of the table of weights: setting, scenario, and the setting as it is given."""
+    return [
+        (setting, name, (setting,))
+        for setting, where in WEIGHTS.items()
+        for name, used in zip(("paper", "resilient"), where, strict=True)
+        if used
+    ]
+
+
+def weights(found: Found) -> str:
+    """Return the table of how much weights matter."""
+
+    def cells(settings: tuple[str, ...], where: tuple[bool, bool]) -> list[str]:
+        row = []
+        for name, used in zip(("paper", "resilient"), where, strict=True):
+            row.append(
+                or_lost(one(found, Run(name, settings)), lambda f: f"{attitude(f)}, {100 * f.swing_m:.0f} cm")
+                if used
+                else "no effect"
+            )
+        return row
+
+    rows = [["nothing", *cells((), (True, True))]]
+    rows += [[f"`{setting}`", *cells((setting,), where)] for setting, where in WEIGHTS.items()]
+    return table(["`--set`", "`paper`", "`resilient`"], rows)
+
+
+TRUTHS = {
+    "15 % more payload": "plant.payload_mass_factor=1.15",
+    "wind of 5 m/s": "plant.wind.speed_mps=[5,0,0]",
+}
+STILL = "maneuver.phase=[{name='hover',duration_s=20,displacement_m=[0,0,0]}]"
+ESTIMATE = "controller.disturbance.estimate=true"
+ESTIMATES: Mapping[str, tuple[str, ...]] = {
+    "without estimate": (),
+    "with estimate": (ESTIMATE,),
+    "with estimate, 100 ms delay, 30 % loss": (ESTIMATE, *LATE_AND_LOSSY),
+}
+
+
+def truth(found: Found) -> str:
+    """Return the table of unmodelled mass and wind."""
+    rows = [
+        [
+            text,
+            *(
+                or_lost(
+                    one(found, Run("resilient", (STILL, setting, *changes))),
+                    lambda flown: f"{_length(flown.uav_last_m)}, {cost(flown)}",
+                )
+                for changes in ESTIMATES.values()
+            ),
+        ]
+        for text, setting in TRUTHS.items()
+    ]
+    return table(["", *ESTIMATES], rows)
+
+
+def _length(value_m: float) -> str:
+    """Return a length in cm or mm, without digits that mean nothing."""
+    if value_m < 1e-5:
+        return "below 0.01 mm"
+    return f"{100 * value_m:.1f} cm" if value_m >= 0.01 else f"{1e3 * value_m:.2f} mm"
+
+
+TERM = "controller.cost=[{expression='v0[0]',weight=0.1}]"
+DAMPED = {
+    "`resilient`": Run("resilient"),
+    "`resilient` with the term": Run("resilient", (TERM,)),
+    "`precise`": Run("precise"),
+}
+
+
+def terms(found: Found) -> str:
+    """Return the table of a term of the cost."""
+    rows = []
+    for text, run in DAMPED.items():
+        flown = one(found, run)
+        swing = or_lost(flown, lambda f: f"{100 * f.swing_m:.1f} cm")
+        rows.append([text, swing, f"{100 * flown.payload_rms_m:.1f} cm", cost(flown)])
+    return table(["", "payload error, last 4 s", "payload error, rms", "mean cost of (21)"], rows)
+
+
+TABLES = (
+    Measured("collision", tuple(Run("collision", settings) for settings in COLLISION.values()), collision),
+    Measured("windy", tuple(dict.fromkeys(_windy(settings) for _, settings, _ in WINDY)), windy),
+    Measured("terms", tuple(DAMPED.values()), terms),
+    Measured(
+        "teams",
+        (
+            *(_team("resilient", uavs, settings) for uavs in TEAMS for settings in ((), DELAY)),
+            *(_team("paper", uavs) for uavs in PAPER_TEAMS),
+        ),
+        teams,
+    ),
+    Measured("follows", tuple(Run(name) for name in COMPARED), follows),
+    Measured("levels", (Run("centralized"), Run("paper")), levels),
+    Measured(
+        "weights", (Run("paper"), Run("resilient"), *(Run(name, given) for _, name, given in _changed())), weights
+    ),
+    Measured("hover", tuple(Run(name, (LONG_HOVER,)) for name in COMPARED), hover),
+    Measured(
+        "truth",
+        tuple(
+            Run("resilient", (STILL, setting, *changes))
+            for setting in TRUTHS.values()
+            for changes in ESTIMATES.values()
+        ),
+        truth,
+    ),
+)
+
+
+def fly(case: Case) -> tuple[str, Flown]:
+    """Simulate a case in this process; return its key with the result."""
+    messages: list[Recorded] = []
+
+    def record(message: Message) -> None:
+        messages.append(Recorded(message=message, received_ns=0))
+
+    with threadpoolctl.threadpool_limits(1):
+        setup = Setup.of(case.scenario, case.source)
+        control = memory.fly(setup, record, lambda: 0)
+        log = RunLog(header={}, messages=tuple(messages), cut="")
+        summary, series = summarise(setup, log), series_of(setup, log)
+    end_s = control.tick * setup.settings.sampling_period_s
+
+    def value(*path: str) -> float:
+        found = summary
+        for name in path:
+            found = found[name]
+        return float("nan") if found is None else float(found)  # type: ignore[arg-type]
+
+    return case.key, Flown(
+        outcome=control.outcome,
+        end_s=end_s,
+        phase=_phase(setup, end_s),
+        cost_mean=value("cost", "mean"),
+        cost_max=value("cost", "max"),
+        cost_max_settled=value("cost", "max_after_hover"),
+        attitude_deg=value("attitude_max_deg"),
+        uav_rms_m=value("uav_tracking", "rms_m"),
+        uav_last_m=float(np.linalg.norm(series.uav_errors_I[-1], axis=1).max()),
+        payload_rms_m=value("payload_tracking", "rms_m"),
+        payload_max_m=value("payload_tracking", "max_m"),
+        swing_m=value("payload_tracking", "swing_m"),
+        separation_m=value("separation_min_m"),
+        front_m=float(series.uavs_I[:, :, 0].max()),
+    )
+
+
+def _phase(setup: Setup, time_s: float) -> str:
+    """Return the phase at a time; of two with the same name, which one."""
+    phases = setup.scenario.maneuver.phase
+    ends_s = np.cumsum([phase.duration_s for phase in setup.maneuver.phases])
+    index = min(int(np.searchsorted(ends_s, time_s - 1e-9)), len(phases) - 1)
+    name = phases[index].name
+    same = [i for i, phase in enumerate(phases) if phase.name == name]
+    which = "first " if index == same[0] else "last " if index == same[-1] else ""
+    return f"{which}{name}" if len(same) > 1 else name
+
+
+def results() -> tuple[str, Found]:
+    """Simulate what is missing; return the commit and all results."""
+    now = commit()
+    kept = None if "changes" in now or now == "unknown" else RESULTS / f"{now}.jsonl"
+    by_key: dict[str, Flown] = {}
+    if kept is not None and kept.exists():
+        for line in kept.read_text(encoding="utf-8").splitlines():
+            entry = json.loads(line)
+            by_key[entry.pop("key")] = Flown(**entry)
+    cases = {run: run.cases() for run in dict.fromkeys(run for part in TABLES for run in part.runs)}
+    missing = {case.key: case for several in cases.values() for case in several if case.key not in by_key}
+    # Large teams and long flights first: no core is idle while the last of them ends.
+    order = sorted(missing.values(), key=_effort, reverse=True)
+    for done, (key, flown) in enumerate(each_on_cores(fly, order, _jobs()) if order else (), start=1):
+        by_key[key] = flown
+        if kept is not None:
+            kept.parent.mkdir(parents=True, exist_ok=True)
+            with kept.open("a", encoding="utf-8") as file:
+                file.write(json.dumps({"key": key, **asdict(flown)}) + "\n")
+        sys.stderr.write(f"\rdocs/scenario.md: {done} of {len(order)} simulations")
+    sys.stderr.write("\n")
+    return now, {run: [by_key[case.key] for case in several] for run, several in cases.items()}
+
+
+def _effort(case: Case) -> float:
+    """Return about how long a case takes, in any unit."""
+    return float(len(case.scenario.system.uav) ** 2 * sum(p.duration_s or 0.0 for p in case.scenario.maneuver.phase))
+
+
+def _jobs() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def main() -> None:
+    """Simulate, and renew the tables."""
+    for name in ("origin", *(part.name for part in TABLES)):
+        place(DOCUMENT, name)  # refused before minutes are spent
+    now, found = results()
+    for part in TABLES:
+        put(DOCUMENT, part.name, part.text(found))
+    put(DOCUMENT, "origin", f"*Commit {now}; {versions()}; {machine()}.*")
+    sys.stderr.write(f"written: {DOCUMENT.relative_to(ROOT)}\n")
+
+
+if __name__ == "__main__":
+    main()
