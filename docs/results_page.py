@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from tables import ROOT, put, table
+from tables import ROOT, commit, put, table
 
 RUNS, IMAGES = ROOT / "runs" / "figures", ROOT / "docs" / "images"
 PAGE, README = ROOT / "docs" / "results.md", ROOT / "README.md"
@@ -325,9 +325,12 @@ SECTIONS = (
 
 
 def fly(section: Section) -> list[str]:
-    """Fly an experiment as far as it has not been flown, and return the sentences it ends with."""
+    """Run an experiment as far as this commit has not run it, and return the sentences it ends with."""
     sys.stderr.write(f"experiment {section.name}\n")
-    folder = RUNS / section.name
+    folder, now = RUNS / section.name, commit()
+    if folder.exists() and commit_of(section) != now:
+        shutil.rmtree(folder)
+    _commit_file(section).write_text(now, encoding="utf-8")
     command = ["transport", "experiment", section.name, *section.arguments, "--out", str(folder)]
     executable = str(Path(sys.executable).parent / "transport")
     done = subprocess.run([executable, *command[1:]], stdout=subprocess.PIPE, text=True, check=True, cwd=ROOT)
@@ -376,8 +379,18 @@ def page(sections: Sequence[tuple[Section, list[str], str]]) -> str:
         if section.second is not None:
             _, image, alt = section.second
             pieces.append(f"![{alt}](images/{image})")
-        parts.append("\n\n".join([*pieces, f"*{machine}*"]))
+        parts.append("\n\n".join([*pieces, f"*Commit {commit_of(section)}. {machine}*"]))
     return "\n\n".join(parts) + "\n"
+
+
+def commit_of(section: Section) -> str:
+    """The commit whose simulation an experiment has run; "unknown" if none is noted."""
+    file = _commit_file(section)
+    return file.read_text(encoding="utf-8") if file.exists() else "unknown"
+
+
+def _commit_file(section: Section) -> Path:
+    return RUNS / f"{section.name}.commit"
 
 
 def machine_of(section: Section) -> str:
@@ -401,15 +414,19 @@ def at_a_glance() -> str:
             row
             for row in by_name[name]
             if row["scenario"] == scenario and all(row[label] == value for label, value in labels.items())
+            if row.get("agent") != "none"  # the run without a death
         ]
         flights, completed = (sum(int(row[what]) for row in rows) for what in ("flights", "completed"))
         ratios = [float(row["cost_ratio"]) for row in rows if row["cost_ratio"]]
+        if not rows:
+            return ""
         if not completed:
             first = min(float(row["first_lost_s"]) for row in rows)
             return f"diverges at {first:.1f} s" if flights == 1 else f"all {flights} diverge, from {first:.1f} s on"
         count = "completes" if flights == 1 else f"{completed} of {flights} complete"
+        attitude = max(float(row["attitude_max_deg"]) for row in rows if row["attitude_max_deg"])
         swings = [float(row["swing_m"]) for row in rows if row["swing_m"]]
-        return f"{count}, {between(ratios)} times the cost, swing {between(swings)} m"
+        return f"{count}: cost x{between(ratios)}, attitude {attitude:.1f} deg, swing {between(swings)} m"
 
     lines = ["| | `paper`: the paper's algorithm with our weights | `resilient` |", "|---|---|---|"]
     for what, name, labels in (
@@ -419,6 +436,7 @@ def at_a_glance() -> str:
         ("60 % burst loss", "loss", {"loss": "0.6", "model": "bursts"}),
         ("`transport experiment kill`: an agent killed and restarted after 2 s", "kill", {"restart_s": "10.0"}),
         ("never restarted", "kill", {"restart_s": "never"}),
+        ("`transport experiment deaths`: killed for good at 20 random times", "deaths", {}),
     ):
         lines.append(f"| {what} | {cell(name, 'paper', **labels)} | {cell(name, 'resilient', **labels)} |")
     return "\n".join(lines)
