@@ -18,6 +18,8 @@ Alignment = Literal["by_age", "by_one", "held"]
 
 # Inputs of all UAVs by the shared control law, without corrections, at a tick and a state; None without such a law.
 Law = Callable[[int, Array], Array | None]
+# State at a tick of the past as it is estimated now, (n,); None where it is not known.
+Past = Callable[[int], Array | None]
 
 # Plans kept per agent: enough to know the inputs of the past over any delay worth flying with.
 KEPT_PLANS = 256
@@ -33,6 +35,7 @@ class AnnouncedInputs:
         alignment: How the others' plans are laid along the horizon.
         own: Agent whose plans are its own, so always laid by their age, 1-based; 0 for none.
         law: What the others do after the first step of a plan, besides its corrections.
+        past: Estimates, for what that law gave at the first step of a plan.
         limits: Bounds of the actuators, which that law keeps to.
 
     Attributes:
@@ -50,12 +53,13 @@ class AnnouncedInputs:
         alignment: Alignment = "by_age",
         own: int = 0,
         law: Law = lambda _tick, _x: None,
+        past: Past = lambda _tick: None,
         limits: Limits | None = None,
     ) -> None:
         self.gone: set[int] = set()
         self.law_since = 0
         self.failed_since = 0
-        self._law = law
+        self._law, self._past = law, past
         uavs = sum(map(len, owned))
         self._bounds = None if limits is None else (limits.lower(uavs), limits.upper(uavs))
         self._alignment, self._own = alignment, own
@@ -141,7 +145,8 @@ class AnnouncedInputs:
         """Inputs taken to be in force over [t_k, t_{k+1}): of each agent's plans that had started, the newest.
 
         That plan's first input was applied as announced. Later ones have been replaced by plans that are not here:
-        with a shared control law, by what it makes of the state and of the corrections announced.
+        with a shared control law, the first one changed by what that law makes of the way of the state since, and of
+        the corrections announced. What the sender takes for external forces cancels out of the difference.
 
         Args:
             tick: k.
@@ -152,7 +157,6 @@ class AnnouncedInputs:
         Source: docs/equations.md (32), (32a).
         """
         u = self._u_hover.copy()
-        by_law: Array | None = None
         for agent, columns in self._columns.items():
             plans = reversed(self._plans[agent])
             plan = next((p for p in plans if p.tick < before and p.start_tick <= tick), None)
@@ -170,12 +174,33 @@ class AnnouncedInputs:
             else:
                 replaced = replaced and plan.tick >= self.law_since
             if replaced and x is not None:
-                by_law = self._law(tick, x) if by_law is None else by_law
+                by_law = self._by_law(plan, tick, x)
                 if by_law is not None:
                     u[columns] = by_law[columns]
-                    if plan.tick >= self.failed_since and step < len(plan.corrections):
-                        u[columns] += plan.corrections[step]
         return u if self._bounds is None else np.clip(u, *self._bounds)
+
+    def _by_law(self, plan: Plan, tick: int, x: Array) -> Array | None:
+        """Inputs of an agent by the shared control law some steps after the first one of a plan of its.
+
+        Args:
+            plan: Of the agent.
+            tick: Now.
+            x: State now, (n,).
+        Returns: (4 N,), of which the plan's columns have a meaning; None where there is no such law.
+        Source: docs/equations.md (32a).
+        """
+        u = self._law(tick, x)
+        if u is None or plan.tick < self.failed_since or not len(plan.corrections):
+            return u
+        columns, step = self._columns[plan.agent], tick - plan.start_tick
+        if step < len(plan.corrections):
+            u[columns] += plan.corrections[step]
+        began = self._past(plan.start_tick)
+        then = None if began is None else self._law(plan.start_tick, began)
+        if then is not None:
+            # What the sender knew otherwise, such as external forces, shows at the first step.
+            u[columns] += plan.inputs[0] - then[columns] - plan.corrections[0]
+        return u
 
     def _entries(self, sequence: Array, plan: Plan, start: int, steps: int) -> Array:
         """What of a plan's inputs or corrections is taken for the steps of the horizon, as far as it goes."""

@@ -120,7 +120,14 @@ class AgentNode:
         fail_safe = FailSafe(setup.system, setup.hover.u)
         alignment = setup.scenario.controller.received_plans
         self._announced = AnnouncedInputs(
-            setup.owned, setup.hover.u, fail_safe, alignment, self._agent, self._by_law, setup.settings.limits
+            setup.owned,
+            setup.hover.u,
+            fail_safe,
+            alignment,
+            own=self._agent,
+            law=self._by_law,
+            past=self._known,
+            limits=setup.settings.limits,
         )
         period_s, disturbance = setup.settings.sampling_period_s, setup.scenario.controller.disturbance
         self._disturbance: DisturbanceEstimator | None = None
@@ -461,6 +468,9 @@ class AgentNode:
             for uav, block in zip(plan.uavs, plan.uav_states, strict=True):
                 x[state.uav_slice(uav - 1)] = block
         return x
+
+    def _known(self, tick: int) -> Array | None:
+        return self._estimator.known(tick)
 
     def _by_law(self, tick: int, x: Array) -> Array | None:
         """Inputs of all UAVs by the shared control law, without corrections, (m,); None with open-loop prediction."""

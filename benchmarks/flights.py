@@ -82,7 +82,7 @@ def situations(run: Setup, most: int) -> list[Situation]:
     def linearise(controller: Controller, x0: Array, *_: Any) -> None:
         newest[controller] = x0
 
-    def condense(controller: Controller, linear: Linear, _: Prediction, U: Array, y_ref: Array) -> None:
+    def condense(controller: Controller, linear: Linear, _: Prediction, U: Array, y_ref: Array, *__: Any) -> None:
         x0 = newest[controller]
         found.append(Situation(controller=controller, x0=x0, u0=linear.u0, U=U.copy(), y_ref=y_ref))
 

@@ -133,6 +133,8 @@ def regulator(
     try:
         P, discount = _riccati(A, B, weighted, R), 1.0
     except FeedbackError:
+        if not alone:
+            raise
         # Equal UAVs without agents swing against each other for ever, which no other UAV can reach and which has a
         # cost: the infinite sum is finite only if the far future counts less.
         P, discount = _riccati(_DISCOUNT * A, _DISCOUNT * B, weighted, R), _DISCOUNT

@@ -19,7 +19,10 @@ MANEUVER = (
 
 @pytest.mark.parametrize("back_s", [3.2, 3.5, 4.0])
 def test_a_late_return_brings_the_team_together(back_s: float) -> None:
-    """Killed in the climb, back in the translation, decimetres off: level again, and no UAV far beyond its limit."""
+    """Killed in the climb, back in the translation, decimetres off: level again, and no UAV far beyond its limit.
+
+    While its UAV holds itself up the others fly on with a tilted payload; the return itself does not add to that.
+    """
     settings = [
         MANEUVER,
         'clock.on_agent_loss="continue"',
@@ -29,7 +32,10 @@ def test_a_late_return_brings_the_team_together(back_s: float) -> None:
     messages: list[Message] = []
     assert fly(run, messages.append).outcome == "completed"
     x = np.array([message.x for message in messages if isinstance(message, Truth)])
-    # Without a limit of tilt, or with the first plans relaxed as any other, these flights are lost, or reach 6 to
-    # 16 deg and UAVs 45 to 80 deg.
-    assert np.abs(np.degrees(StateView(x).Theta0[:, :2])).max() < 3.0
+    attitude_deg = np.abs(np.degrees(StateView(x).Theta0[:, :2])).max(axis=1)
+    back = round(back_s / 0.05)
+    assert attitude_deg.max() < 10.0
+    assert attitude_deg[back:].max() < attitude_deg[:back].max() + 1.0
+    assert attitude_deg[-10:].max() < 0.5
+    # The limit of what is planned is 15 deg.
     assert np.abs(np.degrees(StateView(x).Theta[..., :2])).max() < 30.0

@@ -78,8 +78,8 @@ def test_repetitions_are_flown_though_nothing_is_random() -> None:
 
 
 # Bytes of a plan by docs/protocol.md and the msgpack specification, for identities, ticks and sequences below 128.
-# One each: version, list of 13, incarnation, sequence, tick, agent, start tick, negotiation.
-HEADS = 8
+# One each: version, list of 14, incarnation, sequence, tick, agent, start tick, negotiation.
+HEADS, SHARED = 8, 1
 KIND, SENDER, STATUS = 1 + len("plan"), 1 + len("agent1"), 1 + len("solved")
 STATES, INPUTS, HORIZON, FLOAT, ARRAY = 12, 4, 20, 8, 16
 
@@ -92,7 +92,7 @@ def bytes_of_plan(owned: int) -> int:
 
     states = extension(ARRAY + FLOAT * STATES * owned)
     sequence = extension(ARRAY + FLOAT * HORIZON * INPUTS * owned)
-    return HEADS + KIND + SENDER + STATUS + (1 + owned) + states + 2 * sequence
+    return HEADS + KIND + SENDER + STATUS + SHARED + (1 + owned) + states + 2 * sequence
 
 
 @pytest.mark.parametrize(
