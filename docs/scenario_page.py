@@ -481,7 +481,8 @@ def results() -> tuple[str, Found]:
     if kept is not None and kept.exists():
         for line in kept.read_text(encoding="utf-8").splitlines():
             entry = json.loads(line)
-            by_key[entry.pop("key")] = Flown(**entry)
+            key = entry.pop("key")
+            by_key[key] = Flown(**entry)
     cases = {run: run.cases() for run in dict.fromkeys(run for part in TABLES for run in part.runs)}
     missing = {case.key: case for several in cases.values() for case in several if case.key not in by_key}
     # Large teams and long flights first: no core is idle while the last of them ends.
