@@ -30,7 +30,7 @@ RESULTS = ROOT / "runs" / "figures" / "scenario"
 
 LATE_AND_LOSSY = ("links.delay_s=0.1", "links.loss=0.3")
 LONG_HOVER = "maneuver.phase.5.duration_s=60"
-LOST = "lost"
+DIVERGED = "diverged"
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,9 +121,9 @@ def significant(value: float, digits: int = 3) -> str:
     return np.format_float_positional(value, precision=digits, fractional=False, unique=False, trim="k").rstrip(".")
 
 
-def or_lost(flown: Flown, cell: Callable[[Flown], str]) -> str:
-    """Return a cell, or when the run was lost."""
-    return cell(flown) if flown.completed else f"{LOST} at {flown.end_s:.0f} s ({flown.phase})"
+def or_diverged(flown: Flown, cell: Callable[[Flown], str]) -> str:
+    """Return a cell, or when the run diverged."""
+    return cell(flown) if flown.completed else f"{DIVERGED} at {flown.end_s:.0f} s ({flown.phase})"
 
 
 def attitude(flown: Flown) -> str:
@@ -160,8 +160,8 @@ def collision(found: Found) -> str:
     rows = []
     for text, settings in COLLISION.items():
         flown = one(found, Run("collision", settings))
-        front, apart = number(flown.front_m, 3), number(flown.separation_m, 3)
-        rows.append([text, or_lost(flown, lambda _, apart=apart: f"{apart} m"), f"{front} m", attitude(flown)])  # type: ignore[misc]
+        cells = [f"{flown.separation_m:.3f} m", f"{flown.front_m:.3f} m", attitude(flown)]
+        rows.append([text, *(cells if flown.completed else [or_diverged(flown, attitude), "", ""])])
     return table(["", "smallest distance", "front pair, largest x", "payload attitude, largest"], rows)
 
 
@@ -231,9 +231,9 @@ def teams(found: Found) -> str:
             lambda flown: f"{flown.swing_m:.2f}",
             lambda flown: f"{flown.separation_m:.3f}",
         ):
-            cells.append(", ".join(cell(flown) if flown.completed else LOST for flown in both))
+            cells.append(", ".join(cell(flown) if flown.completed else DIVERGED for flown in both))
         paper = one(found, _team("paper", uavs)) if uavs in PAPER_TEAMS else None
-        cells.append("" if paper is None else or_lost(paper, cost))
+        cells.append("" if paper is None else or_diverged(paper, cost))
         rows.append(cells)
     headings = [
         "UAVs",
@@ -261,7 +261,7 @@ def follows(found: Found) -> str:
         "the same in the last 4 s": lambda flown: f"{100 * flown.swing_m:.1f} cm",
         "smallest distance of two UAVs": lambda flown: f"{flown.separation_m:.3f} m",
     }
-    rows = [[text, *(or_lost(one(found, Run(name)), cell) for name in COMPARED)] for text, cell in cells.items()]
+    rows = [[text, *(or_diverged(one(found, Run(name)), cell) for name in COMPARED)] for text, cell in cells.items()]
     return table(["", *(f"`{name}`" for name in COMPARED)], rows)
 
 
@@ -269,10 +269,10 @@ def hover(found: Found) -> str:
     """Return the table of a long hover after the maneuver."""
     cells: Mapping[str, Callable[[Flown], str]] = {
         "payload attitude, largest": attitude,
-        "payload position error, last 4 s": lambda flown: f"{100 * flown.swing_m:.1f} cm",
+        "payload position error, last 4 s": lambda flown: _length(flown.swing_m),
     }
     rows = [
-        [text, *(or_lost(one(found, Run(name, (LONG_HOVER,))), cell) for name in COMPARED)]
+        [text, *(or_diverged(one(found, Run(name, (LONG_HOVER,))), cell) for name in COMPARED)]
         for text, cell in cells.items()
     ]
     return table(["", *(f"`{name}`" for name in COMPARED)], rows)
@@ -289,7 +289,7 @@ def levels(found: Found) -> str:
         ["factor at which that is 3", "", *(number(3.0 / f.cost_max_settled, 0) for f in both)],
         ["payload attitude, largest", "2.5 deg", *map(attitude, both)],
     ]
-    return table(["weights times 128", "paper", "`centralized`", "`paper`"], rows)
+    return table(["weights times 128", "the paper", "`centralized`", "`paper`"], rows)
 
 
 # One setting changed: in `paper`, and in `resilient`. None: refused there, or without effect.
@@ -327,7 +327,7 @@ def weights(found: Found) -> str:
         row = []
         for name, used in zip(("paper", "resilient"), where, strict=True):
             row.append(
-                or_lost(one(found, Run(name, settings)), lambda f: f"{attitude(f)}, {100 * f.swing_m:.0f} cm")
+                or_diverged(one(found, Run(name, settings)), lambda f: f"{attitude(f)}, {100 * f.swing_m:.0f} cm")
                 if used
                 else "no effect"
             )
@@ -357,7 +357,7 @@ def truth(found: Found) -> str:
         [
             text,
             *(
-                or_lost(
+                or_diverged(
                     one(found, Run("resilient", (STILL, setting, *changes))),
                     lambda flown: f"{_length(flown.uav_last_m)}, {cost(flown)}",
                 )
@@ -389,7 +389,7 @@ def terms(found: Found) -> str:
     rows = []
     for text, run in DAMPED.items():
         flown = one(found, run)
-        swing = or_lost(flown, lambda f: f"{100 * f.swing_m:.1f} cm")
+        swing = or_diverged(flown, lambda f: f"{100 * f.swing_m:.1f} cm")
         rows.append([text, swing, f"{100 * flown.payload_rms_m:.1f} cm", cost(flown)])
     return table(["", "payload error, last 4 s", "payload error, rms", "mean cost of (21)"], rows)
 
@@ -481,7 +481,8 @@ def results() -> tuple[str, Found]:
     if kept is not None and kept.exists():
         for line in kept.read_text(encoding="utf-8").splitlines():
             entry = json.loads(line)
-            by_key[entry.pop("key")] = Flown(**entry)
+            key = entry.pop("key")
+            by_key[key] = Flown(**entry)
     cases = {run: run.cases() for run in dict.fromkeys(run for part in TABLES for run in part.runs)}
     missing = {case.key: case for several in cases.values() for case in several if case.key not in by_key}
     # Large teams and long flights first: no core is idle while the last of them ends.

@@ -21,7 +21,7 @@ def table(headings: Iterable[str], rows: Iterable[Sequence[str]]) -> str:
     for line in lines:
         if len(line) != len(columns):
             raise ValueError(f"row {line}: expected {len(columns)} cells, got {len(line)}")
-    return "\n".join([f"| {' | '.join(lines[0])} |", "|" + "---|" * len(columns)] + [bar(line) for line in lines[1:]])
+    return "\n".join([bar(columns), "|" + "---|" * len(columns), *map(bar, lines[1:])])
 
 
 def bar(cells: Sequence[str]) -> str:
