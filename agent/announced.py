@@ -192,7 +192,7 @@ class AnnouncedInputs:
         u = self._law(tick, x)
         if u is None or plan.tick < self.failed_since or not len(plan.corrections):
             return u
-        columns, step = self._columns[plan.agent], tick - plan.start_tick
+        u, columns, step = u.copy(), self._columns[plan.agent], tick - plan.start_tick
         if step < len(plan.corrections):
             u[columns] += plan.corrections[step]
         began = self._past(plan.start_tick)

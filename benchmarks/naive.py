@@ -71,7 +71,9 @@ def step(at: Situation, solver: SolverName = "clarabel") -> Array:
     rates[:, :decisions] = rates[:, :decisions] @ S
     rows, row_lower, row_upper = [rates], [np.tile(-change, steps)], [np.tile(change, steps)]
     if slacks and separation:
-        distances = block_diag(*[separation_rows(y, pairs)[1]] * (steps + 1))[len(pairs) :]
+        between = np.zeros((len(pairs), len(y)))
+        between[:, : 3 * system.N] = separation_rows(y[: 3 * system.N], pairs)[1]
+        distances = block_diag(*[between] * (steps + 1))[len(pairs) :]
         rows.append(np.column_stack([distances @ G @ S, np.ones(len(distances))]))
         row_lower.append(separation.minimum_m - distances @ Y_free)
         row_upper.append(np.full(len(distances), np.inf))
