@@ -208,22 +208,22 @@ SECTIONS = (
     ),
     Section(
         name="latency",
-        title="How late may plans be?",
-        text="The same delay of every plan. Plans wait for the next tick anyway, so 50 ms change nothing.",
+        title="How much delay is tolerated?",
+        text="The same delay for every plan. A plan is used at the next tick at the earliest, so 50 ms change nothing.",
         columns={**SCENARIO, "delay, ms": milliseconds("delay_s"), **OUTCOME},
         alt="Survival, mean cost and payload attitude over the delay of plans",
     ),
     Section(
         name="loss",
-        title="How many may be lost?",
-        text="Each on its own, and as many in bursts of five ticks on average in which everything is lost.",
+        title="How much packet loss is tolerated?",
+        text="Independent losses, and the same share of losses in bursts of five ticks on average (Gilbert-Elliott).",
         columns={**SCENARIO, "losses": plain("model"), "lost": share("loss"), **OUTCOME},
         alt="Survival, mean cost and payload attitude over the share of lost plans",
     ),
     Section(
         name="jitter",
-        title="How irregular may delays be?",
-        text="Delays of 160 ms on average, of four distributions.",
+        title="How much jitter is tolerated?",
+        text="Random delays with a mean of 160 ms from four distributions.",
         columns={
             **SCENARIO,
             "distribution": plain("distribution"),
@@ -235,15 +235,15 @@ SECTIONS = (
     ),
     Section(
         name="matrix",
-        title="Late and lost",
-        text="Every delay with every loss.",
+        title="Delay and packet loss together",
+        text="Every delay with every share of losses.",
         columns={**SCENARIO, "delay, ms": milliseconds("delay_s"), "lost": share("loss"), **OUTCOME},
         alt="Maps of mean cost and survival over delay and loss",
     ),
     Section(
         name="kill",
-        title="What an agent's death does",
-        text="Each agent killed at 8 s, and started again at 10 s, or never.",
+        title="An agent killed, restarted or not",
+        text="Each agent killed at 8 s, and restarted at 10 s or never.",
         columns={**SCENARIO, "killed": plain("agent"), "back at, s": plain("restart_s"), **OUTCOME},
         alt="Survival, mean cost and payload attitude for each agent killed",
     ),
@@ -270,12 +270,13 @@ SECTIONS = (
             "cost over all sent": number("cost_ratio", digits=3),
             "cost, 1e-3": number("cost_mean", 1e3),
             "attitude, deg": number("attitude_max_deg"),
+            "swing, m": number("swing_m"),
         },
         alt="Mean cost over that with all plans sent, and payload attitude, over the share of plans sent",
     ),
     Section(
         name="ablation",
-        title="What each part is worth",
+        title="What each part contributes",
         text="One setting changed at a time, on a perfect network and on one with 200 ms delay and 30 % loss.",
         columns={
             **SCENARIO,
@@ -314,7 +315,7 @@ SECTIONS = (
     ),
     Section(
         name="scaling",
-        title="How it grows with the team",
+        title="Growth with the team",
         text="Teams of 2 to 12 UAVs over 10 s, with an agent for each, for two, and for all. What is behind the "
         "numbers: [performance.md](performance.md).",
         columns=GROWTH,
