@@ -115,8 +115,7 @@ def actuation(found: Found) -> str:
         row = [f"`{setting}`"]
         for clock in CLOCKS:
             flown = one(found, _actuated(setting, clock))
-            exceeded = f", a limit exceeded by {100 * flown.violation:.0f} %" if flown.violation > 1e-3 else ""
-            row.append(f"completes, {cost(flown)}{exceeded}" if flown.completed else outcome(flown))
+            row.append(f"completes, {cost(flown)}, {flown.separation_m:.2f} m" if flown.completed else outcome(flown))
         rows.append(row)
     return table(["`transport run resilient --set`", *(f"`{clock}`" for clock in CLOCKS)], rows)
 

@@ -41,7 +41,6 @@ class Flown:
             last tick.
         payload_rms_m, payload_max_m, swing_m: Distance of the payload from its reference.
         separation_m: Smallest distance of two UAVs.
-        violation: Largest excess over any limit, as a share of its range.
         front_m: Largest x of a UAV.
     """
 
@@ -59,7 +58,6 @@ class Flown:
     payload_max_m: float
     swing_m: float
     separation_m: float
-    violation: float
     front_m: float
 
     @property
@@ -211,7 +209,6 @@ def fly(case: Case) -> tuple[str, Flown]:
         payload_max_m=value("payload_tracking", "max_m"),
         swing_m=value("payload_tracking", "swing_m"),
         separation_m=value("separation_min_m"),
-        violation=value("constraint_violation_max"),
         front_m=float(series.uavs_I[:, :, 0].max()),
     )
 
