@@ -138,7 +138,8 @@ def test_nobody_flies_without(victim: str, tmp_path: Path) -> None:
     assert (noted["what"], noted["tick"]) == (f"{victim} killed by script", 10)
     assert "end" in {event["kind"] for event in summary["faults"]}
     # The victim goes on the message that opens tick 10. What a plant said last may go with it, still unsent; and a
-    # plant that hears of the coordinator's death before the last plan of tick 9 has come does not integrate that period.
+    # plant that hears of the coordinator's death before the last plan of tick 9 has come does not integrate that
+    # period.
     assert summary["ticks"] in (9, 10)
     found = messages(read_log(tmp_path / victim / "run.mcap"))
     assert sum(isinstance(message, Control) for message in found) == 1
