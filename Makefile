@@ -18,8 +18,10 @@ test: $(VENV)/.installed-test ## set up and run all tests, on two processors
 bench: $(VENV)/.installed-bench ## measure what computing, coding and flying take, and renew docs/performance.md (an hour)
 	@$(BIN)/python -m benchmarks
 
-figures: $(VENV)/.installed ## fly every experiment and renew figures and tables of README and docs (45 minutes)
+figures: $(VENV)/.installed ## fly every experiment and renew figures and tables of README and docs (50 minutes)
 	@$(BIN)/python docs/scenario_page.py
+	@$(BIN)/python docs/guarantees_page.py
+	@$(BIN)/python docs/time_page.py
 	@$(BIN)/python docs/results_page.py
 
 lint: $(VENV)/.installed-dev ## style and types, as continuous integration sees them

@@ -38,13 +38,18 @@ KEY_ROW = re.compile(r"\| `(\w+)` \| [^|]+ \| ([^|]+) \| [^|]+ \|")
 # These have the keys of a link besides their own; the document says so instead of repeating them.
 LIKE_LINKS = ("links.measurement", "links.actuation", "links.override", "links.change")
 
-# Names of the measured tables of docs/scenario.md, once each of their runs has been read.
+# Programs that renew the measured tables of a document.
+PAGES = {"scenario.md": "scenario_page", "guarantees.md": "guarantees_page", "time.md": "time_page"}
+
+# Names of the tables of such a program, once each of their runs has been read.
 TABLES = """
-from scenario_page import TABLES
+import sys
+from importlib import import_module
 from protocol.scenario_file import find_scenario, read_scenario
-for run in {run for table in TABLES for run in table.runs}:
+tables = import_module(sys.argv[1]).TABLES
+for run in {run for table in tables for run in table.runs}:
     read_scenario(find_scenario(run.scenario), run.settings)
-print(*(table.name for table in TABLES))
+print(*(table.name for table in tables))
 """
 
 Command = TyperCommand | TyperGroup
@@ -200,13 +205,18 @@ def test_relative_links_resolve(document: Path) -> None:
         assert not anchor or anchor in anchors(path), f"{document.name} links to {target}, which has no such heading"
 
 
-def test_measured_tables_have_a_place() -> None:
-    """docs/scenario.md has markers for each table of docs/scenario_page.py and no others; all runs are scenarios."""
+@pytest.mark.parametrize("document", PAGES)
+def test_measured_tables_have_a_place(document: str) -> None:
+    """A document has markers for each table of its program, in order, and no others; all runs are scenarios."""
     done = subprocess.run(
-        [sys.executable, "-c", TABLES], stdout=subprocess.PIPE, text=True, check=True, cwd=ROOT / "docs"
+        [sys.executable, "-c", TABLES, PAGES[document]],
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+        cwd=ROOT / "docs",
     )
     names = done.stdout.split()
-    text = SCENARIO.read_text(encoding="utf-8")
+    text = (ROOT / "docs" / document).read_text(encoding="utf-8")
     assert re.findall(r"^<!-- end of (\w+) -->$", text, re.MULTILINE) == ["origin", *names]
     assert re.findall(r"^<!-- (\w+) -->$", text, re.MULTILINE) == ["origin", *names]
 

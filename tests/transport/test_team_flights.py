@@ -32,11 +32,11 @@ def test_larger_teams_complete_the_maneuver(uavs: int, delay_s: float) -> None:
     reports = [message for message in messages if isinstance(message, StepReport)]
     assert {report.status for report in reports} == {"solved"}
     assert max(report.plan_ages[0] for report in reports) == max(1, round(delay_s / 0.05))
-    # The four are held to 2.5 deg and 0.4 m (test_processes.py); measured here: 1.7 deg and 0.496 m.
-    assert series.attitude_max_deg.max() < 2.5
+    # The four are held to 2.5 deg and 0.4 m (test_processes.py); measured here: at most 0.4 deg, and 0.499 m.
+    assert series.attitude_max_deg.max() < 1.0
     assert series.separation_m.min() > 0.45
-    # The cost is a sum over the UAVs: for each it stays what it is for one of the paper's four, 0.0005 to 0.0006.
-    assert series.cost.mean() / uavs < 8e-4
+    # The cost is a sum over the UAVs: for each it stays that of one of the paper's four, 0.00038.
+    assert series.cost.mean() / uavs < 5e-4
     assert np.linalg.norm(series.payload_error_I, axis=1).max() < 0.7
 
 
