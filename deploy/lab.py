@@ -25,7 +25,7 @@ from deploy.hosts import Host, Inventory, Posting, postings
 from deploy.keys import LOOPBACK, OTHERS, KeysError, make_certificates
 from deploy.render import RenderError, command, render
 from protocol.keys import RECORDER
-from protocol.parent import ENVIRONMENT
+from protocol.parent import ENVIRONMENT, python
 from protocol.process import EXIT_INTERRUPTED, process_names
 from protocol.scenario_file import ScenarioError, find_scenario, read_scenario
 from protocol.setup import Setup
@@ -192,7 +192,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             sys.stderr.write(f"lab: {reason}\n")
             return EXIT_UNAVAILABLE
         own = list(sys.argv[1:] if arguments is None else arguments)
-        words = [*_world(), sys.executable, "-m", "deploy.lab", *own]
+        words = [*_world(), *python("deploy.lab"), *own]
         os.execvpe(words[0], words, {**os.environ, _INSIDE: "1"})  # noqa: S606
     signal.signal(signal.SIGTERM, _interrupted)
     out: Path = asked.out
@@ -244,7 +244,7 @@ def _ip(*words: str) -> None:
 def _words(posting: Posting, inventory: Inventory, out: Path) -> list[str]:
     """The command of a rendered unit, from this environment instead of /opt."""
     _, *rest = command(posting, inventory, etc=out / "hosts" / posting.host.name)
-    return [sys.executable, "-m", "transport", *rest, *(["--out", "run"] if posting.process == RECORDER else [])]
+    return [*python("transport"), *rest, *(["--out", "run"] if posting.process == RECORDER else [])]
 
 
 def _wait_for_flight(log: Path, running: Mapping[str, subprocess.Popen[bytes]]) -> float:

@@ -25,6 +25,15 @@ ENVIRONMENT = {
 _PR_SET_PDEATHSIG = 1  # <sys/prctl.h>
 
 
+def python(module: str) -> list[str]:
+    """Return the command that starts a module of this project as a child process.
+
+    The child does not import from the current folder: a person's `model.py` or `agent/` there would hide a package of
+    this project.
+    """
+    return [sys.executable, "-P", "-m", module]
+
+
 def wake_with_its_end() -> None:
     """If a parent started this process, let it run on when the parent dies: frozen, it would never notice.
 

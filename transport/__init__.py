@@ -1,1 +1,25 @@
 """What a person touches: command line, local harness, recording, metrics, figures."""
+
+from importlib.util import find_spec
+from pathlib import Path
+
+_HERE = Path(__file__).resolve().parent.parent
+_PACKAGES = ("model", "mpc", "protocol", "agent", "plant", "coordinator", "deploy", "scenarios")
+
+
+def _hidden() -> str:
+    """Return a text that names the first package of this project that another file or folder hides; empty if none."""
+    for name in _PACKAGES:
+        spec = find_spec(name)
+        if spec is None:
+            return f"payload-transport: expected its package {name!r} in {_HERE}, got none"
+        found = Path(spec.origin).resolve() if spec.origin else Path(next(iter(spec.submodule_search_locations or ())))
+        if found != _HERE / name / "__init__.py":
+            hint = "rename it, or start from another folder"
+            return f"payload-transport: {found} hides its package {name!r}: {hint}"
+    return ""
+
+
+_text = _hidden()
+if _text:
+    raise ImportError(_text)

@@ -29,7 +29,7 @@ from typing import IO, Any, NoReturn
 
 import setproctitle
 
-from protocol.parent import ENVIRONMENT, wake_with_its_end
+from protocol.parent import ENVIRONMENT, python, wake_with_its_end
 
 _MODULE = "transport.fork_server"
 _REQUEST_BYTES = 128 * 1024
@@ -127,7 +127,7 @@ class ForkServer:
         with its:
             try:
                 self._process = subprocess.Popen(
-                    [sys.executable, "-m", _MODULE, str(its.fileno())],
+                    [*python(_MODULE), str(its.fileno())],
                     stdin=subprocess.DEVNULL,
                     # What is wrong with a request, the process that is asked for will say.
                     stdout=subprocess.DEVNULL,
@@ -157,7 +157,7 @@ class ForkServer:
             except (OSError, ValueError):
                 self.close()  # it is gone, or not well: what it was to save is time
         return subprocess.Popen(
-            [sys.executable, "-m", "transport", *arguments],
+            [*python("transport"), *arguments],
             stdin=subprocess.PIPE,
             stdout=output,
             stderr=subprocess.STDOUT,

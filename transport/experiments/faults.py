@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from protocol.health import command_of
+from protocol.parent import python
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -159,7 +160,7 @@ def fly(run: FaultRun, folder: Path, stop: threading.Event) -> Verdict:
     """
     name = f"fault-{run.number}-{os.getpid()}"
     folder.mkdir(parents=True, exist_ok=True)
-    arguments = [sys.executable, "-m", "transport", "run", "resilient", "--out", name, "--no-figures"]
+    arguments = [*python("transport"), "run", "resilient", "--out", name, "--no-figures"]
     for setting in run.settings:
         arguments += ["--set", setting]
     with (folder / f"{name}.txt").open("wb") as said:

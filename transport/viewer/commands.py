@@ -83,7 +83,7 @@ def viewer_beside(folder: Path, host: str, port: int, wait_s: float) -> Iterator
         wait_s: How long it waits for the run.
     Yields: What waits until a person ends it.
     """
-    from protocol.parent import PARENT_PIPE
+    from protocol.parent import PARENT_PIPE, python
     from transport.viewer.viewer import ViewerError, require_viser
 
     try:
@@ -92,7 +92,7 @@ def viewer_beside(folder: Path, host: str, port: int, wait_s: float) -> Iterator
         fail(str(error), EXIT_USAGE)
     arguments = ["view", str(folder), "--host", host, "--port", str(port), "--wait", str(wait_s)]
     process = subprocess.Popen(
-        [sys.executable, "-m", "transport", *arguments],
+        [*python("transport"), *arguments],
         stdin=subprocess.PIPE,
         stdout=2,  # where to look is no result of a run
         env={**os.environ, PARENT_PIPE: "1"},
