@@ -68,6 +68,8 @@ class AnnouncedInputs:
         self._columns = {agent: input_indices(uavs) for agent, uavs in enumerate(owned, start=1)}
         # By agent, ascending in the tick they were made at; the end is what is asked for.
         self._plans: dict[int, list[Plan]] = {agent: [] for agent in self._columns}
+        # Of agents that left without the others having their last plan: its start, and the inputs it is taken to hold.
+        self._played_on: dict[int, tuple[int, Array]] = {}
 
     def add(self, plan: Plan) -> None:
         """Keep a plan, whatever order it arrives in; a second plan of the same tick is ignored."""
@@ -81,6 +83,18 @@ class AnnouncedInputs:
     def forget(self, agent: int) -> None:
         """An agent starts anew: what it planned before does not count any more."""
         self._plans[agent].clear()
+        self._played_on.pop(agent, None)
+
+    def leave(self, agent: int, start: int, inputs: Array) -> None:
+        """An agent has left, and its last plan is not here: what its actuators are taken to play on.
+
+        Args:
+            agent: 1-based.
+            start: First instant of the inputs.
+            inputs: Of all UAVs, (N_p, 4 N).
+        Source: docs/equations.md (32b).
+        """
+        self._played_on[agent] = start, inputs[:, self._columns[agent]]
 
     def has(self, agent: int, tick: int) -> bool:
         """Whether the plan an agent made at a tick is here."""
@@ -106,6 +120,11 @@ class AnnouncedInputs:
         """
         U = np.repeat(self._u_hover[None], steps, axis=0)
         for agent, columns in self._columns.items():
+            played_on = self._played_on.get(agent)
+            if played_on is not None:
+                entries = played_on[1][max(start - played_on[0], 0) :][:steps]
+                U[: len(entries), columns] = entries
+                continue
             plan = self.newest(agent, before)
             if plan is not None:
                 entries = self._entries(plan.inputs, plan, start, steps)
@@ -162,12 +181,15 @@ class AnnouncedInputs:
             plan = next((p for p in plans if p.tick < before and p.start_tick <= tick), None)
             if plan is None:
                 continue
-            if agent in self.gone and tick - plan.start_tick >= len(plan.inputs):
+            begun, inputs = plan.start_tick, plan.inputs
+            if agent in self._played_on and tick >= self._played_on[agent][0]:
+                begun, inputs = self._played_on[agent]
+            step = tick - begun
+            if agent in self.gone and step >= len(inputs):
                 if x is not None and self._fail_safe is not None:
                     u[columns] = np.concatenate([self._fail_safe.inputs(uav, x) for uav in self._owned[agent - 1]])
                 continue
-            step = tick - plan.start_tick
-            u[columns] = plan.inputs[min(step, len(plan.inputs) - 1)]
+            u[columns] = inputs[min(step, len(inputs) - 1)]
             replaced = step > 0 and agent != self._own and agent not in self.gone
             if plan.tick < self.failed_since:
                 replaced = replaced and tick >= self.failed_since

@@ -40,7 +40,19 @@ class DisturbanceEstimator:
     def __init__(
         self, model: Model, hover: Hover, owned: Sequence[int], period_s: float, time_constant_s: float
     ) -> None:
-        self._model, self._bodies = model, [1 + uav for uav in owned]
+        self._period_s, self._time_constant_s = period_s, time_constant_s
+        self.forces: Array = np.zeros(3 + 3 * model.system.N)
+        self.rebuild(model, hover, owned)
+
+    def rebuild(self, model: Model, hover: Hover, owned: Sequence[int]) -> None:
+        """Go on with another model of the team, and the forces found so far.
+
+        Args:
+            model: The system as the controller knows it now.
+            hover: Its equilibrium.
+            owned: UAVs whose motion the agent measures, 0-based, at least one.
+        """
+        self._model, self._bodies, period_s = model, [1 + uav for uav in owned], self._period_s
         N = model.system.N
         spread = np.vstack([np.eye(3, _UNKNOWNS), np.tile(np.eye(3, _UNKNOWNS, k=3), (N, 1))])
         linear = model.linearise(hover.x, hover.u)
@@ -49,9 +61,8 @@ class DisturbanceEstimator:
         # The hold that turns inputs into states turns constant forces into them as well.
         effect = zero_order_hold(replace(linear, B_c=model.force_effect(hover.x, hover.u) @ spread), period_s).B
         self._cause = np.linalg.inv(self._seen(velocities @ effect))
-        self._gain = (1.0 - math.exp(-period_s / time_constant_s)) * spread
+        self._gain = (1.0 - math.exp(-period_s / self._time_constant_s)) * spread
         self._weight = model.system.total_mass * model.system.gravity
-        self.forces: Array = np.zeros(3 + 3 * N)
 
     def learn(self, predicted: Array, measured: Array) -> None:
         """Take in the state after a period for which this estimate was part of the prediction.

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from agent.announced import AnnouncedInputs
 from agent.disturbance import DisturbanceEstimator
-from agent.estimator import StateEstimator
+from agent.estimator import WINDOW, StateEstimator
 from agent.sharing import Sharing
 from model import state
 from model.arrays import Array, ShapeError
@@ -25,7 +25,8 @@ from model.failure import motor_off_state, released_state
 from model.state import input_indices
 from mpc.controller import Controller, Linear, Optimum
 from mpc.fail_safe import FailSafe
-from mpc.feedback import TeamLaw
+from mpc.feedback import Regulator, TeamLaw
+from mpc.prediction import Prediction
 from mpc.regulation import CostToGo
 from protocol.arrivals import Arrivals
 from protocol.claims import Claims, check_moment, window
@@ -152,6 +153,9 @@ class AgentNode:
         self._arrived: dict[int, set[int]] = {}  # whose plans are physically here, by tick
         self._proposals: dict[tuple[int, int], dict[int, Plan]] = {}  # by tick and negotiation, and agent
         limits, uavs = setup.settings.limits, len(self._uavs)
+        # What the last step expected of all: start, prediction, law, own inputs.
+        self._foreseen: tuple[int, Prediction, TeamLaw, Array] | None = None
+        self._law_at: dict[int, tuple[Array, Array | None, Regulator | None, Array | None]] = {}  # `_by_law`, by tick
         self._sharing = Sharing(setup.scenario.controller, limits.lower(uavs), limits.upper(uavs))
         self._last_tick = -1
         # Plans that came while it was not on the roster as it knows it: those of two ticks.
@@ -286,8 +290,23 @@ class AgentNode:
             return
         for agent in self._gone - gone:
             self._announced.forget(agent)
+        for agent in gone - self._gone:
+            self._guess_last_plan(agent, measurement.tick)
         self._gone, self._announced.law_since = gone, measurement.tick
         self._controller.without([uav for agent in sorted(gone) for uav in self._setup.owned[agent - 1]])
+
+    def _guess_last_plan(self, agent: int, tick: int) -> None:
+        """Where the last plan of an agent that has left is not here, its actuators play on what was expected of it.
+
+        Args:
+            agent: That is off the roster from a tick on.
+            tick: That tick.
+        Source: docs/equations.md (32b).
+        """
+        newest = self._announced.newest(agent, before=tick)
+        if self._foreseen is not None and newest is not None and newest.tick < tick - 1:
+            start, prediction, law, inputs = self._foreseen
+            self._announced.leave(agent, start, self._controller.foreseen(prediction, law, inputs))
 
     def _meet_failures(self, measurement: Measurement) -> None:
         """Take note of UAVs that have failed: from this tick on model and control law are those of what is left."""
@@ -305,9 +324,13 @@ class AgentNode:
                 x = released_state(x, uav)
             return x
 
-        self._controller.fail(off, released)
-        self._estimator.change(measurement.tick, self._controller.model, moved)
-        self._announced.failed_since = measurement.tick
+        controller, since = self._controller, min(measurement.tick, self._membership.failed_since)
+        controller.fail(off, released)
+        self._estimator.change(since, controller.model, moved)
+        self._announced.failed_since = since
+        left = [uav for uav in self._setup.owned[self._agent - 1] if uav not in off]
+        if self._disturbance is not None and left:
+            self._disturbance.rebuild(controller.model, controller.regulation.hover, left)
 
     def _has_plans_for(self, measurement: Measurement) -> bool:
         """Whether the roster is here, and the plans of the tick before from those on it that shared one."""
@@ -404,6 +427,8 @@ class AgentNode:
                 earlier = step.measurement.tick - self._membership.since.get(self._agent, 0)
                 optimum = controller.conclude(controller.solve(qp), prediction, step.U, step.law, earlier)
                 watch.append(self._stopwatch())
+                if step.law is not None:
+                    self._foreseen = step.start, prediction, step.law, optimum.U
         step.optimum = optimum
         for stage, (begun, done) in zip(_IN_A_ROUND, pairwise(watch), strict=True):
             step.times_ns[stage] += done - begun
@@ -475,7 +500,15 @@ class AgentNode:
     def _by_law(self, tick: int, x: Array) -> Array | None:
         """Inputs of all UAVs by the shared control law, without corrections, (m,); None with open-loop prediction."""
         forces = None if self._disturbance is None else self._disturbance.forces
-        return self._controller.regulation.inputs(x, self._x_ref[tick], forces, tick)
+        regulation = self._controller.regulation
+        # Asked for each of the others, and at one past instant again at each tick.
+        kept = self._law_at.get(tick)
+        if kept is None or kept[0] is not x or kept[1] is not forces or kept[2] is not regulation.regulator:
+            inputs = regulation.inputs(x, self._x_ref[tick], forces, tick)
+            kept = self._law_at[tick] = x, forces, regulation.regulator, inputs
+            if len(self._law_at) > 2 * WINDOW:
+                del self._law_at[min(self._law_at)]
+        return kept[3]
 
     def _planned(self, tick: int) -> Array:
         planned: Array = self._x_ref[tick].copy()

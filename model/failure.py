@@ -4,7 +4,7 @@ The layout of state and input stays that of N UAVs. A motor-off UAV keeps mass a
 UAV is replaced at the end of its rod by a bob of negligible mass that hangs below its attachment point.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 
 import numpy as np
 
@@ -46,7 +46,9 @@ def failed_model(system: System, off: Collection[int], released: Collection[int]
     return Model(with_released(system, released), off=off, released=released)
 
 
-def failed_hover(system: System, off: Collection[int], released: Collection[int]) -> Hover:
+def failed_hover(
+    system: System, off: Collection[int], released: Collection[int], thrusts: Mapping[int, float] | None = None
+) -> Hover:
     """Return the hover of a team some of whose UAVs have no motors, the payload level.
 
     A motor-off UAV stands upright on its rod: that is where it is when its motors stop, and the payload feels the same
@@ -56,12 +58,14 @@ def failed_hover(system: System, off: Collection[int], released: Collection[int]
         system: Physical parameters of the whole team.
         off: UAVs without motors, 0-based, the released ones among them.
         released: UAVs cut loose, 0-based.
+        thrusts: Thrusts of UAVs that hold them whatever happens, N, by UAV, 0-based: those left to the fail-safe.
     Raises: ParameterError: the UAVs that are left cannot hold the payload.
     Source: docs/equations.md (51).
     """
     rods = np.tile([0.0, 0.0, 1.0], (system.N, 1))
     rods[sorted(released)] *= -1.0
-    return hover(with_released(system, released), rods, off)
+    given = {**(thrusts or {}), **dict.fromkeys(off, 0.0)}
+    return hover(with_released(system, released), rods, given)
 
 
 def motor_off_state(x: Array, uav: int) -> Array:

@@ -1,6 +1,6 @@
 """Hover: the equilibrium the maneuver starts from, ends in, and is measured against."""
 
-from collections.abc import Collection
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,17 +29,17 @@ class Hover:
     tensions: Array
 
 
-def hover(system: System, rods_P: ArrayLike | None = None, off: Collection[int] = ()) -> Hover:
+def hover(system: System, rods_P: ArrayLike | None = None, thrusts: Mapping[int, float] | None = None) -> Hover:
     """Equilibrium of the system with given rod directions.
 
     The rods hold the payload's weight and no moment: sum_i T_i [e_i; rho_i x e_i] = [m0 g k; 0], the
-    least-norm solution when several exist. Each UAV then pulls against its rod and its own weight. A UAV without
-    thrust stands on its vertical rod, or hangs from it: the rod carries its weight, and the others balance that.
+    least-norm solution when several exist. Each UAV then pulls against its rod and its own weight. A UAV whose
+    thrust is given, zero for one without motors, has what its vertical rod carries decided; the others balance that.
 
     Args:
         system: Physical parameters.
         rods_P: Rod directions from UAV to attachment point, (N, 3), payload frame, unit; straight down when None.
-        off: UAVs without thrust, 0-based; their rods are vertical.
+        thrusts: Thrusts that are given, N, by UAV, 0-based; these UAVs have vertical rods.
     Returns: State with the payload at the origin, input, tensions.
     Raises: ParameterError: no rod tensions balance the payload, or a UAV would have to push down.
     Source: docs/equations.md (18)-(19), (51).
@@ -53,13 +53,13 @@ def hover(system: System, rods_P: ArrayLike | None = None, off: Collection[int] 
     wrenches = np.concatenate([e, np.cross(rho, e)], axis=1).T
     target = np.array([0.0, 0.0, weight, 0.0, 0.0, 0.0])
     tensions = np.zeros(N)
-    idle = sorted(off)
-    led = np.setdiff1d(np.arange(N), idle)
-    for i in idle:
+    given = dict(thrusts or {})
+    led = np.setdiff1d(np.arange(N), sorted(given))
+    for i, thrust in given.items():
         if abs(e[i, 2]) < 1.0 - _BALANCE_TOLERANCE:
-            raise ParameterError(f"rods: expected a vertical one for UAV{i + 1} without thrust, got {e[i].tolist()}")
-        tensions[i] = -system.uavs[i].mass * system.gravity * e[i, 2]
-    carried = target - wrenches[:, idle] @ tensions[idle]
+            raise ParameterError(f"rods: expected a vertical one for UAV{i + 1} of given thrust, got {e[i].tolist()}")
+        tensions[i] = (thrust - system.uavs[i].mass * system.gravity) * e[i, 2]
+    carried = target - wrenches[:, sorted(given)] @ tensions[sorted(given)]
     tensions[led] = np.linalg.lstsq(wrenches[:, led], carried, rcond=None)[0]
     unbalanced = np.abs(wrenches @ tensions - target).max()
     if unbalanced > _BALANCE_TOLERANCE * max(weight, 1.0):

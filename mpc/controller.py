@@ -9,15 +9,14 @@ import numpy.typing as npt
 
 from model.arrays import Array, checked
 from model.discretisation import Discrete, euler, zero_order_hold
-from model.failure import failed_hover, failed_model
+from model.failure import failed_model
 from model.hover import Hover
 from model.linearisation import Linearisation, Model
-from model.parameters import ParameterError
 from model.state import LARGEST, input_indices
 from mpc import condensing
 from mpc.constraints import Affine, UserCosts, compile_constraints, pairs_of, rate_rows, separation_rows, tilt_states
 from mpc.cost import Cost
-from mpc.feedback import FeedbackError, TeamLaw
+from mpc.feedback import TeamLaw
 from mpc.prediction import Prediction, closed_loop, free_response, open_loop
 from mpc.qp import QP, Solution
 from mpc.regulation import CostToGo, Regulation
@@ -87,8 +86,8 @@ class Controller:
     ) -> None:
         if not owned or list(owned) != sorted(set(owned)) or not 0 <= owned[0] <= owned[-1] < model.system.N:
             raise SettingsError(f"owned: expected ascending indices below {model.system.N}, got {list(owned)}")
-        self.model = model
-        self._whole = model.system  # with all UAVs
+        self.model = self._whole = model
+        self._gone = self._off = self._released = frozenset[int]()
         self.settings = settings
         self.owned = tuple(owned)
         self.own = input_indices(self.owned)
@@ -172,29 +171,45 @@ class Controller:
         return self.regulation.cost_to_go(x0, x_ref, forces, instant)
 
     def without(self, uavs: Collection[int]) -> None:
-        """From now on some UAVs, 0-based, have no agent; see `Regulation.without`."""
-        self.regulation.without(uavs)
+        """From now on some UAVs, 0-based, have no agent: they follow the fail-safe, and are predicted so."""
+        self._gone = frozenset(uavs)
         self._answering = np.setdiff1d(self._others, input_indices(sorted(uavs)))
+        self._form()
 
     def fail(self, off: Collection[int], released: Collection[int]) -> None:
         """From now on some UAVs, 0-based, have no motors, and some of those are no longer on their rods.
 
-        Where the UAVs that are left have no hover, or none that they can stabilise, cost and control law stay what they
-        were before: the model alone knows.
+        Where the UAVs that are left cannot stabilise the team, cost and control law do not know; the model does.
 
         Args:
             off: UAVs without motors, the released ones among them.
             released: UAVs cut loose.
         Source: docs/equations.md (50), (51).
         """
-        self.model = failed_model(self._whole, off, released)
-        try:
-            hover = failed_hover(self._whole, off, released)
-            self.regulation.fail(self.model, hover, off, released)
-        except (ParameterError, FeedbackError):
-            return
-        self.cost = Cost(self.settings.weights, hover, off, released)
+        self._off, self._released = frozenset(off), frozenset(released)
+        self.model = failed_model(self._whole.system, off, released) if off else self._whole
+        self._form()
+
+    def _form(self) -> None:
+        self.regulation.form(self._gone, self._off, self._released)
+        self.cost = self.regulation.cost
         self._Q = np.concatenate([self.cost.Q[self._weighted], self._costs.weights])
+
+    def foreseen(self, prediction: Prediction, law: TeamLaw, inputs: Array) -> Array:
+        """Inputs of all UAVs over the horizon as this controller expects them, within bounds, (N_p, m).
+
+        Args:
+            prediction: Of the team.
+            law: The shared control law over the horizon.
+            inputs: Of the owned UAVs, (N_p, m_own).
+        Source: docs/equations.md (35), (36).
+        """
+        dX = free_response(prediction.A, prediction.W + (inputs - prediction.U_free) @ prediction.B.T)
+        U = np.empty_like(law.c)
+        U[:, self.own] = inputs
+        U[:, self._others] = law.inputs(self._others) + dX[:-1] @ law.K[self._others].T
+        limits, uavs = self.settings.limits, self._whole.system.N
+        return np.clip(U, limits.lower(uavs), limits.upper(uavs))
 
     def adapted(self, law: TeamLaw, discrete: Discrete, u0: Array, U: Array, columns: npt.NDArray[np.intp]) -> TeamLaw:
         """The law with corrections that make some inputs what they were announced to be, whatever law that was under.

@@ -5,6 +5,7 @@ u = u_rest + K (x - x_ref) + feedforward + c and takes the others' as announced;
 corrections are small, so little depends on the network.
 """
 
+import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
@@ -25,8 +26,12 @@ _DOUBLINGS = 20
 _CONVERGED = 1e-12
 # Of the cost per sampling period, squared, where without it the cost is infinite: 1e-4 forgets in 500 s at 50 ms.
 _DISCOUNT = 1.0 - 1e-4
-# Headings and the places of UAVs without agents stay as they are: eigenvalues of 1. A UAV that falls over has 1.1.
-_STABLE = 1.0 + 1e-3
+# Headings and the places of UAVs without agents stay as they are: growth of zero. A UAV that falls over has 2 1/s; of
+# what the linearisation leaves undecided, growth by e in 50 s is slow enough. 1/s.
+_GROWTH = 0.02
+# Largest gain over sqrt(Q / R), what a single integrator would get: 0.1 to 2 for teams that can be stabilised. Modes
+# that inputs reach through rounding alone ask for 500 and more.
+_GAIN = 100.0
 # Directions whose cost is below this share of the largest cost nothing (headings).
 _RANK = 1e-12
 
@@ -144,11 +149,14 @@ def regulator(
     kept = eigenvalues > _RANK * eigenvalues[-1]
     root = np.sqrt(eigenvalues[kept])[:, None] * vectors[:, kept].T @ T.T
     closed = A + B @ K[led] @ T
+    # Where no input reaches an unstable mode the recursion may still seem to end.
+    expected = "expected a team that a linear law can stabilise about hover"
     largest = float(np.abs(np.linalg.eigvals(closed)).max())
-    if not largest < _STABLE:
-        # Where no input reaches an unstable mode the recursion may still seem to end.
-        expected = "expected a team that a linear law can stabilise about hover"
+    if not largest < math.exp(_GROWTH * period_s):
         raise FeedbackError(f"{expected}, got a closed loop whose largest eigenvalue is {largest:.3g}")
+    gain = float(np.abs(K).max()) / math.sqrt(cost.Q.max() / cost.R.min())
+    if not gain < _GAIN:
+        raise FeedbackError(f"{expected}, got a gain {gain:.3g} times that of an integrator")
     for array in (K, P, root, T, A, closed, ahead, led):
         array.setflags(write=False)
     return Regulator(K=K, P=P, root=root, T=T, A=A, closed=closed, ahead=ahead, led=led)

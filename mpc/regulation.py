@@ -8,8 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from model.arrays import Array
+from model.failure import failed_hover, failed_model
 from model.hover import Hover
 from model.linearisation import Model
+from model.parameters import ParameterError
+from model.state import input_slice
 from mpc.constraints import UserCosts
 from mpc.cost import Cost
 from mpc.fail_safe import FailSafe
@@ -45,70 +48,64 @@ class Regulation:
     Raises: FeedbackError: the settings want a regulator and none stabilises the team.
 
     Attributes:
+        hover: Of the team that is left.
+        cost: The same.
         regulator: None where the settings use none.
     """
 
     def __init__(self, model: Model, hover: Hover, settings: ControllerSettings, X_ref: Array | None = None) -> None:
-        self._model, self._hover, self._settings = model, hover, settings
-        self._cost, self._user_costs = Cost(settings.weights, hover), UserCosts(settings.costs, model)
+        self._whole, self._whole_hover = model, hover
+        self._settings, self._user_costs = settings, UserCosts(settings.costs, model)
         self._fail_safe = FailSafe(model.system, hover.u)
-        self._alone: dict[int, Array] = {}  # feedback of the UAVs left to the fail-safe
-        self._off: frozenset[int] = frozenset()  # UAVs without motors, the released ones among them
-        self._released: frozenset[int] = frozenset()
-        self._target: Target | None = None
-        self._by_forces: tuple[Array, Array] | None = None
         self._X_ref = X_ref if settings.preview else None
         self._preview: Preview | None = None
         self.regulator: Regulator | None = None
-        if settings.prediction == "closed_loop" or settings.terminal == "riccati":
-            self._regulate()
+        self._target: Target | None = None
+        self._by_forces: tuple[Array, Array] | None = None
+        self._form(frozenset(), frozenset(), frozenset())
 
     @property
     def target(self) -> Target:
         """Where the team is to rest under external forces; found when it is first asked for."""
         if self._target is None:
-            self._target = target(self._model, self._hover, self._cost, self._led_alone, self._off, self._released)
+            self._target = target(self._model, self.hover, self.cost, self._alone, self._off, self._released)
         return self._target
 
-    def without(self, uavs: Collection[int]) -> None:
-        """From now on some UAVs, 0-based, have no agent: they follow the fail-safe, and are predicted so.
+    def form(self, gone: Collection[int], off: Collection[int], released: Collection[int]) -> None:
+        """From now on this is the team; what all share depends on nothing else, so that all agents share it.
 
-        Source: docs/equations.md (40), (45).
-        """
-        self._alone = {uav: self._fail_safe.gain(uav) for uav in uavs}
-        self._target = self._by_forces = None
-        if self.regulator is not None:
-            # Where the others cannot stabilise what is left, the regulator of the whole team stays.
-            with contextlib.suppress(FeedbackError):
-                self._regulate()
-
-    def fail(self, model: Model, hover: Hover, off: Collection[int], released: Collection[int]) -> None:
-        """From now on some UAVs, 0-based, have no motors, and some of those are no longer on their rods.
+        UAVs without an agent follow the fail-safe, and are predicted so. Where the UAVs that are left have no hover or
+        cannot stabilise the team, the regulator is that of a team without the lost agents, else of one without the
+        failures, else of the whole one.
 
         Args:
-            model: Of the team as it is now (`model.failure.failed_team`).
-            hover: Its equilibrium.
-            off: UAVs without motors, the released ones among them.
+            gone: UAVs without an agent, 0-based.
+            off: UAVs without motors, those cut loose among them.
             released: UAVs cut loose.
-        Raises: FeedbackError: the UAVs that are left cannot stabilise the team; nothing has changed then.
-        Source: docs/equations.md (50), (51).
+        Source: docs/equations.md (40), (45), (50), (51).
         """
-        before = self._model, self._hover, self._cost, self._off, self._released
-        self._model, self._hover = model, hover
-        self._off, self._released = frozenset(off), frozenset(released)
-        self._cost = Cost(self._settings.weights, hover, off, released)
-        self._target = self._by_forces = None
-        if self.regulator is not None:
-            try:
-                self._regulate()
-            except FeedbackError:
-                self._model, self._hover, self._cost, self._off, self._released = before
-                raise
+        none: frozenset[int] = frozenset()
+        gone, off, released = frozenset(gone), frozenset(off), frozenset(released)
+        for team in ((gone, off, released), (none, off, released), (gone, none, none)):
+            with contextlib.suppress(FeedbackError, ParameterError):
+                return self._form(*team)
+        return self._form(none, none, none)
 
-    @property
-    def _led_alone(self) -> dict[int, Array]:
-        """Feedback of the UAVs that follow the fail-safe: without motors there is none."""
-        return {uav: gain for uav, gain in self._alone.items() if uav not in self._off}
+    def _form(self, gone: frozenset[int], off: frozenset[int], released: frozenset[int]) -> None:
+        """Raises: ParameterError, FeedbackError: there is no hover, or no regulator."""
+        self._off, self._released = off, released
+        # Without motors there is no fail-safe either.
+        self._alone = {uav: self._fail_safe.gain(uav) for uav in gone - off}
+        self._model, self.hover = self._whole, self._whole_hover
+        if off:
+            system, u = self._whole.system, self._whole_hover.u
+            held = {uav: float(u[input_slice(uav)][0]) for uav in self._alone}
+            self._model = failed_model(system, off, released)
+            self.hover = failed_hover(system, off, released, held)
+        self.cost = Cost(self._settings.weights, self.hover, off, released)
+        self._target = self._by_forces = None
+        if self._settings.prediction == "closed_loop" or self._settings.terminal == "riccati":
+            self._regulate()
 
     def law(self, x0: Array, x_ref: Array, c: Array, forces: Array | None, start: int) -> TeamLaw | None:
         """The shared control law over the horizon; None with open-loop prediction.
@@ -123,7 +120,7 @@ class Regulation:
         """
         if self.regulator is None or self._settings.prediction != "closed_loop":
             return None
-        u_rest, error = self._hover.u, x0 - x_ref
+        u_rest, error = self.hover.u, x0 - x_ref
         feedforward = self.feedforward(start, len(x_ref))
         if forces is not None:
             u_rest, error = u_rest + self.target.M_u @ forces, error - self.target.M_x @ forces
@@ -164,12 +161,10 @@ class Regulation:
         return self._preview.feedforward[self._within(start, steps)]
 
     def _regulate(self) -> None:
-        further = self._user_costs.about(self._hover.x)
+        further = self._user_costs.about(self.hover.x)
         period_s = self._settings.sampling_period_s
-        found = regulator(
-            self._model, self._hover, self._cost, period_s, self._led_alone, further, self._off, self._released
-        )
-        self.regulator, self._by_forces = found, None
+        found = regulator(self._model, self.hover, self.cost, period_s, self._alone, further, self._off, self._released)
+        self.regulator = found
         if self._X_ref is not None:
             # The outputs follow the reference exactly; the user's terms have values of their own along it.
             values = np.array([self._user_costs.at(x).value for x in self._X_ref])
@@ -187,9 +182,9 @@ class Regulation:
         Source: docs/equations.md (40a).
         """
         if self._by_forces is None:
-            C = self._model.linearise(self._hover.x, self._hover.u).C
-            missed = C.T @ (self._cost.Q[:, None] * (C @ self.target.M_x))
-            further = self._user_costs.about(self._hover.x)
+            C = self._model.linearise(self.hover.x, self.hover.u).C
+            missed = C.T @ (self.cost.Q[:, None] * (C @ self.target.M_x))
+            further = self._user_costs.about(self.hover.x)
             missed = missed + further.T @ (further @ self.target.M_x)
             p = at_rest(regulator, regulator.T.T @ missed)
             feedforward = np.zeros_like(self.target.M_u)

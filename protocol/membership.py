@@ -17,10 +17,11 @@ class Membership:
         version: Of the newest roster, 0 before the first.
         agents: Agents on it.
         since: From which tick on each of them is on the roster in its present incarnation.
+        failed_since: Tick of the newest failure of a UAV, 0 before the first.
     """
 
     def __init__(self) -> None:
-        self.version = 0
+        self.version = self.failed_since = 0
         self.since: dict[int, int] = {}
         self._incarnations: dict[int, int] = {}
         self._newest: dict[int, int] = {}  # highest incarnation ever on a roster
@@ -60,7 +61,10 @@ class Membership:
 
     def failed_at(self, version: int) -> tuple[frozenset[int], frozenset[int]]:
         """UAVs, 0-based, whose motors are off by the roster of a version, and those of them that are released."""
-        roster = self._roster_at(version)
+        return self._failed(self._roster_at(version))
+
+    @staticmethod
+    def _failed(roster: Roster | None) -> tuple[frozenset[int], frozenset[int]]:
         if roster is None:
             return frozenset(), frozenset()
         return frozenset(uav - 1 for uav in roster.off), frozenset(uav - 1 for uav in roster.released)
@@ -83,6 +87,9 @@ class Membership:
         """
         if roster.version <= self.version:
             raise MessageError("past", f"roster of version {roster.version} after version {self.version}")
+        newest = self._history.get(max(self._history))
+        if self._failed(roster) != self._failed(newest):
+            self.failed_since = roster.tick
         self.version = roster.version
         self._history[roster.version] = roster
         before = self._incarnations

@@ -95,7 +95,7 @@ def test_hanging_or_upright_is_the_same_for_the_payload() -> None:
     """A dead UAV below its corner pulls with its weight as one above it pushes."""
     rods = np.tile([0.0, 0.0, 1.0], (4, 1))
     rods[DEAD] *= -1.0
-    upright, hanging = failed_hover(table_1(), {DEAD}, set()), hover(table_1(), rods, {DEAD})
+    upright, hanging = failed_hover(table_1(), {DEAD}, set()), hover(table_1(), rods, {DEAD: 0.0})
     np.testing.assert_allclose(upright.u, hanging.u, atol=FORCE_TOLERANCE_N)
     assert hanging.tensions[DEAD] == pytest.approx(WEIGHT_N)
     assert np.abs(Model(table_1()).derivative(hanging.x, hanging.u)).max() < AT_REST
@@ -110,7 +110,7 @@ def test_inclined_rods_do_not_relieve_the_opposite_one(angle_deg: float) -> None
         rods[i] = math.cos(math.radians(angle_deg)) * rods[i] - math.sin(math.radians(angle_deg)) * (
             outwards / np.linalg.norm(outwards)
         )
-    at = hover(table_1(), rods, {DEAD})
+    at = hover(table_1(), rods, {DEAD: 0.0})
     assert thrusts(at.u)[OPPOSITE] == 0.0
     assert (thrusts(at.u)[list(NEIGHBOURS)] > 3.0 * WEIGHT_N + 0.05).all()
 
@@ -150,8 +150,8 @@ def test_a_thrustless_uav_needs_a_vertical_rod() -> None:
     """The rod of a UAV without thrust carries its weight along itself only."""
     rods = np.tile([0.0, 0.0, 1.0], (4, 1))
     rods[DEAD] = [0.6, 0.0, 0.8]
-    with pytest.raises(ParameterError, match="expected a vertical one for UAV3 without thrust"):
-        hover(table_1(), rods, {DEAD})
+    with pytest.raises(ParameterError, match="expected a vertical one for UAV3 of given thrust"):
+        hover(table_1(), rods, {DEAD: 0.0})
 
 
 def moving(system: System) -> tuple[Array, Array]:

@@ -10,11 +10,13 @@ from model.arrays import Array
 from model.discretisation import zero_order_hold
 from model.failure import failed_hover, failed_model
 from model.hover import hover
+from model.linearisation import Model
 from model.parameters import System, table_1
 from model.state import input_indices
 from mpc.controller import Controller
 from mpc.cost import Cost
 from mpc.feedback import FeedbackError, Regulator, regulator, tangent
+from mpc.regulation import Regulation
 from mpc.settings import ControllerSettings, Weights
 from tests.model.test_failure import DEAD, OPPOSITE, larger, tilted
 from tests.mpc.systems import paper_setup
@@ -91,7 +93,7 @@ def test_four_with_the_dead_one_hanging_are_at_a_bound() -> None:
     """A dead UAV below its corner leaves an unstable mode that has an input, and zero thrust to steer it with."""
     rods = np.tile([0.0, 0.0, 1.0], (4, 1))
     rods[DEAD] *= -1.0
-    at = hover(table_1(), rods, {DEAD})
+    at = hover(table_1(), rods, {DEAD: 0.0})
     growth, margin = control_margin(table_1(), at.x, at.u)
     assert growth == pytest.approx(np.exp(2.193 * PERIOD_S), rel=1e-3)
     assert margin > CONTROLLABLE
@@ -120,13 +122,35 @@ def test_where_nothing_helps_the_control_law_stays(released: set[int]) -> None:
     controller = Controller(setup.model, setup.hover, CLOSED, [3])
     before, cost = controller.regulation.regulator, controller.cost
     controller.fail(released or {DEAD}, released)
-    assert controller.regulation.regulator is before
-    assert controller.cost is cost
+    after = controller.regulation.regulator
+    assert before is not None
+    assert after is not None
+    np.testing.assert_array_equal(after.K, before.K)
+    np.testing.assert_array_equal(controller.cost.Q, cost.Q)
     assert (
         not controller.model.linearise(setup.hover.x, setup.hover.u)
         .B_c[:, input_indices(sorted(released or {DEAD}))]
         .any()
     )
+
+
+def test_uavs_on_the_fail_safe_keep_their_thrust() -> None:
+    """Of six, UAV 3 cut loose and agent 2 dead: its UAV keeps the whole team's hover thrust, the others hold the rest.
+
+    docs/equations.md (31), (51).
+    """
+    system = larger(6)
+    whole = hover(system)
+    regulation = Regulation(Model(system), whole, CLOSED)
+    regulation.form([1], [DEAD], [DEAD])
+    lift_N, at = regulation.hover.u[::4], regulation.hover
+    assert lift_N[1] == pytest.approx(whole.u[4], abs=1e-9)
+    assert lift_N[DEAD] == 0.0
+    left_kg = system.total_mass - system.uavs[DEAD].mass
+    assert lift_N.sum() == pytest.approx(left_kg * system.gravity, rel=1e-6)
+    held = failed_model(system, {DEAD}, {DEAD}).derivative(at.x, at.u)
+    assert np.abs(held[state.V0]).max() < 1e-4
+    assert np.abs(held[state.OMEGA0]).max() < 1e-4
 
 
 def test_at_hover_nothing_is_to_be_corrected() -> None:

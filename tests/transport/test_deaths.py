@@ -1,0 +1,58 @@
+"""An agent that dies for good: the others bring the load home, also when they did not have its last plan."""
+
+import numpy as np
+import pytest
+
+from model.state import StateView
+from protocol.messages import Control, Message, Truth
+from protocol.scenario_file import find_scenario, read_scenario
+from protocol.setup import Setup
+from transport.memory import fly
+
+# Payload attitude in a run with a death, deg.
+LARGEST_DEG = 10.0
+CONTINUE = "clock.on_agent_loss=continue"
+ON_CHANGE = "controller.share=on_change"
+POOR = ("links.delay_s=0.2", "links.loss=0.3")
+QUIET = (
+    "maneuver.phase=[{name='hover',duration_s=0.5,displacement_m=[0,0,0]},"
+    "{name='climb',duration_s=1.0,displacement_m=[0,0,-0.5]},"
+    "{name='translate',duration_s=1.0,displacement_m=[0.5,0,0]},"
+    "{name='hover',duration_s=3.0,displacement_m=[0,0,0]}]"
+)
+
+
+def flown(*settings: str) -> tuple[Control, np.ndarray]:
+    """A run of `resilient` in memory: its end, and the largest roll or pitch of the payload at each tick, deg."""
+    run = Setup.of(read_scenario(find_scenario("resilient"), [CONTINUE, *settings]), "resilient")
+    messages: list[Message] = []
+    end = fly(run, messages.append)
+    x = np.array([message.x for message in messages if isinstance(message, Truth)])
+    return end, np.abs(np.degrees(StateView(x).Theta0[:, :2])).max(axis=1)
+
+
+def killed(agent: int, at_s: float) -> str:
+    """The setting of a death for good."""
+    return f"faults.event=[{{at_s={at_s},do='kill',target='agent{agent}'}}]"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("agent", "at_s"), [(4, 12.6), (2, 6.9)])
+def test_three_bring_the_load_home(agent: int, at_s: float) -> None:
+    """In the paper's maneuver one agent of four dies for good, and the payload stays within 10 deg."""
+    end, attitude_deg = flown(killed(agent, at_s))
+    assert end.outcome == "completed"
+    assert attitude_deg.max() < LARGEST_DEG
+
+
+@pytest.mark.parametrize("network", [(), POOR], ids=["perfect", "poor"])
+def test_an_agent_whose_last_plan_nobody_has(network: tuple[str, ...]) -> None:
+    """With plans sent on change the last plan of a dead agent is unshared: what it plays on is foreseen, (32b).
+
+    Killed shortly after the first hover, in which nothing is sent; the payload comes to rest as if all were sent.
+    """
+    for share in ("controller.share=always", ON_CHANGE):
+        end, attitude_deg = flown(QUIET, killed(2, 1.0), share, *network)
+        assert end.outcome == "completed"
+        assert attitude_deg.max() < LARGEST_DEG / 2.0, share
+        assert attitude_deg[-10:].max() < 2.0, share
