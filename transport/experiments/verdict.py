@@ -15,8 +15,9 @@ BUDGETS = {
     AGENT: "same computation of one agent",
 }
 
-# Difference of the mean cost up to which a controller is slightly better or worse, and beyond which it is much.
-_SLIGHT, _MUCH = 0.1, 0.5
+# Difference of the mean cost up to which controllers are equal, up to which one is slightly better or worse, and beyond
+# which it is much.
+_EQUAL, _SLIGHT, _MUCH = 0.005, 0.1, 0.5
 
 # From the best to the worst: a range of ratios covers all words between its ends.
 WORDS = (
@@ -82,9 +83,9 @@ def word(ratio: float) -> str:
     """One of `WORDS` for a mean cost over the centralized controller's; infinite where runs diverged."""
     if math.isinf(ratio):
         return "diverged"
-    if ratio == 1.0:
-        return "equal"
     share = abs(ratio - 1.0)
+    if share <= _EQUAL:
+        return "equal"
     # Rounded: 1.1 is 10 % more, though its difference to 1 is above 0.1 in binary.
     how = "slightly " if round(share, 9) <= _SLIGHT else "" if round(share, 9) <= _MUCH else "much "
     return how + ("worse" if ratio > 1.0 else "better")
@@ -113,6 +114,9 @@ def verdicts(curves: Sequence[Curve], loads: Sequence[Load], reference: Cell) ->
         told.add((curve.controller, curve.weather))
         if own:
             spans |= {budget: equal_periods(own, budget) for budget in (TEAM, AGENT)}
+        else:
+            tried_s = [node.cell.period_s for node in curve.nodes if node.flights]
+            spans |= dict.fromkeys((TEAM, AGENT), Span(min(tried_s), max(tried_s)))
         found += [
             Verdict(
                 controller=curve.controller,
@@ -120,7 +124,7 @@ def verdicts(curves: Sequence[Curve], loads: Sequence[Load], reference: Cell) ->
                 budget=budget,
                 kept=curve.kept,
                 periods=span,
-                ratios=curve.cost_range(span),
+                ratios=curve.cost_range(span) if own else (math.inf, math.inf),
             )
             for budget, span in spans.items()
         ]

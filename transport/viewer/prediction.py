@@ -41,11 +41,11 @@ class Predictor:
             record: What was said.
             agent: 1-based.
             tick: k.
-        Returns: At ticks k..k + N_p, (N_p + 1, n); None if the agent made no plan at k.
+        Returns: At ticks k..k + N_p, (N_p + 1, n); None if the agent made no plan at k, or the team was not whole then.
         Source: docs/equations.md (32), (35).
         """
         own, truth = record.plan(agent, tick), record.truths.get(tick)
-        if own is None or truth is None:
+        if own is None or truth is None or not record.is_whole(tick):
             return None
         setup, report = self._setup, record.report(agent, tick)
         announced = AnnouncedInputs(

@@ -93,8 +93,17 @@ class Record:
 
     def members(self, tick: int) -> frozenset[int]:
         """Agents on the roster at a tick; all of them as long as nothing is known."""
+        roster = self._roster(tick)
+        return frozenset(self._setup.agents if roster is None else roster.agents)
+
+    def is_whole(self, tick: int) -> bool:
+        """Whether at a tick every agent is on the roster and every UAV has its motors."""
+        roster = self._roster(tick)
+        return roster is None or (set(roster.agents) == set(self._setup.agents) and not roster.off)
+
+    def _roster(self, tick: int) -> Roster | None:
         known = [roster for since, roster in self._rosters if since <= tick]
-        return frozenset(max(known, key=lambda r: r.version).agents if known else self._setup.agents)
+        return max(known, key=lambda roster: roster.version, default=None)
 
 
 def _said(change: LinkChange) -> str:

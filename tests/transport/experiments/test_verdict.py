@@ -189,12 +189,17 @@ def test_verdicts_follow_from_curves_and_loads() -> None:
 
 
 def test_a_diverging_team_has_no_computation() -> None:
-    """Periods with a diverged run do not count as periods of the same computation; without any other there is none."""
+    """Periods with a diverged run do not count as periods of the same computation; without any other all diverge."""
     costs = {0.1: math.inf, 0.05: 1.3, 0.025: 0.9}
     _, team, agent = verdicts([curve(PAPER, STEPS, costs)], measured(*costs), REFERENCE)
     assert team.words == "computes more wherever it completes"
     assert agent.words == "slightly worse to slightly better"
-    (same_rate,) = verdicts([curve(PAPER, STEPS, dict.fromkeys(costs, math.inf))], measured(*costs), REFERENCE)
-    assert (same_rate.budget, same_rate.words) == (SAME_RATE, "diverged")
+    diverged = verdicts([curve(PAPER, STEPS, dict.fromkeys(costs, math.inf))], measured(*costs), REFERENCE)
+    assert [(verdict.budget, verdict.words) for verdict in diverged] == [
+        (SAME_RATE, "diverged"),
+        (TEAM, "diverged"),
+        (AGENT, "diverged"),
+    ]
     statement = '"slightly worse at the same rate": does not hold (diverged in still air)'
-    assert statements([same_rate]) == [statement]
+    assert statements(diverged)[0] == statement
+    assert all("does not hold" in text for text in statements(diverged))
