@@ -11,7 +11,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -325,13 +325,18 @@ SECTIONS = (
 )
 
 
-def fly(section: Section) -> list[str]:
-    """Run an experiment as far as this commit has not run it, and return the sentences it ends with."""
+def fly(section: Section, renewed: Collection[str]) -> list[str]:
+    """Run an experiment as far as this commit has not run it, and return the sentences it ends with.
+
+    Args:
+        section: Of the experiment.
+        renewed: Experiments that are run again if they are of another commit; none for all.
+    """
     sys.stderr.write(f"experiment {section.name}\n")
     folder, now = RUNS / section.name, commit()
-    if folder.exists() and commit_of(section) != now:
-        shutil.rmtree(folder)
-    _commit_file(section).write_text(now, encoding="utf-8")
+    if not folder.exists() or (commit_of(section) != now and (not renewed or section.name in renewed)):
+        shutil.rmtree(folder, ignore_errors=True)
+        _commit_file(section).write_text(now, encoding="utf-8")
     command = ["transport", "experiment", section.name, *section.arguments, "--out", str(folder)]
     executable = str(Path(sys.executable).parent / "transport")
     done = subprocess.run([executable, *command[1:]], stdout=subprocess.PIPE, text=True, check=True, cwd=ROOT)
@@ -503,12 +508,16 @@ def moving_picture() -> None:
 
 
 def main() -> None:
-    """Fly, draw, write."""
+    """Run the experiments, or the named ones alone where the others have results; draw, write."""
+    renewed = sys.argv[1:]
+    strange = set(renewed) - {section.name for section in SECTIONS}
+    if strange:
+        raise SystemExit(f"expected names of experiments, got {', '.join(sorted(strange))}")
     IMAGES.mkdir(parents=True, exist_ok=True)
     RUNS.mkdir(parents=True, exist_ok=True)
     figures_of_a_run()
     moving_picture()
-    flown = [(section, fly(section), machine_of(section)) for section in SECTIONS]
+    flown = [(section, fly(section, renewed), machine_of(section)) for section in SECTIONS]
     PAGE.write_text(page(flown), encoding="utf-8")
     put(README, "network", at_a_glance())
     put(README, "claim", claim())
