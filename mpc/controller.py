@@ -88,6 +88,7 @@ class Controller:
             raise SettingsError(f"owned: expected ascending indices below {model.system.N}, got {list(owned)}")
         self.model = self._whole = model
         self._gone = self._off = self._released = frozenset[int]()
+        self._relaxation = settings.relaxation
         self.settings = settings
         self.owned = tuple(owned)
         self.own = input_indices(self.owned)
@@ -173,6 +174,9 @@ class Controller:
     def without(self, uavs: Collection[int]) -> None:
         """From now on some UAVs, 0-based, have no agent: they follow the fail-safe, and are predicted so."""
         self._gone = frozenset(uavs)
+        # UAVs without agents are in the others' way: several correct the same distances, each its share of them.
+        share = len(self.owned) / self._whole.system.N if uavs and self.settings.prediction == "closed_loop" else 1.0
+        self._relaxation = min(self.settings.relaxation, share)
         self._answering = np.setdiff1d(self._others, input_indices(sorted(uavs)))
         self._form()
 
@@ -357,7 +361,7 @@ class Controller:
                 before, which starts from nothing. None for a controller that has always been there.
         Source: docs/equations.md (30a), (36a).
         """
-        w = self.settings.relaxation
+        w = self._relaxation
         if earlier is not None:
             w = max(w, 1.0 / (earlier + 1))
         optimum = self._optimum(solution, prediction, U, law, w)
