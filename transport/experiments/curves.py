@@ -40,6 +40,9 @@ _ABOVE = 1.1
 # A mean so many times the median makes the axis logarithmic; it then shows this share of the highest at least.
 _DWARFS, _SHOWN = 5.0, 0.01
 
+# More values than this have ticks at round numbers instead of one each.
+_MOST_TICKS = 10
+
 
 def draw_curves(figure: "Figure", experiment: Experiment, measured: Sequence[Measured]) -> None:
     """A column of panels for each scenario, or one column for all when each is a single curve.
@@ -65,8 +68,8 @@ def draw_curves(figure: "Figure", experiment: Experiment, measured: Sequence[Mea
         apart = _APART * max(places.values()) if len(columns) > 1 else 0.0
         for index, (name, points) in enumerate(curves.items()):
             style = dict(zip(("color", "marker", "linestyle"), CURVES[index % len(CURVES)], strict=True))
-            if isinstance(values[0], str):
-                style["linestyle"] = "none"  # nothing lies between two names
+            if isinstance(values[0], str) or len(values) > _MOST_TICKS:
+                style["linestyle"] = "none"  # nothing lies between two names, or between random instants
             shift = apart * (index - (len(curves) - 1) / 2.0)
             x = [places[m.point.labels[experiment.x.label]] + shift for m in points]
             if some_lost:
@@ -74,7 +77,10 @@ def draw_curves(figure: "Figure", experiment: Experiment, measured: Sequence[Mea
             for panel, (_, number, factor) in zip(column[some_lost:], _PANELS, strict=True):
                 _draw_means(panel, x, points, number, factor, {**style, "label": name})
         column[-1].set_xlabel(experiment.x.title)
-        column[-1].set_xticks(list(places.values()), [_tick(value, experiment.x.factor) for value in values])
+        if len(values) <= _MOST_TICKS:
+            column[-1].set_xticks(list(places.values()), [_tick(value, experiment.x.factor) for value in values])
+        else:
+            column[-1].xaxis.set_major_formatter(lambda value, _: _tick(value, experiment.x.factor))
         if len(columns) > 1:
             column[0].set_title(names[0])
     for panel, (title, number, factor) in zip(panels[some_lost:, 0], _PANELS, strict=True):

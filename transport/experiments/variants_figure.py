@@ -14,6 +14,8 @@ _STYLES = (("#0072B2", "o"), ("#D55E00", "s"), ("#009E73", "^"), ("#CC79A7", "D"
 _ROW_IN, _FRAME_IN = 0.19, 1.1
 # Lost flights are drawn this far right of everything, and means beyond this are not worth a longer axis.
 _LOST, _HIGHEST = 1.35, 100.0
+# Ratios that span less than this have ticks within 1, 2, 5.
+_NARROW, _FINE_TICKS = 3.0, (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.4, 1.6, 1.8, 2.0, 2.5, 3.0)
 
 
 def draw_variants(figure: "Figure", measured: Sequence[Measured]) -> None:
@@ -23,6 +25,7 @@ def draw_variants(figure: "Figure", measured: Sequence[Measured]) -> None:
         figure: To draw into; its size is set.
         measured: Points with the label "network", and others that name the variant.
     """
+    from matplotlib.ticker import FixedLocator
     from matplotlib.transforms import blended_transform_factory
 
     scenarios = list(dict.fromkeys(m.point.scenario for m in measured))
@@ -50,9 +53,9 @@ def draw_variants(figure: "Figure", measured: Sequence[Measured]) -> None:
                     label = None
                 if m.completed < m.flights:
                     text = (
-                        f"{m.flights - m.completed} of {m.flights} lost"
+                        f"{m.flights - m.completed} of {m.flights} diverged"
                         if m.flights > 1
-                        else f"lost at {m.lost_s[0]:.1f} s"
+                        else f"diverged at {m.lost_s[0]:.1f} s"
                     )
                     panel.text(1.01, y, text, transform=across, va="center", fontsize=6.5, color=colour)
         panel.axvline(1.0, color="#8c8c8c", linewidth=0.8, zorder=0)
@@ -61,6 +64,8 @@ def draw_variants(figure: "Figure", measured: Sequence[Measured]) -> None:
         panel.set_xscale("log")
         panel.set_xlim(low / 1.15, high * 1.15)
         label_decades(panel.xaxis)
+        if high / low < _NARROW:
+            panel.xaxis.set_major_locator(FixedLocator(_FINE_TICKS))
         panel.set_title(scenario, loc="left")
     panels[-1].set_xlabel("mean cost over that as it is on a perfect network")
     handles, labels = panels[-1].get_legend_handles_labels()
