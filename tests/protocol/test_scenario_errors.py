@@ -401,6 +401,15 @@ def test_the_last_setting_is_blamed() -> None:
     assert refusal(PAPER, *whole) == last  # the first was overwritten, the third is about something else
 
 
+def test_settings_that_contradict_the_cost_to_go() -> None:
+    """The cost-to-go prices deviations from hover, and a preview without law and cost-to-go would have no effect."""
+    priced = refusal(PAPER, "controller.terminal=riccati", "controller.weights.priced=absolute")
+    expected = "expected 'deviation' with controller.terminal = 'riccati', whose optimum rests at hover, got 'absolute'"
+    assert priced == f"--set controller.weights.priced=absolute: {expected}"
+    alone = refusal(PAPER, "controller.preview=true")
+    assert alone.startswith("--set controller.preview=true: expected controller.prediction = 'closed_loop' or ")
+
+
 @pytest.mark.parametrize(("setting", "problem"), WRONG_SETTINGS)
 def test_wrong_setting(setting: str, problem: str) -> None:
     """A setting that names no place in the scenario is refused on one line that repeats it."""

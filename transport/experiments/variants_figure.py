@@ -12,8 +12,8 @@ if TYPE_CHECKING:
 # Colour (Okabe and Ito 2008) and marker of each network.
 _STYLES = (("#0072B2", "o"), ("#D55E00", "s"), ("#009E73", "^"), ("#CC79A7", "D"))
 _ROW_IN, _FRAME_IN = 0.19, 1.1
-# Lost flights are drawn this far right of everything, and means beyond this are not worth a longer axis.
-_LOST, _HIGHEST = 1.35, 100.0
+# Means beyond this are not worth a longer axis.
+_HIGHEST = 100.0
 # Ratios that span less than this have ticks within 1, 2, 5.
 _NARROW, _FINE_TICKS = 3.0, (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.4, 1.6, 1.8, 2.0, 2.5, 3.0)
 
