@@ -209,7 +209,7 @@ def test_rights_are_those_of_the_keys() -> None:
 
 
 def test_no_agent_may_listen_to_unshared_plans() -> None:
-    """Only plant, coordinator, recorder and whoever looks on may subscribe to plans that are not shared."""
+    """Only plant, coordinator, recorder and observers may subscribe to plans that are not shared."""
     rules = access_control(TEAM, KEYS.prefix, "cert_common_names")
     by_id = {rule["id"]: rule for rule in rules["rules"]}
     may_listen = set()

@@ -62,7 +62,7 @@ def test_a_released_rod_hangs_down() -> None:
     assert not hung[3:].any()
     others = np.delete(np.arange(len(record[AT].x)), np.arange(60)[state.uav_slice(UAV)])
     np.testing.assert_array_equal(record[AT].x[others], before[AT].x[others])
-    # Three at the thrust of four sink by (3 - 3 x 7.36 / 9.81) kg g; nobody has told them yet.
+    # Three at the thrust of four sink by (3 - 3 x 7.36 / 9.81) kg g; no roster has told them yet.
     assert record[-1].x[5] > 0.1
 
 

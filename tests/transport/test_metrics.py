@@ -168,7 +168,7 @@ def test_a_perfect_network_loses_nothing() -> None:
 
 
 def test_unshared_plans_are_not_messages_between_agents() -> None:
-    """Plans that only plant and coordinator got count as planned, and as sent to nobody."""
+    """Plans that only plant and coordinator received count as planned, and not as sent."""
     messages = [
         replace(message, shared=message.tick != 2) if isinstance(message, Plan) else message for message in perfect(5)
     ]
