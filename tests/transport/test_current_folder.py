@@ -20,6 +20,12 @@ def folder(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     return tmp_path
 
 
+def imported(folder: Path) -> subprocess.CompletedProcess[str]:
+    """Import the project with a folder on the path, as `python -c` and notebooks do."""
+    command = [sys.executable, "-c", "import transport"]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+
+
 def test_a_run_does_not_import_from_the_current_folder(folder: Path) -> None:
     """The installed command completes a run, with every child process started in that folder."""
     words = ["run", "paper", *settings(SHORT), "--out", "out", "--no-figures"]
@@ -31,14 +37,7 @@ def test_a_run_does_not_import_from_the_current_folder(folder: Path) -> None:
 
 def test_an_import_names_the_file_that_hides_a_package(folder: Path) -> None:
     """Where the current folder is on the path, importing the project says which file hides which package."""
-    done = subprocess.run(
-        [sys.executable, "-c", "import transport"],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
+    done = imported(folder)
     (file,) = folder.rglob("*.py")
     assert done.returncode == 1
     last = done.stderr.splitlines()[-1]
@@ -49,13 +48,6 @@ def test_an_import_names_the_file_that_hides_a_package(folder: Path) -> None:
 def test_a_folder_without_code_hides_nothing_unnamed(tmp_path: Path) -> None:
     """A plain folder named like a package is either no obstacle or named as one."""
     (tmp_path / "plant").mkdir()
-    done = subprocess.run(
-        [sys.executable, "-c", "import transport"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
+    done = imported(tmp_path)
     named = f"payload-transport: {tmp_path / 'plant'} hides its package 'plant'"
     assert done.returncode == 0 or named in done.stderr
