@@ -10,7 +10,7 @@ from model.arrays import Array
 from model.state import input_indices
 from mpc.fail_safe import FailSafe
 from mpc.settings import Limits
-from protocol.messages import Plan
+from protocol.wire.messages import Plan
 
 # How a plan is laid along the horizon: shifted by its true age; by one tick, however old it is, as the paper has it; or
 # its input for now, held.

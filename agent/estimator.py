@@ -15,7 +15,7 @@ from agent.disturbance import DisturbanceEstimator
 from model import state
 from model.arrays import Array
 from model.linearisation import Model
-from protocol.messages import Measurement, Plan
+from protocol.wire.messages import Measurement, Plan
 
 # Ticks of the past that can still be corrected; an older state is no better than the prediction.
 WINDOW = 64

@@ -3,11 +3,11 @@
 import time
 
 from agent.node import AgentNode
-from protocol.messages import agent_name
-from protocol.outbox import EXIT_LOST
-from protocol.parent import stand_by
-from protocol.process import Place, run_node
-from protocol.setup import Setup
+from protocol.network.parent import stand_by
+from protocol.network.process import Place, run_node
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import agent_name
+from protocol.wire.outbox import EXIT_LOST
 
 
 def run(setup: Setup, place: Place, agent: int) -> int:
@@ -18,7 +18,7 @@ def run(setup: Setup, place: Place, agent: int) -> int:
         place: Where this process is.
         agent: Which agent, 1-based.
     Returns: Exit code.
-    Raises: BusError: see `protocol.process.run_node`.
+    Raises: BusError: see `protocol.network.process.run_node`.
     """
     node = AgentNode(setup, agent, place.incarnation, time.perf_counter_ns)
     node.warm_up()

@@ -28,11 +28,12 @@ from mpc.fail_safe import FailSafe
 from mpc.feedback import Regulator, TeamLaw
 from mpc.prediction import Prediction
 from mpc.regulation import CostToGo
-from protocol.arrivals import Arrivals
-from protocol.claims import Claims, check_moment, window
-from protocol.links import LinkChanges
-from protocol.membership import Membership
-from protocol.messages import (
+from protocol.admission.arrivals import Arrivals
+from protocol.admission.membership import Membership
+from protocol.admission.plausibility import Claims, check_moment, window
+from protocol.scenario.links import LinkChanges
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import (
     STAGES,
     Control,
     Event,
@@ -46,9 +47,8 @@ from protocol.messages import (
     StepReport,
     agent_name,
 )
-from protocol.outbox import Outbox, lost
-from protocol.rejections import Rejections
-from protocol.setup import Setup
+from protocol.wire.outbox import Outbox, lost
+from protocol.wire.rejections import Rejections
 
 # Integration steps for looking one period ahead with actuation "next_tick"; see `agent.estimator`.
 _AHEAD_STEPS = 2

@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from model.arrays import Array
-from protocol.scenario import ControllerSection
+from protocol.scenario.schema import ControllerSection
 
 
 class Sharing:

@@ -16,11 +16,11 @@ from model.compiled import compile_functions
 from mpc.controller import Controller, Linear
 from mpc.prediction import Prediction
 from mpc.qp import QP
-from protocol.messages import Message, StepReport
-from protocol.scenario_file import find_scenario, read_scenario
-from protocol.setup import Setup
-from protocol.team import resized
-from transport import memory
+from protocol.scenario.file import find_scenario, read_scenario
+from protocol.scenario.setup import Setup
+from protocol.scenario.team import resized
+from protocol.wire.messages import Message, StepReport
+from transport.flight import memory
 
 T = TypeVar("T")
 

@@ -13,9 +13,9 @@ from benchmarks.flights import messages, setup
 from benchmarks.page import Table
 from benchmarks.pipe import round_trips
 from benchmarks.timing import Times, digits, quiet
-from protocol.codec import encode
-from protocol.messages import Plan
-from transport import memory
+from protocol.wire.codec import encode
+from protocol.wire.messages import Plan
+from transport.flight import memory
 
 # Messages of a tick that wait for each other: tick, measurement, plan. A round trip is two.
 _IN_A_ROW = 3

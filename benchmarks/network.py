@@ -18,9 +18,9 @@ from typing import Any
 
 from benchmarks.page import BenchmarkError, Table
 from deploy.keys import LOOPBACK, OTHERS, make_certificates
-from protocol.process import process_names
-from protocol.scenario_file import find_scenario, read_scenario
-from transport.run import machine
+from protocol.network.process import process_names
+from protocol.scenario.file import find_scenario, read_scenario
+from transport.flight.run import machine
 
 # A secured run may cost a quarter of the plain one's pace, a flood half of it.
 KEYS_SHARE, FLOOD_SHARE = 0.75, 0.5
@@ -99,7 +99,7 @@ def _fly(folder: Path, name: str, keys: Path, count: int, settings: Sequence[str
     if SORTS[name]:
         at = [f"tls/127.0.0.1:{base + i}" for i in range(count)]
         own = [folder.name, "1", str(RATE_HZ), SORTS[name], str(keys), *at]
-        flood = subprocess.Popen([sys.executable, "-m", "tests.attack", *own], stdout=subprocess.PIPE)
+        flood = subprocess.Popen([sys.executable, "-m", "tests.support.attack", *own], stdout=subprocess.PIPE)
     try:
         done = subprocess.run(words, capture_output=True, text=True, check=False)
     finally:

@@ -10,12 +10,12 @@ from benchmarks.flights import messages, setup
 from benchmarks.page import BenchmarkError, Table
 from benchmarks.timing import WARM_UP, Times, digits, in_turns
 from plant.node import PlantNode
-from protocol.codec import decode, encode
-from protocol.gate import Gate
-from protocol.keys import Keys
-from protocol.messages import Message, Plan, Truth
-from protocol.rejections import Rejections
-from protocol.setup import Setup
+from protocol.admission.admission import Gate
+from protocol.scenario.setup import Setup
+from protocol.wire.codec import decode, encode
+from protocol.wire.keys import Keys
+from protocol.wire.messages import Message, Plan, Truth
+from protocol.wire.rejections import Rejections
 
 TEXT = (
     "Processor time, ms. The plant integrates one sampling period in steps of `plant.step_s`. A plan is of one UAV "

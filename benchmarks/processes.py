@@ -12,10 +12,10 @@ from typing import Any
 import tomli_w
 
 from benchmarks.page import BenchmarkError
-from protocol.health import command_of
-from protocol.process import mesh, process_names
-from protocol.setup import Setup
-from transport.harness import Harness, free_ports
+from protocol.network.health import command_of
+from protocol.network.process import mesh, process_names
+from protocol.scenario.setup import Setup
+from transport.flight.harness import Harness, free_ports
 
 # A run may take so long besides what it flies: sixteen agents need half a minute to start on two busy cores.
 _PATIENCE_S = 600.0

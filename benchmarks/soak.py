@@ -27,10 +27,10 @@ from tempfile import TemporaryDirectory
 from mcap.reader import make_reader
 
 from benchmarks.page import BenchmarkError, Table
-from protocol.health import command_of, usage
-from protocol.keys import RECORDER
-from transport import live
-from transport.run import machine
+from protocol.network.health import command_of, usage
+from protocol.wire.keys import RECORDER
+from transport.flight import live
+from transport.flight.run import machine
 
 # What is left out as the time in which caches fill.
 _WARM_UP = 0.1

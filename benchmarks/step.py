@@ -9,7 +9,7 @@ from benchmarks.flights import setup, step_times
 from benchmarks.page import Table
 from benchmarks.timing import Times, digits
 from model.arrays import Array
-from protocol.messages import STAGES
+from protocol.wire.messages import STAGES
 
 SHOWN = ("estimate", "linearise", "discretise", "condense", "solve")
 

@@ -25,10 +25,10 @@ from benchmarks.flights import setup
 from benchmarks.page import BenchmarkError, Table
 from benchmarks.timing import digits
 from model.arrays import Array
-from protocol.messages import Truth
-from protocol.setup import Setup
-from transport.harness import free_ports
-from transport.log import RunLog, read_log
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import Truth
+from transport.flight.harness import free_ports
+from transport.log.run_log import RunLog, read_log
 from transport.viewer.viewer import ViewerError, require_viser
 
 NOBODY = "nobody"

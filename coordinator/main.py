@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 
 from coordinator.node import CoordinatorNode
-from protocol.messages import agent_name
-from protocol.process import Place, run_node
-from protocol.setup import Setup
+from protocol.network.process import Place, run_node
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import agent_name
 
 
 def run(setup: Setup, place: Place, observers: Sequence[str] = ()) -> int:
@@ -16,7 +16,7 @@ def run(setup: Setup, place: Place, observers: Sequence[str] = ()) -> int:
         place: Where this process is.
         observers: Processes besides plant and agents that must be there before the first tick.
     Returns: Exit code.
-    Raises: BusError: see `protocol.process.run_node`.
+    Raises: BusError: see `protocol.network.process.run_node`.
     """
     node = CoordinatorNode(setup, place.incarnation, observers)
     team = ["plant", *[agent_name(agent) for agent in setup.agents]]

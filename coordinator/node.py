@@ -11,10 +11,11 @@ waiting  --everybody ready-->  running  --last tick answered and recorded-->  st
 import json
 from collections.abc import Sequence
 
-from protocol.claims import Claims, check_moment
-from protocol.faults import uav_faults, uav_name
-from protocol.links import LinkError, link_change
-from protocol.messages import (
+from protocol.admission.plausibility import Claims, check_moment
+from protocol.scenario.faults import uav_faults, uav_name
+from protocol.scenario.links import LinkError, link_change
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import (
     Control,
     Event,
     LinkChange,
@@ -29,9 +30,8 @@ from protocol.messages import (
     Truth,
     agent_name,
 )
-from protocol.outbox import EXIT_LOST, Outbox
-from protocol.rejections import Rejections
-from protocol.setup import Setup
+from protocol.wire.outbox import EXIT_LOST, Outbox
+from protocol.wire.rejections import Rejections
 
 # A process that wakes up so much later than it meant to was frozen, or had no processor to run on.
 _AWAY_NS = 200_000_000

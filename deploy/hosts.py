@@ -9,9 +9,9 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from protocol.keys import RECORDER, ROUTER
-from protocol.process import DEFAULT_BASE_PORT
-from protocol.session import Endpoints
+from protocol.network.process import DEFAULT_BASE_PORT
+from protocol.network.session import Endpoints
+from protocol.wire.keys import RECORDER, ROUTER
 
 
 class InventoryError(ValueError):

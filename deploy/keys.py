@@ -16,8 +16,8 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from protocol.keys import OPERATOR, RECORDER, ROUTER, WATCHER
-from protocol.security import AUTHORITY, USERS
+from protocol.network.security import AUTHORITY, USERS
+from protocol.wire.keys import OPERATOR, RECORDER, ROUTER, WATCHER
 
 # The authority's own key: needed to sign more, and by no host.
 AUTHORITY_KEY = "ca.key"

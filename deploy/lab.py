@@ -24,11 +24,11 @@ from types import FrameType
 from deploy.hosts import Host, Inventory, Posting, postings
 from deploy.keys import LOOPBACK, OTHERS, KeysError, make_certificates
 from deploy.render import RenderError, command, render
-from protocol.keys import RECORDER
-from protocol.parent import ENVIRONMENT, python
-from protocol.process import EXIT_INTERRUPTED, process_names
-from protocol.scenario_file import ScenarioError, find_scenario, read_scenario
-from protocol.setup import Setup
+from protocol.network.parent import ENVIRONMENT, python
+from protocol.network.process import EXIT_INTERRUPTED, process_names
+from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
+from protocol.scenario.setup import Setup
+from protocol.wire.keys import RECORDER
 
 EXIT_USAGE, EXIT_SCENARIO, EXIT_UNAVAILABLE, EXIT_TIMEOUT = 2, 3, 69, 70
 

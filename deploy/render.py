@@ -14,12 +14,12 @@ import tomli_w
 
 from deploy.hosts import Host, Inventory, Posting, postings
 from deploy.keys import files_of
-from protocol.keys import OPERATOR, RECORDER, ROUTER, WATCHER, Keys
-from protocol.parent import ENVIRONMENT
-from protocol.process import PATIENCE_S, process_names
-from protocol.security import AUTHORITY, Security
-from protocol.session import configuration
-from protocol.setup import Setup
+from protocol.network.parent import ENVIRONMENT
+from protocol.network.process import PATIENCE_S, process_names
+from protocol.network.security import AUTHORITY, Security
+from protocol.network.session import configuration
+from protocol.scenario.setup import Setup
+from protocol.wire.keys import OPERATOR, RECORDER, ROUTER, WATCHER, Keys
 
 # Where things are on a host, as install.sh puts them.
 ETC, PROGRAM = Path("/etc/transport"), Path("/opt/transport/bin/transport")

@@ -14,15 +14,15 @@ import numpy as np
 import threadpoolctl
 from tables import ROOT, commit, place, put
 
-from protocol.messages import Message
-from protocol.setup import Setup
-from transport import memory
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import Message
+from transport.analysis.metrics import summarise
+from transport.analysis.series import series_of
 from transport.experiments.cases import Case, Point, Team, cases_of
 from transport.experiments.workers import each_on_cores
-from transport.log import Recorded, RunLog
-from transport.metrics import summarise
-from transport.run import machine, versions
-from transport.series import series_of
+from transport.flight import memory
+from transport.flight.run import machine, versions
+from transport.log.run_log import Recorded, RunLog
 
 RESULTS = ROOT / "runs" / "figures" / "simulations"
 

@@ -10,7 +10,8 @@ ROOT = Path(__file__).resolve().parent.parent
 # Sources that decide the numbers of a simulation in memory.
 FLOWN = (
     *("model", "mpc", "protocol", "agent", "plant", "coordinator", "scenarios"),
-    *(f"transport/{name}.py" for name in ("memory", "metrics", "series", "swing")),
+    "transport/flight/memory.py",
+    *(f"transport/analysis/{name}.py" for name in ("metrics", "series", "swing")),
 )
 
 

@@ -16,7 +16,7 @@ from model.failure import with_released
 from model.linearisation import Model
 from model.parameters import Payload, System, Uav
 from model.state import StateView
-from protocol.setup import Setup
+from protocol.scenario.setup import Setup
 
 # Gusts are drawn at these intervals, whatever the sampling period: the same wind blows at any rate of the controller.
 GUST_STEP_S = 0.05

@@ -1,9 +1,9 @@
 """The plant as a process."""
 
 from plant.node import PlantNode
-from protocol.messages import agent_name
-from protocol.process import Place, run_node
-from protocol.setup import Setup
+from protocol.network.process import Place, run_node
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import agent_name
 
 
 def run(setup: Setup, place: Place) -> int:
@@ -13,7 +13,7 @@ def run(setup: Setup, place: Place) -> int:
         setup: The run.
         place: Where this process is.
     Returns: Exit code.
-    Raises: BusError: see `protocol.process.run_node`.
+    Raises: BusError: see `protocol.network.process.run_node`.
     """
     node = PlantNode(setup, place.incarnation)
     # The first integration compiles the chain of steps; the first tick should not wait for it.

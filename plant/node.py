@@ -17,12 +17,13 @@ from model.failure import motor_off_state, no_inputs, released_state
 from mpc.fail_safe import FailSafe
 from plant.environment import Environment
 from plant.schedule import MOTOR_OFF, ActuatorSchedule
-from protocol.arrivals import Arrivals
-from protocol.claims import Claims, check_moment, window
-from protocol.faults import uav_faults
-from protocol.links import LinkChanges
-from protocol.membership import Membership
-from protocol.messages import (
+from protocol.admission.arrivals import Arrivals
+from protocol.admission.membership import Membership
+from protocol.admission.plausibility import Claims, check_moment, window
+from protocol.scenario.faults import uav_faults
+from protocol.scenario.links import LinkChanges
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import (
     Control,
     Event,
     LinkChange,
@@ -36,9 +37,8 @@ from protocol.messages import (
     Truth,
     agent_name,
 )
-from protocol.outbox import Outbox, lost
-from protocol.rejections import Rejections
-from protocol.setup import Setup
+from protocol.wire.outbox import Outbox, lost
+from protocol.wire.rejections import Rejections
 
 
 class PlantNode:

@@ -6,7 +6,7 @@ from model import state
 from model.arrays import Array
 from mpc.fail_safe import FailSafe
 from mpc.settings import Limits
-from protocol.messages import Plan
+from protocol.wire.messages import Plan
 
 # Sources of an input that is not from a plan (`Truth.plan_ticks`).
 BEFORE_ANY_PLAN, FAIL_SAFE, MOTOR_OFF = -1, -2, -3

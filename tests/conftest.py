@@ -7,7 +7,7 @@ import hypothesis
 import pytest
 import threadpoolctl
 
-from tests import sharing
+from tests.support import workers
 
 # Sums in one order, so that equal inputs give equal bits.
 threadpoolctl.threadpool_limits(1)
@@ -19,14 +19,14 @@ hypothesis.settings.load_profile("workers")
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put the tests in the order in which workers take them."""
-    items[:] = sharing.in_order(items)
+    items[:] = workers.in_order(items)
 
 
 @pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> sharing.Sharing:
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> workers.Sharing:
     """Give all tests that start processes to one worker."""
     config.option.loadscopereorder = False  # work units in the order of their tests
-    return sharing.Sharing(config, log)
+    return workers.Sharing(config, log)
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -56,7 +56,7 @@ def imports(path: Path) -> frozenset[str]:
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{named(path)}:{node.lineno}: relative import"
-            # `from protocol import messages` imports a module, `from protocol.messages import Tick` a name in one.
+            # `from protocol import messages` imports a module, `from protocol.wire.messages import Tick` a name in one.
             names |= {str(node.module), *[f"{node.module}.{alias.name}" for alias in node.names]}
     return frozenset(names)
 
@@ -123,7 +123,7 @@ def test_nodes_do_no_io(path: Path) -> None:
 def test_only_sessions_and_bus_know_zenoh() -> None:
     """Zenoh is imported in one place: its sessions, and what a process does with one."""
     who = [named(path) for path in SOURCES if "zenoh" in top(imports(path))]
-    assert who == ["protocol/bus.py", "protocol/session.py"]
+    assert who == ["protocol/network/bus.py", "protocol/network/session.py"]
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=named)

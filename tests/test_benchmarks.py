@@ -15,7 +15,7 @@ from benchmarks.flights import Situation, programs, setup, situations
 from benchmarks.page import BenchmarkError, Table, check, write
 from benchmarks.solvers import SOLVERS, TIGHT, Solver
 from mpc.qp import QP
-from tests.tables import first_cells, numbers, silent
+from tests.support.tables import first_cells, numbers, silent
 
 DOCUMENT = (
     "a\n<!-- bench: aims -->\nold\n<!-- end of bench -->\nb\n<!-- bench: step -->\nold\n<!-- end of bench -->\nc\n"

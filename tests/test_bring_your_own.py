@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from protocol.scenario_file import read_scenario
-from protocol.setup import Setup
-from tests.runs import SCENARIOS
+from protocol.scenario.file import read_scenario
+from protocol.scenario.setup import Setup
+from tests.support.runs import SCENARIOS
 
 DOCUMENT = Path(__file__).resolve().parents[1] / "docs" / "bring-your-own.md"
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)

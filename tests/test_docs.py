@@ -14,12 +14,12 @@ import typer
 from pydantic.fields import FieldInfo
 from typer.core import TyperCommand, TyperGroup
 
-from protocol.messages import Reason
-from protocol.scenario import LinkSection, Scenario, Section
-from protocol.scenario_file import find_scenario, read_scenario, validate
-from protocol.setup import Setup
-from tests.runs import PAPER
-from transport.main import app
+from protocol.scenario.file import find_scenario, read_scenario, validate
+from protocol.scenario.schema import LinkSection, Scenario, Section
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import Reason
+from tests.support.runs import PAPER
+from transport.cli.main import app
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("model", "mpc", "protocol", "agent", "plant", "coordinator", "deploy", "transport", "benchmarks", "tests")
@@ -45,7 +45,7 @@ PAGES = {"scenario.md": "scenario_page", "guarantees.md": "guarantees_page", "ti
 TABLES = """
 import sys
 from importlib import import_module
-from protocol.scenario_file import find_scenario, read_scenario
+from protocol.scenario.file import find_scenario, read_scenario
 tables = import_module(sys.argv[1]).TABLES
 for run in {run for table in tables for run in table.runs}:
     read_scenario(find_scenario(run.scenario), run.settings)

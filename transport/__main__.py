@@ -3,7 +3,7 @@
 import signal
 import sys
 
-from protocol.parent import wake_with_its_end
+from protocol.network.parent import wake_with_its_end
 
 _EXIT_INTERRUPTED = 130
 
@@ -13,7 +13,7 @@ def main() -> None:
     try:
         wake_with_its_end()
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # a signal while this imports is one already
-        from transport.main import app
+        from transport.cli.main import app
 
         app(prog_name="transport")
     except KeyboardInterrupt:  # before the command could do anything about it

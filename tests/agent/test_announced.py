@@ -12,7 +12,7 @@ from agent.announced import KEPT_PLANS, Alignment, AnnouncedInputs, Law
 from model.arrays import Array
 from model.state import input_indices
 from mpc.settings import Limits
-from protocol.messages import Plan
+from protocol.wire.messages import Plan
 
 OWNED = ((0, 2), (1,))  # agent 1 owns UAV1 and UAV3, agent 2 owns UAV2
 U_HOVER = -np.arange(1.0, 13.0)

@@ -12,9 +12,9 @@ from agent.disturbance import DisturbanceEstimator
 from agent.estimator import StateEstimator
 from model import state
 from model.arrays import Array
-from protocol.messages import Measurement, Plan
-from protocol.setup import Setup
-from tests.runs import measurement, plan, setup
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import Measurement, Plan
+from tests.support.runs import measurement, plan, setup
 
 TICKS = 60
 PERIOD_S, TIME_CONSTANT_S = 0.05, 0.4

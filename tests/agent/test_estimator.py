@@ -12,9 +12,9 @@ from agent.estimator import WINDOW, StateEstimator
 from model import state
 from model.arrays import Array
 from mpc.regulation import Regulation
-from protocol.messages import Measurement, Plan
-from protocol.setup import Setup
-from tests.runs import SHORT, measurement, plan, setup
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import Measurement, Plan
+from tests.support.runs import SHORT, measurement, plan, setup
 
 TICKS = 40
 PERIOD_S = 0.05

@@ -4,9 +4,9 @@ import pytest
 
 from agent.node import AgentNode
 from plant.node import PlantNode
-from protocol.messages import LinkChange, StepReport
-from protocol.setup import Setup
-from tests.runs import measurement, plan, roster, setup
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import LinkChange, StepReport
+from tests.support.runs import measurement, plan, roster, setup
 
 OTHERS = (2, 3, 4)
 TICKS = 7

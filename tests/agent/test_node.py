@@ -9,9 +9,9 @@ from agent.node import AgentNode
 from model import state
 from model.arrays import Array
 from mpc.controller import Controller, Linear
-from protocol.messages import STAGES, Message, Plan, Presence, StepReport
-from protocol.setup import Setup
-from tests.runs import end, integrated, measurement, plan, refused, roster, setup, tick, truth
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import STAGES, Message, Plan, Presence, StepReport
+from tests.support.runs import end, integrated, measurement, plan, refused, roster, setup, tick, truth
 
 SHORT_HORIZON = "controller.horizon=5"  # a step of a millisecond: these tests are about messages
 CLOSED_LOOP = "controller.prediction=closed_loop"

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import pytest
 
 from agent.node import AgentNode
-from protocol.messages import Message, Plan, StepReport
-from protocol.setup import Setup
-from tests.runs import measurement, plan, roster, setup
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import Message, Plan, StepReport
+from tests.support.runs import measurement, plan, roster, setup
 
 S, MS = 10**9, 10**6  # ns
 START_NS = 3 * S  # a steady clock starts anywhere

@@ -6,8 +6,8 @@ from dataclasses import replace
 import pytest
 
 from agent.node import AgentNode
-from protocol.messages import Message, Plan, Presence
-from tests.runs import measurement, plan, roster, setup
+from protocol.wire.messages import Message, Plan, Presence
+from tests.support.runs import measurement, plan, roster, setup
 
 ROUNDS = ("controller.horizon=5", "controller.rounds=3")
 OTHERS = (2, 3, 4)

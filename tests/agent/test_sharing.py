@@ -7,9 +7,9 @@ import pytest
 
 from agent.node import AgentNode
 from agent.sharing import Sharing
-from protocol.messages import Message, Plan
-from protocol.scenario import ControllerSection
-from tests.runs import INCARNATION, measurement, plan, roster, setup
+from protocol.scenario.schema import ControllerSection
+from protocol.wire.messages import Message, Plan
+from tests.support.runs import INCARNATION, measurement, plan, roster, setup
 
 STEPS, RANGE = 4, 8.0
 ON_CHANGE = (

@@ -3,8 +3,8 @@
 import pytest
 
 from coordinator.node import CoordinatorNode
-from protocol.messages import Control, Roster, Tick
-from tests.coordinator.clock import (
+from protocol.wire.messages import Control, Roster, Tick
+from tests.support.coordinator_clock import (
     CONTINUE,
     MS,
     START_NS,
@@ -19,7 +19,7 @@ from tests.coordinator.clock import (
     started,
     tell,
 )
-from tests.runs import EVERYBODY, plan, refused, setup, truth
+from tests.support.runs import EVERYBODY, plan, refused, setup, truth
 
 BARRIER_NS = round(TIMEOUT_S * S)
 PACED = "clock.speed=1"

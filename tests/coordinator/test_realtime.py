@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from coordinator.node import CoordinatorNode
-from protocol.messages import Control, Message, Plan, Roster, Tick, Truth
-from protocol.setup import Setup
-from tests.coordinator.clock import CONTINUE, MS, START_NS, S, gone, kinds, ready, started, tell
-from tests.runs import EVERYBODY, plan, setup, ticks, truth
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import Control, Message, Plan, Roster, Tick, Truth
+from tests.support.coordinator_clock import CONTINUE, MS, START_NS, S, gone, kinds, ready, started, tell
+from tests.support.runs import EVERYBODY, plan, setup, ticks, truth
 
 REALTIME = ("clock.mode=realtime", "clock.speed=1")
 PERIOD_NS = 50 * MS

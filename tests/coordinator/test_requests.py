@@ -7,9 +7,19 @@ from typing import Any
 import pytest
 
 from coordinator.node import CoordinatorNode
-from protocol.messages import LinkChange, Message, Request, Roster
-from tests.coordinator.clock import CONTINUE, START_NS, answers, at_last_tick, coordinator, gone, kinds, started, tell
-from tests.coordinator.clock import ready as is_ready
+from protocol.wire.messages import LinkChange, Message, Request, Roster
+from tests.support.coordinator_clock import (
+    CONTINUE,
+    START_NS,
+    answers,
+    at_last_tick,
+    coordinator,
+    gone,
+    kinds,
+    started,
+    tell,
+)
+from tests.support.coordinator_clock import ready as is_ready
 
 
 def asked(node: CoordinatorNode, what: str, **given: Any) -> tuple[Mapping[str, Any], list[Message]]:

@@ -6,9 +6,9 @@ from dataclasses import replace
 import pytest
 
 from coordinator.node import CoordinatorNode
-from protocol.messages import Control, Message, Roster, Tick
-from tests.coordinator.clock import CONTINUE, MS, START_NS, TIMEOUT_S, S, gone, kinds, ready, started, tell
-from tests.runs import EVERYBODY, plan, setup, ticks, truth
+from protocol.wire.messages import Control, Message, Roster, Tick
+from tests.support.coordinator_clock import CONTINUE, MS, START_NS, TIMEOUT_S, S, gone, kinds, ready, started, tell
+from tests.support.runs import EVERYBODY, plan, setup, ticks, truth
 
 BARRIER_NS = round(TIMEOUT_S * S)
 JOIN_NS = 30 * S  # clock.join_timeout_s, the default

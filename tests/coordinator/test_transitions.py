@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 import pytest
 
 from coordinator.node import CoordinatorNode
-from protocol.messages import Message, Presence
-from tests.coordinator.clock import (
+from protocol.wire.messages import Message, Presence
+from tests.support.coordinator_clock import (
     CONTINUE,
     START_NS,
     TIMEOUT_S,
@@ -20,7 +20,7 @@ from tests.coordinator.clock import (
     started,
     tell,
 )
-from tests.runs import setup, truth
+from tests.support.runs import setup, truth
 
 AGENTS = [f"agent{agent}" for agent in (1, 2, 3, 4)]
 TOO_LATE_NS = START_NS + round(TIMEOUT_S * 1e9)

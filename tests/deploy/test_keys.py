@@ -10,7 +10,7 @@ from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from deploy.keys import AUTHORITY_KEY, LOOPBACK, KeysError, files_of, make_certificates, make_passwords
-from protocol.security import AUTHORITY, USERS, Security, SecurityError, exposed
+from protocol.network.security import AUTHORITY, USERS, Security, SecurityError, exposed
 
 
 def certificate(file: Path) -> x509.Certificate:

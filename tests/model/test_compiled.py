@@ -16,7 +16,7 @@ import model
 from model.arrays import Array, ShapeError
 from model.cache import cache_folder
 from model.compiled import Compiled, functions
-from tests.model.random_systems import random_forces, random_input, random_state, random_system
+from tests.support.random_systems import random_forces, random_input, random_state, random_system
 
 N = 2
 

@@ -8,8 +8,8 @@ from model.hover import hover
 from model.linearisation import Model
 from model.parameters import System, table_1
 from model.state import StateView
-from tests.model import invariants, paper_form, reference
-from tests.model.random_systems import random_forces, random_input, random_state, random_system
+from tests.support import invariants, paper_form, reference
+from tests.support.random_systems import random_forces, random_input, random_state, random_system
 
 # Stored energies and momenta carry the engines' rounding; ours are sums of a few dozen terms.
 REFERENCE_TOLERANCE = 1e-9

@@ -9,7 +9,7 @@ from scipy.linalg import expm
 from model.arrays import Array, ShapeError
 from model.discretisation import Discrete, euler, zero_order_hold
 from model.linearisation import Linearisation, Model
-from tests.model.random_systems import random_input, random_state, random_system
+from tests.support.random_systems import random_input, random_state, random_system
 
 PERIODS_S = [0.001, 0.02, 0.05, 0.3, 1.0, 2.0]
 # Both sides round; relative to the largest entry, which grows to 1e6 over 2 s far from equilibrium. Measured 1e-14.

@@ -7,8 +7,8 @@ from model.arrays import Array
 from model.linearisation import Model
 from model.parameters import System
 from model.state import StateView
-from tests.model import paper_form, reference
-from tests.model.random_systems import random_forces, random_input, random_state, random_system
+from tests.support import paper_form, reference
+from tests.support.random_systems import random_forces, random_input, random_state, random_system
 
 # The stored values carry up to 1.3e-11 of the engines' own error, in the same measure.
 REFERENCE_TOLERANCE = 1e-8

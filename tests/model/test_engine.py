@@ -7,9 +7,9 @@ from model.arrays import Array
 from model.linearisation import Model
 from model.parameters import System
 from model.state import StateView
-from tests.model import engine
-from tests.model.paper_form import attitude, vehicle_accelerations
-from tests.model.random_systems import random_forces, random_input, random_state, random_system
+from tests.support import engine
+from tests.support.paper_form import attitude, vehicle_accelerations
+from tests.support.random_systems import random_forces, random_input, random_state, random_system
 
 # The engine's rods are exactly massless, so only rounding is left: 1e-12 in the draws, relative to the largest entry.
 ENGINE_TOLERANCE = 1e-10

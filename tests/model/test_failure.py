@@ -13,10 +13,10 @@ from model.linearisation import Model
 from model.parameters import ParameterError, System, table_1
 from model.rotations import euler_angles, rotation
 from model.state import INPUTS, StateView
-from protocol.scenario_file import read_scenario
-from protocol.setup import Setup
-from protocol.team import resized
-from tests.runs import SCENARIOS
+from protocol.scenario.file import read_scenario
+from protocol.scenario.setup import Setup
+from protocol.scenario.team import resized
+from tests.support.runs import SCENARIOS
 
 DEAD = 2  # UAV 3; UAV 1 is opposite, UAVs 2 and 4 are its neighbours
 OPPOSITE, NEIGHBOURS = 0, (1, 3)

@@ -8,8 +8,8 @@ from model.hover import hover
 from model.linearisation import Model
 from model.parameters import ParameterError, Payload, System, Uav, table_1
 from model.state import INPUTS, StateView
-from tests.model.paper_form import K, attitude, thrust_forces
-from tests.model.random_systems import random_inertia
+from tests.support.paper_form import K, attitude, thrust_forces
+from tests.support.random_systems import random_inertia
 
 # Accelerations left by the rounding of least squares and of forces of up to 100 N, rad/s^2 and m/s^2.
 AT_REST = 1e-10

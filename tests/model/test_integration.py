@@ -9,9 +9,9 @@ from model.compiled import Compiled, functions
 from model.linearisation import Model
 from model.parameters import System
 from model.state import INPUTS, StateView
-from tests.model import reference
-from tests.model.paper_form import attitude
-from tests.model.random_systems import random_forces, random_input, random_state, random_system
+from tests.support import reference
+from tests.support.paper_form import attitude
+from tests.support.random_systems import random_forces, random_input, random_state, random_system
 
 # Absolute, in the units of each state. The stored samples are good to 1.6e-9, our steps to 1e-9 on the fastest motion.
 TRAJECTORY_TOLERANCE = 1e-6

@@ -11,9 +11,9 @@ from model.hover import hover
 from model.linearisation import Model
 from model.parameters import System, table_1
 from model.state import INPUTS, OMEGA0, V0, StateView
-from tests.model.invariants import vehicle_motion
-from tests.model.paper_form import attitude
-from tests.model.random_systems import random_forces, random_input, random_state, random_system
+from tests.support.invariants import vehicle_motion
+from tests.support.paper_form import attitude
+from tests.support.random_systems import random_forces, random_input, random_state, random_system
 
 # Sixth-order central differences: truncation ~ h^6 = 6e-17, rounding ~ eps / h = 1e-13 of the largest entry of f.
 STEP = 2e-3

@@ -9,7 +9,7 @@ from model.linearisation import Model
 from model.maneuver import Maneuver, Phase, Profile, Reference, paper_maneuver
 from model.parameters import ParameterError, table_1
 from model.state import StateView
-from tests.model.paper_form import K
+from tests.support.paper_form import K
 
 PROFILES: list[Profile] = ["ramp", "min_jerk", "step"]
 # Sums of a few displacements of metres.

@@ -15,7 +15,7 @@ from model.arrays import ShapeError
 from model.compiled import Compiled, compile_functions, functions
 from model.discretisation import _zero_order_hold, zero_order_hold
 from model.linearisation import Linearisation, _along_manifold, along_manifold
-from tests.model.random_systems import random_forces, random_input, random_state, random_system
+from tests.support.random_systems import random_forces, random_input, random_state, random_system
 
 needs_compiler = pytest.mark.skipif(compiler.find_compiler() is None, reason="no C compiler on this machine")
 needs_kernels = pytest.mark.skipif(not native.AVAILABLE, reason="no compiled kernels: no C compiler, or switched off")

@@ -8,7 +8,7 @@ import pytest
 
 from model.arrays import Array, ArrayLike, ShapeError, checked
 from model.parameters import ParameterError, Payload, System, Uav, table_1
-from tests.model.random_systems import random_system
+from tests.support.random_systems import random_system
 
 NAN, INF = float("nan"), float("inf")
 BAD_POSITIVE = [0.0, -1.5, NAN, INF]

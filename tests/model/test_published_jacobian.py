@@ -5,9 +5,9 @@ import pytest
 
 from model.linearisation import Model
 from mpc.feedback import tangent
-from tests.model.paper_form import accelerations, thrust_forces
-from tests.model.published_jacobian import PublishedModel
-from tests.model.random_systems import random_input, random_state, random_system
+from tests.support.paper_form import accelerations, thrust_forces
+from tests.support.published_jacobian import PublishedModel
+from tests.support.random_systems import random_input, random_state, random_system
 
 # Of the largest entry: two linear solves of 6 + 3 N unknowns, and of 6, with conditions of up to 1e4.
 ROUNDING = 1e-11
@@ -15,7 +15,7 @@ ROUNDING = 1e-11
 
 @pytest.mark.parametrize("N", [1, 4])
 def test_equations_are_those_of_the_paper(N: int) -> None:
-    """Away from |e| = 1 the oracle's accelerations are those of paper (11) as `tests.model.paper_form` assembles it."""
+    """Away from |e| = 1 the oracle's accelerations are those of paper (11) as `paper_form` assembles it."""
     rng = np.random.default_rng(40 + N)
     system = random_system(rng, N)
     x, u = random_state(rng, N) + 0.1 * rng.standard_normal(12 + 12 * N), random_input(rng, N)

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from model.arrays import Array
 from model.rotations import euler_angles, euler_rates, hat, rotation
-from tests.model.random_systems import random_attitude
+from tests.support.random_systems import random_attitude
 
 # Entries are sums of two products of numbers up to 1.
 ROUNDING = 1e-15

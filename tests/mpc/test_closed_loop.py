@@ -7,7 +7,7 @@ import pytest
 
 from model.state import R0, THETA0, StateView
 from mpc.settings import Constraint, ControllerSettings, Separation
-from tests.mpc.systems import Flight, fly, paper_setup, team
+from tests.support.systems import Flight, fly, paper_setup, team
 
 CLIMB_S = 5.0  # the paper's climb of 2.5 m begins here
 STEPS = 60  # 3 s: the climb's start, where the teams differ most

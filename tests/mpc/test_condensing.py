@@ -7,7 +7,7 @@ from model.arrays import Array
 from model.discretisation import Discrete
 from mpc import condensing
 from mpc.prediction import free_response, open_loop, responses
-from tests.mpc import naive
+from tests.support import naive
 
 # Both sides are sums of the same products in another order: only rounding, relative to the largest entry.
 ROUNDING = 1e-12

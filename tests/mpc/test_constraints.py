@@ -12,8 +12,8 @@ from model.state import THETA, V0, uav_slice
 from mpc.constraints import pairs_of, rate_rows, separation_rows
 from mpc.qp import QP
 from mpc.settings import Constraint, ControllerSettings, Separation, Tilt
-from tests.mpc import naive
-from tests.mpc.systems import Setup, Situation, controller, paper_setup, situation, step
+from tests.support import naive
+from tests.support.systems import Setup, Situation, controller, paper_setup, situation, step
 
 # Relative to the largest margin of the block: the same sums in another order.
 ROUNDING = 1e-10

@@ -8,8 +8,8 @@ import pytest
 
 from model.arrays import Array, ShapeError
 from mpc.settings import Constraint, ControllerSettings, Limits, Pricing, Separation, Weights
-from tests.mpc import naive
-from tests.mpc.systems import Setup, Situation, controller, paper_setup, situation, step
+from tests.support import naive
+from tests.support.systems import Setup, Situation, controller, paper_setup, situation, step
 
 # Two sums of the same terms in another order, after the cancellation of the constant.
 COST_AGREEMENT = 1e-9

@@ -7,7 +7,7 @@ import pytest
 
 from mpc.cost import Cost
 from mpc.settings import Weights
-from tests.mpc.systems import paper_setup, ring_setup
+from tests.support.systems import paper_setup, ring_setup
 
 # A handful of products of numbers near 1: rounding only.
 ROUNDING = 1e-13

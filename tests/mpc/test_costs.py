@@ -8,11 +8,11 @@ import pytest
 from model.arrays import Array
 from mpc.controller import Controller
 from mpc.settings import ControllerSettings, CostTerm, Weights
-from protocol.messages import Message, Truth
-from protocol.setup import Setup
-from tests import runs
-from tests.mpc.systems import controller, paper_setup, situation
-from transport.memory import fly
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import Message, Truth
+from tests.support import runs
+from tests.support.systems import controller, paper_setup, situation
+from transport.flight.memory import fly
 
 OWNED = [(0,), (1, 3), (0, 1, 2, 3)]
 # The same sums in another order.

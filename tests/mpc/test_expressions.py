@@ -12,7 +12,7 @@ from model.dynamics import Symbols
 from mpc.constraints import compile_constraints
 from mpc.expressions import Relation, read
 from mpc.settings import Constraint, SettingsError
-from tests.mpc.systems import disturbed, paper_setup
+from tests.support.systems import disturbed, paper_setup
 
 # Hand computation and compiled expression differ by rounding only; the largest value here is about 500.
 ROUNDING = 1e-11

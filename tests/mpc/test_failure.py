@@ -19,7 +19,7 @@ from mpc.feedback import FeedbackError, Regulator, regulator, tangent
 from mpc.regulation import Regulation
 from mpc.settings import ControllerSettings, Weights
 from tests.model.test_failure import DEAD, OPPOSITE, larger, tilted
-from tests.mpc.systems import paper_setup
+from tests.support.systems import paper_setup
 
 PERIOD_S = 0.05
 CLOSED = ControllerSettings(prediction="closed_loop", relaxation=1.0, terminal="riccati")

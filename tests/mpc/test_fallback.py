@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mpc.settings import Constraint, ControllerSettings, SolverName
-from tests.mpc.systems import Situation, controller, paper_setup, situation, step
+from tests.support.systems import Situation, controller, paper_setup, situation, step
 
 HORIZON = 6
 SOLVERS: list[SolverName] = ["daqp", "clarabel"]

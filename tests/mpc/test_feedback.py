@@ -15,7 +15,7 @@ from mpc.cost import Cost
 from mpc.feedback import TeamLaw, regulator
 from mpc.prediction import closed_loop
 from mpc.settings import ControllerSettings, Weights
-from tests.mpc.systems import Situation, paper_setup, situation
+from tests.support.systems import Situation, paper_setup, situation
 
 PERIOD_S = 0.05
 CLOSED = ControllerSettings(prediction="closed_loop", relaxation=1.0)

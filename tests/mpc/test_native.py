@@ -10,8 +10,8 @@ from model.arrays import Array
 from mpc import bounded, condensing, qp
 from mpc.prediction import _responses, free_response, responses
 from mpc.solvers import solve_clarabel
-from tests.mpc import naive
-from tests.mpc.programs import random_qp
+from tests.support import naive
+from tests.support.programs import random_qp
 
 pytestmark = pytest.mark.skipif(not native.AVAILABLE, reason="no compiled kernels: no C compiler, or switched off")
 

@@ -5,7 +5,7 @@ import pytest
 
 from model.arrays import Array
 from mpc.settings import ControllerSettings, Separation
-from tests.mpc.systems import Situation, controller, paper_setup, ring_setup, situation, step
+from tests.support.systems import Situation, controller, paper_setup, ring_setup, situation, step
 
 # N and N m. Bounds are clipped exactly; rates are as good as the solver's primal tolerance times the scale.
 LIMIT_SLACK = 1e-6

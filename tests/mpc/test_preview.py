@@ -20,8 +20,8 @@ from mpc.feedback import Regulator, regulator
 from mpc.preview import at_rest, preview
 from mpc.regulation import Regulation
 from mpc.settings import ControllerSettings, CostTerm, Weights
-from tests.mpc import naive
-from tests.mpc.linear_model import PERIOD_S, Difference, difference, reference_states, small_state
+from tests.support import naive
+from tests.support.linear_model import PERIOD_S, Difference, difference, reference_states, small_state
 
 # Of the largest value: two solutions of one linear problem whose Hessian has a condition of around 1e5.
 AGREEMENT = 1e-8

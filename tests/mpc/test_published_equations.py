@@ -6,9 +6,9 @@ from functools import cache
 import pytest
 
 from model.linearisation import Model
-from tests import runs
-from tests.model.published_jacobian import PublishedModel
-from tests.mpc.systems import Flight, fly, paper_setup, team
+from tests.support import runs
+from tests.support.published_jacobian import PublishedModel
+from tests.support.systems import Flight, fly, paper_setup, team
 
 # Mean cost of the paper's maneuver with the Jacobian of paper (7)-(11), all unknowns kept, to the digits published.
 PUBLISHED = 0.00227

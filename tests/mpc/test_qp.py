@@ -5,7 +5,7 @@ import pytest
 
 from mpc.qp import QP, RESIDUAL_TOLERANCE, Residuals, residuals
 from mpc.solvers import solve_clarabel
-from tests.mpc.programs import random_qp
+from tests.support.programs import random_qp
 
 # A few products of small numbers: rounding only.
 ROUNDING = 1e-15

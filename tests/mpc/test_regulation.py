@@ -22,7 +22,7 @@ from mpc.cost import Cost
 from mpc.fail_safe import FailSafe
 from mpc.regulation import Regulation
 from mpc.settings import ControllerSettings, CostTerm, Limits, Weights
-from tests.mpc.linear_model import (
+from tests.support.linear_model import (
     LinearModel,
     difference,
     reference_outputs,
@@ -30,7 +30,7 @@ from tests.mpc.linear_model import (
     small_state,
     uneven,
 )
-from tests.mpc.systems import INTEGRATION_STEPS
+from tests.support.systems import INTEGRATION_STEPS
 
 # Of the largest deviation of the inputs from hover: two solutions of one linear problem with condition around 1e5,
 # one by the Riccati recursion, one by condensing and a solver.

@@ -13,7 +13,7 @@ from mpc import solvers
 from mpc.qp import QP, RESIDUAL_TOLERANCE, Solution, residuals
 from mpc.settings import SolverName
 from mpc.solvers import solve, solve_clarabel, solve_daqp
-from tests.mpc.programs import collected, random_qp, without_solution
+from tests.support.programs import collected, random_qp, without_solution
 
 # Relative to the largest entry: two solvers meeting the residual tolerance on well-conditioned programs.
 AGREEMENT = 1e-6

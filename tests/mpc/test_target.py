@@ -13,7 +13,7 @@ from mpc.fail_safe import FailSafe
 from mpc.feedback import tangent
 from mpc.settings import ControllerSettings, PredictionName, Weights
 from mpc.target import Target, target
-from tests.mpc.systems import Setup, controller, paper_setup, ring_setup
+from tests.support.systems import Setup, controller, paper_setup, ring_setup
 
 # Sums of a few dozen terms through a singular value decomposition of matrices with entries of up to 35.
 ROUNDING = 1e-11

@@ -5,8 +5,8 @@ import pytest
 
 from model.arrays import Array
 from plant.node import PlantNode
-from protocol.messages import Truth
-from tests.runs import EVERYBODY, plan, roster, setup, tick
+from protocol.wire.messages import Truth
+from tests.support.runs import EVERYBODY, plan, roster, setup, tick
 
 HOVER = np.array([22.0725, 0.0, 0.0, 0.0])  # N: 1.5 kg and a quarter of the payload's 3 kg, under 9.81 m/s^2
 

@@ -10,9 +10,9 @@ from model.arrays import Array
 from model.state import StateView
 from plant.environment import Environment
 from plant.node import PlantNode
-from protocol.messages import Measurement, Message
-from protocol.setup import Setup
-from tests.runs import EVERYBODY, measurement, plan, roster, setup, tick
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import Measurement, Message
+from tests.support.runs import EVERYBODY, measurement, plan, roster, setup, tick
 
 MEAN = "plant.wind.speed_mps=[3.0,-1.0,0.5]"
 GUSTS = "plant.wind.gust_mps=[2.0,1.0,0.5]"

@@ -6,9 +6,9 @@ import pytest
 from model import state
 from plant.node import PlantNode
 from plant.schedule import MOTOR_OFF
-from protocol.messages import Measurement, Message, Roster, Truth
-from protocol.setup import Setup
-from tests.runs import EVERYBODY, plan, roster, setup, tick
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import Measurement, Message, Roster, Truth
+from tests.support.runs import EVERYBODY, plan, roster, setup, tick
 
 TICKS = 6
 UAV = 2

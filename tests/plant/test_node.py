@@ -8,9 +8,9 @@ import pytest
 from model import state
 from plant.node import PlantNode
 from plant.schedule import BEFORE_ANY_PLAN, FAIL_SAFE
-from protocol.messages import Measurement, Message, Presence, Truth
-from protocol.setup import Setup
-from tests.runs import EVERYBODY, end, integrated, measurement, plan, refused, roster, setup, tick
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import Measurement, Message, Presence, Truth
+from tests.support.runs import EVERYBODY, end, integrated, measurement, plan, refused, roster, setup, tick
 
 IMMEDIATE, NEXT_TICK = "clock.actuation=immediate", "clock.actuation=next_tick"
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from plant.node import PlantNode
-from protocol.messages import Measurement, Message, Truth
-from protocol.setup import Setup
-from tests.runs import EVERYBODY, plan, roster, setup, tick
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import Measurement, Message, Truth
+from tests.support.runs import EVERYBODY, plan, roster, setup, tick
 
 S, MS = 10**9, 10**6  # ns
 START_NS = 3 * S

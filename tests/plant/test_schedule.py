@@ -10,7 +10,7 @@ from model.rotations import euler_rates, rotation
 from mpc.fail_safe import FailSafe
 from mpc.settings import Limits
 from plant.schedule import BEFORE_ANY_PLAN, FAIL_SAFE, ActuatorSchedule
-from protocol.messages import Plan
+from protocol.wire.messages import Plan
 
 N, STEPS = 3, 4
 OWNED = {1: (1, 3), 2: (2,)}

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from model import state
-from protocol.claims import Claims, check_moment, window
-from protocol.messages import Message, MessageError
-from tests import runs
-from tests.protocol.samples import sample
-from tests.runs import EVERYBODY, setup, ticks
-from tests.transport.logs import report
-from transport.memory import fly
+from protocol.admission.plausibility import Claims, check_moment, window
+from protocol.wire.messages import Message, MessageError
+from tests.support import runs
+from tests.support.logs import report
+from tests.support.runs import EVERYBODY, setup, ticks
+from tests.support.samples import sample
+from transport.flight.memory import fly
 
 RUN = setup("controller.horizon=5", ticks(40))
 CLAIMS = Claims(RUN)

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from protocol.codec import MAX_BYTES, VERSION, decode, encode
-from protocol.messages import KINDS, Message, MessageError, Plan, Tick
-from tests.protocol.samples import fields, sample, samples
-from tests.protocol.strategies import messages
+from protocol.wire.codec import MAX_BYTES, VERSION, decode, encode
+from protocol.wire.messages import KINDS, Message, MessageError, Plan, Tick
+from tests.support.samples import fields, sample, samples
+from tests.support.strategies import messages
 
 SEED = 20240611
 RANDOM_MESSAGES = 20_000  # of each sort; some seconds in all

@@ -2,9 +2,9 @@
 
 import pytest
 
-from protocol.faults import Fault, due
-from protocol.messages import Message
-from tests.runs import measurement, plan, roster, setup, tick, truth
+from protocol.scenario.faults import Fault, due
+from protocol.wire.messages import Message
+from tests.support.runs import measurement, plan, roster, setup, tick, truth
 
 
 def scripted(*events: str) -> list[tuple[int, str, str]]:

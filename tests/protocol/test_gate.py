@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from protocol.codec import MAX_BYTES, VERSION, encode
-from protocol.gate import Gate
-from protocol.keys import Keys
-from protocol.messages import MAX_TEXT, LinkChange, Message, MessageError, Plan, Rejected, StepReport, agent_name
-from protocol.rejections import Rejections
-from tests import runs
-from tests.protocol.samples import sample
-from tests.runs import EVERYBODY, INCARNATION, setup
+from protocol.admission.admission import Gate
+from protocol.wire.codec import MAX_BYTES, VERSION, encode
+from protocol.wire.keys import Keys
+from protocol.wire.messages import MAX_TEXT, LinkChange, Message, MessageError, Plan, Rejected, StepReport, agent_name
+from protocol.wire.rejections import Rejections
+from tests.support import runs
+from tests.support.runs import EVERYBODY, INCARNATION, setup
+from tests.support.samples import sample
 
 KEYS = Keys("paper")
 TEAM = {"coordinator": 0, "plant": 0, **{agent_name(agent): INCARNATION for agent in EVERYBODY}}

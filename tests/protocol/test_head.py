@@ -7,19 +7,19 @@ from dataclasses import replace
 import msgpack
 import pytest
 
-from protocol import brake
-from protocol.brake import BURST, WINDOW, WINDOW_S, Brake
-from protocol.codec import VERSION, encode
-from protocol.gate import Gate
-from protocol.head import Head, head_of, place_of
-from protocol.health import Offset, offset, usage
-from protocol.keys import Keys
-from protocol.messages import KINDS, LinkChange, MessageError, Plan
-from protocol.rejections import Rejections
-from tests import runs
-from tests.garbage import VALUES
-from tests.protocol.samples import sample
-from tests.runs import setup
+from protocol.admission import rate_limit as brake
+from protocol.admission.admission import Gate
+from protocol.admission.rate_limit import BURST, WINDOW, WINDOW_S, Brake
+from protocol.network.health import Offset, offset, usage
+from protocol.wire.codec import VERSION, encode
+from protocol.wire.header import Head, head_of, place_of
+from protocol.wire.keys import Keys
+from protocol.wire.messages import KINDS, LinkChange, MessageError, Plan
+from protocol.wire.rejections import Rejections
+from tests.support import runs
+from tests.support.garbage import VALUES
+from tests.support.runs import setup
+from tests.support.samples import sample
 
 KEYS = Keys("head")
 

@@ -9,7 +9,7 @@ import pytest
 # Memory that is free between some that is used, and by how many bytes the process shrinks when it gives that back.
 FREE_BETWEEN = """
 from pathlib import Path
-from protocol.health import give_back_memory
+from protocol.network.health import give_back_memory
 
 def own_bytes():
     lines = Path("/proc/self/status").read_text().splitlines()

@@ -2,8 +2,8 @@
 
 import pytest
 
-from protocol.keys import Keys, RunNameError, Token, matches
-from protocol.messages import (
+from protocol.wire.keys import Keys, RunNameError, Token, matches
+from protocol.wire.messages import (
     KINDS,
     Control,
     FaultNote,
@@ -19,7 +19,7 @@ from protocol.messages import (
     Truth,
     agent_name,
 )
-from tests.protocol.samples import sample
+from tests.support.samples import sample
 
 KEYS = Keys("run-1")
 AGENTS = (1, 2, 12, 123)  # ids that begin with each other
@@ -62,7 +62,7 @@ def listeners(message: Message) -> set[str]:
     ],
 )
 def test_who_hears_what(kind: type[Message], expected: set[str]) -> None:
-    """Each message reaches exactly the roles that protocol/keys.py says; the recorder hears everything."""
+    """Each message reaches exactly the roles that protocol/wire/keys.py says; the recorder hears everything."""
     assert listeners(sample(kind)) == expected
 
 

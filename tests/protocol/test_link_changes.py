@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 
-from protocol.links import Link, LinkChanges, LinkError, link_change
-from protocol.messages import LinkChange, MessageError
-from tests.runs import setup
+from protocol.scenario.links import Link, LinkChanges, LinkError, link_change
+from protocol.wire.messages import LinkChange, MessageError
+from tests.support.runs import setup
 
 SAMPLES = {"a.csv": (0.1, 0.2), "b.csv": (0.3,)}
 

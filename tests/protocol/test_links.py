@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from protocol.links import Link, LinkModel
-from protocol.scenario_file import ScenarioError, validate
-from protocol.setup import Setup
-from tests.runs import setup
+from protocol.scenario.file import ScenarioError, validate
+from protocol.scenario.links import Link, LinkModel
+from protocol.scenario.setup import Setup
+from tests.support.runs import setup
 
 PERIOD_S = 0.05
 COUNT = 20_000

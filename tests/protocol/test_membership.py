@@ -4,9 +4,9 @@ from contextlib import suppress
 
 import pytest
 
-from protocol.membership import Membership
-from protocol.messages import MessageError, Plan
-from tests.runs import INCARNATION, plan, roster, setup
+from protocol.admission.membership import Membership
+from protocol.wire.messages import MessageError, Plan
+from tests.support.runs import INCARNATION, plan, roster, setup
 
 
 def sent(agent: int, incarnation: int = INCARNATION, k: int = 0) -> Plan:

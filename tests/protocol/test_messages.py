@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from protocol.messages import (
+from protocol.wire.messages import (
     KINDS,
     MAX_HORIZON,
     MAX_ROUNDS,
@@ -26,7 +26,7 @@ from protocol.messages import (
     Tick,
     Truth,
 )
-from tests.protocol.samples import fields, sample
+from tests.support.samples import fields, sample
 
 NAN, INF = float("nan"), float("inf")
 

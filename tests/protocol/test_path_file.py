@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from model import state
-from protocol.messages import Message
-from protocol.scenario_file import ScenarioError, read_scenario
-from protocol.setup import Setup
-from tests.runs import PAPER, truths
-from transport.memory import fly
-from transport.scenario_text import scenario_text
+from protocol.scenario.file import ScenarioError, read_scenario
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import Message
+from tests.support.runs import PAPER, truths
+from transport.cli.scenario_text import scenario_text
+from transport.flight.memory import fly
 
 HEADING = "t_s,x_m,y_m,z_m\n"
 # A quarter of a circle of 2 m radius, 0.4 m/s on average, one row per sampling period; from a place of its own.

@@ -4,9 +4,9 @@ from typing import get_args
 
 import pytest
 
-from protocol.codec import decode, encode
-from protocol.messages import MAX_TEXT, MessageError, Reason
-from protocol.rejections import MAX_SENDERS, OTHERS, Notices, Rejection, Rejections
+from protocol.wire.codec import decode, encode
+from protocol.wire.messages import MAX_TEXT, MessageError, Reason
+from protocol.wire.rejections import MAX_SENDERS, OTHERS, Notices, Rejection, Rejections
 
 SECOND_NS = 10**9
 

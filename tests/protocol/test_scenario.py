@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 import tomli_w
 
-from protocol.scenario import Scenario
-from protocol.scenario_file import ScenarioError, read_scenario, validate
-from protocol.setup import Setup
-from tests.runs import PAPER, SCENARIOS, SHORT, setup, ticks
+from protocol.scenario.file import ScenarioError, read_scenario, validate
+from protocol.scenario.schema import Scenario
+from protocol.scenario.setup import Setup
+from tests.support.runs import PAPER, SCENARIOS, SHORT, setup, ticks
 
 # A value of the same type that differs, for what cannot simply be counted up.
 OTHER_WORDS = {

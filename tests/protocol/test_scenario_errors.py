@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from protocol.scenario_file import ScenarioError, read_scenario
-from protocol.setup import Setup
-from tests.runs import PAPER
+from protocol.scenario.file import ScenarioError, read_scenario
+from protocol.scenario.setup import Setup
+from tests.support.runs import PAPER
 
 ONE_UAV_ASIDE = (
     "system.uav=[{id=1,mass_kg=1.5,inertia_kgm2=[0.029,0.029,0.055],rho_m=[0.25,0,-0.1],rod_length_m=3}]",

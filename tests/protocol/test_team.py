@@ -13,11 +13,11 @@ from model.arrays import Array
 from model.hover import hover
 from model.linearisation import Model
 from model.parameters import Payload, System, Uav
-from protocol.scenario import Scenario
-from protocol.scenario_file import ScenarioError, read_scenario
-from protocol.setup import Setup
-from protocol.team import FEWEST, MOST, given, resized, ring
-from tests.runs import PAPER, SCENARIOS
+from protocol.scenario.file import ScenarioError, read_scenario
+from protocol.scenario.schema import Scenario
+from protocol.scenario.setup import Setup
+from protocol.scenario.team import FEWEST, MOST, given, resized, ring
+from tests.support.runs import PAPER, SCENARIOS
 
 SIZES = [*range(FEWEST, 17), 24]
 NEIGHBOURS_M, GRAVITY = 0.5, 9.81

@@ -9,14 +9,14 @@ import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
-from tests import runs
-from tests.transport.logs import flown
-from transport.animation import FPS, SPEED, animate
-from transport.log import read_log
-from transport.main import app
-from transport.series import series_of
-from transport.viewer.record import Record
-from transport.viewer.scene import Scenes
+from tests.support import runs
+from tests.support.logs import flown
+from transport.analysis.series import series_of
+from transport.cli.main import app
+from transport.log.run_log import read_log
+from transport.report.animation import FPS, SPEED, animate
+from transport.scene.record import Record
+from transport.scene.scene import Scenes
 
 # Of a picture with lines that move.
 LARGEST_BYTES_A_PICTURE = 40_000

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from tests import runs
-from tests.transport import logs
-from transport.compare import Compared, doubts, rows
-from transport.main import app
-from transport.run_folder import open_run
+from tests.support import logs, runs
+from transport.cli.main import app
+from transport.log.run_folder import open_run
+from transport.report.compare import Compared, doubts, rows
 
 
 @pytest.fixture(scope="module")

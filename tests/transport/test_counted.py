@@ -2,11 +2,11 @@
 
 from dataclasses import replace
 
-from protocol.messages import Message, Plan, StepReport
-from protocol.setup import Setup
-from tests import runs
-from tests.transport.logs import log_of, plan, report
-from transport.counted import counted
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import Message, Plan, StepReport
+from tests.support import runs
+from tests.support.logs import log_of, plan, report
+from transport.analysis.counted import counted
 
 HOVER = runs.ticks(10)
 EVERYBODY = {1: 0, 2: 0, 3: 0, 4: 0}

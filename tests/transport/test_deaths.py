@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from model.state import StateView
-from protocol.messages import Control, Message, Truth
-from protocol.scenario_file import find_scenario, read_scenario
-from protocol.setup import Setup
-from transport.memory import fly
+from protocol.scenario.file import find_scenario, read_scenario
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import Control, Message, Truth
+from transport.flight.memory import fly
 
 # Payload attitude in a run with a death, deg.
 LARGEST_DEG = 10.0

@@ -2,13 +2,13 @@
 
 import pytest
 
-from protocol.messages import Control
-from protocol.scenario_file import ScenarioError, read_scenario
-from protocol.setup import Setup
-from protocol.team import resized
-from tests.runs import PAPER, SCENARIOS, SHORT
-from tests.transport.logs import ALONE
-from transport.memory import fly
+from protocol.scenario.file import ScenarioError, read_scenario
+from protocol.scenario.setup import Setup
+from protocol.scenario.team import resized
+from protocol.wire.messages import Control
+from tests.support.logs import ALONE
+from tests.support.runs import PAPER, SCENARIOS, SHORT
+from transport.flight.memory import fly
 
 LIGHT = "system.payload={{mass_kg={0},inertia_kgm2=[{1},{1},{1}]}}"
 

@@ -8,13 +8,13 @@ from xml.etree import ElementTree  # of files written here
 
 import pytest
 
-from protocol.messages import Message
-from protocol.setup import Setup
-from tests import runs
-from tests.transport.logs import ALONE, flown, log_of, truth
-from transport.figures import draw
-from transport.log import RunLog, read_log
-from transport.report import write_report
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import Message
+from tests.support import runs
+from tests.support.logs import ALONE, flown, log_of, truth
+from transport.log.run_log import RunLog, read_log
+from transport.report.figures import draw
+from transport.report.report import write_report
 
 NAMES = ["performance.png", "trajectories.png", "timing.png"]
 

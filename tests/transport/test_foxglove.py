@@ -13,12 +13,12 @@ from mcap.reader import make_reader
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
-from protocol.messages import Truth
-from tests import runs
-from tests.transport.logs import flown
-from transport.log import read_log
-from transport.main import app
-from transport.mcap_salvage import Salvage
+from protocol.wire.messages import Truth
+from tests.support import runs
+from tests.support.logs import flown
+from transport.cli.main import app
+from transport.log.run_log import read_log
+from transport.log.salvage import Salvage
 
 EXACT = 1e-12
 TICKS = 6

@@ -7,14 +7,14 @@ from pathlib import Path
 import pytest
 import tomli_w
 
-from protocol.messages import FaultNote, Message, Plan, Rejected, Truth
-from tests import runs
-from tests.transport.logs import log_of
-from tests.transport.troubles import FAULTS, RESILIENT
-from transport.gaps import missing
-from transport.log import LogWriter, read_log
-from transport.recorder import UNHEARD
-from transport.report import write_report
+from protocol.wire.messages import FaultNote, Message, Plan, Rejected, Truth
+from tests.support import runs
+from tests.support.logs import log_of
+from tests.support.troubles import FAULTS, RESILIENT
+from transport.flight.recorder import UNHEARD
+from transport.log.gaps import missing
+from transport.log.run_log import LogWriter, read_log
+from transport.report.report import write_report
 
 TICKS = 30
 

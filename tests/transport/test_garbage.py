@@ -12,22 +12,22 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from protocol.codec import encode
-from protocol.gate import Gate
-from protocol.keys import Keys
-from protocol.messages import Message, Reason, Rejected, agent_name
-from protocol.rejections import MAX_SENDERS, Rejections
-from protocol.session import Endpoints
-from protocol.setup import Setup
-from tests import runs
-from tests.garbage import Garbage
-from tests.runs import reproducible, setup
-from tests.transport.logs import HEADER
-from tests.wire import Wire
-from transport import recorder as recorder_module
-from transport.log import LogWriter, read_log
-from transport.metrics import summarise
-from transport.recorder import Recorder
+from protocol.admission.admission import Gate
+from protocol.network.session import Endpoints
+from protocol.scenario.setup import Setup
+from protocol.wire.codec import encode
+from protocol.wire.keys import Keys
+from protocol.wire.messages import Message, Reason, Rejected, agent_name
+from protocol.wire.rejections import MAX_SENDERS, Rejections
+from tests.support import runs
+from tests.support.garbage import Garbage
+from tests.support.logs import HEADER
+from tests.support.runs import reproducible, setup
+from tests.support.wire import Wire
+from transport.analysis.metrics import summarise
+from transport.flight import recorder as recorder_module
+from transport.flight.recorder import Recorder
+from transport.log.run_log import LogWriter, read_log
 
 SEED = 20240611
 

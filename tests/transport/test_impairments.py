@@ -8,13 +8,13 @@ import pytest
 
 from coordinator.node import CoordinatorNode
 from model import state
-from protocol.codec import encode
-from protocol.messages import LinkChange, Measurement, Message, Plan, Request, StepReport, agent_name
-from protocol.setup import Setup
-from tests.runs import SHORT, recorded, reproducible, setup, truths
-from tests.transport.shuffled import fly_shuffled
-from tests.transport.troubles import FAULTS, HEAVY, NEXT_TICK, RESILIENT, ROUNDS
-from transport import memory
+from protocol.scenario.setup import Setup
+from protocol.wire.codec import encode
+from protocol.wire.messages import LinkChange, Measurement, Message, Plan, Request, StepReport, agent_name
+from tests.support.runs import SHORT, recorded, reproducible, setup, truths
+from tests.support.shuffled import fly_shuffled
+from tests.support.troubles import FAULTS, HEAVY, NEXT_TICK, RESILIENT, ROUNDS
+from transport.flight import memory
 
 PERIOD_S, TICKS = 0.05, 30
 FAIL_SAFE = -2

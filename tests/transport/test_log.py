@@ -19,13 +19,13 @@ from jsonschema import Draft202012Validator
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from protocol.codec import encode
-from protocol.messages import KINDS, FaultNote, Message, Plan, Tick
-from tests import runs
-from tests.protocol.samples import sample
-from tests.protocol.strategies import messages as any_message
-from transport.json_messages import from_json, json_schema, to_json
-from transport.log import CHUNK_BYTES, CHUNK_S, LogError, LogWriter, RunLog, read_log
+from protocol.wire.codec import encode
+from protocol.wire.messages import KINDS, FaultNote, Message, Plan, Tick
+from tests.support import runs
+from tests.support.samples import sample
+from tests.support.strategies import messages as any_message
+from transport.log.json_messages import from_json, json_schema, to_json
+from transport.log.run_log import CHUNK_BYTES, CHUNK_S, LogError, LogWriter, RunLog, read_log
 
 HEADER = {"run_id": "r1", "scenario": "name = 'x'\n", "versions": "python 3.12", "note": "Ω0"}
 RECEIVED_NS = 1_700_000_000_000_000_000
@@ -222,8 +222,8 @@ def test_a_killed_recorder_loses_a_chunk_at_most(tmp_path: Path, flight: list[Me
     program = """
 import os, signal, sys
 from pathlib import Path
-from protocol.codec import decode
-from transport.log import LogWriter
+from protocol.wire.codec import decode
+from transport.log.run_log import LogWriter
 data, at = Path(sys.argv[2]).read_bytes(), 0
 writer = LogWriter(Path(sys.argv[1]), {}, period_ns=50_000_000)
 while at < len(data) - 2000:

@@ -10,11 +10,10 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from model import state
-from protocol.messages import KINDS, Message, Plan, StepReport, Truth
-from tests import runs
-from tests.transport import logs
-from transport.log import LogWriter
-from transport.main import app
+from protocol.wire.messages import KINDS, Message, Plan, StepReport, Truth
+from tests.support import logs, runs
+from transport.cli.main import app
+from transport.log.run_log import LogWriter
 
 KILL = (
     *("clock.on_agent_loss='continue'", "controller.prediction='closed_loop'", "controller.relaxation='auto'"),

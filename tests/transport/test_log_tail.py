@@ -10,15 +10,15 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Message
 from mcap.writer import MCAP0_MAGIC
 
-from protocol import messages as protocol
-from tests import runs
-from tests.transport.logs import flown
-from transport import log_tail
-from transport.json_messages import to_json
-from transport.log import read_log
-from transport.log_tail import Chunks, LogTail, Unread
-from transport.mcap_salvage import content_of, frames
-from transport.viewer.record import KINDS, LATER, Record
+from protocol.wire import messages as protocol
+from tests.support import runs
+from tests.support.logs import flown
+from transport.log import tail as log_tail
+from transport.log.json_messages import to_json
+from transport.log.run_log import read_log
+from transport.log.salvage import content_of, frames
+from transport.log.tail import Chunks, LogTail, Unread
+from transport.scene.record import KINDS, LATER, Record
 
 
 @pytest.fixture(scope="module")

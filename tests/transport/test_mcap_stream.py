@@ -19,8 +19,8 @@ from mcap.records import Chunk, ChunkIndex, DataEnd, Footer, McapRecord, Message
 from mcap.stream_reader import StreamReader, breakup_chunk, get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
-from transport.mcap_salvage import DAMAGE, Salvage, frames, records_of
-from transport.mcap_stream import McapStream
+from transport.log.mcap_stream import McapStream
+from transport.log.salvage import DAMAGE, Salvage, frames, records_of
 
 FRAME_BYTES, CRC_BYTES = 9, 4
 CHUNK_BYTES = 2000

@@ -13,13 +13,13 @@ from coordinator.node import CoordinatorNode
 from model.arrays import Array
 from mpc.controller import Controller
 from plant.node import PlantNode
-from protocol.codec import decode, encode
-from protocol.keys import Keys
-from protocol.messages import KINDS, STAGES, Control, Message, Plan, Presence, StepReport
-from protocol.setup import Setup
-from tests.runs import SHORT, integrated, plan, recorded, reproducible, setup, truths
-from tests.transport.shuffled import fly_shuffled
-from transport import memory
+from protocol.scenario.setup import Setup
+from protocol.wire.codec import decode, encode
+from protocol.wire.keys import Keys
+from protocol.wire.messages import KINDS, STAGES, Control, Message, Plan, Presence, StepReport
+from tests.support.runs import SHORT, integrated, plan, recorded, reproducible, setup, truths
+from tests.support.shuffled import fly_shuffled
+from transport.flight import memory
 
 PERIOD_S = 0.05
 TICKS = 30

@@ -8,12 +8,12 @@ import pytest
 
 from model import state
 from model.arrays import Array
-from protocol.messages import Control, Message, Outcome, Plan, Reason, Rejected, StepReport
-from tests import runs
-from tests.transport.logs import ALONE, log_of, plan, report, truth
-from transport.metrics import network_ms, summarise
-from transport.series import series_of
-from transport.steps import steps_columns, steps_rows
+from protocol.wire.messages import Control, Message, Outcome, Plan, Reason, Rejected, StepReport
+from tests.support import runs
+from tests.support.logs import ALONE, log_of, plan, report, truth
+from transport.analysis.metrics import network_ms, summarise
+from transport.analysis.series import series_of
+from transport.analysis.steps import steps_columns, steps_rows
 
 # A few roundings of numbers of order one to a hundred.
 ROUNDING = 1e-12

@@ -8,11 +8,11 @@ import pytest
 from model import state
 from model.arrays import Array
 from mpc.cost import Cost
-from protocol.messages import Message, StepReport, Truth
-from protocol.scenario_file import read_scenario
-from protocol.setup import Setup
-from tests.runs import SCENARIOS, reproducible
-from transport.memory import fly
+from protocol.scenario.file import read_scenario
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import Message, StepReport, Truth
+from tests.support.runs import SCENARIOS, reproducible
+from transport.flight.memory import fly
 
 # A climb, and a hover long enough to settle. Nothing moves sideways: swinging, the payload is higher than at rest.
 CLIMB = (

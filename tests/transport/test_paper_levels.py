@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from protocol.messages import Message
-from protocol.scenario_file import find_scenario, read_scenario
-from protocol.setup import Setup
-from tests.runs import SHORT
-from tests.transport.logs import log_of
-from transport.memory import fly
-from transport.series import Series, series_of
+from protocol.scenario.file import find_scenario, read_scenario
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import Message
+from tests.support.logs import log_of
+from tests.support.runs import SHORT
+from transport.analysis.series import Series, series_of
+from transport.flight.memory import fly
 
 SCALE = 128.0  # a power of two: every weight keeps its digits
 SCALED = (

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from protocol.messages import Message, StepReport
-from protocol.scenario_file import find_scenario, read_scenario
-from protocol.setup import Setup
-from tests.transport.logs import log_of
-from transport.memory import fly
-from transport.series import Series, series_of
+from protocol.scenario.file import find_scenario, read_scenario
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import Message, StepReport
+from tests.support.logs import log_of
+from transport.analysis.series import Series, series_of
+from transport.flight.memory import fly
 
 # What separation may fall short of its limit: the constraint is linearised, softened, and kept at sampling instants.
 SHORTFALL_M = 0.01

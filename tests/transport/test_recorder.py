@@ -8,20 +8,20 @@ from typing import Any
 
 import pytest
 
-from protocol.bus import BusEvent
-from protocol.codec import encode
-from protocol.gate import Gate
-from protocol.keys import Keys
-from protocol.messages import Control, LinkChange, Message, Presence, Rejected
-from protocol.session import Endpoints
-from protocol.setup import Setup
-from tests import runs
-from tests.protocol.samples import sample
-from tests.runs import setup
-from tests.transport.logs import HEADER
-from transport import recorder as recorder_module
-from transport.log import LogWriter, read_log
-from transport.recorder import Recorder
+from protocol.admission.admission import Gate
+from protocol.network.bus import BusEvent
+from protocol.network.session import Endpoints
+from protocol.scenario.setup import Setup
+from protocol.wire.codec import encode
+from protocol.wire.keys import Keys
+from protocol.wire.messages import Control, LinkChange, Message, Presence, Rejected
+from tests.support import runs
+from tests.support.logs import HEADER
+from tests.support.runs import setup
+from tests.support.samples import sample
+from transport.flight import recorder as recorder_module
+from transport.flight.recorder import Recorder
+from transport.log.run_log import LogWriter, read_log
 
 RUN = setup("controller.horizon=5", runs.ticks(40))
 KEYS = Keys(RUN.scenario.name)

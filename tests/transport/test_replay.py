@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from protocol.messages import FaultNote, Message, Plan, StepReport
-from tests import runs
-from tests.transport import logs
-from transport.log import RunLog
-from transport.main import app
-from transport.replay import Replay
-from transport.replay_compare import Comparison, differences
+from protocol.wire.messages import FaultNote, Message, Plan, StepReport
+from tests.support import logs, runs
+from transport.analysis.replay import Replay
+from transport.analysis.replay_compare import Comparison, differences
+from transport.cli.main import app
+from transport.log.run_log import RunLog
 
 CLOSED_LOOP = ("controller.prediction='closed_loop'", "controller.relaxation='auto'")
 POOR_LINKS = ("links.delay_s=0.06", "links.jitter_s=0.1", "links.loss=0.2", "links.duplicate=0.1", "links.reorder=0.1")

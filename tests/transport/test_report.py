@@ -11,12 +11,12 @@ import pytest
 from jsonschema import Draft202012Validator
 from rich.console import Console
 
-from protocol.messages import Message, Reason
-from tests import runs
-from tests.transport.logs import ALONE, flown
-from transport.log import LogError
-from transport.report import summary_table, write_report
-from transport.steps import WALL_CLOCK
+from protocol.wire.messages import Message, Reason
+from tests.support import runs
+from tests.support.logs import ALONE, flown
+from transport.analysis.steps import WALL_CLOCK
+from transport.log.run_log import LogError
+from transport.report.report import summary_table, write_report
 
 SCHEMA = json.loads(files("transport").joinpath("summary.schema.json").read_text(encoding="utf-8"))
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from model.state import StateView
-from protocol.messages import Message, Truth
-from protocol.scenario_file import read_scenario
-from protocol.setup import Setup
-from tests.runs import SCENARIOS
-from transport.memory import fly
+from protocol.scenario.file import read_scenario
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import Message, Truth
+from tests.support.runs import SCENARIOS
+from transport.flight.memory import fly
 
 MANEUVER = (
     "maneuver.phase=[{name='hover',duration_s=0.5,displacement_m=[0,0,0]},"

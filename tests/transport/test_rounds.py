@@ -5,10 +5,10 @@ from functools import lru_cache
 import numpy as np
 
 from model import state
-from protocol.messages import Message, Plan, StepReport
-from tests.runs import recorded, setup, truths
-from tests.transport.logs import log_of
-from transport.metrics import summarise
+from protocol.wire.messages import Message, Plan, StepReport
+from tests.support.logs import log_of
+from tests.support.runs import recorded, setup, truths
+from transport.analysis.metrics import summarise
 
 # Sideways and up along a smooth path: the UAVs' interests differ, no limit is reached.
 MOVE = (

@@ -9,11 +9,10 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from model.rotations import rotation
-from protocol.messages import LinkChange, Message
-from tests import runs
-from tests.transport.logs import flown
-from transport.viewer.fates import LinkState
-from transport.viewer.geometry import (
+from protocol.wire.messages import LinkChange, Message
+from tests.support import runs
+from tests.support.logs import flown
+from transport.scene.geometry import (
     age_colour,
     link_segments,
     payload_mesh,
@@ -22,8 +21,9 @@ from transport.viewer.geometry import (
     simplified,
     span_m,
 )
-from transport.viewer.record import Record
-from transport.viewer.scene import Scenes
+from transport.scene.link_history import LinkState
+from transport.scene.record import Record
+from transport.scene.scene import Scenes
 
 # One step of order 5 over a sampling period against the plant's five; and inputs announced with the rounding of a sum.
 STEP_M = 1e-7

@@ -9,15 +9,15 @@ import pytest
 from model import state
 from model.arrays import Array
 from model.rotations import rotation
-from protocol.messages import Truth
-from protocol.scenario_file import find_scenario, read_scenario
-from protocol.setup import Setup
-from tests import runs
-from tests.transport.logs import ALONE, log_of, truth
-from transport.memory import fly
-from transport.metrics import summarise
-from transport.series import series_of
-from transport.swing import AT_REST_M, Swing, swing_of
+from protocol.scenario.file import find_scenario, read_scenario
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import Truth
+from tests.support import runs
+from tests.support.logs import ALONE, log_of, truth
+from transport.analysis.metrics import summarise
+from transport.analysis.series import series_of
+from transport.analysis.swing import AT_REST_M, Swing, swing_of
+from transport.flight.memory import fly
 
 # The last hover of the paper's maneuver, after a second of translation.
 HOLD = (

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from protocol.messages import Message, StepReport
-from protocol.scenario_file import read_scenario
-from protocol.setup import Setup
-from protocol.team import resized
-from tests.runs import SCENARIOS
-from tests.transport.logs import log_of
-from transport.memory import fly
-from transport.series import series_of
+from protocol.scenario.file import read_scenario
+from protocol.scenario.setup import Setup
+from protocol.scenario.team import resized
+from protocol.wire.messages import Message, StepReport
+from tests.support.logs import log_of
+from tests.support.runs import SCENARIOS
+from transport.analysis.series import series_of
+from transport.flight.memory import fly
 
 
 def team(uavs: int, template: str, *settings: str) -> Setup:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from protocol.scenario import Scenario
+from protocol.scenario.schema import Scenario
 from transport.experiments.cases import Point
 from transport.experiments.catalogue import Axis, Experiment
 

@@ -8,10 +8,10 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from protocol.scenario import Scenario
-from protocol.scenario_file import ScenarioError, find_scenario, read_scenario
-from protocol.setup import Setup
-from protocol.team import resized
+from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
+from protocol.scenario.schema import Scenario
+from protocol.scenario.setup import Setup
+from protocol.scenario.team import resized
 
 # Keys of a scenario that bring chance into a flight unless they are zero, and sections that do.
 _CHANCE = {"jitter_s", "loss", "duplicate", "reorder", "gust_mps", "noise"}

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 
-from protocol.scenario import Scenario
+from protocol.scenario.schema import Scenario
 from transport.experiments.cases import Point
 from transport.experiments.catalogue import Axis, Experiment
 from transport.experiments.errors import refused

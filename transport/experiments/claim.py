@@ -6,8 +6,8 @@ from pathlib import Path
 
 import orjson
 
-from protocol.scenario_file import ScenarioError, find_scenario, read_scenario
-from protocol.setup import Setup
+from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
+from protocol.scenario.setup import Setup
 from transport.experiments.cases import Point
 from transport.experiments.catalogue import Axis, Experiment
 from transport.experiments.computation import (
@@ -19,7 +19,7 @@ from transport.experiments.computation import (
     measure_in_turns,
 )
 from transport.experiments.errors import refused
-from transport.report import write_whole
+from transport.report.report import write_whole
 
 NAME = "paper"
 

@@ -3,13 +3,13 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from protocol.messages import Message
-from protocol.setup import Setup
-from transport import memory
-from transport.figure_style import RC, save
-from transport.figures import PERFORMANCE, plot_performance
-from transport.log import Recorded, RunLog
-from transport.series import Series, series_of
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import Message
+from transport.analysis.series import Series, series_of
+from transport.flight import memory
+from transport.log.run_log import Recorded, RunLog
+from transport.report.figures import PERFORMANCE, plot_performance
+from transport.report.style import RC, save
 
 _COLUMN_IN, _HEIGHT_IN = 3.0, 7.4
 

@@ -12,7 +12,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from protocol.setup import Setup
+from protocol.scenario.setup import Setup
 from transport.experiments import claim, claim_figure
 from transport.experiments.cases import Case, Point, cases_of
 from transport.experiments.claim import Cell
@@ -26,8 +26,8 @@ from transport.experiments.statistics import Estimate
 from transport.experiments.sweep import Fly, sweep
 from transport.experiments.table import cases_csv
 from transport.experiments.verdict import SAME_RATE, Verdict, lines, statements, verdicts
-from transport.report import write_whole
-from transport.run import machine
+from transport.flight.run import machine
+from transport.report.report import write_whole
 
 WIDTH = 130
 TITLE = "paper: means of completed runs; ± 95 % confidence of the ratio to centralized, taken seed by seed"

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import threadpoolctl
 
-from protocol.messages import Message, StepReport
-from protocol.setup import Setup
-from transport import memory
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import Message, StepReport
+from transport.flight import memory
 
 # Computation is measured for the whole team or for one agent of it.
 TEAM, AGENT = "whole team", "one agent"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from transport.experiments.claim import CENTRALIZED, CLOSED_LOOP, PAPER, STEPS, Cell
 from transport.experiments.computation import AGENT, TEAM, Load
 from transport.experiments.cost_curves import COST, Curve
-from transport.figure_style import RC, REFERENCE, WIDTH_IN, label_decades, save
+from transport.report.style import RC, REFERENCE, WIDTH_IN, label_decades, save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

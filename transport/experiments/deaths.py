@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from protocol.scenario import Scenario
+from protocol.scenario.schema import Scenario
 from transport.experiments.cases import Point
 from transport.experiments.catalogue import Axis, Experiment
 from transport.experiments.errors import refused

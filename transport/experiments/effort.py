@@ -4,10 +4,10 @@ from collections import defaultdict
 
 import numpy as np
 
-from protocol.codec import encode
-from protocol.messages import STAGES, Control, Plan, StepReport, Tick
-from protocol.setup import Setup
-from transport.log import RunLog
+from protocol.scenario.setup import Setup
+from protocol.wire.codec import encode
+from protocol.wire.messages import STAGES, Control, Plan, StepReport, Tick
+from transport.log.run_log import RunLog
 
 # Stages of the step itself, without waiting before and publishing behind it.
 _WORK = STAGES[STAGES.index("estimate") : STAGES.index("solve") + 1]

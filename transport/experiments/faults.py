@@ -20,14 +20,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from protocol.health import command_of
-from protocol.parent import python
+from protocol.network.health import command_of
+from protocol.network.parent import python
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from transport.log import RunLog
+    from transport.log.run_log import RunLog
 
 # The command itself, in which also the recorder lives; its exit code is the run's.
 COMMAND = "transport"
@@ -269,7 +269,7 @@ def _flies(folder: Path) -> bool:
 
 def _log(folder: Path) -> "tuple[RunLog | None, str]":
     """The log of a run folder if there is one, and why it cannot be read if it cannot."""
-    from transport.log import read_log
+    from transport.log.run_log import read_log
 
     path = folder / "run.mcap"
     if not path.exists():
@@ -282,7 +282,7 @@ def _log(folder: Path) -> "tuple[RunLog | None, str]":
 
 def _wrong_code(run: FaultRun, code: int, log: "RunLog | None") -> str:
     """What is wrong with an exit code, if anything."""
-    from protocol.messages import Control
+    from protocol.wire.messages import Control
 
     fits = {0, 4, 6}
     for strike in run.strikes:

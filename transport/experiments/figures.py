@@ -10,7 +10,7 @@ from transport.experiments.maps import draw_maps
 from transport.experiments.statistics import Measured
 from transport.experiments.tradeoff_figure import draw_tradeoff
 from transport.experiments.variants_figure import draw_variants
-from transport.figure_style import RC, save
+from transport.report.style import RC, save
 
 
 def draw(experiment: Experiment, measured: Sequence[Measured], folder: Path) -> list[Path]:

@@ -11,15 +11,15 @@ from typing import Any
 import threadpoolctl
 from rich.console import Console
 
-from protocol.messages import Control, Message
-from protocol.process import EXIT_INTERRUPTED
-from protocol.setup import Setup
-from transport import memory, run
+from protocol.network.process import EXIT_INTERRUPTED
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import Control, Message
+from transport.analysis.metrics import summarise
 from transport.experiments.cases import Case, key_of
 from transport.experiments.effort import effort
-from transport.log import Recorded, RunLog, read_log
-from transport.metrics import summarise
-from transport.report import write_report
+from transport.flight import memory, run
+from transport.log.run_log import Recorded, RunLog, read_log
+from transport.report.report import write_report
 
 ERROR = "error"
 

@@ -8,7 +8,7 @@ from transport.experiments.catalogue import CENTRALIZED
 from transport.experiments.curves import CURVES, MARKER, PRINT
 from transport.experiments.growth import FEWEST
 from transport.experiments.statistics import Measured
-from transport.figure_style import REFERENCE, WIDTH_IN, label_decades
+from transport.report.style import REFERENCE, WIDTH_IN, label_decades
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from transport.experiments.catalogue import Axis
 from transport.experiments.statistics import Measured
-from transport.figure_style import WIDTH_IN, label_decades
+from transport.report.style import WIDTH_IN, label_decades
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

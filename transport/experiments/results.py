@@ -10,7 +10,7 @@ import orjson
 
 from transport.experiments.errors import ExperimentError, refused
 from transport.experiments.flight import ERROR, NUMBERS, Result
-from transport.report import write_whole
+from transport.report.report import write_whole
 
 _IDENTITY, _RESULTS = "experiment.json", "results.jsonl"
 

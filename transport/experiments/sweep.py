@@ -14,7 +14,7 @@ from transport.experiments.progress import SweepProgress
 from transport.experiments.results import Results
 from transport.experiments.statistics import Measured, measure
 from transport.experiments.table import cases_csv, points_csv
-from transport.report import write_whole
+from transport.report.report import write_whole
 
 Fly = Callable[[Sequence[Case]], Iterable[Result]]
 

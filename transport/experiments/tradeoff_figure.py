@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from transport.experiments.curves import CURVES, MARKER, PRINT
 from transport.experiments.statistics import Measured
-from transport.figure_style import WIDTH_IN
+from transport.report.style import WIDTH_IN
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from transport.experiments.statistics import Measured
-from transport.figure_style import WIDTH_IN, label_decades
+from transport.report.style import WIDTH_IN, label_decades
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

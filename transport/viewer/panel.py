@@ -5,13 +5,13 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from protocol.messages import agent_name
-from transport.viewer import words
-from transport.viewer.acts import Acts
+from protocol.wire.messages import agent_name
+from transport.scene.scene import Scene, Scenes
+from transport.viewer import html as words
 from transport.viewer.clock import SPEEDS, Clock
+from transport.viewer.commands import Acts
 from transport.viewer.pace import pace
-from transport.viewer.scene import Scene, Scenes
-from transport.viewer.stage import LAYERS
+from transport.viewer.view3d import LAYERS
 
 if TYPE_CHECKING:
     import viser

@@ -14,13 +14,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING
 
-from transport.live import LiveRun
-from transport.log_tail import LogTail
-from transport.viewer.acts import Acts
+from transport.flight.live import LiveRun
+from transport.log.tail import LogTail
+from transport.scene.scene import Scene, Scenes
 from transport.viewer.clock import Clock
+from transport.viewer.commands import Acts
 from transport.viewer.panel import Panel
-from transport.viewer.scene import Scene, Scenes
-from transport.viewer.stage import Stage
+from transport.viewer.view3d import Stage
 
 if TYPE_CHECKING:
     import viser

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from protocol.scenario_file import find_scenario, read_scenario
-from tests.runs import ticks
-from tests.transport.experiments.flown import here
+from protocol.scenario.file import find_scenario, read_scenario
+from tests.support.results import here
+from tests.support.runs import ticks
 from transport.experiments.ablation import AS_IT_IS, NETWORKS, PARTS, ablation
 from transport.experiments.cases import cases_of
 from transport.experiments.catalogue import Experiment

@@ -6,8 +6,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from protocol.links import LinkModel, link
-from protocol.scenario_file import ScenarioError, find_scenario, read_scenario
+from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
+from protocol.scenario.links import LinkModel, link
 from transport.experiments import catalogue
 from transport.experiments.cases import Point, cases_of, is_random
 from transport.experiments.catalogue import Experiment

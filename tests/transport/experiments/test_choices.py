@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from protocol.scenario import Scenario
-from protocol.scenario_file import find_scenario, read_scenario
-from tests.runs import ticks
-from tests.transport.experiments.flown import here
+from protocol.scenario.file import find_scenario, read_scenario
+from protocol.scenario.schema import Scenario
+from tests.support.results import here
+from tests.support.runs import ticks
 from transport.experiments import choices
 from transport.experiments.cases import cases_of
 from transport.experiments.catalogue import Experiment

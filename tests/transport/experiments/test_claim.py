@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from protocol.setup import Setup
-from tests.runs import ticks
-from tests.transport.experiments.flown import here
+from protocol.scenario.setup import Setup
+from tests.support.results import here
+from tests.support.runs import ticks
 from transport.experiments import claim, cost_curves
 from transport.experiments.cases import Case, cases_of
 from transport.experiments.claim import CENTRALIZED, CLOSED_LOOP, GUSTS, PAPER, SECONDS, STEPS, STILL, Cell

@@ -6,13 +6,13 @@ from pathlib import Path
 import orjson
 import pytest
 
-from protocol.messages import Control
-from protocol.setup import Setup
-from tests.runs import ticks
-from tests.transport.experiments.flown import here, kept, tables
-from transport import memory
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import Control
+from tests.support.results import here, kept, tables
+from tests.support.runs import ticks
 from transport.experiments.flight import NUMBERS
 from transport.experiments.table import WIDTH
+from transport.flight import memory
 
 DONE, USAGE, SCENARIO, LOST, CASES = 0, 2, 3, 4, 7
 

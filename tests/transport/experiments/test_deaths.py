@@ -2,7 +2,7 @@
 
 import pytest
 
-from protocol.scenario_file import find_scenario, read_scenario
+from protocol.scenario.file import find_scenario, read_scenario
 from transport.experiments.cases import cases_of
 from transport.experiments.deaths import deaths
 from transport.experiments.errors import ExperimentError

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from tests.runs import ticks
-from tests.transport.experiments.flown import here
+from tests.support.results import here
+from tests.support.runs import ticks
 from transport.experiments.ablation import NETWORKS
 from transport.experiments.cases import cases_of
 from transport.experiments.errors import ExperimentError

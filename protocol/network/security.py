@@ -1,0 +1,233 @@
+"""Who may connect, and who may say what: the folder of keys, and Zenoh's access control made from the table of keys.
+
+With certificates every link is TLS, both ends show theirs, and each process holds everybody to what the name in the
+certificate may say. Passwords are known to a router alone: whoever connects proves its name to the one it calls, and
+learns nothing of that one; so in a mesh they could not say who is who.
+"""
+
+import ipaddress
+import ssl
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from protocol.wire.keys import ACTING, OPERATOR, READING, ROUTER, WATCHER, Keys
+
+# Files of a folder of keys; besides them NAME.pem and NAME.key, or NAME.password, for each name.
+AUTHORITY, USERS = "ca.pem", "users.txt"
+
+# Messages of a TLS handshake in either direction, at most.
+_FLIGHTS = 4
+
+# Everything that Zenoh's access control knows of.
+_SPEAKING = ("put", "delete")
+_LISTENING = ("declare_liveliness_subscriber", "liveliness_query")
+_ALL = (
+    *(*_SPEAKING, *_LISTENING, "declare_subscriber", "liveliness_token"),
+    *("query", "reply", "declare_queryable"),
+)
+
+
+class SecurityError(ValueError):
+    """Keys that cannot be used: the text says which file or option, expected, got."""
+
+
+@dataclass(frozen=True, slots=True)
+class Security:
+    """The keys of this host and the processes of the run.
+
+    Args:
+        folder: Made by `transport deploy keys`: certificates, or passwords.
+        names: Processes that take part: coordinator, plant, agent1, ..., recorder.
+    """
+
+    folder: Path
+    names: tuple[str, ...]
+
+    @property
+    def kind(self) -> Literal["certificates", "passwords"]:
+        """What the folder holds.
+
+        Raises: SecurityError: neither.
+        """
+        if (self.folder / AUTHORITY).is_file():
+            return "certificates"
+        if (self.folder / USERS).is_file() or next(self.folder.glob("*.password"), None) is not None:
+            return "passwords"
+        what = "a folder with ca.pem or passwords (transport deploy keys)"
+        raise SecurityError(f"network.keys: expected {what}, got {self.folder}")
+
+    @property
+    def scheme(self) -> Literal["tls", "tcp"]:
+        """Protocol of every endpoint."""
+        return "tls" if self.kind == "certificates" else "tcp"
+
+    def check(self, name: str, *, mode: str) -> None:
+        """Refuse keys with which a process cannot take part.
+
+        Args:
+            name: The process's.
+            mode: Zenoh's: peer, client or router.
+        Raises: SecurityError: naming the file, what was expected and what came.
+        """
+        if self.kind == "passwords":
+            if mode == "peer":
+                expected = "expected network.router with passwords, which only a router can check, got a mesh"
+                raise SecurityError(f"network.keys: {expected}")
+            self._password(name)
+            if mode == "router" and not (self.folder / USERS).is_file():
+                raise SecurityError(
+                    f"network.keys: expected {self.folder / USERS} on the router's host, got no such file"
+                )
+            return
+        authority, certificate, key = self._files(name)
+        for file in (authority, certificate, key):
+            if not file.is_file():
+                raise SecurityError(f"network.keys: expected the file {file}, got none (transport deploy keys)")
+        try:
+            _shake_hands(authority, certificate, key)
+        except (OSError, ssl.SSLError) as error:
+            expected = f"expected a certificate of {authority.name} that is good now, and the key that belongs to it"
+            problem = getattr(error, "verify_message", "") or error
+            raise SecurityError(f"network.keys: {certificate}: {expected}, got {problem}") from error
+
+    def configuration(self, name: str, prefix: str, *, mode: str) -> dict[str, Any]:
+        """What belongs into Zenoh's configuration of a process.
+
+        Args:
+            name: The process's.
+            prefix: What its run's keys begin with.
+            mode: Zenoh's: peer, client or router.
+        """
+        self.check(name, mode=mode)
+        if self.kind == "passwords":
+            auth: dict[str, Any] = {"user": name, "password": self._password(name)}
+            if mode != "router":
+                return {"transport": {"auth": {"usrpwd": auth}}}
+            auth["dictionary_file"] = str(self.folder / USERS)
+            access = access_control(self.names, prefix, "usernames")
+            return {"transport": {"auth": {"usrpwd": auth}}, "access_control": access}
+        authority, certificate, key = map(str, self._files(name))
+        tls = {
+            "root_ca_certificate": authority,
+            "enable_mtls": True,
+            "verify_name_on_connect": True,
+            "close_link_on_expiration": True,
+            "listen_certificate": certificate,
+            "listen_private_key": key,
+            "connect_certificate": certificate,
+            "connect_private_key": key,
+        }
+        access = access_control(self.names, prefix, "cert_common_names")
+        return {"transport": {"link": {"protocols": ["tls"], "tls": tls}}, "access_control": access}
+
+    def _files(self, name: str) -> tuple[Path, Path, Path]:
+        return self.folder / AUTHORITY, self.folder / f"{name}.pem", self.folder / f"{name}.key"
+
+    def _password(self, name: str) -> str:
+        file = self.folder / f"{name}.password"
+        try:
+            return file.read_text(encoding="utf-8").strip()
+        except OSError as error:
+            raise SecurityError(f"network.keys: expected the file {file}, got none ({error.strerror})") from error
+
+
+def access_control(names: Sequence[str], prefix: str, attribute: str) -> dict[str, Any]:
+    """Zenoh's access control: nothing is allowed but what `protocol.wire.keys` says of a name.
+
+    What comes in from a name is held to that name's rights. What goes out is not: who may listen has been asked when
+    it subscribed.
+
+    Args:
+        names: Processes that take part; those that look on, and a router, are known as well.
+        prefix: What the keys begin with; its run may be `*` for any.
+        attribute: What tells who is who: cert_common_names or usernames.
+    """
+    keys = Keys.below(prefix)
+    subjects = [*dict.fromkeys([*names, WATCHER, OPERATOR, ROUTER])]
+    rules = [_rule("out", "egress", _ALL, [f"{prefix}/**"])]
+    policies = []
+    for name in subjects:
+        own = [_rule(f"{name}.{place}", "ingress", *right) for place, right in enumerate(_rights(keys, name))]
+        rules += own
+        policies.append({"rules": ["out", *[rule["id"] for rule in own]], "subjects": [name]})
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": [{"id": name, attribute: [name]} for name in subjects],
+        "policies": policies,
+    }
+
+
+def exposed(endpoints: Sequence[str]) -> str | None:
+    """The first of some Zenoh endpoints that others than this host can reach and that is not encrypted, or None."""
+    for endpoint in endpoints:
+        protocol, _, address = endpoint.partition("/")
+        host = address.rpartition(":")[0].strip("[]")
+        if protocol in ("tcp", "udp", "ws") and not is_loopback(host):
+            return endpoint
+    return None
+
+
+def is_loopback(host: str) -> bool:
+    """Whether an address or name is this host's own, reached by nobody else."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def _shake_hands(authority: Path, certificate: Path, key: Path) -> None:
+    """Have a certificate looked at as a peer would, by TLS with itself: authority, validity, key.
+
+    Raises: ssl.SSLError: it would be refused. OSError: a file cannot be read.
+    """
+    contexts = []
+    for protocol in (ssl.PROTOCOL_TLS_SERVER, ssl.PROTOCOL_TLS_CLIENT):
+        context = ssl.SSLContext(protocol)
+        context.check_hostname = False  # which address it is called by is not known here
+        context.verify_mode = ssl.CERT_REQUIRED
+        context.load_verify_locations(authority)
+        context.load_cert_chain(certificate, key)
+        contexts.append(context)
+    there, back = ssl.MemoryBIO(), ssl.MemoryBIO()
+    ends = [
+        contexts[0].wrap_bio(there, back, server_side=True),
+        contexts[1].wrap_bio(back, there, server_side=False),
+    ]
+    for _ in range(_FLIGHTS):
+        for end in ends:
+            with suppress(ssl.SSLWantReadError):
+                end.do_handshake()
+
+
+def _rights(keys: Keys, name: str) -> Iterator[tuple[Sequence[str], list[str]]]:
+    """What may come from a name: messages in Zenoh's words, and the keys."""
+    if name == ROUTER:
+        yield _ALL, [f"{keys.prefix}/**"]
+        return
+    looks_on = name in (WATCHER, OPERATOR)
+    yield _LISTENING, [f"{keys.prefix}/{kind}/**" for kind in ("alive", "ready")]
+    yield ("declare_subscriber",), [f"{keys.prefix}/**"] if looks_on else keys.subscriptions(name)
+    questions = READING if name != OPERATOR else (*READING, *ACTING)
+    yield ("query",), [keys.request("*", what) for what in questions]
+    if looks_on:
+        return
+    said = keys.publications(name)
+    if said:
+        yield _SPEAKING, said
+    yield ("liveliness_token",), [f"{keys.prefix}/{kind}/{name}/**" for kind in ("alive", "ready")]
+    yield ("declare_queryable", "reply"), [keys.request(name, "*")]
+
+
+def _rule(identity: str, flow: str, messages: Sequence[str], key_exprs: Sequence[str]) -> dict[str, Any]:
+    return {
+        "id": identity,
+        "permission": "allow",
+        "flows": [flow],
+        "messages": list(messages),
+        "key_exprs": list(key_exprs),
+    }

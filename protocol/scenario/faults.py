@@ -1,0 +1,88 @@
+"""Scripted faults: what happens to which process or UAV at which tick.
+
+A process that is to be killed or stopped at a tick does that to itself, on the message that opens the tick for
+it: so the fault happens at that tick on every machine. What brings a process back, its parent does. What happens to
+a UAV, the plant does, and the coordinator reports it with the roster of the tick.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from protocol.scenario.schema import Scenario
+from protocol.wire.messages import Measurement, Message, Tick
+
+Action = Literal["kill", "stop", "continue", "start", "motor_off", "release"]
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One fault.
+
+    Attributes:
+        tick: When.
+        do: "kill" and "stop" happen when the tick opens for the target; "continue" and "start" are to have
+            brought it back when the tick opens; "motor_off" and "release" count from the tick on.
+        target: Process name; for "motor_off" and "release" the name of a UAV, such as "uav3".
+    """
+
+    tick: int
+    do: Action
+    target: str
+
+
+def uav_name(uav: int) -> str:
+    """Name of a UAV as a target of faults, e.g. "uav3" for the 0-based 2."""
+    return f"uav{uav + 1}"
+
+
+# What happens to a UAV: tick, what, UAV (0-based).
+UavFault = tuple[int, Literal["motor_off", "release"], int]
+
+
+def uav_faults(faults: Sequence[Fault]) -> tuple[UavFault, ...]:
+    """Return what happens to UAVs, in the order of time."""
+    return tuple(
+        (fault.tick, fault.do, int(fault.target.removeprefix("uav")) - 1)
+        for fault in faults
+        if fault.do in ("motor_off", "release")
+    )
+
+
+def scripted(scenario: Scenario) -> tuple[Fault, ...]:
+    """The faults of a scenario in the order of time; a restart is a kill, unless that is done, and a start."""
+    period_s = scenario.controller.sampling_period_s
+    found: list[Fault] = []
+    down: dict[str, int] = {}  # who is not running, since which tick
+    for event in sorted(scenario.faults.event, key=lambda event: event.at_s):
+        tick, target = math.ceil(event.at_s / period_s - 1e-9), event.target
+        if event.do in ("motor_off", "release"):
+            found.append(Fault(tick, event.do, target))
+            continue
+        if event.do in ("kill", "stop"):
+            found.append(Fault(tick, "kill" if event.do == "kill" else "stop", target))
+            down.setdefault(target, tick)
+            continue
+        if target not in down:
+            found.append(Fault(tick, "kill", target))
+        # Nobody is back at the tick at which it went.
+        tick = max(tick, down.pop(target, tick) + 1)
+        found.append(Fault(tick, "start" if event.do == "restart" else "continue", target))
+    return tuple(sorted(found, key=lambda fault: fault.tick))
+
+
+def due(faults: Sequence[Fault], name: str, message: Message) -> Literal["kill", "stop"] | None:
+    """What a process is to do to itself on a message, if anything.
+
+    Args:
+        faults: Of the run.
+        name: The process.
+        message: What it has received, or is about to send.
+    """
+    if not faults or not isinstance(message, Measurement | Tick):
+        return None
+    for fault in faults:
+        if fault.target == name and fault.tick == message.tick and fault.do in ("kill", "stop"):
+            return "kill" if fault.do == "kill" else "stop"
+    return None

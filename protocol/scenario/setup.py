@@ -1,0 +1,269 @@
+"""From a scenario to the objects of a run: what every process builds for itself, identically."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+from pathlib import Path
+
+import numpy as np
+
+from model.arrays import Array
+from model.hover import Hover, hover
+from model.linearisation import Model
+from model.maneuver import Maneuver, Phase, Reference
+from model.parameters import Payload, System, Uav
+from mpc.constraints import UserCosts, compile_constraints
+from mpc.regulation import Regulation
+from mpc.settings import Constraint, ControllerSettings, CostTerm, Limits, Separation, Tilt, Weights
+from protocol.scenario.faults import Fault, scripted
+from protocol.scenario.file import ScenarioError, building
+from protocol.scenario.links import Link, link
+from protocol.scenario.schema import Scenario, UavSection
+from protocol.wire.messages import Measurement, Plan
+
+
+@dataclass(frozen=True)
+class Setup:
+    """A scenario turned into a system, a maneuver and controller settings.
+
+    Attributes:
+        scenario: As validated.
+        system: Physical parameters.
+        hover: Equilibrium at the origin.
+        maneuver: The payload's path.
+        settings: The same for every agent.
+        owned: 0-based UAVs of agent 1, agent 2, ...
+        samples_s: Measured delays of the links, by file.
+    """
+
+    scenario: Scenario
+    system: System
+    hover: Hover
+    maneuver: Maneuver
+    settings: ControllerSettings
+    owned: tuple[tuple[int, ...], ...]
+    samples_s: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+
+    @staticmethod
+    def of(scenario: Scenario, source: str) -> "Setup":
+        """Build everything a scenario describes.
+
+        Args:
+            scenario: Validated scenario.
+            source: Its file, for error texts.
+        Raises: ScenarioError: a body, path or setting that cannot exist; naming file, field, expected, got.
+        """
+        payload = building(source, "system.payload", lambda: _payload(scenario))
+        uavs = [building(source, f"system.uav.{section.id}", partial(_uav, section)) for section in scenario.system.uav]
+        system = building(
+            source, "system", lambda: System(payload=payload, uavs=uavs, gravity=scenario.system.gravity_mps2)
+        )
+        equilibrium = building(source, "system.uav", lambda: hover(system))
+        maneuver = building(source, "maneuver", lambda: _maneuver(scenario))
+        settings = building(source, "controller", lambda: _settings(scenario))
+        setup = Setup(
+            scenario=scenario,
+            system=system,
+            hover=equilibrium,
+            maneuver=maneuver,
+            settings=settings,
+            owned=tuple(tuple(uav - 1 for uav in group) for group in scenario.owned),
+            samples_s=_samples(scenario, source),
+        )
+        building(source, "controller.constraint", lambda: compile_constraints(settings.constraints, setup.model))
+        building(source, "controller.cost", lambda: UserCosts(settings.costs, setup.model).about(equilibrium.x))
+        building(source, "controller.prediction", lambda: Regulation(setup.model, equilibrium, settings))
+        setup._check_hover_is_possible(source)
+        return setup
+
+    @cached_property
+    def model(self) -> Model:
+        """Compiled equations of motion."""
+        return Model(self.system)
+
+    @cached_property
+    def reference(self) -> Reference:
+        """Reference outputs and states."""
+        return Reference(self.system, self.hover, self.maneuver)
+
+    @cached_property
+    def Y_ref(self) -> Array:
+        """Reference outputs at every instant that any horizon reaches, (K, 4 N + 9)."""
+        return self.reference.outputs(self._instants_s())
+
+    @cached_property
+    def X_ref(self) -> Array:
+        """Reference states at the same instants, (K, n)."""
+        return self.reference.states(self._instants_s())
+
+    def _instants_s(self) -> Array:
+        instants = np.arange(self.ticks + self.settings.horizon + 2, dtype=np.float64)
+        return self.settings.sampling_period_s * instants
+
+    @property
+    def agents(self) -> tuple[int, ...]:
+        """Agent ids, 1-based."""
+        return tuple(range(1, len(self.owned) + 1))
+
+    @property
+    def ticks(self) -> int:
+        """Sampling instants of the run: t_k < duration of the maneuver."""
+        periods = self.maneuver.duration_s / self.settings.sampling_period_s
+        # A duration of a whole number of periods must not gain one by rounding.
+        return max(1, math.ceil(periods - 1e-9 * periods))
+
+    @property
+    def period_ns(self) -> int:
+        """Sampling period, ns."""
+        return round(self.settings.sampling_period_s * 1e9)
+
+    def link(self, sender: str, receiver: str) -> Link:
+        """The link that carries one process's messages to another: plans, or from the plant measurements."""
+        return link(
+            self.scenario.links,
+            sender,
+            receiver,
+            kind=Measurement.kind if sender == "plant" else Plan.kind,
+            seed=self.scenario.seed,
+            period_s=self.settings.sampling_period_s,
+            samples_s=self.samples_s,
+        )
+
+    @cached_property
+    def faults(self) -> tuple[Fault, ...]:
+        """Scripted faults, in the order of time."""
+        return scripted(self.scenario)
+
+    def initial_state(self) -> np.ndarray:
+        """Hover at the start of the maneuver, at rest, (12 + 12 N,)."""
+        x = self.hover.x.copy()
+        x[:3] += self.maneuver.start_I
+        return x
+
+    def doubts(self) -> list[str]:
+        """Phases that ask for more than the vehicles have, one line each: they can be flown, but not as asked."""
+        limits, mass = self.settings.limits, self.system.payload.mass + sum(uav.mass for uav in self.system.uavs)
+        weight, (least, most) = mass * self.system.gravity, np.multiply(self.system.N, limits.thrust_N)
+        sideways, up, down = math.sqrt(most**2 - weight**2) / mass, (most - weight) / mass, (weight - least) / mass
+        found = []
+        for phase in self.maneuver.phases:
+            x, y, z = phase.displacement_I
+            ways = ((math.hypot(x, y), sideways), (max(-z, 0.0), up), (max(z, 0.0), down))
+            # Half the way with all the thrust there is one way, half with all of it the other.
+            takes_s = max(2.0 * math.sqrt(way_m / a) for way_m, a in ways)
+            if takes_s > phase.duration_s:
+                asked = f"{np.linalg.norm(phase.displacement_I):g} m in {phase.duration_s:g} s"
+                found.append(f"phase {phase.name!r}: {asked}; from rest to rest all thrust takes {takes_s:.1f} s")
+        return found
+
+    def _check_hover_is_possible(self, source: str) -> None:
+        limits = self.settings.limits
+        for i, thrust in enumerate(self.hover.u[::4]):
+            low, high = limits.thrust_N
+            if not low <= thrust <= high:
+                raise ScenarioError(
+                    source,
+                    "controller.limits.thrust_N",
+                    f"expected a range that contains the hover thrust {thrust:.2f} N of UAV{i + 1}, got {[low, high]}",
+                )
+        separation = self.settings.separation
+        if separation is None or self.system.N < 2:
+            return
+        r = self.model.outputs(self.hover.x)[: 3 * self.system.N].reshape(-1, 3)
+        distance, i, j = min(
+            (float(np.linalg.norm(r[i] - r[j])), i, j) for i in range(len(r)) for j in range(i + 1, len(r))
+        )
+        if distance < separation.minimum_m:
+            raise ScenarioError(
+                source,
+                "controller.separation.minimum_m",
+                f"expected at most the {distance:.3f} m between UAV{i + 1} and UAV{j + 1} at hover, "
+                f"got {separation.minimum_m}",
+            )
+
+
+def _samples(scenario: Scenario, source: str) -> dict[str, tuple[float, ...]]:
+    """Read the files of measured delays that the links name, relative to the scenario's folder."""
+    found: dict[str, tuple[float, ...]] = {}
+    for section in scenario.links.all().values():
+        if section.distribution != "empirical" or section.samples is None:
+            continue
+        if ".." in Path(section.samples).parts:
+            expected = "expected an absolute path or one below the scenario's folder"
+            raise ScenarioError(source, "links.samples", f"{expected}, got {section.samples!r}")
+        path = Path(source).parent / section.samples
+        try:
+            values = [float(word) for word in path.read_text(encoding="utf-8").replace(",", " ").split()]
+        except OSError as error:
+            raise ScenarioError(source, "links.samples", f"cannot read {path} ({error.strerror})") from error
+        except ValueError as error:
+            raise ScenarioError(source, "links.samples", f"{path}: expected delays in seconds, {error}") from error
+        if not values or not all(0.0 <= value < math.inf for value in values):
+            raise ScenarioError(source, "links.samples", f"{path}: expected delays >= 0 s, got {values[:3]}")
+        found[section.samples] = tuple(sorted(values))
+    return found
+
+
+def _payload(scenario: Scenario) -> Payload:
+    section = scenario.system.payload
+    return Payload(mass=section.mass_kg, inertia=section.inertia_kgm2)
+
+
+def _uav(section: UavSection) -> Uav:
+    return Uav(mass=section.mass_kg, inertia=section.inertia_kgm2, rho=section.rho_m, rod_length=section.rod_length_m)
+
+
+def _maneuver(scenario: Scenario) -> Maneuver:
+    section = scenario.maneuver
+    phases = [
+        Phase(name=p.name, duration_s=p.duration_s, displacement_I=p.displacement_m, way=p.way) for p in section.phase
+    ]
+    return Maneuver(start_I=section.start_m, phases=phases, profile=section.profile)
+
+
+def _settings(scenario: Scenario) -> ControllerSettings:
+    section = scenario.controller
+    weights, limits, separation, tilt = section.weights, section.limits, section.separation, section.tilt
+    # 1/M of M agents: the descent guarantee of cooperative distributed MPC (docs/decisions.md).
+    relaxation = 1.0 / len(scenario.owned) if section.relaxation == "auto" else float(section.relaxation)
+    return ControllerSettings(
+        sampling_period_s=section.sampling_period_s,
+        horizon=section.horizon,
+        weights=Weights(
+            position=weights.position,
+            attitude=weights.attitude,
+            yaw_rate=weights.yaw_rate,
+            payload_position=weights.payload_position,
+            payload_velocity=weights.payload_velocity,
+            terminal=weights.terminal,
+            thrust=weights.thrust,
+            moments=_three(weights.moments),
+            priced=weights.priced,
+        ),
+        limits=Limits(
+            thrust_N=(limits.thrust_N[0], limits.thrust_N[1]),
+            moments_Nm=_three(limits.moments_Nm),
+            thrust_rate_N_s=limits.thrust_rate_N_s,
+            moment_rates_Nm_s=_three(limits.moment_rates_Nm_s),
+        ),
+        separation=None
+        if separation is None
+        else Separation(minimum_m=separation.minimum_m, penalty=separation.penalty),
+        tilt=None if tilt is None else Tilt(limit_deg=tilt.limit_deg, penalty=tilt.penalty),
+        constraints=tuple(
+            Constraint(expression=c.expression, soft=c.soft, penalty=c.penalty) for c in section.constraint
+        ),
+        costs=tuple(CostTerm(expression=c.expression, weight=c.weight) for c in section.cost),
+        prediction=section.prediction,
+        terminal=section.terminal,
+        preview=section.preview,
+        discretisation=section.discretisation,
+        relaxation=relaxation,
+        solver=section.solver,
+    )
+
+
+def _three(values: list[float]) -> tuple[float, float, float]:
+    a, b, c = values
+    return a, b, c

@@ -1,0 +1,88 @@
+"""Messages as bytes: one version byte, then msgpack; arrays as raw little-endian float64.
+
+Layout (docs/protocol.md): `version (1 byte) | msgpack [kind, field, field, ...]`, fields in the order of the
+message class. An array is msgpack extension type 1: number of axes and up to three lengths as four
+little-endian uint32, then the values row by row.
+"""
+
+import dataclasses
+import math
+import struct
+from typing import Any
+
+import msgpack
+import numpy as np
+
+from model.arrays import Array
+from protocol.wire.messages import KINDS, Message, MessageError, is_name
+
+VERSION = 4
+MAX_BYTES = 4 * 1024 * 1024  # a plan for 256 UAVs over 400 steps; anything larger is not ours
+
+_ARRAY = 1
+_HEADER = struct.Struct("<4I")  # 16 bytes keep the values aligned
+_AXES = 3
+_FLOAT64 = np.dtype("<f8")
+
+_FIELDS = {kind: tuple(field.name for field in dataclasses.fields(cls)) for kind, cls in KINDS.items()}
+
+
+def encode(message: Message) -> bytes:
+    """Bytes of a message."""
+    values = [getattr(message, name) for name in _FIELDS[message.kind]]
+    body: bytes = msgpack.packb([message.kind, *values], default=_pack_array, use_bin_type=True)
+    return bytes([VERSION]) + body
+
+
+def decode(data: bytes) -> Message:
+    """The message in some bytes.
+
+    Raises: MessageError: for anything that is not a valid message of this version, with the reason.
+    """
+    if not data:
+        raise MessageError("malformed", "empty message")
+    if len(data) > MAX_BYTES:
+        raise MessageError("oversized", f"message of {len(data)} bytes, at most {MAX_BYTES} allowed")
+    if data[0] != VERSION:
+        raise MessageError("wrong_version", f"protocol version {data[0]}, expected {VERSION}")
+    try:
+        content = msgpack.unpackb(
+            memoryview(data)[1:], ext_hook=_unpack_array, raw=False, strict_map_key=True, use_list=False
+        )
+    except MessageError:
+        raise
+    except (ValueError, TypeError, RecursionError, msgpack.UnpackException) as error:
+        raise MessageError("malformed", f"not msgpack ({type(error).__name__})") from error
+    if not (isinstance(content, tuple) and content and isinstance(content[0], str)):
+        raise MessageError("malformed", "expected a list that starts with a message kind")
+    kind, values = content[0], content[1:]
+    if kind not in KINDS:
+        raise MessageError("unknown_kind", f"unknown message kind {kind[:40]!r}")
+    names = _FIELDS[kind]
+    if len(values) != len(names):
+        raise MessageError("wrong_shape", f"{kind}: expected {len(names)} fields, got {len(values)}")
+    try:
+        return KINDS[kind](**dict(zip(names, values, strict=True)))
+    except MessageError as error:
+        error.sender = values[0] if is_name(values[0]) else ""
+        raise
+
+
+def _pack_array(value: Any) -> msgpack.ExtType:
+    if not isinstance(value, np.ndarray) or value.ndim > _AXES:
+        raise TypeError(f"cannot send {type(value).__name__}")
+    lengths = [*value.shape, *[0] * (_AXES - value.ndim)]
+    return msgpack.ExtType(_ARRAY, _HEADER.pack(value.ndim, *lengths) + value.astype(_FLOAT64, copy=False).tobytes())
+
+
+def _unpack_array(code: int, data: bytes) -> Array:
+    if code != _ARRAY or len(data) < _HEADER.size:
+        raise MessageError("malformed", f"unknown extension type {code} of {len(data)} bytes")
+    header = _HEADER.unpack_from(data)
+    axes = header[0]
+    if axes > _AXES:
+        raise MessageError("malformed", f"array of {axes} axes, at most {_AXES} allowed")
+    shape = header[1 : 1 + axes]
+    if len(data) - _HEADER.size != 8 * math.prod(shape):
+        raise MessageError("malformed", f"array of shape {shape} in {len(data) - _HEADER.size} bytes")
+    return np.ndarray(shape, _FLOAT64, data, _HEADER.size)

@@ -1,0 +1,130 @@
+"""What was refused: counted by sender and reason, with one example of each."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from protocol.wire.messages import MAX_TEXT, MessageError, Reason, Rejected
+
+# Senders told apart. Anybody can claim to be anybody, so the rest share a name.
+MAX_SENDERS = 64
+OTHERS = "others"
+
+# A sender is a process name, or else a key, and that can be as long as its author likes.
+_LONGEST_SENDER = 80
+
+# Between two messages about what is refused.
+_EVERY_NS = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Rejection:
+    """Messages of one sender refused for one reason.
+
+    Attributes:
+        sender: Who sent them by their own account; the end of the key they came under where that cannot be read.
+        reason: Why they were refused.
+        count: How many so far.
+        example: What was wrong with the first of them.
+    """
+
+    sender: str
+    reason: Reason
+    count: int
+    example: str
+
+
+class Rejections:
+    """Counts of one process; they do not grow with what is refused.
+
+    Attributes:
+        total: Messages refused so far.
+    """
+
+    def __init__(self) -> None:
+        self.total = 0
+        self._counts: dict[tuple[str, Reason], int] = {}
+        self._examples: dict[tuple[str, Reason], str] = {}
+        self._senders: set[str] = set()
+        self._told: dict[tuple[str, Reason], int] = {}
+
+    def __iter__(self) -> Iterator[Rejection]:
+        """What was refused so far, in the order it first happened."""
+        for (sender, reason), count in self._counts.items():
+            yield Rejection(sender, reason, count, self._examples[sender, reason])
+
+    def add(self, sender: str, error: MessageError, count: int = 1) -> None:
+        """Count messages.
+
+        Args:
+            sender: Who sent them, or the key they came under.
+            error: Why the first of them is refused.
+            count: How many there are.
+        """
+        sender = sender[:_LONGEST_SENDER]
+        if sender not in self._senders:
+            if len(self._senders) < MAX_SENDERS:
+                self._senders.add(sender)
+            else:
+                sender = OTHERS
+        at = sender, error.reason
+        if at not in self._counts:
+            self._counts[at] = 0
+            self._examples[at] = str(error)[:MAX_TEXT]
+        self._counts[at] += count
+        self.total += count
+
+    def news(self) -> Iterator[Rejection]:
+        """What was refused since this was asked the last time; `count` is of that alone."""
+        told, self._told = self._told, dict(self._counts)
+        for (sender, reason), count in self._told.items():
+            new = count - told.get((sender, reason), 0)
+            if new:
+                yield Rejection(sender, reason, new, self._examples[sender, reason])
+
+
+class Notices:
+    """Messages about what a process refuses: none without news, and never more often than once in a while.
+
+    Args:
+        name: The process's.
+        rejections: Its counts.
+    """
+
+    def __init__(self, name: str, rejections: Rejections) -> None:
+        self._name, self._rejections = name, rejections
+        self._told = 0
+        self._sent = 0
+        self._next_ns: int | None = None
+
+    def due(self, now_ns: int, incarnation: int, tick: int) -> list[Rejected]:
+        """What is to be said now.
+
+        Args:
+            now_ns: Of any clock that only goes forward.
+            incarnation: Of the process.
+            tick: Newest it knows of.
+        """
+        if self._rejections.total == self._told or (self._next_ns is not None and now_ns < self._next_ns):
+            return []
+        self._next_ns = now_ns + _EVERY_NS
+        return self.rest(incarnation, tick)
+
+    def rest(self, incarnation: int, tick: int) -> list[Rejected]:
+        """What has not been said yet: at the end."""
+        self._told = self._rejections.total
+        messages = []
+        for entry in self._rejections.news():
+            messages.append(
+                Rejected(
+                    sender=self._name,
+                    incarnation=incarnation,
+                    sequence=self._sent,
+                    tick=tick,
+                    offender=entry.sender,
+                    reason=entry.reason,
+                    count=entry.count,
+                    example=entry.example,
+                )
+            )
+            self._sent += 1
+        return messages

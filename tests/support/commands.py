@@ -1,0 +1,110 @@
+"""Running the command `transport` as a person would: as a process."""
+
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from pathlib import Path
+
+from protocol.network.health import command_of
+
+# A maneuver short enough for tests that start processes: 1.5 s, 30 ticks.
+SHORT = (
+    "maneuver.phase=["
+    "{name='hover', duration_s=0.5, displacement_m=[0.0, 0.0, 0.0]},"
+    "{name='climb', duration_s=1.0, displacement_m=[0.0, 0.0, -0.5]}]"
+)
+# One that goes on until somebody ends it: paced to real time.
+ENDLESS = ("clock.speed=1.0",)
+
+# Starting six processes on a busy machine of two cores.
+PATIENCE_S = 60.0
+
+
+def command(*arguments: str | Path) -> list[str]:
+    """Argument list of the command."""
+    return [sys.executable, "-m", "transport", *map(str, arguments)]
+
+
+def transport(*arguments: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
+    """Run the command to its end."""
+    return subprocess.run(
+        command(*arguments), cwd=cwd, capture_output=True, text=True, timeout=PATIENCE_S * 2, check=False
+    )
+
+
+def start(*arguments: str | Path, cwd: Path) -> subprocess.Popen[str]:
+    """Start the command in a session of its own."""
+    return subprocess.Popen(
+        command(*arguments),
+        cwd=cwd,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def settings(*changes: str) -> list[str]:
+    """`--set` options."""
+    return [part for change in changes for part in ("--set", change)]
+
+
+def processes_of(run: str) -> dict[str, int]:
+    """Names and pids of the living processes of a run, from the system's own table."""
+    found = {}
+    for entry in Path("/proc").iterdir():
+        if not entry.name.isdigit():
+            continue
+        try:
+            state = (entry / "stat").read_text().rsplit(")", 1)[1].split()[0]
+        except (OSError, IndexError):
+            continue
+        words = command_of(entry.name)
+        if state == "Z" or "--run" not in words or words[words.index("--run") + 1] != run:
+            continue
+        role = words[words.index("transport") + 1]
+        found["agent" + words[words.index("--id") + 1] if role == "agent" else role] = int(entry.name)
+    return found
+
+
+def wait_for(condition: Callable[[], bool], timeout_s: float = PATIENCE_S) -> bool:
+    """Poll a condition; whether it came true in time."""
+    deadline = time.monotonic() + timeout_s
+    while not condition():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.05)
+    return True
+
+
+def is_flying(folder: Path, names: Sequence[str]) -> Callable[[], bool]:
+    """Whether every process of a run has joined, by what they have logged so far."""
+
+    def joined(name: str) -> bool:
+        log = folder / "logs" / f"{name}.log"
+        return log.exists() and '"joined"' in log.read_text()
+
+    return lambda: all(joined(name) for name in names)
+
+
+def free_base() -> int:
+    """Return a base port with room for a run above it; test runs at the same time begin to look at different ones."""
+    bases = range(20_000, 30_000, 16)
+    first = os.getpid() % len(bases)
+    candidates: list[int] = [*bases[first:], *bases[:first]]
+    return next(base for base in candidates if all(is_free(base + i) for i in range(8)))
+
+
+def is_free(port: int) -> bool:
+    """Whether nobody listens on a port."""
+    with closing(socket.socket()) as probe:
+        try:
+            probe.bind(("127.0.0.1", port))
+        except OSError:
+            return False
+    return True

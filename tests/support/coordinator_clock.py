@@ -1,0 +1,59 @@
+"""A coordinator with some history, for tests: three ticks, four agents, incarnation 1 of everybody."""
+
+from collections.abc import Iterable, Sequence
+
+from coordinator.node import CoordinatorNode
+from protocol.wire.messages import Message, Presence, agent_name
+from tests.support.runs import EVERYBODY, INCARNATION, plan, setup, ticks, truth
+
+THREE = ticks(3)
+CONTINUE = "clock.on_agent_loss=continue"
+TIMEOUT_S = 5.0  # clock.barrier_timeout_s, the default
+S, MS = 10**9, 10**6  # ns
+START_NS = 7 * S  # a steady clock starts anywhere
+
+
+def coordinator(*settings: str, observers: Sequence[str] = ()) -> CoordinatorNode:
+    """A coordinator of a run of three ticks that waits for everybody."""
+    return CoordinatorNode(setup(THREE, *settings), observers=observers)
+
+
+def ready(name: str, incarnation: int = INCARNATION) -> Presence:
+    """A process is ready to take part."""
+    return Presence(name, incarnation, alive=True)
+
+
+def gone(name: str, incarnation: int = INCARNATION) -> Presence:
+    """A process's token has disappeared."""
+    return Presence(name, incarnation, alive=False)
+
+
+def tell(node: CoordinatorNode, events: Iterable[Message | Presence], now_ns: int = START_NS) -> list[Message]:
+    """Hand events over at one time and return all that comes back."""
+    return [message for event in events for message in node.receive(event, now_ns)]
+
+
+def started(node: CoordinatorNode, now_ns: int = START_NS) -> CoordinatorNode:
+    """The coordinator once everybody is ready: tick 0 is open."""
+    tell(node, [ready(name) for name in ("plant", *map(agent_name, EVERYBODY))], now_ns)
+    assert node.tick == 0
+    return node
+
+
+def answers(k: int, agents: Sequence[int] = EVERYBODY) -> list[Message]:
+    """Plans of tick k."""
+    return [plan(setup(THREE), agent, k) for agent in agents]
+
+
+def at_last_tick(node: CoordinatorNode, now_ns: int = START_NS) -> CoordinatorNode:
+    """The coordinator with its last tick open and nobody's answer yet."""
+    started(node, now_ns)
+    for k in (0, 1):
+        tell(node, [*answers(k), truth(setup(THREE), k)], now_ns)
+    assert node.tick == 2
+    return node
+
+
+def kinds(messages: Sequence[Message]) -> list[str]:
+    """What the messages are, in order."""
+    return [f"{message.kind} {message.tick}" for message in messages]

@@ -1,0 +1,369 @@
+"""Messages that must be refused: made from a seed, from what a receiver has heard and from nothing at all."""
+
+import struct
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import Any, TypeVar
+
+import msgpack
+import numpy as np
+
+from model import state
+from protocol.scenario.setup import Setup
+from protocol.wire.codec import VERSION, decode, encode
+from protocol.wire.keys import Keys
+from protocol.wire.messages import (
+    Control,
+    LinkChange,
+    Measurement,
+    Message,
+    Plan,
+    Rejected,
+    Roster,
+    StepReport,
+    Tick,
+    Truth,
+    agent_name,
+)
+from tests.support.runs import INCARNATION
+
+T = TypeVar("T")
+
+# Beyond what any process takes for the present.
+FAR = 40
+
+# Delivered messages to choose from.
+REMEMBERED = 60
+
+# In the place of any field: all that msgpack knows and some that nobody needs.
+VALUES: list[Any] = [
+    None, True, -1, 0.5, float("nan"), float("inf"), 2**48 + 1, 2**63, 2**64 - 1, -(2**63), "", "x" * 2000, "plant2",
+    b"", b"\xff" * 9, [], [[]], [None], {}, {"a": {"b": []}}, [1] * 300, [2, 1], [0], msgpack.Timestamp(1, 2),
+    msgpack.ExtType(1, b""), msgpack.ExtType(1, struct.pack("<4I", 2, 3, 4, 0)), msgpack.ExtType(9, bytes(24)),
+    msgpack.ExtType(1, struct.pack("<4I", 9, 1, 1, 1)), msgpack.ExtType(1, struct.pack("<4Id", 1, 1, 0, 0, 0.0)),
+]  # fmt: skip
+NOT_FINITE = [np.nan, np.inf, -np.inf]
+
+
+class Garbage:
+    """A source of messages for one receiver.
+
+    Args:
+        name: The receiver's.
+        keys: Of the run.
+        setup: The run.
+        max_bytes: Size of the largest message it reads.
+        rng: Where chance comes from.
+        incarnation: Of every process.
+        delay: How many messages later what was heard has surely been heard by everybody.
+
+    Attributes:
+        tick: Newest one that everybody has heard of.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        keys: Keys,
+        setup: Setup,
+        max_bytes: int,
+        rng: np.random.Generator,
+        *,
+        incarnation: int = INCARNATION,
+        delay: int = 1,
+    ) -> None:
+        self._name, self._keys, self._setup, self._max_bytes, self._rng = name, keys, setup, max_bytes, rng
+        self._incarnation, self._delay = incarnation, delay
+        self._coming: deque[tuple[str, bytes]] = deque()  # messages of the flight that are on their way
+        self._delivered: deque[tuple[str, bytes]] = deque(maxlen=REMEMBERED)
+        self._first: dict[str, bytes] = {}  # message delivered under each key
+        self.tick = 0
+        self._sequence = 10**6  # of what pretends to be new
+        self._keys_here = [expression.replace("*", "2") for expression in keys.subscriptions(name)]
+        self.sorts: dict[str, Callable[[], tuple[str, bytes]]] = {
+            "noise": self._noise,
+            "noise behind a header": self._noise_behind_a_header,
+            "truncated": self._truncated,
+            "flipped bits": self._flipped,
+            "replaced bytes": self._replaced,
+            "oversized": self._oversized,
+            "another version": self._other_version,
+            "another kind": self._other_kind,
+            "strange fields": self._strange_fields,
+            "number of fields": self._number_of_fields,
+            "not finite": self._not_finite,
+            "deep": self._deep,
+            "replayed": self._replayed,
+            "past": self._past,
+            "future": self._future,
+            "far future": self._far_future,
+            "another incarnation": self._other_incarnation,
+            "another key": self._other_key,
+            "another sender": self._other_sender,
+            "absurd": self._absurd,
+            "unheard-of": self._unheard_of,
+        }
+
+    def heard(self, key: str, data: bytes) -> None:
+        """Take note of a message of the flight that is about to be delivered."""
+        self._coming.append((key, data))
+        if len(self._coming) > self._delay:
+            delivered = self._coming.popleft()
+            self._delivered.append(delivered)
+            self._first.setdefault(*delivered)
+            self.tick = max(self.tick, decode(delivered[1]).tick)
+
+    def next(self) -> tuple[str, str, bytes]:
+        """What sort it is, key, bytes."""
+        sort = self._one_of(list(self.sorts))
+        return sort, *self.sorts[sort]()
+
+    def _one_of(self, values: Iterable[T]) -> T:
+        choice = list(values)
+        return choice[int(self._rng.integers(len(choice)))]
+
+    def _old(self) -> tuple[str, bytes]:
+        """A message that was delivered."""
+        if not self._delivered:
+            return self._keys_here[0], b""
+        return self._one_of(self._first.items() if self._rng.random() < 0.1 else self._delivered)
+
+    def _message(self, *kinds: type[Message]) -> tuple[str, Message] | None:
+        """A delivered message of one of some kinds, of any if none are named."""
+        names = {kind.kind for kind in kinds}
+        for _ in range(20):
+            key, data = self._old()
+            if data and (not names or key.split("/")[2] in names):
+                return key, decode(data)
+        return None
+
+    def _new(self, message: Message, **changes: Any) -> Message:
+        self._sequence += 1
+        return replace(message, sequence=self._sequence, **changes)
+
+    def _wire(self, data: bytes) -> list[Any]:
+        wire: list[Any] = msgpack.unpackb(data[1:])
+        return wire
+
+    def _packed(self, values: list[Any]) -> bytes:
+        body: bytes = msgpack.packb(values)
+        return bytes([VERSION]) + body
+
+    def _noise(self) -> tuple[str, bytes]:
+        return self._one_of(self._keys_here), self._rng.bytes(int(self._rng.integers(0, 200)))
+
+    def _noise_behind_a_header(self) -> tuple[str, bytes]:
+        head = self._one_of(
+            [b"", b"\x90", b"\x98\xa4tick", b"\x9d\xa4plan\xa6agent2", b"\xdd\xff\xff\xff\xff", b"\xdc"]
+        )
+        return self._one_of(self._keys_here), bytes([VERSION]) + head + self._rng.bytes(int(self._rng.integers(0, 60)))
+
+    def _truncated(self) -> tuple[str, bytes]:
+        key, data = self._old()
+        return key, data[: int(self._rng.integers(len(data)))] if data else b""
+
+    def _flipped(self) -> tuple[str, bytes]:
+        key, data = self._old()
+        changed = bytearray(data or b"\0")
+        for at in self._rng.integers(8 * len(changed), size=int(self._rng.integers(1, 4))):
+            changed[at // 8] ^= 1 << int(at % 8)
+        return key, bytes(changed)
+
+    def _replaced(self) -> tuple[str, bytes]:
+        key, data = self._old()
+        changed = bytearray(data or b"\0")
+        start = int(self._rng.integers(len(changed)))
+        piece = self._rng.bytes(int(self._rng.integers(1, 9)))
+        changed[start : start + len(piece)] = piece
+        return key, bytes(changed)
+
+    def _oversized(self) -> tuple[str, bytes]:
+        key, data = self._old()
+        return key, data + bytes(self._max_bytes + int(self._rng.integers(1, 3000)) - len(data))
+
+    def _other_version(self) -> tuple[str, bytes]:
+        key, data = self._old()
+        return key, bytes([self._one_of([0, VERSION - 1, VERSION + 1, 255])]) + data[1:]
+
+    def _other_kind(self) -> tuple[str, bytes]:
+        key, data = self._old()
+        if not data:
+            return key, data
+        return key, self._packed(
+            [self._one_of(["ticks", "", "PLAN", "truth", "tick", "x" * 500]), *self._wire(data)[1:]]
+        )
+
+    def _strange_fields(self) -> tuple[str, bytes]:
+        key, data = self._old()
+        if not data:
+            return key, data
+        values = self._wire(data)
+        for _ in range(int(self._rng.integers(1, 4))):
+            values[int(self._rng.integers(len(values)))] = self._one_of(VALUES)
+        return key, self._packed(values)
+
+    def _number_of_fields(self) -> tuple[str, bytes]:
+        key, data = self._old()
+        if not data:
+            return key, data
+        values = self._wire(data)
+        return key, self._packed(self._one_of([values[:-1], [*values, 0], values[:1], [values], [], values[1:]]))
+
+    def _not_finite(self) -> tuple[str, bytes]:
+        found = self._message(Measurement, Plan, Truth, StepReport)
+        if found is None:
+            return self._noise()
+        key, message = found
+        values = self._wire(encode(self._new(message, tick=self.tick + 1)))
+        arrays = [i for i, value in enumerate(values) if isinstance(value, msgpack.ExtType) and len(value.data) > 16]
+        at = self._one_of(arrays)
+        data = bytearray(values[at].data)
+        place = 16 + 8 * int(self._rng.integers((len(data) - 16) // 8))
+        data[place : place + 8] = struct.pack("<d", self._one_of(NOT_FINITE))
+        values[at] = msgpack.ExtType(1, bytes(data))
+        return key, self._packed(values)
+
+    def _deep(self) -> tuple[str, bytes]:
+        key, data = self._old()
+        opening, depth = self._one_of([b"\x91", b"\x81\xa1k"]), self._one_of([10, 400, 1000, 1030, 5000])
+        values = [msgpack.packb(value) for value in self._wire(data)] if data else [b"\xc0"]
+        values[int(self._rng.integers(len(values)))] = opening * depth + b"\xc0"
+        return key, bytes([VERSION, 0xDC]) + struct.pack(">H", len(values)) + b"".join(values)
+
+    def _replayed(self) -> tuple[str, bytes]:
+        return self._old()
+
+    def _past(self) -> tuple[str, bytes]:
+        """As new as can be, but of a tick that is over."""
+        found = self._message(Tick, Measurement, Plan, Truth, StepReport, Roster)
+        if found is None:
+            return self._noise()
+        key, message = found
+        return key, encode(self._new(message))
+
+    def _future(self) -> tuple[str, bytes]:
+        """As new as can be, but of a tick that is not yet."""
+        found = self._message(Tick, Measurement, Plan, Truth, StepReport)
+        if found is None:
+            return self._noise()
+        key, message = found
+        tick = self.tick + FAR + int(self._rng.integers(100))
+        start = {"start_tick": tick} if isinstance(message, Plan) else {}
+        return key, encode(self._new(message, tick=tick, **start))
+
+    def _far_future(self) -> tuple[str, bytes]:
+        """The coordinator's words from another time, or numbers as large as they may be."""
+        if not self._delivered:
+            return self._noise()
+        tick = self._one_of([2**48, 2**40, self.tick + FAR, self._setup.ticks])
+        head: dict[str, Any] = {
+            "sender": "coordinator",
+            "incarnation": self._incarnation,
+            "sequence": 2**47,
+            "tick": tick,
+        }
+        said: list[Message] = [
+            Control(outcome="aborted", reason="because", exit_code=4, **head),
+            Roster(version=2**40, agents=(2,), incarnations=(2**48,), off=(), released=(), reason="because", **head),
+            LinkChange(number=1, source="", target="", settings='{"loss": 1.0}', **head),
+        ]
+        message = self._one_of(said)
+        key = self._keys.of(message)
+        return (key, encode(message)) if key in self._keys_here else self._noise()
+
+    def _other_incarnation(self) -> tuple[str, bytes]:
+        found = self._message()
+        if found is None:
+            return self._noise()
+        key, message = found
+        others = [number for number in (0, self._incarnation + 1, 2**48) if number != self._incarnation]
+        incarnation = self._one_of(others)
+        return key, encode(self._new(message, tick=self.tick, incarnation=incarnation))
+
+    def _other_key(self) -> tuple[str, bytes]:
+        """A message that is right under another key."""
+        found = self._message()
+        if found is None:
+            return self._noise()
+        key, message = found
+        others = [
+            other for other in [*self._keys_here, f"{key}/2", f"{key}x", f"{self._keys.prefix}/plan/02"] if other != key
+        ]
+        return self._one_of(others), encode(self._new(message, tick=self.tick + 1))
+
+    def _other_sender(self) -> tuple[str, bytes]:
+        found = self._message()
+        if found is None:
+            return self._noise()
+        key, message = found
+        names = ["coordinator", "plant", "recorder", "agent1", "agent2", "agent9", "agent256", self._name]
+        sender = self._one_of([name for name in names if name != message.sender])
+        return key, encode(self._new(message, sender=sender, tick=self.tick + 1))
+
+    def _absurd(self) -> tuple[str, bytes]:
+        """The very next message there could be, but what it says cannot be."""
+        found = self._message(Tick, Measurement, Plan, Truth, Roster, StepReport)
+        if found is None:
+            return self._noise()
+        key, message = found
+        huge = self._one_of([1e7, -1e200, 1.7e308])
+        tick = self.tick + int(self._rng.integers(2))
+        match message:
+            case Tick():
+                changes: list[dict[str, Any]] = [{"members": (9,)}, {"answered": (1, 2, 77)}]
+            case Roster():
+                changes = [{"agents": (1, 9), "incarnations": (1, 1), "version": message.version + 1}]
+            case StepReport():
+                changes = [{"peers": tuple(range(200, 200 + len(message.peers)))}]
+            case Truth():
+                changes = [{"plan_ticks": (0,), "x": np.zeros(24), "u": np.zeros(4)}]
+            case Measurement():
+                lying = message.uav_states.copy()
+                lying[:, state.THETA] = [0.0, np.pi / 2, 0.0]
+                changes = [
+                    {"payload": message.payload * 0.0 + huge},
+                    {"uav_states": message.uav_states * 0.0},
+                    {"uav_states": message.uav_states * 0.0 + huge},
+                    {"uav_states": lying},
+                    {"inputs": message.inputs * 0.0 + huge},
+                    {"uavs": tuple(uav + 1 for uav in message.uavs)},
+                    {"answered": (1, 200)},
+                ]
+            case Plan():
+                start = tick + message.start_tick - message.tick
+                changes = [
+                    {"inputs": message.inputs * 0.0 + huge, "start_tick": start},
+                    {"inputs": message.inputs + 50.0, "start_tick": start},
+                    {"corrections": message.inputs * 0.0 + huge, "start_tick": start},
+                    {"uav_states": message.uav_states * 0.0, "start_tick": start},
+                    {"uav_states": message.uav_states * 0.0 + huge, "start_tick": start},
+                    {"uavs": tuple(uav + 1 for uav in message.uavs), "start_tick": start},
+                    {"start_tick": start + 1},
+                    {"start_tick": 2**48},
+                    {"negotiation": 19, "start_tick": start},
+                ]
+            case _:
+                raise TypeError(message.kind)
+        return key, encode(self._new(message, tick=tick, **self._one_of(changes)))
+
+    def _unheard_of(self) -> tuple[str, bytes]:
+        """Well-formed, from agents there are none of, or of a kind nobody sends here."""
+        found = self._message(Plan, Measurement, StepReport)
+        notice = Rejected(
+            sender="agent9",
+            incarnation=self._incarnation,
+            sequence=0,
+            tick=0,
+            offender="x",
+            reason="past",
+            count=1,
+            example="",
+        )
+        if found is None:
+            return self._keys_here[0], encode(notice)
+        key, message = found
+        if isinstance(message, Measurement):
+            return key, encode(self._new(message, tick=self.tick + 1, agent=9))
+        stranger = self._new(message, agent=9, sender=agent_name(9), tick=self.tick + 1)
+        return self._one_of([(self._keys.of(stranger), encode(stranger)), (key, encode(notice))])

@@ -1,0 +1,115 @@
+"""Logs made by hand and from flights, for the tests of metrics, report and figures."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+
+from model import state
+from model.arrays import Array
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import Message, Plan, StepReport, Truth, agent_name
+from tests.support import runs
+from transport.flight.memory import fly
+from transport.log.run_log import LogWriter, Recorded, RunLog
+
+MILLISECOND_NS = 1_000_000
+
+HEADER = {
+    "run_id": "r1",
+    "processes": "6",
+    "seed": "0",
+    "versions": "python 3.12.1, numpy 2.0.0",
+    "machine": "a machine, 2 cores",
+    "command_started_ns": "0",
+}
+
+# One UAV above the payload's centre of mass.
+ALONE = (
+    "system.uav=[{id=1,mass_kg=1.5,inertia_kgm2=[0.029,0.029,0.055],rho_m=[0.0,0.0,-0.125],rod_length_m=3.2}]",
+    "agents.owned=[[1]]",
+    "controller.limits.thrust_N=[0.0,90.0]",
+)
+
+
+def log_of(messages: Sequence[Message], received_ms: Sequence[float] = (), *, cut: str = "") -> RunLog:
+    """A log of the messages; each received one millisecond after the one before unless said otherwise."""
+    times = list(received_ms) or [float(number) for number in range(len(messages))]
+    entries = [
+        Recorded(message=message, received_ns=round(at * MILLISECOND_NS))
+        for message, at in zip(messages, times, strict=True)
+    ]
+    return RunLog(header=dict(HEADER), messages=tuple(entries), cut=cut)
+
+
+def report(run: Setup, agent: int, tick: int, **fields: Any) -> StepReport:
+    """An agent's report of a step that went well."""
+    peers = tuple(other for other in run.agents if other != agent)
+    usual: dict[str, Any] = {
+        "status": "solved",
+        "solver": "daqp",
+        "fallback": False,
+        "iterations": 2,
+        "residual": 1e-12,
+        "peers": peers,
+        "plan_ages": tuple(1 if tick else -1 for _ in peers),
+        "state_ages": tuple(1 if tick else -1 for _ in peers),
+        "measurement_age": 0,
+        "delivered": len(peers) if tick else 0,
+        "lost": 0,
+        "late": 0,
+        "force": np.zeros(3),
+        "times_ms": np.array([0.6, 0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 1.5]),
+    }
+    return StepReport(
+        sender=agent_name(agent), incarnation=0, sequence=tick, tick=tick, agent=agent, **(usual | fields)
+    )
+
+
+def plan(run: Setup, agent: int, k: int) -> Plan:
+    """An agent's plan of tick k: two steps of hover."""
+    owned = run.owned[agent - 1]
+    return Plan(
+        sender=agent_name(agent),
+        incarnation=0,
+        sequence=k,
+        tick=k,
+        agent=agent,
+        start_tick=k,
+        negotiation=0,
+        shared=True,
+        uavs=tuple(uav + 1 for uav in owned),
+        uav_states=state.StateView(run.hover.x).uavs[list(owned)],
+        inputs=np.tile(run.hover.u[state.input_indices(owned)], (2, 1)),
+        corrections=np.empty((0, state.INPUTS * len(owned))),
+        status="solved",
+    )
+
+
+def truth(run: Setup, k: int, change: Callable[[Array, Array], None] = lambda x, u: None) -> Truth:
+    """The plant at the reference of tick k with hover inputs, after a change to copies of x and u."""
+    times_s = np.array([k * run.settings.sampling_period_s])
+    x = run.hover.x.copy()
+    x[state.R0] += run.maneuver.path(times_s)[0][0]
+    u = run.hover.u.copy()
+    change(x, u)
+    return replace(runs.truth(run, k), x=x, u=u)
+
+
+def flown(run: Setup, folder: Path) -> list[Message]:
+    """Fly a run in this process and leave the run folder that `transport run` would."""
+    folder.mkdir(parents=True, exist_ok=True)
+    text = tomli_w.dumps(run.scenario.tree())
+    (folder / "scenario.toml").write_text(text, encoding="utf-8")
+    messages: list[Message] = []
+    with LogWriter(folder / "run.mcap", HEADER | {"scenario": text}, period_ns=run.period_ns) as writer:
+
+        def record(message: Message) -> None:
+            messages.append(message)
+            writer.write(message, len(messages) * MILLISECOND_NS)
+
+        fly(run, record)
+    return messages

@@ -1,0 +1,79 @@
+"""Quadratic programs that the tests of the solvers share: random ones, ones without solution, and real ones."""
+
+from functools import lru_cache
+
+import numpy as np
+
+from model.arrays import Array
+from mpc.qp import QP
+from mpc.settings import Constraint, ControllerSettings, Separation
+from tests.support.systems import paper_setup, situations, team
+
+
+def random_qp(seed: int) -> QP:
+    """Strictly convex, with a feasible point, one-sided and missing bounds, ranges and equalities among the rows."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 16))
+    r = int(rng.integers(0, 2 * n))
+    M = rng.standard_normal((n, n))
+    inside = rng.standard_normal(n)
+    A = rng.standard_normal((r, n))
+    values = A @ inside
+
+    def below(at: Array) -> Array:
+        return np.where(rng.random(len(at)) < 0.3, -np.inf, at - rng.uniform(0.0, 1.0, len(at)))
+
+    row_lower, row_upper = below(values), -below(-values)
+    equal = rng.permutation(r)[: min(r, n // 3)]
+    row_lower[equal] = row_upper[equal] = values[equal]
+    return QP(
+        H=M @ M.T + 0.1 * np.eye(n),
+        g=3.0 * rng.standard_normal(n),
+        lower=below(inside),
+        upper=-below(-inside),
+        A=A,
+        row_lower=row_lower,
+        row_upper=row_upper,
+    )
+
+
+def without_solution() -> dict[str, QP]:
+    """Programs whose rows contradict each other, the bounds, or another equality."""
+    free = {"H": np.eye(2), "g": np.ones(2), "lower": np.full(2, -np.inf), "upper": np.full(2, np.inf)}
+    twice = np.array([[1.0, 1.0], [1.0, 1.0]])
+    return {
+        "two equalities": QP(**free, A=twice, row_lower=np.array([0.0, 1.0]), row_upper=np.array([0.0, 1.0])),
+        "two ranges": QP(**free, A=twice, row_lower=np.array([-np.inf, 1.0]), row_upper=np.array([0.0, np.inf])),
+        "row against bounds": QP(
+            **{**free, "lower": np.zeros(2), "upper": np.ones(2)},
+            A=twice[:1], row_lower=np.array([3.0]), row_upper=np.array([np.inf]),
+        ),
+        "empty row": QP(**free, A=np.zeros((1, 2)), row_lower=np.array([1.0]), row_upper=np.array([2.0])),
+    }  # fmt: skip
+
+
+@lru_cache
+def collected(minimum_m: float) -> list[QP]:
+    """Programs of a short climb of the paper's system, centralized and distributed, every constraint kind in use.
+
+    The UAVs start 0.5 m apart, so a larger minimum distance is paid for by its slack from the first step on.
+    """
+    setup = paper_setup()
+    settings = ControllerSettings(
+        horizon=8,
+        separation=Separation(minimum_m=minimum_m),
+        constraints=(
+            Constraint(expression="r0[2] >= -10.001"),
+            Constraint(expression="thrust1 + thrust2 <= 45"),
+            Constraint(expression="tau3[2] == 0"),
+        ),
+    )
+    everyone = team(setup, settings, [(0, 1, 2, 3)])
+    programs = []
+    for at in situations(setup, everyone, start_s=5.0, steps=8):
+        for one in [*everyone, *team(setup, settings, [(0,), (1, 2)])]:
+            linear = one.linearise(at.x, at.u)
+            programs.append(
+                one.condense(linear, one.predict(linear, one.discretise(linear), at.U, None), at.U, at.y_ref)
+            )
+    return programs

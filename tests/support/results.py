@@ -1,0 +1,33 @@
+"""A small experiment that the tests fly in several ways."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from typer.testing import CliRunner, Result
+
+from tests.support.runs import ticks
+from transport.cli.main import app
+
+# Half a second of hover over links that lose plans: 5 flights, 2 of which are random and flown with two seeds.
+TICKS = 10
+FLIGHTS = 5
+SMALL = (
+    *("experiment", "loss", "--scenario", "resilient", "--loss", "0.5", "--seeds", "2"),
+    *("--set", ticks(TICKS)),
+)
+
+
+def here(*arguments: str | Path) -> Result:
+    """Run the command within this process."""
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def tables(folder: Path) -> Sequence[bytes]:
+    """The tables of an experiment's folder."""
+    return [(folder / name).read_bytes() for name in ("points.csv", "cases.csv")]
+
+
+def kept(folder: Path) -> int:
+    """How many flights an experiment's folder keeps."""
+    path = folder / "results.jsonl"
+    return path.read_bytes().count(b"\n") if path.exists() else 0

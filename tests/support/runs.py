@@ -1,0 +1,194 @@
+"""Runs and messages that the tests of protocol, nodes and runtimes share."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from model import state
+from model.arrays import Array
+from protocol.scenario.file import read_scenario
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import (
+    STAGES,
+    Control,
+    Measurement,
+    Message,
+    Plan,
+    Roster,
+    StepReport,
+    Tick,
+    Truth,
+    agent_name,
+)
+from protocol.wire.node import Node
+from transport.flight.memory import fly
+
+SCENARIOS = Path(__file__).resolve().parents[2] / "scenarios"
+PAPER = SCENARIOS / "paper.toml"
+
+# Half a second of hover and a second of climb: 30 ticks, long enough for plans to differ from hover.
+SHORT = (
+    "maneuver.phase=[{name='hover',duration_s=0.5,displacement_m=[0,0,0]},"
+    "{name='climb',duration_s=1.0,displacement_m=[0,0,-0.5]}]"
+)
+
+EVERYBODY = (1, 2, 3, 4)
+INCARNATION = 1  # of every agent; 0 is then a start of it that is over, 2 one to come
+
+
+@lru_cache
+def setup(*settings: str) -> Setup:
+    """The paper's scenario with some settings changed, ready to fly."""
+    return Setup.of(read_scenario(PAPER, settings), PAPER.name)
+
+
+def integrated(run: Setup, x: Array, u: Array) -> Array:
+    """The state one sampling period later, by the fewest equal steps no longer than the scenario's `plant.step_s`."""
+    period_s, step_s = run.settings.sampling_period_s, run.scenario.plant.step_s
+    return run.model.integrate(x, u, period_s, math.ceil(period_s / step_s - 1e-9))[0]
+
+
+def ticks(count: int) -> str:
+    """Setting: a maneuver of that many sampling periods of hover."""
+    return f"maneuver.phase=[{{name='hover',duration_s={0.05 * count},displacement_m=[0,0,0]}}]"
+
+
+def recorded(run: Setup, flight: Callable[[Setup, Callable[[Message], None]], Control] = fly) -> list[Message]:
+    """Every message of a flight, in the order sent."""
+    messages: list[Message] = []
+    control = flight(run, messages.append)
+    assert control.outcome == "completed", control
+    return messages
+
+
+def truths(messages: Sequence[Message]) -> list[Truth]:
+    """The plant's record, in its order."""
+    return [message for message in messages if isinstance(message, Truth)]
+
+
+def reproducible(message: Message) -> Message:
+    """The message without its wall-clock times, the one thing that differs between two equal runs."""
+    return replace(message, times_ms=np.zeros(len(STAGES))) if isinstance(message, StepReport) else message
+
+
+def tick(k: int, answered: Sequence[int] = EVERYBODY, members: Sequence[int] = EVERYBODY, version: int = 1) -> Tick:
+    """The coordinator opens tick k."""
+    return Tick(
+        sender="coordinator",
+        incarnation=0,
+        sequence=k,
+        tick=k,
+        members=tuple(members),
+        answered=tuple(answered) if k else (),
+        shared=tuple(answered) if k else (),
+        roster=version,
+        late_ns=0,
+        overrun_ns=0,
+    )
+
+
+def roster(incarnations: dict[int, int] | None = None, k: int = 0, version: int = 1) -> Roster:
+    """Who takes part, all four agents by default."""
+    taking_part = dict.fromkeys(EVERYBODY, INCARNATION) if incarnations is None else incarnations
+    return Roster(
+        sender="coordinator",
+        incarnation=0,
+        sequence=0,
+        tick=k,
+        version=version,
+        agents=tuple(taking_part),
+        incarnations=tuple(taking_part.values()),
+        off=(),
+        released=(),
+        reason="test",
+    )
+
+
+def end(k: int = 0) -> Control:
+    """The coordinator ends the run at tick k."""
+    return Control(sender="coordinator", incarnation=0, sequence=9, tick=k, outcome="completed", reason="", exit_code=0)
+
+
+def refused(node: Node) -> list[tuple[str, str, int]]:
+    """What a node has refused: sender, reason, how many."""
+    return [(entry.sender, entry.reason, entry.count) for entry in node.rejected]
+
+
+def measurement(
+    run: Setup,
+    agent: int,
+    k: int,
+    *,
+    x: Array | None = None,
+    answered: Sequence[int] = EVERYBODY,
+    shared: Sequence[int] | None = None,
+    version: int = 1,
+) -> Measurement:
+    """What the plant measures for an agent at tick k: the given state, or the initial one, at hover inputs."""
+    owned = list(run.owned[agent - 1])
+    x = run.initial_state() if x is None else x
+    return Measurement(
+        sender="plant",
+        incarnation=0,
+        sequence=k,
+        tick=k,
+        agent=agent,
+        answered=tuple(answered) if k else (),
+        shared=tuple(answered if shared is None else shared) if k else (),
+        roster=version,
+        payload=x[: state.PAYLOAD],
+        uavs=tuple(uav + 1 for uav in owned),
+        uav_states=state.StateView(x).uavs[owned],
+        inputs=run.hover.u.reshape(-1, state.INPUTS)[owned],
+    )
+
+
+def plan(
+    run: Setup,
+    agent: int,
+    k: int,
+    *,
+    inputs: Array | None = None,
+    delay: int = 0,
+    x: Array | None = None,
+    incarnation: int = INCARNATION,
+    shared: bool = True,
+) -> Plan:
+    """An agent's plan of tick k for k + delay on: the given inputs, or hover; its state from x or the initial one."""
+    owned = run.owned[agent - 1]
+    x = run.initial_state() if x is None else x
+    hover = np.tile(run.hover.u[state.input_indices(owned)], (run.settings.horizon, 1))
+    return Plan(
+        sender=agent_name(agent),
+        incarnation=incarnation,
+        sequence=2 * k,
+        tick=k,
+        agent=agent,
+        start_tick=k + delay,
+        negotiation=0,
+        shared=shared,
+        uavs=tuple(uav + 1 for uav in owned),
+        uav_states=state.StateView(x).uavs[list(owned)],
+        inputs=hover if inputs is None else inputs,
+        corrections=hover[:0],
+        status="solved",
+    )
+
+
+def truth(run: Setup, k: int, diverged: str = "") -> Truth:
+    """The plant's record of tick k at hover."""
+    return Truth(
+        sender="plant",
+        incarnation=0,
+        sequence=k,
+        tick=k,
+        x=run.initial_state(),
+        u=run.hover.u,
+        plan_ticks=tuple(k for _ in run.system.uavs),
+        local_error=0.0,
+        diverged=diverged,
+    )

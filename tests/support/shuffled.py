@@ -1,0 +1,90 @@
+"""The in-memory runtime on a network whose connections differ in speed, by orders of magnitude and by chance."""
+
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import Control, LinkChange, Message, Presence
+from tests.support.runs import end
+from transport.flight import memory
+
+# Stands in the runtime's queue for "one delivery more"; which one, chance decides.
+_SOMETHING = end()
+
+# In the place of a key.
+_PRESENCE = "alive"
+
+# Of channels: moves when nothing else does.
+_SLOWEST = 1e-9
+
+
+class _Shuffled(memory._Flight):
+    """A flight whose messages arrive in random order; one sender's under one key in that of sending, as with Zenoh."""
+
+    def __init__(self, setup: Setup, record: Callable[[Message], None], seed: int) -> None:
+        super().__init__(setup, record, time.perf_counter_ns)
+        self._rng = np.random.default_rng(seed)
+        self._channels: dict[tuple[str, str, str], deque[Message | Presence]] = {}
+        self._speeds: dict[tuple[str, str, str], float] = {}
+
+    def _send(self, messages: Sequence[Message]) -> None:
+        for message in messages:
+            if message.sender == self._coordinator.name and self._fails(message.sender, message):
+                return
+            self._record(message)
+            for name in self._heard_by(message):
+                self._put(message.sender, name, message)
+
+    def _tell(self, event: Presence) -> None:
+        self._put(event.name, self._coordinator.name, event)
+        if not event.alive:  # everybody sees the connection close, each in its own time
+            for name in self._nodes.keys() - {self._coordinator.name, event.name}:
+                self._put(event.name, name, event)
+
+    def _fails(self, name: str, message: Message) -> bool:
+        failed = super()._fails(name, message)
+        if failed:
+            for (_, receiver, _), waiting in self._channels.items():
+                if receiver == name:
+                    waiting.clear()  # it is not there any more to hear them
+        return failed
+
+    def _put(self, sender: str, receiver: str, event: Message | Presence) -> None:
+        if receiver not in self._nodes:
+            return
+        channel = sender, receiver, self._keys.of(event) if isinstance(event, Message) else _PRESENCE
+        if channel not in self._channels:
+            self._channels[channel], self._speeds[channel] = deque(), 10.0 ** self._rng.uniform(-3.0, 0.0)
+        if isinstance(event, LinkChange):
+            self._speeds[channel] = _SLOWEST  # so that whatever could overtake it does
+        self._channels[channel].append(event)
+        self._queue.append(_SOMETHING)
+
+    def _deliver(self, message: Message) -> None:
+        assert message is _SOMETHING
+        waiting = [channel for channel, events in self._channels.items() if events]
+        talking = {(sender, receiver) for sender, receiver, key in waiting if key != _PRESENCE}
+        # The end of a process comes after all it said.
+        busy = [channel for channel in waiting if channel[2] != _PRESENCE or channel[:2] not in talking]
+        if not busy:
+            return
+        speeds = np.array([self._speeds[channel] for channel in busy])
+        channel = busy[self._rng.choice(len(busy), p=speeds / speeds.sum())]
+        event, name = self._channels[channel].popleft(), channel[1]
+        node = self._nodes.get(name)
+        if node is not None and not (isinstance(event, Message) and self._fails(name, event)):
+            self._send(node.receive(event, self._now_ns))
+
+
+def fly_shuffled(setup: Setup, record: Callable[[Message], None], seed: int) -> Control:
+    """Fly with messages delivered in random order, one sender's under one key in that of sending.
+
+    Args:
+        setup: The run.
+        record: Called with every message as it is sent.
+        seed: Of the order.
+    """
+    return _Shuffled(setup, record, seed).run()

@@ -1,0 +1,47 @@
+"""Two pytest workers share the tests: one runs those that start processes or open sockets, the other one the rest.
+
+Tests of the first kind use both processors, ports, and names of runs that the whole machine sees, and wait for much of
+their time: two of them at once would disturb each other. The rest compute in one process.
+"""
+
+import pytest
+from xdist.scheduler import LoadFileScheduling
+
+# Folder of the test files for the first worker.
+SYSTEM = "tests/system/"
+
+# Begins before all others: its two minutes are mostly waiting, which leaves room for style and types beside the tests,
+# and its deadlines are missed less often, not more often, when they are done.
+FIRST = "tests/system/test_soak.py"
+
+
+def file_of(nodeid: str) -> str:
+    """Return the file of a test, relative to the project."""
+    return nodeid.partition("::")[0]
+
+
+def is_serial(file: str) -> bool:
+    """Return whether the tests of a file, given relative to the project, start processes or open sockets."""
+    return file.startswith(SYSTEM)
+
+
+def in_order(items: list[pytest.Item]) -> list[pytest.Item]:
+    """Return the soak first, then the other tests with processes, then files with slow tests, then the rest.
+
+    Long files last would leave one worker waiting for the other at the end.
+    """
+    slow = {file_of(item.nodeid) for item in items if item.get_closest_marker("slow")}
+
+    def rank(item: pytest.Item) -> int:
+        file = file_of(item.nodeid)
+        return 0 if file == FIRST else 1 if is_serial(file) else 2 if file in slow else 3
+
+    return sorted(items, key=rank)
+
+
+class Sharing(LoadFileScheduling):  # type: ignore[misc]
+    """Scheduler of pytest-xdist: tests with processes are one work unit, the first one; each other file is one."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        file = file_of(nodeid)
+        return "serial" if is_serial(file) else file

@@ -1,0 +1,222 @@
+"""A process with keys against those who have others, or none: what gets in, and what does not."""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import zenoh
+
+from protocol.admission.admission import Gate
+from protocol.network.bus import Bus
+from protocol.network.security import Security, access_control
+from protocol.network.session import Endpoints
+from protocol.wire.codec import VERSION, encode
+from protocol.wire.keys import ACTING, OPERATOR, ROUTER, WATCHER, Keys
+from protocol.wire.messages import KINDS, Message, Plan, agent_name
+from protocol.wire.rejections import Rejections
+from tests.support import attack, runs
+from tests.support.commands import free_base
+from tests.support.keyrings import keyring
+from tests.support.runs import setup
+from tests.support.samples import sample
+
+KEYS = Keys("guarded")
+DIGEST = "0123456789ab"
+TEAM = ("coordinator", "plant", "agent1", "agent2", "agent3", "agent4", "recorder")
+SHOTS = 1000
+
+# For what takes milliseconds, on a busy machine.
+PATIENCE_S = 20.0
+# How long a session without the right keys tries.
+REFUSED_S = 1.0
+
+
+class Guarded:
+    """The bus of a process with keys, and what it has refused.
+
+    Args:
+        name: The process's.
+        port: Where it listens.
+    """
+
+    def __init__(self, name: str, port: int) -> None:
+        self.rejections = Rejections()
+        self.at = f"tls/127.0.0.1:{port}"
+        self.gate = Gate(name, KEYS, setup(), self.rejections)
+        security = Security(keyring("one"), TEAM)
+        self.bus = Bus(
+            name=name,
+            incarnation=0,
+            run=KEYS.run,
+            digest=DIGEST,
+            endpoints=Endpoints(listen=[self.at], connect=[], security=security),
+            gate=self.gate,
+            serves=name == "coordinator",
+        )
+
+    def heard(self, timeout_s: float) -> list[Message]:
+        """Messages that are believed, until so long after the last of them."""
+        found = []
+        while isinstance(event := self.bus.next(timeout_s), Message):
+            found.append(event)
+        return found
+
+    @property
+    def reached(self) -> int:
+        """Messages that came to it: refused, or kept for a token to come."""
+        self.gate.count_unread()
+        return self.rejections.total + self.gate.kept
+
+
+@pytest.fixture(scope="module", name="plant")
+def guarded_plant() -> Iterator[Guarded]:
+    """A plant that listens with TLS."""
+    plant = Guarded("plant", free_base())
+    try:
+        yield plant
+    finally:
+        plant.bus.close()
+
+
+@contextmanager
+def someone(plant: Guarded, folder: Path, name: str) -> Iterator[zenoh.Session]:
+    """A session with the certificate of a name."""
+    with attack.session([plant.at], attack.tls(folder, name)) as session:
+        yield session
+
+
+def reaches(plant: Guarded, session: zenoh.Session, key: str) -> bool:
+    """Whether what a session says under a key comes to the plant."""
+    before, deadline = plant.reached, time.monotonic() + PATIENCE_S
+    while plant.reached == before and time.monotonic() < deadline:
+        attack.say(session, key, b"?")
+        plant.heard(0.05)
+    return plant.reached > before
+
+
+def test_nobody_without_keys_gets_in(plant: Guarded) -> None:
+    """No certificate, one of another authority, and no TLS: the session is refused; with the right one it is not."""
+    one, other = keyring("one"), keyring("other")
+    strangers = {
+        "none": (plant.at, attack.tls(None, "", one / "ca.pem")),
+        "another's": (plant.at, attack.tls(other, "agent1", one / "ca.pem")),
+        "no TLS": (plant.at.replace("tls/", "tcp/"), None),
+    }
+    for what, (at, secure) in strangers.items():
+        with pytest.raises(zenoh.ZError), attack.session([at], secure, REFUSED_S):
+            pytest.fail(f"{what}: got in")
+    with attack.session([plant.at], attack.tls(one, "agent1"), PATIENCE_S) as session:
+        assert reaches(plant, session, f"{KEYS.prefix}/plan/1")
+
+
+@pytest.mark.parametrize("impostor", ["agent1", "recorder", WATCHER, OPERATOR])
+def test_nobody_speaks_for_another(plant: Guarded, impostor: str) -> None:
+    """0 of 1000 messages and no token of agent 2 and the coordinator come from another's certificate."""
+    forged = {f"{KEYS.prefix}/plan/2": b"?", f"{KEYS.prefix}/tick": b"?", f"{KEYS.prefix}/control": b"?"}
+    with someone(plant, keyring("one"), impostor) as session:
+        if impostor == "agent1":
+            assert reaches(plant, session, f"{KEYS.prefix}/plan/1")  # it is connected: what it may say comes
+        else:
+            time.sleep(0.3)
+        plant.heard(0.1)
+        before = plant.reached
+        tokens = [
+            session.liveliness().declare_token(KEYS.alive(name, 5, DIGEST, VERSION))
+            for name in ("coordinator", "agent2")
+        ]
+        for key, data in forged.items():
+            for _ in range(SHOTS):
+                attack.say(session, key, data)
+            session.delete(key)
+        if impostor == "agent1":  # everything it had said before has come by the time that this has
+            assert reaches(plant, session, f"{KEYS.prefix}/plan/1")
+            before += 1
+        assert plant.heard(0.3) == []
+        extra = plant.reached - before
+        assert 0 <= extra <= (5 if impostor == "agent1" else 0)  # its own calls, repeated until one was heard
+        assert {entry.sender for entry in plant.rejections} <= {"plan/1"}
+        assert all(plant.bus._alive.get(name) is None for name in ("coordinator", "agent2"))
+        del tokens
+
+
+def test_the_same_words_from_the_right_one(plant: Guarded) -> None:
+    """What nobody else could say is believed from who has the certificate: a tick, the end, and a token."""
+    with someone(plant, keyring("one"), "coordinator") as session:
+        token = session.liveliness().declare_token(KEYS.alive("coordinator", 0, DIGEST, VERSION))
+        assert reaches(plant, session, f"{KEYS.prefix}/tick")
+        said = [runs.tick(0), replace(runs.end(), sequence=10)]
+        for message in said:
+            attack.say(session, KEYS.of(message), encode(message))
+        assert plant.heard(1.0) == said
+        token.undeclare()  # type: ignore[no-untyped-call]
+
+
+def test_who_may_ask_for_what() -> None:
+    """Anybody who is known may ask how a process is; only an operator asks the coordinator to change links."""
+    port = free_base()
+    coordinator = Guarded("coordinator", port)
+
+    def answered(name: str, what: str) -> bool:
+        with attack.session([coordinator.at], attack.tls(keyring("one"), name)) as session:
+            deadline = time.monotonic() + (PATIENCE_S if what == "health" else 1.0)
+            while time.monotonic() < deadline:
+                handler = session.get(KEYS.request("coordinator", what), payload="{}", timeout=1.0)
+                event = coordinator.bus.next(0.1)
+                if event is not None:
+                    event.reply({"fine": True})  # type: ignore[union-attr]
+                if any(reply.ok is not None for reply in handler):
+                    return True
+        return False
+
+    try:
+        for name in (WATCHER, "agent1"):
+            assert answered(name, "health"), name
+            assert not answered(name, "link"), name
+        assert answered(OPERATOR, "link")
+    finally:
+        coordinator.bus.close()
+
+
+def test_rights_are_those_of_the_keys() -> None:
+    """The rules say of every kind of message what the table of keys says: who owns it may put it, and nobody else."""
+    rules = access_control(TEAM, KEYS.prefix, "cert_common_names")
+    assert (rules["enabled"], rules["default_permission"]) == (True, "deny")
+    assert all(rule["permission"] == "allow" for rule in rules["rules"])
+    by_id = {rule["id"]: rule for rule in rules["rules"]}
+    may_put: dict[str, set[str]] = {}
+    for policy in rules["policies"]:
+        (name,) = policy["subjects"]
+        own = [by_id[rule] for rule in policy["rules"] if "ingress" in by_id[rule]["flows"]]
+        may_put[name] = {key for rule in own if "put" in rule["messages"] for key in rule["key_exprs"]}
+        asks = {key for rule in own if "query" in rule["messages"] for key in rule["key_exprs"]}
+        if name not in (OPERATOR, ROUTER):
+            assert not asks & {KEYS.request("*", what) for what in ACTING}
+    assert may_put.pop(ROUTER) == {f"{KEYS.prefix}/**"}
+    assert [name for name, keys in may_put.items() if not keys] == ["recorder", WATCHER, OPERATOR]
+    for kind in KINDS.values():
+        message = sample(kind)
+        if message.sender == "recorder":
+            continue  # written into the log, said to nobody
+        key = KEYS.of(message)
+        owners = [name for name, keys in may_put.items() if key in keys or f"{key.rpartition('/')[0]}/*" in keys]
+        assert owners == [message.sender], kind
+    assert f"{KEYS.prefix}/plan/2" in may_put[agent_name(2)]
+    unshared = KEYS.of(sample(Plan, shared=False))
+    assert [name for name, keys in may_put.items() if unshared in keys] == [agent_name(2)]
+
+
+def test_no_agent_may_listen_to_unshared_plans() -> None:
+    """Only plant, coordinator, recorder and observers may subscribe to plans that are not shared."""
+    rules = access_control(TEAM, KEYS.prefix, "cert_common_names")
+    by_id = {rule["id"]: rule for rule in rules["rules"]}
+    may_listen = set()
+    for policy in rules["policies"]:
+        (name,) = policy["subjects"]
+        own = [by_id[rule] for rule in policy["rules"] if "ingress" in by_id[rule]["flows"]]
+        keys = {key for rule in own if "declare_subscriber" in rule["messages"] for key in rule["key_exprs"]}
+        if keys & {f"{KEYS.prefix}/unshared/*", f"{KEYS.prefix}/**"}:
+            may_listen.add(name)
+    assert may_listen == {"coordinator", "plant", "recorder", WATCHER, OPERATOR, ROUTER}

@@ -1,0 +1,109 @@
+"""What cannot be flown is refused before anything starts: one line, the documented exit code, nothing left behind."""
+
+import socket
+from pathlib import Path
+
+import pytest
+
+from tests.support.commands import processes_of, settings, transport
+from tests.support.results import here
+
+USAGE, SCENARIO, LOST = 2, 3, 4
+
+REFUSED_SCENARIOS = [
+    ("controller.horizn=3", "unknown key; did you mean 'horizon'?"),
+    ("clok.speed=1.0", "unknown key; did you mean 'clock'?"),
+    ("controller.horizon=0", "expected a number >= 1, got 0"),
+    ("controller.relaxation=0.0", "expected a number in (0, 1] or 'auto', got 0.0"),
+    ("controller.relaxation=1.5", "expected a number in (0, 1] or 'auto', got 1.5"),
+    ("system.payload.mass_kg=-3.0", "expected a number > 0.0, got -3.0"),
+    ("system.uav.2.rho_m=[0.1, 0.2]", "expected 3 numbers, got [0.1, 0.2]"),
+    ("agents.owned=[[1], [2], [3], [3, 4]]", "agents.owned.4: expected each UAV once, got UAV3, owned by agent 3"),
+    ("agents.owned=[[1], [2], [3]]", "expected each UAV once, got none for UAV4"),
+    ("controller.limits.thrust_N=[0.0, 20.0]", "expected a range that contains the hover thrust 22.07 N"),
+    ("controller.constraint=[{expression='r0[2] <= x'}]", "unknown name 'x'"),
+]
+
+
+@pytest.mark.parametrize(("change", "expected"), REFUSED_SCENARIOS)
+def test_scenario_that_cannot_be_is_refused_in_one_line(
+    change: str, expected: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A wrong value ends with exit code 3 and one line of setting, expected and got; no run folder appears."""
+    monkeypatch.chdir(tmp_path)
+    result = here("run", "paper", *settings(change), "--out", "out")
+    assert result.exit_code == SCENARIO
+    assert result.stderr.startswith(f"transport: --set {change}: ")
+    assert expected in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1
+    assert result.stdout == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_missing_file_is_refused(tmp_path: Path) -> None:
+    """A scenario file that is not there is named."""
+    result = transport("run", "nowhere.toml", cwd=tmp_path)
+    assert (result.returncode, result.stderr) == (SCENARIO, "transport: nowhere.toml: no such file\n")
+
+
+def test_mistyped_scenario_name_is_met_with_the_nearest(tmp_path: Path) -> None:
+    """A name that is neither a file nor a ready scenario is met with the nearest one."""
+    result = transport("run", "papr", cwd=tmp_path)
+    assert result.returncode == SCENARIO
+    assert "did you mean 'paper'?" in result.stderr
+
+
+def test_agent_that_is_not_in_the_scenario_is_refused(tmp_path: Path) -> None:
+    """`--id 9` of four agents is a usage error."""
+    result = transport("agent", "--id", "9", cwd=tmp_path)
+    assert (result.returncode, result.stderr) == (
+        USAGE,
+        "transport: --id: expected an agent from 1 to 4 of scenario paper, got 9\n",
+    )
+
+
+def test_existing_run_folder_is_not_touched(tmp_path: Path) -> None:
+    """A run folder that exists is refused, and what is in it stays."""
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "keep.txt").write_text("mine")
+    result = transport("run", "paper", "--out", "out", cwd=tmp_path)
+    assert result.returncode == USAGE
+    assert "expected a folder that does not exist yet, got out" in result.stderr
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["keep.txt"]
+
+
+def test_port_in_use_is_named(tmp_path: Path) -> None:
+    """A port somebody listens on is named before anything starts, for the whole run and for one process."""
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        base = min(port, 65_000)
+        whole = transport("run", "paper", *settings(f"network.base_port={base}"), "--out", "out", cwd=tmp_path)
+        single = transport("coordinator", "--listen", f"tcp/127.0.0.1:{port}", cwd=tmp_path)
+    assert whole.returncode == LOST
+    assert f"network.base_port: expected free ports {base}.." in whole.stderr
+    assert not (tmp_path / "out").exists()
+    assert single.returncode == LOST
+    assert "address already in use" in single.stderr
+    assert "Traceback" not in whole.stderr + single.stderr
+
+
+def test_connecting_to_nothing_ends_by_name(tmp_path: Path) -> None:
+    """An agent that finds nobody says whom it waited for and where it called, within the join timeout."""
+    options = ["--listen", "tcp/127.0.0.1:0", "--connect", "tcp/127.0.0.1:9", "--join-timeout", "1", "--run", "nobody"]
+    result = transport("agent", "--id", "1", *options, cwd=tmp_path)
+    assert result.returncode == LOST
+    last = result.stderr.strip().splitlines()[-1]
+    assert "no sign of agent2, agent3, agent4, coordinator, plant within 1 s" in last
+    assert "connecting to tcp/127.0.0.1:9" in last
+    assert "Traceback" not in result.stderr
+    assert processes_of("nobody") == {}
+
+
+def test_a_folder_without_a_run_cannot_be_plotted(tmp_path: Path) -> None:
+    """Plotting a folder that is no run folder says so."""
+    result = transport("plot", ".", cwd=tmp_path)
+    assert result.returncode == USAGE
+    assert "Traceback" not in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1

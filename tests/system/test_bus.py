@@ -1,0 +1,228 @@
+"""The bus against a stranger on its network: what he says is counted, and never keeps it from anything."""
+
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+import zenoh
+
+from protocol.admission.admission import Gate
+from protocol.network.bus import Bus
+from protocol.network.session import BusError, Endpoints
+from protocol.wire.codec import VERSION, encode
+from protocol.wire.keys import Keys
+from protocol.wire.messages import Presence
+from protocol.wire.rejections import Rejections
+from tests.support import runs
+from tests.support.commands import free_base
+from tests.support.runs import setup
+
+KEYS = Keys("bus")
+DIGEST = "0123456789ab"
+ROOT = Path(__file__).resolve().parents[2]
+
+# For what takes milliseconds, on a busy machine.
+PATIENCE_S = 20.0
+
+
+class Plant:
+    """The bus of a plant, and what it has refused."""
+
+    def __init__(self, port: int) -> None:
+        self.rejections = Rejections()
+        self.gate = Gate("plant", KEYS, setup(), self.rejections)
+        self.bus = Bus(
+            name="plant",
+            incarnation=0,
+            run=KEYS.run,
+            digest=DIGEST,
+            endpoints=Endpoints(listen=[f"tcp/127.0.0.1:{port}"], connect=[]),
+            gate=self.gate,
+        )
+
+    def counts(self) -> dict[tuple[str, str], int]:
+        """How many were refused, by sender and reason."""
+        return {(entry.sender, entry.reason): entry.count for entry in self.rejections}
+
+    def waits_for(self, condition: Callable[[], bool]) -> bool:
+        """Take in what comes, which is nothing to tell a node, until a condition holds."""
+        deadline = time.monotonic() + PATIENCE_S
+        while not condition():
+            assert self.bus.next(0.01) is None
+            if time.monotonic() > deadline:
+                return False
+        return True
+
+
+@contextmanager
+def stranger(port: int) -> Iterator[zenoh.Session]:
+    """A session connected to a port, that nobody has asked for."""
+    configuration = {
+        "mode": "peer",
+        "connect": {"endpoints": [f"tcp/127.0.0.1:{port}"], "exit_on_failure": True, "timeout_ms": 10_000},
+        "listen": {"endpoints": []},
+        "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
+    }
+    with zenoh.open(zenoh.Config.from_json5(json.dumps(configuration))) as session:
+        yield session
+
+
+@pytest.fixture
+def network() -> Iterator[tuple[Plant, zenoh.Session]]:
+    """A plant and a stranger who reaches it."""
+    port = free_base()
+    plant = Plant(port)
+    try:
+        with stranger(port) as session:
+            key = f"{KEYS.prefix}/tick"
+            put = session.declare_publisher(key, congestion_control=zenoh.CongestionControl.BLOCK)
+
+            def connected() -> bool:
+                put.put(b"?")
+                return plant.rejections.total > 0
+
+            assert plant.waits_for(connected)
+            yield plant, session
+    finally:
+        plant.bus.close()
+
+
+def test_when_something_came(network: tuple[Plant, zenoh.Session]) -> None:
+    """The time of arrival is that of the thread that receives, however late somebody reads."""
+    plant, session = network
+    refused, sent_ns = plant.rejections.total, time.time_ns()
+    session.put(f"{KEYS.prefix}/plan/2", encode(runs.tick(0)), congestion_control=zenoh.CongestionControl.BLOCK)
+    time.sleep(1.0)
+    read_ns = time.time_ns()
+    assert plant.waits_for(lambda: plant.rejections.total > refused)
+    assert sent_ns <= plant.bus.arrived_ns < read_ns
+
+
+def test_a_stranger_is_counted(network: tuple[Plant, zenoh.Session]) -> None:
+    """Bytes, deletions, too much at once, an unknown start and strange tokens: each is refused for what it is."""
+    plant, session = network
+    block = zenoh.CongestionControl.BLOCK
+    key = f"{KEYS.prefix}/tick"
+    session.put(f"{KEYS.prefix}/plan/2", bytes([VERSION]) + b"hello", congestion_control=block)
+    session.put(f"{KEYS.prefix}/plan/3", bytes(plant.gate.max_bytes + 1), congestion_control=block)
+    session.put(f"{KEYS.prefix}/plan/4", bytes(5_000_000), congestion_control=block)
+    session.delete(f"{KEYS.prefix}/control")
+    session.put(key, encode(runs.tick(0)), congestion_control=block)
+    tokens = [
+        session.liveliness().declare_token(f"{KEYS.prefix}/{end}")
+        for end in ("alive/agent1/soon/x", "ready/agent1", f"alive/agent1/7/{'f' * 12}")
+    ]
+    expected = {
+        ("plan/2", "malformed"): 1,
+        ("plan/3", "oversized"): 1,
+        ("plan/4", "oversized"): 1,
+        ("control", "malformed"): 1,
+        ("alive/agent1/soon/x", "malformed"): 1,
+        ("ready/agent1", "malformed"): 1,
+    }
+    assert plant.waits_for(lambda: expected.items() <= plant.counts().items() and plant.gate.kept == 1)
+    for token in tokens:
+        token.undeclare()  # type: ignore[no-untyped-call]
+    plant.gate.close()
+    assert plant.counts()["coordinator", "wrong_incarnation"] == 1
+    assert expected.items() <= plant.counts().items()
+
+
+def test_who_is_announced_is_believed(network: tuple[Plant, zenoh.Session]) -> None:
+    """With a token of its sender a message is let in, one that was ahead of it as well; with another's it is not."""
+    plant, session = network
+    block = zenoh.CongestionControl.BLOCK
+    session.put(f"{KEYS.prefix}/tick", encode(runs.tick(0)), congestion_control=block)
+    assert plant.waits_for(lambda: plant.gate.kept == 1)
+    other = session.liveliness().declare_token(KEYS.alive("coordinator", 0, "another", VERSION))
+    token = session.liveliness().declare_token(KEYS.alive("coordinator", 0, DIGEST, VERSION))
+    assert plant.bus.next(PATIENCE_S) == runs.tick(0)
+    other.undeclare()  # type: ignore[no-untyped-call]
+    token.undeclare()  # type: ignore[no-untyped-call]
+    assert plant.bus.next(PATIENCE_S) == Presence("coordinator", 0, alive=False)
+
+
+def test_a_flood_holds_nobody_up(network: tuple[Plant, zenoh.Session]) -> None:
+    """However much nonsense comes without an end, whoever waits for an event until some time is back by then."""
+    plant, session = network
+    over = threading.Event()
+
+    def flood() -> None:
+        put = session.declare_publisher(f"{KEYS.prefix}/plan/2", congestion_control=zenoh.CongestionControl.BLOCK)
+        while not over.is_set():
+            put.put(b"?" * 100)
+
+    thread = threading.Thread(target=flood)
+    thread.start()
+    try:
+        before, started_s = plant.rejections.total, time.monotonic()
+        for _ in range(20):
+            assert plant.bus.next(0.02) is None
+        assert time.monotonic() - started_s < PATIENCE_S / 4
+        assert plant.rejections.total > before
+    finally:
+        over.set()
+        thread.join()
+
+
+SPEAKS = """
+import sys
+from protocol.network.bus import Bus
+from protocol.network.session import BusError, Endpoints
+from protocol.admission.admission import Gate
+from protocol.wire.keys import Keys
+from protocol.wire.rejections import Rejections
+from tests.support.runs import setup
+
+name, own = sys.argv[1], f"tcp/127.0.0.1:{sys.argv[2]}"
+gate = Gate(name, Keys("bus"), setup(), Rejections())
+endpoints = Endpoints(listen=[own], connect=[own])  # nobody can be connected to himself
+bus = Bus(name=name, incarnation=0, run="bus", digest="0" * 12, endpoints=endpoints, gate=gate)
+print("open", file=sys.stderr, flush=True)
+sys.stdin.read()
+bus.close()
+"""
+
+
+@pytest.mark.parametrize(("name", "speaks"), [("plant", True), ("recorder", False)])
+def test_standard_output_belongs_to_results(name: str, speaks: bool) -> None:
+    """Zenoh complains on standard output: in a process of the run, whose output is a log, and not in the command."""
+    environment = {key: value for key, value in os.environ.items() if key != "RUST_LOG"}
+    with subprocess.Popen(
+        [sys.executable, "-c", SPEAKS, name, str(free_base())],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**environment, "PYTHONPATH": str(ROOT)},
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        said = process.stderr.readline()
+        assert said == "open\n", said + process.stderr.read()
+        if speaks:  # however long that takes: the test has a timeout
+            assert any("ERROR" in line for line in process.stdout)
+        else:
+            time.sleep(1.0)
+        output, errors = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, errors
+    assert speaks or output == ""
+
+
+def test_another_version_is_refused_by_name(network: tuple[Plant, zenoh.Session]) -> None:
+    """Whoever speaks another version of the protocol is not joined: both versions are named, and what to do."""
+    plant, session = network
+    for version in (VERSION + 1, 2):
+        end = f"/{version}" if version > VERSION else ""  # tokens of version 2 did not say so
+        token = session.liveliness().declare_token(f"{KEYS.prefix}/alive/coordinator/0/{DIGEST}{end}")
+        expected = f"coordinator speaks version {version} of the protocol, plant version {VERSION}: install the same"
+        with pytest.raises(BusError, match=expected):
+            plant.bus.join(["coordinator"], PATIENCE_S)
+        token.undeclare()  # type: ignore[no-untyped-call]

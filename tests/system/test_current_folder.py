@@ -1,0 +1,53 @@
+"""A person's own files in the current folder: they neither break a run nor hide a package without a word."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.support.commands import PATIENCE_S, SHORT, settings
+
+TRAP = 'raise RuntimeError("imported from the current folder")\n'
+
+
+@pytest.fixture(params=["model.py", "agent/__init__.py", "protocol.py"])
+def folder(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    """A folder with a file that has the name of one of our packages."""
+    file = tmp_path / request.param
+    file.parent.mkdir(exist_ok=True)
+    file.write_text(TRAP, encoding="utf-8")
+    return tmp_path
+
+
+def imported(folder: Path) -> subprocess.CompletedProcess[str]:
+    """Import the project with a folder on the path, as `python -c` and notebooks do."""
+    command = [sys.executable, "-c", "import transport"]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+
+
+def test_a_run_does_not_import_from_the_current_folder(folder: Path) -> None:
+    """The installed command completes a run, with every child process started in that folder."""
+    words = ["run", "paper", *settings(SHORT), "--out", "out", "--no-figures"]
+    command = [str(Path(sys.executable).with_name("transport")), *words]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=PATIENCE_S * 2, check=False)
+    assert done.returncode == 0, done.stderr
+    assert (folder / "out" / "summary.json").exists()
+
+
+def test_an_import_names_the_file_that_hides_a_package(folder: Path) -> None:
+    """Where the current folder is on the path, importing the project says which file hides which package."""
+    done = imported(folder)
+    (file,) = folder.rglob("*.py")
+    assert done.returncode == 1
+    last = done.stderr.splitlines()[-1]
+    assert last.startswith(f"ImportError: payload-transport: {file} hides its package ")
+    assert "imported from the current folder" not in done.stderr
+
+
+def test_a_folder_without_code_hides_nothing_unnamed(tmp_path: Path) -> None:
+    """A plain folder named like a package is either no obstacle or named as one."""
+    (tmp_path / "plant").mkdir()
+    done = imported(tmp_path)
+    named = f"payload-transport: {tmp_path / 'plant'} hides its package 'plant'"
+    assert done.returncode == 0 or named in done.stderr

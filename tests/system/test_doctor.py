@@ -1,0 +1,165 @@
+"""`transport doctor`: what is wrong with a machine is found, named, and comes with what to do."""
+
+import json
+import socket
+from collections.abc import Callable
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from tests.support import runs
+from tests.support.commands import free_base
+from transport.cli.main import app
+from transport.doctor import checks as doctor
+from transport.doctor import host as doctor_host
+
+STAT = "cpu  {user} 0 0 {idle} 0 0 0 {stolen} 0 0\n"
+
+
+def put(root: Path, path: str, text: str) -> Path:
+    """A file below a root."""
+    file = root / path
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(text)
+    return root
+
+
+@pytest.mark.parametrize(
+    ("check", "path", "good", "bad", "advice"),
+    [
+        (
+            doctor_host.governor,
+            "sys/devices/system/cpu/cpu0/cpufreq/scaling_governor",
+            "performance",
+            "powersave",
+            "cpupower",
+        ),
+        (doctor_host.quota, "sys/fs/cgroup/cpu.max", "max 100000", "150000 100000", "cpuset-cpus"),
+        (doctor_host.load, "proc/loadavg", "0.00 0.1 0.1 1/100 7", "9999.0 1 1 1/100 7", "chrt"),
+        (doctor_host.memory, "proc/swaps", "Filename Type\n", "Filename Type\n/dev/sda2 partition\n", "swapoff"),
+        (
+            doctor_host.clock,
+            "sys/devices/system/clocksource/clocksource0/current_clocksource",
+            "tsc",
+            "acpi_pm",
+            "tsc or kvm-clock",
+        ),
+        (
+            doctor_host.steal,
+            "proc/stat",
+            STAT.format(user=500, idle=500, stolen=1),
+            STAT.format(user=500, idle=400, stolen=100),
+            "other guests",
+        ),
+    ],
+)
+def test_host(
+    check: Callable[[Path], doctor_host.Finding],
+    path: str,
+    good: str,
+    bad: str,
+    advice: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A host that is as it should be is ok; one that is not gets a warning with what to do; one that hides it is ok."""
+    monkeypatch.setattr(doctor_host, "_WATCHED_S", 0.0)
+    assert check(tmp_path / "nothing")[0] == "ok"
+    status, found, nothing = check(put(tmp_path / "good", path, good))
+    assert (status, nothing) == ("ok", ""), found
+    status, found, what_to_do = check(put(tmp_path / "bad", path, bad))
+    assert status == "warn", found
+    assert advice in what_to_do
+
+
+def test_priority_without_a_brake(tmp_path: Path) -> None:
+    """Real-time priority without the kernel's brake is warned of, or not being allowed any."""
+    status, found, advice = doctor_host.priority(put(tmp_path, "proc/sys/kernel/sched_rt_runtime_us", "-1"))
+    assert status == "warn"
+    assert "sched_rt_runtime_us -1" in found
+    assert advice
+
+
+def test_too_few_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run of six processes and a recorder wants seven cores."""
+    for mine, status in ((7, "ok"), (6, "warn")):
+        monkeypatch.setattr("os.sched_getaffinity", lambda _, n=mine: set(range(n)), raising=False)
+        found = doctor_host.cores(runs.setup())
+        assert found[0] == status
+        assert f"{mine} for 7 processes" in found[1]
+
+
+def test_packages(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A package that is missing or too old fails the check and is named; one of an extra does not."""
+    assert [check.status for check in doctor.packages()] == ["ok", "ok"]
+    required = ["numpy>=999", "no-such-package>=2", "scipy", 'another-one; extra == "test"']
+    monkeypatch.setattr(metadata, "requires", lambda _: required)
+    wrong, extras = doctor.packages()
+    assert wrong.status == "fail"
+    assert f"numpy {metadata.version('numpy')} (needs >=999)" in wrong.found
+    assert "no-such-package is missing (needs >=2)" in wrong.found
+    assert "scipy" not in wrong.found
+    assert "test (another-one)" in extras.found
+    assert [check.status for check in doctor.packages("no-such-distribution")] == ["fail"]
+
+
+def test_ports() -> None:
+    """A port that is taken fails a scenario that names it, and does not matter much to one that does not."""
+    base = free_base()
+    run = runs.setup(f"network.base_port={base}")
+    assert doctor.ports(run).status == "ok"
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", base + 2))
+        taken.listen()
+        check = doctor.ports(run)
+    assert check.status == "fail"
+    assert str(base + 2) in check.found
+    assert "network.base_port" in check.advice
+    away = doctor.ports(runs.setup("network.host='192.0.2.1'"))  # an address kept for documentation
+    assert away.status == "fail"
+    assert "address of this machine" in away.advice
+
+
+def test_command() -> None:
+    """All checks are made, the network's with real sessions, and the exit code says whether any fails."""
+    result = CliRunner().invoke(app, ["doctor", "resilient", "--format", "json"])
+    content = json.loads(result.stdout)
+    checks = {check["name"]: check for check in content["checks"]}
+    failed = [check for check in checks.values() if check["status"] == "fail"]
+    assert failed == [], result.output
+    assert (result.exit_code, content["ok"], content["scenario"]) == (0, True, "resilient")
+    assert "a round trip takes" in checks["network"]["found"]
+    assert {
+        "python",
+        "ports",
+        "step",
+        "blas threads",
+        "clock",
+        "cores",
+        "steal",
+        "governor",
+        "priority",
+    } <= checks.keys()
+    assert all(check["advice"] for check in checks.values() if check["status"] != "ok")
+
+
+def test_exit_code_of_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Something that fails is shown and makes the exit code 9; a check that breaks is one that fails."""
+
+    def broken(setup: object) -> doctor.Check:
+        raise OSError("no such luck")
+
+    monkeypatch.setattr(doctor, "network", broken)
+    monkeypatch.setattr(doctor, "host_checks", lambda _: iter(()))
+    result = CliRunner().invoke(app, ["doctor"])
+    assert result.exit_code == 9
+    assert "OSError: no such luck" in result.output
+    assert "1 fail" in result.output
+
+
+def test_scenario_is_checked() -> None:
+    """A scenario that is refused has its own exit code, as everywhere."""
+    result = CliRunner().invoke(app, ["doctor", "--set", "controller.horizon=0"])
+    assert result.exit_code == 3

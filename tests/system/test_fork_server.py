@@ -1,0 +1,174 @@
+"""Processes that are forked: they are what started ones would be."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO
+
+import pytest
+
+from protocol.network.health import command_of
+from protocol.network.parent import PARENT_PIPE
+from tests.support.commands import command, wait_for
+from transport.flight.fork_server import Forked, ForkServer, Started
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
+
+# An agent that waits for others who do not come.
+LONELY = ("agent", "--id", "1", "--scenario", "paper", "--run", "lonely", "--listen", "tcp/127.0.0.1:0")
+
+_PIPES: list[IO[bytes]] = []  # to close at the end of a test: processes end with them
+
+
+@pytest.fixture
+def server() -> Iterator[ForkServer]:
+    """A server of this test alone."""
+    found = ForkServer()
+    yield found
+    found.close()
+    while _PIPES:
+        _PIPES.pop().close()
+
+
+def begin(server: ForkServer, output: Path, *arguments: str) -> Started:
+    """Start a command."""
+    with output.open("wb") as file:
+        process = server.start(arguments, file, {PARENT_PIPE: "1"})
+    assert process.stdin is not None
+    _PIPES.append(process.stdin)
+    return process
+
+
+def waits(output: Path) -> bool:
+    """Whether an agent has got as far as waiting for the others."""
+    return '"listening"' in output.read_text()
+
+
+def open_files(pid: int) -> set[str]:
+    """What a process has open."""
+    return {str(link.readlink()) for link in Path(f"/proc/{pid}/fd").iterdir()}
+
+
+def test_as_if_started(server: ForkServer, tmp_path: Path) -> None:
+    """Output and exit code of a forked command are those of a started one."""
+    for k, arguments in enumerate((["agent", "--help"], ["agent", "--id", "9"], ["agent", "--id", "x"], ["--version"])):
+        process = begin(server, tmp_path / f"{k}.log", *arguments)
+        assert isinstance(process, Forked)
+        expected = subprocess.run(command(*arguments), capture_output=True, text=True, check=False)
+        assert process.wait(60.0) == expected.returncode
+        assert (tmp_path / f"{k}.log").read_text() == expected.stdout + expected.stderr
+        assert not Path(f"/proc/{process.pid}").exists()  # waited for, for good
+
+
+def test_place_of_its_own(server: ForkServer, tmp_path: Path) -> None:
+    """A forked process has a session, a title, a parent and nothing open that is not its own."""
+    log = tmp_path / "agent.log"
+    process = begin(server, log, *LONELY)
+    assert isinstance(process, Forked)
+    assert wait_for(lambda: waits(log))
+    assert command_of(str(process.pid)) == ["transport", *LONELY]
+    assert os.getsid(process.pid) == process.pid
+    stat = Path(f"/proc/{process.pid}/stat").read_text().rsplit(")", 1)[1].split()
+    assert int(stat[1]) == os.getpid()
+    assert server._process is not None
+    assert len(list(Path(f"/proc/{server._process.pid}/task").iterdir())) == 1  # who forks must have one thread
+    own = open_files(process.pid)
+    assert str(log) in own
+    assert not [name for name in own & open_files(server._process.pid) if name.startswith(("socket", "pipe"))]
+    with pytest.raises(subprocess.TimeoutExpired):
+        process.wait(0.05)
+    process.terminate()
+    assert process.wait(20.0) == 130
+    process.send_signal(signal.SIGTERM)  # nobody is there any more, and nobody else is hit
+    assert process.poll() == 130
+
+
+def test_killed(server: ForkServer, tmp_path: Path) -> None:
+    """A signal that ends it is its exit code, for everybody who asks at once."""
+    log = tmp_path / "agent.log"
+    process = begin(server, log, *LONELY)
+    assert wait_for(lambda: waits(log))
+    codes: list[int] = []
+    askers = [threading.Thread(target=lambda: codes.append(process.wait(20.0))) for _ in range(4)]
+    for asker in askers:
+        asker.start()
+    process.kill()
+    for asker in askers:
+        asker.join()
+    assert codes == [-signal.SIGKILL] * 4
+
+
+def test_orphans_end(server: ForkServer, tmp_path: Path) -> None:
+    """What a process has started ends with its pipe, also when the server is gone before."""
+    log = tmp_path / "agent.log"
+    process = begin(server, log, *LONELY)
+    assert wait_for(lambda: waits(log))
+    server.close()
+    time.sleep(0.2)
+    assert process.poll() is None
+    assert process.stdin is not None
+    process.stdin.close()
+    assert process.wait(20.0) == 4
+
+
+def test_server_ends_with_its_process(tmp_path: Path) -> None:
+    """A process that is killed leaves no server behind."""
+    code = (
+        "import time\nfrom transport.flight.fork_server import fork_server\n"
+        "print(fork_server()._process.pid, flush=True)\ntime.sleep(60)\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, cwd=tmp_path, text=True) as process:
+        assert process.stdout is not None
+        number = process.stdout.readline().strip()
+        assert wait_for(lambda: command_of(number) == ["transport", "fork-server"])
+        process.kill()
+    assert wait_for(lambda: command_of(number) == [])
+
+
+def test_without_server(tmp_path: Path, server: ForkServer, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where nothing can be forked, processes are started: another system, a server that is gone, other variables."""
+    monkeypatch.setattr(sys, "platform", "darwin")
+    elsewhere = ForkServer()
+    monkeypatch.undo()
+    assert elsewhere._process is None
+    assert begin(elsewhere, tmp_path / "elsewhere.log", "--version").wait(60.0) == 0
+    monkeypatch.setenv("PAYLOAD_TRANSPORT_NATIVE", "0")
+    other = begin(server, tmp_path / "other.log", "--version")
+    assert not isinstance(other, Forked)
+    assert other.wait(60.0) == 0
+    monkeypatch.undo()
+    same = begin(server, tmp_path / "same.log", "--version")
+    assert isinstance(same, Forked)
+    assert same.wait(60.0) == 0
+    assert server._process is not None
+    server._process.kill()
+    server._process.wait()
+    assert begin(server, tmp_path / "gone.log", "--version").wait(60.0) == 0
+    assert (tmp_path / "gone.log").read_text() == (tmp_path / "elsewhere.log").read_text()
+
+
+def test_environment_and_folder_of_now(server: ForkServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Folder, variables and scenario are those of the moment, not those the server was started with."""
+    scenario = tmp_path / "scenario.toml"
+    ready = subprocess.run(command("validate", "paper"), capture_output=True, text=True, check=True).stdout
+    monkeypatch.chdir(tmp_path)
+    for name in ("first", "second"):
+        scenario.write_text(ready.replace('name = "paper"', f'name = "{name}"'))
+        process = begin(server, tmp_path / "log", "agent", "--id", "9", "--scenario", "scenario.toml")
+        assert isinstance(process, Forked)
+        assert process.wait(60.0) == 2
+        assert f"of scenario {name}, got 9" in (tmp_path / "log").read_text()
+    scenario.write_text("nonsense = 1\n")
+    process = begin(server, tmp_path / "log", "agent", "--id", "1", "--scenario", "scenario.toml")
+    assert process.wait(60.0) == 3
+    assert (tmp_path / "log").read_text().count("nonsense") == 1
+    monkeypatch.setenv("COLUMNS", "40")
+    process = begin(server, tmp_path / "log", "agent", "--help")
+    assert isinstance(process, Forked)
+    assert process.wait(60.0) == 0
+    assert max(map(len, (tmp_path / "log").read_text().splitlines())) <= 50

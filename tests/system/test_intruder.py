@@ -1,0 +1,159 @@
+"""Somebody on the network who talks nonsense on every key: the flight and its record are those without him."""
+
+import csv
+import json
+import queue
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+import zenoh
+
+from protocol.admission.admission import Gate
+from protocol.scenario.file import find_scenario, read_scenario
+from protocol.scenario.setup import Setup
+from protocol.wire.keys import Keys, matches
+from protocol.wire.messages import agent_name
+from protocol.wire.rejections import Rejections
+from tests.support.commands import PATIENCE_S, free_base, settings, start
+from tests.support.garbage import Garbage
+from tests.support.logs import flown
+from tests.system.test_processes import SCHEMA
+from transport.analysis.steps import WALL_CLOCK
+from transport.report.report import write_report
+
+SEED = 20240611
+RUN = "disturbed"
+
+# Paced to real time, so that there is time to disturb it.
+TICKS = 120
+FLIGHT = (
+    f"maneuver.phase=[{{name='climb',duration_s={0.05 * TICKS},displacement_m=[0.0,0.0,-1.0]}}]",
+    "controller.horizon=5",
+    "clock.speed=1.0",
+)
+
+# Bad messages, and how many at a time; the last of them well before the end of the flight.
+SHOTS, BURST, LAST_TICK = 4000, 40, 100
+
+# Messages of three ticks: what is older has reached everybody.
+DELAY = 60
+
+# Tokens of processes that cannot be.
+STRANGE_TOKENS = ("alive/agent1/soon/0123456789ab", "alive/agent1", "ready/agent1/x")
+
+
+class Mesh:
+    """A session with every process of a run, and what it hears.
+
+    Args:
+        session: Connected to all.
+        keys: Of the run.
+    """
+
+    def __init__(self, session: zenoh.Session, keys: Keys) -> None:
+        self.session, self.keys = session, keys
+        self._inbox: queue.SimpleQueue[zenoh.Sample] = queue.SimpleQueue()
+        self._subscriber = session.declare_subscriber(f"{keys.prefix}/**", self._inbox.put)
+
+    def heard(self) -> Iterator[tuple[str, bytes]]:
+        """Key and bytes of what has come since the last time."""
+        while not self._inbox.empty():
+            sample = self._inbox.get()
+            yield str(sample.key_expr), sample.payload.to_bytes()
+
+    def put(self, key: str, data: bytes) -> None:
+        """Say something to whoever else listens, and wait rather than lose it."""
+        remote, block = zenoh.Locality.REMOTE, zenoh.CongestionControl.BLOCK
+        self.session.put(key, data, congestion_control=block, allowed_destination=remote)
+
+
+@contextmanager
+def intruding(keys: Keys, ports: Sequence[int]) -> Iterator[Mesh]:
+    """Connect to every process of a run as an observer does."""
+    configuration = {
+        "mode": "peer",
+        "connect": {
+            "endpoints": [f"tcp/127.0.0.1:{port}" for port in ports],
+            "timeout_ms": -1,
+            "retry": {"period_init_ms": 50, "period_max_ms": 200, "period_increase_factor": 1.5},
+        },
+        "listen": {"endpoints": []},
+        "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
+    }
+    with zenoh.open(zenoh.Config.from_json5(json.dumps(configuration))) as session:
+        yield Mesh(session, keys)
+
+
+def table(folder: Path) -> list[dict[str, str]]:
+    """The step table without its wall-clock columns."""
+    with (folder / "steps.csv").open(encoding="utf-8", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    return [{name: value for name, value in row.items() if not name.endswith(WALL_CLOCK)} for row in rows]
+
+
+@pytest.mark.slow
+def test_an_intruder(tmp_path: Path) -> None:
+    """Thousands of bad messages on every key change nothing in steps.csv, and all are in the summary, by sender."""
+    base = free_base()
+    run = Setup.of(read_scenario(find_scenario("paper"), FLIGHT), "paper")
+    agents = [agent_name(agent) for agent in run.agents]
+    everybody = ["coordinator", "plant", *agents]  # the recorder listens nowhere: no stranger reaches it
+    keys = Keys(RUN)
+    hears = {name: keys.subscriptions(name) for name in everybody}
+    command = ["run", "paper", *settings(*FLIGHT, f"network.base_port={base}"), "--out", RUN, "--no-figures"]
+    process = start(*command, "--format", "json", cwd=tmp_path)
+
+    expected = dict.fromkeys(everybody, 0)
+    max_bytes = Gate("recorder", keys, run, Rejections()).max_bytes
+    rng = np.random.default_rng(SEED)
+    source = Garbage("recorder", keys, run, max_bytes, rng, incarnation=0, delay=DELAY)
+    with intruding(keys, range(base, base + len(everybody))) as mesh:
+        shots, tokens = 0, list[zenoh.LivelinessToken]()
+        # Whoever is heard is connected; the coordinator speaks of each tick, the plant of what comes of it.
+        everything = {f"{keys.prefix}/{end}" for end in ("tick", "truth", *(f"plan/{agent}" for agent in run.agents))}
+        known: set[str] = set()
+        until = time.monotonic() + PATIENCE_S
+        while source.tick < LAST_TICK and time.monotonic() < until and process.poll() is None:
+            for key, data in mesh.heard():
+                source.heard(key, data)
+                known.add(key)
+            if source.tick < 1 or not everything <= known or shots >= SHOTS:
+                time.sleep(0.01)
+                continue
+            for _ in range(BURST):
+                _, key, data = source.next()
+                mesh.put(key, data)
+                shots += 1
+                for name, expressions in hears.items():
+                    expected[name] += any(matches(expression, key) for expression in expressions)
+            if len(tokens) < len(STRANGE_TOKENS):
+                strange = f"{keys.prefix}/{STRANGE_TOKENS[len(tokens)]}"
+                tokens.append(mesh.session.liveliness().declare_token(strange))
+                expected = {name: count + 1 for name, count in expected.items()}
+            time.sleep(0.01)
+        printed, errors = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, errors
+    assert shots == SHOTS
+
+    summary: dict[str, Any] = json.loads(printed)
+    jsonschema.validate(summary, SCHEMA)
+    assert summary["outcome"] == "completed"
+    assert summary["ticks"] == TICKS
+    counts = dict.fromkeys(everybody, 0)
+    for entry in summary["rejections"]:
+        counts[entry["by"]] += entry["count"]
+    assert counts == expected
+    assert summary["messages"]["rejected"] == sum(expected.values())
+    assert {"agent2", "plant", "plan/2"} <= {entry["sender"] for entry in summary["rejections"]}
+    reasons = {entry["reason"] for entry in summary["rejections"]}
+    assert {"malformed", "oversized", "not_finite", "replayed", "past", "future", "wrong_sender"} <= reasons
+
+    flown(run, tmp_path / "calm")
+    write_report(tmp_path / "calm", figures=False)
+    assert table(tmp_path / RUN) == table(tmp_path / "calm")

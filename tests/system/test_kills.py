@@ -1,0 +1,115 @@
+"""Whatever dies, nothing is left behind: no process, no unreadable log, no wrong exit code."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.support.commands import ENDLESS, PATIENCE_S, is_flying, processes_of, settings, start, transport, wait_for
+from transport.log.run_log import read_log
+
+TEAM = ["coordinator", "plant", "agent1", "agent2", "agent3", "agent4"]
+USAGE, LOST, INTERRUPTED = 2, 4, 130
+
+# A command, and signals that come when it has ended: on its way out, and while the interpreter takes itself apart.
+SIGNALLED_AFTERWARDS = """
+import atexit, os, sys
+from transport.__main__ import main
+
+class Last:
+    def __del__(self, kill=os.kill, me=os.getpid()):
+        kill(me, {number})
+        print("signalled", flush=True)
+
+last = Last()
+atexit.register(os.kill, os.getpid(), {number})
+sys.argv[1:] = {arguments}
+main()
+"""
+
+
+def take_off(tmp_path: Path, run: str, *changes: str) -> subprocess.Popen[str]:
+    """A run paced to real time, in the air."""
+    process = start("run", "paper", *settings(*ENDLESS, *changes), "--out", run, "--no-figures", cwd=tmp_path)
+    assert wait_for(is_flying(tmp_path / run, TEAM)), process.communicate(timeout=10)
+    log = tmp_path / run / "run.mcap"
+    assert wait_for(lambda: log.exists() and log.stat().st_size > 100_000)
+    return process
+
+
+@pytest.mark.parametrize("victim", ["coordinator", "plant", "agent1", "agent4"])
+def test_a_killed_process_ends_the_run_in_order(victim: str, tmp_path: Path) -> None:
+    """SIGKILL of any process: exit code 4, the victim named, the log complete up to then, nobody left."""
+    run = f"kill-{victim}"
+    process = take_off(tmp_path, run)
+    os.kill(processes_of(run)[victim], signal.SIGKILL)
+    _, errors = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == LOST
+    assert f"{victim} is gone" in errors
+    assert "Traceback" not in errors
+    assert processes_of(run) == {}
+    summary = json.loads((tmp_path / run / "summary.json").read_text())
+    assert summary["outcome"] == "aborted"
+    assert summary["ticks"] > 5
+    assert not read_log(tmp_path / run / "run.mcap").cut
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_run_is_reported(number: signal.Signals, tmp_path: Path) -> None:
+    """Ctrl-C and SIGTERM end the run in order: exit code 130, a report of what was flown, nobody left."""
+    process = take_off(tmp_path, "interrupted")
+    process.send_signal(number)
+    output, errors = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == INTERRUPTED, errors
+    assert "aborted" in output
+    assert "Traceback" not in errors
+    assert processes_of("interrupted") == {}
+    assert not read_log(tmp_path / "interrupted" / "run.mcap").cut
+
+
+def test_a_killed_harness_leaves_no_orphans(tmp_path: Path) -> None:
+    """SIGKILL of `transport run` itself: its processes notice and end; the log opens and can be reported."""
+    process = take_off(tmp_path, "orphans")
+    process.kill()
+    process.communicate(timeout=PATIENCE_S)
+    assert wait_for(lambda: processes_of("orphans") == {}, timeout_s=20.0)
+    result = transport("plot", "orphans", "--format", "json", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    summary = json.loads(result.stdout)
+    assert summary["ticks"] > 5
+    assert summary["log_cut"]
+
+
+def test_a_frozen_agent_is_noticed_by_the_barrier(tmp_path: Path) -> None:
+    """SIGSTOP leaves the token in place; the barrier timeout names the agent and the run ends, nobody left."""
+    process = take_off(tmp_path, "frozen")
+    os.kill(processes_of("frozen")["agent2"], signal.SIGSTOP)
+    _, errors = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == LOST
+    assert "agent2 did not answer tick" in errors
+    assert processes_of("frozen") == {}
+
+
+def test_the_others_fly_on_when_told_to(tmp_path: Path) -> None:
+    """With `on_agent_loss = "continue"` the clock goes on without the killed agent, and the record says so."""
+    process = take_off(tmp_path, "continued", "clock.on_agent_loss=continue")
+    os.kill(processes_of("continued")["agent3"], signal.SIGKILL)
+    assert wait_for(lambda: "agent3" not in processes_of("continued"))
+    assert not wait_for(lambda: process.poll() is not None, timeout_s=0.8)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=PATIENCE_S)
+    assert "agent3 is gone" in errors
+    assert processes_of("continued") == {}
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(("arguments", "code"), [(["--help"], 0), (["plot", "nowhere"], USAGE)])
+def test_a_signal_after_the_end_changes_nothing(number: signal.Signals, arguments: list[str], code: int) -> None:
+    """A command that has ended keeps its exit code, whatever it is sent while its process is still there."""
+    program = SIGNALLED_AFTERWARDS.format(number=int(number), arguments=arguments)
+    result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
+    assert (result.returncode, "signalled" in result.stdout, "Traceback" in result.stderr) == (code, True, False)

@@ -1,0 +1,135 @@
+"""The deployment in a lab of network namespaces: cables are cut, and nothing is left of it afterwards."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from deploy.lab import EXIT_UNAVAILABLE, Cut, unavailable
+from protocol.network.process import process_names
+from protocol.scenario.file import find_scenario, read_scenario
+from tests.support.commands import PATIENCE_S, settings, wait_for
+from transport.log.run_log import read_log
+
+NAMES = [*process_names(read_scenario(find_scenario("resilient"))), "recorder"]
+# A tick is held for who is late: fourteen processes that start at once on few cores would lose the flight otherwise.
+REAL_TIME = ("clock.mode=realtime", "clock.speed=1", "clock.on_overrun=hold")
+
+pytestmark = pytest.mark.skipif(bool(unavailable()), reason=f"no lab: {unavailable()}")
+
+
+def climb(duration_s: float) -> str:
+    """A slow climb."""
+    return f"maneuver.phase=[{{name='climb',duration_s={duration_s},displacement_m=[0.0,0.0,-1.0]}}]"
+
+
+def lab(folder: Path, *cuts: str, duration_s: float) -> subprocess.Popen[str]:
+    """A lab that flies in real time while cables are cut."""
+    words = [part for cut in cuts for part in ("--cut", cut)]
+    return subprocess.Popen(
+        [
+            *(sys.executable, "-m", "deploy.lab", "--out", str(folder), *words),
+            *settings(*REAL_TIME, climb(duration_s)),
+        ],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def ended(process: subprocess.Popen[str]) -> dict[str, Any]:
+    """What a lab says of itself at its end."""
+    printed, errors = process.communicate(timeout=2 * PATIENCE_S)
+    assert process.returncode == 0, errors
+    found: dict[str, Any] = json.loads(printed)
+    return found
+
+
+def belonging_to(folder: Path) -> list[int]:
+    """Processes that have something to do with a folder."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        try:
+            if entry.name.isdigit() and str(folder).encode() in (entry / "cmdline").read_bytes():
+                found.append(int(entry.name))
+        except OSError:
+            continue
+    return found
+
+
+@pytest.mark.slow
+def test_cables(tmp_path: Path) -> None:
+    """One second without cable is flown through and on record; without the coordinator everybody ends, log and all."""
+    # Both at once: what takes longest in the second is waiting for a connection to be given up.
+    with lab(tmp_path / "b", "coordinator:2", duration_s=30.0) as second:
+        with lab(tmp_path / "a", "agent2:8:1", duration_s=12.0) as first:
+            briefly = ended(first)
+        for_good = ended(second)
+
+    assert briefly["exits"] == dict.fromkeys(NAMES, 0)
+    assert [(cut["did"], cut["host"]) for cut in briefly["cuts"]] == [("cut", "agent2"), ("mend", "agent2")]
+    summary = json.loads((tmp_path / "a" / "run" / "summary.json").read_text())
+    assert summary["outcome"] == "completed"
+    assert summary["deadline"]["tick_late_ms"]["max"] > 800.0  # a tick was held for as long as the cable was out
+
+    assert for_good["exits"] == dict.fromkeys(NAMES, 4)
+    log = read_log(tmp_path / "b" / "run" / "run.mcap")
+    assert log.cut == ""
+    assert log.messages[-1].message.kind == "control"
+    summary = json.loads((tmp_path / "b" / "run" / "summary.json").read_text())
+    assert (summary["outcome"], summary["reason"]) == ("aborted", "coordinator is gone")
+
+
+@pytest.mark.slow
+def test_nothing_stays(tmp_path: Path) -> None:
+    """Killed in mid-flight, or told to end by Ctrl-C, a lab takes its processes and its network with it."""
+    links = subprocess.run(["ip", "-o", "link"], capture_output=True, text=True, check=True).stdout
+    for number in (signal.SIGKILL, signal.SIGINT):
+        folder = tmp_path / number.name
+        with lab(folder, duration_s=60.0) as process:
+            logs = folder / "logs" / "recorder.log"
+            assert wait_for(logs.exists)
+            assert len(belonging_to(folder)) > 5
+            # The terminal sends Ctrl-C to everybody in the foreground: the lab itself, inside, is one of them.
+            inside = [pid for pid in belonging_to(folder) if b"deploy.lab" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+            (process.send_signal(number) if number is signal.SIGKILL else _send(max(inside), number))
+            process.communicate(timeout=PATIENCE_S)
+        assert process.returncode != 0
+        assert wait_for(lambda folder=folder: not belonging_to(folder), 5.0)  # type: ignore[misc]
+    time.sleep(0.1)
+    assert subprocess.run(["ip", "-o", "link"], capture_output=True, text=True, check=True).stdout == links
+
+
+def _send(pid: int, number: int) -> None:
+    subprocess.run(["kill", f"-{number}", str(pid)], check=True)
+
+
+def test_cuts_are_read() -> None:
+    """HOST:AT for good, HOST:AT:FOR for a while, and nothing else."""
+    assert Cut.of("agent2:8:1") == Cut("agent2", 8.0, 1.0)
+    assert Cut.of("plant:0.5") == Cut("plant", 0.5, None)
+    done = subprocess.run(
+        [sys.executable, "-m", "deploy.lab", "--out", "x", "--cut", "plant"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert "expected HOST:AT or HOST:AT:FOR in seconds, got 'plant'" in done.stderr
+
+
+def test_a_strange_host_is_refused(tmp_path: Path) -> None:
+    """A cable of no host is named before anything is built; without the tools the exit code says so."""
+    words = [sys.executable, "-m", "deploy.lab", "--out", str(tmp_path / "x"), "--cut", "agent9:1"]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "--cut: expected a host of coordinator, plant, agent1" in done.stderr
+    assert not (tmp_path / "x").exists()
+    bare = subprocess.run(words, capture_output=True, text=True, check=False, env={"PATH": ""})
+    assert bare.returncode == EXIT_UNAVAILABLE
+    assert "no unshare" in bare.stderr

@@ -1,0 +1,172 @@
+"""A run in flight is acted on from outside: status, links, faults by hand; what cannot be is refused with text."""
+
+import json
+import signal
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from protocol.wire.messages import FaultNote, LinkChange, Roster, StepReport, Tick
+from tests.support.commands import PATIENCE_S, is_flying, processes_of, settings, start, wait_for
+from transport.cli.main import app
+from transport.log.run_log import RunLog, read_log
+
+TEAM = ["coordinator", "plant", "agent1", "agent2", "agent3", "agent4"]
+PACED = ("clock.speed=1.0", "clock.on_agent_loss=continue")
+PERIOD_S = 0.05
+USAGE, INTERRUPTED = 2, 130
+
+
+def said(*arguments: str) -> tuple[int, str, str]:
+    """Exit code, output and error text of a command, run here."""
+    result = CliRunner().invoke(app, list(arguments))
+    return result.exit_code, result.stdout.strip(), result.stderr.strip()
+
+
+def told(*arguments: str) -> str:
+    """What a command that succeeds says."""
+    code, output, errors = said(*arguments)
+    assert code == 0, errors
+    return output
+
+
+def members() -> list[int]:
+    """Who takes part in the newest run below runs/."""
+    found: list[int] = json.loads(told("status"))["members"]
+    return found
+
+
+@pytest.fixture(scope="module")
+def flown(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Iterator[tuple[dict[str, Any], Path, list[tuple[int, str, str]]]]:
+    """A run paced to real time that a person has acted on in every way, then ended: summary, folder, refusals."""
+    home = tmp_path_factory.mktemp("operated")
+    process = start("run", "resilient", *settings(*PACED), "--out", "runs/live", "--no-figures", cwd=home)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(home)
+        try:
+            assert wait_for(is_flying(home / "runs" / "live", TEAM)), process.communicate(timeout=10)
+            assert wait_for(lambda: said("status")[0] == 0 and json.loads(told("status"))["tick"] > 5)
+            refusals = [
+                said("fault", "kill", "agent9"),
+                said("fault", "stab", "agent1"),
+                said("fault", "restart", "plant"),
+                said("fault", "continue", "recorder"),
+                said("link", "set", "--from", "9", "--loss", "0.1"),
+                said("link", "set", "--distribution", "gauss"),
+                said("link", "set"),
+                said("status", "--run", "nowhere"),
+            ]
+            told("link", "set", "--from", "1", "--to", "2", "--delay", "0.2")
+            told("link", "set", "--from", "plant", "--to", "agent1", "--delay", "0.1", "--run", "live")
+            told("fault", "kill", "agent3")
+            assert wait_for(lambda: members() == [1, 2, 4])
+            refusals.append(said("fault", "stop", "agent3"))
+            told("fault", "restart", "agent3", "--run", "runs/live")
+            assert wait_for(lambda: members() == [1, 2, 3, 4])
+            told("fault", "stop", "agent4")
+            assert wait_for(lambda: members() == [1, 2, 3])
+            told("fault", "continue", "agent4")
+            assert wait_for(lambda: members() == [1, 2, 3, 4])
+            told("link", "clear")
+            tick = json.loads(told("status"))["tick"]
+            assert wait_for(lambda: json.loads(told("status"))["tick"] > tick + 10)
+        finally:
+            process.send_signal(signal.SIGINT)
+            output, errors = process.communicate(timeout=PATIENCE_S)
+        assert process.returncode == INTERRUPTED, errors
+        assert "Traceback" not in output + errors
+        refusals.append(said("status"))
+    summary = json.loads((home / "runs" / "live" / "summary.json").read_text())
+    yield summary, home / "runs" / "live", refusals
+    assert processes_of("live") == {}
+
+
+@pytest.fixture(scope="module")
+def log(flown: tuple[dict[str, Any], Path, list[tuple[int, str, str]]]) -> RunLog:
+    """The log of that run."""
+    found = read_log(flown[1] / "run.mcap")
+    assert not found.cut
+    return found
+
+
+def test_what_cannot_be_is_refused(flown: tuple[dict[str, Any], Path, list[tuple[int, str, str]]]) -> None:
+    """A process, action, link or run that is not there is refused on one line with what was expected, exit code 2."""
+    expected = [
+        "target: expected one of coordinator, plant, agent1, agent2, agent3, agent4, got 'agent9'",
+        "do: expected one of kill, stop, continue, restart, got 'stab'",
+        "target: expected an agent to restart, as a run ends with its plant",
+        "target: expected one of coordinator, plant, agent1, agent2, agent3, agent4, got 'recorder'",
+        "from: expected one of plant, agent1, agent2, agent3, agent4, got 'agent9'",
+        "distribution",
+        "expected at least one of --delay, --jitter, --loss, ..., got none",
+        "no run that flies in nowhere; name its folder with --run",
+        "agent3 is not running",
+        "no run that flies below runs/",
+    ]
+    for (code, output, errors), text in zip(flown[2], expected, strict=True):
+        assert (code, output) == (USAGE, "")
+        assert errors.startswith("transport: ")
+        assert text in errors
+        assert len(errors.splitlines()) == 1
+
+
+def test_links_by_hand(log: RunLog) -> None:
+    """Changes are in the log and hold from their tick on, for the links they name, until they are cleared."""
+    changes = list(log.of(LinkChange))
+    first = {change.number: change for change in changes}
+    assert list(first) == [1, 2, 3, 4, 5]
+    assert (first[1].source, first[1].target, json.loads(first[1].settings)) == ("agent1", "agent2", {"delay_s": 0.2})
+    delayed, seen, cleared, seen_again = (first[number].tick for number in (1, 2, 3, 4))
+    ages = {(r.agent, r.tick): dict(zip(r.peers, r.plan_ages, strict=True)) for r in log.of(StepReport)}
+    flown = range(delayed + 4, cleared)
+    assert {ages[2, k][1] for k in flown} == {4}
+    assert {ages[2, k][1] for k in range(delayed)} | {ages[1, k][2] for k in flown} <= {-1, 1}
+    assert {ages[2, k][1] for k in range(cleared + 1, cleared + 5)} == {1}
+    measured = {report.tick: report.measurement_age for report in log.of(StepReport) if report.agent == 1}
+    assert {measured[k] for k in range(seen + 2, seen_again)} == {2}
+    assert {measured[k] for k in range(seen_again, seen_again + 5)} == {0}
+    # Who came back was told of the two there were by then.
+    assert [change.number for change in changes if change not in first.values()] == [1, 2] * 2
+
+
+def test_faults_by_hand(flown: tuple[dict[str, Any], Path, list[tuple[int, str, str]]], log: RunLog) -> None:
+    """Each fault is noted as done by a person, detected and made good, in this order; both agents fly to the end."""
+    notes = [(note.target, note.what) for note in log.of(FaultNote) if note.origin == "person"]
+    assert notes == [("agent3", "killed"), ("agent3", "restarted"), ("agent4", "stopped"), ("agent4", "continued")]
+    for name, words in (("agent3", ["is gone", "joined"]), ("agent4", ["did not answer", "joined"])):
+        news = [event for event in flown[0]["faults"] if event["processes"] == [name] and event["kind"] != "fault"]
+        assert [event["kind"] for event in news] == ["detected", "rejoined"]
+        assert all(word in event["what"] for word, event in zip(words, news, strict=True))
+    *_, last = log.of(Roster)
+    assert (last.agents, last.incarnations) == ((1, 2, 3, 4), (0, 0, 1, 1))
+    end = max(report.tick for report in log.of(StepReport))
+    assert {report.agent for report in log.of(StepReport) if report.tick == end - 1} == {1, 2, 3, 4}
+
+
+def test_a_killed_agent_holds_nobody_up(log: RunLog) -> None:
+    """The tick at which an agent is killed lasts no longer than its detection and a sampling period.
+
+    Both from the log; a slow machine may take for that tick what it takes for the slowest without a fault.
+    """
+    opened_s = {tick: at / 1e9 for tick, at in log.received_ns(Tick).items()}
+    durations_s = {k: opened_s[k + 1] - opened_s[k] for k in opened_s if k + 1 in opened_s}
+    noted_s = {}
+    for entry in log.messages:
+        if isinstance(entry.message, FaultNote) and entry.message.what == "killed":
+            noted_s["fault"] = entry.received_ns / 1e9
+        elif isinstance(entry.message, Roster) and entry.message.reason.startswith("agent3 is gone"):
+            noted_s["detected"], tick = entry.received_ns / 1e9, entry.message.tick
+    detection_s = noted_s["detected"] - noted_s["fault"]
+    usual_s = [durations_s[k] for k in range(5, tick - 1)]
+    assert durations_s[tick] <= max(detection_s, 0.0) + max(PERIOD_S, *usual_s)
+
+
+def test_ticks_come_one_after_the_other(log: RunLog) -> None:
+    """Whatever happens to whom, no tick is left out or opened twice."""
+    assert all(after.tick == before.tick + 1 for before, after in pairwise(log.of(Tick)))

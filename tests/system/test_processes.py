@@ -1,0 +1,162 @@
+"""A run across real processes: complete, documented, equal to the in-memory one, and equal to itself."""
+
+import json
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+
+from protocol.scenario.file import find_scenario, read_scenario
+from protocol.scenario.setup import Setup
+from protocol.wire.codec import encode
+from protocol.wire.messages import Message, StepReport
+from tests.support.commands import SHORT, command, free_base, processes_of, settings, transport, wait_for
+from transport.flight.memory import fly
+from transport.log.run_log import read_log
+
+SCHEMA = json.loads((Path(__file__).parents[2] / "transport" / "summary.schema.json").read_text())
+
+# DAQP and Clarabel meet the same optimality conditions to 1e-6; the cost of a whole flight then agrees to this.
+SOLVER_TOLERANCE = 1e-3
+
+
+def run_json(folder: Path, *arguments: str) -> dict[str, Any]:
+    """Fly and return the summary printed on standard output."""
+    options = ["--out", folder.name, "--format", "json", "--no-figures"]
+    result = transport("run", *arguments, *options, cwd=folder.parent)
+    assert result.returncode == 0, result.stderr
+    summary: dict[str, Any] = json.loads(result.stdout)
+    jsonschema.validate(summary, SCHEMA)
+    return summary
+
+
+def reproducible(messages: list[Message]) -> dict[tuple[str, str], list[bytes]]:
+    """Messages by sender and kind, in the order sent, without the wall-clock reports."""
+    streams: dict[tuple[str, str], list[bytes]] = {}
+    for message in sorted(messages, key=lambda m: (m.sender, m.sequence)):
+        if not isinstance(message, StepReport):
+            streams.setdefault((message.sender, message.kind), []).append(encode(message))
+    return streams
+
+
+def steps_without_times(folder: Path) -> list[list[str]]:
+    """The step table without its wall-clock columns."""
+    rows = [line.split(",") for line in (folder / "steps.csv").read_text().splitlines()]
+    kept = [i for i, name in enumerate(rows[0]) if not name.endswith("_ms")]
+    assert len(kept) < len(rows[0])
+    return [[row[i] for i in kept] for row in rows]
+
+
+@pytest.fixture(scope="module")
+def paper(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """Run the paper's whole maneuver; return its folder and summary."""
+    folder = tmp_path_factory.mktemp("paper") / "run"
+    summary = run_json(folder, "paper")
+    assert processes_of("run") == {}
+    return folder, summary
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """Run a short maneuver of the paper's team; return its folder and summary."""
+    folder = tmp_path_factory.mktemp("short") / "run"
+    return folder, run_json(folder, "paper", *settings(SHORT))
+
+
+@pytest.mark.slow
+def test_the_papers_maneuver_across_processes(paper: tuple[Path, dict[str, Any]]) -> None:
+    """Section V: four agents, plant and coordinator fly all 25 s; attitude within 2.5 deg, separation kept."""
+    folder, summary = paper
+    assert summary["outcome"] == "completed"
+    assert summary["processes"] == 6
+    assert summary["ticks"] == 500
+    assert summary["attitude_max_deg"] <= 2.5
+    assert summary["separation_min_m"] > 0.4
+    assert summary["solver"]["failures"] == 0
+    assert summary["messages"]["lost"] == summary["messages"]["late"] == summary["messages"]["rejected"] == 0
+
+    setup = Setup.of(read_scenario(find_scenario("paper")), "paper")
+    memory: list[Message] = []
+    fly(setup, memory.append)
+    log = [recorded.message for recorded in read_log(folder / "run.mcap").messages]
+    assert reproducible(log) == reproducible(memory)
+
+
+@pytest.mark.slow
+def test_centralized_costs_less(paper: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
+    """One agent that owns all UAVs completes the maneuver, at a lower mean cost than the four (section V-C)."""
+    _, distributed = paper
+    centralized = run_json(tmp_path / "centralized", "centralized")
+    assert centralized["outcome"] == "completed"
+    assert centralized["processes"] == 3
+    assert centralized["cost"]["mean"] < distributed["cost"]["mean"]
+
+
+@pytest.mark.slow
+def test_the_other_solver_finds_the_same_flight(short: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
+    """Clarabel in place of DAQP gives the same cost."""
+    _, daqp = short
+    clarabel = run_json(tmp_path / "clarabel", "paper", *settings(SHORT, "controller.solver=clarabel"))
+    assert clarabel["controller"]["solver"] == "clarabel"
+    assert clarabel["cost"]["mean"] == pytest.approx(daqp["cost"]["mean"], rel=SOLVER_TOLERANCE)
+
+
+def test_two_runs_are_equal(short: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
+    """Two runs of one scenario differ in nothing but wall-clock columns."""
+    folder, _ = short
+    run_json(tmp_path / "again", "paper", *settings(SHORT))
+    assert steps_without_times(folder) == steps_without_times(tmp_path / "again")
+
+
+@pytest.mark.parametrize("change", ["clock.actuation=next_tick", "agents.owned=[[1, 2], [3, 4]]"])
+def test_network_equals_memory(change: str, tmp_path: Path) -> None:
+    """Every message but the wall-clock reports is the same, bit for bit, on the network and in memory."""
+    run_json(tmp_path / "run", "paper", *settings(SHORT, change))
+    setup = Setup.of(read_scenario(find_scenario("paper"), [SHORT, change]), "paper")
+    memory: list[Message] = []
+    fly(setup, memory.append)
+    log = [recorded.message for recorded in read_log(tmp_path / "run" / "run.mcap").messages]
+    assert reproducible(log) == reproducible(memory)
+
+
+def test_started_by_hand_in_any_order(tmp_path: Path) -> None:
+    """Six processes and a recorder, started one by one in a strange order, find each other and fly."""
+    options = ["--run", "by-hand", *settings(SHORT, f"network.base_port={free_base()}")]
+    roles = [
+        ["agent", "--id", "3"],
+        ["record", "--out", "recorded", "--no-figures"],
+        ["plant"],
+        ["agent", "--id", "1"],
+        ["coordinator", "--observer", "recorder"],
+        ["agent", "--id", "4"],
+        ["agent", "--id", "2"],
+    ]
+    started = []
+    for role in roles:
+        started.append(
+            subprocess.Popen(
+                command(*role, *options), cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+            )
+        )
+    outputs = [process.communicate(timeout=120) for process in started]
+    assert [process.returncode for process in started] == [0] * len(roles), outputs
+    summary = json.loads((tmp_path / "recorded" / "summary.json").read_text())
+    assert summary["outcome"] == "completed"
+    assert summary["ticks"] == 30
+    assert wait_for(lambda: processes_of("by-hand") == {})
+
+
+def test_processes_with_different_scenarios_refuse_each_other(tmp_path: Path) -> None:
+    """An agent started with other settings is refused by name instead of flying something else."""
+    base = f"network.base_port={free_base()}"
+    options = ["--run", "mixed", "--join-timeout", "20"]
+    plant = subprocess.Popen(
+        command("plant", *options, *settings(base)), cwd=tmp_path, stderr=subprocess.PIPE, text=True
+    )
+    other = transport("agent", "--id", "1", *options, *settings(base, "controller.horizon=30"), cwd=tmp_path)
+    _, plant_says = plant.communicate(timeout=60)
+    assert (other.returncode, plant.returncode) == (4, 4)
+    assert "plant flies another scenario" in other.stderr
+    assert "agent1 flies another scenario" in plant_says

@@ -1,0 +1,90 @@
+"""Real time across real processes: the wall clock's pace, deadlines in the summary, and how a run ends that cannot."""
+
+import csv
+import json
+import signal
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from protocol.wire.messages import Tick
+from tests.support.commands import PATIENCE_S, processes_of, settings, start, transport, wait_for
+from transport.log.run_log import read_log
+
+REALTIME = "clock.mode=realtime"
+PERIOD_S = 0.05
+OVERRUN, INTERRUPTED = 5, 130
+
+# What a slow or busy machine may take longer for a flight than it should, above all for the last truth to come.
+SLACK_S = 2.0
+
+
+def hover(duration_s: float) -> str:
+    """Setting: a maneuver of so many seconds of hover."""
+    return f"maneuver.phase=[{{name='hover',duration_s={duration_s},displacement_m=[0,0,0]}}]"
+
+
+def flown(folder: Path, *changes: str) -> dict[str, Any]:
+    """The summary of a completed flight of the shared law, which stands plans that come late."""
+    result = transport("run", "resilient", *settings(*changes), "--out", "run", "--no-figures", cwd=folder)
+    assert result.returncode == 0, result.stderr
+    assert processes_of("run") == {}
+    summary: dict[str, Any] = json.loads((folder / "run" / "summary.json").read_text())
+    return summary
+
+
+def test_twice_as_fast(tmp_path: Path) -> None:
+    """At speed 2 a flight of 3 s takes 1.5 s of wall time, and the summary says how well deadlines were met."""
+    summary = flown(tmp_path, hover(3.0), REALTIME, "clock.speed=2")
+    assert (summary["outcome"], summary["ticks"]) == ("completed", 60)
+    # It ends a period after its last tick was opened, or with the last truth if that comes later.
+    assert 1.5 - PERIOD_S <= summary["wall_time_s"] <= 1.5 + SLACK_S
+    deadline = summary["deadline"]
+    assert deadline["plans"] == 59 * 4
+    assert 0 <= deadline["missed"] <= deadline["plans"]
+    assert deadline["share"] == deadline["missed"] / deadline["plans"]
+    assert 0.0 <= deadline["tick_late_ms"]["p50"] <= deadline["tick_late_ms"]["max"]
+    opened = [tick for tick in read_log(tmp_path / "run" / "run.mcap").of(Tick) if tick.tick]
+    assert 1e3 * max(tick.late_ns for tick in opened) / 1e9 == deadline["tick_late_ms"]["max"]
+    # Deadlines are absolute: nothing that happens on the way adds up. Sums of lateness would.
+    assert opened[-1].late_ns / 1e9 <= SLACK_S
+
+
+def test_delayed_plans_are_late(tmp_path: Path) -> None:
+    """Over links that delay by 0.12 s plans are used at an age of three ticks, held back by every agent's own clock.
+
+    At half the speed a tick has to be worked on 40 ms late for a plan to make it a tick sooner.
+    """
+    summary = flown(tmp_path, hover(1.5), REALTIME, "clock.speed=0.5", "links.delay_s=0.12")
+    with (tmp_path / "run" / "steps.csv").open(newline="") as stream:
+        ages = [int(row["plan_age_max"]) for row in csv.DictReader(stream) if int(row["tick"]) >= 5]
+    assert median(ages) >= 3
+    assert summary["messages"]["lost"] == 0
+    assert summary["messages"]["late"] > 0.5 * summary["messages"]["delivered"]
+
+
+def test_a_speed_nobody_can_fly_at(tmp_path: Path) -> None:
+    """With "abort" a sampling period of a millisecond, less than a step takes, ends the run with exit code 5."""
+    changes = settings(hover(5.0), REALTIME, "clock.speed=50", "clock.on_overrun=abort", "clock.overrun_limit=2")
+    result = transport("run", "resilient", *changes, "--out", "run", "--no-figures", cwd=tmp_path)
+    assert result.returncode == OVERRUN, result.stderr
+    assert "missed the deadline of tick" in result.stderr
+    assert "missed in all, 2 allowed" in result.stderr
+    assert "Traceback" not in result.stderr
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert (summary["outcome"], summary["exit_code"], summary["log_cut"]) == ("aborted", OVERRUN, None)
+    assert processes_of("run") == {}
+
+
+def test_interrupted(tmp_path: Path) -> None:
+    """Ctrl-C ends a run in real time like any other: exit code 130, a whole log, nobody left."""
+    changes = settings(hover(60.0), REALTIME, "clock.speed=1")
+    process = start("run", "resilient", *changes, "--out", "run", "--no-figures", cwd=tmp_path)
+    log = tmp_path / "run" / "run.mcap"
+    assert wait_for(lambda: log.exists() and log.stat().st_size > 100_000), process.communicate(timeout=10)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == INTERRUPTED, errors
+    assert "Traceback" not in errors
+    assert processes_of("run") == {}
+    assert not read_log(log).cut

@@ -1,0 +1,204 @@
+"""Inventories, and the folders that are made of them."""
+
+import json
+import shutil
+import subprocess
+import tomllib
+from pathlib import Path
+
+import pytest
+import zenoh
+
+from deploy.hosts import Inventory, InventoryError, postings, read_inventory
+from deploy.keys import KeysError
+from deploy.render import RenderError, command, render
+from protocol.network.process import process_names
+from protocol.scenario.file import read_scenario
+from tests.support.commands import transport
+from tests.support.keyrings import keyring
+from tests.support.runs import setup
+
+RUN = setup()
+PROCESSES = process_names(RUN.scenario)
+MESH = """
+run = "two"
+[[host]]
+name = "ground"
+address = "192.0.2.10"
+runs = ["coordinator", "plant", "agent1", "agent2", "recorder"]
+cpus = { plant = [0, 1] }
+priority = 10
+[[host]]
+name = "remote"
+address = "2001:db8::7"
+listen = "::"
+runs = ["agent3", "agent4"]
+"""
+STAR = MESH.replace('"recorder"]', '"recorder", "router"]')
+SIDES = STAR.replace('"agent4"]', '"agent4", "router"]')
+
+
+def inventory(text: str, folder: Path) -> Inventory:
+    """An inventory as its file has it."""
+    folder.mkdir(exist_ok=True, parents=True)
+    (folder / "hosts.toml").write_text(text)
+    return read_inventory(folder / "hosts.toml", PROCESSES)
+
+
+def places(text: str, folder: Path) -> dict[str, tuple[str, list[str], list[str]]]:
+    """Mode, where it listens, and whom it calls, by host and process."""
+    return {
+        f"{posting.host.name}/{posting.process}": (
+            posting.endpoints.mode,
+            list(posting.endpoints.listen),
+            list(posting.endpoints.connect),
+        )
+        for posting in postings(inventory(text, folder), PROCESSES, "tls")
+    }
+
+
+def test_a_mesh(tmp_path: Path) -> None:
+    """Everybody listens on the port of its place in the list, calls all before it, and the recorder calls all."""
+    found = places(MESH, tmp_path)
+    assert found["ground/coordinator"] == ("peer", ["tls/192.0.2.10:7447"], [])
+    called = [f"tls/192.0.2.10:{port}" for port in (7447, 7448, 7449, 7450)]
+    assert found["remote/agent3"] == ("peer", ["tls/[::]:7451"], called)
+    assert found["remote/agent4"] == ("peer", ["tls/[::]:7452"], [*called, "tls/[2001:db8::7]:7451"])
+    everybody = [*called, "tls/[2001:db8::7]:7451", "tls/[2001:db8::7]:7452"]
+    assert found["ground/recorder"] == ("peer", [], everybody)
+
+
+def test_routers(tmp_path: Path) -> None:
+    """With a router all are its clients; with one on each side, of their own, and the second calls the first."""
+    at, there = "tls/192.0.2.10:7447", "tls/[2001:db8::7]:7447"
+    star = places(STAR, tmp_path)
+    assert star.pop("ground/router") == ("router", [at], [])
+    assert set(map(str, star.values())) == {str(("client", [], [at]))}
+    sides = places(SIDES, tmp_path)
+    assert sides["remote/router"] == ("router", ["tls/[::]:7447"], [at])
+    assert sides["remote/agent3"] == ("client", [], [there])
+    assert sides["ground/agent1"] == ("client", [], [at])
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (("", "x = "), "not valid TOML"),
+        (('"agent4"]', "]"), "host: expected a host that runs agent4, got none"),
+        (('"agent4"]', '"agent4", "agent2"]'), "host.2.runs: agent2 runs on ground already"),
+        (('"agent4"]', '"agent44"]'), "host.2.runs: expected of coordinator, plant"),
+        (('"agent4"]', '"agnet4"]'), "did you mean 'agent4'?"),
+        (("cpus = { plant", "cpus = { agent3"), "host.1.cpus: expected of coordinator, plant"),
+        (('"remote"', '"ground"'), "host.1.name: expected each host once, got 'ground' again"),
+        (("priority = 10", "priority = 99"), "host.1.priority: "),
+        (("priority = 10", "prio = 9"), "host.1.prio: "),
+        (("priority = 10", 'router = "remote"'), "host.1.router: expected a host that runs a router (none does)"),
+        (('"192.0.2.10"', '"a b"'), "host.1.address: "),
+    ],
+)
+def test_bad_inventories(change: tuple[str, str], expected: str, tmp_path: Path) -> None:
+    """File, field, expected and got, before anything is written."""
+    old, new = change
+    text = MESH.replace(old, new, 1) if old else new
+    with pytest.raises(InventoryError) as caught:
+        inventory(text, tmp_path)
+    assert str(caught.value).startswith(f"{tmp_path}/hosts.toml: ")
+    assert expected in str(caught.value)
+
+
+def test_each_host_gets_its_own(tmp_path: Path) -> None:
+    """Its units, its keys and no other's, and the same scenario: the digest does not depend on the host."""
+    ground, remote = render(RUN, inventory(MESH, tmp_path), keyring("one"), tmp_path / "out")
+    keys = {file.name for file in (remote / "keys").iterdir()}
+    assert keys == {"ca.pem", "agent3.pem", "agent3.key", "agent4.pem", "agent4.key"}
+    assert {"operator.key", "watcher.key"} < {file.name for file in (ground / "keys").iterdir()}
+    assert not [file for file in (tmp_path / "out").rglob("*") if file.name == "ca.key"]
+    units = {file.name for file in (remote / "systemd").iterdir()}
+    assert units == {"transport-agent3.service", "transport-agent4.service"}
+    for folder in (ground, remote):
+        scenario = read_scenario(folder / "scenario.toml")
+        assert scenario.digest() == RUN.scenario.digest()
+        assert tomllib.loads((folder / "scenario.toml").read_text())["network"]["keys"] == "/etc/transport/keys"
+        subprocess.run(["sh", "-n", folder / "install.sh"], check=True)
+    for file in (remote / "zenoh").iterdir():
+        configuration = zenoh.Config.from_json5(file.read_text())
+        assert (
+            configuration.get_json("transport/link/tls/connect_private_key") == f'"/etc/transport/keys/{file.stem}.key"'
+        )
+        assert str(keyring("one")) not in file.read_text()
+    coordinator = (ground / "systemd" / "transport-coordinator.service").read_text()
+    assert "After=network-online.target transport-plant.service transport-agent1.service" in coordinator
+    assert "\nRestart=no\n" in coordinator
+    assert "--observer recorder" in coordinator
+    assert "CPUSchedulingPriority=10\n" in coordinator
+    assert "CPUAffinity=0 1\n" in (ground / "systemd" / "transport-plant.service").read_text()
+    assert "\nRestart=on-failure\n" in (remote / "systemd" / "transport-agent3.service").read_text()
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd-analyze (systemd)")
+def test_units_are_units(tmp_path: Path) -> None:
+    """systemd finds nothing to complain of, and calls the hardening at least OK (exposure below 3 of 10)."""
+    folder, _ = render(RUN, inventory(STAR, tmp_path), keyring("one"), tmp_path / "out")
+    units = sorted((folder / "systemd").iterdir())
+    assert len(units) == 6
+    for unit in units:
+        unit.write_text(unit.read_text().replace("/opt/transport/bin/transport", "/bin/true"))
+    checked = subprocess.run(["systemd-analyze", "verify", *units], capture_output=True, text=True, check=False)
+    assert (checked.returncode, checked.stderr) == (0, "")
+    words = ["systemd-analyze", "security", "--offline=true", "--threshold=30", str(units[0])]
+    assert subprocess.run(words, capture_output=True, check=False).returncode == 0
+
+
+def test_what_is_not_rendered(tmp_path: Path) -> None:
+    """Without keys only who says so; never over a folder that is there; never with a key missing."""
+    mesh = inventory(MESH, tmp_path)
+    with pytest.raises(RenderError, match="expected a folder of keys, or insecure = true"):
+        render(RUN, mesh, None, tmp_path / "out")
+    with pytest.raises(KeysError, match=r"expected the file .*router\.password"):
+        render(RUN, inventory(STAR, tmp_path), tmp_path, tmp_path / "out")
+    with pytest.raises(RenderError, match="expected a host that runs a router with passwords"):
+        render(RUN, mesh, tmp_path, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    open_to_all = inventory(f"insecure = true\n{MESH}", tmp_path)
+    folders = render(RUN, open_to_all, None, tmp_path / "out")
+    assert read_scenario(folders[0] / "scenario.toml").network.insecure
+    with pytest.raises(RenderError, match="expected a folder that does not exist yet"):
+        render(RUN, open_to_all, None, tmp_path / "out")
+
+
+def test_from_nothing_to_folders(tmp_path: Path) -> None:
+    """The two commands of docs/deploy.md, and what they refuse."""
+    (tmp_path / "hosts.toml").write_text(MESH)
+    made = transport("deploy", "keys", "--hosts", "hosts.toml", "--out", "keys", cwd=tmp_path)
+    assert made.returncode == 0, made.stderr
+    rendered = transport("deploy", "render", "--hosts", "hosts.toml", "--keys", "keys", "--out", "out", cwd=tmp_path)
+    assert rendered.returncode == 0, rendered.stderr
+    assert (tmp_path / "out" / "remote" / "install.sh").exists()
+    checked = subprocess.run(
+        ["openssl", "verify", "-verify_ip", "192.0.2.10", "-CAfile", "keys/ca.pem", "keys/agent1.pem"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert checked.returncode == 0, checked.stderr
+    again = transport("deploy", "render", "--hosts", "none.toml", "--keys", "keys", "--out", "x", cwd=tmp_path)
+    assert (again.returncode, again.stderr) == (2, "transport: none.toml: cannot be read (No such file or directory)\n")
+
+
+def test_compose_does_what_units_do(tmp_path: Path) -> None:
+    """Commands of compose.yaml are those of the folders rendered for its services, line for line."""
+    folder = Path(__file__).resolve().parents[2] / "deploy"
+    ready = read_inventory(folder / "hosts-compose.toml", PROCESSES)
+    services = (folder / "compose.yaml").read_text()
+    for posting in postings(ready, PROCESSES, "tls"):
+        _, *words = command(posting, ready)
+        words += ["--out", "/record/run"] if posting.process == "recorder" else []
+        assert f"    command: {json.dumps(words)}\n" in services, posting.process
+        assert f"/{posting.host.name}:/etc/transport:ro" in services
+
+
+def test_the_example_is_one(tmp_path: Path) -> None:
+    """deploy/hosts.toml describes a deployment of the ready scenarios."""
+    example = read_inventory(Path(__file__).resolve().parents[2] / "deploy" / "hosts.toml", PROCESSES)
+    assert len(render(RUN, example, keyring("one"), tmp_path / "out")) == 2

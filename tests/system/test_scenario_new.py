@@ -1,0 +1,112 @@
+"""`transport scenario new`: files that fly, and refusals that say option, expected and got."""
+
+import shlex
+from pathlib import Path
+
+import pytest
+
+from protocol.scenario.file import read_scenario
+from protocol.scenario.setup import Setup
+from protocol.scenario.team import resized
+from tests.support.commands import transport
+from tests.support.results import here
+from tests.support.runs import PAPER, SCENARIOS
+
+USAGE, SCENARIO = 2, 3
+NEW = ("scenario", "new")
+
+REFUSED = [
+    (("--uavs", "0"), USAGE, "--uavs: expected 2 to 256, got 0"),
+    (("--uavs", "-3"), USAGE, "--uavs: expected 2 to 256, got -3"),
+    (("--uavs", "257"), USAGE, "--uavs: expected 2 to 256, got 257"),
+    (
+        ("--uavs", "1"),
+        USAGE,
+        "--uavs: expected 2 to 256, got 1: a payload on one rod turns freely about it, and no UAV can turn it back",
+    ),
+    (("--uavs", "3", "--groups", "4"), USAGE, "--groups: expected 1 to 3 UAVs per agent, got 4"),
+    (("--uavs", "3", "--groups", "0"), USAGE, "--groups: expected 1 to 3 UAVs per agent, got 0"),
+    (("--uavs", "3", "--name", "a b"), USAGE, "--name: expected text matching ^[A-Za-z0-9_-]{1,40}$, got 'a b'"),
+    (("--uavs", "3", "--out", "there.toml"), USAGE, "--out: expected a file that does not exist yet, got there.toml"),
+    (("--uavs", "3", "--out", "no/where.toml"), USAGE, "--out: cannot write no/where.toml (No such file or directory)"),
+    (
+        ("--uavs", "3", "--from", "papr"),
+        SCENARIO,
+        "--from: papr: expected a scenario file or the name of a ready one; did you mean 'paper'?",
+    ),
+    (("--uavs", "3", "--from", "no.toml"), SCENARIO, "--from: no.toml: no such file"),
+    (("--uavs", "3", "--from", "there.toml"), SCENARIO, "--from: there.toml: name: expected a value, got nothing"),
+    (
+        ("--uavs", "3", "--from", "wide.toml"),
+        SCENARIO,
+        "--from wide.toml: controller.separation.minimum_m: expected at most the 0.500 m between UAV1 and UAV2 at "
+        "hover, got 0.6",
+    ),
+    (
+        ("--uavs", "3", "--from", "fourth.toml"),
+        SCENARIO,
+        "--from fourth.toml: controller.constraint: constraint 'thrust4 <= 40': unknown name 'thrust4'; known: ",
+    ),
+]
+
+
+@pytest.fixture(name="folder")
+def folder_with_templates(tmp_path: Path) -> Path:
+    """A folder with an empty file and two templates that fit no ring of three."""
+    paper = PAPER.read_text(encoding="utf-8")
+    (tmp_path / "there.toml").touch()
+    wide = (
+        paper.replace("minimum_m = 0.4", "minimum_m = 0.6").replace("[0.25, ", "[0.5, ").replace("[-0.25, ", "[-0.5, ")
+    )
+    (tmp_path / "wide.toml").write_text(wide, encoding="utf-8")
+    (tmp_path / "fourth.toml").write_text(
+        paper + '\n[[controller.constraint]]\nexpression = "thrust4 <= 40"\n', encoding="utf-8"
+    )
+    return tmp_path
+
+
+@pytest.mark.parametrize(("options", "code", "text"), REFUSED, ids=[" ".join(options) for options, _, _ in REFUSED])
+def test_refusals(
+    options: tuple[str, ...], code: int, text: str, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What cannot be made is refused on one line with the documented code, and no file is written or changed."""
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    monkeypatch.chdir(folder)
+    result = here(*NEW, *options)
+    assert (result.exit_code, result.stdout) == (code, "")
+    assert result.stderr.startswith(f"transport: {text}")
+    assert len(result.stderr.strip().splitlines()) == 1
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
+def test_a_file_and_standard_output_are_the_same(tmp_path: Path) -> None:
+    """With and without --out the text is the same; the file reads as the team the options ask for."""
+    options = ("--uavs", "5", "--from", "paper", "--groups", "2", "--name", "five")
+    printed = transport(*NEW, *options, cwd=tmp_path)
+    written = transport(*NEW, *options, "--out", "five.toml", cwd=tmp_path)
+    assert (printed.returncode, printed.stderr) == (0, "")
+    assert (written.returncode, written.stdout) == (0, "")
+    path = tmp_path / "five.toml"
+    assert path.read_text(encoding="utf-8") == printed.stdout
+    expected = resized(read_scenario(PAPER), SCENARIOS, 5, group=2, name="five", source="")
+    assert read_scenario(path) == expected
+    assert Setup.of(read_scenario(path), str(path)).owned == ((0, 1), (2, 3), (4,))
+
+
+def test_the_file_says_how_it_was_made(tmp_path: Path) -> None:
+    """The first line of a file is the command that makes it again, also from a template with an awkward name."""
+    (tmp_path / "my team's.toml").write_text((SCENARIOS / "resilient.toml").read_text(encoding="utf-8"))
+    text = transport(*NEW, "--uavs", "3", "--from", "my team's.toml", cwd=tmp_path).stdout
+    first = text.splitlines()[0]
+    assert first.startswith("# Made by: transport scenario new --uavs 3 ")
+    again = shlex.split(first.removeprefix("# Made by: transport "))
+    assert transport(*again, cwd=tmp_path).stdout == text
+
+
+def test_resilient_is_the_default(tmp_path: Path) -> None:
+    """Without --from a team flies with the settings of `resilient`, the ones that carry over to other sizes."""
+    text = transport(*NEW, "--uavs", "6", cwd=tmp_path).stdout
+    (tmp_path / "six.toml").write_text(text, encoding="utf-8")
+    scenario = read_scenario(tmp_path / "six.toml")
+    assert scenario.name == "resilient-6"
+    assert scenario.controller == read_scenario(SCENARIOS / "resilient.toml").controller

@@ -1,0 +1,156 @@
+"""Experiments as a person flies them: the same tables whatever flies, whatever is killed in between."""
+
+import csv
+import os
+import signal
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from distributed import LocalCluster
+
+from tests.support.commands import PATIENCE_S, start, transport, wait_for
+from tests.support.results import FLIGHTS, SMALL, here, kept, tables
+from tests.support.runs import ticks
+
+DONE, LOST, INTERRUPTED = 0, 4, 130
+
+# Flights long enough to be killed in.
+LONG = ("experiment", "latency", "--set", ticks(200), "--delay", "0.1", "--delay", "0.2", "--delay", "0.3")
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The small experiment, flown one by one in the command itself."""
+    folder = tmp_path_factory.mktemp("experiments") / "one"
+    result = here(*SMALL, "--jobs", "1", "--out", folder)
+    assert result.exit_code == DONE, result.output
+    return folder
+
+
+def members(session: int) -> list[int]:
+    """Living processes of a session."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        try:
+            state, _, _, of = (entry / "stat").read_text().rsplit(")", 1)[1].split()[:4]
+        except (OSError, IndexError):
+            continue
+        if state != "Z" and int(of) == session:
+            found.append(int(entry.name))
+    return found
+
+
+def gone(process: subprocess.Popen[str]) -> bool:
+    """Whether nothing is left of a command and what it started."""
+    return wait_for(lambda: not members(process.pid), timeout_s=20.0)
+
+
+def test_the_output_is_whole(reference: Path) -> None:
+    """Tables, figures and kept results; the second table has a row for each flight, none with a wall-clock time."""
+    names = {"experiment.json", "results.jsonl", "points.csv", "cases.csv", "figure.png", "figure.svg"}
+    assert {path.name for path in reference.iterdir()} == names
+    with (reference / "cases.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == kept(reference) == FLIGHTS
+    assert {row["outcome"] for row in rows} == {"completed"}
+    assert [(row["model"], row["seed"]) for row in rows] == [
+        ("none", "0"),
+        *[(model, seed) for model in ("bernoulli", "bursts") for seed in ("0", "1")],
+    ]
+    with (reference / "points.csv").open() as file:
+        points = list(csv.DictReader(file))
+    assert [row["flights"] for row in points] == ["1", "2", "2"]
+    assert points[0]["cost_mean_ci95"] == ""
+    assert float(points[1]["plan_age_mean_ticks_ci95"]) > 0.0
+
+
+def test_jobs_do_not_matter(reference: Path) -> None:
+    """Two at a time give the same tables as one by one, byte for byte."""
+    result = transport(*SMALL, "--jobs", "2", "--out", "two", cwd=reference.parent)
+    assert result.returncode == DONE, result.stderr
+    assert tables(reference.parent / "two") == tables(reference)
+
+
+def test_a_killed_experiment_is_gone_on_with(reference: Path) -> None:
+    """SIGKILL in the middle, even of a line: what was done is not flown again, the tables are the same."""
+    folder = reference.parent / "killed"
+    process = start(*SMALL, "--jobs", "1", "--out", "killed", cwd=reference.parent)
+    assert wait_for(lambda: kept(folder) >= 2)
+    process.kill()
+    process.communicate(timeout=PATIENCE_S)
+    done = kept(folder)
+    with (folder / "results.jsonl").open("ab") as file:
+        file.write(b'{"key": "0123')
+    result = here(*SMALL, "--jobs", "1", "--out", folder)
+    assert result.exit_code == DONE, result.output
+    assert "the last line is not whole" in result.stderr
+    assert f"{done} of {FLIGHTS} flights are done already" in result.stderr
+    assert kept(folder) == FLIGHTS
+    assert tables(folder) == tables(reference)
+
+
+@pytest.fixture
+def cluster() -> Iterator[str]:
+    """Address of a cluster of two workers on this machine."""
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address="127.0.0.1:0"
+    ) as found:
+        yield found.scheduler_address
+
+
+def test_a_cluster_gives_the_same(reference: Path, cluster: str) -> None:
+    """Flown on the workers of a Dask cluster: the same tables, byte for byte."""
+    result = transport(*SMALL, "--dask", cluster, "--out", "cluster", cwd=reference.parent)
+    assert result.returncode == DONE, result.stderr
+    assert tables(reference.parent / "cluster") == tables(reference)
+
+
+def test_processes_give_the_same(tmp_path: Path) -> None:
+    """Flown by real processes over a real network, recorded into a run folder: the same tables, byte for byte."""
+    one = ("experiment", "latency", "--scenario", "resilient", "--delay", "0", "--set", "links.loss=0.5")
+    for name, how in (("memory", ("--jobs", "1")), ("processes", ("--processes",))):
+        result = here(*one, "--set", ticks(10), *how, "--out", tmp_path / name)
+        assert result.exit_code == DONE, result.output
+    assert tables(tmp_path / "processes") == tables(tmp_path / "memory")
+    (run,) = (tmp_path / "processes" / "runs").iterdir()
+    assert {"run.mcap", "summary.json", "steps.csv", "scenario.toml"} <= {path.name for path in run.iterdir()}
+
+
+@pytest.mark.parametrize(("number", "jobs"), [(signal.SIGINT, "2"), (signal.SIGTERM, "1")])
+def test_an_interrupted_experiment_leaves_nothing_running(number: signal.Signals, jobs: str, tmp_path: Path) -> None:
+    """Ctrl-C, which in a terminal reaches all processes, and SIGTERM: exit code 130, flights kept, nobody left."""
+    process = start(*LONG, "--jobs", jobs, "--out", "out", cwd=tmp_path)
+    assert wait_for(lambda: kept(tmp_path / "out") >= 1)
+    if number == signal.SIGINT:
+        os.killpg(process.pid, number)
+    else:
+        process.send_signal(number)
+    _, errors = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == INTERRUPTED, errors
+    assert "go on with: --out out" in errors
+    assert "Traceback" not in errors
+    assert gone(process)
+
+
+def test_a_killed_experiment_leaves_nothing_running(tmp_path: Path) -> None:
+    """SIGKILL of the command: its workers notice and end."""
+    process = start(*LONG, "--jobs", "2", "--out", "out", cwd=tmp_path)
+    assert wait_for(lambda: len(members(process.pid)) > 3)
+    process.kill()
+    process.communicate(timeout=PATIENCE_S)
+    assert gone(process)
+
+
+def test_a_dead_worker_is_told(tmp_path: Path) -> None:
+    """A worker that is killed ends the experiment with a line and exit code 4; nobody is left."""
+    process = start(*LONG, "--jobs", "2", "--out", "out", cwd=tmp_path)
+    assert wait_for(lambda: kept(tmp_path / "out") >= 1)
+    workers = [pid for pid in members(process.pid) if b"loky" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+    os.kill(max(workers), signal.SIGKILL)
+    _, errors = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == LOST, errors
+    assert "a worker process died" in errors
+    assert "Traceback" not in errors
+    assert gone(process)

@@ -1,0 +1,152 @@
+"""`transport top`: what is shown is what the messages say, and a run that is watched is the same to the last bit."""
+
+import json
+import signal
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from protocol.wire.codec import encode
+from protocol.wire.messages import Message, Rejected
+from tests.support import logs, runs
+from tests.support.commands import PATIENCE_S, is_flying, settings, start, transport, wait_for
+from transport.cli.main import app
+from transport.log.run_log import read_log
+from transport.monitor.watch import Watch
+
+MILLISECOND_NS = 1_000_000
+# As long as anybody needs to look at it, on any machine; ended by hand.
+LONG = (
+    "maneuver.phase=[{name='hover',duration_s=0.5,displacement_m=[0,0,0]},"
+    "{name='climb',duration_s=9.5,displacement_m=[0,0,-2]}]",
+    "clock.speed=0.5",
+)
+REALTIME = ("clock.mode='realtime'", "clock.speed=0.5", "clock.actuation='next_tick'")
+
+
+def watched(*settings_: str) -> Watch:
+    """A watch of the paper's run with some settings, before anything has come."""
+    return Watch(runs.setup(*settings_))
+
+
+def test_reports_are_added_up() -> None:
+    """Losses, late plans and solver troubles add up over reports; times, ages and tick are the newest."""
+    watch = watched()
+    run = watch.setup
+    watch.take(runs.tick(3), 0)
+    for k, status in ((3, "solved"), (4, "limit")):
+        watch.take(logs.report(run, 2, k, lost=2, late=1, status=status, fallback=True, plan_ages=(1, -1, k)), 0)
+    agent = watch.content()["agents"][1]
+    assert (agent["lost"], agent["late"], agent["fallbacks"], agent["failures"]) == (4, 2, 2, 1)
+    assert (agent["tick"], agent["plan_ages"]) == (4, {"agent1": 1, "agent3": -1, "agent4": 4})
+    assert (agent["step_ms"], agent["worst_step_ms"]) == (1.5, 1.5)
+    assert agent["slack_ms"] is None  # nothing paces a lockstep run
+    assert watch.state_of(2) == "flies"
+    assert watch.state_of(1) == "-"
+    watch.take(runs.tick(30), 0)
+    assert watch.state_of(2) == "silent"
+
+
+def test_slack_and_deadlines() -> None:
+    """Slack is what is left of the period, here 100 ms of wall time, when the report comes, late ticks included.
+
+    A plan that is not there when the next tick opens has missed its deadline.
+    """
+    watch = watched(*REALTIME)
+    watch.take(replace(runs.tick(7), late_ns=10 * MILLISECOND_NS), 1000 * MILLISECOND_NS)
+    watch.take(logs.report(watch.setup, 1, 7), 1030 * MILLISECOND_NS)
+    watch.take(logs.report(watch.setup, 2, 6), 1031 * MILLISECOND_NS)  # of a tick that is over: no longer told
+    watch.take(runs.tick(8, answered=(1, 2, 4)), 1090 * MILLISECOND_NS)
+    agents = watch.content()["agents"]
+    assert [agent["slack_ms"] for agent in agents] == [pytest.approx(60.0), None, None, None]
+    assert [agent["missed"] for agent in agents] == [0, 0, 1, 0]
+    assert watch.real_time_factor == pytest.approx(0.05 / 0.09)
+
+
+def test_troubles() -> None:
+    """An agent off the roster is shown so and why; one whose UAV follows the fail-safe too; refusals by who refused."""
+    watch = watched()
+    watch.take(runs.roster(), 0)
+    watch.take(replace(runs.roster({1: 1, 2: 1, 4: 1}, k=5, version=2), reason="agent3 is gone"), 0)
+    assert [watch.state_of(agent) for agent in runs.EVERYBODY] == ["-", "-", "off", "-"]
+    watch.take(replace(runs.truth(watch.setup, 9), plan_ticks=(9, 9, -2, 9)), 0)
+    assert watch.state_of(3) == "fail-safe"
+    assert watch.content()["agents"][2]["off_the_roster"] == 1
+    assert list(watch.notices)[-1] == "agent3 is gone"
+    for who in ("agent1", "plant"):
+        watch.take(
+            Rejected(
+                sender=who, incarnation=0, sequence=0, tick=9, offender="agent3", reason="past", count=3, example=""
+            ),
+            0,
+        )
+    assert watch.rejections == {"agent1": 3, "plant": 3}
+    assert watch.content()["agents"][0]["rejected"] == 3
+
+
+def test_strangers_are_not_shown() -> None:
+    """A report of an agent the run does not have, whoever sends it, changes nothing and raises nothing."""
+    watch = watched()
+    stranger = replace(logs.report(watch.setup, 1, 3), peers=(2, 3, 77))
+    watch.take(stranger, 0)
+    alone = replace(runs.truth(watch.setup, 3), plan_ticks=(3,), x=watch.setup.hover.x[:24], u=watch.setup.hover.u[:4])
+    watch.take(alone, 0)
+    assert watch.agents[1].report is None
+    assert watch.truth is None
+
+
+def test_no_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a run that flies, or with options that do not fit, one line says what was expected; exit code 2."""
+    monkeypatch.chdir(tmp_path)
+    for arguments, text in (
+        ((), "no run that flies below runs/"),
+        (("--run", "nowhere"), "no run that flies in nowhere"),
+        (("--format", "json"), "expected it with --once"),
+        (("--connect", "tcp/127.0.0.1:7447"), "expected --scenario with it"),
+    ):
+        result = CliRunner().invoke(app, ["top", *arguments])
+        assert result.exit_code == 2
+        assert text in result.output
+
+
+def test_a_run_that_is_watched(tmp_path: Path) -> None:
+    """Three watch a paced run: once, until Ctrl-C, and to its end. It gives the bits of the flight nobody watches."""
+    folder = tmp_path / "runs" / "seen"
+    run = start("run", "paper", *settings(*LONG), "--out", folder, "--no-figures", cwd=tmp_path)
+    try:
+        names = ["coordinator", "plant", "agent1", "agent2", "agent3", "agent4"]
+        assert wait_for(is_flying(folder, names))
+        assert wait_for((folder / "live.json").exists)
+        to_the_end = start("top", cwd=tmp_path)
+        interrupted = start("top", "--run", "seen", cwd=tmp_path)
+        for process in (to_the_end, interrupted):
+            assert process.stdout is not None
+            assert process.stdout.readline() == "seen\n"  # its first table: it watches
+        once = transport("top", "--once", "--format", "json", cwd=tmp_path)
+        interrupted.send_signal(signal.SIGINT)
+        _, errors = interrupted.communicate(timeout=PATIENCE_S)
+        assert interrupted.returncode == 130, errors
+        assert "Traceback" not in errors
+        assert run.poll() is None
+    finally:
+        run.send_signal(signal.SIGINT)
+        _, errors = run.communicate(timeout=PATIENCE_S)
+    assert run.returncode == 130, errors
+    output, errors = to_the_end.communicate(timeout=PATIENCE_S)
+    assert to_the_end.returncode == 0, errors
+    assert "seen  aborted: interrupted (SIGINT)" in output
+    assert once.returncode == 0, once.stderr
+    content = json.loads(once.stdout)
+    assert (content["run"], content["ticks"]) == ("seen", 200)
+    assert {agent["state"] for agent in content["agents"]} == {"flies"}
+    flown = [entry.message for entry in read_log(folder / "run.mcap").messages]
+    assert len(bits(flown)) > 0
+    assert bits(flown) == bits(runs.recorded(runs.setup(*LONG)))[: len(bits(flown))]
+
+
+def bits(messages: Sequence[Message]) -> list[bytes]:
+    """The states flown through, in the order of time, as the wire carries them."""
+    return [encode(truth) for truth in runs.truths(messages)]

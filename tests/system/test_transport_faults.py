@@ -1,0 +1,172 @@
+"""Faults across real processes: what is scripted happens at its tick, what dies is survived, and the record says so."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from protocol.scenario.file import read_scenario
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import Control, FaultNote, Message, Plan, Roster, Tick
+from tests.support.commands import PATIENCE_S, SHORT, processes_of, settings, start, transport
+from tests.support.troubles import FAULTS, HEAVY, NEXT_TICK, ROUNDS
+from transport.flight.memory import fly
+from transport.log.run_log import LogWriter, RunLog, read_log
+from transport.report.report import write_report
+
+LOST = 4
+
+
+def messages(log: RunLog) -> list[Message]:
+    """What was recorded, in order."""
+    return [entry.message for entry in log.messages]
+
+
+def steps(folder: Path) -> list[list[str]]:
+    """The step table without its wall-clock columns."""
+    rows = [line.split(",") for line in (folder / "steps.csv").read_text().splitlines()]
+    kept = [i for i, name in enumerate(rows[0]) if not name.endswith("_ms")]
+    return [[row[i] for i in kept] for row in rows]
+
+
+@pytest.fixture(scope="module")
+def troubled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The run folder of a flight with everything at once: bad links of all kinds, two rounds, a kill and a freeze."""
+    folder = tmp_path_factory.mktemp("troubled")
+    changes = settings(SHORT, HEAVY, ROUNDS, NEXT_TICK, *FAULTS)
+    result = transport("run", "resilient", *changes, "--out", "run", "--no-figures", cwd=folder)
+    assert result.returncode == 0, result.stderr
+    assert processes_of("run") == {}
+    return folder / "run"
+
+
+def test_a_troubled_flight_equals_the_one_in_memory(troubled: Path, tmp_path: Path) -> None:
+    """With everything at once the step table is that of the in-memory flight, bit for bit, but for wall-clock times."""
+    scenario = tmp_path / "scenario.toml"
+    shutil.copy(troubled / "scenario.toml", scenario)
+    run = Setup.of(read_scenario(scenario), str(scenario))
+    header = read_log(troubled / "run.mcap").header
+    with LogWriter(tmp_path / "run.mcap", header, period_ns=run.period_ns) as writer:
+        control = fly(run, lambda message: writer.write(message, 0))
+    assert control.outcome == "completed"
+    write_report(tmp_path, figures=False)
+    assert steps(troubled) == steps(tmp_path)
+    assert len(steps(troubled)) == 1 + 4 * 30 - 8 - 8
+
+
+def test_faults_are_in_the_summary(troubled: Path) -> None:
+    """Fault, detection and return of each agent, with who, when in the flight and when on the clock on the wall."""
+    summary = json.loads((troubled / "summary.json").read_text())
+    assert (summary["outcome"], summary["exit_code"], summary["log_cut"]) == ("completed", 0, None)
+
+    def events(name: str) -> list[dict[str, Any]]:
+        return [event for event in summary["faults"] if event["processes"] == [name]]
+
+    frozen, killed = events("agent2"), events("agent4")
+    # The parent notes what the script does by looking now and then, on a busy machine after others have noticed.
+    assert {(event["kind"], event["what"]) for event in frozen} == {
+        ("fault", "agent2 stopped by script"),
+        ("detected", "agent2 did not answer tick 6 in time at t = 0.30 s"),
+        ("fault", "agent2 continued by script"),
+        ("rejoined", "agent2 joined at t = 0.70 s"),
+    }
+    assert [event["what"] for event in killed if event["kind"] == "fault"] == [
+        "agent4 killed by script",
+        "agent4 restarted by script",
+    ]
+    assert [event["what"] for event in killed if event["kind"] == "detected"] == ["agent4 is gone at t = 0.50 s"]
+    assert [event["what"] for event in killed if event["kind"] == "rejoined"] == ["agent4 joined at t = 0.90 s"]
+    for found, ticks in ((frozen, (6, 14)), (killed, (10, 18))):
+        assert next(event["tick"] for event in found if event["kind"] == "fault") == ticks[0]
+        assert [event["tick"] for event in found if event["kind"] in ("detected", "rejoined")] == list(ticks)
+        times = [event["wall_s"] for event in found if event["kind"] in ("detected", "rejoined")]
+        assert times == sorted(times)
+
+
+def test_a_return_is_a_new_start(troubled: Path) -> None:
+    """Who comes back has a higher incarnation, which rosters name from then on; the old one no longer counts."""
+    found = messages(read_log(troubled / "run.mcap"))
+    rosters = [message for message in found if isinstance(message, Roster)]
+    assert [roster.agents for roster in rosters] == [(1, 2, 3, 4), (1, 3, 4), (1, 3), (1, 2, 3), (1, 2, 3, 4)]
+    assert rosters[-1].incarnations == (0, 1, 0, 1)
+    for agent, (left, back) in {2: (6, 14), 4: (10, 18)}.items():
+        plans = {(plan.incarnation, plan.tick) for plan in found if isinstance(plan, Plan) and plan.agent == agent}
+        assert {tick for incarnation, tick in plans if incarnation == 1} == set(range(back, 30))
+        # A thawed process may still say what it had begun at the tick it froze at: nobody counts it as an answer.
+        assert {tick for incarnation, tick in plans if incarnation == 0} - {left} == set(range(left))
+    answered = {tick.tick: tick.answered for tick in found if isinstance(tick, Tick)}
+    assert [k for k in range(1, 30) if 2 not in answered[k]] == list(range(7, 15))
+    assert [k for k in range(1, 30) if 4 not in answered[k]] == list(range(11, 19))
+    notes = [(note.target, note.what, note.origin) for note in found if isinstance(note, FaultNote)]
+    assert ("agent4", "restarted", "script") in notes
+
+
+def test_old_starts_are_refused(troubled: Path) -> None:
+    """What a thawed process says under its old incarnation is refused by whoever hears it, and counted by reason."""
+    summary = json.loads((troubled / "summary.json").read_text())
+    strangers = {entry["sender"] for entry in summary["rejections"] if entry["reason"] == "wrong_incarnation"}
+    assert strangers <= {"agent2", "agent4"}
+    # Whatever else is refused is late news to the one who was away.
+    assert {entry["by"] for entry in summary["rejections"] if entry["reason"] != "wrong_incarnation"} <= {
+        "agent2",
+        "agent4",
+    }
+
+
+def aborted(folder: Path, victim: str, do: str, *changes: str) -> dict[str, Any]:
+    """The summary of a flight that a fault of one process at t = 0.5 s ends; its log is whole, and nobody is left."""
+    event = f"faults.event=[{{at_s=0.5,do='{do}',target='{victim}'}}]"
+    options = ["--out", victim, "--no-figures", "--format", "json"]
+    process = start("run", "resilient", *settings(SHORT, event, *changes), *options, cwd=folder)
+    output, errors = process.communicate(timeout=PATIENCE_S * 2)
+    assert process.returncode == LOST, errors
+    assert "Traceback" not in errors
+    assert processes_of(victim) == {}
+    summary: dict[str, Any] = json.loads(output)
+    assert (summary["outcome"], summary["exit_code"], summary["log_cut"]) == ("aborted", LOST, None)
+    return summary
+
+
+@pytest.mark.parametrize("victim", ["plant", "coordinator"])
+def test_nobody_flies_without(victim: str, tmp_path: Path) -> None:
+    """A run whose plant or coordinator is killed by script at a tick ends there, whatever is said of agents."""
+    summary = aborted(tmp_path, victim, "kill", "clock.on_agent_loss=continue")
+    assert summary["reason"] == f"{victim} is gone"
+    (noted,) = (event for event in summary["faults"] if event["kind"] == "fault")
+    assert (noted["what"], noted["tick"]) == (f"{victim} killed by script", 10)
+    assert "end" in {event["kind"] for event in summary["faults"]}
+    # The victim goes on the message that opens tick 10. What a plant said last may go with it, still unsent; and a
+    # plant that hears of the coordinator's death before the last plan of tick 9 does not integrate that period.
+    assert summary["ticks"] in (9, 10)
+    found = messages(read_log(tmp_path / victim / "run.mcap"))
+    assert sum(isinstance(message, Control) for message in found) == 1
+
+
+def test_a_frozen_plant(tmp_path: Path) -> None:
+    """A plant that is stopped for good is noticed by the barrier, as nobody can answer without it."""
+    summary = aborted(tmp_path, "plant", "stop")
+    assert summary["reason"] == "no agent answered tick 10 in time: is the plant alive?"
+
+
+def test_a_frozen_coordinator(tmp_path: Path) -> None:
+    """A coordinator that is stopped for good is given up when the network's lease of ten seconds ends."""
+    summary = aborted(tmp_path, "coordinator", "stop")
+    assert summary["reason"] == "coordinator is gone"
+    assert summary["ticks"] == 10
+
+
+@pytest.mark.parametrize("mode", ["lockstep", "realtime"])
+def test_a_coordinator_that_wakes_up(mode: str, tmp_path: Path) -> None:
+    """Frozen for longer than the barrier, the coordinator blames nobody for its own absence: the flight goes on."""
+    hover = "maneuver.phase=[{name='hover',duration_s=3.5,displacement_m=[0,0,0]}]"
+    pace = (f"clock.mode={mode}", "clock.speed=1.0", "clock.barrier_timeout_s=2.0")
+    event = "faults.event=[{at_s=0.3,do='stop',target='coordinator'},{at_s=3.0,do='continue',target='coordinator'}]"
+    result = transport("run", "resilient", *settings(hover, *pace, event), "--out", "run", "--no-figures", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    log = read_log(tmp_path / "run" / "run.mcap")
+    assert [roster.reason for roster in log.of(Roster)] == ["everybody is ready"]
+    opened_s = {tick: at / 1e9 for tick, at in log.received_ns(Tick).items()}
+    assert max(opened_s[k + 1] - opened_s[k] for k in range(69)) > 2.0  # it really was away
+    assert processes_of("run") == {}

@@ -1,0 +1,194 @@
+"""What an agent says now beside what it said then: the first difference, the largest, and how many there are."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import numpy as np
+
+from model.arrays import Array
+from model.state import INPUTS
+from protocol.wire.messages import Plan, StepReport
+from transport.analysis.replay import Answer, Step
+from transport.log.units import INPUT_NAMES, UAV_STATE_NAMES, split_unit
+
+# What says who and when, and what is of the wall clock: not what was decided.
+_NOT_COMPARED = ("sender", "incarnation", "sequence", "tick", "agent", "negotiation", "times_ms")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Difference:
+    """A field in which a message differs from the recorded one, at the entry that differs most.
+
+    Attributes:
+        tick: Of the message.
+        kind: Plan or report.
+        negotiation: Of the plan: 0 for the one a tick ends with.
+        name: The field.
+        where: Which entry of it, for people; empty where it has one only.
+        got: Now.
+        expected: As recorded.
+        size: How far apart, in the field's unit; None where it is no number.
+        unit: SI unit, empty for none.
+    """
+
+    tick: int
+    kind: str
+    negotiation: int
+    name: str
+    where: str
+    got: str
+    expected: str
+    size: float | None
+    unit: str
+
+    @property
+    def field(self) -> str:
+        """The field with its kind of message: plan.inputs."""
+        return f"{self.kind}.{self.name}"
+
+
+@dataclass(slots=True)
+class Tally:
+    """The differences of one field over a run.
+
+    Attributes:
+        first: The first of them.
+        largest: The largest of them.
+        ticks: How many ticks have one.
+    """
+
+    first: Difference
+    largest: Difference
+    ticks: int = 0
+
+
+@dataclass(slots=True)
+class Comparison:
+    """A replay compared with its run.
+
+    Attributes:
+        ticks: Compared, in order.
+        plans: Plans compared.
+        identical: How many of them are the same, bit for bit.
+        unrecorded: Ticks the node answers now and the log has no answer of.
+        tallies: By field, in the order they first differ.
+        rows: By compared tick: largest difference of thrust (N) and moment (N m) of the plan's first step and of all
+            its steps, and whether anything in the plan differs.
+    """
+
+    ticks: list[int] = field(default_factory=list)
+    plans: int = 0
+    identical: int = 0
+    unrecorded: list[int] = field(default_factory=list)
+    tallies: dict[str, Tally] = field(default_factory=dict)
+    rows: list[tuple[int, float, float, float, float, bool]] = field(default_factory=list)
+
+    @property
+    def first(self) -> Difference | None:
+        """The first difference in a plan; None when all plans are the same."""
+        plans = [tally.first for tally in self.tallies.values() if tally.first.kind == Plan.kind]
+        return min(plans, key=lambda d: (d.tick, -d.negotiation), default=None)
+
+    def first_beyond(self, size: float) -> int | None:
+        """First tick at which an input of the plan differs by more than that, N or N m; None for none."""
+        return next((tick for tick, *apart, _ in self.rows if max(apart) > size), None)
+
+    def add(self, step: Step, *, ignored: Iterable[str] = ()) -> None:
+        """Compare one tick.
+
+        Args:
+            step: What was said, and recorded.
+            ignored: Fields of reports that cannot be known.
+        """
+        if None in step.recorded:
+            self.unrecorded.append(step.tick)
+            return
+        self.ticks.append(step.tick)
+        seen: set[str] = set()
+        for said, recorded in zip(step.said, step.recorded, strict=True):
+            if recorded is None:
+                continue
+            found = [d for d in differences(said, recorded) if d.field not in ignored]
+            if isinstance(said, Plan):
+                self.plans += 1
+                self.identical += not found
+            for difference in found:
+                tally = self.tallies.setdefault(difference.field, Tally(difference, difference))
+                tally.largest = max(tally.largest, difference, key=lambda d: d.size or 0.0)
+                tally.ticks += difference.field not in seen
+                seen.add(difference.field)
+            if isinstance(said, Plan) and isinstance(recorded, Plan) and said.negotiation == 0:
+                self.rows.append((step.tick, *_inputs_apart(said, recorded), bool(found)))
+
+
+def differences(said: Answer, recorded: Answer) -> Iterator[Difference]:
+    """The fields in which two messages of one kind differ by at least a bit."""
+    for name in (entry.name for entry in fields(said) if entry.name not in _NOT_COMPARED):
+        got, expected = getattr(said, name), getattr(recorded, name)
+        if _same(got, expected):
+            continue
+        where, unit, size, texts = "", "", None, (_text(got), _text(expected))
+        if isinstance(got, np.ndarray) and got.shape == expected.shape:
+            at = _worst(got, expected)
+            where, unit = _entry(said, name, at)
+            size = float(abs(got[at] - expected[at]))
+            texts = repr(float(got[at])), repr(float(expected[at]))
+        elif isinstance(got, int | float) and not isinstance(got, bool):
+            size = float(abs(got - expected))
+        elif isinstance(got, tuple) and len(got) == len(expected):
+            size = float(np.abs(np.subtract(got, expected)).max())
+        elif isinstance(got, np.ndarray):
+            texts = f"{got.shape[0]} rows", f"{expected.shape[0]} rows"
+        yield Difference(
+            tick=said.tick,
+            kind=said.kind,
+            negotiation=said.negotiation if isinstance(said, Plan) else 0,
+            name=name,
+            where=where,
+            got=texts[0],
+            expected=texts[1],
+            size=size,
+            unit=unit,
+        )
+
+
+def _same(got: Any, expected: Any) -> bool:
+    """Whether two values have the same bits: 0 and -0 do not."""
+    if isinstance(got, np.ndarray):
+        return bool(got.shape == expected.shape and got.tobytes() == expected.tobytes())
+    if isinstance(got, float):
+        return repr(got) == repr(expected)
+    return bool(got == expected)
+
+
+def _worst(got: Array, expected: Array) -> tuple[int, ...]:
+    """The entry that differs most; the first that differs at all where it is by no size, as 0 and -0."""
+    apart = np.abs(got - expected)
+    if not apart.any():
+        apart = (np.signbit(got) != np.signbit(expected)).astype(np.float64)
+    return tuple(int(i) for i in np.unravel_index(int(apart.argmax()), got.shape))
+
+
+def _entry(message: Answer, name: str, at: tuple[int, ...]) -> tuple[str, str]:
+    """What an entry of an array is, for people, and its unit."""
+    if isinstance(message, Plan) and name in ("inputs", "corrections"):
+        quantity, unit = split_unit(INPUT_NAMES[at[1] % INPUTS])
+        uav = message.uavs[at[1] // INPUTS]
+        return f"[{at[0]}, {at[1]}], UAV{uav} {quantity}, step {at[0]} of the horizon", unit
+    if isinstance(message, Plan):
+        quantity, unit = split_unit(UAV_STATE_NAMES[at[1]])
+        return f"[{at[0]}, {at[1]}], UAV{message.uavs[at[0]]} {quantity}", unit
+    return f"[{', '.join(map(str, at))}]", "N" if isinstance(message, StepReport) and name == "force" else ""
+
+
+def _inputs_apart(said: Plan, recorded: Plan) -> tuple[float, float, float, float]:
+    """Largest difference of thrust and of moments: at the first step, N and N m, and over the common horizon."""
+    steps = min(len(said.inputs), len(recorded.inputs))
+    apart = np.abs(said.inputs[:steps] - recorded.inputs[:steps]).reshape(steps, -1, INPUTS)
+    thrust, moments = apart[:, :, 0].max(axis=1), apart[:, :, 1:].max(axis=(1, 2))
+    return float(thrust[0]), float(moments[0]), float(thrust.max()), float(moments.max())
+
+
+def _text(value: Any) -> str:
+    return repr(value) if isinstance(value, float) else str(value)

@@ -1,0 +1,159 @@
+"""What happened at each tick of a run, as arrays over time: the basis of every metric and figure."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from model import state
+from model.arrays import Array
+from model.failure import failed_hover
+from model.parameters import ParameterError
+from model.rotations import rotation
+from mpc.cost import Cost
+from protocol.scenario.faults import UavFault, uav_faults
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import Truth
+from transport.log.run_log import RunLog
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Series:
+    """The truth of a run against its reference; T recorded ticks of N UAVs, ascending, perhaps with gaps.
+
+    Attributes:
+        ticks: (T,).
+        times_s: t_k, (T,), s.
+        x: States, (T, 12 + 12 N), SI.
+        u: Inputs in force from t_k on, (T, 4 N), N and N m.
+        uavs_I: UAV positions, (T, N, 3), inertial frame (z down), m.
+        payload_reference_I: Reference of the payload's position, (T, 3), inertial frame, m.
+        uav_references_I: References of the UAVs' positions, (T, N, 3), inertial frame, m.
+        cost: Stage cost, docs/equations.md (21), (T,); after a UAV has failed that of the team that is left.
+        attitude_deg: Payload roll, pitch, yaw, (T, 3), deg.
+        separation_m: Smallest distance between two UAVs on their rods, (T,), m; infinite for one UAV.
+        violation: Largest constraint violation relative to the constraint's range, (T,); see `_violation`.
+    """
+
+    ticks: npt.NDArray[np.int64]
+    times_s: Array
+    x: Array
+    u: Array
+    uavs_I: Array
+    payload_reference_I: Array
+    uav_references_I: Array
+    cost: Array
+    attitude_deg: Array
+    separation_m: Array
+    violation: Array
+
+    @property
+    def payload_error_I(self) -> Array:
+        """Payload position minus its reference, (T, 3), inertial frame, m."""
+        return self.x[:, state.R0] - self.payload_reference_I
+
+    @property
+    def payload_velocity_I(self) -> Array:
+        """Payload velocity, (T, 3), inertial frame, m/s."""
+        R_IP = np.array([rotation(Theta0) for Theta0 in self.x[:, state.THETA0]]).reshape(-1, 3, 3)
+        return np.asarray(np.einsum("tij,tj->ti", R_IP, self.x[:, state.V0]))
+
+    @property
+    def uav_errors_I(self) -> Array:
+        """UAV positions minus their references, (T, N, 3), inertial frame, m."""
+        return self.uavs_I - self.uav_references_I
+
+    @property
+    def attitude_max_deg(self) -> Array:
+        """Largest magnitude of the payload's roll, pitch and yaw, (T,), deg."""
+        return np.asarray(np.abs(self.attitude_deg).max(axis=1, initial=0.0))
+
+
+def series_of(setup: Setup, log: RunLog) -> Series:
+    """Series of a run from the plant's truth.
+
+    Args:
+        setup: The run as it was flown.
+        log: Its log, whole or not.
+    """
+    truths = {truth.tick: truth for truth in log.of(Truth) if truth.x.shape == setup.hover.x.shape}
+    ticks = np.array(sorted(truths), dtype=np.int64)
+    times_s: Array = ticks.astype(np.float64) * setup.settings.sampling_period_s
+    N = setup.system.N
+    x = np.array([truths[tick].x for tick in ticks]).reshape(-1, len(setup.hover.x))
+    u = np.array([truths[tick].u for tick in ticks]).reshape(-1, state.INPUTS * N)
+    y_ref = setup.reference.outputs(times_s)
+    y = np.array([setup.model.outputs(row) for row in x]).reshape(y_ref.shape)
+    uavs_I = y[:, : 3 * N].reshape(len(ticks), N, 3)
+    failures = uav_faults(setup.faults)
+    separation_m = _separation(uavs_I, ticks, failures)
+    return Series(
+        ticks=ticks,
+        times_s=times_s,
+        x=x,
+        u=u,
+        uavs_I=uavs_I,
+        payload_reference_I=setup.maneuver.path(times_s)[0],
+        uav_references_I=y_ref[:, : 3 * N].reshape(len(ticks), N, 3),
+        cost=_stage_costs(setup, ticks, failures, y, y_ref, u),
+        attitude_deg=np.degrees(x[:, state.THETA0]),
+        separation_m=separation_m,
+        violation=_violation(setup, ticks, u, separation_m),
+    )
+
+
+def _stage_costs(
+    setup: Setup, ticks: npt.NDArray[np.int64], failures: Sequence[UavFault], y: Array, y_ref: Array, u: Array
+) -> Array:
+    """Stage costs, (T,): inputs against the hover of the UAVs that have motors, outputs of those on their rods."""
+    costs = np.zeros(len(ticks))
+    begins = sorted({0, *(tick for tick, _, _ in failures)})
+    for begin, end in zip(begins, [*begins[1:], None], strict=True):
+        off = {uav for tick, _, uav in failures if tick <= begin}
+        released = {uav for tick, what, uav in failures if tick <= begin and what == "release"}
+        try:
+            equilibrium = failed_hover(setup.system, off, released) if off else setup.hover
+        except ParameterError:
+            equilibrium = setup.hover  # there is none: the control law holds on to this one as well
+        cost = Cost(setup.settings.weights, equilibrium, off, released)
+        for row in np.flatnonzero((ticks >= begin) & (True if end is None else ticks < end)):
+            costs[row] = cost.stage(y[row], y_ref[row], u[row])
+    return costs
+
+
+def _separation(uavs_I: Array, ticks: npt.NDArray[np.int64], failures: Sequence[UavFault]) -> Array:
+    """Smallest distance between any two UAVs on their rods, (T,), m."""
+    smallest = np.full(len(uavs_I), np.inf)
+    present = np.ones(uavs_I.shape[:2], dtype=bool)
+    for tick, what, uav in failures:
+        present[ticks >= tick, uav] &= what != "release"
+    for i in range(uavs_I.shape[1]):
+        for j in range(i + 1, uavs_I.shape[1]):
+            distance = np.linalg.norm(uavs_I[:, i] - uavs_I[:, j], axis=1)
+            smallest = np.where(present[:, i] & present[:, j], np.minimum(smallest, distance), smallest)
+    return smallest
+
+
+def _violation(setup: Setup, ticks: npt.NDArray[np.int64], u: Array, separation_m: Array) -> Array:
+    """How far the worst constraint is exceeded at each tick, as a share of its range, (T,); 0 when all hold.
+
+    Ranges: largest minus smallest value of an input; twice the largest change of an input per period (it may
+    rise and fall); the minimum separation itself. Before tick 0 the inputs are those of hover; a change across
+    a gap in the record is not judged. The user's own constraints are not included.
+    """
+    limits, N = setup.settings.limits, setup.system.N
+    lower, upper = limits.lower(N), limits.upper(N)
+    step = limits.step(N, setup.settings.sampling_period_s)
+    worst = (np.maximum(lower - u, u - upper) / (upper - lower)).max(axis=1, initial=0.0)
+    before = np.vstack([setup.hover.u[None], u[:-1]])[: len(u)]
+    consecutive = np.diff(ticks, prepend=-1) == 1
+    change = (np.abs(u - before) - step) / (2.0 * step)
+    for tick, _, uav in uav_faults(setup.faults):
+        change[ticks == tick, state.input_slice(uav)] = 0.0  # motors that stop are no limit exceeded
+    change = change.max(axis=1, initial=0.0)
+    worst = np.maximum(worst, np.where(consecutive, change, 0.0))
+    if setup.settings.separation is not None:
+        minimum_m = setup.settings.separation.minimum_m
+        worst = np.maximum(worst, (minimum_m - separation_m) / minimum_m)
+    return np.asarray(worst)

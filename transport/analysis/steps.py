@@ -1,0 +1,81 @@
+"""The steps of a run as a table: one row for each agent and tick."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from model import state
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import STAGES, StepReport
+from transport.analysis.series import series_of
+from transport.log.run_log import RunLog
+
+# Columns whose names end in this are wall-clock times; all others are equal, bit for bit, in equal runs.
+WALL_CLOCK = "_ms"
+
+_REPORT = ("status", "solver", "fallback", "iterations", "residual")
+_FLIGHT = ("cost", "attitude_deg", "payload_error_m", "uav_error_m", "separation_min_m", "constraint_violation")
+_FORCE = ("force_x_N", "force_y_N", "force_z_N")
+_INPUTS = ("thrust{}_N", "moment{}_x_Nm", "moment{}_y_Nm", "moment{}_z_Nm")
+
+
+def steps_columns(setup: Setup) -> list[str]:
+    """Names of the columns: the same for every run of as many UAVs."""
+    return [
+        *("tick", "t_s", "agent"),
+        *_REPORT,
+        *("plan_age_max", "state_age_max", "delivered", "late", "lost"),
+        *_FORCE,
+        *_FLIGHT,
+        *(name.format(uav) for uav in range(1, setup.system.N + 1) for name in _INPUTS),
+        *(f"{stage}{WALL_CLOCK}" for stage in STAGES),
+    ]
+
+
+def steps_rows(setup: Setup, log: RunLog) -> Iterator[dict[str, Any]]:
+    """One row for each agent and tick, sorted by tick, then agent.
+
+    Args:
+        setup: The run as it was flown.
+        log: Its log, whole or not.
+    Yields: Values by column. `cost`, `attitude_deg`, `payload_error_m`, `separation_min_m` and
+        `constraint_violation` are of the whole team and the same for every agent of a tick; `uav_error_m` and
+        the inputs are of the UAVs the agent owns, other UAVs' inputs are None. None where the log does not say.
+    """
+    series = series_of(setup, log)
+    at = {int(tick): row for row, tick in enumerate(series.ticks)}
+    payload_m = np.linalg.norm(series.payload_error_I, axis=1)
+    uavs_m = np.linalg.norm(series.uav_errors_I, axis=2)
+    attitude_deg = series.attitude_max_deg
+    reports = {(report.tick, report.agent): report for report in log.of(StepReport)}
+    columns = steps_columns(setup)
+    for (tick, agent), report in sorted(reports.items()):
+        row: dict[str, Any] = dict.fromkeys(columns)
+        row |= {"tick": tick, "t_s": tick * setup.settings.sampling_period_s, "agent": agent}
+        row |= {name: getattr(report, name) for name in _REPORT}
+        row["fallback"] = int(report.fallback)
+        row |= {"plan_age_max": _oldest(report.plan_ages), "state_age_max": _oldest(report.state_ages)}
+        row |= {"delivered": report.delivered, "late": report.late, "lost": report.lost}
+        row |= {name: float(value) for name, value in zip(_FORCE, report.force, strict=True)}
+        k = at.get(tick)
+        owned = setup.owned[agent - 1] if agent <= len(setup.owned) else ()
+        if k is not None:
+            row["cost"] = float(series.cost[k])
+            row["attitude_deg"] = float(attitude_deg[k])
+            row["payload_error_m"] = float(payload_m[k])
+            row["uav_error_m"] = max((float(uavs_m[k, i]) for i in owned), default=None)
+            row["separation_min_m"] = float(series.separation_m[k]) if setup.system.N > 1 else None
+            row["constraint_violation"] = float(series.violation[k])
+            for i in owned:
+                inputs = series.u[k, state.input_slice(i)]
+                row |= {name.format(i + 1): float(value) for name, value in zip(_INPUTS, inputs, strict=True)}
+        row |= {f"{stage}{WALL_CLOCK}": float(ms) for stage, ms in zip(STAGES, report.times_ms, strict=True)}
+        yield row
+
+
+def _oldest(ages: tuple[int, ...]) -> int | None:
+    """The largest age; -1 as long as anything was never received; None without other agents."""
+    if not ages:
+        return None
+    return -1 if min(ages) < 0 else max(ages)

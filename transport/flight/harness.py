@@ -1,0 +1,235 @@
+"""The local harness: starts the processes of a run, watches them, and always cleans them up."""
+
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import IO
+
+from coordinator.node import EXIT_DIVERGED, EXIT_INTERRUPTED, EXIT_OVERRUN
+from protocol.network.parent import PARENT_PIPE, STANDBY
+from protocol.network.session import Endpoints
+from protocol.wire.outbox import EXIT_LOST
+from transport.flight.fork_server import Started, fork_server
+
+# Exit codes of a process that has seen its run's end.
+_ENDS = {0, EXIT_LOST, EXIT_OVERRUN, EXIT_DIVERGED, EXIT_INTERRUPTED}
+
+# What a process gets to end by itself before it is killed.
+_GRACE_S = 5.0
+
+
+class HarnessError(RuntimeError):
+    """A process of the run could not be started or ended before the run began."""
+
+
+@dataclass(slots=True)
+class Child:
+    """One started process.
+
+    Attributes:
+        name: Process name.
+        process: Its handle.
+        log: File that holds what it wrote.
+        incarnation: Which start of it.
+    """
+
+    name: str
+    process: Started
+    log: Path
+    incarnation: int = 0
+
+    def go(self) -> bool:
+        """Let a process that stands by begin; whether it was still there."""
+        try:
+            if self.process.poll() is None and self.process.stdin is not None:
+                self.process.stdin.write(b"\n")
+                self.process.stdin.flush()
+                return True
+        except BrokenPipeError:
+            pass
+        return False
+
+    def last_words(self) -> str:
+        """The last line it wrote that is not empty."""
+        try:
+            lines = self.log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        except OSError:
+            return ""
+        return lines[-1] if lines else ""
+
+
+@dataclass(slots=True)
+class Harness:
+    """Processes of one run on this machine; leaving the context ends those that are left.
+
+    Every child watches a pipe from this process: if this one is killed, they end too.
+
+    Args:
+        run: Name of the run.
+        scenario: Resolved scenario file all of them read.
+        mesh: Endpoints by process name.
+        logs: Folder for what they write.
+    """
+
+    run: str
+    scenario: Path
+    mesh: Mapping[str, Endpoints]
+    logs: Path
+    children: list[Child] = field(default_factory=list)
+    _spares: dict[str, Child] = field(default_factory=dict)  # by name, waiting for their turn
+    _files: ExitStack = field(default_factory=ExitStack)
+
+    def __enter__(self) -> "Harness":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.end()
+
+    def start(self, observers: Sequence[str] = ()) -> None:
+        """Start all processes of the mesh."""
+        self.logs.mkdir(parents=True, exist_ok=True)
+        for name in self.mesh:
+            self.children.append(self._start(name, observers))
+
+    def alive(self) -> list[Child]:
+        """Children that are running."""
+        return [child for child in self.children if child.process.poll() is None]
+
+    def ended(self) -> list[Child]:
+        """Children that are not."""
+        return [child for child in self.children if child.process.poll() is not None]
+
+    def child(self, name: str) -> Child | None:
+        """The process of that name that was started last."""
+        return next((child for child in reversed(self.children) if child.name == name), None)
+
+    def has_ended(self, name: str) -> bool:
+        """Whether a child has ended by itself, with an exit code that says how the run ended."""
+        child = self.child(name)
+        return child is not None and child.process.poll() in _ENDS
+
+    def signal(self, name: str, number: int) -> bool:
+        """Send a signal to one child; whether it is running."""
+        child = self.child(name)
+        if child is None or child.process.poll() is not None:
+            return False
+        child.process.send_signal(number)
+        return True
+
+    def prepare(self, name: str) -> None:
+        """Start the successor of an agent of the mesh, which gets ready and waits for `restart`."""
+        old = self.child(name)
+        self._spares[name] = self._start(name, (), 0 if old is None else old.incarnation + 1, standby=True)
+
+    def restart(self, name: str) -> None:
+        """Start a process of the mesh again, under a higher incarnation; one that is left over is killed first."""
+        old, spare = self.child(name), self._spares.pop(name, None)
+        if old is not None:
+            old.process.kill()
+            old.process.wait()
+        incarnation = 0 if old is None else old.incarnation + 1
+        if spare is not None and spare.incarnation == incarnation and spare.go():
+            self.children.append(spare)
+            return
+        if spare is not None:
+            spare.process.kill()
+            spare.process.wait()
+        self.children.append(self._start(name, (), incarnation))
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait for all children to end; whether they did."""
+        deadline = time.monotonic() + timeout_s
+        for child in self.children:
+            try:
+                child.process.wait(max(0.0, deadline - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                return False
+        return True
+
+    def end(self) -> None:
+        """Ask every child that is left to end, then make it."""
+        self.children += self._spares.values()
+        self._spares.clear()
+        for child in self.alive():
+            child.process.terminate()
+            child.process.send_signal(signal.SIGCONT)  # a stopped process cannot end in order
+        if not self.wait(_GRACE_S):
+            for child in self.alive():
+                child.process.kill()
+        for child in self.children:
+            child.process.wait()
+            if child.process.stdin is not None:
+                child.process.stdin.close()
+        self._files.close()
+
+    def _start(self, name: str, observers: Sequence[str], incarnation: int = 0, *, standby: bool = False) -> Child:
+        log = self.logs / (f"{name}.log" if incarnation == 0 else f"{name}-{incarnation}.log")
+        output: IO[bytes] = self._files.enter_context(log.open("wb"))
+        extra = {PARENT_PIPE: "1", STANDBY: "1" if standby else ""}
+        process = fork_server().start(self._arguments(name, observers, incarnation), output, extra)
+        return Child(name, process, log, incarnation)
+
+    def _arguments(self, name: str, observers: Sequence[str], incarnation: int) -> list[str]:
+        endpoints = self.mesh[name]
+        role = ["agent", "--id", name.removeprefix("agent")] if name.startswith("agent") else [name]
+        arguments = [*role, "--scenario", str(self.scenario), "--run", self.run]
+        arguments += ["--incarnation", str(incarnation)]
+        for endpoint in endpoints.listen:
+            arguments += ["--listen", endpoint]
+        for endpoint in endpoints.connect:
+            arguments += ["--connect", endpoint]
+        if name == "coordinator":
+            for observer in observers:
+                arguments += ["--observer", observer]
+        return arguments
+
+
+@contextmanager
+def free_ports(host: str, count: int) -> Iterator[list[int]]:
+    """Ports that nobody has, kept while the context is open from everybody who asks for any port.
+
+    Who asks for one by its number and shares addresses (SO_REUSEADDR), as Zenoh does, can listen on it all the
+    same, again and again: a process that is restarted finds its port free.
+
+    Raises: HarnessError: the host's address is not one of this machine.
+    """
+    with ExitStack() as stack:
+        sockets = []
+        for _ in range(count):
+            probe = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_STREAM))
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((host, 0))
+            except OSError as error:
+                raise HarnessError(f"network.host: cannot listen on {host} ({error.strerror})") from error
+            sockets.append(probe)
+        ports = [probe.getsockname()[1] for probe in sockets]
+        if sys.platform != "linux":
+            stack.close()  # elsewhere a socket that is bound keeps its port from everybody
+        yield ports
+
+
+def check_ports(host: str, ports: Sequence[int]) -> None:
+    """Refuse ports that somebody listens on.
+
+    Raises: HarnessError: naming the first.
+    """
+    for port in ports:
+        with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((host, port))
+            except OSError as error:
+                raise HarnessError(
+                    f"network.base_port: expected free ports {ports[0]}..{ports[-1]} on {host}, "
+                    f"got {port}, which is taken ({error.strerror})"
+                ) from error

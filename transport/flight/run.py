@@ -1,0 +1,323 @@
+"""One run on this machine, from scenario to run folder."""
+
+import os
+import platform
+import shutil
+import signal
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from types import FrameType
+
+import tomli_w
+from rich.console import Console
+
+from model import native
+from model.compiled import compile_functions
+from protocol.network.process import EXIT_INTERRUPTED, Place, places, process_names
+from protocol.network.security import SecurityError
+from protocol.network.session import BusError, Endpoints
+from protocol.scenario.setup import Setup
+from protocol.wire.keys import RECORDER, Keys
+from transport.flight import live
+from transport.flight.fault_script import FaultScript
+from transport.flight.harness import Child, Harness, check_ports, free_ports
+from transport.flight.progress import RunProgress
+from transport.flight.recorder import Recorder
+from transport.log.run_log import LogError, LogWriter
+
+EXIT_USAGE, EXIT_SCENARIO, EXIT_LOST = 2, 3, 4
+
+# How long the processes may take to leave after the run's end before they are made to.
+_LEAVE_S = 3.0
+_POLL_S = 0.05
+
+
+class RunError(RuntimeError):
+    """A run that could not be started or lost a process before it began.
+
+    Args:
+        text: One line for the user.
+        exit_code: For the process.
+    """
+
+    def __init__(self, text: str, exit_code: int) -> None:
+        super().__init__(text)
+        self.exit_code = exit_code
+
+
+@dataclass(frozen=True, slots=True)
+class Finished:
+    """How a run ended.
+
+    Attributes:
+        folder: Run folder, complete but for the report.
+        exit_code: What the command should exit with.
+        reason: Why, in one line; empty when completed.
+    """
+
+    folder: Path
+    exit_code: int
+    reason: str
+
+
+def new_folder(parent: Path, name: str) -> Path:
+    """A run folder's path that does not exist yet, named by time and scenario."""
+    stamp = datetime.now(UTC).strftime("%Y%m%d-%H%M%S")
+    folder, count = parent / f"{stamp}-{name}", 1
+    while folder.exists():
+        count += 1
+        folder = parent / f"{stamp}-{name}-{count}"
+    return folder
+
+
+def fly(setup: Setup, folder: Path, console: Console) -> Finished:
+    """Start the processes of a run, record it, see it to its end.
+
+    Args:
+        setup: The run.
+        folder: Run folder to create.
+        console: Where progress is drawn.
+    Returns: How it ended. Every process has ended and the log is complete.
+    Raises: RunError: the folder exists, a port is taken, or a process ended before the run began.
+        HarnessError: no port can be had.
+    """
+    _refuse_existing(folder)
+    scenario = setup.scenario
+    with console.status("preparing the model for this processor, once"):
+        compile_functions(setup.system.N)
+    names = process_names(scenario)
+    host, base_port = scenario.network.host, scenario.network.base_port
+    # The recorder has a port as well: it is called by people who want something of this run's parent.
+    with free_ports(host, 1 if base_port is not None else 1 + len(names)) as (own, *ports):
+        if base_port is not None:
+            ports = list(range(base_port, base_port + len(names)))
+            check_ports(host, ports)
+        try:
+            found = places([*names, RECORDER], scenario, [*ports, own])
+        except SecurityError as error:
+            raise RunError(str(error), EXIT_SCENARIO) from error
+        recording = found.pop(RECORDER)
+        try:
+            return _fly(setup, folder, console, found, recording)
+        except BusError as error:
+            raise RunError(str(error), EXIT_LOST) from error
+
+
+def _fly(
+    setup: Setup, folder: Path, console: Console, places: Mapping[str, Endpoints], recording: Endpoints
+) -> Finished:
+    """A run whose processes are to be in these places, its recorder in one of its own."""
+    scenario, names = setup.scenario, list(places)
+    run = folder.name if Keys.allows(folder.name) else scenario.name
+    text = _create(folder, setup)
+    header = run_header(setup, run, len(names), text)
+    everybody = {**places, RECORDER: recording}
+    called = {name: [*place.listen, *place.connect][0] for name, place in everybody.items()}
+    keys = "" if recording.security is None else str(recording.security.folder)
+    with (
+        Harness(run, folder / "scenario.toml", places, folder / "logs") as harness,
+        RunProgress(setup, console) as progress,
+    ):
+        harness.start(observers=[RECORDER])
+        writer = _open_log(folder, header, setup.period_ns)
+        recorder = Recorder(
+            setup,
+            run,
+            writer,
+            recording,
+            scenario.clock.join_timeout_s,
+            has_ended=lambda: harness.has_ended("coordinator"),
+        )
+        try:
+            recorder.start(names)
+            live.write(folder, live.LiveRun(run, called, os.getpid(), keys, is_client=recording.mode == "client"))
+            _watch(harness, recorder, progress, FaultScript(setup, harness, recorder))
+            if recorder.control is not None:
+                harness.wait(_LEAVE_S)
+        finally:
+            recorder.close()
+            live.remove(folder)
+            if recorder.error is None and not harness.ended():
+                _discard_if_empty(folder, recorder)
+    return _finished(folder, recorder)
+
+
+def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finished:
+    """Record a run whose processes somebody else starts.
+
+    Args:
+        setup: The run.
+        place: Where its processes are.
+        folder: Run folder to create.
+        console: Where progress is drawn.
+    Raises: RunError: the folder exists, or the processes did not show up.
+    """
+    names = process_names(setup.scenario)
+    text = _create(folder, setup)
+    with RunProgress(setup, console) as progress:
+        header = run_header(setup, place.run, len(names), text)
+        writer = _open_log(folder, header, setup.period_ns)
+        try:
+            recorder = Recorder(setup, place.run, writer, place.endpoints, place.join_timeout_s, place.incarnation)
+        except BusError as error:
+            writer.close()
+            shutil.rmtree(folder, ignore_errors=True)
+            raise RunError(str(error), EXIT_LOST) from error
+        try:
+            recorder.start(names)
+            _watch(None, recorder, progress, None)
+        finally:
+            recorder.close()
+            _discard_if_empty(folder, recorder)
+    return _finished(folder, recorder)
+
+
+def run_header(setup: Setup, run: str, processes: int, scenario_toml: str) -> Mapping[str, str]:
+    """What a log says about its run besides the messages."""
+    return {
+        "run_id": run,
+        "scenario": scenario_toml,
+        "seed": str(setup.scenario.seed),
+        "processes": str(processes),
+        "versions": versions(),
+        "machine": machine(),
+        "command_started_ns": str(_command_started_ns()),
+    }
+
+
+def versions() -> str:
+    """Versions of Python, of the packages that results depend on, and whether the kernels are compiled, in one line."""
+    packages = ("payload-transport", "numpy", "casadi", "daqp", "clarabel", "eclipse-zenoh")
+    return ", ".join(
+        [
+            f"python {platform.python_version()}",
+            *(f"{package} {version(package)}" for package in packages),
+            f"kernels {'compiled' if native.AVAILABLE else 'plain'}",
+        ]
+    )
+
+
+def machine() -> str:
+    """The machine in one line: processor, cores this process may use, system."""
+    processor = platform.processor() or platform.machine()
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.exists():
+        names = [line.split(":", 1)[1].strip() for line in cpuinfo.read_text().splitlines() if "model name" in line]
+        processor = names[0] if names else processor
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return f"{processor}, {cores} cores, {platform.system()} {platform.release()}"
+
+
+def _command_started_ns() -> int:
+    """Wall-clock time at which this process was started, as far as the system tells."""
+    try:
+        ticks = int(Path("/proc/self/stat").read_text().rsplit(")", 1)[1].split()[19])
+        up_s = float(Path("/proc/uptime").read_text().split()[0])
+        return time.time_ns() - round((up_s - ticks / os.sysconf("SC_CLK_TCK")) * 1e9)
+    except (OSError, ValueError, IndexError):
+        return time.time_ns()
+
+
+def _refuse_existing(folder: Path) -> None:
+    if folder.exists():
+        raise RunError(f"--out: expected a folder that does not exist yet, got {folder}", EXIT_USAGE)
+
+
+def _create(folder: Path, setup: Setup) -> str:
+    """Create the run folder with the resolved scenario in it; returns its text."""
+    _refuse_existing(folder)
+    text = tomli_w.dumps(setup.scenario.tree())
+    try:
+        folder.mkdir(parents=True)
+        (folder / "scenario.toml").write_text(text, encoding="utf-8")
+        for name, delays_s in setup.samples_s.items():
+            if not Path(name).is_absolute():  # the folder stands for itself
+                (folder / name).parent.mkdir(parents=True, exist_ok=True)
+                (folder / name).write_text("\n".join(map(repr, delays_s)) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise RunError(f"--out: cannot create {folder} ({error.strerror})", EXIT_USAGE) from error
+    return text
+
+
+def _discard_if_empty(folder: Path, recorder: Recorder) -> None:
+    """Take back the run folder of a run nobody ever said anything in, so that the same command can be repeated."""
+    if recorder.received == 0:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _open_log(folder: Path, header: Mapping[str, str], period_ns: int) -> LogWriter:
+    try:
+        return LogWriter(folder / "run.mcap", header, period_ns=period_ns)
+    except LogError as error:
+        raise RunError(str(error), EXIT_USAGE) from error
+
+
+def _finished(folder: Path, recorder: Recorder) -> Finished:
+    if recorder.error is not None:
+        raise RunError(recorder.error, EXIT_LOST)
+    if recorder.control is None and recorder.started_s is not None:
+        return Finished(folder, EXIT_INTERRUPTED, "recording interrupted; the run may go on without it")
+    if recorder.control is None:
+        raise RunError("the run ended before it began", EXIT_LOST)
+    return Finished(folder, recorder.control.exit_code, recorder.control.reason)
+
+
+def _watch(harness: Harness | None, recorder: Recorder, progress: RunProgress, faults: FaultScript | None) -> None:
+    """Show progress until the run has ended; pass Ctrl-C on; notice processes that end too early."""
+    shown = 0
+    with _signals() as signals:
+        interrupted = 0
+        while recorder.running:
+            recorder.join(_POLL_S)
+            progress.show(recorder.truth, recorder.started_s)
+            if faults is not None:
+                faults.work()
+            for notice in recorder.notices[shown:]:
+                progress.say(notice)
+            shown = len(recorder.notices)
+            if len(signals) > interrupted:
+                interrupted = len(signals)
+                if interrupted > 1 or recorder.started_s is None:
+                    raise RunError(f"interrupted ({signals[-1]})", EXIT_INTERRUPTED)
+                if harness is None:
+                    recorder.stop(signals[-1])
+                    continue
+                progress.say(f"{signals[-1]}: ending the run; once more to end it at once")
+                harness.signal("coordinator", signal.Signals[signals[-1]])
+            ended = [] if harness is None else harness.ended()
+            if ended and recorder.started_s is None and recorder.control is None:
+                raise _ended_early(ended)
+
+
+def _ended_early(ended: list[Child]) -> RunError:
+    child = ended[0]
+    code = child.process.returncode
+    how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
+    # What a child refuses is this command's to refuse; any other end is that of a peer.
+    passed_on = code in (EXIT_USAGE, EXIT_SCENARIO)
+    return RunError(f"{child.name} {how} before the run began: {child.last_words()}", code if passed_on else EXIT_LOST)
+
+
+@contextmanager
+def _signals() -> Iterator[list[str]]:
+    """Collect SIGINT and SIGTERM by name instead of dying of them, in the main thread."""
+    received: list[str] = []
+
+    def note(number: int, _: FrameType | None) -> None:
+        received.append(signal.Signals(number).name)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield received
+        return
+    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield received
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,90 @@
+"""Messages as JSON, and the schema of each kind, both from the fields of the message classes.
+
+An array of two axes is written row by row with its lengths beside it (`inputs`, `inputs_shape`): viewers
+plot `inputs[0]`, but few can follow a list of lists. A float64 is written with the fewest digits that read
+back as the same bits.
+"""
+
+import dataclasses
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+import numpy as np
+import orjson
+
+from model.arrays import Array
+from protocol.wire.messages import KINDS, Message
+
+# Fields of two axes; everything else that is an array has one.
+_MATRICES = ("uav_states", "inputs", "corrections")
+
+_FIELDS: dict[str, dict[str, Any]] = {
+    kind: {field.name: get_type_hints(cls)[field.name] for field in dataclasses.fields(cls)}
+    for kind, cls in KINDS.items()
+}
+
+_SCALARS = {str: "string", int: "integer", float: "number", bool: "boolean"}
+
+
+def to_json(message: Message) -> bytes:
+    """A message as a JSON object."""
+    content: dict[str, Any] = {}
+    for name in _FIELDS[message.kind]:
+        value = getattr(message, name)
+        if name in _MATRICES:
+            content[name], content[_shape_of(name)] = value.reshape(-1), value.shape
+        else:
+            content[name] = value
+    return orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY)
+
+
+def from_json(kind: str, data: bytes) -> Message:
+    """The message in a JSON object.
+
+    Args:
+        kind: Which message, a key of `protocol.wire.messages.KINDS`.
+        data: As `to_json` wrote it.
+    Raises: ValueError, TypeError: it is not one.
+    """
+    content = orjson.loads(data)
+    values: dict[str, Any] = {}
+    for name, hint in _FIELDS[kind].items():
+        if name not in content or (name in _MATRICES and _shape_of(name) not in content):
+            raise ValueError(f"{name}: expected a value, got nothing")
+        value = content[name]
+        if hint == Array:
+            value = np.array(value, dtype=np.float64)
+            if name in _MATRICES:
+                value = value.reshape(content[_shape_of(name)])
+        values[name] = value
+    return KINDS[kind](**values)
+
+
+def json_schema(kind: str) -> dict[str, Any]:
+    """JSON Schema of a kind of message, for viewers."""
+    properties: dict[str, Any] = {}
+    for name, hint in _FIELDS[kind].items():
+        properties[name] = _type(hint)
+        if name in _MATRICES:
+            properties[_shape_of(name)] = {"type": "array", "items": {"type": "integer"}}
+    cls = KINDS[kind]
+    return {
+        "title": cls.__name__,
+        "description": (cls.__doc__ or "").split("\n", 1)[0],
+        "type": "object",
+        "properties": properties,
+        "required": list(properties),
+    }
+
+
+def _shape_of(name: str) -> str:
+    return f"{name}_shape"
+
+
+def _type(hint: Any) -> dict[str, Any]:
+    if hint == Array:
+        return {"type": "array", "items": {"type": "number"}}
+    if get_origin(hint) is Literal:
+        return {"type": "string", "enum": list(get_args(hint))}
+    if get_origin(hint) is tuple:
+        return {"type": "array", "items": _type(get_args(hint)[0])}
+    return {"type": _SCALARS[hint]}

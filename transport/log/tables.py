@@ -1,0 +1,108 @@
+"""Messages as tables: one for each kind, arrays flattened into columns whose names end in their units."""
+
+from collections.abc import Iterator
+from dataclasses import fields
+from typing import Any
+
+from model.arrays import Array
+from model.state import INPUTS, PAYLOAD, PER_UAV
+from protocol.wire.messages import KINDS, STAGES, Measurement, Message, Plan, StepReport, Truth
+from transport.log.run_log import RunLog
+from transport.log.units import INPUT_NAMES, PAYLOAD_NAMES, UAV_STATE_NAMES
+
+Row = dict[str, Any]
+
+# Fields that are spread over columns, or over rows, instead of being one.
+_SPREAD = {
+    Measurement.kind: ("payload", "uavs", "uav_states", "inputs"),
+    Plan.kind: ("uavs", "uav_states", "inputs", "corrections"),
+    StepReport.kind: ("peers", "plan_ages", "state_ages", "force", "times_ms"),
+    Truth.kind: ("x", "u", "plan_ticks"),
+}
+
+
+def tables(log: RunLog, period_s: float | None) -> dict[str, list[Row]]:
+    """The messages of a log by kind; each row has its values by column.
+
+    Measurements and plans have a row for each UAV they speak of, everything else one for each message. Lists of
+    numbers are texts, with blanks in between. See docs/log.md for the columns.
+
+    Args:
+        log: Whole or not.
+        period_s: Sampling period; None when it is not known, then nor is the scenario time of a tick.
+    """
+    found: dict[str, list[Row]] = {kind: [] for kind in KINDS}
+    for entry in log.messages:
+        message = entry.message
+        row: Row = {
+            "tick": message.tick,
+            "t_s": None if period_s is None else message.tick * period_s,
+            "received_ns": entry.received_ns,
+            "sender": message.sender,
+            "incarnation": message.incarnation,
+            "sequence": message.sequence,
+        }
+        for name in (
+            f.name for f in fields(message) if f.name not in row and f.name not in _SPREAD.get(message.kind, ())
+        ):
+            value = getattr(message, name)
+            row[name] = " ".join(map(str, value)) if isinstance(value, tuple) else value
+        found[message.kind] += [row | spread for spread in _spread(message)]
+    return {kind: rows for kind, rows in found.items() if rows}
+
+
+def columns(rows: list[Row]) -> list[str]:
+    """Columns of a table, in the order they first appear."""
+    return list(dict.fromkeys(name for row in rows for name in row))
+
+
+def _spread(message: Message) -> Iterator[Row]:
+    """What a message holds in arrays: one row, or one for each of its UAVs."""
+    match message:
+        case Measurement():
+            payload = _named("payload_", PAYLOAD_NAMES, message.payload)
+            for uav, states, inputs in zip(message.uavs, message.uav_states, message.inputs, strict=True):
+                yield {"uav": uav, **payload, **_named("", UAV_STATE_NAMES, states), **_named("", INPUT_NAMES, inputs)}
+        case Plan():
+            for i, (uav, states) in enumerate(zip(message.uavs, message.uav_states, strict=True)):
+                own = slice(INPUTS * i, INPUTS * (i + 1))
+                yield {
+                    "uav": uav,
+                    **_named("", UAV_STATE_NAMES, states),
+                    **_over_horizon("", message.inputs[:, own]),
+                    **_over_horizon("correction_", message.corrections[:, own]),
+                }
+        case StepReport():
+            ages = zip(message.peers, message.plan_ages, message.state_ages, strict=True)
+            yield {
+                **_named("force_", ("x_N", "y_N", "z_N"), message.force),
+                **_named("", tuple(f"{stage}_ms" for stage in STAGES), message.times_ms),
+                **{
+                    f"{what}_age_agent{peer}_ticks": age
+                    for peer, *both in ages
+                    for what, age in zip(("plan", "state"), both, strict=True)
+                },
+            }
+        case Truth():
+            row = _named("payload_", PAYLOAD_NAMES, message.x[:PAYLOAD])
+            for i, plan_tick in enumerate(message.plan_ticks):
+                begin = PAYLOAD + PER_UAV * i
+                row |= _named(f"uav{i + 1}_", UAV_STATE_NAMES, message.x[begin : begin + PER_UAV])
+                row |= _named(f"uav{i + 1}_", INPUT_NAMES, message.u[INPUTS * i : INPUTS * (i + 1)])
+                row[f"uav{i + 1}_plan_tick"] = plan_tick
+            yield row
+        case _:
+            yield {}
+
+
+def _named(prefix: str, names: tuple[str, ...], values: Array) -> Row:
+    return {prefix + name: float(value) for name, value in zip(names, values, strict=True)}
+
+
+def _over_horizon(prefix: str, sequence: Array) -> Row:
+    """A sequence of inputs of one UAV, (steps, 4), quantity by quantity: thrust_N[0], thrust_N[1], ..."""
+    return {
+        f"{prefix}{name}[{step}]": float(value)
+        for name, values in zip(INPUT_NAMES, sequence.T, strict=True)
+        for step, value in enumerate(values)
+    }

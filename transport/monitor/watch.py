@@ -1,0 +1,237 @@
+"""A run in flight at a glance: what its messages say of each agent, gathered for a table."""
+
+from collections import Counter, deque
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from model.state import StateView
+from mpc.cost import Cost
+from plant.schedule import FAIL_SAFE
+from protocol.admission.plausibility import Claims
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import (
+    Control,
+    Message,
+    MessageError,
+    Rejected,
+    Roster,
+    StepReport,
+    Tick,
+    Truth,
+    agent_name,
+)
+
+# Steps that "worst" looks back over, and notices that are kept.
+_RECENT, _NOTICES = 100, 5
+
+# Ticks an agent may be behind before it counts as silent.
+_BEHIND = 5
+
+
+@dataclass(slots=True)
+class AgentNow:
+    """One agent as its messages show it.
+
+    Attributes:
+        report: Its newest step; None before the first.
+        slack_ms: What was left of the period when that step's report came; None where nothing paces the run.
+        recent_ms: Times of its latest steps, ms.
+        lost, late: Plans of others that did not come, or came later than one tick after their own, since watching.
+        missed: Deadlines its plans missed, since watching; real time only.
+        fallbacks, failures: Solves by the second solver, and by neither, since watching.
+        rejected: Messages it refused.
+        off: How often it was taken off the roster.
+    """
+
+    report: StepReport | None = None
+    slack_ms: float | None = None
+    recent_ms: deque[float] = field(default_factory=lambda: deque(maxlen=_RECENT))
+    lost: int = 0
+    late: int = 0
+    missed: int = 0
+    fallbacks: int = 0
+    failures: int = 0
+    rejected: int = 0
+    off: int = 0
+
+
+@dataclass(slots=True)
+class Watch:
+    """What is known of a run from watching it, from whenever on.
+
+    Args:
+        setup: The run.
+
+    Attributes:
+        agents: By number.
+        members: Who takes part; None before anybody said.
+        tick: The newest open one, -1 before the first.
+        truth: The plant's newest record.
+        control: How the run ended, once it has.
+        notices: Latest changes of the roster, for people.
+        rejections: Messages refused, by who refused them.
+        real_time_factor: Of the time watched; None before two ticks.
+    """
+
+    setup: Setup
+    agents: dict[int, AgentNow] = field(init=False)
+    members: frozenset[int] | None = None
+    tick: int = -1
+    truth: Truth | None = None
+    control: Control | None = None
+    notices: deque[str] = field(default_factory=lambda: deque(maxlen=_NOTICES))
+    rejections: Counter[str] = field(default_factory=Counter)
+    _opened: Tick | None = None
+    _opened_ns: int = 0
+    _first: tuple[int, int] | None = None  # tick and time
+    _cost: Cost = field(init=False)
+    _claims: Claims = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._claims = Claims(self.setup)
+        self.agents = {agent: AgentNow() for agent in self.setup.agents}
+        self._cost = Cost(self.setup.settings.weights, self.setup.hover)
+
+    def take(self, message: Message, at_ns: int) -> None:
+        """Take in a message.
+
+        Args:
+            message: Of any kind.
+            at_ns: When it came, on any clock.
+        """
+        try:
+            self._claims.check(message)
+        except MessageError:
+            return  # whoever it was meant for counts it
+        match message:
+            case Tick():
+                self._open(message, at_ns)
+            case StepReport():
+                self._report(message, at_ns)
+            case Truth():
+                self.truth = message
+            case Roster():
+                self._join(frozenset(message.agents), message.reason)
+            case Rejected():
+                self.rejections[message.sender] += message.count
+                for number, agent in self.agents.items():
+                    if message.sender == agent_name(number):
+                        agent.rejected += message.count
+            case Control():
+                self.control = message
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether there is something to show of everybody who takes part."""
+        return (
+            self.truth is not None
+            and self.members is not None
+            and all(self.agents[agent].report is not None for agent in self.members)
+        )
+
+    @property
+    def real_time_factor(self) -> float | None:
+        """Scenario time per wall time since watching began."""
+        if self._first is None or self.tick <= self._first[0]:
+            return None
+        wall_s = (self._opened_ns - self._first[1]) / 1e9
+        return (self.tick - self._first[0]) * self.setup.settings.sampling_period_s / wall_s if wall_s > 0.0 else None
+
+    @property
+    def cost(self) -> float | None:
+        """Stage cost of the whole team at the newest recorded tick, docs/equations.md (21)."""
+        if self.truth is None:
+            return None
+        y_ref = self.setup.reference.outputs(np.array([self.truth.tick * self.setup.settings.sampling_period_s]))[0]
+        return float(self._cost.stage(self.setup.model.outputs(self.truth.x), y_ref, self.truth.u))
+
+    @property
+    def attitude_deg(self) -> float | None:
+        """Largest magnitude of the payload's roll, pitch and yaw, deg."""
+        if self.truth is None:
+            return None
+        return float(np.degrees(np.abs(StateView(self.truth.x).Theta0)).max())
+
+    def state_of(self, agent: int) -> str:
+        """What an agent is doing: flies, silent, off the roster, or in the fail-safe; "-" while unknown."""
+        uavs = self.setup.owned[agent - 1]
+        if self.truth is not None and any(self.truth.plan_ticks[uav] == FAIL_SAFE for uav in uavs):
+            return "fail-safe"
+        if self.members is not None and agent not in self.members:
+            return "off"
+        report = self.agents[agent].report
+        if report is None:
+            return "-"
+        return "flies" if self.tick - report.tick <= _BEHIND else "silent"
+
+    def content(self) -> dict[str, Any]:
+        """All of it as plain data that JSON can hold."""
+        agents = []
+        for number, agent in self.agents.items():
+            report = agent.report
+            agents.append(
+                {
+                    "agent": number,
+                    "uavs": [uav + 1 for uav in self.setup.owned[number - 1]],
+                    "state": self.state_of(number),
+                    "tick": None if report is None else report.tick,
+                    "step_ms": None if report is None else float(report.times_ms[-1]),
+                    "worst_step_ms": max(agent.recent_ms, default=None),
+                    "slack_ms": agent.slack_ms,
+                    "plan_ages": None
+                    if report is None
+                    else {agent_name(p): a for p, a in zip(report.peers, report.plan_ages, strict=True)},
+                    "lost": agent.lost,
+                    "late": agent.late,
+                    "missed": agent.missed,
+                    "fallbacks": agent.fallbacks,
+                    "failures": agent.failures,
+                    "rejected": agent.rejected,
+                    "off_the_roster": agent.off,
+                }
+            )
+        return {
+            "scenario": self.setup.scenario.name,
+            "tick": self.tick,
+            "ticks": self.setup.ticks,
+            "time_s": max(self.tick, 0) * self.setup.settings.sampling_period_s,
+            "real_time_factor": self.real_time_factor,
+            "cost": self.cost,
+            "attitude_deg": self.attitude_deg,
+            "agents": agents,
+            "notices": list(self.notices),
+            "rejections": dict(self.rejections),
+            "outcome": None if self.control is None else self.control.outcome,
+            "reason": None if self.control is None else self.control.reason,
+        }
+
+    def _open(self, tick: Tick, at_ns: int) -> None:
+        realtime, before = self.setup.scenario.clock.mode == "realtime", self._opened
+        if realtime and before is not None and tick.tick == before.tick + 1:
+            for agent in set(before.members) - set(tick.answered):
+                self.agents[agent].missed += 1
+        if self.members is None:
+            self.members = frozenset(tick.members)
+        self.tick, self._opened, self._opened_ns = tick.tick, tick, at_ns
+        self._first = self._first or (tick.tick, at_ns)
+
+    def _report(self, report: StepReport, at_ns: int) -> None:
+        agent = self.agents[report.agent]
+        agent.report = report
+        agent.recent_ms.append(float(report.times_ms[-1]))
+        agent.lost += report.lost
+        agent.late += report.late
+        agent.fallbacks += report.fallback
+        agent.failures += report.status != "solved"
+        speed = self.setup.scenario.clock.speed
+        if speed > 0.0 and self._opened is not None and self._opened.tick == report.tick:
+            left_ns = self.setup.period_ns / speed - self._opened.late_ns - (at_ns - self._opened_ns)
+            agent.slack_ms = left_ns / 1e6
+
+    def _join(self, members: frozenset[int], reason: str) -> None:
+        for agent in (self.members or frozenset()) - members:
+            self.agents[agent].off += 1
+        self.members = members
+        self.notices.append(reason)

@@ -1,0 +1,170 @@
+"""Recorded runs side by side: what their summaries say, how far that is from the first, and what to mind."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from transport.analysis.counted import counted
+from transport.analysis.metrics import summarise
+from transport.analysis.series import Series, series_of
+from transport.analysis.swing import SWING_S
+from transport.log.run_folder import RecordedRun
+from transport.report.report import HELD
+
+Summary = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Compared:
+    """One of the runs.
+
+    Attributes:
+        label: How it is called in tables and figures.
+        run: Its log and setup.
+        summary: As docs/summary.md has it, made from the log anew.
+        series: The truth against the reference.
+    """
+
+    label: str
+    run: RecordedRun
+    summary: Summary
+    series: Series
+
+    @staticmethod
+    def of(label: str, run: RecordedRun) -> "Compared":
+        """A run with all that is compared of it."""
+        log = counted(run.setup, run.log)
+        return Compared(label=label, run=run, summary=summarise(run.setup, log), series=series_of(run.setup, log))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """One quantity.
+
+    Attributes:
+        name: What it is.
+        unit: Its unit, empty for none.
+        values: Of each run; None where its log does not say, text where it is no number.
+        percent: By how much each is more than the first, %; None where that has no meaning.
+    """
+
+    name: str
+    unit: str
+    values: tuple[float | str | None, ...]
+    percent: tuple[float | None, ...]
+
+
+def _at(*keys: str) -> Callable[[Summary], Any]:
+    def value(summary: Summary) -> Any:
+        for key in keys:
+            summary = summary[key]
+        return summary
+
+    return value
+
+
+def _lost_share(summary: Summary) -> float | None:
+    messages = summary["messages"]
+    return 100.0 * messages["lost"] / messages["sent"] if messages["sent"] else None
+
+
+def _percent(*keys: str) -> Callable[[Summary], float | None]:
+    def value(summary: Summary) -> float | None:
+        share = _at(*keys)(summary)
+        return None if share is None else 100.0 * share
+
+    return value
+
+
+def _exceeded(summary: Summary) -> float | None:
+    share = summary["constraint_violation_max"]
+    return None if share is None else 0.0 if share < HELD else 100.0 * share
+
+
+def _decays(summary: Summary) -> str | None:
+    decays = summary["payload_tracking"]["decays"]
+    return None if decays is None else "yes" if decays else "no"
+
+
+# What is compared: name, unit, and where it stands in the summary (docs/summary.md).
+_QUANTITIES: tuple[tuple[str, str, Callable[[Summary], Any]], ...] = (
+    ("scenario", "", _at("scenario")),
+    ("outcome", "", _at("outcome")),
+    ("flown", "s", _at("sim_time_s")),
+    ("cost, mean", "", _at("cost", "mean")),
+    ("cost, max", "", _at("cost", "max")),
+    ("cost, max after hover", "", _at("cost", "max_after_hover")),
+    ("payload attitude, max", "deg", _at("attitude_max_deg")),
+    ("UAV error, rms", "m", _at("uav_tracking", "rms_m")),
+    ("UAV error, max", "m", _at("uav_tracking", "max_m")),
+    ("payload error, rms", "m", _at("payload_tracking", "rms_m")),
+    ("payload error, max", "m", _at("payload_tracking", "max_m")),
+    (f"payload error, max of last {SWING_S:g} s", "m", _at("payload_tracking", "swing_m")),
+    ("payload swing decays", "", _decays),
+    ("separation, min", "m", _at("separation_min_m")),
+    ("limits exceeded, max", "%", _exceeded),
+    ("agent step, median", "ms", _at("agent_step_ms", "p50")),
+    ("agent step, p99", "ms", _at("agent_step_ms", "p99")),
+    ("network, median", "ms", _at("network_ms", "p50")),
+    ("real-time factor", "", _at("real_time_factor")),
+    ("deadlines missed", "%", _percent("deadline", "share")),
+    ("plan age, mean", "ticks", _at("plan_age_ticks", "mean")),
+    ("plan age, max", "ticks", _at("plan_age_ticks", "max")),
+    ("plans lost", "%", _lost_share),
+    ("messages rejected", "", _at("messages", "rejected")),
+    ("solver fallbacks", "", _at("solver", "fallbacks")),
+    ("solver failures", "", _at("solver", "failures")),
+    ("faults and changes", "", lambda summary: len(summary["faults"])),
+)
+
+
+def rows(runs: Sequence[Compared]) -> list[Row]:
+    """The table: one row for each quantity that any of the runs has; at least one run."""
+    found = []
+    for name, unit, of in _QUANTITIES:
+        values = tuple(of(compared.summary) for compared in runs)
+        if any(value is not None for value in values):
+            percent = tuple(_more(value, values[0]) for value in values)
+            found.append(Row(name=name, unit=unit, values=values, percent=percent))
+    return found
+
+
+def doubts(runs: Sequence[Compared]) -> Iterator[str]:
+    """What has to be minded about a comparison, a sentence each."""
+    first = runs[0]
+    scenario = first.run.setup.scenario
+    for other in runs[1:]:
+        differs, settings = other.run.setup.scenario, other.run.setup.settings
+        if differs.maneuver != scenario.maneuver:
+            yield (
+                f"{other.label} flies another maneuver than {first.label}: errors are each against its own reference; "
+                "cost, attitude and position errors do not tell which controller is better"
+            )
+        if differs.system != scenario.system:
+            yield f"{other.label} is another system than {first.label} (UAVs or payload): cost is not of the same"
+        if settings.weights != first.run.setup.settings.weights or settings.costs != first.run.setup.settings.costs:
+            yield f"{other.label} has other weights than {first.label}: its cost counts otherwise"
+        if other.summary["machine"] != first.summary["machine"]:
+            yield f"{other.label} was flown on another machine than {first.label}: times are not the controller's alone"
+    for compared in runs:
+        flown, asked = compared.summary["ticks"], compared.run.setup.ticks
+        if flown < asked:
+            period_s = compared.run.setup.settings.sampling_period_s
+            yield (
+                f"{compared.label}: {flown * period_s:.2f} of {asked * period_s:.2f} s are there "
+                f"({compared.summary['reason'] or compared.summary['outcome']}); means are over those"
+            )
+        if compared.run.log.cut:
+            yield f"{compared.label}: {compared.run.log.cut}"
+
+
+def same_maneuver(runs: Sequence[Compared]) -> bool:
+    """Whether all fly the same way."""
+    return all(compared.run.setup.scenario.maneuver == runs[0].run.setup.scenario.maneuver for compared in runs)
+
+
+def _more(value: Any, first: Any) -> float | None:
+    """By how much a number is more than the first, %; a share of nothing has no meaning."""
+    if isinstance(value, str) or isinstance(first, str) or value is None or not first:
+        return None
+    return float(100.0 * (value - first) / abs(first))

@@ -1,0 +1,95 @@
+"""Figures of a run, after the paper's: performance over time (its Fig. 3, 5), trajectories (Fig. 4), timing."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from protocol.scenario.setup import Setup
+from transport.analysis.series import Series, series_of
+from transport.log.run_log import RunLog
+from transport.report.style import COMPONENTS, RC, WIDTH_IN, line_width, save_both, shade_phases, uav_style
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+# What performance is: the quantities of its four panels.
+PERFORMANCE = (
+    "UAV position\nerror, norm (m)",
+    "payload position\nerror (m)",
+    "payload\nattitude (deg)",
+    "stage cost (-)",
+)
+# Decades of the cost that are shown: below is the rounding of a hover at rest.
+_COST_DECADES = 5
+# Smallest ranges of the axes, either side of zero: what is below them does not matter to anybody.
+_SMALLEST_M, _SMALLEST_DEG = 1e-3, 1e-2
+
+
+def draw(setup: Setup, log: RunLog, folder: Path) -> list[Path]:
+    """Draw performance.png, trajectories.png and timing.png of a run, as far as its log goes, each as SVG, too.
+
+    Args:
+        setup: The run as it was flown.
+        log: Its log, whole or not.
+        folder: Where to; created if need be, older figures are replaced.
+    Returns: The PNG files drawn; those without any data to show are left out.
+    """
+    import matplotlib as mpl
+
+    from transport.report.figures_3d import draw_trajectories
+    from transport.report.figures_timing import draw_timing
+
+    series = series_of(setup, log)
+    if not len(series.ticks):
+        return []
+    folder.mkdir(parents=True, exist_ok=True)
+    with mpl.rc_context(RC):
+        drawn = [
+            draw_performance(setup, series, folder / "performance.png"),
+            draw_trajectories(setup, series, folder / "trajectories.png"),
+            draw_timing(setup, log, folder / "timing.png"),
+        ]
+    return [path for path in drawn if path is not None]
+
+
+def draw_performance(setup: Setup, series: Series, path: Path) -> Path:
+    """Position errors of UAVs and payload, payload attitude and cost over time; at least one tick."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(WIDTH_IN, 7.0), layout="constrained")
+    panels = list(figure.subplots(4, 1, sharex=True))
+    plot_performance(setup, series, panels)
+    for panel, label in zip(panels, PERFORMANCE, strict=True):
+        panel.set_ylabel(label)
+    panels[3].set_xlabel("time (s)")
+    for panel in panels[:3]:
+        panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
+    figure.align_ylabels(panels)
+    return save_both(figure, path)
+
+
+def plot_performance(setup: Setup, series: Series, panels: "list[Axes]") -> None:
+    """Plot what `PERFORMANCE` names, one below the other, without labels."""
+    t, period_s = series.times_s, setup.settings.sampling_period_s
+    shade_phases(setup, panels, float(t[-1]) + period_s)
+
+    errors_m = np.linalg.norm(series.uav_errors_I, axis=2)
+    N = setup.system.N
+    for i in range(N):
+        panels[0].plot(t, errors_m[:, i], label=f"UAV{i + 1}", linewidth=line_width(i, N, 2.6), **uav_style(i))
+    panels[0].set_ylim(0.0, max(panels[0].get_ylim()[1], _SMALLEST_M))
+    for values, panel, names, smallest in (
+        (series.payload_error_I, panels[1], ("x", "y", "z (down)"), _SMALLEST_M),
+        (series.attitude_deg, panels[2], ("roll", "pitch", "yaw"), _SMALLEST_DEG),
+    ):
+        for column, (name, colour) in enumerate(zip(names, COMPONENTS, strict=True)):
+            panel.plot(t, values[:, column], color=colour, label=name, linewidth=line_width(column, 3, 1.8))
+        low, high = panel.get_ylim()
+        panel.set_ylim(min(low, -smallest), max(high, smallest))
+
+    panels[3].plot(t, np.where(series.cost > 0.0, series.cost, np.nan), color="#000000")
+    top = float(series.cost.max())
+    if top > 0.0:
+        panels[3].set_yscale("log")
+        panels[3].set_ylim(top * 10.0**-_COST_DECADES, top * 2.0)

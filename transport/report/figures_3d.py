@@ -1,0 +1,100 @@
+"""The flight in space: paths of UAVs and payload, with the whole formation drawn at a few instants."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from model.arrays import Array
+from model.rotations import rotation
+from model.state import StateView
+from protocol.scenario.setup import Setup
+from transport.analysis.series import Series
+from transport.report.style import PAYLOAD, REFERENCE, WIDTH_IN, save_both, uav_style
+
+# Formations closer than this to one already drawn would only blot it.
+_APART_M = 0.5
+# Shortest axis of the box as a share of the longest.
+_SLIMMEST = 0.3
+_UP = np.array([1.0, 1.0, -1.0])  # z points down in the data and up on paper
+
+
+def draw_trajectories(setup: Setup, series: Series, path: Path) -> Path:
+    """Paths in space, altitude upwards, with rods and payload at the ends of the phases; at least one tick."""
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+
+    figure = Figure(figsize=(WIDTH_IN, 5.6))
+    axes: Any = figure.add_axes((0.0, 0.03, 1.0, 1.0), projection="3d")
+    payload_I = StateView(series.x).r0_I
+    line(axes, series.payload_reference_I, color=REFERENCE, linewidth=1.0, linestyle="--")
+    for i in range(setup.system.N):
+        line(axes, series.uav_references_I[:, i], color=REFERENCE, linewidth=0.6, linestyle="--")
+        line(axes, series.uavs_I[:, i], linewidth=1.3, **uav_style(i))
+    line(axes, payload_I, color=PAYLOAD, linewidth=1.3)
+    for k in _instants(setup, series):
+        _formation(axes, setup, series, k)
+    frame(axes, np.concatenate([series.uavs_I.reshape(-1, 3), payload_I]) * _UP)
+    handles = [Line2D([], [], label=f"UAV{i + 1}", **uav_style(i)) for i in range(setup.system.N)]
+    handles.append(Line2D([], [], color=PAYLOAD, label="payload"))
+    handles.append(Line2D([], [], color=REFERENCE, linestyle="--", label="reference"))
+    # Cropped to what is drawn: how much room a formation takes depends on its maneuver.
+    axes.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, 0.98), ncols=min(len(handles), 3))
+    return save_both(figure, path, cropped=True)
+
+
+def _instants(setup: Setup, series: Series) -> list[int]:
+    """Rows at the ends of the phases flown, where the reference is somewhere new, and where the record ends early."""
+    period_s, last = setup.settings.sampling_period_s, len(series.ticks) - 1
+    ends = np.cumsum([0.0, *(phase.duration_s for phase in setup.maneuver.phases)])
+    reached = ends[ends <= series.times_s[last] + 1.5 * period_s]
+    reference_I = series.payload_reference_I
+    chosen: list[int] = []
+    for row in (int(np.argmin(np.abs(series.times_s - end))) for end in reached):
+        if all(np.linalg.norm(reference_I[row] - reference_I[other]) > _APART_M for other in chosen):
+            chosen.append(row)
+    return chosen if len(reached) == len(ends) or last in chosen else [*chosen, last]
+
+
+def _formation(axes: Any, setup: Setup, series: Series, k: int) -> None:
+    view = StateView(series.x[k])
+    R_IP = rotation(view.Theta0)
+    corners = np.array([view.r0_I + R_IP @ uav.rho for uav in setup.system.uavs])
+    for i, corner in enumerate(corners):
+        line(axes, np.array([series.uavs_I[k, i], corner]), color="#555555", linewidth=0.8)
+        axes.plot(*(series.uavs_I[k, i] * _UP), marker="o", markersize=4.0, color=uav_style(i)["color"])
+    outline = np.vstack([corners, corners[:1]])
+    line(axes, outline, color=PAYLOAD, linewidth=2.0)
+    axes.plot(*(view.r0_I * _UP), marker="s", markersize=4.0, color=PAYLOAD)
+
+
+def frame(axes: Any, points: Array, *, zoom: float = 0.95) -> None:
+    """Equal scales on all axes, around the points with a margin."""
+    from matplotlib.ticker import MaxNLocator, MultipleLocator
+
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = 0.05 * float((high - low).max()) + 0.1
+    low, high = low - margin, high + margin
+    # A formation that only climbs would stand in a chimney with no room for the labels.
+    widen = np.maximum(0.0, _SLIMMEST * float((high - low).max()) - (high - low)) / 2.0
+    low, high = low - widen, high + widen
+    axes.set_xlim(low[0], high[0])
+    # With z pointing down, x to the right leaves y pointing at the reader: anything else would be a mirror image.
+    axes.set_ylim(high[1], low[1])
+    axes.set_zlim(low[2], high[2])
+    axes.set_box_aspect(high - low, zoom=zoom)
+    # One spacing of ticks, half of it on axes too short for that: equal scales can be seen.
+    ticks = MaxNLocator(nbins=8, steps=[1, 2, 5, 10]).tick_values(0.0, float((high - low).max()))
+    spacing = float(ticks[1] - ticks[0])
+    for axis, length in zip((axes.xaxis, axes.yaxis, axes.zaxis), high - low, strict=True):
+        axis.set_major_locator(MultipleLocator(spacing if length > 2.0 * spacing else spacing / 2.0))
+    axes.set_xlabel("x (m)")
+    axes.set_ylabel("y (m)")
+    axes.set_zlabel("altitude, -z (m)", labelpad=10.0)
+    axes.view_init(elev=18.0, azim=-60.0)
+
+
+def line(axes: Any, points_I: Array, **style: Any) -> list[Any]:
+    """Draw a path, (k, 3), inertial frame, m; returns what was drawn."""
+    drawn: list[Any] = axes.plot(*(points_I * _UP).T, **style)
+    return drawn

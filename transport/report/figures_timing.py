@@ -1,0 +1,88 @@
+"""Where the wall-clock time of a run went: agents' steps tick by tick, stages, network."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import STAGES, StepReport
+from transport.analysis.metrics import network_ms
+from transport.log.run_log import RunLog
+from transport.report.style import WIDTH_IN, save_both, shade_phases, uav_style
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_NETWORK = "#8c8c8c"
+
+# Ticks are drawn as dots: lines between them would hide the other agents' behind every outlier.
+_DOTS: dict[str, Any] = {
+    "linestyle": "none",
+    "marker": ".",
+    "markersize": 2.5,
+    "markeredgewidth": 0.0,
+    "color": _NETWORK,
+}
+
+
+def draw_timing(setup: Setup, log: RunLog, path: Path) -> Path | None:
+    """Step time of each agent and network time per tick above, medians by stage below; None without any step."""
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    reports = list(log.of(StepReport))
+    if not reports:
+        return None
+    figure = Figure(figsize=(WIDTH_IN, 4.6), layout="constrained")
+    over_time, by_agent = figure.subplots(2, 1, height_ratios=(1.5, 1.0))
+    network = network_ms(setup, log)
+    _over_time(setup, over_time, reports, network)
+
+    steps = {agent: [r.times_ms for r in reports if r.agent == agent] for agent in setup.agents}
+    medians = {agent: np.median(np.array(times), axis=0) for agent, times in steps.items() if times}
+    names = [f"agent {agent}" for agent in medians]
+    left = np.zeros(len(names))
+    stages = STAGES[STAGES.index("estimate") : -1]  # waiting is no work
+    for stage, colour in zip(stages, mpl.colormaps["cividis"](np.linspace(0.1, 0.95, len(stages))), strict=True):
+        widths = np.array([median[STAGES.index(stage)] for median in medians.values()])
+        by_agent.barh(names, widths, left=left, color=colour, label=stage, height=0.7)
+        left += widths
+    if network:
+        by_agent.barh(["network"], [float(np.median(list(network.values())))], color=_NETWORK, height=0.7)
+    by_agent.invert_yaxis()
+    by_agent.grid(visible=False, axis="y")
+    by_agent.set_xlabel("median time per tick (ms)")
+    by_agent.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
+    return save_both(figure, path)
+
+
+def _over_time(setup: Setup, axes: "Axes", reports: list[StepReport], network: dict[int, float]) -> None:
+    from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
+
+    period_s = setup.settings.sampling_period_s
+    shade_phases(setup, [axes], (max(report.tick for report in reports) + 1) * period_s)
+    if network:
+        ticks = sorted(network)
+        axes.plot(
+            [tick * period_s for tick in ticks],
+            [network[tick] for tick in ticks],
+            label="network",
+            **_DOTS,
+        )
+    for agent, owned in zip(setup.agents, setup.owned, strict=True):
+        own = [report for report in reports if report.agent == agent]
+        axes.plot(
+            [report.tick * period_s for report in own],
+            [float(report.times_ms[-1]) for report in own],
+            label=f"agent {agent}",
+            **_DOTS | {"color": uav_style(owned[0])["color"]},
+        )
+    axes.axhline(1e3 * period_s, color="#000000", linestyle="--", linewidth=1.0, label="sampling\nperiod")
+    axes.set_yscale("log")
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_minor_locator(NullLocator())
+    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.set_xlabel("time (s)")
+    axes.set_ylabel("time per tick (ms)")
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2, markerscale=4.0)

@@ -1,0 +1,293 @@
+"""A copy of a log that Foxglove shows in space: its own channels, and beside them transforms, a scene and numbers.
+
+Written afterwards, not while recording: nothing of this costs a run any time. Names and fields of the messages are
+those of Foxglove's well-known schemas (https://docs.foxglove.dev/docs/visualization/message-schemas/introduction).
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import orjson
+from mcap.writer import CompressionType, Writer
+
+from model.arrays import Array
+from protocol.wire.messages import KINDS
+from transport.log.json_messages import json_schema
+from transport.log.run_log import DERIVED
+from transport.log.salvage import Salvage
+from transport.report.foxglove_schemas import NUMBERS, SCHEMAS
+from transport.scene.geometry import (
+    ARM,
+    BODY,
+    ROTOR,
+    Colour,
+    agent_places,
+    link_segments,
+    payload_mesh,
+    quaternion,
+    rotor_centres,
+    segments,
+    span_m,
+    uav_colour,
+)
+from transport.scene.scene import Scene, Scenes
+
+# Foxglove draws z upwards; below its root there is the inertial frame, z down, turned about x.
+ROOT, INERTIAL, PAYLOAD = "map", "inertial", "payload"
+_UPSIDE_DOWN = {"x": 1.0, "y": 0.0, "z": 0.0, "w": 0.0}
+_GREY, _DARK = (140, 140, 140), (60, 60, 60)
+# Thickness of lines, m, and length of a thrust arrow at hover, m.
+_LINE_M, _ARROW_M = 0.02, 0.6
+_LINE_LIST = 2
+
+# What the copy has more than the log, each with its schema.
+CHANNELS: Mapping[str, str] = {
+    "/tf": "foxglove.FrameTransforms",
+    "/scene/bodies": "foxglove.SceneUpdate",
+    "/scene/reference": "foxglove.SceneUpdate",
+    "/scene/now": "foxglove.SceneUpdate",
+    "/numbers": NUMBERS,
+}
+
+Json = dict[str, Any]
+
+
+def write_foxglove(scenes: Scenes, log: Path, out: Path) -> int:
+    """Write the copy.
+
+    Args:
+        scenes: Of the run, its whole record read.
+        log: The run's log, whole or not.
+        out: File to write; replaced if it is there.
+    Returns: How many ticks have a scene.
+    Raises: OSError: it cannot be written.
+    """
+    with log.open("rb") as whole:
+        found = Salvage(whole)
+        entries = list(found.entries())
+    partial = out.with_name(out.name + ".partial")
+    with partial.open("wb") as file:
+        copy = _Copy(Writer(file, compression=CompressionType.ZSTD))
+        for name, values in {**found.metadata, DERIVED: dict(CHANNELS)}.items():
+            copy.writer.add_metadata(name, values)
+        for topic, entry in entries:
+            kind = topic.lstrip("/").split("/", 1)[0]
+            if kind in KINDS:
+                channel = copy.channel(topic, f"transport.{KINDS[kind].__name__}", json_schema(kind))
+                copy.writer.add_message(
+                    channel, entry.log_time, entry.data, publish_time=entry.publish_time, sequence=entry.sequence
+                )
+        ticks = sorted(scenes.record.truths)
+        period_ns = scenes.setup.period_ns
+        for number, tick in enumerate(ticks):
+            scene, at_ns = scenes.at(tick), tick * period_ns
+            if number == 0:
+                copy.put("/scene/bodies", at_ns, _update(_bodies(scenes, at_ns)))
+                copy.put("/scene/reference", at_ns, _update(_reference(scenes, at_ns)))
+            copy.put("/tf", at_ns, {"transforms": list(_transforms(scene, at_ns))})
+            copy.put("/scene/now", at_ns, _update(_now(scenes, scene, at_ns)))
+            copy.put("/numbers", at_ns, _numbers(scene))
+        copy.writer.finish()  # type: ignore[no-untyped-call]
+    partial.replace(out)
+    return len(ticks)
+
+
+class _Copy:
+    """An MCAP file that is being written, with its channels."""
+
+    def __init__(self, writer: Writer) -> None:
+        self.writer = writer
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
+        writer.start(library="payload-transport")
+
+    def channel(self, topic: str, name: str, schema: Mapping[str, Any]) -> int:
+        """The channel of a topic."""
+        if topic not in self._channels:
+            if name not in self._schemas:
+                self._schemas[name] = self.writer.register_schema(name, "jsonschema", orjson.dumps(schema))
+            self._channels[topic] = self.writer.register_channel(topic, "json", self._schemas[name])
+        return self._channels[topic]
+
+    def put(self, topic: str, at_ns: int, content: Json) -> None:
+        """Write a message of one of `CHANNELS`."""
+        name = CHANNELS[topic]
+        data = orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY)
+        self.writer.add_message(self.channel(topic, name, SCHEMAS[name]), at_ns, data, publish_time=at_ns)
+
+
+def _transforms(scene: Scene, at_ns: int) -> Iterator[Json]:
+    time = _time(at_ns)
+    yield _transform(time, ROOT, INERTIAL, np.zeros(3), _UPSIDE_DOWN)
+    yield _transform(time, INERTIAL, PAYLOAD, scene.payload_I, _rotation(scene.R_payload))
+    for i, (place, R) in enumerate(zip(scene.uavs_I, scene.R_uavs, strict=True)):
+        yield _transform(time, INERTIAL, _frame(i), place, _rotation(R))
+
+
+def _transform(time: Json, parent: str, child: str, translation: Array, rotation: Json) -> Json:
+    return {
+        "timestamp": time,
+        "parent_frame_id": parent,
+        "child_frame_id": child,
+        "translation": _vector(translation),
+        "rotation": rotation,
+    }
+
+
+def _bodies(scenes: Scenes, at_ns: int) -> Iterator[Json]:
+    """Payload and UAVs, each in a frame of its own: said once, moved by the transforms."""
+    system = scenes.setup.system
+    vertices, faces = payload_mesh(system)
+    mesh = {
+        "pose": _pose(np.zeros(3)),
+        "points": [_vector(point) for point in vertices],
+        "color": _colour(_DARK),
+        "colors": [],
+        "indices": faces.reshape(-1).tolist(),
+    }
+    yield _entity("payload", PAYLOAD, at_ns, locked=True, triangles=[mesh])
+    start = scenes.setup.reference.outputs(np.zeros(1))[0, : 3 * system.N].reshape(system.N, 3)
+    span = span_m(start)
+    for i in range(system.N):
+        parts = [(2.0 * BODY, BODY, np.zeros(3), uav_colour(i))]
+        parts += [(ROTOR, 0.02, c, _DARK if c[0] > 0.0 else uav_colour(i)) for c in rotor_centres()]
+        cylinders = [
+            {
+                "pose": _pose(span * centre),
+                "size": _vector(span * np.array([2.0 * radius, 2.0 * radius, height])),
+                "bottom_scale": 1.0,
+                "top_scale": 1.0,
+                "color": _colour(colour),
+            }
+            for radius, height, centre, colour in parts
+        ]
+        beams = [_line([span * c, -span * c * [1, 1, -1]], _DARK, span * 0.04) for c in rotor_centres()[:2]]
+        name = {
+            "pose": _pose(np.array([0.0, 0.0, -span * (ARM + 0.2)])),
+            "billboard": True,
+            "font_size": 14.0,
+            "scale_invariant": True,
+            "color": _colour((0, 0, 0)),
+            "text": f"UAV{i + 1}",
+        }
+        yield _entity(f"uav{i + 1}", _frame(i), at_ns, locked=True, cylinders=cylinders, lines=beams, texts=[name])
+
+
+def _reference(scenes: Scenes, at_ns: int) -> Iterator[Json]:
+    setup = scenes.setup
+    times_s = np.linspace(0.0, setup.ticks * setup.settings.sampling_period_s, 240)
+    path = setup.maneuver.path(times_s)[0]
+    yield _entity("reference", INERTIAL, at_ns, lines=[_line(segments(path)[::2].reshape(-1, 3), _GREY)])
+
+
+def _now(scenes: Scenes, scene: Scene, at_ns: int) -> Iterator[Json]:
+    """What is different at every tick: rods, thrust, predicted paths, links."""
+    setup = scenes.setup
+    rods = np.stack([scene.uavs_I, scene.attachments_I], axis=1).reshape(-1, 3)
+    yield _entity("rods", INERTIAL, at_ns, lines=[_line(rods, _GREY)])
+    hover = float(np.mean(setup.hover.u[::4]))
+    arrows = [
+        _arrow(*row, hover, uav_colour(i)) for i, row in enumerate(zip(scene.uavs_I, scene.thrusts_I, strict=True))
+    ]
+    yield _entity("thrust", INERTIAL, at_ns, arrows=arrows)
+    for expected in scene.expectations:
+        own = setup.owned[expected.agent - 1]
+        paths = [(expected.payload_I, own[0]), *((expected.uavs_I[:, k], uav) for k, uav in enumerate(own))]
+        lines = [_line(segments(path).reshape(-1, 3), uav_colour(uav)) for path, uav in paths]
+        yield _entity(f"expected by agent {expected.agent}", INERTIAL, at_ns, lines=lines)
+    pieces, colours = link_segments(scene.links, agent_places(scene, setup.owned))
+    line = _line(pieces.reshape(-1, 3), _GREY)
+    line["colors"] = [_colour(colour) for colour in np.repeat(colours, 2, axis=0).tolist()]
+    yield _entity("links", INERTIAL, at_ns, lines=[line])
+
+
+def _numbers(scene: Scene) -> Json:
+    roll, pitch, yaw = scene.attitude_deg.tolist()
+    return {
+        "cost": scene.cost,
+        "attitude_deg": {"roll": roll, "pitch": pitch, "yaw": yaw},
+        "payload_error_m": scene.error_m,
+        "phase": scene.phase,
+        "step_ms": [None if a.report is None else float(a.report.times_ms[-1]) for a in scene.agents],
+        "oldest_plan_s": max((link.age_s for link in scene.links if link.age_s is not None), default=None),
+    }
+
+
+def _update(entities: Iterator[Json]) -> Json:
+    return {"deletions": [], "entities": list(entities)}
+
+
+def _entity(name: str, frame: str, at_ns: int, *, locked: bool = False, **primitives: Sequence[Json]) -> Json:
+    kinds = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
+    return {
+        "timestamp": _time(at_ns),
+        "frame_id": frame,
+        "id": name,
+        "lifetime": _time(0),
+        "frame_locked": locked,
+        "metadata": [],
+        **{kind: list(primitives.get(kind, [])) for kind in kinds},
+    }
+
+
+def _line(points: Any, colour: Colour, thickness_m: float = _LINE_M) -> Json:
+    """Segments from pairs of points, (2 k, 3)."""
+    return {
+        "type": _LINE_LIST,
+        "pose": _pose(np.zeros(3)),
+        "thickness": thickness_m,
+        "scale_invariant": False,
+        "points": [_vector(point) for point in points],
+        "color": _colour(colour),
+        "colors": [],
+        "indices": [],
+    }
+
+
+def _arrow(tail: Array, force: Array, hover: float, colour: Colour) -> Json:
+    """An arrow along a force, which lies along x in a frame of its own."""
+    size = float(np.linalg.norm(force))
+    along = force / size if size > 0.0 else np.array([1.0, 0.0, 0.0])
+    aside = np.cross(along, [1.0, 0.0, 0.0] if abs(along[0]) < 0.9 else [0.0, 1.0, 0.0])
+    aside /= np.linalg.norm(aside)
+    length = _ARROW_M * size / hover
+    return {
+        "pose": {
+            "position": _vector(tail),
+            "orientation": _rotation(np.column_stack([along, aside, np.cross(along, aside)])),
+        },
+        "shaft_length": 0.8 * length,
+        "shaft_diameter": 0.04,
+        "head_length": 0.2 * length,
+        "head_diameter": 0.09,
+        "color": _colour(colour),
+    }
+
+
+def _frame(i: int) -> str:
+    return f"uav{i + 1}"
+
+
+def _pose(position: Array) -> Json:
+    return {"position": _vector(position), "orientation": _rotation(np.eye(3))}
+
+
+def _rotation(R: Array) -> Json:
+    w, x, y, z = quaternion(R).tolist()
+    return {"x": x, "y": y, "z": z, "w": w}
+
+
+def _vector(value: Any) -> Json:
+    x, y, z = (float(component) for component in value)
+    return {"x": x, "y": y, "z": z}
+
+
+def _colour(colour: Sequence[int]) -> Json:
+    r, g, b = (channel / 255.0 for channel in colour)
+    return {"r": r, "g": g, "b": b, "a": 1.0}
+
+
+def _time(at_ns: int) -> Json:
+    return {"sec": at_ns // 10**9, "nsec": at_ns % 10**9}

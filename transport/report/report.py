@@ -1,0 +1,198 @@
+"""The report of a run folder: summary.json, steps.csv and figures from its log, and the table people read."""
+
+import csv
+import io
+import os
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import orjson
+from rich.table import Table
+from rich.text import Text
+
+from protocol.scenario.setup import Setup
+from transport.analysis.counted import counted
+from transport.analysis.metrics import summarise
+from transport.analysis.steps import steps_columns, steps_rows
+from transport.analysis.swing import SWING_S
+from transport.log.run_folder import open_run
+from transport.log.run_log import RunLog
+
+# Below this share of a constraint's range a violation is the solver's tolerance, nothing to tell people.
+HELD = 1e-6
+
+# More would push the rest of the table off the screen.
+_SHOWN_FAULTS = 8
+
+_COLOURS = {"completed": "green", "diverged": "red", "aborted": "red", "unknown": "yellow"}
+
+
+def write_report(folder: Path, *, figures: bool = True, setup: Setup | None = None) -> dict[str, Any]:
+    """Write summary.json, steps.csv and the figures of a recorded run, anew if they are there.
+
+    Args:
+        folder: Run folder with run.mcap and scenario.toml.
+        figures: Whether to draw; it takes most of the time.
+        setup: The run, where it is known; otherwise the folder says.
+    Returns: The summary.
+    Raises: LogError: there is no log, or it is none; ScenarioError: the folder's scenario cannot be read.
+    """
+    run = open_run(folder, horizons=False, setup=setup)
+    setup, log = run.setup, counted(run.setup, run.log)
+    summary = summarise(setup, log)
+    write_whole(folder / "summary.json", orjson.dumps(summary, option=orjson.OPT_INDENT_2) + b"\n")
+    with _whole(folder / "steps.csv") as file:
+        _write_steps(file, setup, log)
+    if figures:
+        from transport.report.figures import draw  # matplotlib takes its time
+
+        for old in [file for kind in ("png", "svg") for file in (folder / "figures").glob(f"*.{kind}")]:
+            old.unlink()  # never an older run's picture beside this run's numbers
+        draw(setup, log, folder / "figures")
+    return summary
+
+
+def summary_table(summary: Mapping[str, Any]) -> Table:
+    """What a person reads at the end of a run.
+
+    Args:
+        summary: As `write_report` returns it.
+    """
+    table = Table(box=None, show_header=False, title=_title(summary), title_justify="left")
+    table.add_column(style="cyan", no_wrap=True)
+    table.add_column()
+    for name, text in _lines(summary):
+        table.add_row(name, Text(text))
+    return table
+
+
+def _title(summary: Mapping[str, Any]) -> Text:
+    outcome = summary["outcome"]
+    reason = f": {summary['reason']}" if summary["reason"] else ""
+    return Text.assemble((summary["scenario"], "bold"), " ", (f"{outcome}{reason}", f"bold {_COLOURS[outcome]}"))
+
+
+def _lines(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+    cost, controller, solver = (summary[part] for part in ("cost", "controller", "solver"))
+    uavs, payload = summary["uav_tracking"], summary["payload_tracking"]
+    lines = [
+        (
+            "flown",
+            f"{summary['sim_time_s']:.2f} s in {_text(summary['wall_time_s'], '.2f')} s of wall time "
+            f"({_text(summary['real_time_factor'], '.2f')} x real time)",
+        ),
+        (
+            "controller",
+            f"{controller['agents']} agent{'s' * (controller['agents'] != 1)}, every "
+            f"{1e3 * controller['sampling_period_s']:g} ms over {controller['horizon']} steps, "
+            f"{controller['prediction'].replace('_', ' ')}, relaxation {controller['relaxation']:g}",
+        ),
+        ("cost", f"mean {_text(cost['mean'], '.3g')}, max {_text(cost['max'], '.3g')}"),
+        ("payload attitude", _text(summary["attitude_max_deg"], ".2f", "max {} deg")),
+        ("UAV error", _error(uavs)),
+        ("payload error", _error(payload)),
+        ("payload swing", _swing(payload)),
+        ("separation", _text(summary["separation_min_m"], ".3f", "min {} m")),
+        ("limits", _constraints(summary["constraint_violation_max"])),
+        ("agent step", _milliseconds(summary["agent_step_ms"])),
+        ("network", _milliseconds(summary["network_ms"])),
+        *([("deadlines", _deadlines(summary["deadline"]))] if summary["deadline"]["plans"] else []),
+        ("plans", _plans(summary["messages"], summary["plan_age_ticks"])),
+        ("solver", f"{solver['fallbacks']} fallbacks, {solver['failures']} failures"),
+    ]
+    if summary["rejections"]:
+        lines.append(("rejected", _rejected(summary["messages"]["rejected"], summary["rejections"])))
+    # The last fault of a run that failed is already its reason, in the title.
+    faults = [fault for fault in summary["faults"] if fault["what"] != summary["reason"]]
+    for i, fault in enumerate(faults[:_SHOWN_FAULTS]):
+        lines.append(("faults" if i == 0 else "", f"{fault['time_s']:6.2f} s  {fault['what']}"))
+    if len(faults) > _SHOWN_FAULTS:
+        lines.append(("", f"and {len(faults) - _SHOWN_FAULTS} more in summary.json"))
+    if summary["log_cut"]:
+        lines.append(("log", summary["log_cut"]))
+    return lines
+
+
+def _error(tracking: Mapping[str, Any]) -> str:
+    return f"rms {_text(tracking['rms_m'], '.3f')} m, max {_text(tracking['max_m'], '.3f')} m"
+
+
+def _swing(payload: Mapping[str, Any]) -> str:
+    text = _text(payload["swing_m"], ".3f", f"max {{}} m in the last {SWING_S:g} s")
+    return text if payload["decays"] is None else f"{text}, {'decays' if payload['decays'] else 'does not decay'}"
+
+
+def _constraints(violation: float | None) -> str:
+    if violation is None:
+        return "-"
+    return "held" if violation < HELD else f"exceeded by {100.0 * violation:.2g} % of their range"
+
+
+def _plans(messages: Mapping[str, Any], ages: Mapping[str, Any]) -> str:
+    if ages["mean"] is None and not messages["sent"]:
+        return "-"
+    shared, planned = messages["shared"], messages["planned"]
+    unsent = f"{shared} of {planned} sent to the other agents ({shared / planned:.1%}); " if shared < planned else ""
+    return (
+        f"{unsent}{messages['lost']} of {messages['sent']} lost, {messages['late']} late; "
+        f"age {_text(ages['mean'], '.2f')} ticks, max {_text(ages['max'], 'd')}"
+    )
+
+
+def _rejected(total: int, rejections: Sequence[Mapping[str, Any]]) -> str:
+    """The total, and who was refused most."""
+    counts: Counter[str] = Counter()
+    for entry in rejections:
+        counts[entry["sender"]] += entry["count"]
+    sender, most = counts.most_common(1)[0]
+    worst = next(entry for entry in rejections if entry["sender"] == sender)
+    return f"{total} messages, {most} of {sender} ({worst['reason'].replace('_', ' ')})"
+
+
+def _deadlines(deadline: Mapping[str, Any]) -> str:
+    share = _text(deadline["share"], ".2%", "{} missed")
+    worst = ""
+    if deadline["missed"]:
+        worst_ms = deadline["worst_ms"]
+        worst = ", none of which ever came" if worst_ms is None else f", worst that came {worst_ms:.1f} ms late"
+    return (
+        f"{deadline['missed']} of {deadline['plans']} plans late ({share}){worst}; ticks opened late: "
+        + _milliseconds(deadline["tick_late_ms"])
+    )
+
+
+def _milliseconds(spread: Mapping[str, Any]) -> str:
+    if spread["p50"] is None:
+        return "-"
+    return f"median {spread['p50']:.2f} ms, p99 {spread['p99']:.2f} ms, max {spread['max']:.1f} ms"
+
+
+def _text(value: float | None, form: str, sentence: str = "{}") -> str:
+    """A number in a sentence, or a dash for one that is not known."""
+    return "-" if value is None else sentence.format(format(value, form))
+
+
+def _write_steps(file: BinaryIO, setup: Setup, log: RunLog) -> None:
+    with io.TextIOWrapper(file, encoding="utf-8", newline="") as text:
+        # Floats are written by repr: they read back as the same bits.
+        writer = csv.DictWriter(text, steps_columns(setup), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(steps_rows(setup, log))
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file as a whole or not at all: readers never see half of it."""
+    with _whole(path) as file:
+        file.write(content)
+
+
+@contextmanager
+def _whole(path: Path) -> Iterator[BinaryIO]:
+    """A file to write that takes its name when all of it is there."""
+    partial = path.with_name(path.name + ".partial")
+    with partial.open("wb") as file:
+        yield file
+    os.replace(partial, path)

@@ -1,0 +1,123 @@
+"""What the figures share: size, fonts, colours that colour-blind readers tell apart, and the maneuver's phases."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from protocol.scenario.setup import Setup
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
+    from matplotlib.figure import Figure
+
+# Read at the width of a paper's column, so little space and no small print.
+WIDTH_IN = 5.2
+DPI = 150
+
+RC: Any = {  # its type differs between versions of matplotlib
+    "font.size": 9.0,
+    "axes.labelsize": 9.0,
+    "axes.titlesize": 9.0,
+    "xtick.labelsize": 8.0,
+    "ytick.labelsize": 8.0,
+    "legend.fontsize": 8.0,
+    "legend.frameon": False,
+    "legend.handlelength": 1.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#d9d9d9",
+    "grid.linewidth": 0.5,
+    "lines.linewidth": 1.2,
+    "figure.dpi": DPI,
+    "savefig.dpi": DPI,
+    "svg.hashsalt": "transport",  # names inside an SVG are else different every time
+}
+
+# Okabe and Ito (2008). A UAV has the same colour in every figure; beyond five, the line style tells the turn.
+UAV_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#7F5F00")
+_TURNS = ("-", "--", ":", "-.")
+# Components (x, y, z; roll, pitch, yaw), in colours no UAV has.
+COMPONENTS = ("#000000", "#E69F00", "#56B4E9")
+PAYLOAD = "#000000"
+REFERENCE = "#8c8c8c"
+_BAND = "#f1f1f1"
+
+_THINNEST = 1.0
+
+# Narrower phases than this share of the axis carry no name.
+_NARROW = 0.08
+
+
+def uav_style(i: int) -> dict[str, Any]:
+    """Line colour and style of UAV i (0-based)."""
+    return {"color": UAV_COLOURS[i % len(UAV_COLOURS)], "linestyle": _TURNS[i // len(UAV_COLOURS) % len(_TURNS)]}
+
+
+def line_width(i: int, count: int, widest: float) -> float:
+    """Width of curve i of several in one panel, in points.
+
+    Curves often coincide: the first is drawn widest and the last thinnest, so that all stay visible.
+    """
+    return _THINNEST if count == 1 else widest - (widest - _THINNEST) * i / (count - 1)
+
+
+def shade_phases(setup: Setup, panels: list["Axes"], until_s: float, *, named: bool = True) -> None:
+    """Shade every other phase of the maneuver in stacked panels and name them above the first.
+
+    Args:
+        setup: The run.
+        panels: Axes over time in s, from top to bottom.
+        until_s: End of the time axis.
+        named: Whether to name them.
+    """
+    begin = 0.0
+    # In a narrow panel names side by side would touch: a letter is about 0.6 of its size wide.
+    points_per_s = 72.0 * panels[0].get_window_extent().width / panels[0].figure.dpi / until_s
+    wide = [phase for phase in setup.maneuver.phases if phase.duration_s > _NARROW * until_s]
+    fitting = (points_per_s * phase.duration_s / (0.62 * len(phase.name)) for phase in wide)
+    size = min([8.0, *fitting])
+    for number, phase in enumerate(setup.maneuver.phases):
+        end = min(begin + phase.duration_s, until_s)
+        if end <= begin:
+            break
+        if number % 2:
+            for axes in panels:
+                axes.axvspan(begin, end, color=_BAND, linewidth=0, zorder=0)
+        if named and end - begin > _NARROW * until_s:
+            panels[0].text(
+                (begin + end) / 2.0,
+                1.02,
+                phase.name,
+                transform=panels[0].get_xaxis_transform(),
+                ha="center",
+                va="bottom",
+                color="#555555",
+                fontsize=size,
+            )
+        begin += phase.duration_s
+    for axes in panels:
+        axes.set_xlim(0.0, until_s)
+
+
+def label_decades(axis: "Axis") -> None:
+    """Label a logarithmic axis that spans few decades with plain numbers, some within a decade too."""
+    from matplotlib.ticker import FormatStrFormatter, LogLocator, NullLocator
+
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FormatStrFormatter("%g"))
+    axis.set_minor_locator(NullLocator())
+
+
+def save(figure: "Figure", path: Path, *, cropped: bool = False) -> Path:
+    """Write a figure as PNG or SVG, without naming program and date, so that equal runs give equal files."""
+    unnamed = {"Date": None, "Creator": None} if path.suffix == ".svg" else {"Software": None}
+    figure.savefig(path, metadata=unnamed, bbox_inches="tight" if cropped else None, pad_inches=0.05)
+    return path
+
+
+def save_both(figure: "Figure", path: Path, *, cropped: bool = False) -> Path:
+    """Write a figure as PNG to look at, and beside it as SVG for a paper; returns the first."""
+    save(figure, path.with_suffix(".svg"), cropped=cropped)
+    return save(figure, path, cropped=cropped)
