@@ -6,8 +6,8 @@ from agent.node import AgentNode
 from protocol.network.parent import stand_by
 from protocol.network.process import Place, run_node
 from protocol.scenario.setup import Setup
+from protocol.wire.exit_codes import EXIT_UNREACHABLE
 from protocol.wire.messages import agent_name
-from protocol.wire.outbox import EXIT_LOST
 
 
 def run(setup: Setup, place: Place, agent: int) -> int:
@@ -23,6 +23,6 @@ def run(setup: Setup, place: Place, agent: int) -> int:
     node = AgentNode(setup, agent, place.incarnation, time.perf_counter_ns)
     node.warm_up()
     if not stand_by():
-        return EXIT_LOST
+        return EXIT_UNREACHABLE
     others = [agent_name(other) for other in setup.agents if other != agent]
     return run_node(node, place, setup, ["coordinator", "plant", *others])

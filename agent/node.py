@@ -23,14 +23,14 @@ from model.arrays import Array, ShapeError
 from model.discretisation import Discrete
 from model.failure import motor_off_state, released_state
 from model.state import input_indices
-from mpc.controller import Controller, Linear, Optimum
+from mpc.controller import Controller, Linear, StepResult
 from mpc.fail_safe import FailSafe
-from mpc.feedback import Regulator, TeamLaw
+from mpc.feedback import FeedbackLaw, Regulator
 from mpc.prediction import Prediction
 from mpc.regulation import CostToGo
 from protocol.admission.arrivals import Arrivals
 from protocol.admission.membership import Membership
-from protocol.admission.plausibility import Claims, check_moment, window
+from protocol.admission.plausibility import Plausibility, check_moment, window
 from protocol.scenario.links import LinkChanges
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import (
@@ -70,12 +70,12 @@ class _Step:
     start: int
     y_ref: Array
     U: Array
-    law: TeamLaw | None
+    law: FeedbackLaw | None
     end: CostToGo | None
     linear: Linear
     discrete: Discrete | None
     negotiation: int  # exchanges still to come
-    optimum: Optimum | None = None
+    optimum: StepResult | None = None
     times_ns: dict[str, int] = field(default_factory=lambda: dict.fromkeys(STAGES, 0))
 
 
@@ -108,7 +108,7 @@ class AgentNode:
         self._membership = Membership()
         self._gone: set[int] = set()  # agents the controller does not count on
         self.publish_ns = 0
-        self._claims, self._window = Claims(setup), window(setup)
+        self._plausibility, self._window = Plausibility(setup), window(setup)
         self.rejected = Rejections()
         self.finished: Control | None = None
         self._begin(incarnation)
@@ -154,12 +154,12 @@ class AgentNode:
         self._proposals: dict[tuple[int, int], dict[int, Plan]] = {}  # by tick and negotiation, and agent
         limits, uavs = setup.settings.limits, len(self._uavs)
         # What the last step expected of all: start, prediction, law, own inputs.
-        self._foreseen: tuple[int, Prediction, TeamLaw, Array] | None = None
+        self._foreseen: tuple[int, Prediction, FeedbackLaw, Array] | None = None
         self._law_at: dict[int, tuple[Array, Array | None, Regulator | None, Array | None]] = {}  # `_by_law`, by tick
         self._sharing = Sharing(setup.scenario.controller, limits.lower(uavs), limits.upper(uavs))
         self._last_tick = -1
         # Plans that came while it was not on the roster as it knows it: those of two ticks.
-        self._early: deque[Plan] = deque(maxlen=2 * len(self._peers) * setup.scenario.controller.rounds)
+        self._early: deque[Plan] = deque(maxlen=2 * len(self._peers) * setup.scenario.controller.negotiation_iterations)
         self._idle_since_ns = self._stopwatch()
 
     @property
@@ -195,7 +195,7 @@ class AgentNode:
     def _hear(self, message: Message, now_ns: int) -> None:
         """Take in a message that is for now; count any other."""
         try:
-            self._claims.check(message)
+            self._plausibility.check(message)
             match message:
                 case Control():
                     self._check_moment(message)
@@ -405,7 +405,7 @@ class AgentNode:
             end=end,
             linear=linear,
             discrete=discrete,
-            negotiation=self._setup.scenario.controller.rounds,
+            negotiation=self._setup.scenario.controller.negotiation_iterations,
         )
         step.times_ns["wait"] = watch[0] - self._idle_since_ns
         for stage, (begun, done) in zip(_BEFORE_ROUNDS, pairwise(watch), strict=True):
@@ -424,8 +424,8 @@ class AgentNode:
                 prediction = controller.predict(step.linear, step.discrete, step.U, step.law)
                 qp = controller.condense(step.linear, prediction, step.U, step.y_ref, step.law, step.end)
                 watch.append(self._stopwatch())
-                earlier = step.measurement.tick - self._membership.since.get(self._agent, 0)
-                optimum = controller.conclude(controller.solve(qp), prediction, step.U, step.law, earlier)
+                ticks_since_start = step.measurement.tick - self._membership.since.get(self._agent, 0)
+                optimum = controller.conclude(controller.solve(qp), prediction, step.U, step.law, ticks_since_start)
                 watch.append(self._stopwatch())
                 if step.law is not None:
                     self._foreseen = step.start, prediction, step.law, optimum.U
@@ -514,7 +514,7 @@ class AgentNode:
         planned: Array = self._x_ref[tick].copy()
         return planned
 
-    def _report(self, step: _Step, optimum: Optimum) -> StepReport:
+    def _report(self, step: _Step, optimum: StepResult) -> StepReport:
         k, solution = step.measurement.tick, optimum.solution
         newest = [self._announced.newest(agent, before=k) for agent in self._peers]
         worst = solution.residuals.worst

@@ -12,7 +12,7 @@ from pathlib import Path
 from benchmarks import aims, loop, parts, solvers, step, structured, watched
 from benchmarks.effort import FULL, QUICK, Effort
 from benchmarks.page import BenchmarkError, Table, check, write
-from protocol.network.process import EXIT_INTERRUPTED
+from protocol.wire.exit_codes import EXIT_INTERRUPTED
 from transport.flight.run import machine
 
 ROOT = Path(__file__).resolve().parent.parent

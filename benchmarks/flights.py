@@ -55,7 +55,7 @@ def messages(run: Setup) -> list[Message]:
     """
     sent: list[Message] = []
     with quiet():
-        control = memory.fly(run, sent.append, time.thread_time_ns)
+        control = memory.simulate(run, sent.append, time.thread_time_ns)
     if control.outcome != "completed":
         raise BenchmarkError(f"flight of {run.scenario.name}: expected to be completed, got {control.reason}")
     return sent

@@ -62,9 +62,9 @@ def _teams(effort: Effort, folder: Path, say: Callable[[str], None]) -> Table:
                 str(uavs),
                 digits(flown.tick_ms),
                 _spread(summary["agent_step_ms"]),
-                _spread(summary["network_ms"]),
+                _spread(summary["rest_of_tick_ms"]),
                 str(floor),
-                digits(float(summary["network_ms"]["p50"]) / floor.median),
+                digits(float(summary["rest_of_tick_ms"]["p50"]) / floor.median),
                 digits(float(summary["real_time_factor"])),
                 digits(float(summary["startup_s"])),
                 digits(max(memory_MB.values(), default=np.nan)),
@@ -84,7 +84,7 @@ def _maneuver(effort: Effort, folder: Path, say: Callable[[str], None]) -> Table
     flown = processes.recorded(run, folder / "maneuver")
     with quiet():
         start = time.perf_counter()
-        memory.fly(run)
+        memory.simulate(run)
         in_memory_s = time.perf_counter() - start
     rows = [
         (name, digits(wall_s), digits(1e3 * wall_s / run.ticks), digits(run.maneuver.duration_s / wall_s))
@@ -102,9 +102,9 @@ def _recording(effort: Effort, folder: Path, say: Callable[[str], None]) -> Tabl
     tick_ms: dict[str, list[float]] = {"with": [], "without": []}
     for turn in range(effort.recordings):
         say(f"with and without a recorder: {turn + 1} of {effort.recordings}")
-        for name, fly in (("with", processes.recorded), ("without", processes.unrecorded)):
+        for name, simulate in (("with", processes.recorded), ("without", processes.unrecorded)):
             at = folder / f"{name}-{turn}"
-            fly(run, at)
+            simulate(run, at)
             tick_ms[name].append(1e3 * processes.duration_s(at / "logs") / run.ticks)
     rows: list[tuple[str, ...]] = [
         (f"{name} a recorder", digits(float(np.median(ms))), digits(min(ms)), digits(max(ms)))

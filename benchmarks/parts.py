@@ -10,11 +10,11 @@ from benchmarks.flights import messages, setup
 from benchmarks.page import BenchmarkError, Table
 from benchmarks.timing import WARM_UP, Times, digits, in_turns
 from plant.node import PlantNode
-from protocol.admission.admission import Gate
+from protocol.admission.admission import Admission
 from protocol.scenario.setup import Setup
 from protocol.wire.codec import decode, encode
 from protocol.wire.keys import Keys
-from protocol.wire.messages import Message, Plan, Truth
+from protocol.wire.messages import Message, Plan, PlantState
 from protocol.wire.rejections import Rejections
 
 TEXT = (
@@ -45,9 +45,9 @@ def integration(run: Setup, sent: list[Message], repetitions: int) -> Times:
     plant, period_s = PlantNode(run), run.settings.sampling_period_s
     model, steps = plant.environment.model, plant.steps
     tasks = {
-        str(truth.tick): partial(model.integrate, truth.x, truth.u, period_s, steps)
-        for truth in sent
-        if isinstance(truth, Truth)
+        str(plant_state.tick): partial(model.integrate, plant_state.x, plant_state.u, period_s, steps)
+        for plant_state in sent
+        if isinstance(plant_state, PlantState)
     }
     return Times(np.concatenate([times.ms for times in in_turns(tasks, repetitions).values()]))
 
@@ -59,17 +59,19 @@ def coding(run: Setup, plans: list[Plan], repetitions: int) -> dict[str, Times]:
     turns = []
     for _ in range(repetitions):
         # Nothing gets in twice: a new gate each time round, through which plan after plan goes in its order.
-        gate = Gate("plant", keys, run, Rejections())
-        gate.announce(plans[0].sender, plans[0].incarnation)
-        turns.append(in_turns(_one_after_the_other(gate, key, plans, data), len(plans) - WARM_UP))
+        admission = Admission("plant", keys, run, Rejections())
+        admission.announce(plans[0].sender, plans[0].incarnation)
+        turns.append(in_turns(_one_after_the_other(admission, key, plans, data), len(plans) - WARM_UP))
     return {name: Times(np.concatenate([turn[name].ms for turn in turns])) for name in turns[0]}
 
 
-def _one_after_the_other(gate: Gate, key: str, plans: list[Plan], data: list[bytes]) -> dict[str, Callable[[], object]]:
+def _one_after_the_other(
+    admission: Admission, key: str, plans: list[Plan], data: list[bytes]
+) -> dict[str, Callable[[], object]]:
     encoded, decoded, let_in = iter(plans), iter(data), iter(data)
 
     def read() -> None:
-        if gate.read(key, next(let_in)) is None:
+        if admission.read(key, next(let_in)) is None:
             raise BenchmarkError("codec: expected the gate to let a plan in, got a refusal")
 
     return {

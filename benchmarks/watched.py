@@ -26,7 +26,7 @@ from benchmarks.page import BenchmarkError, Table
 from benchmarks.timing import digits
 from model.arrays import Array
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import Truth
+from protocol.wire.messages import PlantState
 from transport.flight.harness import free_ports
 from transport.log.run_log import RunLog, read_log
 from transport.viewer.viewer import ViewerError, require_viser
@@ -227,7 +227,7 @@ def paces(log: RunLog, changes_ns: Sequence[int], period_s: float) -> Array:
     Returns: (2 turns + 1,), 0 where the flight stood still; of parts that are whole, and none that is watched without
         one behind it that is not.
     """
-    at_ns = np.array(sorted(log.received_ns(Truth).values()))
+    at_ns = np.array(sorted(log.received_ns(PlantState).values()))
     found = []
     for begin_ns, end_ns in pairwise(changes_ns):
         if not len(at_ns) or end_ns > at_ns[-1]:

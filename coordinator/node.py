@@ -11,10 +11,11 @@ waiting  --everybody ready-->  running  --last tick answered and recorded-->  st
 import json
 from collections.abc import Sequence
 
-from protocol.admission.plausibility import Claims, check_moment
+from protocol.admission.plausibility import Plausibility, check_moment
 from protocol.scenario.faults import uav_faults, uav_name
 from protocol.scenario.links import LinkError, link_change
 from protocol.scenario.setup import Setup
+from protocol.wire.exit_codes import EXIT_DIVERGED, EXIT_INTERRUPTED, EXIT_OVERRUN, EXIT_UNREACHABLE
 from protocol.wire.messages import (
     Control,
     Event,
@@ -23,21 +24,20 @@ from protocol.wire.messages import (
     MessageError,
     Outcome,
     Plan,
+    PlantState,
     Presence,
     Request,
     Roster,
     Tick,
-    Truth,
     agent_name,
 )
-from protocol.wire.outbox import EXIT_LOST, Outbox
+from protocol.wire.outbox import Outbox
 from protocol.wire.rejections import Rejections
 
 # A process that wakes up so much later than it meant to was frozen, or had no processor to run on.
 _AWAY_NS = 200_000_000
 
 # Exit codes a run can end with (docs/command-line.md).
-EXIT_OVERRUN, EXIT_DIVERGED, EXIT_INTERRUPTED = 5, 6, 130
 
 
 class CoordinatorNode:
@@ -87,7 +87,7 @@ class CoordinatorNode:
         self._last_truth = -1
         self._truth_ns = 0  # when it came, or when the plant was asked for the next
         self._diverged = ""
-        self._claims = Claims(setup)
+        self._plausibility = Plausibility(setup)
         self.rejected = Rejections()
         self.finished: Control | None = None
 
@@ -139,24 +139,24 @@ class CoordinatorNode:
         if expired and self._diverged:
             return self._stop("diverged", self._diverged, EXIT_DIVERGED)
         if not self._waits and now_ns >= self._truth_ns + self._barrier_ns:
-            return self._stop("aborted", f"plant has not answered since tick {self._last_truth}", EXIT_LOST)
+            return self._stop("aborted", f"plant has not answered since tick {self._last_truth}", EXIT_UNREACHABLE)
         late = self._late(now_ns)
         if late:
             # Of those that negotiate, whoever is behind keeps the others waiting; they get as long again without it.
-            rounds = self._setup.scenario.controller.rounds
-            left = {agent: self._negotiating.get(agent, rounds) for agent in late}
+            negotiation_iterations = self._setup.scenario.controller.negotiation_iterations
+            left = {agent: self._negotiating.get(agent, negotiation_iterations) for agent in late}
             behind = {agent for agent in late if left[agent] == max(left.values())}
             if behind < late:
                 late, self._opened_ns = behind, now_ns
             if self._answered.isdisjoint(self._members) and len(late) > 1 and late == self._members:
                 # All at once: more likely the one they all depend on.
                 return self._stop(
-                    "aborted", f"no agent answered tick {self._tick} in time: is the plant alive?", EXIT_LOST
+                    "aborted", f"no agent answered tick {self._tick} in time: is the plant alive?", EXIT_UNREACHABLE
                 )
             names = ", ".join(agent_name(agent) for agent in sorted(late))
             return self._lose(sorted(late), f"{names} did not answer tick {self._tick} in time", now_ns)
         if expired and self._last_truth < self._tick and self._tick + 1 == self._ticks:
-            return self._stop("aborted", f"plant did not answer tick {self._tick} in time", EXIT_LOST)
+            return self._stop("aborted", f"plant did not answer tick {self._tick} in time", EXIT_UNREACHABLE)
         return self._advance(now_ns)
 
     def interrupt(self, reason: str) -> Sequence[Message]:
@@ -168,8 +168,8 @@ class CoordinatorNode:
 
         Raises: MessageError: it is not for now.
         """
-        self._claims.check(message)
-        if isinstance(message, Truth):
+        self._plausibility.check(message)
+        if isinstance(message, PlantState):
             check_moment(message, self._last_truth + 1, self._tick)
             self._last_truth, self._truth_ns = message.tick, now_ns
             if message.diverged:
@@ -209,7 +209,7 @@ class CoordinatorNode:
             return ()
         self._observers.discard(event.name)
         if event.name == "plant":
-            return self._stop("aborted", "plant is gone", EXIT_LOST)
+            return self._stop("aborted", "plant is gone", EXIT_UNREACHABLE)
         if agent in self._members:
             return self._lose([agent], f"{event.name} is gone", now_ns)
         return ()
@@ -265,10 +265,10 @@ class CoordinatorNode:
         """Take agents off the roster, and go on or end the run by policy."""
         when = f"{reason} at {self._time(max(self._tick, 0))}"
         if self._clock.on_agent_loss == "abort" or self._tick < 0:
-            return self._stop("aborted", when, EXIT_LOST)
+            return self._stop("aborted", when, EXIT_UNREACHABLE)
         self._members -= set(agents)
         if not self._members:
-            return self._stop("aborted", f"{when}; no agent is left", EXIT_LOST)
+            return self._stop("aborted", f"{when}; no agent is left", EXIT_UNREACHABLE)
         return [self._roster(when), *self._advance(now_ns)]
 
     def _answer(self, plan: Plan, now_ns: int) -> None:

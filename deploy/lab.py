@@ -25,12 +25,13 @@ from deploy.hosts import Host, Inventory, Posting, postings
 from deploy.keys import LOOPBACK, OTHERS, KeysError, make_certificates
 from deploy.render import RenderError, command, render
 from protocol.network.parent import ENVIRONMENT, python
-from protocol.network.process import EXIT_INTERRUPTED, process_names
+from protocol.network.process import process_names
 from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
 from protocol.scenario.setup import Setup
+from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_SCENARIO, EXIT_USAGE
 from protocol.wire.keys import RECORDER
 
-EXIT_USAGE, EXIT_SCENARIO, EXIT_UNAVAILABLE, EXIT_TIMEOUT = 2, 3, 69, 70
+EXIT_UNAVAILABLE, EXIT_TIMEOUT = 69, 70
 
 # In the environment of the process that is already inside.
 _INSIDE = "PAYLOAD_TRANSPORT_LAB"
@@ -152,7 +153,7 @@ def one_host_each(processes: Sequence[str], run: str) -> Inventory:
     return Inventory(run=run, host=hosts)
 
 
-def fly(setup: Setup, out: Path, cuts: Sequence[Cut], timeout_s: float) -> dict[str, object]:
+def simulate(setup: Setup, out: Path, cuts: Sequence[Cut], timeout_s: float) -> dict[str, object]:
     """Build the lab, deploy, fly; this process has to be inside already.
 
     Args:
@@ -205,7 +206,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         strange = [cut.host for cut in asked.cut if cut.host not in known]
         if strange:
             raise LabError(f"--cut: expected a host of {', '.join(known)}, got {strange[0]!r}")
-        found = fly(setup, out.resolve(), asked.cut, asked.timeout)
+        found = simulate(setup, out.resolve(), asked.cut, asked.timeout)
     except ScenarioError as error:
         sys.stderr.write(f"lab: {error.blaming(asked.settings)}\n")
         return EXIT_SCENARIO

@@ -325,7 +325,7 @@ SECTIONS = (
 )
 
 
-def fly(section: Section, renewed: Collection[str]) -> list[str]:
+def simulate(section: Section, renewed: Collection[str]) -> list[str]:
     """Run an experiment as far as this commit has not run it, and return the sentences it ends with.
 
     Args:
@@ -517,7 +517,7 @@ def main() -> None:
     RUNS.mkdir(parents=True, exist_ok=True)
     figures_of_a_run()
     moving_picture()
-    flown = [(section, fly(section, renewed), machine_of(section)) for section in SECTIONS]
+    flown = [(section, simulate(section, renewed), machine_of(section)) for section in SECTIONS]
     PAGE.write_text(page(flown), encoding="utf-8")
     put(README, "network", at_a_glance())
     put(README, "claim", claim())

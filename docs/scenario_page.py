@@ -229,7 +229,7 @@ ESTIMATES: Mapping[str, tuple[str, ...]] = {
 }
 
 
-def truth(found: Found) -> str:
+def plant_state(found: Found) -> str:
     """Return the table of unmodelled mass and wind."""
     rows = [
         [
@@ -291,13 +291,13 @@ TABLES = (
     ),
     Measured("hover", tuple(Run(name, (LONG_HOVER,)) for name in COMPARED), hover),
     Measured(
-        "truth",
+        "plant_state",
         tuple(
             Run("resilient", (STILL, setting, *changes))
             for setting in TRUTHS.values()
             for changes in ESTIMATES.values()
         ),
-        truth,
+        plant_state,
     ),
 )
 

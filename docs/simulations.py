@@ -156,7 +156,7 @@ def _results(title: str, runs: Sequence[Run]) -> tuple[str, Found]:
     missing = {case.key: case for several in cases.values() for case in several if case.key not in by_key}
     # Large teams and long flights first: no core is idle while the last of them ends.
     order = sorted(missing.values(), key=_effort, reverse=True)
-    for done, (key, flown) in enumerate(each_on_cores(fly, order, _jobs()) if order else (), start=1):
+    for done, (key, flown) in enumerate(each_on_cores(simulate, order, _jobs()) if order else (), start=1):
         by_key[key] = flown
         if kept is not None:
             kept.parent.mkdir(parents=True, exist_ok=True)
@@ -174,7 +174,7 @@ def _read(kept: Path) -> dict[str, Flown]:
     return {entry.pop("key"): Flown(**entry) for entry in entries if entry.keys() == names}
 
 
-def fly(case: Case) -> tuple[str, Flown]:
+def simulate(case: Case) -> tuple[str, Flown]:
     """Simulate a case in this process; return its key with the result."""
     messages: list[Recorded] = []
 
@@ -183,7 +183,7 @@ def fly(case: Case) -> tuple[str, Flown]:
 
     with threadpoolctl.threadpool_limits(1):
         setup = Setup.of(case.scenario, case.source)
-        control = memory.fly(setup, record, lambda: 0)
+        control = memory.simulate(setup, record, lambda: 0)
         log = RunLog(header={}, messages=tuple(messages), cut="")
         summary, series = summarise(setup, log), series_of(setup, log)
     end_s = control.tick * setup.settings.sampling_period_s

@@ -12,10 +12,10 @@ CENTRALIZED = Run("centralized")
 
 def _run(scenario: str, count: int) -> Run:
     # One is the default: the same simulation as elsewhere.
-    return Run(scenario, () if count == 1 else (f"controller.rounds={count}",))
+    return Run(scenario, () if count == 1 else (f"controller.negotiation_iterations={count}",))
 
 
-def rounds(found: Found) -> str:
+def negotiation_iterations(found: Found) -> str:
     """Return the table of iterations of negotiation, beside the centralized controller, which needs none."""
     rows = []
     for count in ITERATIONS:
@@ -27,9 +27,9 @@ def rounds(found: Found) -> str:
 
 TABLES = (
     Measured(
-        "rounds",
+        "negotiation_iterations",
         (*(_run(name, count) for count in ITERATIONS for name in SCENARIOS), CENTRALIZED),
-        rounds,
+        negotiation_iterations,
     ),
 )
 

@@ -16,7 +16,7 @@ from model.state import LARGEST, input_indices
 from mpc import condensing
 from mpc.constraints import Affine, UserCosts, compile_constraints, pairs_of, rate_rows, separation_rows, tilt_states
 from mpc.cost import Cost
-from mpc.feedback import TeamLaw
+from mpc.feedback import FeedbackLaw
 from mpc.prediction import Prediction, closed_loop, free_response, open_loop
 from mpc.qp import QP, Solution
 from mpc.regulation import CostToGo, Regulation
@@ -47,7 +47,7 @@ class Linear:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Optimum:
+class StepResult:
     """What one step found.
 
     Attributes:
@@ -137,11 +137,11 @@ class Controller:
         u0: Array,
         U: Array,
         y_ref: Array,
-        law: TeamLaw | None = None,
+        law: FeedbackLaw | None = None,
         forces: Array | None = None,
-        earlier: int | None = None,
+        ticks_since_start: int | None = None,
         end: CostToGo | None = None,
-    ) -> Optimum:
+    ) -> StepResult:
         """One step of the controller.
 
         Args:
@@ -152,7 +152,7 @@ class Controller:
             y_ref: Reference outputs at steps 0..N_p, (N_p + 1, p).
             law: With closed-loop prediction, the shared law over the horizon (`law`).
             forces: Estimated external forces, (3 + 3 N,), inertial frame, N; None when nobody estimates them.
-            earlier: Ticks since this controller began; see `conclude`.
+            ticks_since_start: Ticks since this controller began; see `conclude`.
             end: With terminal "riccati", the cost after the horizon (`end`).
         Returns: The plan and how it was found. Never raises for a problem without solution.
         Raises: ShapeError: an argument of the wrong shape or not finite.
@@ -161,9 +161,9 @@ class Controller:
         linear = self.linearise(x0, u0, forces)
         prediction = self.predict(linear, self.discretise(linear), U, law)
         qp = self.condense(linear, prediction, U, y_ref, law, end)
-        return self.conclude(self.solve(qp), prediction, U, law, earlier)
+        return self.conclude(self.solve(qp), prediction, U, law, ticks_since_start)
 
-    def law(self, x0: Array, x_ref: Array, c: Array, forces: Array | None = None, start: int = 0) -> TeamLaw | None:
+    def law(self, x0: Array, x_ref: Array, c: Array, forces: Array | None = None, start: int = 0) -> FeedbackLaw | None:
         """The shared control law over the horizon, or None with open-loop prediction; see `Regulation.law`."""
         return self.regulation.law(x0, x_ref, c, forces, start)
 
@@ -199,7 +199,7 @@ class Controller:
         self.cost = self.regulation.cost
         self._Q = np.concatenate([self.cost.Q[self._weighted], self._costs.weights])
 
-    def foreseen(self, prediction: Prediction, law: TeamLaw, inputs: Array) -> Array:
+    def foreseen(self, prediction: Prediction, law: FeedbackLaw, inputs: Array) -> Array:
         """Inputs of all UAVs over the horizon as this controller expects them, within bounds, (N_p, m).
 
         Args:
@@ -215,7 +215,9 @@ class Controller:
         limits, uavs = self.settings.limits, self._whole.system.N
         return np.clip(U, limits.lower(uavs), limits.upper(uavs))
 
-    def adapted(self, law: TeamLaw, discrete: Discrete, u0: Array, U: Array, columns: npt.NDArray[np.intp]) -> TeamLaw:
+    def adapted(
+        self, law: FeedbackLaw, discrete: Discrete, u0: Array, U: Array, columns: npt.NDArray[np.intp]
+    ) -> FeedbackLaw:
         """The law with corrections that make some inputs what they were announced to be, whatever law that was under.
 
         Args:
@@ -247,7 +249,7 @@ class Controller:
         Source: docs/equations.md (15), (30), (37), (40); paper (13), (20).
         """
         u_target = self.cost.u_target
-        if forces is not None and self.settings.weights.priced == "deviation":
+        if forces is not None and self.settings.weights.penalised_input == "deviation":
             u_target = u_target + self.regulation.target.M_u @ forces
         return Linear(
             x0=x0,
@@ -264,7 +266,7 @@ class Controller:
         method = zero_order_hold if self.settings.discretisation == "exact" else euler
         return method(linear.model, self.settings.sampling_period_s)
 
-    def predict(self, linear: Linear, discrete: Discrete, U: Array, law: TeamLaw | None) -> Prediction:
+    def predict(self, linear: Linear, discrete: Discrete, U: Array, law: FeedbackLaw | None) -> Prediction:
         """Predict the team over the horizon. Source: docs/equations.md (22)-(24), (35)-(36)."""
         if law is None:
             return open_loop(discrete, linear.u0, self.own, self._others, U)
@@ -276,7 +278,7 @@ class Controller:
         prediction: Prediction,
         U: Array,
         y_ref: Array,
-        law: TeamLaw | None = None,
+        law: FeedbackLaw | None = None,
         end: CostToGo | None = None,
     ) -> QP:
         """The QP in the scaled decision and the slacks.
@@ -328,7 +330,7 @@ class Controller:
         return QP(H=H, g=g, lower=lower, upper=upper, A=rows, row_lower=row_lower, row_upper=row_upper)
 
     def _with_effort(
-        self, C: Array, error: Array, linear: Linear, prediction: Prediction, law: TeamLaw
+        self, C: Array, error: Array, linear: Linear, prediction: Prediction, law: FeedbackLaw
     ) -> tuple[Array, Array, Array]:
         """Outputs, errors at steps 1..N_p and weights, extended by the inputs of the others that have agents.
 
@@ -348,8 +350,13 @@ class Controller:
         return solve(qp, self.settings.solver)
 
     def conclude(
-        self, solution: Solution, prediction: Prediction, U: Array, law: TeamLaw | None, earlier: int | None = None
-    ) -> Optimum:
+        self,
+        solution: Solution,
+        prediction: Prediction,
+        U: Array,
+        law: FeedbackLaw | None,
+        ticks_since_start: int | None = None,
+    ) -> StepResult:
         """Turn an answer into the plan to announce: relaxed, or the shifted previous plan after a failure.
 
         Args:
@@ -357,30 +364,30 @@ class Controller:
             prediction: It was made of.
             U: Announced inputs of all UAVs over the horizon, (N_p, m).
             law: With closed-loop prediction, the shared law over the horizon.
-            earlier: Ticks since this controller began: what it finds in the first ones counts as much as what it found
-                before, which starts from nothing. None for a controller that has always been there.
+            ticks_since_start: Ticks since this controller joined. In the first ones the relaxation weight is at least
+                1 / (ticks + 1), as there is no previous plan to average with. None for a member from the start.
         Source: docs/equations.md (30a), (36a).
         """
         w = self._relaxation
-        if earlier is not None:
-            w = max(w, 1.0 / (earlier + 1))
+        if ticks_since_start is not None:
+            w = max(w, 1.0 / (ticks_since_start + 1))
         optimum = self._optimum(solution, prediction, U, law, w)
         if np.isfinite(optimum.U).all() and np.abs(optimum.c).max(initial=0.0) <= LARGEST:
             return optimum
         return replace(self.give_up(U, law), solution=solution)
 
-    def give_up(self, U: Array, law: TeamLaw | None) -> Optimum:
+    def give_up(self, U: Array, law: FeedbackLaw | None) -> StepResult:
         """The answer where there is no problem to solve, its numbers being beyond all bounds: the previous plan."""
         m = len(self.own)
-        return Optimum(
+        return StepResult(
             U=np.clip(U[:, self.own], self._lower, self._upper),
             c=np.zeros((0, m)) if law is None else law.c[:, self.own],
             solution=unsolved(0, 0, self.settings.solver),
         )
 
     def _optimum(
-        self, solution: Solution, prediction: Prediction, U: Array, law: TeamLaw | None, relaxation: float
-    ) -> Optimum:
+        self, solution: Solution, prediction: Prediction, U: Array, law: FeedbackLaw | None, relaxation: float
+    ) -> StepResult:
         steps, m = prediction.U_free.shape
         solved = solution.status == "solved"
         w = relaxation if solved else 0.0
@@ -390,14 +397,14 @@ class Controller:
         if law is None:
             previous = U[:, self.own]
             inputs = np.clip(w * best + (1.0 - w) * previous, self._lower, self._upper) if solved else previous.copy()
-            return Optimum(U=inputs, c=np.zeros((0, m)), solution=solution)
+            return StepResult(U=inputs, c=np.zeros((0, m)), solution=solution)
         c_best = np.zeros((steps, m))
         K, at_x0 = law.K[self.own], law.uncorrected(self.own)
         if solved:
             dX = free_response(prediction.A, prediction.W + (best - prediction.U_free) @ prediction.B.T)
             c_best = best - at_x0 - dX[:-1] @ K.T
         if w == 1.0:
-            return Optimum(U=best, c=c_best, solution=solution)
+            return StepResult(U=best, c=c_best, solution=solution)
         # Relax the corrections only, so that the stabilising feedback acts in full, and see what inputs follow.
         c = w * c_best + (1.0 - w) * law.c[:, self.own]
         drive = at_x0 + c
@@ -408,7 +415,7 @@ class Controller:
         within = (self._lower <= inputs) & (inputs <= self._upper) & (np.abs(changes) <= self._rate)
         if not within.all():
             inputs = self._limited(prediction, K, drive)
-        return Optimum(U=inputs, c=c, solution=solution)
+        return StepResult(U=inputs, c=c, solution=solution)
 
     def _limited(self, prediction: Prediction, K: Array, drive: Array) -> Array:
         """Inputs that follow from the own law within bounds and rates, one step after the other, (N_p, m_own).

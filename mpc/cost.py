@@ -44,7 +44,9 @@ class Cost:
         object.__setattr__(self, "Q", Q)
         object.__setattr__(self, "Q_f", weights.terminal * Q)
         object.__setattr__(self, "R", weights.R(N))
-        object.__setattr__(self, "u_target", hover.u if weights.priced == "deviation" else np.zeros_like(hover.u))
+        object.__setattr__(
+            self, "u_target", hover.u if weights.penalised_input == "deviation" else np.zeros_like(hover.u)
+        )
 
     def stage(self, y: Array, y_ref: Array, u: Array) -> float:
         """Cost of one sampling instant, (y - y_ref)' Q (y - y_ref) + (u - u_target)' R (u - u_target).

@@ -41,7 +41,7 @@ class FeedbackError(ValueError):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TeamLaw:
+class FeedbackLaw:
     """The shared control law over one horizon.
 
     Attributes:
@@ -98,7 +98,7 @@ def regulator(
     hover: Hover,
     cost: Cost,
     period_s: float,
-    alone: Mapping[int, Array] | None = None,
+    uncontrolled: Mapping[int, Array] | None = None,
     further: Array | None = None,
     off: Collection[int] = (),
     released: Collection[int] = (),
@@ -115,7 +115,7 @@ def regulator(
         hover: Its equilibrium.
         cost: Q on the outputs, R on all inputs.
         period_s: Sampling period, s.
-        alone: Feedback from its own state, (4, 12), of each UAV without an agent, by its 0-based number.
+        uncontrolled: Feedback from its own state, (4, 12), of each UAV without an agent, by its 0-based number.
         further: Further terms of the cost, (t, n): square roots of the weights times slopes at hover.
         off: UAVs without motors, 0-based: nothing moves their attitude, and it moves nothing.
         released: UAVs that are no longer on their rods, 0-based: the same holds for all their states.
@@ -126,9 +126,9 @@ def regulator(
     linear = model.linearise(hover.x, hover.u)
     discrete = zero_order_hold(linear, period_s)
     K: Array = np.zeros((len(hover.u), len(hover.x)))
-    for uav, own in (alone or {}).items():
+    for uav, own in (uncontrolled or {}).items():
         K[state.input_slice(uav), state.uav_slice(uav)] = own
-    led = np.setdiff1d(np.arange(len(hover.u)), input_indices(sorted(alone or {})))
+    led = np.setdiff1d(np.arange(len(hover.u)), input_indices(sorted(uncontrolled or {})))
     T = tangent(hover.x, off, released)
     A, B = T.T @ (discrete.A + discrete.B @ K) @ T, T.T @ discrete.B[:, led]
     C, R = linear.C @ T, cost.R[led]
@@ -138,7 +138,7 @@ def regulator(
     try:
         P, discount = _riccati(A, B, weighted, R), 1.0
     except FeedbackError:
-        if not alone:
+        if not uncontrolled:
             raise
         # Equal UAVs without agents swing against each other for ever, which no other UAV can reach and which has a
         # cost: the infinite sum is finite only if the far future counts less.

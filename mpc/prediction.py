@@ -12,7 +12,7 @@ import numpy as np
 from model import native
 from model.arrays import Array
 from model.discretisation import Discrete
-from mpc.feedback import TeamLaw
+from mpc.feedback import FeedbackLaw
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,7 +68,7 @@ def open_loop(discrete: Discrete, u0: Array, own: np.ndarray, others: np.ndarray
     )
 
 
-def closed_loop(discrete: Discrete, u0: Array, own: np.ndarray, others: np.ndarray, law: TeamLaw) -> Prediction:
+def closed_loop(discrete: Discrete, u0: Array, own: np.ndarray, others: np.ndarray, law: FeedbackLaw) -> Prediction:
     """The others follow the shared law, u_j = u_rest + K_j (x - x_ref) + c_j; the owned inputs are free.
 
     The others' answer to what the owned UAVs do is part of the prediction: nobody takes their inputs as

@@ -16,7 +16,7 @@ from model.state import input_slice
 from mpc.constraints import UserCosts
 from mpc.cost import Cost
 from mpc.fail_safe import FailSafe
-from mpc.feedback import FeedbackError, Regulator, TeamLaw, regulator
+from mpc.feedback import FeedbackError, FeedbackLaw, Regulator, regulator
 from mpc.preview import Preview, at_rest, preview
 from mpc.settings import ControllerSettings
 from mpc.target import Target, target
@@ -107,7 +107,7 @@ class Regulation:
         if self._settings.prediction == "closed_loop" or self._settings.terminal == "riccati":
             self._regulate()
 
-    def law(self, x0: Array, x_ref: Array, c: Array, forces: Array | None, start: int) -> TeamLaw | None:
+    def law(self, x0: Array, x_ref: Array, c: Array, forces: Array | None, start: int) -> FeedbackLaw | None:
         """The shared control law over the horizon; None with open-loop prediction.
 
         Args:
@@ -125,7 +125,7 @@ class Regulation:
         if forces is not None:
             u_rest, error = u_rest + self.target.M_u @ forces, error - self.target.M_x @ forces
             feedforward = feedforward + self._forced(self.regulator)[0] @ forces
-        return TeamLaw(K=self.regulator.K, u_rest=u_rest, error=error, feedforward=feedforward, c=c)
+        return FeedbackLaw(K=self.regulator.K, u_rest=u_rest, error=error, feedforward=feedforward, c=c)
 
     def inputs(self, x: Array, x_ref: Array, forces: Array | None, instant: int) -> Array | None:
         """Inputs by the shared control law at one instant, without corrections, (m,).

@@ -11,7 +11,7 @@ SolverName = Literal["daqp", "clarabel"]
 PredictionName = Literal["open_loop", "closed_loop"]
 TerminalName = Literal["multiple", "riccati"]
 DiscretisationName = Literal["exact", "euler"]
-Pricing = Literal["deviation", "absolute"]
+PenalisedInput = Literal["deviation", "absolute"]
 
 
 class SettingsError(ValueError):
@@ -31,7 +31,7 @@ class Weights:
         terminal: Q_f as a multiple of Q, with a terminal cost of that kind.
         thrust: 1/N^2.
         moments: About the UAV's body axes, (3,), 1/(N m)^2.
-        priced: Whether R prices the input's deviation from hover, or the input itself as in paper (17).
+        penalised_input: Whether R prices the input's deviation from hover, or the input itself as in paper (17).
     """
 
     position: float = 1.0
@@ -42,7 +42,7 @@ class Weights:
     terminal: float = 5.0
     thrust: float = 1e-3
     moments: tuple[float, float, float] = (1e-2, 1e-2, 1e-2)
-    priced: Pricing = "deviation"
+    penalised_input: PenalisedInput = "deviation"
 
     def Q(self, N: int) -> Array:
         """Diagonal of Q for N UAVs, (4 N + 9,)."""

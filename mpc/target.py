@@ -38,7 +38,7 @@ def target(
     model: Model,
     hover: Hover,
     cost: Cost,
-    alone: Mapping[int, Array] | None = None,
+    uncontrolled: Mapping[int, Array] | None = None,
     off: Collection[int] = (),
     released: Collection[int] = (),
 ) -> Target:
@@ -52,8 +52,8 @@ def target(
         model: The system as the controller knows it.
         hover: Its equilibrium.
         cost: Q weighs the output error, R the input deviation.
-        alone: Feedback from its own state, (4, 12), of each UAV without an agent, by its 0-based number: its inputs
-            are no means to reach the target.
+        uncontrolled: Feedback from its own state, (4, 12), of each UAV without an agent, by its 0-based number. Its
+            inputs are not available to reach the target.
         off: UAVs without motors, 0-based: their attitudes are not part of the target.
         released: UAVs that are no longer on their rods, 0-based: none of their states is.
     Source: docs/equations.md (40).
@@ -63,7 +63,7 @@ def target(
     T = tangent(hover.x, off, released)
     states, inputs = T.shape[1], len(hover.u)
     at_rest = [(T.T @ np.hstack([linear.A_c @ T, linear.B_c]), -T.T @ E)]
-    for uav, K in (alone or {}).items():
+    for uav, K in (uncontrolled or {}).items():
         led_by_itself = np.hstack([-K @ T[state.uav_slice(uav)], np.eye(inputs)[state.input_slice(uav)]])
         at_rest.append((led_by_itself, np.zeros((len(K), E.shape[1]))))
     rest, pushed = (np.vstack(rows) for rows in zip(*at_rest, strict=True))

@@ -19,7 +19,7 @@ from plant.environment import Environment
 from plant.schedule import MOTOR_OFF, ActuatorSchedule
 from protocol.admission.arrivals import Arrivals
 from protocol.admission.membership import Membership
-from protocol.admission.plausibility import Claims, check_moment, window
+from protocol.admission.plausibility import Plausibility, check_moment, window
 from protocol.scenario.faults import uav_faults
 from protocol.scenario.links import LinkChanges
 from protocol.scenario.setup import Setup
@@ -31,10 +31,10 @@ from protocol.wire.messages import (
     Message,
     MessageError,
     Plan,
+    PlantState,
     Presence,
     Roster,
     Tick,
-    Truth,
     agent_name,
 )
 from protocol.wire.outbox import Outbox, lost
@@ -83,7 +83,7 @@ class PlantNode:
         self._arrived: dict[int, set[int]] = {}  # agents whose plans are in, by tick
         self._membership = Membership()
         self._diverged = False
-        self._claims, self._window = Claims(setup), window(setup)
+        self._plausibility, self._window = Plausibility(setup), window(setup)
         self.rejected = Rejections()
         self.finished: Control | None = None
 
@@ -105,7 +105,7 @@ class PlantNode:
     def _hear(self, message: Message, now_ns: int) -> None:
         """Take in a message that is for now; count any other."""
         try:
-            self._claims.check(message)
+            self._plausibility.check(message)
             match message:
                 case Control():
                     self._check_moment(message)
@@ -208,7 +208,7 @@ class PlantNode:
             else:
                 self._x = motor_off_state(self._x, uav)
 
-    def _integrate(self, now_ns: int) -> Truth:
+    def _integrate(self, now_ns: int) -> PlantState:
         k, x = self._state_tick, self._x
         for plan in self._plans.take(k, now_ns)[0]:
             self._schedule.add(plan)
@@ -223,7 +223,7 @@ class PlantNode:
         self._x, self._u, self._state_tick = end, u, k + 1
         self._arrived = {tick: agents for tick, agents in self._arrived.items() if tick > k - self._delay}
         return self._out.stamp(
-            Truth,
+            PlantState,
             tick=k,
             x=x,
             u=u,

@@ -17,7 +17,7 @@ import msgpack
 import numpy as np
 import zenoh
 
-AGENTS, VERSION, STEPS = 4, 4, 20
+AGENTS, VERSION, STEPS = 4, 5, 20
 # What UAV 3 is, what it carries at hover, and its corner of the payload.
 MASS, INERTIA, THRUST, RHO = 1.5, np.array([0.029, 0.029, 0.055]), 22.0725, (-0.25, -0.25)
 

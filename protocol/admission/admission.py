@@ -18,7 +18,7 @@ from model.state import INPUTS, PAYLOAD, PER_UAV
 from protocol.admission.plausibility import window
 from protocol.scenario.setup import Setup
 from protocol.wire.codec import MAX_BYTES, decode
-from protocol.wire.header import Head, Place, head_of, place_of
+from protocol.wire.header import Header, Place, header_of, place_of
 from protocol.wire.keys import Keys
 from protocol.wire.messages import (
     LinkChange,
@@ -52,7 +52,7 @@ class _Heard:
     place: Place | None
 
 
-class Gate:
+class Admission:
     """What one process lets in.
 
     A message counts as heard when the next one is read and it has not been refused in between: what its node does
@@ -98,13 +98,17 @@ class Gate:
             data: Its bytes.
         """
         try:
-            head = head_of(data)
-            if head is not None and head.sender == self._name:
-                raise MessageError("wrong_sender", f"{head.kind} of this process itself", head.sender)
-            heard = None if head is None else self._heard.get((key, head.kind))
-            if head is None or heard is None or (head.sender, head.incarnation) != (heard.sender, heard.incarnation):
+            header = header_of(data)
+            if header is not None and header.sender == self._name:
+                raise MessageError("wrong_sender", f"{header.kind} of this process itself", header.sender)
+            heard = None if header is None else self._heard.get((key, header.kind))
+            if (
+                header is None
+                or heard is None
+                or (header.sender, header.incarnation) != (heard.sender, heard.incarnation)
+            ):
                 return False
-            _check_new(head, head.place, heard)
+            _check_new(header, header.place, heard)
         except MessageError as error:
             sender = error.sender or self._keys.end(key)
             with self._counting:
@@ -253,7 +257,7 @@ class Gate:
                 self._is_up_to_date = True
 
 
-def _check_new(said: Message | Head, place: Place | None, heard: _Heard) -> None:
+def _check_new(said: Message | Header, place: Place | None, heard: _Heard) -> None:
     """Refuse what has been said of its kind under its key."""
     known = said.sequence <= heard.sequence
     if place is None or heard.place is None:

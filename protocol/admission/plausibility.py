@@ -8,7 +8,17 @@ import numpy as np
 from model import state
 from model.arrays import Array
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import Measurement, Message, MessageError, Plan, Roster, StepReport, Tick, Truth, agent_name
+from protocol.wire.messages import (
+    Measurement,
+    Message,
+    MessageError,
+    Plan,
+    PlantState,
+    Roster,
+    StepReport,
+    Tick,
+    agent_name,
+)
 
 # What a rod's direction may be off unit length: noise of sensors, but never no direction at all.
 _OFF_UNIT = 0.2
@@ -40,7 +50,7 @@ def check_moment(message: Message, first: int, last: int) -> None:
         raise MessageError("future", f"{message.kind} of tick {message.tick}, expected {last} or earlier")
 
 
-class Claims:
+class Plausibility:
     """Checks messages against the run they say they belong to.
 
     Args:
@@ -51,7 +61,7 @@ class Claims:
         clock, limits = setup.scenario.clock, setup.settings.limits
         self._agents = frozenset(setup.agents)
         self._ticks = setup.ticks
-        self._rounds = setup.scenario.controller.rounds
+        self._negotiation_iterations = setup.scenario.controller.negotiation_iterations
         self._delay = 1 if clock.next_tick else 0
         self._states = len(setup.hover.x)
         self._N = setup.system.N
@@ -85,7 +95,7 @@ class Claims:
                 self._check_uavs("off", message.off)
             case StepReport():
                 self._check_others("peers", message.peers)
-            case Truth():
+            case PlantState():
                 if len(message.x) != self._states:
                     raise MessageError("wrong_shape", f"x: expected {self._states} numbers, got {len(message.x)}")
 
@@ -97,9 +107,10 @@ class Claims:
         if ahead != self._delay:
             text = f"plan of tick {plan.tick} that starts at tick {plan.start_tick}"
             raise MessageError("past" if ahead < self._delay else "future", text)
-        if plan.negotiation >= self._rounds:
+        if plan.negotiation >= self._negotiation_iterations:
             raise MessageError(
-                "out_of_range", f"negotiation: expected less than {self._rounds}, got {plan.negotiation}"
+                "out_of_range",
+                f"negotiation: expected less than {self._negotiation_iterations}, got {plan.negotiation}",
             )
         low, high = self._limits[plan.agent]
         if np.count_nonzero(plan.inputs < low) or np.count_nonzero(plan.inputs > high):

@@ -19,7 +19,7 @@ _WAIT_S = 0.02
 WINDOW, WINDOW_S = 128, 0.016
 
 
-class Brake:
+class RateLimit:
     """Sees a flood, and slows it down: a token bucket; each refused message takes one, and waits where there is none.
 
     For the threads that receive: they may call it at the same time. A count that is off by one then does no harm.

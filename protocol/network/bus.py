@@ -14,8 +14,8 @@ from typing import Any
 
 import zenoh
 
-from protocol.admission.admission import Gate
-from protocol.admission.rate_limit import Brake
+from protocol.admission.admission import Admission
+from protocol.admission.rate_limit import RateLimit
 from protocol.network.health import Offset, usage
 from protocol.network.session import CLOSE_S, BusError, Endpoints, asked, in_bounded_time, log_errors, open_session
 from protocol.wire.codec import VERSION, encode
@@ -56,7 +56,7 @@ class Bus:
         run: Name of the run, part of every key.
         digest: Fingerprint of the scenario; processes with different ones refuse each other.
         endpoints: Where to listen and whom to connect to.
-        gate: What it lets in; refuses and counts the rest.
+        admission: What it lets in; refuses and counts the rest.
         serves: Whether its node answers requests (`ask`); how it is, every process says.
         patience_s: How long sending may wait for a peer that does not read before the link to it is closed.
         gather_s: How long what comes may wait for more of it: waking up once for many messages costs less.
@@ -77,7 +77,7 @@ class Bus:
         run: str,
         digest: str,
         endpoints: Endpoints,
-        gate: Gate,
+        admission: Admission,
         serves: bool = False,
         patience_s: float = 1.0,
         gather_s: float = 0.0,
@@ -92,7 +92,7 @@ class Bus:
         self._inbox: queue.SimpleQueue[tuple[int, Any]] = queue.SimpleQueue()  # with the time of arrival
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._tokens: list[zenoh.LivelinessToken] = []
-        self._gate, self._brake = gate, Brake()
+        self._admission, self._rate_limit = admission, RateLimit()
         log_errors(to_output=name not in ("recorder", WATCHER))
         self._session = open_session(endpoints, patience_s, name, self._keys, reach_s)
         # Subscribers before the token: whoever sees the token may send at once, and nothing is lost.
@@ -172,7 +172,7 @@ class Bus:
         """Announce that this process has started anew by itself, ready at once."""
         old, self._tokens = self._tokens, []
         self.incarnation = incarnation
-        self._gate.announce(self.name, incarnation)
+        self._admission.announce(self.name, incarnation)
         self._declare(self._keys.alive(self.name, incarnation, self._digest, VERSION))
         self._declare(self._keys.ready(self.name, incarnation))
         for token in old:
@@ -200,9 +200,9 @@ class Bus:
     def next(self, timeout_s: float | None) -> BusEvent | None:
         """The next event, or None after the timeout (None waits for ever). Bad messages are counted, not returned."""
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
-        self._gate.count_unread()
+        self._admission.count_unread()
         while True:
-            kept = self._gate.released()
+            kept = self._admission.released()
             if kept is not None:
                 return kept
             if self._gather_s > 0.0 and self._inbox.empty():
@@ -264,8 +264,8 @@ class Bus:
             "name": self.name,
             "incarnation": self.incarnation,
             "protocol": VERSION,
-            "tick": self._gate.tick,
-            "refused": self._gate.refused,
+            "tick": self._admission.tick,
+            "refused": self._admission.refused,
             "clock_offset_s": None if self.offset is None else self.offset.ahead_s,
             "clock_uncertainty_s": None if self.offset is None else self.offset.uncertainty_s,
             **usage(),
@@ -286,7 +286,7 @@ class Bus:
                 raise MessageError("malformed", "expected a JSON object under the key of one thing")
         except (ValueError, RecursionError, MessageError, zenoh.ZError) as error:
             text = f"not a request ({type(error).__name__})"
-            self._gate.refuse(key, MessageError("malformed", text))
+            self._admission.refuse(key, MessageError("malformed", text))
             query.reply_err(json.dumps({"error": "expected a JSON object, under the key of what is asked for"}))
             query.drop()  # type: ignore[no-untyped-call]
             return None
@@ -303,12 +303,12 @@ class Bus:
 
         Unless it is too large to wait there; or, where more come than any run has, is over.
         """
-        flooded = self._brake.flooded()
+        flooded = self._rate_limit.flooded()
         size = len(sample.payload)
-        if size > self._gate.max_bytes:
+        if size > self._admission.max_bytes:
             self._put(_Oversized(str(sample.key_expr), size))
-        elif flooded and self._gate.has_passed(str(sample.key_expr), sample.payload.to_bytes()):
-            self._brake.hold()
+        elif flooded and self._admission.has_passed(str(sample.key_expr), sample.payload.to_bytes()):
+            self._rate_limit.hold()
         else:
             self._put(sample)
 
@@ -320,11 +320,11 @@ class Bus:
             return sample
         key = str(sample.key_expr)
         if isinstance(sample, _Oversized):
-            self._gate.refuse(key, self._gate.oversized(sample.size))
+            self._admission.refuse(key, self._admission.oversized(sample.size))
             return None
         if self._keys.is_token(key):
             return self._presence(key, here=sample.kind == zenoh.SampleKind.PUT)
-        return self._gate.read(key, sample.payload.to_bytes())
+        return self._admission.read(key, sample.payload.to_bytes())
 
     def _presence(self, key: str, *, here: bool) -> Presence | None:
         """What a token that has appeared or disappeared says about its process."""
@@ -332,7 +332,7 @@ class Bus:
             token = self._keys.token(key)
         except MessageError as error:
             if here:
-                self._gate.refuse(key, error)
+                self._admission.refuse(key, error)
             return None
         if token.digest is None:
             return Presence(token.name, token.incarnation, alive=True) if here else None
@@ -340,7 +340,7 @@ class Bus:
             return None  # of another scenario: it finds out by itself that it does not belong here
         if here:
             self._alive[token.name] = token.incarnation
-            self._gate.announce(token.name, token.incarnation)
+            self._admission.announce(token.name, token.incarnation)
             return None
         if self._alive.get(token.name) == token.incarnation:
             del self._alive[token.name]

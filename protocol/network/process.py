@@ -15,7 +15,7 @@ from typing import Any
 
 import threadpoolctl
 
-from protocol.admission.admission import Gate
+from protocol.admission.admission import Admission
 from protocol.network.bus import Bus, Interrupted
 from protocol.network.parent import PARENT_PIPE
 from protocol.network.security import Security, SecurityError, exposed
@@ -23,13 +23,12 @@ from protocol.network.session import Endpoints
 from protocol.scenario.faults import Fault, due
 from protocol.scenario.schema import Scenario
 from protocol.scenario.setup import Setup
+from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_UNREACHABLE
 from protocol.wire.keys import RECORDER, Keys
 from protocol.wire.messages import Message, agent_name
 from protocol.wire.node import Node
-from protocol.wire.outbox import EXIT_LOST
 from protocol.wire.rejections import Notices
 
-EXIT_INTERRUPTED = 130
 DEFAULT_BASE_PORT = 7447
 
 # Between collections of what reference counting does not free.
@@ -190,7 +189,7 @@ def run_node(
     Raises: BusError: the network cannot be used or somebody did not show up.
     """
     journal = Journal(place.run, node.name)
-    gate = Gate(node.name, Keys(place.run), setup, node.rejected)
+    admission = Admission(node.name, Keys(place.run), setup, node.rejected)
     notices = Notices(node.name, node.rejected)
     # A collection in mid-step is a latency spike; reference counting frees what the loop makes, and what little
     # is left is collected where the node has nothing to do. Before it joins nobody waits for it.
@@ -205,7 +204,7 @@ def run_node(
             run=place.run,
             digest=setup.scenario.digest(),
             endpoints=place.endpoints,
-            gate=gate,
+            admission=admission,
             serves=node.name == "coordinator",
             patience_s=PATIENCE_S[setup.scenario.clock.mode],
             reach_s=place.join_timeout_s,
@@ -227,13 +226,13 @@ def run_node(
                 }
             )
             journal.say("joined", peers=len(expected), **clock)
-            interruption = drive(node, bus, setup.faults, gate, notices)
+            interruption = drive(node, bus, setup.faults, admission, notices)
         if interruption is not None and node.finished is None:
             journal.say("interrupted", reason=interruption.reason)
             for message in on_interrupt(interruption.reason) if on_interrupt else ():
                 bus.publish(message)
-        gate.close()
-        for message in notices.rest(node.incarnation, gate.tick):
+        admission.close()
+        for message in notices.rest(node.incarnation, admission.tick):
             bus.publish(message)
         bus.wait_gone(linger_for)
     for entry in node.rejected:
@@ -241,19 +240,19 @@ def run_node(
     end = node.finished
     if end is None:
         orphaned = interruption is not None and interruption.reason == ORPHANED
-        return EXIT_LOST if orphaned or interruption is None else EXIT_INTERRUPTED
+        return EXIT_UNREACHABLE if orphaned or interruption is None else EXIT_INTERRUPTED
     journal.say("finished", outcome=end.outcome, reason=end.reason, tick=end.tick, cpu_s=time.process_time())
     return end.exit_code
 
 
-def drive(node: Node, bus: Bus, faults: Sequence[Fault], gate: Gate, notices: Notices) -> Interrupted | None:
+def drive(node: Node, bus: Bus, faults: Sequence[Fault], admission: Admission, notices: Notices) -> Interrupted | None:
     """Feed events and time to a node until it is finished or somebody interrupts.
 
     Args:
         node: The state machine.
         bus: Its place on the network.
         faults: Scripted ones; those of this process happen here.
-        gate: What the bus lets in.
+        admission: What the bus lets in.
         notices: What there is to say about messages that are refused.
     """
     handled = 0
@@ -269,7 +268,7 @@ def drive(node: Node, bus: Bus, faults: Sequence[Fault], gate: Gate, notices: No
         messages = node.poll(now_ns) if event is None else node.receive(event, now_ns)
         if node.incarnation != bus.incarnation:
             bus.renew(node.incarnation)
-        for notice in notices.due(now_ns, node.incarnation, gate.tick):
+        for notice in notices.due(now_ns, node.incarnation, admission.tick):
             bus.publish(notice)
         if not messages:
             continue
@@ -309,7 +308,7 @@ def _watch_parent(bus: Bus) -> None:
         pass
     bus.interrupt(ORPHANED)
     time.sleep(_ORPHAN_GRACE_S)
-    os._exit(EXIT_LOST)
+    os._exit(EXIT_UNREACHABLE)
 
 
 class Journal:

@@ -165,9 +165,9 @@ def _check_relations(scenario: Scenario, source: str) -> None:
 
 def _check_controller(scenario: Scenario, source: str) -> None:
     section = scenario.controller
-    if section.terminal == "riccati" and section.weights.priced == "absolute":
+    if section.terminal == "riccati" and section.weights.penalised_input == "absolute":
         expected = "expected 'deviation' with controller.terminal = 'riccati', whose optimum rests at hover"
-        raise ScenarioError(source, "controller.weights.priced", f"{expected}, got 'absolute'")
+        raise ScenarioError(source, "controller.weights.penalised_input", f"{expected}, got 'absolute'")
     if section.preview and section.prediction == "open_loop" and section.terminal == "multiple":
         expected = "expected controller.prediction = 'closed_loop' or controller.terminal = 'riccati' with it"
         raise ScenarioError(source, "controller.preview", f"{expected}, got neither")
@@ -206,11 +206,11 @@ def _check_clock(scenario: Scenario, source: str) -> None:
     if clock.actuation == "immediate":
         expected = "expected 'next_tick' with mode realtime, where a step takes time, got 'immediate'"
         raise ScenarioError(source, "clock.actuation", expected)
-    if scenario.controller.rounds > 1:
+    if scenario.controller.negotiation_iterations > 1:
         raise ScenarioError(
             source,
-            "controller.rounds",
-            f"expected 1 with mode realtime, where nobody waits, got {scenario.controller.rounds}",
+            "controller.negotiation_iterations",
+            f"expected 1 with mode realtime, where nobody waits, got {scenario.controller.negotiation_iterations}",
         )
 
 
@@ -223,7 +223,7 @@ def _check_sharing(scenario: Scenario, source: str) -> None:
         ("prediction", "closed_loop", "where the others know the law that acts between two plans"),
         ("received_plans", "by_age", "as plans are used for longer than a period"),
         ("received_states", "predicted", "as states are used for longer than a period"),
-        ("rounds", 1, "as each round exchanges every plan"),
+        ("negotiation_iterations", 1, "as each round exchanges every plan"),
     ):
         got = getattr(controller, key)
         if got != expected:

@@ -111,7 +111,7 @@ class WeightsSection(Section):
     terminal: NotNegative = 5.0
     thrust: Positive = 1e-3
     moments: PositiveVector = [1e-2, 1e-2, 1e-2]
-    priced: Literal["deviation", "absolute"] = "deviation"
+    penalised_input: Literal["deviation", "absolute"] = "deviation"
 
 
 class LimitsSection(Section):
@@ -170,7 +170,7 @@ class ControllerSection(Section):
     received_plans: Literal["by_age", "by_one", "held"] = "by_age"
     received_states: Literal["predicted", "as_received"] = "predicted"
     discretisation: Literal["exact", "euler"] = "exact"
-    rounds: Annotated[int, Field(ge=1, le=20)] = 1
+    negotiation_iterations: Annotated[int, Field(ge=1, le=20)] = 1
     relaxation: Annotated[float | str, AfterValidator(_relaxation)] = 1.0
     solver: Literal["daqp", "clarabel"] = "daqp"
     share: Literal["always", "on_change"] = "always"

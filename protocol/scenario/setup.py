@@ -239,7 +239,7 @@ def _settings(scenario: Scenario) -> ControllerSettings:
             terminal=weights.terminal,
             thrust=weights.thrust,
             moments=_three(weights.moments),
-            priced=weights.priced,
+            penalised_input=weights.penalised_input,
         ),
         limits=Limits(
             thrust_N=(limits.thrust_N[0], limits.thrust_N[1]),

@@ -16,7 +16,7 @@ import numpy as np
 from model.arrays import Array
 from protocol.wire.messages import KINDS, Message, MessageError, is_name
 
-VERSION = 4
+VERSION = 5
 MAX_BYTES = 4 * 1024 * 1024  # a plan for 256 UAVs over 400 steps; anything larger is not ours
 
 _ARRAY = 1

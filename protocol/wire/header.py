@@ -11,13 +11,23 @@ from dataclasses import dataclass
 import msgpack
 
 from protocol.wire.codec import VERSION
-from protocol.wire.messages import Measurement, Message, MessageError, Plan, Roster, StepReport, Tick, Truth, is_name
+from protocol.wire.messages import (
+    Measurement,
+    Message,
+    MessageError,
+    Plan,
+    PlantState,
+    Roster,
+    StepReport,
+    Tick,
+    is_name,
+)
 
 # Bytes that hold the head of any message a process of a run sends: a name, a kind and up to six integers.
 _ENOUGH = 128
 
 # Kinds of which each tick brings one under a key, once what they negotiate is settled.
-ONCE_A_TICK = (Tick.kind, Measurement.kind, Plan.kind, StepReport.kind, Truth.kind)
+ONCE_A_TICK = (Tick.kind, Measurement.kind, Plan.kind, StepReport.kind, PlantState.kind)
 
 # How much of what follows tells where among its kind a message belongs, the last of which does: a plan's negotiation, a
 # roster's version.
@@ -27,7 +37,7 @@ Place = tuple[int, int]
 
 
 @dataclass(frozen=True, slots=True)
-class Head:
+class Header:
     """What every message begins with.
 
     Attributes:
@@ -53,7 +63,7 @@ def place_of(message: Message) -> Place | None:
     return _place(message.kind, message.tick, 0)
 
 
-def head_of(data: bytes) -> Head | None:
+def header_of(data: bytes) -> Header | None:
     """The head of a message; None where it takes reading the whole to say what is wrong with it.
 
     Args:
@@ -80,7 +90,7 @@ def head_of(data: bytes) -> Head | None:
     detail = further[-1] if further else 0
     if not all(type(number) is int for number in (incarnation, sequence, tick, detail)):
         return None
-    return Head(kind, sender, incarnation, sequence, tick, _place(kind, tick, detail))
+    return Header(kind, sender, incarnation, sequence, tick, _place(kind, tick, detail))
 
 
 def _place(kind: str, tick: int, detail: int) -> Place | None:

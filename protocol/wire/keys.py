@@ -5,7 +5,7 @@ transport/{run}/measurement/{agent}      plant -> that agent
 transport/{run}/plan/{agent}             agent -> other agents, plant, coordinator
 transport/{run}/unshared/{agent}         agent -> plant, coordinator: plans that the other agents do not get
 transport/{run}/roster, .../control      coordinator -> everybody; changes of links come under the key of the roster
-transport/{run}/truth                    plant -> coordinator, recorder
+transport/{run}/plant_state                    plant -> coordinator, recorder
 transport/{run}/report/{agent}           agent -> recorder
 transport/{run}/rejected/{name}          anybody -> recorder
 transport/{run}/ask/{name}/{what}        queryable: every process answers requests, each thing under a key of its own
@@ -24,11 +24,11 @@ from protocol.wire.messages import (
     Message,
     MessageError,
     Plan,
+    PlantState,
     Rejected,
     Roster,
     StepReport,
     Tick,
-    Truth,
 )
 
 _RUN = re.compile(r"[A-Za-z0-9_.-]{1,80}")
@@ -128,17 +128,17 @@ class Keys:
         if name == RECORDER:
             return [
                 *everybody,
-                *[f"{self.prefix}/{kind}" for kind in (Tick.kind, Truth.kind)],
+                *[f"{self.prefix}/{kind}" for kind in (Tick.kind, PlantState.kind)],
                 *[f"{self.prefix}/{kind}/*" for kind in _SEVERAL],
             ]
         if name == WATCHER:  # what it shows is in the reports: plans and measurements would only be a load
             return [
                 *everybody,
-                *[f"{self.prefix}/{kind}" for kind in (Tick.kind, Truth.kind)],
+                *[f"{self.prefix}/{kind}" for kind in (Tick.kind, PlantState.kind)],
                 *[f"{self.prefix}/{kind}/*" for kind in (StepReport.kind, Rejected.kind)],
             ]
         if name == "coordinator":
-            return [plans, unshared, f"{self.prefix}/{Truth.kind}"]
+            return [plans, unshared, f"{self.prefix}/{PlantState.kind}"]
         if name == "plant":
             return [*everybody, plans, unshared, f"{self.prefix}/{Tick.kind}"]
         return [*everybody, plans, f"{self.prefix}/{Measurement.kind}/{name.removeprefix('agent')}"]
@@ -148,7 +148,7 @@ class Keys:
         if name == "coordinator":
             kinds = [Tick.kind, Roster.kind, Control.kind]
         elif name == "plant":
-            kinds = [f"{Measurement.kind}/*", Truth.kind]
+            kinds = [f"{Measurement.kind}/*", PlantState.kind]
         elif name.startswith("agent"):
             kinds = [f"{kind}/{name.removeprefix('agent')}" for kind in (Plan.kind, _UNSHARED, StepReport.kind)]
         else:
@@ -223,5 +223,5 @@ _OWNERS = {
     Control.kind: "coordinator",
     FaultNote.kind: "recorder",
     Measurement.kind: "plant",
-    Truth.kind: "plant",
+    PlantState.kind: "plant",
 }

@@ -1,9 +1,9 @@
 """The messages of a run: frozen, validated at construction, equal on every runtime.
 
 Who sends what to whom, per tick: coordinator -> plant `Tick`; plant -> each agent `Measurement`; agent -> plant,
-coordinator and, when it is shared, the other agents `Plan`. For the record: plant `Truth`, agents `StepReport`, anybody
-`Rejected`. Around them: coordinator `Roster` and `Control`. Presence is not a message: it comes from liveliness tokens,
-and nodes are told as an event.
+coordinator and, when it is shared, the other agents `Plan`. For the record: plant `PlantState`, agents
+`StepReport`, any process `Rejected`. Around them: coordinator `Roster` and `Control`. Presence is not a message: it
+comes from liveliness tokens, and nodes receive it as an event.
 """
 
 import math
@@ -23,7 +23,7 @@ from model.state import INPUTS, PAYLOAD, PER_UAV
 # Limits of what a message may claim; beyond them it is garbage, whoever sent it.
 MAX_UAVS = 256
 MAX_HORIZON = 10_000
-MAX_ROUNDS = 20
+MAX_NEGOTIATION_ITERATIONS = 20
 MAX_TICK = 2**48
 MAX_TEXT = 1_000
 
@@ -254,7 +254,7 @@ class Plan(Message):
         Message.__post_init__(self)
         self._set("agent", _integer("agent", self.agent, MAX_UAVS, low=1))
         self._integers("start_tick")
-        self._set("negotiation", _integer("negotiation", self.negotiation, MAX_ROUNDS - 1))
+        self._set("negotiation", _integer("negotiation", self.negotiation, MAX_NEGOTIATION_ITERATIONS - 1))
         self._set("shared", _boolean("shared", self.shared))
         self._set("uavs", _ids("uavs", self.uavs))
         self._set("uav_states", _array("uav_states", self.uav_states, (len(self.uavs), PER_UAV)))
@@ -330,7 +330,7 @@ class StepReport(Message):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Truth(Message):
+class PlantState(Message):
     """Plant to the record: what really happened at tick k and until k + 1.
 
     Attributes:
@@ -342,7 +342,7 @@ class Truth(Message):
         diverged: Empty, or why the flight ends after this interval.
     """
 
-    kind: ClassVar[str] = "truth"
+    kind: ClassVar[str] = "plant_state"
 
     x: Array
     u: Array
@@ -463,7 +463,7 @@ class FaultNote(Message):
 
 KINDS: dict[str, type[Message]] = {
     cls.kind: cls
-    for cls in (Tick, Roster, LinkChange, Measurement, Plan, StepReport, Truth, FaultNote, Rejected, Control)
+    for cls in (Tick, Roster, LinkChange, Measurement, Plan, StepReport, PlantState, FaultNote, Rejected, Control)
 }
 
 

@@ -3,9 +3,8 @@
 from dataclasses import replace
 from typing import Any, TypeVar
 
+from protocol.wire.exit_codes import EXIT_UNREACHABLE
 from protocol.wire.messages import Control, Message
-
-EXIT_LOST = 4  # a peer is gone or was never reachable (docs/command-line.md)
 
 M = TypeVar("M", bound=Message)
 
@@ -37,4 +36,4 @@ class Outbox:
 
 def lost(outbox: Outbox, tick: int, reason: str) -> Control:
     """The end of a run as a node sees it that has lost the coordinator: nobody else will tell it."""
-    return outbox.stamp(Control, tick=max(tick, 0), outcome="aborted", reason=reason, exit_code=EXIT_LOST)
+    return outbox.stamp(Control, tick=max(tick, 0), outcome="aborted", reason=reason, exit_code=EXIT_UNREACHABLE)

@@ -61,7 +61,7 @@ def flight(forces: tuple[float, ...], *settings: str, size: float = 1.0) -> Flig
 
 
 def estimates(
-    truth: Flight,
+    plant_state: Flight,
     plans_at: Callable[[int], int] = lambda k: k + 1,
     measured_at: Callable[[int], int | None] = lambda k: k,
     steps: int = 1,
@@ -69,12 +69,12 @@ def estimates(
     """Agent 1's estimates of the forces at every tick, (TICKS + 1, 15).
 
     Args:
-        truth: What happens.
+        plant_state: What happens.
         plans_at: When others' plans of a tick arrive.
         measured_at: When the measurement of a tick arrives, if it does.
         steps: How far plans reach.
     """
-    run = truth.run
+    run = plant_state.run
     disturbance = DisturbanceEstimator(run.model, run.hover, run.owned[0], PERIOD_S, TIME_CONSTANT_S)
     estimator = StateEstimator(run.model, lambda k: run.initial_state(), PERIOD_S, disturbance)
     announced = AnnouncedInputs(run.owned, run.hover.u)
@@ -83,15 +83,15 @@ def estimates(
         for agent in run.agents[1:]:
             for made in range(k):
                 if plans_at(made) == k:
-                    announced.add(truth.plan(agent, made, steps))
-                    estimator.take(truth.plan(agent, made, steps))
+                    announced.add(plant_state.plan(agent, made, steps))
+                    estimator.take(plant_state.plan(agent, made, steps))
         for seen in range(k + 1):
             if measured_at(seen) == k:
-                estimator.measure(truth.measurement(seen))
+                estimator.measure(plant_state.measurement(seen))
         estimator.estimate(k, announced)
         found.append(disturbance.forces)
         if k < TICKS:
-            announced.add(truth.plan(1, k))
+            announced.add(plant_state.plan(1, k))
     return np.array(found)
 
 
@@ -126,8 +126,8 @@ def test_what_pushes_uavs_up_or_down_is_the_payloads() -> None:
 @pytest.mark.parametrize("delay", [1, 3])
 def test_late_measurements(delay: int) -> None:
     """A measurement that comes late tells the same about the period before it."""
-    truth = flight(tuple(HEAVY_IN_WIND))
-    on_time, late = estimates(truth), estimates(truth, lambda k: k + 1, lambda k: k + delay)
+    plant_state = flight(tuple(HEAVY_IN_WIND))
+    on_time, late = estimates(plant_state), estimates(plant_state, lambda k: k + 1, lambda k: k + delay)
     shifted = late[delay:] - on_time[:-delay]
     assert np.abs(shifted).max() < GAIN_ERROR * np.abs(HEAVY_IN_WIND).max()
 
@@ -144,8 +144,8 @@ def test_lost_measurements(kept: Callable[[int], bool], found: bool) -> None:
 
 def test_lost_plans_make_it_noisier() -> None:
     """With two of three plans lost the estimate errs by what the others' thrusts are taken wrong by, filtered."""
-    truth = flight(tuple(HEAVY_IN_WIND))
-    error = estimates(truth, lambda k: k + 1 if k % 3 == 0 else TICKS + 1) - estimates(truth)
+    plant_state = flight(tuple(HEAVY_IN_WIND))
+    error = estimates(plant_state, lambda k: k + 1 if k % 3 == 0 else TICKS + 1) - estimates(plant_state)
     # Three thrusts each up to 2 N from the one held for them; in the mean over 8 ticks much less.
     assert 0.0 < np.abs(error).max() < 1.0
 
@@ -167,20 +167,20 @@ def test_wrong_predictions_are_no_forces(wrong: float) -> None:
 
 def test_actuators_are_believed() -> None:
     """An actuator that does something else than announced is reported, and is no force from outside."""
-    truth = flight(tuple(NOTHING))
-    run = truth.run
+    plant_state = flight(tuple(NOTHING))
+    run = plant_state.run
     found = []
-    for reported in (truth.U, np.tile(run.hover.u, (TICKS, 1))):
+    for reported in (plant_state.U, np.tile(run.hover.u, (TICKS, 1))):
         disturbance = DisturbanceEstimator(run.model, run.hover, (0,), PERIOD_S, TIME_CONSTANT_S)
         estimator = StateEstimator(run.model, lambda k: run.initial_state(), PERIOD_S, disturbance)
         announced = AnnouncedInputs(run.owned, run.hover.u)
         for agent in (2, 3, 4):
-            announced.add(truth.plan(agent, 0))
-        estimator.measure(truth.measurement(0))
+            announced.add(plant_state.plan(agent, 0))
+        estimator.measure(plant_state.measurement(0))
         estimator.estimate(0, announced)
-        estimator.measure(replace(truth.measurement(1), inputs=reported[0].reshape(4, 4)[:1]))
+        estimator.measure(replace(plant_state.measurement(1), inputs=reported[0].reshape(4, 4)[:1]))
         for agent in (2, 3, 4):
-            announced.add(truth.plan(agent, 0))
+            announced.add(plant_state.plan(agent, 0))
         estimator.estimate(1, announced)
         found.append(np.abs(disturbance.forces).max())
     assert found[0] < NO_FORCE

@@ -67,7 +67,7 @@ def estimated(estimator: StateEstimator, seen: Measurement, announced: Announced
 
 
 def estimates(
-    truth: Flight,
+    plant_state: Flight,
     arrivals: Arrivals,
     missed: Collection[int] = (),
     law: Law = lambda _tick, _x: None,
@@ -75,12 +75,12 @@ def estimates(
     """Agent 1's estimates over the flight, by tick.
 
     Args:
-        truth: What happens.
+        plant_state: What happens.
         arrivals: Others' plans, by the tick before whose estimate they arrive.
         missed: Ticks whose measurement never comes.
         law: Control law of the other agents after the first step of a plan.
     """
-    run = truth.run
+    run = plant_state.run
     estimator = StateEstimator(run.model, lambda k: run.initial_state(), PERIOD_S)
     announced = AnnouncedInputs(run.owned, run.hover.u, own=1, law=law)
     found = {}
@@ -89,105 +89,107 @@ def estimates(
             announced.add(message)
             estimator.take(message)
         if k not in missed:
-            found[k] = estimated(estimator, measurement(run, 1, k, x=truth.X[k]), announced)
+            found[k] = estimated(estimator, measurement(run, 1, k, x=plant_state.X[k]), announced)
         if k < TICKS:
-            announced.add(truth.plan(1, k))  # its own: it knows what it does
+            announced.add(plant_state.plan(1, k))  # its own: it knows what it does
     return found
 
 
-def arriving(truth: Flight, when: Callable[[int], int], steps: int = 1) -> Arrivals:
+def arriving(plant_state: Flight, when: Callable[[int], int], steps: int = 1) -> Arrivals:
     """Everybody's plans: that of tick k arrives before the estimate of tick when(k)."""
     arrivals: Arrivals = {}
     for k in range(TICKS):
-        for agent in truth.run.agents[1:]:
-            arrivals.setdefault(when(k), []).append(truth.plan(agent, k, steps))
+        for agent in plant_state.run.agents[1:]:
+            arrivals.setdefault(when(k), []).append(plant_state.plan(agent, k, steps))
     return arrivals
 
 
-def assert_close(found: dict[int, Array], truth: Flight, ticks: Sequence[int], tolerance: float) -> None:
+def assert_close(found: dict[int, Array], plant_state: Flight, ticks: Sequence[int], tolerance: float) -> None:
     """Estimates equal the truth at some ticks."""
     for k in ticks:
-        np.testing.assert_allclose(found[k], truth.X[k], rtol=0.0, atol=tolerance, err_msg=f"tick {k}")
+        np.testing.assert_allclose(found[k], plant_state.X[k], rtol=0.0, atol=tolerance, err_msg=f"tick {k}")
 
 
 @pytest.mark.parametrize("ownership", [FOUR, PAIRS])
 def test_perfect_network(ownership: str) -> None:
     """With plans one tick late the estimate is the true state: the paper's perfect information."""
-    truth = flight(ownership)
-    found = estimates(truth, arriving(truth, lambda k: k + 1))
-    assert_close(found, truth, range(TICKS + 1), ONE_PERIOD)
-    assert np.abs(truth.X[-1] - truth.X[0]).max() > 0.1  # the flight has gone somewhere
+    plant_state = flight(ownership)
+    found = estimates(plant_state, arriving(plant_state, lambda k: k + 1))
+    assert_close(found, plant_state, range(TICKS + 1), ONE_PERIOD)
+    assert np.abs(plant_state.X[-1] - plant_state.X[0]).max() > 0.1  # the flight has gone somewhere
 
 
 def test_own_measurement_is_taken_as_it_is() -> None:
     """Payload and owned UAVs are estimated exactly as measured, whatever is known of the others."""
-    truth = flight(PAIRS)
-    for found in (estimates(truth, {}), estimates(truth, arriving(truth, lambda k: k + 3))):
+    plant_state = flight(PAIRS)
+    for found in (estimates(plant_state, {}), estimates(plant_state, arriving(plant_state, lambda k: k + 3))):
         for k, x in found.items():
             measured = 12 + 2 * 12
-            np.testing.assert_array_equal(x[:measured], truth.X[k, :measured])
+            np.testing.assert_array_equal(x[:measured], plant_state.X[k, :measured])
 
 
 def test_wrong_first_guess() -> None:
     """Others that do not start as planned are known from the first plans received on."""
-    truth = flight(FOUR, 0.05)
-    found = estimates(truth, arriving(truth, lambda k: k + 1))
-    assert np.abs(found[0] - truth.X[0]).max() > 0.04
-    assert_close(found, truth, range(1, TICKS + 1), ONE_PERIOD)
+    plant_state = flight(FOUR, 0.05)
+    found = estimates(plant_state, arriving(plant_state, lambda k: k + 1))
+    assert np.abs(found[0] - plant_state.X[0]).max() > 0.04
+    assert_close(found, plant_state, range(1, TICKS + 1), ONE_PERIOD)
 
 
 @pytest.mark.parametrize("delay", [2, 5, 10])
 def test_delay_without_disturbance(delay: int) -> None:
     """Announced inputs that come true make the estimate the true state however late they are."""
-    truth = flight(FOUR)
-    found = estimates(truth, arriving(truth, lambda k: k + delay, steps=delay))
-    assert_close(found, truth, range(delay, TICKS + 1), TEN_PERIODS)
+    plant_state = flight(FOUR)
+    found = estimates(plant_state, arriving(plant_state, lambda k: k + delay, steps=delay))
+    assert_close(found, plant_state, range(delay, TICKS + 1), TEN_PERIODS)
 
 
 def test_loss_without_disturbance() -> None:
     """The same with two of three plans lost."""
-    truth = flight(FOUR)
-    arrivals = {k: [p for p in ps if p.tick % 3 == 0] for k, ps in arriving(truth, lambda k: k + 1, steps=5).items()}
-    assert_close(estimates(truth, arrivals), truth, range(TICKS + 1), TEN_PERIODS)
+    plant_state = flight(FOUR)
+    arrivals = {
+        k: [p for p in ps if p.tick % 3 == 0] for k, ps in arriving(plant_state, lambda k: k + 1, steps=5).items()
+    }
+    assert_close(estimates(plant_state, arrivals), plant_state, range(TICKS + 1), TEN_PERIODS)
 
 
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("delay", [2, 7, TICKS])
 def test_order_of_arrival_does_not_matter(seed: int, delay: int) -> None:
     """Once all is there, the estimate is bit for bit the one of plans that came in order and at once."""
-    truth = flight(FOUR, 0.02)
-    in_order = estimates(truth, arriving(truth, lambda k: k + 1))
+    plant_state = flight(FOUR, 0.02)
+    in_order = estimates(plant_state, arriving(plant_state, lambda k: k + 1))
     rng = np.random.default_rng(seed)
     late: Arrivals = {}
     for k in range(TICKS):
-        for agent in truth.run.agents[1:]:
+        for agent in plant_state.run.agents[1:]:
             # At the last tick everything is there; until then each at its own random time, some twice.
             for _ in range(int(rng.integers(1, 3))):
                 when = min(k + int(rng.integers(1, delay + 1)), TICKS)
-                late.setdefault(when, []).append(truth.plan(agent, k))
+                late.setdefault(when, []).append(plant_state.plan(agent, k))
     for messages in late.values():
         rng.shuffle(messages)
-    found = estimates(truth, late)
+    found = estimates(plant_state, late)
     np.testing.assert_array_equal(found[TICKS], in_order[TICKS])
 
 
 def test_late_news_corrects_the_past() -> None:
     """A state received late is put in at its own tick and carried forward: the next estimate has it."""
-    truth = flight(FOUR, 0.05)
-    arrivals = arriving(truth, lambda k: TICKS, steps=TICKS)
-    first = {agent: truth.plan(agent, 0, TICKS) for agent in (2, 3, 4)}
-    found = estimates(truth, {20: list(first.values()), TICKS: arrivals[TICKS]})
-    assert np.abs(found[19] - truth.X[19]).max() > 0.04
-    np.testing.assert_allclose(found[20], truth.X[20], rtol=0.0, atol=20 * ONE_PERIOD)
+    plant_state = flight(FOUR, 0.05)
+    arrivals = arriving(plant_state, lambda k: TICKS, steps=TICKS)
+    first = {agent: plant_state.plan(agent, 0, TICKS) for agent in (2, 3, 4)}
+    found = estimates(plant_state, {20: list(first.values()), TICKS: arrivals[TICKS]})
+    assert np.abs(found[19] - plant_state.X[19]).max() > 0.04
+    np.testing.assert_allclose(found[20], plant_state.X[20], rtol=0.0, atol=20 * ONE_PERIOD)
 
 
 def test_missed_measurements() -> None:
     """Ticks without a measurement are predicted over."""
-    truth = flight(FOUR)
+    plant_state = flight(FOUR)
     missed = range(10, 15)
-    found = estimates(truth, arriving(truth, lambda k: k + 1, steps=10), missed)
+    found = estimates(plant_state, arriving(plant_state, lambda k: k + 1, steps=10), missed)
     assert not set(missed) & set(found)
-    assert_close(found, truth, sorted(found), TEN_PERIODS)
+    assert_close(found, plant_state, sorted(found), TEN_PERIODS)
 
 
 def test_states_received_over_a_gap() -> None:
@@ -329,21 +331,21 @@ def test_the_law_makes_late_states_exact() -> None:
     By induction: a true state gives the true inputs by the law, and those the next true state.
     """
     led = led_flight()
-    truth = led.flight
-    found = estimates(truth, led.late(), law=led.law)
-    assert_close(found, truth, range(LATE, TICKS + 1), TEN_PERIODS)
-    held = estimates(truth, led.late())
-    missed = [np.abs(held[k] - truth.X[k]).max() for k in range(LATE, TICKS + 1)]
+    plant_state = led.flight
+    found = estimates(plant_state, led.late(), law=led.law)
+    assert_close(found, plant_state, range(LATE, TICKS + 1), TEN_PERIODS)
+    held = estimates(plant_state, led.late())
+    missed = [np.abs(held[k] - plant_state.X[k]).max() for k in range(LATE, TICKS + 1)]
     assert np.mean(missed) > MISSED_BY_HELD_PLANS
 
 
 def test_the_law_is_better_than_held_plans_under_an_unknown_force() -> None:
     """Under an unknown force the estimate by the control law is not exact, but closer than that by held plans."""
     led = led_flight(3.0)
-    truth = led.flight
+    plant_state = led.flight
     errors = []
     for law in (led.law, lambda _tick, _x: None):
-        found = estimates(truth, led.late(), law=law)
-        others = np.array([found[k] - truth.X[k] for k in range(LATE, TICKS + 1)])[:, state.uav_slice(1).start :]
+        found = estimates(plant_state, led.late(), law=law)
+        others = np.array([found[k] - plant_state.X[k] for k in range(LATE, TICKS + 1)])[:, state.uav_slice(1).start :]
         errors.append(float(np.sqrt(np.mean(others**2))))
     assert TEN_PERIODS < errors[0] < errors[1] / 2.0

@@ -11,7 +11,7 @@ from model.arrays import Array
 from mpc.controller import Controller, Linear
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import STAGES, Message, Plan, Presence, StepReport
-from tests.support.runs import end, integrated, measurement, plan, refused, roster, setup, tick, truth
+from tests.support.runs import end, integrated, measurement, plan, plant_state, refused, roster, setup, tick
 
 SHORT_HORIZON = "controller.horizon=5"  # a step of a millisecond: these tests are about messages
 CLOSED_LOOP = "controller.prediction=closed_loop"
@@ -409,7 +409,7 @@ def test_other_events_change_nothing(run: Setup, node: AgentNode) -> None:
         Presence("agent2", 0, alive=False),
         Presence("plant", 0, alive=False),
         tick(0),
-        truth(run, 0),
+        plant_state(run, 0),
     ]
     assert tell(node, *events) == []
     assert list(node.poll(10**18)) == []

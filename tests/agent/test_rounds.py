@@ -9,7 +9,7 @@ from agent.node import AgentNode
 from protocol.wire.messages import Message, Plan, Presence
 from tests.support.runs import measurement, plan, roster, setup
 
-ROUNDS = ("controller.horizon=5", "controller.rounds=3")
+ROUNDS = ("controller.horizon=5", "controller.negotiation_iterations=3")
 OTHERS = (2, 3, 4)
 
 

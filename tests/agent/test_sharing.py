@@ -131,7 +131,7 @@ def test_a_new_start_shares_its_first_plan() -> None:
 
 def test_only_the_last_plan_of_a_tick_is_kept_back() -> None:
     """Plans of a negotiation are always shared: the others wait for them."""
-    run = setup("controller.horizon=5", "controller.rounds=2")
+    run = setup("controller.horizon=5", "controller.negotiation_iterations=2")
     node = AgentNode(run, 1)
     made = answered(node, roster(), measurement(run, 1, 0))
     proposals = [replace(plan(run, agent, 0), negotiation=1) for agent in (2, 3, 4)]

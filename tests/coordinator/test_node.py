@@ -19,7 +19,7 @@ from tests.support.coordinator_clock import (
     started,
     tell,
 )
-from tests.support.runs import EVERYBODY, plan, refused, setup, truth
+from tests.support.runs import EVERYBODY, plan, plant_state, refused, setup
 
 BARRIER_NS = round(TIMEOUT_S * S)
 PACED = "clock.speed=1"
@@ -46,7 +46,7 @@ def test_a_whole_run() -> None:
     for k in range(3):
         for agent in (3, 1, 4, 2):
             sent += [(k, agent, text) for text in kinds(tell(node, answers(k, (agent,))))]
-        sent += [(k, 0, text) for text in kinds(tell(node, [truth(setup(), k)]))]
+        sent += [(k, 0, text) for text in kinds(tell(node, [plant_state(setup(), k)]))]
     assert sent == [(0, 2, "tick 1"), (1, 2, "tick 2"), (2, 0, "control 2")]
     assert node.finished is not None
     assert (node.finished.outcome, node.finished.reason, node.finished.exit_code) == ("completed", "", 0)
@@ -166,7 +166,7 @@ def test_wake() -> None:
     tell(node, answers(1), START_NS + 120 * MS)
     tell(node, answers(2), START_NS + 130 * MS)
     assert node.wake_ns == START_NS + 120 * MS + BARRIER_NS  # nothing but the last truth is missing
-    tell(node, [truth(setup(), 2)], START_NS + 140 * MS)
+    tell(node, [plant_state(setup(), 2)], START_NS + 140 * MS)
     assert node.wake_ns is None
 
 
@@ -187,7 +187,7 @@ def test_messages_are_numbered() -> None:
     node = CoordinatorNode(setup(THREE), incarnation=3)
     sent = tell(node, [ready(name) for name in ("plant", "agent1", "agent2", "agent3", "agent4")])
     for k in range(3):
-        sent += tell(node, [*answers(k), truth(setup(), k)])
+        sent += tell(node, [*answers(k), plant_state(setup(), k)])
     assert [message.sequence for message in sent] == list(range(len(sent))) == list(range(5))
     assert {(message.sender, message.incarnation) for message in sent} == {("coordinator", 3)}
 

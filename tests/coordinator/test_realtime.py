@@ -7,9 +7,9 @@ import pytest
 
 from coordinator.node import CoordinatorNode
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import Control, Message, Plan, Roster, Tick, Truth
+from protocol.wire.messages import Control, Message, Plan, PlantState, Roster, Tick
 from tests.support.coordinator_clock import CONTINUE, MS, START_NS, S, gone, kinds, ready, started, tell
-from tests.support.runs import EVERYBODY, plan, setup, ticks, truth
+from tests.support.runs import EVERYBODY, plan, plant_state, setup, ticks
 
 REALTIME = ("clock.mode=realtime", "clock.speed=1")
 PERIOD_NS = 50 * MS
@@ -94,7 +94,7 @@ def test_nobody_is_blamed_for_the_coordinators_own_absence(mode: tuple[str, ...]
         else:
             node.receive(plan(run, 1, 0, delay=delay), now_ns)
         tell(node, [plan(run, agent, 0, delay=delay) for agent in EVERYBODY], now_ns + MS)
-        tell(node, [truth(run, 0)], now_ns + MS)
+        tell(node, [plant_state(run, 0)], now_ns + MS)
         node.poll(now_ns + 2 * MS)
         assert node.finished is None
         assert node.tick > 0
@@ -149,7 +149,7 @@ def test_hold_is_no_reason_to_lose_the_others() -> None:
     """While a tick waits for one nearly as long as the barrier, the others owe nothing, nor does the plant."""
     run, node = realtime(HOLD, CONTINUE)
     waited_ns = due(0) + 20 * MS + BARRIER_NS - MS
-    tell(node, [*answers(run, 0, (1, 2, 3)), truth(run, 0)], due(0) + 20 * MS)
+    tell(node, [*answers(run, 0, (1, 2, 3)), plant_state(run, 0)], due(0) + 20 * MS)
     assert kinds(tell(node, answers(run, 0, (4,)), waited_ns)) == ["tick 1"]
     assert node.poll(waited_ns + 10 * MS) == ()
     assert kinds(tell(node, answers(run, 1), waited_ns + 20 * MS)) == []
@@ -202,8 +202,8 @@ def fly_until(run: Setup, node: CoordinatorNode, until_ns: int, silent: Sequence
         now_ns = node.wake_ns
         sent = list(node.poll(now_ns))
         said += [message for message in sent if not isinstance(message, Tick)]
-        events: list[Plan | Truth | Message] = [*answers(run, node.tick, agents)]
-        tell(node, events if "plant" in silent else [*events, truth(run, node.tick)], now_ns)
+        events: list[Plan | PlantState | Message] = [*answers(run, node.tick, agents)]
+        tell(node, events if "plant" in silent else [*events, plant_state(run, node.tick)], now_ns)
         if said:
             return said, now_ns
     return said, until_ns
@@ -212,7 +212,7 @@ def fly_until(run: Setup, node: CoordinatorNode, until_ns: int, silent: Sequence
 def test_a_frozen_agent_is_taken_off_the_roster() -> None:
     """Who has not answered for the barrier's time is lost; till then and afterwards ticks are opened on time."""
     run, node = realtime(CONTINUE)
-    tell(node, [*answers(run, 0), truth(run, 0)])
+    tell(node, [*answers(run, 0), plant_state(run, 0)])
     said, now_ns = fly_until(run, node, due(400), ["agent4"])
     (roster,) = said
     assert isinstance(roster, Roster)
@@ -232,7 +232,7 @@ def test_a_slow_agent_is_not_lost() -> None:
     for k in range(1, 200):
         now_ns = due(k)
         assert kinds(node.poll(now_ns)) == [f"tick {k}"]
-        tell(node, [*answers(run, k, (1, 2, 3)), truth(run, k - 1)], now_ns + MS)
+        tell(node, [*answers(run, k, (1, 2, 3)), plant_state(run, k - 1)], now_ns + MS)
         tell(node, answers(run, max(k - 3, 0), (4,)), now_ns + 2 * MS)
     assert node.finished is None
 
@@ -240,7 +240,7 @@ def test_a_slow_agent_is_not_lost() -> None:
 def test_a_frozen_plant_ends_the_run() -> None:
     """Without a sign of the plant for the barrier's time the run ends, on_agent_loss or not."""
     run, node = realtime(CONTINUE)
-    tell(node, [*answers(run, 0), truth(run, 0)])
+    tell(node, [*answers(run, 0), plant_state(run, 0)])
     said, now_ns = fly_until(run, node, due(400), ["plant"])
     (end,) = said
     assert isinstance(end, Control)
@@ -276,11 +276,11 @@ def test_the_end() -> None:
     """The run ends a period after its last tick was opened, not before its truth is here: also if answers are late."""
     run, node = realtime(length=3)
     for k in (1, 2):
-        tell(node, [*answers(run, k - 1), truth(run, k - 1)], due(k) - MS)
+        tell(node, [*answers(run, k - 1), plant_state(run, k - 1)], due(k) - MS)
         node.poll(due(k))
     tell(node, answers(run, 2, (1, 2, 3)), due(2) + MS)
     assert node.poll(due(3)) == ()
-    (end,) = tell(node, [truth(run, 2)], due(3) + MS)
+    (end,) = tell(node, [plant_state(run, 2)], due(3) + MS)
     assert isinstance(end, Control)
     assert (end.outcome, end.tick, end.exit_code) == ("completed", 2, 0)
 
@@ -288,7 +288,7 @@ def test_the_end() -> None:
 def test_the_last_truth_never_comes() -> None:
     """A plant that is silent at the last tick is waited for no longer than the barrier."""
     run, node = realtime(length=2)
-    tell(node, [*answers(run, 0), truth(run, 0)])
+    tell(node, [*answers(run, 0), plant_state(run, 0)])
     node.poll(due(1))
     tell(node, answers(run, 1), due(1) + MS)
     wake_ns = node.wake_ns

@@ -8,13 +8,13 @@ import pytest
 from coordinator.node import CoordinatorNode
 from protocol.wire.messages import Control, Message, Roster, Tick
 from tests.support.coordinator_clock import CONTINUE, MS, START_NS, TIMEOUT_S, S, gone, kinds, ready, started, tell
-from tests.support.runs import EVERYBODY, plan, setup, ticks, truth
+from tests.support.runs import EVERYBODY, plan, plant_state, setup, ticks
 
 BARRIER_NS = round(TIMEOUT_S * S)
 JOIN_NS = 30 * S  # clock.join_timeout_s, the default
 KILLED = "faults.event=[{at_s=0.05,do='kill',target='agent2'},{at_s=0.15,do='restart',target='agent2'}]"
 SIX = ticks(6)
-ROUNDS = "controller.rounds=3"
+ROUNDS = "controller.negotiation_iterations=3"
 LEFT = (1, 3, 4)
 
 
@@ -28,7 +28,7 @@ def held() -> CoordinatorNode:
     node = started(CoordinatorNode(setup(SIX, CONTINUE, KILLED)))
     tell(node, [*answers(0), gone("agent2")])
     for k in (1, 2):
-        tell(node, [*answers(k, LEFT), truth(setup(SIX), k - 1)])
+        tell(node, [*answers(k, LEFT), plant_state(setup(SIX), k - 1)])
     assert node.tick == 2
     return node
 

@@ -20,7 +20,7 @@ from tests.support.coordinator_clock import (
     started,
     tell,
 )
-from tests.support.runs import setup, truth
+from tests.support.runs import plant_state, setup
 
 AGENTS = [f"agent{agent}" for agent in (1, 2, 3, 4)]
 TOO_LATE_NS = START_NS + round(TIMEOUT_S * 1e9)
@@ -50,7 +50,7 @@ def at_the_end(*settings: str) -> CoordinatorNode:
 def recorded(*settings: str) -> CoordinatorNode:
     """Last tick open, its truth here, agent 4's answer outstanding."""
     node = at_last_tick(coordinator(*settings))
-    assert tell(node, [*answers(2, (1, 2, 3)), truth(setup(), 2)]) == []
+    assert tell(node, [*answers(2, (1, 2, 3)), plant_state(setup(), 2)]) == []
     return node
 
 
@@ -64,7 +64,7 @@ def over(*settings: str) -> CoordinatorNode:
 def tilted(*settings: str) -> CoordinatorNode:
     """Opened, and the plant has said that the flight is lost: the tick is still answered and the next one opened."""
     node = opened(*settings)
-    tell(node, [truth(setup(), 0, "UAV1 roll of 90 deg")])
+    tell(node, [plant_state(setup(), 0, "UAV1 roll of 90 deg")])
     return node
 
 
@@ -81,7 +81,7 @@ class Case:
 
 
 ABORTED, DIVERGED, COMPLETED, INTERRUPTED = ("aborted", 4), ("diverged", 6), ("completed", 0), ("aborted", 130)
-LOST, TILTED = truth(setup(), 0, "UAV1 roll of 90 deg"), "UAV1 roll of 90 deg at t = 0.00 s"
+LOST, TILTED = plant_state(setup(), 0, "UAV1 roll of 90 deg"), "UAV1 roll of 90 deg at t = 0.00 s"
 LATE = "agent4 did not answer tick 0 in time at t = 0.00 s"
 
 TABLE = [
@@ -89,7 +89,7 @@ TABLE = [
     Case(state=waiting, event=ready("agent3")),
     Case(state=waiting, event=ready("recorder")),
     Case(state=waiting, event=answers(0)[0]),
-    Case(state=waiting, event=truth(setup(), 0)),
+    Case(state=waiting, event=plant_state(setup(), 0)),
     Case(state=waiting, event="a day passes"),
     Case(state=waiting, event=gone("agent4", 7)),
     Case(state=waiting, event=gone("recorder")),
@@ -103,7 +103,7 @@ TABLE = [
     Case(state=opened, event=answers(0)[3], sent=["tick 1"]),
     Case(state=opened, event=answers(0)[0]),
     Case(state=opened, event=answers(1)[3]),
-    Case(state=opened, event=truth(setup(), 0)),
+    Case(state=opened, event=plant_state(setup(), 0)),
     Case(state=opened, event=ready("agent4")),
     Case(state=opened, event="time passes"),
     Case(state=opened, event="timeout", sent=["control 0"], outcome=ABORTED, reason=LATE),
@@ -123,15 +123,15 @@ TABLE = [
     Case(state=tilted, event="timeout", sent=["control 0"], outcome=DIVERGED, reason=TILTED),
     Case(state=opened, event="interrupt", sent=["control 0"], outcome=INTERRUPTED, reason="Ctrl-C"),
     #
-    Case(state=at_the_end, event=truth(setup(), 2), sent=["control 2"], outcome=COMPLETED),
+    Case(state=at_the_end, event=plant_state(setup(), 2), sent=["control 2"], outcome=COMPLETED),
     Case(
         state=at_the_end,
-        event=truth(setup(), 2, "lost"),
+        event=plant_state(setup(), 2, "lost"),
         sent=["control 2"],
         outcome=DIVERGED,
         reason="lost at t = 0.10 s",
     ),
-    Case(state=at_the_end, event=truth(setup(), 1)),
+    Case(state=at_the_end, event=plant_state(setup(), 1)),
     Case(state=at_the_end, event="time passes"),
     Case(
         state=at_the_end,

@@ -7,7 +7,7 @@ import pytest
 
 from model.state import R0, THETA0, StateView
 from mpc.settings import Constraint, ControllerSettings, Separation
-from tests.support.systems import Flight, fly, paper_setup, team
+from tests.support.systems import Flight, paper_setup, simulate, team
 
 CLIMB_S = 5.0  # the paper's climb of 2.5 m begins here
 STEPS = 60  # 3 s: the climb's start, where the teams differ most
@@ -35,7 +35,7 @@ def flight(teams: tuple[tuple[int, ...], ...], again: int = 0, constraints: tupl
     """One climb; `again` tells repetitions apart."""
     settings = ControllerSettings(separation=Separation(minimum_m=MINIMUM_M), constraints=constraints)
     setup = paper_setup()
-    return fly(setup, team(setup, settings, teams), CLIMB_S, STEPS)
+    return simulate(setup, team(setup, settings, teams), CLIMB_S, STEPS)
 
 
 @pytest.mark.parametrize("teams", [ALL, EACH], ids=["centralized", "distributed"])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from model.arrays import Array, ShapeError
-from mpc.settings import Constraint, ControllerSettings, Limits, Pricing, Separation, Weights
+from mpc.settings import Constraint, ControllerSettings, Limits, PenalisedInput, Separation, Weights
 from tests.support import naive
 from tests.support.systems import Setup, Situation, controller, paper_setup, situation, step
 
@@ -37,7 +37,7 @@ def cost_by_simulation(
     dU[:, own] = v
     N = setup.system.N
     Q, R = settings.weights.Q(N), settings.weights.R(N)[own]
-    price_from = setup.hover.u[own] if settings.weights.priced == "deviation" else np.zeros(len(own))
+    price_from = setup.hover.u[own] if settings.weights.penalised_input == "deviation" else np.zeros(len(own))
     total = 0.0
     for k, dx in enumerate(naive.simulate(A, B, f_d, dU)):
         error = linear.y + linear.C @ dx - at.y_ref[k]
@@ -47,14 +47,18 @@ def cost_by_simulation(
     return total
 
 
-@pytest.mark.parametrize("priced", ["deviation", "absolute"])
+@pytest.mark.parametrize("penalised_input", ["deviation", "absolute"])
 @pytest.mark.parametrize("horizon", [1, 2, 7])
 @pytest.mark.parametrize("owned", OWNED)
-def test_objective_is_the_cost_of_the_paper(owned: tuple[int, ...], horizon: int, priced: Pricing) -> None:
+def test_objective_is_the_cost_of_the_paper(
+    owned: tuple[int, ...], horizon: int, penalised_input: PenalisedInput
+) -> None:
     """Differences of the program's objective are differences of the cost (25), slack prices aside."""
     setup = paper_setup()
     settings = ControllerSettings(
-        horizon=horizon, weights=Weights(priced=priced), separation=Separation(minimum_m=0.45, penalty=30.0)
+        horizon=horizon,
+        weights=Weights(penalised_input=penalised_input),
+        separation=Separation(minimum_m=0.45, penalty=30.0),
     )
     at = situation(setup, settings, seed=horizon)
     one = controller(setup, settings, owned)
@@ -114,7 +118,7 @@ def test_owning_all_is_the_centralized_controller(solver: str) -> None:
     setup, ceiling = paper_setup(), -10.01
     settings = ControllerSettings(
         horizon=6,
-        weights=Weights(priced="absolute"),
+        weights=Weights(penalised_input="absolute"),
         constraints=(
             Constraint(expression=f"r0[2] >= {ceiling}", soft=False),
             Constraint(expression="thrust1 == thrust2"),

@@ -40,7 +40,7 @@ def test_error_is_measured_from_the_reference() -> None:
 def test_deviation_prices_from_hover() -> None:
     """Priced as deviation, hover is free and an equal change either way costs the same."""
     setup = paper_setup()
-    cost, y = Cost(Weights(priced="deviation"), setup.hover), setup.model.outputs(setup.x)
+    cost, y = Cost(Weights(penalised_input="deviation"), setup.hover), setup.model.outputs(setup.x)
     change = np.linspace(-1.0, 1.0, setup.system.m)
     assert cost.stage(y, y, setup.hover.u) == 0.0
     more, less = cost.stage(y, y, setup.hover.u + change), cost.stage(y, y, setup.hover.u - change)
@@ -50,7 +50,7 @@ def test_deviation_prices_from_hover() -> None:
 def test_absolute_prices_from_zero() -> None:
     """Priced as the paper prints (17), no input is free and hover costs its thrusts' squares."""
     setup = paper_setup()
-    cost, y = Cost(Weights(priced="absolute", thrust=0.5), setup.hover), setup.model.outputs(setup.x)
+    cost, y = Cost(Weights(penalised_input="absolute", thrust=0.5), setup.hover), setup.model.outputs(setup.x)
     assert cost.stage(y, y, np.zeros(setup.system.m)) == 0.0
     thrust = (3.0 / 4.0 + 1.5) * 9.81  # each UAV lifts itself and a quarter of the payload
     assert cost.stage(y, y, setup.hover.u) == pytest.approx(4 * 0.5 * thrust**2, rel=ROUNDING)

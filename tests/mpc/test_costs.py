@@ -9,10 +9,10 @@ from model.arrays import Array
 from mpc.controller import Controller
 from mpc.settings import ControllerSettings, CostTerm, Weights
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import Message, Truth
+from protocol.wire.messages import Message, PlantState
 from tests.support import runs
 from tests.support.systems import controller, paper_setup, situation
-from transport.flight.memory import fly
+from transport.flight.memory import simulate
 
 OWNED = [(0,), (1, 3), (0, 1, 2, 3)]
 # The same sums in another order.
@@ -78,16 +78,16 @@ def test_a_curved_term_is_expanded_about_the_present_state() -> None:
 
 def swing_m(run: Setup) -> float:
     """Largest distance of the payload from its reference along x in the last second of a flight."""
-    truths: list[Truth] = []
+    plant_states: list[PlantState] = []
 
     def record(message: Message) -> None:
-        if isinstance(message, Truth):
-            truths.append(message)
+        if isinstance(message, PlantState):
+            plant_states.append(message)
 
-    assert fly(run, record).outcome == "completed"
-    end = truths[-20:]
-    times = np.array([run.settings.sampling_period_s * truth.tick for truth in end])
-    x = np.array([truth.x[0] for truth in end])
+    assert simulate(run, record).outcome == "completed"
+    end = plant_states[-20:]
+    times = np.array([run.settings.sampling_period_s * plant_state.tick for plant_state in end])
+    x = np.array([plant_state.x[0] for plant_state in end])
     return float(np.abs(x - run.reference.states(times)[:, 0]).max())
 
 
@@ -97,5 +97,5 @@ def test_the_loads_speed_has_a_price(prediction: str) -> None:
     hover, move = "duration_s={},displacement_m=[0,0,0]", "duration_s=1.0,displacement_m=[0.5,0,0]"
     phases = f"{{name='wait',{hover.format(1.0)}}},{{name='move',{move}}},{{name='hover',{hover.format(4.0)}}}"
     common = (f"maneuver.phase=[{phases}]", f"controller.prediction={prediction}", "controller.relaxation=auto")
-    priced = "controller.cost=[{expression='v0[0]',weight=0.3}]"
-    assert swing_m(runs.setup(*common, priced)) < 0.8 * swing_m(runs.setup(*common))
+    penalised_input = "controller.cost=[{expression='v0[0]',weight=0.3}]"
+    assert swing_m(runs.setup(*common, penalised_input)) < 0.8 * swing_m(runs.setup(*common))

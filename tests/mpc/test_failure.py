@@ -63,12 +63,12 @@ def test_three_stabilise_the_payload_without_the_fourth() -> None:
     three = System(payload=system.payload, uavs=[system.uavs[i] for i in live], gravity=system.gravity)
     at = failed_hover(three, set(), set())
     cost = Cost(Weights(), at)
-    alone = regulator(failed_model(three, set(), set()), at, cost, PERIOD_S)
+    uncontrolled = regulator(failed_model(three, set(), set()), at, cost, PERIOD_S)
     K = found(system, {DEAD}, {DEAD}).K
     assert not K[state.input_slice(DEAD)].any()
     assert not K[:, state.uav_slice(DEAD)].any()
     columns = np.concatenate([np.arange(12), *[np.arange(12) + state.uav_slice(i).start for i in live]])
-    np.testing.assert_allclose(K[input_indices(live)][:, columns], alone.K, atol=GAIN_TOLERANCE)
+    np.testing.assert_allclose(K[input_indices(live)][:, columns], uncontrolled.K, atol=GAIN_TOLERANCE)
 
 
 @pytest.mark.parametrize(("uavs", "released"), [(4, True), (5, False), (6, False), (6, True)])

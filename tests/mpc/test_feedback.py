@@ -12,7 +12,7 @@ from model.discretisation import zero_order_hold
 from model.state import input_indices
 from mpc.controller import Controller
 from mpc.cost import Cost
-from mpc.feedback import TeamLaw, regulator
+from mpc.feedback import FeedbackLaw, regulator
 from mpc.prediction import closed_loop
 from mpc.settings import ControllerSettings, Weights
 from tests.support.systems import Situation, paper_setup, situation
@@ -80,7 +80,7 @@ def test_prediction_is_the_team_under_the_law(owned: tuple[int, ...]) -> None:
     discrete = zero_order_hold(setup.model.linearise(at.x, at.u), PERIOD_S)
     x_ref = at.x + 0.1 * rng.standard_normal((steps, setup.system.n))
     feedforward, c = rng.standard_normal((2, steps, setup.system.m))
-    law = TeamLaw(K=gain(), u_rest=setup.hover.u, error=at.x - x_ref, feedforward=feedforward, c=c)
+    law = FeedbackLaw(K=gain(), u_rest=setup.hover.u, error=at.x - x_ref, feedforward=feedforward, c=c)
     prediction = closed_loop(discrete, at.u, own, others, law)
     v = 0.1 * rng.standard_normal((steps, len(own)))
 
@@ -141,7 +141,7 @@ def test_relaxation_acts_on_the_corrections(w: float) -> None:
     assert (limits.upper(1) >= relaxed.U).all()
 
 
-def law_at(controller: Controller, at: Situation) -> TeamLaw | None:
+def law_at(controller: Controller, at: Situation) -> FeedbackLaw | None:
     """The shared law about a situation, with corrections as small as they are in flight."""
     setup = paper_setup()
     rng = np.random.default_rng(1)
@@ -165,6 +165,6 @@ def test_a_start_is_not_relaxed_towards_nothing() -> None:
     best = full.conclude(solution, prediction, at.U, law).c
     before = law.c[:, full.own]
     assert np.abs(best - before).max() > 0.01, "nothing to relax: the comparison shows nothing"
-    for earlier, share in [(0, 1.0), (1, 1 / 2), (2, 1 / 3), (3, 0.25), (100, 0.25), (None, 0.25)]:
-        c = part.conclude(solution, prediction, at.U, law, earlier).c
+    for ticks_since_start, share in [(0, 1.0), (1, 1 / 2), (2, 1 / 3), (3, 0.25), (100, 0.25), (None, 0.25)]:
+        c = part.conclude(solution, prediction, at.U, law, ticks_since_start).c
         assert np.abs(c - (share * best + (1.0 - share) * before)).max() < ROLLOUT_TOLERANCE

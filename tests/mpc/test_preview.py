@@ -63,9 +63,9 @@ def problem(profile: Profile, pulled: str, gone: tuple[int, ...] = (), weights: 
     system = table_1()
     at = hover(system)
     cost, model = Cost(weights, at), difference(system, at)
-    alone = {uav: FailSafe(system, at.u).gain(uav) for uav in gone}
+    uncontrolled = {uav: FailSafe(system, at.u).gain(uav) for uav in gone}
     K = np.zeros((len(at.u), len(at.x)))
-    for uav, gain in alone.items():
+    for uav, gain in uncontrolled.items():
         K[state.input_slice(uav), state.uav_slice(uav)] = gain
     led = np.setdiff1d(np.arange(len(at.u)), input_indices(gone))
     X_ref = reference_states(system, at, profile, INSTANTS)
@@ -79,7 +79,7 @@ def problem(profile: Profile, pulled: str, gone: tuple[int, ...] = (), weights: 
         system=system,
         at=at,
         cost=cost,
-        law=regulator(Model(system), at, cost, PERIOD_S, alone),
+        law=regulator(Model(system), at, cost, PERIOD_S, uncontrolled),
         model=Difference(model.A + model.B @ K, model.B[:, led], model.C),
         led=led,
         X_ref=X_ref,

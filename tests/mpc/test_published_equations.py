@@ -8,7 +8,7 @@ import pytest
 from model.linearisation import Model
 from tests.support import runs
 from tests.support.published_jacobian import PublishedModel
-from tests.support.systems import Flight, fly, paper_setup, team
+from tests.support.systems import Flight, paper_setup, simulate, team
 
 # Mean cost of the paper's maneuver with the Jacobian of paper (7)-(11), all unknowns kept, to the digits published.
 PUBLISHED = 0.00227
@@ -24,7 +24,7 @@ def flight(model: type[Model]) -> Flight:
     """The `paper` scenario's controllers on its whole maneuver, all states known, with a linearisation."""
     run, setup = runs.setup(), paper_setup()
     setup = replace(setup, model=model(setup.system))
-    return fly(setup, team(setup, run.settings, run.owned), 0.0, STEPS)
+    return simulate(setup, team(setup, run.settings, run.owned), 0.0, STEPS)
 
 
 def test_published_equations_cost() -> None:

@@ -17,7 +17,7 @@ from model.hover import Hover, hover
 from model.linearisation import Model
 from model.parameters import System, table_1
 from model.state import input_indices, input_slice, uav_slice
-from mpc.controller import Controller, Optimum
+from mpc.controller import Controller, StepResult
 from mpc.cost import Cost
 from mpc.fail_safe import FailSafe
 from mpc.regulation import Regulation
@@ -98,7 +98,7 @@ def held(X: Array, start: int, count: int) -> Array:
     return np.asarray(X[np.minimum(np.arange(start, start + count), len(X) - 1)])
 
 
-def optimum(one: Controller, X_ref: Array, k: int, x: Array, u0: Array, forces: Array | None) -> Optimum:
+def optimum(one: Controller, X_ref: Array, k: int, x: Array, u0: Array, forces: Array | None) -> StepResult:
     """One step of a controller at an instant of the maneuver, all announced corrections zero."""
     steps = one.settings.horizon
     window = held(X_ref, k, steps + 1)

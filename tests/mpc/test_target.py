@@ -134,14 +134,14 @@ def test_the_controller_rests_at_the_target(prediction: PredictionName, owned: t
 def test_inputs_priced_absolutely_stay_so() -> None:
     """Where the input itself is priced, a force changes the prediction but not what costs nothing."""
     setup = paper_setup()
-    one = controller(setup, ControllerSettings(weights=Weights(priced="absolute")), (0,))
+    one = controller(setup, ControllerSettings(weights=Weights(penalised_input="absolute")), (0,))
     assert not one.linearise(setup.x, setup.hover.u, np.full(15, 3.0)).u_target.any()
 
 
 def test_a_uav_on_its_own_is_no_means() -> None:
     """Under the fail-safe a UAV's inputs follow from its state; the others carry the payload, and all rest."""
     setup = paper_setup()
-    alone = FailSafe(setup.system, setup.hover.u).gain(3)
+    uncontrolled = FailSafe(setup.system, setup.hover.u).gain(3)
     one = controller(setup, ControllerSettings(prediction="closed_loop"), (0,))
     together = one.regulation.target
     one.without([3])
@@ -149,7 +149,7 @@ def test_a_uav_on_its_own_is_no_means() -> None:
     rest, pushed, _ = equations(setup)
     assert np.abs(rest @ np.vstack([at.M_x, at.M_u]) - pushed).max() < ROUNDING
     own = state.input_slice(3)
-    assert np.abs(at.M_u[own] - alone @ at.M_x[state.uav_slice(3)]).max() < ROUNDING
+    assert np.abs(at.M_u[own] - uncontrolled @ at.M_x[state.uav_slice(3)]).max() < ROUNDING
     assert np.abs(at.M_u[own, 2]).max() < ROUNDING
     assert at.M_u[::4, 2].sum() == pytest.approx(1.0)
     one.without([])

@@ -5,13 +5,13 @@ import pytest
 
 from model.arrays import Array
 from plant.node import PlantNode
-from protocol.wire.messages import Truth
+from protocol.wire.messages import PlantState
 from tests.support.runs import EVERYBODY, plan, roster, setup, tick
 
 HOVER = np.array([22.0725, 0.0, 0.0, 0.0])  # N: 1.5 kg and a quarter of the payload's 3 kg, under 9.81 m/s^2
 
 
-def last_truth(settings: tuple[str, ...], shoves: dict[int, Array], ticks: int = 1) -> Truth:
+def last_truth(settings: tuple[str, ...], shoves: dict[int, Array], ticks: int = 1) -> PlantState:
     """The truth after some ticks at hover in which some UAVs do something else."""
     run = setup(*settings)
     node = PlantNode(run)
@@ -21,7 +21,7 @@ def last_truth(settings: tuple[str, ...], shoves: dict[int, Array], ticks: int =
         for agent in EVERYBODY:
             inputs = np.tile(shoves.get(agent, run.hover.u[:4]), (2, 1))
             messages += node.receive(plan(run, agent, k, inputs=inputs), 0)
-    found = [message for message in messages if isinstance(message, Truth)][-1]
+    found = [message for message in messages if isinstance(message, PlantState)][-1]
     if found.diverged:
         # Whatever comes now, the flight is over.
         after = [*node.receive(tick(found.tick + 1), 0), *node.receive(plan(run, 1, found.tick + 1), 0)]

@@ -7,7 +7,7 @@ from model import state
 from plant.node import PlantNode
 from plant.schedule import MOTOR_OFF
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import Measurement, Message, Roster, Truth
+from protocol.wire.messages import Measurement, Message, PlantState, Roster
 from tests.support.runs import EVERYBODY, plan, roster, setup, tick
 
 TICKS = 6
@@ -28,21 +28,21 @@ def flown(run: Setup) -> list[Message]:
     return messages
 
 
-def truths(messages: list[Message]) -> list[Truth]:
+def plant_states(messages: list[Message]) -> list[PlantState]:
     """The record, tick by tick."""
-    return [message for message in messages if isinstance(message, Truth)]
+    return [message for message in messages if isinstance(message, PlantState)]
 
 
 @pytest.mark.parametrize("run", [MOTORS_OFF, RELEASED], ids=["motor_off", "release"])
 def test_no_wrench_from_the_tick_on(run: Setup) -> None:
     """Thrust and moments are exactly zero from the tick on, and the record says that no plan was followed."""
-    record = truths(flown(run))
+    record = plant_states(flown(run))
     assert len(record) == TICKS
-    for k, truth in enumerate(record):
-        inputs = truth.u[state.input_slice(UAV)]
+    for k, plant_state in enumerate(record):
+        inputs = plant_state.u[state.input_slice(UAV)]
         assert inputs.any() == (k < AT)
-        assert truth.plan_ticks == ((k,) * 4 if k < AT else (k, k, MOTOR_OFF, k))
-        assert np.delete(truth.u, state.input_indices([UAV])).any()
+        assert plant_state.plan_ticks == ((k,) * 4 if k < AT else (k, k, MOTOR_OFF, k))
+        assert np.delete(plant_state.u, state.input_indices([UAV])).any()
 
 
 def test_measurements_tell_the_motors_are_off() -> None:
@@ -54,7 +54,7 @@ def test_measurements_tell_the_motors_are_off() -> None:
 
 def test_a_released_rod_hangs_down() -> None:
     """At the tick of the release the bob is at rest below its corner; until then the flight is that without a fault."""
-    record, before = truths(flown(RELEASED)), truths(flown(setup()))
+    record, before = plant_states(flown(RELEASED)), plant_states(flown(setup()))
     for k in range(AT):
         np.testing.assert_array_equal(record[k].x, before[k].x)
     hung = record[AT].x[state.uav_slice(UAV)]
@@ -86,4 +86,4 @@ def test_the_roster_is_no_source_of_the_plants() -> None:
     messages += node.receive(tick(0), 0)
     for agent in EVERYBODY:
         messages += node.receive(plan(setup(), agent, 0), 0)
-    assert truths(messages)[0].u[state.input_slice(UAV)].any()
+    assert plant_states(messages)[0].u[state.input_slice(UAV)].any()

@@ -9,7 +9,7 @@ from model import state
 from plant.node import PlantNode
 from plant.schedule import BEFORE_ANY_PLAN, FAIL_SAFE
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import Measurement, Message, Presence, Truth
+from protocol.wire.messages import Measurement, Message, PlantState, Presence
 from tests.support.runs import EVERYBODY, end, integrated, measurement, plan, refused, roster, setup, tick
 
 IMMEDIATE, NEXT_TICK = "clock.actuation=immediate", "clock.actuation=next_tick"
@@ -73,7 +73,7 @@ def test_immediate_integrates_with_all_plans(last: int) -> None:
         if agent != last:
             assert tell(node, plan(run, agent, 0)) == []
     assert tell(node, tick(1)) == []
-    assert kinds(tell(node, plan(run, last, 0))) == ["truth 0", *measured(1)]
+    assert kinds(tell(node, plan(run, last, 0))) == ["plant_state 0", *measured(1)]
 
 
 def test_immediate_integrates_before_the_next_tick_opens() -> None:
@@ -81,7 +81,7 @@ def test_immediate_integrates_before_the_next_tick_opens() -> None:
     run = setup(IMMEDIATE)
     node = ready(run)
     tell(node, tick(0))
-    assert kinds(tell(node, *[plan(run, agent, 0) for agent in EVERYBODY])) == ["truth 0"]
+    assert kinds(tell(node, *[plan(run, agent, 0) for agent in EVERYBODY])) == ["plant_state 0"]
     assert kinds(tell(node, tick(1))) == measured(1)
 
 
@@ -89,10 +89,10 @@ def test_next_tick_integrates_while_agents_plan() -> None:
     """Actuation "next_tick": [t_k, t_k+1) needs the plans of k - 1 alone, so it is integrated as tick k is measured."""
     run = setup(NEXT_TICK)
     node = ready(run)
-    assert kinds(tell(node, tick(0))) == [*measured(0), "truth 0"]
+    assert kinds(tell(node, tick(0))) == [*measured(0), "plant_state 0"]
     assert tell(node, plan(run, 1, 0, delay=1), plan(run, 2, 0, delay=1), plan(run, 3, 0, delay=1)) == []
     assert tell(node, plan(run, 4, 0, delay=1)) == []
-    assert kinds(tell(node, tick(1))) == [*measured(1), "truth 1"]
+    assert kinds(tell(node, tick(1))) == [*measured(1), "plant_state 1"]
 
 
 def test_next_tick_waits_for_plans_on_their_way() -> None:
@@ -103,7 +103,7 @@ def test_next_tick_waits_for_plans_on_their_way() -> None:
     for agent in (1, 2, 4):
         tell(node, plan(run, agent, 0, delay=1))
     assert kinds(tell(node, tick(1))) == measured(1)
-    assert kinds(tell(node, plan(run, 3, 0, delay=1))) == ["truth 1"]
+    assert kinds(tell(node, plan(run, 3, 0, delay=1))) == ["plant_state 1"]
 
 
 @pytest.mark.parametrize("actuation", [IMMEDIATE, NEXT_TICK])
@@ -115,9 +115,9 @@ def test_who_left_is_not_waited_for(actuation: str) -> None:
     tell(node, tick(0), *[plan(run, agent, 0, delay=delay) for agent in (1, 2, 3)])
     tell(node, tick(1))
     found = tell(node, roster({1: 1, 2: 1, 3: 1}, version=2), tick(1, answered=(1, 2, 3), version=2))
-    truths = [message for message in found if isinstance(message, Truth)]
-    assert [message.tick for message in truths] == [delay]
-    assert truths[0].plan_ticks == (0, 0, 0, BEFORE_ANY_PLAN)
+    plant_states = [message for message in found if isinstance(message, PlantState)]
+    assert [message.tick for message in plant_states] == [delay]
+    assert plant_states[0].plan_ticks == (0, 0, 0, BEFORE_ANY_PLAN)
 
 
 def test_an_answer_that_was_lost_with_its_agent() -> None:
@@ -126,7 +126,7 @@ def test_an_answer_that_was_lost_with_its_agent() -> None:
     node = ready(run)
     tell(node, tick(0), *[plan(run, agent, 0) for agent in (1, 3, 4)])
     found = tell(node, tick(1, members=(1, 3, 4), version=2), roster({1: 1, 3: 1, 4: 1}, version=2))
-    assert kinds(found) == ["truth 0", *measured(1, 3)]
+    assert kinds(found) == ["plant_state 0", *measured(1, 3)]
 
 
 def test_waits_for_the_roster_of_a_tick() -> None:
@@ -138,14 +138,14 @@ def test_waits_for_the_roster_of_a_tick() -> None:
 
 
 def test_truth_is_the_integrated_state() -> None:
-    """Truth k holds the state at t_k and the inputs from there; measurement k + 1 the state they lead to."""
+    """PlantState k holds the state at t_k and the inputs from there; measurement k + 1 the state they lead to."""
     run = setup(IMMEDIATE)
     node = ready(run)
     tell(node, tick(0))
     x, u = run.initial_state(), run.hover.u + np.tile([1.0, 0.1, -0.1, 0.05], 4) * np.repeat([1.0, 2.0, 3.0, 0.5], 4)
     plans = [plan(run, a, 0, inputs=np.tile(u[4 * a - 4 : 4 * a], (20, 1))) for a in EVERYBODY]
     (record,) = tell(node, *plans)
-    assert isinstance(record, Truth)
+    assert isinstance(record, PlantState)
     np.testing.assert_array_equal(record.x, x)
     np.testing.assert_array_equal(record.u, u)
     assert record.plan_ticks == (0, 0, 0, 0)
@@ -182,7 +182,7 @@ def test_lost_agents_uav_plays_on() -> None:
     sources = []
     for k in range(1, 5):
         found = tell(node, tick(k, answered=(1, 2, 3), version=2), *[plan(run, agent, k) for agent in (1, 2, 3)])
-        sources += [message.plan_ticks for message in found if isinstance(message, Truth)]
+        sources += [message.plan_ticks for message in found if isinstance(message, PlantState)]
     assert sources == [(1, 1, 1, 0), (2, 2, 2, 0), (3, 3, 3, FAIL_SAFE), (4, 4, 4, FAIL_SAFE)]
 
 
@@ -216,7 +216,7 @@ def test_refused_plans(actuation: str, changes: dict[str, object], reason: str) 
     tell(node, *[plan(run, agent, 0, delay=delay) for agent in (1, 3, 4)])
     assert kinds(tell(node, tick(1))) == measured(1) * delay
     found = tell(node, plan(run, 2, 0, delay=delay))
-    assert kinds(found)[0] == f"truth {delay}"
+    assert kinds(found)[0] == f"plant_state {delay}"
 
 
 def test_limits_themselves_are_played() -> None:
@@ -226,7 +226,7 @@ def test_limits_themselves_are_played() -> None:
     tell(node, tick(0))
     at = np.array([[45.0, 1.0, -1.0, 0.5]])
     (record,) = tell(node, plan(run, 1, 0, inputs=at), *[plan(run, agent, 0) for agent in (2, 3, 4)])
-    assert isinstance(record, Truth)
+    assert isinstance(record, PlantState)
     np.testing.assert_array_equal(record.u[:4], at[0])
     assert refused(node) == []
 

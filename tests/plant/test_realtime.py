@@ -7,7 +7,7 @@ import pytest
 
 from plant.node import PlantNode
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import Measurement, Message, Truth
+from protocol.wire.messages import Measurement, Message, PlantState
 from tests.support.runs import EVERYBODY, plan, roster, setup, tick
 
 S, MS = 10**9, 10**6  # ns
@@ -22,13 +22,13 @@ def realtime(*settings: str, speed: float = 1.0) -> tuple[Setup, PlantNode]:
     return run, node
 
 
-def flown(node: PlantNode, k: int, now_ns: int) -> Truth:
+def flown(node: PlantNode, k: int, now_ns: int) -> PlantState:
     """Tick k opens: everybody gets a measurement and the interval after it is flown."""
-    *measured, truth = node.receive(tick(k), now_ns)
+    *measured, plant_state = node.receive(tick(k), now_ns)
     assert [message.agent for message in measured if isinstance(message, Measurement)] == list(EVERYBODY)
-    assert isinstance(truth, Truth)
-    assert truth.tick == k
-    return truth
+    assert isinstance(plant_state, PlantState)
+    assert plant_state.tick == k
+    return plant_state
 
 
 def tell(node: PlantNode, events: Sequence[Message], now_ns: int) -> None:
@@ -82,5 +82,5 @@ def test_a_delayed_plan_is_held_back(speed: float, held_ms: int) -> None:
 def test_ticks_that_come_in_a_burst() -> None:
     """A coordinator that catches up opens several ticks at once: each is flown, in order."""
     _, node = realtime()
-    truths = [flown(node, k, START_NS) for k in range(20)]
-    assert [truth.tick for truth in truths] == list(range(20))
+    plant_states = [flown(node, k, START_NS) for k in range(20)]
+    assert [plant_state.tick for plant_state in plant_states] == list(range(20))

@@ -7,25 +7,25 @@ import numpy as np
 import pytest
 
 from model import state
-from protocol.admission.plausibility import Claims, check_moment, window
+from protocol.admission.plausibility import Plausibility, check_moment, window
 from protocol.wire.messages import Message, MessageError
 from tests.support import runs
 from tests.support.logs import report
 from tests.support.runs import EVERYBODY, setup, ticks
 from tests.support.samples import sample
-from transport.flight.memory import fly
+from transport.flight.memory import simulate
 
 RUN = setup("controller.horizon=5", ticks(40))
-CLAIMS = Claims(RUN)
+CLAIMS = Plausibility(RUN)
 PLAN, MEASUREMENT = runs.plan(RUN, 2, 3), runs.measurement(RUN, 2, 3)
 PITCHED = MEASUREMENT.uav_states.copy()
 PITCHED[0, state.THETA] = [0.0, np.pi / 2, 0.0]
 
 
-def refusal(message: Message, claims: Claims = CLAIMS) -> tuple[str, str]:
+def refusal(message: Message, plausibility: Plausibility = CLAIMS) -> tuple[str, str]:
     """Reason and text a message is refused with; nothing if it is not."""
     try:
-        claims.check(message)
+        plausibility.check(message)
     except MessageError as error:
         return error.reason, str(error)
     return "", ""
@@ -36,17 +36,17 @@ def refusal(message: Message, claims: Claims = CLAIMS) -> tuple[str, str]:
     [
         (),
         ("clock.actuation=next_tick",),
-        ("agents.owned=[[1,2],[3,4]]", "controller.prediction=closed_loop", "controller.rounds=3"),
+        ("agents.owned=[[1,2],[3,4]]", "controller.prediction=closed_loop", "controller.negotiation_iterations=3"),
         ("plant.max_error_m=0.02",),
     ],
 )
 def test_what_a_run_says_is_believed(settings: tuple[str, ...]) -> None:
     """No message of a flight is refused, not even of one that diverges."""
     run = setup(runs.SHORT, *settings)
-    claims = Claims(run)
+    plausibility = Plausibility(run)
     messages: list[Message] = []
-    fly(run, messages.append)
-    assert {refusal(message, claims) for message in messages} == {("", "")}
+    simulate(run, messages.append)
+    assert {refusal(message, plausibility) for message in messages} == {("", "")}
 
 
 @pytest.mark.parametrize(
@@ -76,7 +76,7 @@ def test_what_a_run_says_is_believed(settings: tuple[str, ...]) -> None:
         (runs.tick(3), {"answered": (256,)}, "unknown_agent", "answered: expected agents of this run, got [256]"),
         (runs.roster({1: 0, 6: 0}), {}, "unknown_agent", "agents: expected agents of this run, got [6]"),
         (report(RUN, 2, 3), {"peers": (1, 3, 9)}, "unknown_agent", "peers: expected agents of this run, got [9]"),
-        (sample(type(runs.truth(RUN, 3))), {"tick": 3}, "wrong_shape", "x: expected 60 numbers, got 36"),
+        (sample(type(runs.plant_state(RUN, 3))), {"tick": 3}, "wrong_shape", "x: expected 60 numbers, got 36"),
     ],
 )
 def test_what_nobody_of_the_run_can_mean(message: Message, changes: dict[str, Any], reason: str, text: str) -> None:
@@ -105,9 +105,9 @@ def test_limits_themselves_are_allowed(message: Message, changes: dict[str, Any]
 
 def test_start_of_plans() -> None:
     """With actuation "next_tick" a plan starts one tick after its own."""
-    claims = Claims(setup("clock.actuation=next_tick"))
-    assert refusal(replace(PLAN, start_tick=4), claims) == ("", "")
-    assert refusal(PLAN, claims)[0] == "past"
+    plausibility = Plausibility(setup("clock.actuation=next_tick"))
+    assert refusal(replace(PLAN, start_tick=4), plausibility) == ("", "")
+    assert refusal(PLAN, plausibility)[0] == "past"
 
 
 @pytest.mark.parametrize(("tick", "reason"), [(4, "past"), (5, ""), (7, ""), (8, "future")])

@@ -4,7 +4,7 @@ import pytest
 
 from protocol.scenario.faults import Fault, due
 from protocol.wire.messages import Message
-from tests.support.runs import measurement, plan, roster, setup, tick, truth
+from tests.support.runs import measurement, plan, plant_state, roster, setup, tick
 
 
 def scripted(*events: str) -> list[tuple[int, str, str]]:
@@ -76,7 +76,7 @@ FAULTS = (Fault(3, "kill", "agent1"), Fault(3, "stop", "plant"), Fault(4, "start
         ("coordinator", tick(3), None),
         ("agent1", plan(setup(), 2, 3), None),
         ("agent1", roster(k=3), None),
-        ("plant", truth(setup(), 3), None),
+        ("plant", plant_state(setup(), 3), None),
     ],
 )
 def test_on_the_message_that_opens_the_tick(name: str, message: Message, expected: str | None) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from protocol.admission.admission import Gate
+from protocol.admission.admission import Admission
 from protocol.wire.codec import MAX_BYTES, VERSION, encode
 from protocol.wire.keys import Keys
 from protocol.wire.messages import MAX_TEXT, LinkChange, Message, MessageError, Plan, Rejected, StepReport, agent_name
@@ -26,13 +26,13 @@ class Door:
 
     def __init__(self, name: str = "recorder") -> None:
         self.rejections = Rejections()
-        self.gate = Gate(name, KEYS, setup(), self.rejections)
+        self.admission = Admission(name, KEYS, setup(), self.rejections)
         for other, incarnation in TEAM.items():
-            self.gate.announce(other, incarnation)
+            self.admission.announce(other, incarnation)
 
     def lets_in(self, *messages: Message) -> list[bool]:
         """Whether messages are let in, each under its own key."""
-        return [self.gate.read(KEYS.of(message), encode(message)) is not None for message in messages]
+        return [self.admission.read(KEYS.of(message), encode(message)) is not None for message in messages]
 
     def refused(self) -> list[tuple[str, str, int]]:
         """Sender, reason, count."""
@@ -51,7 +51,7 @@ def report(k: int) -> Message:
 
 def each_tick(k: int) -> list[Message]:
     """One message of each kind that is said once a tick."""
-    return [runs.tick(k), runs.measurement(setup(), 2, k), plan(k), report(k), runs.truth(setup(), k)]
+    return [runs.tick(k), runs.measurement(setup(), 2, k), plan(k), report(k), runs.plant_state(setup(), k)]
 
 
 def test_a_flight_passes() -> None:
@@ -59,7 +59,7 @@ def test_a_flight_passes() -> None:
     door = Door()
     said = [runs.roster(), *[message for k in range(4) for message in each_tick(k)], runs.end(3)]
     assert door.lets_in(*said) == [True] * len(said)
-    assert (door.refused(), door.gate.tick) == ([], 3)
+    assert (door.refused(), door.admission.tick) == ([], 3)
 
 
 @pytest.mark.parametrize("number", range(5))
@@ -98,7 +98,7 @@ def test_high_numbers_shut_nobody_out(number: int) -> None:
         assert door.lets_in(*((copied, message) if k % 2 else (message, copied, copied))) == (
             [True, False] if k % 2 else [True, False, False]
         )
-    assert door.gate.tick == 3
+    assert door.admission.tick == 3
 
 
 @pytest.mark.parametrize("number", range(5))
@@ -173,7 +173,7 @@ def test_a_latecomer_has_no_past() -> None:
     """The first message anybody hears may be of any tick; so may the first one after somebody was out of reach."""
     door = Door()
     assert door.lets_in(runs.tick(400), runs.tick(500)) == [True, False]
-    door.gate.announce("coordinator", 0)
+    door.admission.announce("coordinator", 0)
     assert door.lets_in(runs.tick(500), runs.tick(700)) == [True, False]
 
 
@@ -190,7 +190,7 @@ def test_who_starts_anew_has_no_past(told_again: bool) -> None:
         door.rejections.add("agent2", MessageError("future", "as the node found"))
     assert door.lets_in(plan(67)) == [False]
     assert door.lets_in(replace(runs.roster(k=43, version=2), sequence=80)) == [True]
-    door.gate.announce("agent4", INCARNATION + 1)
+    door.admission.announce("agent4", INCARNATION + 1)
     change = sample(LinkChange, incarnation=0, sequence=90, tick=18)
     assert not told_again or door.lets_in(change) == [True]
     assert door.lets_in(replace(runs.roster(k=67, version=3), sequence=100), plan(67), plan(67 + AHEAD + 1)) == [
@@ -204,11 +204,11 @@ def test_an_older_start_is_not_believed() -> None:
     """Once a newer start is announced, nothing counts that an earlier one has said, whatever it is."""
     door = Door()
     assert door.lets_in(plan(0), report(0)) == [True, True]
-    door.gate.announce("agent2", INCARNATION + 1)
+    door.admission.announce("agent2", INCARNATION + 1)
     assert door.lets_in(plan(1), report(1)) == [False, False]
     newer = [replace(message, incarnation=INCARNATION + 1, sequence=0) for message in (plan(0), report(0))]
     assert door.lets_in(*newer) == [True, True]
-    door.gate.announce("agent2", INCARNATION)  # a token that comes late
+    door.admission.announce("agent2", INCARNATION)  # a token that comes late
     assert door.lets_in(plan(1)) == [False]
     assert door.refused() == [("agent2", "wrong_incarnation", 3)]
 
@@ -219,12 +219,12 @@ def test_a_start_that_nobody_announces() -> None:
     early = [plan(k, incarnation=INCARNATION + 1) for k in (3, 4)]
     late = plan(5, agent=3, incarnation=INCARNATION + 7)
     assert door.lets_in(early[0], late, early[1], plan(0)) == [False, False, False, True]
-    assert (door.gate.kept, door.gate.released(), door.refused()) == (3, None, [])
-    door.gate.announce("agent2", INCARNATION + 1)
-    found = [door.gate.released(), door.gate.released(), door.gate.released()]
+    assert (door.admission.kept, door.admission.released(), door.refused()) == (3, None, [])
+    door.admission.announce("agent2", INCARNATION + 1)
+    found = [door.admission.released(), door.admission.released(), door.admission.released()]
     assert [None if message is None else message.tick for message in found] == [3, 4, None]
     assert door.lets_in(early[1]) == [False]
-    door.gate.close()
+    door.admission.close()
     assert door.refused() == [("agent2", "replayed", 1), ("agent3", "wrong_incarnation", 1)]
 
 
@@ -233,11 +233,11 @@ def test_who_waits_may_be_too_late() -> None:
     door = Door()
     waiting = plan(3, incarnation=INCARNATION + 1)
     assert door.lets_in(waiting, waiting) == [False, False]
-    door.gate.announce("agent2", INCARNATION + 1)
-    assert [door.gate.released(), door.gate.released()][1] is None
+    door.admission.announce("agent2", INCARNATION + 1)
+    assert [door.admission.released(), door.admission.released()][1] is None
     assert door.lets_in(replace(waiting, incarnation=INCARNATION + 2)) == [False]
-    door.gate.announce("agent2", INCARNATION + 3)
-    assert door.gate.released() is None
+    door.admission.announce("agent2", INCARNATION + 3)
+    assert door.admission.released() is None
     assert door.refused() == [("agent2", "replayed", 1), ("agent2", "wrong_incarnation", 1)]
 
 
@@ -246,9 +246,9 @@ def test_what_waits_is_bounded() -> None:
     door = Door()
     for number in range(3000):
         assert door.lets_in(plan(1, sequence=number, incarnation=2**40)) == [False]
-    assert door.gate.kept == 256
+    assert door.admission.kept == 256
     assert door.refused() == [("agent2", "wrong_incarnation", 3000 - 256)]
-    door.gate.close()
+    door.admission.close()
     assert door.refused() == [("agent2", "wrong_incarnation", 3000)]
 
 
@@ -257,7 +257,7 @@ def test_who_may_speak() -> None:
     door = Door("agent1")
     strangers = [replace(plan(0), agent=9, sender="agent9"), plan(0, agent=1), plan(0, sender="agent3")]
     assert door.lets_in(*strangers) == [False] * 3
-    assert door.gate.read(f"{KEYS.prefix}/plan/3", encode(plan(0))) is None
+    assert door.admission.read(f"{KEYS.prefix}/plan/3", encode(plan(0))) is None
     assert door.refused() == [
         ("agent9", "unknown_agent", 1),
         ("agent1", "wrong_sender", 1),
@@ -283,7 +283,7 @@ def test_who_may_speak() -> None:
 def test_who_is_named(data: bytes, sender: str, reason: str) -> None:
     """A sender is named as it calls itself where that can be read, otherwise by the key it used."""
     door = Door()
-    assert door.gate.read(f"{KEYS.prefix}/plan/2", data) is None
+    assert door.admission.read(f"{KEYS.prefix}/plan/2", data) is None
     assert door.refused() == [(sender, reason, 1)]
 
 
@@ -305,13 +305,13 @@ def test_size() -> None:
         count=1,
         example=wordy,
     )
-    assert all(len(encode(message)) <= door.gate.max_bytes for message in (largest, notice))
+    assert all(len(encode(message)) <= door.admission.max_bytes for message in (largest, notice))
     assert door.lets_in(largest, notice) == [True, True]
-    assert door.gate.max_bytes < 2 * (len(encode(largest)) + len(encode(notice)))
-    assert door.gate.read(KEYS.of(largest), bytes([VERSION]) + b"\x90" * door.gate.max_bytes) is None
+    assert door.admission.max_bytes < 2 * (len(encode(largest)) + len(encode(notice)))
+    assert door.admission.read(KEYS.of(largest), bytes([VERSION]) + b"\x90" * door.admission.max_bytes) is None
     assert door.refused() == [("plan/2", "oversized", 1)]
-    text = str(door.gate.oversized(10**9))
-    assert text == f"message of 1000000000 bytes, at most {door.gate.max_bytes} in this run"
+    text = str(door.admission.oversized(10**9))
+    assert text == f"message of 1000000000 bytes, at most {door.admission.max_bytes} in this run"
 
 
 def test_any_order_of_two_streams() -> None:

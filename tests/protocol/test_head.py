@@ -7,12 +7,12 @@ from dataclasses import replace
 import msgpack
 import pytest
 
-from protocol.admission import rate_limit as brake
-from protocol.admission.admission import Gate
-from protocol.admission.rate_limit import BURST, WINDOW, WINDOW_S, Brake
+from protocol.admission import rate_limit as rate_limit
+from protocol.admission.admission import Admission
+from protocol.admission.rate_limit import BURST, WINDOW, WINDOW_S, RateLimit
 from protocol.network.health import Offset, offset, usage
 from protocol.wire.codec import VERSION, encode
-from protocol.wire.header import Head, head_of, place_of
+from protocol.wire.header import Header, header_of, place_of
 from protocol.wire.keys import Keys
 from protocol.wire.messages import KINDS, LinkChange, MessageError, Plan
 from protocol.wire.rejections import Rejections
@@ -28,10 +28,10 @@ KEYS = Keys("head")
 def test_heads_are_those_of_the_messages(kind: type) -> None:
     """What the head says is what the message says, of every kind."""
     message = sample(kind)
-    expected = Head(
+    expected = Header(
         message.kind, message.sender, message.incarnation, message.sequence, message.tick, place_of(message)
     )
-    assert head_of(encode(message)) == expected
+    assert header_of(encode(message)) == expected
 
 
 def test_what_is_no_head() -> None:
@@ -43,17 +43,17 @@ def test_what_is_no_head() -> None:
         (bytes([VERSION, 0x95, 0xDD, 0x05, 0xF5, 0xE1, 0x00]), "malformed"),  # a list of 10^8 that does not come
     ):
         with pytest.raises(MessageError) as caught:
-            head_of(data)
+            header_of(data)
         assert caught.value.reason == reason
     whole = encode(sample(Plan))
     for cut in range(1, 40):
-        assert head_of(whole[:cut]) in (None, head_of(whole))
+        assert header_of(whole[:cut]) in (None, header_of(whole))
     for value in VALUES:
         for place in range(5):
             values = ["plan", "agent1", 0, 1, 2, 3]
             values[place] = value
             with suppress(MessageError):
-                head_of(bytes([VERSION]) + msgpack.packb(values))
+                header_of(bytes([VERSION]) + msgpack.packb(values))
 
 
 class Door:
@@ -61,16 +61,16 @@ class Door:
 
     def __init__(self) -> None:
         self.rejections = Rejections()
-        self.gate = Gate("plant", KEYS, setup(), self.rejections)
-        self.gate.announce("agent1", 1)
+        self.admission = Admission("plant", KEYS, setup(), self.rejections)
+        self.admission.announce("agent1", 1)
         self.plan = runs.plan(setup(), 1, 5)
         self.key = KEYS.of(self.plan)
         assert self.hears(self.plan)
-        assert self.gate.released() is None  # it has been heard
+        assert self.admission.released() is None  # it has been heard
 
     def hears(self, plan: Plan) -> bool:
         """Whether a plan is let in."""
-        heard = self.gate.read(self.key, encode(plan))
+        heard = self.admission.read(self.key, encode(plan))
         return heard is not None and encode(heard) == encode(plan)
 
 
@@ -79,17 +79,17 @@ def test_only_what_is_over_has_passed() -> None:
     door = Door()
     over = [door.plan, replace(door.plan, sequence=99), replace(door.plan, sequence=98, tick=4, start_tick=4)]
     for message in [*over, over[0]]:
-        assert door.gate.has_passed(door.key, encode(message))
+        assert door.admission.has_passed(door.key, encode(message))
     news = [
         runs.plan(setup(), 1, 6),
         replace(door.plan, incarnation=2),
         replace(door.plan, sender="agent2", agent=1),
     ]
     for message in news:
-        assert not door.gate.has_passed(door.key, encode(message))
-    assert not door.gate.has_passed(KEYS.of(runs.plan(setup(), 2, 5)), encode(runs.plan(setup(), 2, 5)))
+        assert not door.admission.has_passed(door.key, encode(message))
+    assert not door.admission.has_passed(KEYS.of(runs.plan(setup(), 2, 5)), encode(runs.plan(setup(), 2, 5)))
     assert door.rejections.total == 0  # the thread that reads counts
-    door.gate.count_unread()
+    door.admission.count_unread()
     assert {(entry.sender, entry.reason): entry.count for entry in door.rejections} == {
         ("agent1", "replayed"): 2,
         ("agent1", "past"): 2,
@@ -104,7 +104,7 @@ def test_what_has_passed_would_be_refused() -> None:
             for tick, negotiation in ((4, 0), (5, 0), (5, 1), (6, 0), (6, 1)):
                 door = Door()
                 message = replace(door.plan, sequence=sequence, tick=tick, start_tick=tick, negotiation=negotiation)
-                passed = door.gate.has_passed(door.key, encode(message))
+                passed = door.admission.has_passed(door.key, encode(message))
                 for k in between:
                     assert door.hears(runs.plan(setup(), 1, k))
                 if passed:
@@ -115,32 +115,32 @@ def test_what_has_passed_would_be_refused() -> None:
 
 def test_rosters_and_changes_of_links_do_not_count_for_each_other() -> None:
     """Under the key they share a roster has passed by its version, a change of links by its number."""
-    gate = Gate("plant", KEYS, setup(), Rejections())
-    gate.announce("coordinator", 0)
+    admission = Admission("plant", KEYS, setup(), Rejections())
+    admission.announce("coordinator", 0)
     first, second = (replace(runs.roster(version=version), sequence=version) for version in (1, 2))
     change = sample(LinkChange, incarnation=0, sequence=5, tick=0)
     key = KEYS.of(first)
     for message in (replace(first, sequence=10**6), change):
-        assert gate.read(key, encode(message)) is not None
-        assert gate.released() is None
-    assert [gate.has_passed(key, encode(message)) for message in (first, second)] == [True, False]
-    assert gate.has_passed(key, encode(change))
-    assert not gate.has_passed(key, encode(replace(change, sequence=6)))
+        assert admission.read(key, encode(message)) is not None
+        assert admission.released() is None
+    assert [admission.has_passed(key, encode(message)) for message in (first, second)] == [True, False]
+    assert admission.has_passed(key, encode(change))
+    assert not admission.has_passed(key, encode(replace(change, sequence=6)))
     for message in (second, replace(change, sequence=6)):
-        assert gate.read(key, encode(message)) is not None
-    assert gate.has_passed(key, encode(replace(second, sequence=10**6)))
+        assert admission.read(key, encode(message)) is not None
+    assert admission.has_passed(key, encode(replace(second, sequence=10**6)))
 
 
 def test_one_negotiation_is_not_another() -> None:
     """Within a tick agents exchange several plans: the second of them is not the first said again."""
-    run = setup("controller.rounds=2")
-    gate = Gate("plant", KEYS, run, Rejections())
-    gate.announce("agent1", 1)
+    run = setup("controller.negotiation_iterations=2")
+    admission = Admission("plant", KEYS, run, Rejections())
+    admission.announce("agent1", 1)
     first = replace(runs.plan(run, 1, 5), negotiation=1)
-    assert gate.read(KEYS.of(first), encode(first)) is not None
-    assert gate.released() is None
-    assert gate.has_passed(KEYS.of(first), encode(first))
-    assert not gate.has_passed(KEYS.of(first), encode(replace(first, sequence=first.sequence + 1, negotiation=0)))
+    assert admission.read(KEYS.of(first), encode(first)) is not None
+    assert admission.released() is None
+    assert admission.has_passed(KEYS.of(first), encode(first))
+    assert not admission.has_passed(KEYS.of(first), encode(replace(first, sequence=first.sequence + 1, negotiation=0)))
 
 
 class FakeTime:
@@ -158,13 +158,13 @@ class FakeTime:
 
 def test_the_brake(monkeypatch: pytest.MonkeyPatch) -> None:
     """A burst is free; after that one message takes as long as its share of the rate, whoever had the burst."""
-    clock, held = FakeTime(monkeypatch), Brake()
+    clock, held = FakeTime(monkeypatch), RateLimit()
     for _ in range(int(BURST)):
         held.hold()
     assert clock.slept_s == 0.0
     for _ in range(10 * int(BURST)):
         held.hold()
-    assert clock.slept_s == pytest.approx(10 * BURST / brake.RATE_HZ, rel=0.2)
+    assert clock.slept_s == pytest.approx(10 * BURST / rate_limit.RATE_HZ, rel=0.2)
     clock.now_s += 10.0  # peace
     before_s = clock.slept_s
     held.hold()
@@ -173,7 +173,7 @@ def test_the_brake(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_flood_that_is_slowed_down_is_still_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """More than any run sends is a flood, for as long as it comes as fast as it is let; no run is."""
-    clock, held = FakeTime(monkeypatch), Brake()
+    clock, held = FakeTime(monkeypatch), RateLimit()
     flooded = []
     for _ in range(20 * WINDOW):
         clock.now_s += 1e-5  # what waits in the socket is there at once

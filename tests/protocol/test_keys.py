@@ -12,11 +12,11 @@ from protocol.wire.messages import (
     Message,
     MessageError,
     Plan,
+    PlantState,
     Rejected,
     Roster,
     StepReport,
     Tick,
-    Truth,
     agent_name,
 )
 from tests.support.samples import sample
@@ -31,7 +31,7 @@ OWNERS = {
     "link": "coordinator",
     "control": "coordinator",
     "measurement": "plant",
-    "truth": "plant",
+    "plant_state": "plant",
     "fault": "recorder",
     "plan": "agent2",
     "report": "agent2",
@@ -58,7 +58,7 @@ def listeners(message: Message) -> set[str]:
         (Plan, {"coordinator", "plant", "recorder", "agent1", "agent12", "agent123"}),
         (StepReport, {"recorder"}),
         (Rejected, {"recorder"}),
-        (Truth, {"coordinator", "recorder"}),
+        (PlantState, {"coordinator", "recorder"}),
     ],
 )
 def test_who_hears_what(kind: type[Message], expected: set[str]) -> None:
@@ -122,7 +122,7 @@ def test_keys_are_as_documented() -> None:
         "fault": "transport/run-1/fault",
         "control": "transport/run-1/control",
         "measurement": "transport/run-1/measurement/2",
-        "truth": "transport/run-1/truth",
+        "plant_state": "transport/run-1/plant_state",
         "plan": "transport/run-1/plan/2",
         "report": "transport/run-1/report/2",
         "rejected": "transport/run-1/rejected/agent2",

@@ -82,14 +82,14 @@ def test_a_newcomer_knows_as_much() -> None:
     changes = [change(i, 10 * i, loss=0.1 * i, delay_s=0.01 * i) for i in range(1, 9)]
     early, late = links("links={loss=0.3}"), links("links={loss=0.3}")
     heard = LinkChanges(early.values(), SAMPLES)
-    fates = []
+    link_history = []
     for tick in range(120):
         for message in changes:
             if message.tick == tick:
                 heard.apply(message)
-        fates.append(early["agent2"].delays(tick))
+        link_history.append(early["agent2"].delays(tick))
     told(late, *changes)
-    assert [late["agent2"].delays(tick) for tick in range(120)] == fates
+    assert [late["agent2"].delays(tick) for tick in range(120)] == link_history
 
 
 def test_scripted_changes_stay_where_they_are() -> None:

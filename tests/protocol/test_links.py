@@ -23,7 +23,7 @@ def link(model: LinkModel, seed: int = 0, sender: str = "agent1", receiver: str 
     return Link(model, seed=seed, sender=sender, receiver=receiver, kind="plan", period_s=PERIOD_S)
 
 
-def fates(model: LinkModel, seed: int = 0) -> list[list[float]]:
+def link_history(model: LinkModel, seed: int = 0) -> list[list[float]]:
     """Delays of many messages."""
     one = link(model, seed)
     return [one.delays(tick) for tick in range(COUNT)]
@@ -38,7 +38,7 @@ def share(happened: list[bool], expected: float) -> None:
 @pytest.mark.parametrize("loss", [0.1, 0.3, 0.6])
 def test_bernoulli_loss(loss: float) -> None:
     """The share of lost messages is the probability, and one loss says nothing about the next."""
-    lost = [not delays for delays in fates(LinkModel(loss=loss))]
+    lost = [not delays for delays in link_history(LinkModel(loss=loss))]
     share(lost, loss)
     share([b for a, b in pairwise(lost) if a], loss)
 
@@ -46,7 +46,7 @@ def test_bernoulli_loss(loss: float) -> None:
 def test_bursts_of_gilbert_elliott() -> None:
     """Share of time in the bad state is enter / (enter + leave), and a burst lasts 1 / leave ticks on average."""
     enter, leave = 0.05, 0.25
-    lost = np.array([not delays for delays in fates(LinkModel(burst_enter=enter, burst_leave=leave))])
+    lost = np.array([not delays for delays in link_history(LinkModel(burst_enter=enter, burst_leave=leave))])
     bad = enter / (enter + leave)
     # Neighbours are correlated by 1 - enter - leave, which widens the error of the mean.
     correlation = 1.0 - enter - leave
@@ -69,7 +69,7 @@ def test_bursts_of_gilbert_elliott() -> None:
 def test_jitter(distribution: str, mean_s: float, deviation_s: float) -> None:
     """Mean and standard deviation of the delay are those of the distribution about the fixed delay."""
     model = LinkModel(delay_s=1.0, jitter_s=0.05, distribution=distribution)
-    delays = np.array([delay for fate in fates(model) for delay in fate])
+    delays = np.array([delay for fate in link_history(model) for delay in fate])
     fourth = np.mean((delays - delays.mean()) ** 4) / delays.var() ** 2
     assert abs(delays.mean() - mean_s) < SIGMAS * deviation_s / np.sqrt(COUNT)
     assert abs(delays.std() / deviation_s - 1.0) < SIGMAS * np.sqrt((fourth - 1.0) / 4.0 / COUNT)
@@ -77,7 +77,9 @@ def test_jitter(distribution: str, mean_s: float, deviation_s: float) -> None:
 
 def test_delays_are_never_negative() -> None:
     """Jitter wider than the delay is cut at zero: nothing arrives before it is sent."""
-    delays = [delay for fate in fates(LinkModel(delay_s=0.01, jitter_s=0.1, distribution="normal")) for delay in fate]
+    delays = [
+        delay for fate in link_history(LinkModel(delay_s=0.01, jitter_s=0.1, distribution="normal")) for delay in fate
+    ]
     assert min(delays) == 0.0
     assert max(delays) > 0.2
 
@@ -85,7 +87,7 @@ def test_delays_are_never_negative() -> None:
 def test_empirical_delays_are_drawn_evenly() -> None:
     """Each measured delay is as likely as the others, and nothing else is drawn."""
     samples = (0.01, 0.02, 0.02, 0.5)
-    delays = [fate[0] for fate in fates(LinkModel(distribution="empirical", samples_s=samples))]
+    delays = [fate[0] for fate in link_history(LinkModel(distribution="empirical", samples_s=samples))]
     assert set(delays) == set(samples)
     share([delay == 0.02 for delay in delays], 0.5)
     share([delay == 0.5 for delay in delays], 0.25)
@@ -93,7 +95,7 @@ def test_empirical_delays_are_drawn_evenly() -> None:
 
 def test_duplicates_have_delays_of_their_own() -> None:
     """The share that arrives twice is the probability; the second delay is drawn anew."""
-    found = fates(LinkModel(delay_s=0.1, jitter_s=0.1, duplicate=0.2))
+    found = link_history(LinkModel(delay_s=0.1, jitter_s=0.1, duplicate=0.2))
     share([len(fate) == 2 for fate in found], 0.2)
     twice = np.array([fate for fate in found if len(fate) == 2])
     assert abs(np.corrcoef(twice.T)[0, 1]) < SIGMAS / np.sqrt(len(twice))
@@ -101,7 +103,7 @@ def test_duplicates_have_delays_of_their_own() -> None:
 
 def test_reordering_holds_back() -> None:
     """A share of the messages comes later by a fixed time, behind those sent after them."""
-    found = [fate[0] for fate in fates(LinkModel(delay_s=0.02, reorder=0.1, reorder_s=0.2))]
+    found = [fate[0] for fate in link_history(LinkModel(delay_s=0.02, reorder=0.1, reorder_s=0.2))]
     assert set(found) == {0.02, 0.02 + 0.2}
     share([delay > 0.1 for delay in found], 0.1)
 
@@ -115,7 +117,7 @@ def test_partition_has_a_start_and_an_end() -> None:
 @pytest.mark.parametrize("rate_hz", [0.5, 3.0, 7.0, 10.0, 15.0, 19.9])
 def test_rate_limit(rate_hz: float) -> None:
     """Of 20 messages a second a link of r Hz carries r in every whole second, as evenly spread as ticks allow."""
-    carried = np.array([bool(delays) for delays in fates(LinkModel(rate_hz=rate_hz))])
+    carried = np.array([bool(delays) for delays in link_history(LinkModel(rate_hz=rate_hz))])
     assert carried[0]
     at = np.flatnonzero(carried)
     # Seconds since the first message times the rate, rounded: at most one message from a steady flow at any instant.
@@ -127,7 +129,7 @@ def test_rate_limit(rate_hz: float) -> None:
 @pytest.mark.parametrize("rate_hz", [20.0, 21.0, 1e9, np.inf])
 def test_rate_above_the_sampling_rate(rate_hz: float) -> None:
     """A link that could carry as many messages as are sent, or more, carries all of them."""
-    assert all(delays == [0.0] for delays in fates(LinkModel(rate_hz=rate_hz))[:1000])
+    assert all(delays == [0.0] for delays in link_history(LinkModel(rate_hz=rate_hz))[:1000])
 
 
 @pytest.mark.parametrize(

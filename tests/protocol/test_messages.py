@@ -9,7 +9,7 @@ import pytest
 from protocol.wire.messages import (
     KINDS,
     MAX_HORIZON,
-    MAX_ROUNDS,
+    MAX_NEGOTIATION_ITERATIONS,
     MAX_TEXT,
     MAX_TICK,
     MAX_UAVS,
@@ -20,11 +20,11 @@ from protocol.wire.messages import (
     Message,
     MessageError,
     Plan,
+    PlantState,
     Rejected,
     Roster,
     StepReport,
     Tick,
-    Truth,
 )
 from tests.support.samples import fields, sample
 
@@ -48,7 +48,7 @@ WRONG: dict[str, list[Any]] = {
     ],
     "count": [-1, MAX_TICK + 1, 1.0, NAN, True, "1", None, [1], np.float64(1.0), np.bool_(True)],
     "number": [0, -1, MAX_TICK + 1, 1.0, True, "1", None],
-    "rounds": [-1, MAX_ROUNDS, 1.0, True, "1", None],
+    "negotiation_iterations": [-1, MAX_NEGOTIATION_ITERATIONS, 1.0, True, "1", None],
     "end": ["agent", "agent0", "Plant", "any", "*", " ", 3, None, b"plant"],
     "age": [-2, MAX_TICK + 1, 1.0, True, "1", None],
     "source": [-4, MAX_TICK + 1, 1.0, True, "1", None],
@@ -94,7 +94,7 @@ SORTS: dict[type[Message], dict[str, str]] = {
     Plan: {
         "agent": "agent",
         "start_tick": "count",
-        "negotiation": "rounds",
+        "negotiation": "negotiation_iterations",
         "shared": "flag",
         "uavs": "ids",
         "uav_states": "array",
@@ -119,7 +119,7 @@ SORTS: dict[type[Message], dict[str, str]] = {
         "force": "array",
         "times_ms": "array",
     },
-    Truth: {"x": "array", "u": "array", "plan_ticks": "list", "local_error": "float", "diverged": "text"},
+    PlantState: {"x": "array", "u": "array", "plan_ticks": "list", "local_error": "float", "diverged": "text"},
     FaultNote: {"target": "name", "what": "text", "origin": "word"},
     Rejected: {"offender": "text", "reason": "word", "count": "number", "example": "text"},
     Control: {"outcome": "word", "reason": "text", "exit_code": "code"},
@@ -131,7 +131,7 @@ ENTRIES = {
     (Roster, "incarnations"): "count",
     (StepReport, "plan_ages"): "age",
     (StepReport, "state_ages"): "age",
-    (Truth, "plan_ticks"): "source",
+    (PlantState, "plan_ticks"): "source",
 }
 
 CASES = [
@@ -275,8 +275,8 @@ def test_arrays_are_copied_and_read_only(kind: type[Message], field: str) -> Non
 
 def test_integers_arrive_as_plain_float64() -> None:
     """An array of integers, or one that is not contiguous, becomes a contiguous float64 one."""
-    message = sample(Truth, x=np.arange(36), u=np.arange(16.0)[::2])
-    assert isinstance(message, Truth)
+    message = sample(PlantState, x=np.arange(36), u=np.arange(16.0)[::2])
+    assert isinstance(message, PlantState)
     assert message.x.dtype == np.float64
     assert message.u.flags.c_contiguous
     np.testing.assert_array_equal(message.u, np.arange(0.0, 16.0, 2.0))
@@ -326,8 +326,8 @@ def test_messages_are_frozen(kind: type[Message]) -> None:
         ),
         (Plan, {"corrections": np.zeros((2, 8))}, "corrections: expected none or 3 steps, got 2"),
         (Plan, {"corrections": np.zeros((3, 4))}, "corrections: expected shape (any, 8), got (3, 4)"),
-        (Truth, {"plan_ticks": (0,)}, "x: expected shape (24), got (36)"),
-        (Truth, {"u": np.zeros(4)}, "u: expected shape (8), got (4)"),
+        (PlantState, {"plan_ticks": (0,)}, "x: expected shape (24), got (36)"),
+        (PlantState, {"u": np.zeros(4)}, "u: expected shape (8), got (4)"),
     ],
 )
 def test_fields_agree_with_each_other(kind: type[Message], changes: dict[str, Any], text: str) -> None:
@@ -342,12 +342,12 @@ def test_fields_agree_with_each_other(kind: type[Message], changes: dict[str, An
         (Tick, {"members": tuple(range(1, MAX_UAVS + 1))}),
         (Roster, {"reason": "x" * MAX_TEXT, "agents": (), "incarnations": ()}),
         (LinkChange, {"number": 1, "source": "plant", "target": "agent4", "settings": "{}"}),
-        (Plan, {"negotiation": MAX_ROUNDS - 1}),
+        (Plan, {"negotiation": MAX_NEGOTIATION_ITERATIONS - 1}),
         (Control, {"exit_code": 255}),
         (Control, {"exit_code": 0, "outcome": "diverged", "reason": "\N{GREEK SMALL LETTER TAU} > 0"}),
         (Plan, {"inputs": np.zeros((MAX_HORIZON, 8)), "corrections": np.zeros((0, 8)), "agent": MAX_UAVS}),
         (StepReport, {"plan_ages": (-1, MAX_TICK), "residual": -1}),
-        (Truth, {"plan_ticks": (-1, -2), "x": np.full(36, -0.0)}),
+        (PlantState, {"plan_ticks": (-1, -2), "x": np.full(36, -0.0)}),
     ],
 )
 def test_limits_themselves_are_allowed(kind: type[Message], changes: dict[str, Any]) -> None:

@@ -158,8 +158,8 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
         "expected 'next_tick' with mode realtime, where a step takes time, got 'immediate'",
     ),
     (
-        ("controller.rounds=2", REALTIME, "clock.speed=1"),
-        "controller.rounds",
+        ("controller.negotiation_iterations=2", REALTIME, "clock.speed=1"),
+        "controller.negotiation_iterations",
         "expected 1 with mode realtime, where nobody waits, got 2",
     ),
     # Sharing.
@@ -184,12 +184,12 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
         "'as_received'",
     ),
     (
-        ("controller.rounds=2", *ON_CHANGE),
-        "controller.rounds",
+        ("controller.negotiation_iterations=2", *ON_CHANGE),
+        "controller.negotiation_iterations",
         "expected 1 with controller.share 'on_change', as each round exchanges every plan, got 2",
     ),
-    ("controller.rounds=0", "controller.rounds", "expected a number >= 1, got 0"),
-    ("controller.rounds=21", "controller.rounds", "expected a number <= 20, got 21"),
+    ("controller.negotiation_iterations=0", "controller.negotiation_iterations", "expected a number >= 1, got 0"),
+    ("controller.negotiation_iterations=21", "controller.negotiation_iterations", "expected a number <= 20, got 21"),
     ("clock.on_overrun=panic", "clock.on_overrun", "expected 'continue', 'hold' or 'abort', got 'panic'"),
     ("clock.overrun_limit=-1", "clock.overrun_limit", "expected a number >= 0, got -1"),
     ("clock.overrun_limit=1.5", "clock.overrun_limit", "expected an integer, got 1.5"),
@@ -403,9 +403,9 @@ def test_the_last_setting_is_blamed() -> None:
 
 def test_settings_that_contradict_the_cost_to_go() -> None:
     """The cost-to-go prices deviations from hover, and a preview without law and cost-to-go would have no effect."""
-    priced = refusal(PAPER, "controller.terminal=riccati", "controller.weights.priced=absolute")
+    penalised_input = refusal(PAPER, "controller.terminal=riccati", "controller.weights.penalised_input=absolute")
     expected = "expected 'deviation' with controller.terminal = 'riccati', whose optimum rests at hover, got 'absolute'"
-    assert priced == f"--set controller.weights.priced=absolute: {expected}"
+    assert penalised_input == f"--set controller.weights.penalised_input=absolute: {expected}"
     alone = refusal(PAPER, "controller.preview=true")
     assert alone.startswith("--set controller.preview=true: expected controller.prediction = 'closed_loop' or ")
 
@@ -472,7 +472,7 @@ def test_any_value_anywhere() -> None:
     keys = ["schema", "name", "seed", "system", "payload", "uav", "uav.2", "id", "mass_kg", "inertia_kgm2", "rho_m",
             "rho_m.1", "phase", "phase.1", "duration_s", "displacement_m", "profile", "horizon", "relaxation",
             "constraint", "separation", "solver", "moments", "moments.2", "thrust_N", "owned", "owned.1", "owned.1.1",
-            "mode", "speed", "actuation", "step_s", "host", "base_port", "priced", "zzz"]  # fmt: skip
+            "mode", "speed", "actuation", "step_s", "host", "base_port", "penalised_input", "zzz"]  # fmt: skip
     refusals = []
     for _ in range(800):
         setting = f"{rng.choice(sections)}{rng.choice(keys)}={rng.choice(values)}"

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 
 from coordinator.node import CoordinatorNode
 from protocol.wire.messages import Message, Presence, agent_name
-from tests.support.runs import EVERYBODY, INCARNATION, plan, setup, ticks, truth
+from tests.support.runs import EVERYBODY, INCARNATION, plan, plant_state, setup, ticks
 
 THREE = ticks(3)
 CONTINUE = "clock.on_agent_loss=continue"
@@ -49,7 +49,7 @@ def at_last_tick(node: CoordinatorNode, now_ns: int = START_NS) -> CoordinatorNo
     """The coordinator with its last tick open and nobody's answer yet."""
     started(node, now_ns)
     for k in (0, 1):
-        tell(node, [*answers(k), truth(setup(THREE), k)], now_ns)
+        tell(node, [*answers(k), plant_state(setup(THREE), k)], now_ns)
     assert node.tick == 2
     return node
 

@@ -19,11 +19,11 @@ from protocol.wire.messages import (
     Measurement,
     Message,
     Plan,
+    PlantState,
     Rejected,
     Roster,
     StepReport,
     Tick,
-    Truth,
     agent_name,
 )
 from tests.support.runs import INCARNATION
@@ -191,7 +191,7 @@ class Garbage:
         if not data:
             return key, data
         return key, self._packed(
-            [self._one_of(["ticks", "", "PLAN", "truth", "tick", "x" * 500]), *self._wire(data)[1:]]
+            [self._one_of(["ticks", "", "PLAN", "plant_state", "tick", "x" * 500]), *self._wire(data)[1:]]
         )
 
     def _strange_fields(self) -> tuple[str, bytes]:
@@ -211,7 +211,7 @@ class Garbage:
         return key, self._packed(self._one_of([values[:-1], [*values, 0], values[:1], [values], [], values[1:]]))
 
     def _not_finite(self) -> tuple[str, bytes]:
-        found = self._message(Measurement, Plan, Truth, StepReport)
+        found = self._message(Measurement, Plan, PlantState, StepReport)
         if found is None:
             return self._noise()
         key, message = found
@@ -236,7 +236,7 @@ class Garbage:
 
     def _past(self) -> tuple[str, bytes]:
         """As new as can be, but of a tick that is over."""
-        found = self._message(Tick, Measurement, Plan, Truth, StepReport, Roster)
+        found = self._message(Tick, Measurement, Plan, PlantState, StepReport, Roster)
         if found is None:
             return self._noise()
         key, message = found
@@ -244,7 +244,7 @@ class Garbage:
 
     def _future(self) -> tuple[str, bytes]:
         """As new as can be, but of a tick that is not yet."""
-        found = self._message(Tick, Measurement, Plan, Truth, StepReport)
+        found = self._message(Tick, Measurement, Plan, PlantState, StepReport)
         if found is None:
             return self._noise()
         key, message = found
@@ -303,7 +303,7 @@ class Garbage:
 
     def _absurd(self) -> tuple[str, bytes]:
         """The very next message there could be, but what it says cannot be."""
-        found = self._message(Tick, Measurement, Plan, Truth, Roster, StepReport)
+        found = self._message(Tick, Measurement, Plan, PlantState, Roster, StepReport)
         if found is None:
             return self._noise()
         key, message = found
@@ -316,7 +316,7 @@ class Garbage:
                 changes = [{"agents": (1, 9), "incarnations": (1, 1), "version": message.version + 1}]
             case StepReport():
                 changes = [{"peers": tuple(range(200, 200 + len(message.peers)))}]
-            case Truth():
+            case PlantState():
                 changes = [{"plan_ticks": (0,), "x": np.zeros(24), "u": np.zeros(4)}]
             case Measurement():
                 lying = message.uav_states.copy()

@@ -11,9 +11,9 @@ import tomli_w
 from model import state
 from model.arrays import Array
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import Message, Plan, StepReport, Truth, agent_name
+from protocol.wire.messages import Message, Plan, PlantState, StepReport, agent_name
 from tests.support import runs
-from transport.flight.memory import fly
+from transport.flight.memory import simulate
 from transport.log.run_log import LogWriter, Recorded, RunLog
 
 MILLISECOND_NS = 1_000_000
@@ -89,14 +89,14 @@ def plan(run: Setup, agent: int, k: int) -> Plan:
     )
 
 
-def truth(run: Setup, k: int, change: Callable[[Array, Array], None] = lambda x, u: None) -> Truth:
+def plant_state(run: Setup, k: int, change: Callable[[Array, Array], None] = lambda x, u: None) -> PlantState:
     """The plant at the reference of tick k with hover inputs, after a change to copies of x and u."""
     times_s = np.array([k * run.settings.sampling_period_s])
     x = run.hover.x.copy()
     x[state.R0] += run.maneuver.path(times_s)[0][0]
     u = run.hover.u.copy()
     change(x, u)
-    return replace(runs.truth(run, k), x=x, u=u)
+    return replace(runs.plant_state(run, k), x=x, u=u)
 
 
 def flown(run: Setup, folder: Path) -> list[Message]:
@@ -111,5 +111,5 @@ def flown(run: Setup, folder: Path) -> list[Message]:
             messages.append(message)
             writer.write(message, len(messages) * MILLISECOND_NS)
 
-        fly(run, record)
+        simulate(run, record)
     return messages

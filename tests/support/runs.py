@@ -18,14 +18,14 @@ from protocol.wire.messages import (
     Measurement,
     Message,
     Plan,
+    PlantState,
     Roster,
     StepReport,
     Tick,
-    Truth,
     agent_name,
 )
 from protocol.wire.node import Node
-from transport.flight.memory import fly
+from transport.flight.memory import simulate
 
 SCENARIOS = Path(__file__).resolve().parents[2] / "scenarios"
 PAPER = SCENARIOS / "paper.toml"
@@ -57,7 +57,7 @@ def ticks(count: int) -> str:
     return f"maneuver.phase=[{{name='hover',duration_s={0.05 * count},displacement_m=[0,0,0]}}]"
 
 
-def recorded(run: Setup, flight: Callable[[Setup, Callable[[Message], None]], Control] = fly) -> list[Message]:
+def recorded(run: Setup, flight: Callable[[Setup, Callable[[Message], None]], Control] = simulate) -> list[Message]:
     """Every message of a flight, in the order sent."""
     messages: list[Message] = []
     control = flight(run, messages.append)
@@ -65,9 +65,9 @@ def recorded(run: Setup, flight: Callable[[Setup, Callable[[Message], None]], Co
     return messages
 
 
-def truths(messages: Sequence[Message]) -> list[Truth]:
+def plant_states(messages: Sequence[Message]) -> list[PlantState]:
     """The plant's record, in its order."""
-    return [message for message in messages if isinstance(message, Truth)]
+    return [message for message in messages if isinstance(message, PlantState)]
 
 
 def reproducible(message: Message) -> Message:
@@ -179,9 +179,9 @@ def plan(
     )
 
 
-def truth(run: Setup, k: int, diverged: str = "") -> Truth:
+def plant_state(run: Setup, k: int, diverged: str = "") -> PlantState:
     """The plant's record of tick k at hover."""
-    return Truth(
+    return PlantState(
         sender="plant",
         incarnation=0,
         sequence=k,

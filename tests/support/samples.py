@@ -13,11 +13,11 @@ from protocol.wire.messages import (
     Measurement,
     Message,
     Plan,
+    PlantState,
     Rejected,
     Roster,
     StepReport,
     Tick,
-    Truth,
 )
 
 HEAD: dict[str, Any] = {"incarnation": 1, "sequence": 7, "tick": 3}
@@ -93,7 +93,7 @@ def fields(kind: type[Message]) -> dict[str, Any]:
             "force": np.array([0.5, -1.0, 4.4]),
             "times_ms": np.arange(float(len(STAGES))),
         },
-        Truth: {
+        PlantState: {
             "sender": "plant",
             "x": np.arange(36.0),
             "u": np.arange(8.0),

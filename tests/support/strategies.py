@@ -8,7 +8,7 @@ from hypothesis.strategies import SearchStrategy
 
 from model.arrays import Array
 from protocol.wire.messages import (
-    MAX_ROUNDS,
+    MAX_NEGOTIATION_ITERATIONS,
     MAX_TICK,
     MAX_UAVS,
     STAGES,
@@ -21,12 +21,12 @@ from protocol.wire.messages import (
     Outcome,
     Plan,
     PlanStatus,
+    PlantState,
     Reason,
     Rejected,
     Roster,
     StepReport,
     Tick,
-    Truth,
 )
 
 # Sizes that keep an example cheap; larger ones take the same path.
@@ -98,7 +98,7 @@ plans = st.tuples(_ids, st.integers(1, _STEPS), st.booleans()).flatmap(
         Plan,
         agent=_agent,
         start_tick=_count,
-        negotiation=st.integers(0, MAX_ROUNDS - 1),
+        negotiation=st.integers(0, MAX_NEGOTIATION_ITERATIONS - 1),
         shared=st.booleans(),
         uavs=st.just(drawn[0]),
         uav_states=_array(len(drawn[0]), 12),
@@ -129,9 +129,9 @@ reports = _ids.flatmap(
         **_head,
     )
 )
-truths = st.integers(0, _UAVS).flatmap(
+plant_states = st.integers(0, _UAVS).flatmap(
     lambda N: st.builds(
-        Truth,
+        PlantState,
         x=_array(12 + 12 * N),
         u=_array(4 * N),
         plan_ticks=_listed(N, st.integers(-3, MAX_TICK)),
@@ -154,5 +154,5 @@ controls = st.builds(
 )
 
 messages: SearchStrategy[Message] = st.one_of(
-    ticks, rosters, link_changes, measurements, plans, reports, truths, fault_notes, rejections, controls
+    ticks, rosters, link_changes, measurements, plans, reports, plant_states, fault_notes, rejections, controls
 )

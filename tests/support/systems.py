@@ -12,7 +12,7 @@ from model.hover import Hover, hover
 from model.linearisation import Model
 from model.maneuver import Maneuver, Reference, paper_maneuver
 from model.parameters import Payload, System, Uav, table_1
-from mpc.controller import Controller, Optimum
+from mpc.controller import Controller, StepResult
 from mpc.settings import ControllerSettings
 
 INTEGRATION_STEPS = 5  # Dormand-Prince steps per 0.05 s: the local error is then far below every tolerance here
@@ -116,7 +116,7 @@ def team(setup: Setup, settings: ControllerSettings, teams: Sequence[Sequence[in
     return [controller(setup, settings, owned) for owned in teams]
 
 
-def step(owner: Controller, at: Situation) -> Optimum:
+def step(owner: Controller, at: Situation) -> StepResult:
     """One controller step in a situation."""
     return owner.step(at.x, at.u, at.U, at.y_ref)
 
@@ -138,7 +138,7 @@ class Flight:
     statuses: frozenset[str]
 
 
-def fly(setup: Setup, controllers: Sequence[Controller], start_s: float, steps: int) -> Flight:
+def simulate(setup: Setup, controllers: Sequence[Controller], start_s: float, steps: int) -> Flight:
     """The paper's maneuver from `start_s` on, for that many sampling periods, from rest at START_I."""
     X, U, costs, statuses = [setup.x], [], [], set()
     cost = controllers[0].cost
@@ -161,7 +161,7 @@ def situations(setup: Setup, controllers: Sequence[Controller], start_s: float, 
 
 def _loop(
     setup: Setup, controllers: Sequence[Controller], start_s: float, steps: int
-) -> Iterator[tuple[Situation, list[Optimum], Array]]:
+) -> Iterator[tuple[Situation, list[StepResult], Array]]:
     settings = controllers[0].settings
     period, horizon = settings.sampling_period_s, settings.horizon
     reference = Reference(setup.system, setup.hover, _from_start(paper_maneuver()))

@@ -13,7 +13,7 @@ HEAVY = (
     "partition=[{between=['agent3','plant'],start_s=0.4,end_s=0.6}],"
     "change=[{at_s=0.8,loss=0.3,rate_hz=20.0},{at_s=0.9,from='plant',delay_s=0.0}]}"
 )
-NEXT_TICK, ROUNDS = "clock.actuation=next_tick", "controller.rounds=2"
+NEXT_TICK, ROUNDS = "clock.actuation=next_tick", "controller.negotiation_iterations=2"
 
 # One agent frozen and thawed, another killed and started anew, for a while both of them away. Who is frozen is given up
 # after the usual 5 s and no sooner: a busy host lets any process stand still for a second.

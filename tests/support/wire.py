@@ -7,7 +7,7 @@ from typing import Protocol
 from agent.node import AgentNode
 from coordinator.node import CoordinatorNode
 from plant.node import PlantNode
-from protocol.admission.admission import Gate
+from protocol.admission.admission import Admission
 from protocol.scenario.setup import Setup
 from protocol.wire.codec import encode
 from protocol.wire.keys import Keys, matches
@@ -23,7 +23,7 @@ Before = Callable[["Wire", str, str, bytes], None]
 class Receiver(Protocol):
     """Whatever has a gate and something behind it."""
 
-    gate: Gate
+    admission: Admission
     rejected: Rejections
 
     def hear(self, message: Message) -> Sequence[Message]:
@@ -35,7 +35,7 @@ class NodeReceiver:
 
     def __init__(self, node: Node, keys: Keys, setup: Setup) -> None:
         self._node, self.rejected = node, node.rejected
-        self.gate = Gate(node.name, keys, setup, node.rejected)
+        self.admission = Admission(node.name, keys, setup, node.rejected)
 
     def hear(self, message: Message) -> Sequence[Message]:
         """What the node answers."""
@@ -46,7 +46,7 @@ class RecordingReceiver:
     """A recorder behind its gate: it never answers."""
 
     def __init__(self, recorder: Recorder) -> None:
-        self._recorder, self.gate, self.rejected = recorder, recorder.gate, recorder.rejected
+        self._recorder, self.admission, self.rejected = recorder, recorder.admission, recorder.rejected
 
     def hear(self, message: Message) -> Sequence[Message]:
         """Nothing, but the recorder has heard it."""
@@ -80,9 +80,9 @@ class Wire:
         self._queue: deque[tuple[str, str, bytes]] = deque()
         for receiver in self.receivers.values():
             for name in self.receivers:
-                receiver.gate.announce(name, INCARNATION)
+                receiver.admission.announce(name, INCARNATION)
 
-    def fly(self) -> Control:
+    def simulate(self) -> Control:
         """Fly to the end."""
         for name in self.receivers:
             if name not in ("coordinator", "recorder"):
@@ -92,7 +92,7 @@ class Wire:
             for name in self.listeners(key):
                 if name != sender:
                     self._before(self, name, key, data)
-                    message = self.receivers[name].gate.read(key, data)
+                    message = self.receivers[name].admission.read(key, data)
                     assert message is not None, f"{name} refuses {key}: {list(self.receivers[name].rejected)}"
                     self._send(self.receivers[name].hear(message))
         assert self._coordinator.finished is not None, f"the run stands still at tick {self._coordinator.tick}"
@@ -105,19 +105,19 @@ class Wire:
     def disturb(self, name: str, key: str, data: bytes) -> Sequence[Message]:
         """Let a receiver read something that is no message of this flight; what it answers."""
         receiver = self.receivers[name]
-        message = receiver.gate.read(key, data)
+        message = receiver.admission.read(key, data)
         return () if message is None else receiver.hear(message)
 
     def tell_rejected(self) -> None:
         """Everybody tells the recorder what it has refused, as at the end of a run; the recorder comes last."""
         recorder = self.receivers["recorder"]
         for name, receiver in self.receivers.items():
-            receiver.gate.close()
-            for notice in Notices(name, receiver.rejected).rest(INCARNATION, receiver.gate.tick):
+            receiver.admission.close()
+            for notice in Notices(name, receiver.rejected).rest(INCARNATION, receiver.admission.tick):
                 if name == "recorder":
                     recorder.hear(notice)
                     continue
-                read = recorder.gate.read(self.keys.of(notice), encode(notice))
+                read = recorder.admission.read(self.keys.of(notice), encode(notice))
                 assert read == notice
                 recorder.hear(read)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from protocol.admission.admission import Gate
+from protocol.admission.admission import Admission
 from protocol.network.bus import Bus
 from protocol.network.security import Security, access_control
 from protocol.network.session import Endpoints
@@ -45,7 +45,7 @@ class Guarded:
     def __init__(self, name: str, port: int) -> None:
         self.rejections = Rejections()
         self.at = f"tls/127.0.0.1:{port}"
-        self.gate = Gate(name, KEYS, setup(), self.rejections)
+        self.admission = Admission(name, KEYS, setup(), self.rejections)
         security = Security(keyring("one"), TEAM)
         self.bus = Bus(
             name=name,
@@ -53,7 +53,7 @@ class Guarded:
             run=KEYS.run,
             digest=DIGEST,
             endpoints=Endpoints(listen=[self.at], connect=[], security=security),
-            gate=self.gate,
+            admission=self.admission,
             serves=name == "coordinator",
         )
 
@@ -67,8 +67,8 @@ class Guarded:
     @property
     def reached(self) -> int:
         """Messages that came to it: refused, or kept for a token to come."""
-        self.gate.count_unread()
-        return self.rejections.total + self.gate.kept
+        self.admission.count_unread()
+        return self.rejections.total + self.admission.kept
 
 
 @pytest.fixture(scope="module", name="plant")

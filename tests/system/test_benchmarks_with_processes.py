@@ -9,7 +9,7 @@ from benchmarks import loop, watched
 from benchmarks.effort import QUICK
 from benchmarks.flights import setup
 from benchmarks.page import BenchmarkError
-from tests.support.runs import truth
+from tests.support.runs import plant_state
 from tests.support.tables import first_cells, numbers, silent
 from transport.log.run_log import Recorded, RunLog
 
@@ -31,7 +31,9 @@ def test_parts_of_a_flight_that_is_watched() -> None:
     parts_ms = [[*range(2000, 4000, 50)], [*range(2000, 4000, 100)], [*range(2000, 4000, 25)], [], [], [3999]]
     ticks_ms = [4000 * part + at_ms for part, inside in enumerate(parts_ms) for at_ms in skipped_ms + inside]
     run = setup("paper", QUICK.climb)
-    entries = [Recorded(message=truth(run, tick), received_ns=at_ms * 1_000_000) for tick, at_ms in enumerate(ticks_ms)]
+    entries = [
+        Recorded(message=plant_state(run, tick), received_ns=at_ms * 1_000_000) for tick, at_ms in enumerate(ticks_ms)
+    ]
     log = RunLog(header={}, messages=tuple(entries), cut="")
     changes_ns = [at_s * 1_000_000_000 for at_s in range(0, 32, 4)]
     factors = watched.paces(log, changes_ns, period_s=0.05)

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from protocol.admission.admission import Gate
+from protocol.admission.admission import Admission
 from protocol.network.bus import Bus
 from protocol.network.session import BusError, Endpoints
 from protocol.wire.codec import VERSION, encode
@@ -37,14 +37,14 @@ class Plant:
 
     def __init__(self, port: int) -> None:
         self.rejections = Rejections()
-        self.gate = Gate("plant", KEYS, setup(), self.rejections)
+        self.admission = Admission("plant", KEYS, setup(), self.rejections)
         self.bus = Bus(
             name="plant",
             incarnation=0,
             run=KEYS.run,
             digest=DIGEST,
             endpoints=Endpoints(listen=[f"tcp/127.0.0.1:{port}"], connect=[]),
-            gate=self.gate,
+            admission=self.admission,
         )
 
     def counts(self) -> dict[tuple[str, str], int]:
@@ -111,7 +111,7 @@ def test_a_stranger_is_counted(network: tuple[Plant, zenoh.Session]) -> None:
     block = zenoh.CongestionControl.BLOCK
     key = f"{KEYS.prefix}/tick"
     session.put(f"{KEYS.prefix}/plan/2", bytes([VERSION]) + b"hello", congestion_control=block)
-    session.put(f"{KEYS.prefix}/plan/3", bytes(plant.gate.max_bytes + 1), congestion_control=block)
+    session.put(f"{KEYS.prefix}/plan/3", bytes(plant.admission.max_bytes + 1), congestion_control=block)
     session.put(f"{KEYS.prefix}/plan/4", bytes(5_000_000), congestion_control=block)
     session.delete(f"{KEYS.prefix}/control")
     session.put(key, encode(runs.tick(0)), congestion_control=block)
@@ -127,10 +127,10 @@ def test_a_stranger_is_counted(network: tuple[Plant, zenoh.Session]) -> None:
         ("alive/agent1/soon/x", "malformed"): 1,
         ("ready/agent1", "malformed"): 1,
     }
-    assert plant.waits_for(lambda: expected.items() <= plant.counts().items() and plant.gate.kept == 1)
+    assert plant.waits_for(lambda: expected.items() <= plant.counts().items() and plant.admission.kept == 1)
     for token in tokens:
         token.undeclare()  # type: ignore[no-untyped-call]
-    plant.gate.close()
+    plant.admission.close()
     assert plant.counts()["coordinator", "wrong_incarnation"] == 1
     assert expected.items() <= plant.counts().items()
 
@@ -140,7 +140,7 @@ def test_who_is_announced_is_believed(network: tuple[Plant, zenoh.Session]) -> N
     plant, session = network
     block = zenoh.CongestionControl.BLOCK
     session.put(f"{KEYS.prefix}/tick", encode(runs.tick(0)), congestion_control=block)
-    assert plant.waits_for(lambda: plant.gate.kept == 1)
+    assert plant.waits_for(lambda: plant.admission.kept == 1)
     other = session.liveliness().declare_token(KEYS.alive("coordinator", 0, "another", VERSION))
     token = session.liveliness().declare_token(KEYS.alive("coordinator", 0, DIGEST, VERSION))
     assert plant.bus.next(PATIENCE_S) == runs.tick(0)

@@ -13,7 +13,7 @@ import pytest
 from protocol.scenario.file import find_scenario, read_scenario
 from protocol.scenario.setup import Setup
 from tests.support.commands import command
-from transport.experiments.faults import COMMAND, FaultRun, Strike, drawn, fly, processes_of
+from transport.experiments.faults import COMMAND, FaultRun, Strike, drawn, processes_of, simulate
 
 MANY = 300
 HOVER = ("maneuver.phase=[{name='hover',duration_s=0.5,displacement_m=[0,0,0]}]",)
@@ -41,7 +41,13 @@ def test_everything_happens_to_everybody() -> None:
     assert all(strike.freed_s is None for strike in strikes if strike.signal != signal.SIGSTOP)
     assert {len(run.strikes) for run in runs} == {1, 2}
     settings = [setting for run in runs for setting in run.settings]
-    for given in ("on_agent_loss=abort", "on_agent_loss=continue", "mode=realtime", "rounds=2", "links"):
+    for given in (
+        "on_agent_loss=abort",
+        "on_agent_loss=continue",
+        "mode=realtime",
+        "negotiation_iterations=2",
+        "links",
+    ):
         assert any(given in setting for setting in settings)
 
 
@@ -56,14 +62,14 @@ def test_every_run_can_be_flown() -> None:
 def test_a_flight_in_which_nothing_happens(tmp_path: Path) -> None:
     """Nothing is wrong with a run that nobody disturbs, and nothing is left of it but its folder."""
     run = FaultRun(number=1, settings=HOVER, strikes=())
-    verdict = fly(run, tmp_path, threading.Event())
+    verdict = simulate(run, tmp_path, threading.Event())
     assert (verdict.code, verdict.problems) == (0, {})
     assert processes_of(f"fault-1-{os.getpid()}") == {}
 
 
 def test_an_exit_code_that_does_not_fit_is_found(tmp_path: Path) -> None:
     """A command that refuses its scenario ends with a code that no fault can cause."""
-    verdict = fly(FaultRun(number=2, settings=("controller.horizon=0",), strikes=()), tmp_path, threading.Event())
+    verdict = simulate(FaultRun(number=2, settings=("controller.horizon=0",), strikes=()), tmp_path, threading.Event())
     assert verdict.code == 3
     assert verdict.problems == {"wrong exit code": "3, expected one of 0, 4, 6"}
 
@@ -77,7 +83,7 @@ def test_an_orphan_is_found_and_ended(tmp_path: Path, monkeypatch: pytest.Monkey
     words = ["transport", "agent", "--id", "7", "--run", name]
     left = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)", *words])
     try:
-        verdict = fly(FaultRun(number=3, settings=HOVER, strikes=()), tmp_path, threading.Event())
+        verdict = simulate(FaultRun(number=3, settings=HOVER, strikes=()), tmp_path, threading.Event())
         assert verdict.problems["orphan"] == "agent7"
         assert left.wait(10.0) == -signal.SIGKILL
     finally:
@@ -94,7 +100,7 @@ def test_a_frozen_command_is_killed_by_who_froze_it(tmp_path: Path, monkeypatch:
         Strike(target=target, signal=signal.SIGSTOP, since="flight", after_s=after_s)
         for target, after_s in (("agent2", 0.3), (COMMAND, 0.6))
     )
-    verdict = fly(FaultRun(number=4, settings=long, strikes=strikes), tmp_path, threading.Event())
+    verdict = simulate(FaultRun(number=4, settings=long, strikes=strikes), tmp_path, threading.Event())
     assert (verdict.code, verdict.problems) == (-signal.SIGKILL, {})
 
 

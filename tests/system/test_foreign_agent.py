@@ -19,7 +19,7 @@ from tests.test_architecture import LAYERS
 EXAMPLE = Path(__file__).resolve().parents[2] / "docs" / "examples" / "foreign_agent.py"
 
 
-def fly(folder: Path, *changes: str) -> dict[str, Any]:
+def simulate(folder: Path, *changes: str) -> dict[str, Any]:
     """`resilient` with the foreign agent in the place of agent 3; the summary of the recorder."""
     base = free_base()
     given = [*changes, f"network.base_port={base}"]
@@ -51,7 +51,7 @@ def fly(folder: Path, *changes: str) -> dict[str, Any]:
 
 def test_a_foreign_agent_takes_part(tmp_path: Path) -> None:
     """A second and a half: it joins, every plan of its is played, and all end in order."""
-    summary = fly(tmp_path, SHORT)
+    summary = simulate(tmp_path, SHORT)
     assert summary["ticks"] == 30
     assert summary["messages"]["late"] == 0
     assert summary["attitude_max_deg"] < 2.0
@@ -60,7 +60,7 @@ def test_a_foreign_agent_takes_part(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_foreign_agent_flies_the_maneuver(tmp_path: Path) -> None:
     """The paper's 25 s, of which it knows nothing but what the others do: the load stays level, and all apart."""
-    summary = fly(tmp_path)
+    summary = simulate(tmp_path)
     assert summary["ticks"] == 500
     assert summary["attitude_max_deg"] < 5.0
     assert summary["separation_min_m"] > 0.35

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import zenoh
 
-from protocol.admission.admission import Gate
+from protocol.admission.admission import Admission
 from protocol.scenario.file import find_scenario, read_scenario
 from protocol.scenario.setup import Setup
 from protocol.wire.keys import Keys, matches
@@ -110,13 +110,15 @@ def test_an_intruder(tmp_path: Path) -> None:
     process = start(*command, "--format", "json", cwd=tmp_path)
 
     expected = dict.fromkeys(everybody, 0)
-    max_bytes = Gate("recorder", keys, run, Rejections()).max_bytes
+    max_bytes = Admission("recorder", keys, run, Rejections()).max_bytes
     rng = np.random.default_rng(SEED)
     source = Garbage("recorder", keys, run, max_bytes, rng, incarnation=0, delay=DELAY)
     with intruding(keys, range(base, base + len(everybody))) as mesh:
         shots, tokens = 0, list[zenoh.LivelinessToken]()
         # Whoever is heard is connected; the coordinator speaks of each tick, the plant of what comes of it.
-        everything = {f"{keys.prefix}/{end}" for end in ("tick", "truth", *(f"plan/{agent}" for agent in run.agents))}
+        everything = {
+            f"{keys.prefix}/{end}" for end in ("tick", "plant_state", *(f"plan/{agent}" for agent in run.agents))
+        }
         known: set[str] = set()
         until = time.monotonic() + PATIENCE_S
         while source.tick < LAST_TICK and time.monotonic() < until and process.poll() is None:

@@ -13,7 +13,7 @@ from protocol.scenario.setup import Setup
 from protocol.wire.codec import encode
 from protocol.wire.messages import Message, StepReport
 from tests.support.commands import SHORT, command, free_base, processes_of, settings, transport, wait_for
-from transport.flight.memory import fly
+from transport.flight.memory import simulate
 from transport.log.run_log import read_log
 
 SCHEMA = json.loads((Path(__file__).parents[2] / "transport" / "summary.schema.json").read_text())
@@ -79,7 +79,7 @@ def test_the_papers_maneuver_across_processes(paper: tuple[Path, dict[str, Any]]
 
     setup = Setup.of(read_scenario(find_scenario("paper")), "paper")
     memory: list[Message] = []
-    fly(setup, memory.append)
+    simulate(setup, memory.append)
     log = [recorded.message for recorded in read_log(folder / "run.mcap").messages]
     assert reproducible(log) == reproducible(memory)
 
@@ -116,7 +116,7 @@ def test_network_equals_memory(change: str, tmp_path: Path) -> None:
     run_json(tmp_path / "run", "paper", *settings(SHORT, change))
     setup = Setup.of(read_scenario(find_scenario("paper"), [SHORT, change]), "paper")
     memory: list[Message] = []
-    fly(setup, memory.append)
+    simulate(setup, memory.append)
     log = [recorded.message for recorded in read_log(tmp_path / "run" / "run.mcap").messages]
     assert reproducible(log) == reproducible(memory)
 

@@ -31,7 +31,8 @@ from tests.support.commands import (
 from tests.support.keyrings import NAMES, keyring
 from tests.support.logs import flown
 from tests.system.test_intruder import table
-from transport.monitor.exporter import Exporter, asked_places
+from transport.cli.metrics import asked_places
+from transport.monitor.exporter import Exporter
 from transport.report.report import write_report
 
 # Paced, so that there is time for attacks; 6 s.
@@ -76,7 +77,7 @@ def test_a_run_under_attack(sort: str, tmp_path: Path) -> None:
         knocking = threading.Thread(target=_knock, args=(endpoints[0], refused))
         knocking.start()
         with attack.session(endpoints, attack.tls(keyring("one"), "agent1")) as forger:
-            for key in ("plan/2", "tick", "control", "truth", "measurement/3", "rejected/agent2"):
+            for key in ("plan/2", "tick", "control", "plant_state", "measurement/3", "rejected/agent2"):
                 for _ in range(FORGED):
                     attack.say(forger, f"{keys.prefix}/{key}", b"?")
             asked = transport("status", "--run", "out", "--process", "agent2", cwd=tmp_path)

@@ -20,11 +20,11 @@ from transport.experiments import catalogue
 from transport.experiments.cases import Point, cases_of
 from transport.experiments.effort import CPU, EFFORT, MESSAGES, effort
 from transport.experiments.figures import draw
-from transport.experiments.flight import ERROR, NUMBERS, Result, fly_in_memory
+from transport.experiments.flight import ERROR, NUMBERS, Result, simulate_in_memory
 from transport.experiments.growth import exponent, growth_findings
 from transport.experiments.statistics import Measured, measure
 from transport.experiments.table import WIDTH, table_of
-from transport.flight.memory import fly
+from transport.flight.memory import simulate
 from transport.log.run_log import Recorded, RunLog
 
 DONE, USAGE, SCENARIO = 0, 2, 3
@@ -46,7 +46,7 @@ def flown(uavs: int, ownership: str) -> tuple[Setup, list[Message]]:
         if experiment.points[case.point].labels["ownership"] == ownership
     )
     setup, messages = Setup.of(case.scenario, case.source), list[Message]()
-    fly(setup, messages.append)
+    simulate(setup, messages.append)
     return setup, messages
 
 
@@ -140,7 +140,7 @@ def test_the_stopwatch_is_the_processor(monkeypatch: pytest.MonkeyPatch) -> None
     waited_ms = 50.0
     case = cases_of(catalogue.scaling("resilient", 2, []).points, [ticks(TICKS)], 1, timed=True)[0]
     monkeypatch.setattr("mpc.controller.Controller.solve", _held_up(waited_ms / 1e3))
-    numbers = fly_in_memory(case).numbers
+    numbers = simulate_in_memory(case).numbers
     assert set(numbers) == {*NUMBERS, *EFFORT}
     assert 0.0 < (numbers["cpu_solve_p50_ms"] or 0.0) < waited_ms / 2.0
 
@@ -347,10 +347,10 @@ def test_gone_on_with_nothing_is_flown_again(trial: tuple[Path, str], monkeypatc
     folder, printed = trial
     before = tables(folder)
 
-    def fly(*_: object) -> None:
+    def simulate(*_: object) -> None:
         raise AssertionError("flown again")
 
-    monkeypatch.setattr("transport.flight.memory.fly", fly)
+    monkeypatch.setattr("transport.flight.memory.simulate", simulate)
     result = here(*SMALL, "--out", folder)
     assert result.exit_code == DONE, result.output
     assert f"{FLIGHTS} of {FLIGHTS} flights are done already" in result.stderr

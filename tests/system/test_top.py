@@ -72,7 +72,7 @@ def test_troubles() -> None:
     watch.take(runs.roster(), 0)
     watch.take(replace(runs.roster({1: 1, 2: 1, 4: 1}, k=5, version=2), reason="agent3 is gone"), 0)
     assert [watch.state_of(agent) for agent in runs.EVERYBODY] == ["-", "-", "off", "-"]
-    watch.take(replace(runs.truth(watch.setup, 9), plan_ticks=(9, 9, -2, 9)), 0)
+    watch.take(replace(runs.plant_state(watch.setup, 9), plan_ticks=(9, 9, -2, 9)), 0)
     assert watch.state_of(3) == "fail-safe"
     assert watch.content()["agents"][2]["off_the_roster"] == 1
     assert list(watch.notices)[-1] == "agent3 is gone"
@@ -92,10 +92,12 @@ def test_strangers_are_not_shown() -> None:
     watch = watched()
     stranger = replace(logs.report(watch.setup, 1, 3), peers=(2, 3, 77))
     watch.take(stranger, 0)
-    alone = replace(runs.truth(watch.setup, 3), plan_ticks=(3,), x=watch.setup.hover.x[:24], u=watch.setup.hover.u[:4])
+    alone = replace(
+        runs.plant_state(watch.setup, 3), plan_ticks=(3,), x=watch.setup.hover.x[:24], u=watch.setup.hover.u[:4]
+    )
     watch.take(alone, 0)
     assert watch.agents[1].report is None
-    assert watch.truth is None
+    assert watch.plant_state is None
 
 
 def test_no_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -149,4 +151,4 @@ def test_a_run_that_is_watched(tmp_path: Path) -> None:
 
 def bits(messages: Sequence[Message]) -> list[bytes]:
     """The states flown through, in the order of time, as the wire carries them."""
-    return [encode(truth) for truth in runs.truths(messages)]
+    return [encode(plant_state) for plant_state in runs.plant_states(messages)]

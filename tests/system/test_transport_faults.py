@@ -12,7 +12,7 @@ from protocol.scenario.setup import Setup
 from protocol.wire.messages import Control, FaultNote, Message, Plan, Roster, Tick
 from tests.support.commands import PATIENCE_S, SHORT, processes_of, settings, start, transport
 from tests.support.troubles import FAULTS, HEAVY, NEXT_TICK, ROUNDS
-from transport.flight.memory import fly
+from transport.flight.memory import simulate
 from transport.log.run_log import LogWriter, RunLog, read_log
 from transport.report.report import write_report
 
@@ -49,7 +49,7 @@ def test_a_troubled_flight_equals_the_one_in_memory(troubled: Path, tmp_path: Pa
     run = Setup.of(read_scenario(scenario), str(scenario))
     header = read_log(troubled / "run.mcap").header
     with LogWriter(tmp_path / "run.mcap", header, period_ns=run.period_ns) as writer:
-        control = fly(run, lambda message: writer.write(message, 0))
+        control = simulate(run, lambda message: writer.write(message, 0))
     assert control.outcome == "completed"
     write_report(tmp_path, figures=False)
     assert steps(troubled) == steps(tmp_path)

@@ -19,7 +19,7 @@ from tests.support.commands import SHORT, settings, transport
 from tests.support.logs import log_of
 from tests.support.runs import SCENARIOS
 from transport.analysis.series import Series, series_of
-from transport.flight.memory import fly
+from transport.flight.memory import simulate
 from transport.log.run_log import LogWriter, read_log
 from transport.report.report import write_report
 
@@ -77,7 +77,7 @@ def flown(uavs: int, template: str, *changes: str) -> Flight:
         ready = resized(ready, SCENARIOS, uavs, group=None, name=None, source=template)
     run = Setup.of(ready, template)
     messages: list[Message] = []
-    control = fly(run, messages.append)
+    control = simulate(run, messages.append)
     return Flight(control, series_of(run, log_of(messages)), tuple(messages))
 
 
@@ -184,7 +184,7 @@ def test_processes_fly_the_same(tmp_path: Path) -> None:
     shutil.copy(folder / "scenario.toml", again)
     run = Setup.of(read_scenario(again / "scenario.toml"), "again")
     with LogWriter(again / "run.mcap", read_log(folder / "run.mcap").header, period_ns=run.period_ns) as writer:
-        assert fly(run, lambda message: writer.write(message, 0)).outcome == "completed"
+        assert simulate(run, lambda message: writer.write(message, 0)).outcome == "completed"
     write_report(again, figures=False)
     found, expected = (series_of(run, read_log(place / "run.mcap")) for place in (folder, again))
     np.testing.assert_array_equal(found.x, expected.x)

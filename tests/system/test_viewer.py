@@ -23,7 +23,7 @@ from websockets.sync.client import ClientConnection, connect
 from benchmarks import readers
 from protocol.scenario.file import read_scenario
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import FaultNote, LinkChange, Message, Plan, Truth
+from protocol.wire.messages import FaultNote, LinkChange, Message, Plan, PlantState
 from tests.support import runs
 from tests.support.browser import END, RIGHT, Browser, browser, needs_browser
 from tests.support.commands import PATIENCE_S, processes_of, settings, start, wait_for
@@ -31,7 +31,7 @@ from tests.support.logs import flown
 from transport.cli.main import app
 from transport.cli.viewer_commands import viewer_of
 from transport.flight.live import LiveRun
-from transport.flight.memory import fly
+from transport.flight.memory import simulate
 from transport.log.run_folder import setup_of
 from transport.log.run_log import read_log
 from transport.log.tail import LogTail, Unread
@@ -293,8 +293,8 @@ def test_a_run_in_flight_is_shown_and_changed(tmp_path: Path, window: Browser) -
         window.pixels(pictures(), "live")
         assert window.complaints() == []
         window.leave()
-        until = log.of(Truth)[-1].tick + 10
-        assert wait_for(lambda: log.of(Truth)[-1].tick > until)
+        until = log.of(PlantState)[-1].tick + 10
+        assert wait_for(lambda: log.of(PlantState)[-1].tick > until)
         window.open(address[0])
         for action, noted in (("kill", "killed"), ("restart", "restarted")):
             window.click(action, VICTIM - 1)
@@ -343,19 +343,19 @@ def said_until(tick: int, scenario: Path, setting: str) -> list[Message]:
     messages: list[Message] = []
 
     def record(message: Message) -> None:
-        if isinstance(message, Truth) and message.tick == tick:
+        if isinstance(message, PlantState) and message.tick == tick:
             raise EnoughError
         messages.append(message)
 
     with pytest.raises(EnoughError):
-        fly(Setup.of(read_scenario(scenario, [setting]), str(scenario)), record)
+        simulate(Setup.of(read_scenario(scenario, [setting]), str(scenario)), record)
     return [message for message in messages if message.tick < tick]
 
 
 def bits(messages: Iterable[Message]) -> Iterator[tuple[int, str, bytes]]:
     """Tick, sender and numbers of states and plans."""
     for message in messages:
-        if isinstance(message, Truth):
+        if isinstance(message, PlantState):
             yield message.tick, message.sender, message.x.tobytes() + message.u.tobytes()
         elif isinstance(message, Plan):
             yield message.tick, message.sender, message.inputs.tobytes() + message.corrections.tobytes()

@@ -44,7 +44,7 @@ def stale(run: Setup, k: int, incarnation: int = 0) -> list[Message]:
 def test_a_whole_flight_counts() -> None:
     """Where everybody is who they should be nothing is left out, whatever the kind."""
     run = runs.setup(HOVER)
-    messages = [*flown(run), runs.truth(run, 0), runs.end()]
+    messages = [*flown(run), runs.plant_state(run, 0), runs.end()]
     assert kept(run, messages) == list(range(len(messages)))
 
 

@@ -6,8 +6,8 @@ import pytest
 from model.state import StateView
 from protocol.scenario.file import find_scenario, read_scenario
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import Control, Message, Truth
-from transport.flight.memory import fly
+from protocol.wire.messages import Control, Message, PlantState
+from transport.flight.memory import simulate
 
 # Payload attitude in a run with a death, deg.
 LARGEST_DEG = 10.0
@@ -26,8 +26,8 @@ def flown(*settings: str) -> tuple[Control, np.ndarray]:
     """A run of `resilient` in memory: its end, and the largest roll or pitch of the payload at each tick, deg."""
     run = Setup.of(read_scenario(find_scenario("resilient"), [CONTINUE, *settings]), "resilient")
     messages: list[Message] = []
-    end = fly(run, messages.append)
-    x = np.array([message.x for message in messages if isinstance(message, Truth)])
+    end = simulate(run, messages.append)
+    x = np.array([message.x for message in messages if isinstance(message, PlantState)])
     return end, np.abs(np.degrees(StateView(x).Theta0[:, :2])).max(axis=1)
 
 

@@ -8,7 +8,7 @@ from protocol.scenario.team import resized
 from protocol.wire.messages import Control
 from tests.support.logs import ALONE
 from tests.support.runs import PAPER, SCENARIOS, SHORT
-from transport.flight.memory import fly
+from transport.flight.memory import simulate
 
 LIGHT = "system.payload={{mass_kg={0},inertia_kgm2=[{1},{1},{1}]}}"
 
@@ -16,7 +16,7 @@ LIGHT = "system.payload={{mass_kg={0},inertia_kgm2=[{1},{1},{1}]}}"
 def flown(name: str, *given: str) -> Control:
     """How a ready scenario with some settings ends, in memory."""
     path = SCENARIOS / f"{name}.toml"
-    return fly(Setup.of(read_scenario(path, given), path.name))
+    return simulate(Setup.of(read_scenario(path, given), path.name))
 
 
 def refusal(name: str, *given: str) -> str:
@@ -47,7 +47,7 @@ def test_sixteen_uavs() -> None:
     scenario = resized(read_scenario(path, [SHORT]), SCENARIOS, 16, group=None, name=None, source=path.name)
     run = Setup.of(scenario, path.name)
     assert (run.system.N, len(run.agents)) == (16, 16)
-    assert fly(run).outcome == "completed"
+    assert simulate(run).outcome == "completed"
 
 
 @pytest.mark.parametrize("name", ["paper", "resilient"])
@@ -98,7 +98,7 @@ def test_way_points_no_vehicle_reaches(x: float, z: float) -> None:
     run = Setup.of(read_scenario(path, [phase(2.0, x, z)]), path.name)
     (doubt,) = run.doubts()
     assert doubt.startswith(f"phase 'dash': {max(abs(x), abs(z)):g} m in 2 s; from rest to rest all thrust takes ")
-    end = fly(run)
+    end = simulate(run)
     assert (end.outcome, end.exit_code) == ("diverged", 6)
     assert "payload position error of" in end.reason
     assert "m exceeds 20 m at t = " in end.reason

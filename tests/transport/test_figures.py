@@ -11,7 +11,7 @@ import pytest
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Message
 from tests.support import runs
-from tests.support.logs import ALONE, flown, log_of, truth
+from tests.support.logs import ALONE, flown, log_of, plant_state
 from transport.log.run_log import RunLog, read_log
 from transport.report.figures import draw
 from transport.report.report import write_report
@@ -77,7 +77,7 @@ def test_a_cut_log_is_drawn(tmp_path: Path) -> None:
 def test_single_ticks_are_drawn(tmp_path: Path, ticks: list[int]) -> None:
     """One recorded tick, one that is not the first, and ticks with gaps are drawn; without steps no timing."""
     run = runs.setup(runs.SHORT)
-    messages: list[Message] = [truth(run, k) for k in ticks]
+    messages: list[Message] = [plant_state(run, k) for k in ticks]
     assert_drawn(draw(run, log_of(messages), tmp_path), NAMES[:2])
 
 
@@ -93,6 +93,6 @@ def test_drawing_leaves_no_traces(tmp_path: Path) -> None:
 
     before, had_pyplot = dict(mpl.rcParams), "matplotlib.pyplot" in sys.modules
     run = runs.setup(runs.SHORT)
-    draw(run, log_of([truth(run, 0), truth(run, 1)]), tmp_path)
+    draw(run, log_of([plant_state(run, 0), plant_state(run, 1)]), tmp_path)
     assert dict(mpl.rcParams) == before
     assert ("matplotlib.pyplot" in sys.modules) == had_pyplot

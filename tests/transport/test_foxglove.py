@@ -13,7 +13,7 @@ from mcap.reader import make_reader
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
-from protocol.wire.messages import Truth
+from protocol.wire.messages import PlantState
 from tests.support import runs
 from tests.support.logs import flown
 from transport.cli.main import app
@@ -79,7 +79,7 @@ def test_what_is_added_is_what_the_schemas_say(copied: Path) -> None:
 
 def test_transforms_lead_to_the_truth(copied: Path) -> None:
     """From the root, z up, through the inertial frame, z down, the payload is where the plant had it."""
-    truths = {truth.tick: truth for truth in read_log(copied / "run.mcap").of(Truth)}
+    plant_states = {plant_state.tick: plant_state for plant_state in read_log(copied / "run.mcap").of(PlantState)}
     frames = [(at_ns, message["transforms"]) for topic, at_ns, message, _, _ in added(copied) if topic == "/tf"]
     assert len(frames) == TICKS
     for at_ns, transforms in frames:
@@ -88,7 +88,7 @@ def test_transforms_lead_to_the_truth(copied: Path) -> None:
         assert (root["child_frame_id"], payload["parent_frame_id"]) == ("inertial", "inertial")
         turn = Rotation.from_quat([root["rotation"][axis] for axis in "xyzw"])
         place = turn.apply([payload["translation"][axis] for axis in "xyz"])
-        x, y, z = truths[at_ns // 50_000_000].x[:3]
+        x, y, z = plant_states[at_ns // 50_000_000].x[:3]
         np.testing.assert_allclose(place, [x, -y, -z], atol=EXACT)
 
 

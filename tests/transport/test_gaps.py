@@ -7,12 +7,11 @@ from pathlib import Path
 import pytest
 import tomli_w
 
-from protocol.wire.messages import FaultNote, Message, Plan, Rejected, Truth
+from protocol.wire.messages import FaultNote, Message, Plan, PlantState, Rejected
 from tests.support import runs
 from tests.support.logs import log_of
 from tests.support.troubles import FAULTS, RESILIENT
-from transport.flight.recorder import UNHEARD
-from transport.log.gaps import missing
+from transport.log.gaps import UNHEARD, missing
 from transport.log.run_log import LogWriter, read_log
 from transport.report.report import write_report
 
@@ -65,13 +64,13 @@ def test_a_recorder_that_came_late(flight: list[Message]) -> None:
 
 def test_a_plant_that_is_not_heard_of_any_more(flight: list[Message]) -> None:
     """The plant has flown whatever others say they measured, and everything up to the end of a completed run."""
-    plants = {"truth", "measurement"}
+    plants = {"plant_state", "measurement"}
     silent = without(flight, lambda m: m.kind in plants and m.tick >= 12)
     assert silent == "some messages of ticks 12 to 29 did not reach the recorder"
     unended = without(flight, lambda m: (m.kind in plants and m.tick >= 12) or m.kind == "control")
     assert unended == "some messages of ticks 12 to 28 did not reach the recorder"
     # What a plant that was killed has not flown is not missing: nobody has measured it.
-    assert without(flight, lambda m: m.tick >= 12 or (isinstance(m, Truth) and m.tick == 11)) == ""
+    assert without(flight, lambda m: m.tick >= 12 or (isinstance(m, PlantState) and m.tick == 11)) == ""
 
 
 def test_an_end_that_was_not_heard(flight: list[Message]) -> None:

@@ -12,7 +12,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from protocol.admission.admission import Gate
+from protocol.admission.admission import Admission
 from protocol.network.session import Endpoints
 from protocol.scenario.setup import Setup
 from protocol.wire.codec import encode
@@ -94,13 +94,13 @@ class Fire:
         receiver = wire.receivers[name]
         if name not in self.sources:
             rng = np.random.default_rng([self._seed, len(self.sources)])
-            self.sources[name] = Garbage(name, wire.keys, self._run, receiver.gate.max_bytes, rng)
+            self.sources[name] = Garbage(name, wire.keys, self._run, receiver.admission.max_bytes, rng)
         self.sources[name].heard(key, data)
         for _ in range(PER_DELIVERY):
             sort, wrong_key, wrong = self.sources[name].next()
-            before = receiver.rejected.total + receiver.gate.kept
+            before = receiver.rejected.total + receiver.admission.kept
             answers = wire.disturb(name, wrong_key, wrong)
-            counted = receiver.rejected.total + receiver.gate.kept - before
+            counted = receiver.rejected.total + receiver.admission.kept - before
             assert (list(answers), counted) == ([], 1), (name, sort, wrong_key, wrong)
             self.shot[name, sort] += 1
 
@@ -112,13 +112,13 @@ def test_a_flight_under_fire(folder: Path, settings: tuple[str, ...]) -> None:
     run = setup(*SETTINGS, *settings)
     with recording(run, folder / "calm.mcap") as witness:
         calm = Wire(run, witness)
-        assert calm.fly().outcome == "completed"
+        assert calm.simulate().outcome == "completed"
     assert sum(receiver.rejected.total for receiver in calm.receivers.values()) == 0
 
     fire = Fire(run, SEED)
     with recording(run, folder / "disturbed.mcap") as witness:
         wire = Wire(run, witness, fire)
-        assert wire.fly().outcome == "completed"
+        assert wire.simulate().outcome == "completed"
         wire.tell_rejected()
     assert said(wire.sent) == said(calm.sent)
     assert recorded(folder / "disturbed.mcap") == recorded(folder / "calm.mcap") != []
@@ -145,20 +145,20 @@ def test_fire_costs_no_memory() -> None:
     """What has been refused leaves no more behind the longer it goes on."""
     run = setup(*SETTINGS)
     keys, rejections = Keys(run.scenario.name), Rejections()
-    gate = Gate("recorder", keys, run, rejections)
+    admission = Admission("recorder", keys, run, rejections)
     for name in ("coordinator", "plant", *map(agent_name, run.agents)):
-        gate.announce(name, runs.INCARNATION)
-    source = Garbage("recorder", keys, run, gate.max_bytes, np.random.default_rng(SEED))
+        admission.announce(name, runs.INCARNATION)
+    source = Garbage("recorder", keys, run, admission.max_bytes, np.random.default_rng(SEED))
     for message in runs.recorded(run)[:100]:
         mine = replace(message, incarnation=runs.INCARNATION)
         source.heard(keys.of(mine), encode(mine))
-        gate.read(keys.of(mine), encode(mine))
+        admission.read(keys.of(mine), encode(mine))
     bad = [source.next()[1:] for _ in range(3000)]
     strangers = [(f"{keys.prefix}/plan/{'x' * 1000}{i}", b"?") for i in range(1000)]
 
     def refuse_all() -> int:
         for key, data in [*bad, *strangers]:
-            gate.read(key, data)
+            admission.read(key, data)
         gc.collect()
         return tracemalloc.get_traced_memory()[0]
 
@@ -167,7 +167,7 @@ def test_fire_costs_no_memory() -> None:
         used = [refuse_all() for _ in range(4)]
     finally:
         tracemalloc.stop()
-    assert rejections.total + gate.kept > 15_900  # some are for a node to see through
-    assert gate.kept <= 256
+    assert rejections.total + admission.kept > 15_900  # some are for a node to see through
+    assert admission.kept <= 256
     assert used[-1] - used[-2] < LEFT_BEHIND_BYTES
     assert used[-1] < MOST_BYTES

@@ -11,7 +11,7 @@ from model import state
 from protocol.scenario.setup import Setup
 from protocol.wire.codec import encode
 from protocol.wire.messages import LinkChange, Measurement, Message, Plan, Request, StepReport, agent_name
-from tests.support.runs import SHORT, recorded, reproducible, setup, truths
+from tests.support.runs import SHORT, plant_states, recorded, reproducible, setup
 from tests.support.shuffled import fly_shuffled
 from tests.support.troubles import FAULTS, HEAVY, NEXT_TICK, RESILIENT, ROUNDS
 from transport.flight import memory
@@ -64,11 +64,11 @@ def test_everybody_works_with_what_the_links_let_through(settings: tuple[str, ..
 
 @pytest.mark.parametrize(("settings", "after"), [((HEAVY,), 0), ((HEAVY, NEXT_TICK), 1)])
 def test_the_plant_plays_what_the_links_let_through(settings: tuple[str, ...], after: int) -> None:
-    """`Truth.plan_ticks` names for each UAV the newest plan that has come to the plant, and -1 before the first."""
+    """`PlantState.plan_ticks` names the newest plan that reached the plant for each UAV, -1 before the first."""
     run, messages = setup(SHORT, *RESILIENT, *settings), flight(*settings)
-    for truth in truths(messages):
-        expected = tuple(newest(run, (agent_name(agent), "plant"), truth.tick, after) for agent in run.agents)
-        assert truth.plan_ticks == expected
+    for plant_state in plant_states(messages):
+        expected = tuple(newest(run, (agent_name(agent), "plant"), plant_state.tick, after) for agent in run.agents)
+        assert plant_state.plan_ticks == expected
 
 
 @pytest.mark.parametrize(("delay_s", "age"), [(0.01, 1), (0.05, 1), (0.06, 2), (0.15, 3)])
@@ -77,7 +77,7 @@ def test_a_delayed_measurement_is_predicted_over(delay_s: float, age: int) -> No
     messages = flight(f"links.measurement.delay_s={delay_s}")
     for report in reports(messages, 1):
         assert report.measurement_age == (age if report.tick >= age else -1)
-    x = {truth.tick: truth.x for truth in truths(messages)}
+    x = {plant_state.tick: plant_state.x for plant_state in plant_states(messages)}
     for plan in messages:
         if isinstance(plan, Plan):
             estimate, true = plan.uav_states[0], x[plan.tick][state.uav_slice(plan.agent - 1)]
@@ -87,7 +87,7 @@ def test_a_delayed_measurement_is_predicted_over(delay_s: float, age: int) -> No
 def test_lost_measurements_leave_the_clock_ticking() -> None:
     """Without a single measurement after the start agents go on by prediction, every tick, and say how old it is."""
     messages = flight("links.change=[{at_s=0.05,from='plant',loss=1.0}]")
-    assert [truth.tick for truth in truths(messages)] == list(range(TICKS))
+    assert [plant_state.tick for plant_state in plant_states(messages)] == list(range(TICKS))
     for agent in (1, 2, 3, 4):
         assert [report.measurement_age for report in reports(messages, agent)] == list(range(TICKS))
     assert sum(isinstance(message, Measurement) for message in messages) == 4 * TICKS  # physically all are sent
@@ -109,7 +109,7 @@ def test_lost_measurements_leave_the_clock_ticking() -> None:
 def test_actuation_delay(delay_s: float, settings: tuple[str, ...], age: int) -> None:
     """A plan acts from the first tick at or after its arrival at the plant; till then an older one does."""
     messages = flight(f"links.actuation.delay_s={delay_s}", *settings)
-    followed = [truth.plan_ticks for truth in truths(messages)]
+    followed = [plant_state.plan_ticks for plant_state in plant_states(messages)]
     assert followed == [(max(k - age, -1),) * 4 for k in range(TICKS)]
 
 
@@ -117,10 +117,10 @@ def test_late_plans_are_played_at_their_own_instant() -> None:
     """A plan that comes late is not played late: the plant goes on with its step for now."""
     messages = flight("links.actuation.delay_s=0.1")
     plans = {(plan.agent, plan.tick): plan for plan in messages if isinstance(plan, Plan)}
-    for truth in truths(messages)[2:]:
+    for plant_state in plant_states(messages)[2:]:
         for agent in (1, 2, 3, 4):
-            step = plans[agent, truth.tick - 2].inputs[2]
-            np.testing.assert_array_equal(truth.u[state.input_slice(agent - 1)], step)
+            step = plans[agent, plant_state.tick - 2].inputs[2]
+            np.testing.assert_array_equal(plant_state.u[state.input_slice(agent - 1)], step)
 
 
 def test_one_uav_cut_off_from_its_controller() -> None:
@@ -133,13 +133,13 @@ def test_one_uav_cut_off_from_its_controller() -> None:
     alone = "links.override=[{from='agent2',to='plant'}]"
     changes = "links.change=[{at_s=0.5,from='agent2',to='plant',loss=1.0},{at_s=1.0,from='agent2',to='plant',loss=0.0}]"
     messages = flight("controller.horizon=5", alone, changes)
-    assert [truth.plan_ticks[1] for truth in truths(messages)] == [
+    assert [plant_state.plan_ticks[1] for plant_state in plant_states(messages)] == [
         *range(10),
         *[9] * 4,  # 5 steps from tick 9 on
         *[FAIL_SAFE] * 6,
         *range(20, 30),
     ]
-    assert all(truth.plan_ticks[::2] == (truth.tick,) * 2 for truth in truths(messages))
+    assert all(plant_state.plan_ticks[::2] == (plant_state.tick,) * 2 for plant_state in plant_states(messages))
     assert all(report.plan_ages == (1, 1, 1) for report in reports(messages, 1)[1:])
 
 
@@ -147,9 +147,9 @@ def test_partition_that_names_the_plant() -> None:
     """Plant and agent 2 on one side, the others on the other: they hear nothing of each other, both ways."""
     messages = flight("links.partition=[{between=['agent2','plant'],start_s=0.5,end_s=0.8}]")
     apart = range(10, 16)
-    for truth in truths(messages):
-        hidden = 9 if truth.tick in apart else truth.tick
-        assert truth.plan_ticks == (hidden, truth.tick, hidden, hidden)
+    for plant_state in plant_states(messages):
+        hidden = 9 if plant_state.tick in apart else plant_state.tick
+        assert plant_state.plan_ticks == (hidden, plant_state.tick, hidden, hidden)
     for report in reports(messages, 2):
         assert report.measurement_age == 0
         assert set(report.plan_ages) == {report.tick - 9 if 10 < report.tick <= 16 else min(report.tick, 1) or -1}
@@ -190,7 +190,9 @@ ALL_AT_ONCE = [
 ]
 
 
-@pytest.mark.parametrize("settings", ALL_AT_ONCE, ids=["plain", "next-tick", "rounds", "all", "faults", "only-faults"])
+@pytest.mark.parametrize(
+    "settings", ALL_AT_ONCE, ids=["plain", "next-tick", "negotiation_iterations", "all", "faults", "only-faults"]
+)
 def test_order_of_delivery_does_not_matter(settings: tuple[str, ...]) -> None:
     """Whatever links and faults do, everybody says the same bit for bit however the connections race each other."""
     in_order = flight(*settings)

@@ -142,7 +142,7 @@ def test_other_programs_read_it(tmp_path: Path, flight: list[Message]) -> None:
         assert summary.statistics.message_count == len(flight)
         per_agent = {f"/{kind}/{agent}" for kind in ("measurement", "plan", "report") for agent in runs.EVERYBODY}
         topics = {channel.topic for channel in summary.channels.values()}
-        assert topics == {"/tick", "/roster", "/control", "/truth"} | per_agent
+        assert topics == {"/tick", "/roster", "/control", "/plant_state"} | per_agent
         assert {schema.encoding for schema in summary.schemas.values()} == {"jsonschema"}
         assert len(summary.schemas) == len({message.kind for message in flight})
         in_file = list(reader.iter_messages(log_time_order=False))

@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from model import state
-from protocol.wire.messages import KINDS, Message, Plan, StepReport, Truth
+from protocol.wire.messages import KINDS, Message, Plan, PlantState, StepReport
 from tests.support import logs, runs
 from transport.cli.main import app
 from transport.log.run_log import LogWriter
@@ -57,7 +57,7 @@ def test_whole_log(flight: tuple[Path, list[Message]]) -> None:
     assert content["messages"] == len(messages)
     channels = {c["topic"]: c for c in content["channels"]}  # type: ignore[attr-defined]
     assert channels["/plan/3"]["messages"] == 10  # killed at tick 10
-    assert channels["/truth"]["ticks_without"] == []
+    assert channels["/plant_state"]["ticks_without"] == []
     assert "whole" in ask("info", folder / "run.mcap").output
 
 
@@ -80,7 +80,7 @@ def test_log_cut_at_sixty_percent(flight: tuple[Path, list[Message]], tmp_path: 
     exported = ask("export", cut, "--out", tmp_path / "tables")
     assert exported.exit_code == 0
     assert "lost" in exported.stderr
-    assert rows(tmp_path / "tables" / "truth.csv")
+    assert rows(tmp_path / "tables" / "plant_state.csv")
     plotted = CliRunner().invoke(app, ["plot", str(tmp_path)])
     assert plotted.exit_code == 0
     assert "stops before its end" in " ".join(plotted.output.split())
@@ -119,11 +119,15 @@ def test_tables_hold_the_bits(flight: tuple[Path, list[Message]], tmp_path: Path
         assert result.exit_code == 0, result.output
     kinds = {message.kind for message in messages}
     assert {path.stem for path in tmp_path.glob("*.csv")} == kinds == {path.stem for path in tmp_path.glob("*.parquet")}
-    truth = next(message for message in messages if isinstance(message, Truth) and message.tick == 20)
-    from_csv = rows(tmp_path / "truth.csv")[20]
-    from_parquet = pq.read_table(tmp_path / "truth.parquet").to_pylist()[20]
+    plant_state = next(message for message in messages if isinstance(message, PlantState) and message.tick == 20)
+    from_csv = rows(tmp_path / "plant_state.csv")[20]
+    from_parquet = pq.read_table(tmp_path / "plant_state.parquet").to_pylist()[20]
     names = [name for name in from_csv if name.startswith("uav4_")]
-    expected = [*truth.x[state.uav_slice(3)], *truth.u[state.input_slice(3)], float(truth.plan_ticks[3])]
+    expected = [
+        *plant_state.x[state.uav_slice(3)],
+        *plant_state.u[state.input_slice(3)],
+        float(plant_state.plan_ticks[3]),
+    ]
     for row in (from_csv, from_parquet):
         assert np.array([float(row[name]) for name in names]).tobytes() == np.array(expected).tobytes()
     assert names[-5:-3] == ["uav4_thrust_N", "uav4_moment_x_Nm"]

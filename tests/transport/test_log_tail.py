@@ -82,7 +82,7 @@ def test_what_is_read_later_says_the_same(log: Path) -> None:
     ]
     assert said[0] == said[1]
     assert len(set(said[0])) == 1 + 4 * 8 * 2  # four agents, eight ticks; nothing of a fifth or a ninth
-    assert repr(records[0].truths) == repr(records[1].truths)
+    assert repr(records[0].plant_states) == repr(records[1].plant_states)
 
 
 @pytest.mark.parametrize(("kind", "other"), [("plan", "report"), ("report", "plan")])
@@ -115,13 +115,13 @@ def said(message: Unread) -> int | None:
 
 def test_one_bad_message_costs_itself(log: Path, tmp_path: Path) -> None:
     """Between good ones, in a chunk or by itself; so does one that is shorter than its head, and a chunk in a chunk."""
-    messages = [entry.message for entry in read_log(log).messages if entry.message.kind == "truth"][:3]
+    messages = [entry.message for entry in read_log(log).messages if entry.message.kind == "plant_state"][:3]
     path = tmp_path / "run.mcap"
     with path.open("wb") as file:
         file.write(MCAP0_MAGIC)
         for packed in (True, False):
             builder = RecordBuilder()
-            Channel(id=1, topic="/truth/plant", message_encoding="json", metadata={}, schema_id=0).write(builder)
+            Channel(id=1, topic="/plant_state/plant", message_encoding="json", metadata={}, schema_id=0).write(builder)
             for data in (to_json(messages[0]), b"{}", to_json(messages[1])):
                 Message(channel_id=1, log_time=0, data=data, publish_time=0, sequence=0).write(builder)
             inside = bytes(builder.end())  # type: ignore[no-untyped-call]

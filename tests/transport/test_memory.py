@@ -17,7 +17,7 @@ from protocol.scenario.setup import Setup
 from protocol.wire.codec import decode, encode
 from protocol.wire.keys import Keys
 from protocol.wire.messages import KINDS, STAGES, Control, Message, Plan, Presence, StepReport
-from tests.support.runs import SHORT, integrated, plan, recorded, reproducible, setup, truths
+from tests.support.runs import SHORT, integrated, plan, plant_states, recorded, reproducible, setup
 from tests.support.shuffled import fly_shuffled
 from transport.flight import memory
 
@@ -51,7 +51,7 @@ def contents(messages: Sequence[Message]) -> dict[tuple[str, int], bytes]:
 
 def states(messages: Sequence[Message]) -> Array:
     """True states, (ticks, n)."""
-    return np.array([truth.x for truth in truths(messages)])
+    return np.array([plant_state.x for plant_state in plant_states(messages)])
 
 
 @pytest.mark.parametrize(
@@ -61,7 +61,7 @@ def test_a_run_completes(settings: tuple[str, ...]) -> None:
     """A short maneuver is flown to its end: one truth, one plan and one report per agent and tick, all solved."""
     messages = flight(*settings)
     agents = setup(SHORT, *settings).agents
-    assert [truth.tick for truth in truths(messages)] == list(range(TICKS))
+    assert [plant_state.tick for plant_state in plant_states(messages)] == list(range(TICKS))
     for kind in (Plan, StepReport):
         made = sorted((m.tick, m.agent) for m in messages if isinstance(m, kind))
         assert made == [(k, agent) for k in range(TICKS) for agent in agents]
@@ -92,8 +92,10 @@ def test_plans_of_a_tick_are_used_at_the_next() -> None:
 
 def test_actuation() -> None:
     """The plant follows the plan of the same tick with "immediate", of the tick before with "next_tick"."""
-    assert [truth.plan_ticks for truth in truths(flight(FOUR))] == [(k,) * 4 for k in range(TICKS)]
-    assert [truth.plan_ticks for truth in truths(flight(NEXT_TICK))] == [(k - 1,) * 4 for k in range(TICKS)]
+    assert [plant_state.plan_ticks for plant_state in plant_states(flight(FOUR))] == [(k,) * 4 for k in range(TICKS)]
+    assert [plant_state.plan_ticks for plant_state in plant_states(flight(NEXT_TICK))] == [
+        (k - 1,) * 4 for k in range(TICKS)
+    ]
 
 
 def test_every_message_could_travel() -> None:
@@ -133,7 +135,7 @@ def plain_loop(run: Setup) -> Iterator[tuple[Array, Array]]:
         y_ref, x_ref = run.reference.outputs(times), run.reference.states(times[:-1])
         plans, corrections = np.empty_like(U), np.zeros_like(U)
         for controller in team:
-            optimum = controller.step(x, u, U, y_ref, controller.law(x, x_ref, c), earlier=k)
+            optimum = controller.step(x, u, U, y_ref, controller.law(x, x_ref, c), ticks_since_start=k)
             plans[:, controller.own] = optimum.U
             corrections[: len(optimum.c), controller.own] = optimum.c
         u = plans[0]
@@ -146,23 +148,23 @@ def plain_loop(run: Setup) -> Iterator[tuple[Array, Array]]:
 @pytest.mark.parametrize("settings", [(ALL,), (ALL, CLOSED_LOOP)])
 def test_one_agent_is_the_plain_controller(settings: tuple[str, ...]) -> None:
     """With one agent owning all, the run is the plain loop of controller and model, bit for bit."""
-    for truth, (x, u) in zip(truths(flight(*settings)), plain_loop(setup(SHORT, *settings)), strict=True):
-        np.testing.assert_array_equal(truth.x, x)
-        np.testing.assert_array_equal(truth.u, u)
+    for plant_state, (x, u) in zip(plant_states(flight(*settings)), plain_loop(setup(SHORT, *settings)), strict=True):
+        np.testing.assert_array_equal(plant_state.x, x)
+        np.testing.assert_array_equal(plant_state.u, u)
 
 
 @pytest.mark.parametrize("settings", [(FOUR,), (PAIRS,), (FOUR, CLOSED_LOOP, "controller.relaxation=0.5")])
 def test_a_team_is_the_papers_iteration(settings: tuple[str, ...]) -> None:
     """On a perfect network several agents are the paper's update: all plan at once, from the plans of the last tick."""
-    for truth, (x, u) in zip(truths(flight(*settings)), plain_loop(setup(SHORT, *settings)), strict=True):
-        np.testing.assert_allclose(truth.x, x, rtol=0.0, atol=DISTRIBUTED_TOLERANCE)
-        np.testing.assert_allclose(truth.u, u, rtol=0.0, atol=DISTRIBUTED_TOLERANCE)
+    for plant_state, (x, u) in zip(plant_states(flight(*settings)), plain_loop(setup(SHORT, *settings)), strict=True):
+        np.testing.assert_allclose(plant_state.x, x, rtol=0.0, atol=DISTRIBUTED_TOLERANCE)
+        np.testing.assert_allclose(plant_state.u, u, rtol=0.0, atol=DISTRIBUTED_TOLERANCE)
 
 
 def test_inputs_keep_the_rate_limits() -> None:
     """What the plant applies changes from tick to tick by no more than the rate limits allow."""
     run = setup(SHORT)
-    U = np.array([run.hover.u, *[truth.u for truth in truths(flight(FOUR))]])
+    U = np.array([run.hover.u, *[plant_state.u for plant_state in plant_states(flight(FOUR))]])
     slack = 1e-6  # N and N m: the solver's tolerance on its rows
     assert (np.abs(np.diff(U, axis=0)) <= run.settings.limits.step(4, PERIOD_S) + slack).all()
 
@@ -170,7 +172,7 @@ def test_inputs_keep_the_rate_limits() -> None:
 def test_truth_is_a_trajectory_of_the_model() -> None:
     """Each true state is the one before, integrated under the recorded inputs: the record explains itself."""
     run = setup(SHORT)
-    for before, after in pairwise(truths(flight(FOUR))):
+    for before, after in pairwise(plant_states(flight(FOUR))):
         np.testing.assert_array_equal(integrated(run, before.x, before.u), after.x)
 
 
@@ -178,9 +180,9 @@ def test_divergence_ends_a_run() -> None:
     """A flight that leaves its limits ends at once, with the reason and exit code 6, in any order of delivery."""
     run = setup(SHORT, "plant.max_error_m=0.02")
     messages: list[Message] = []
-    control = memory.fly(run, messages.append)
+    control = memory.simulate(run, messages.append)
     assert (control.outcome, control.exit_code) == ("diverged", 6)
-    last = truths(messages)[-1]
+    last = plant_states(messages)[-1]
     assert last.diverged == "payload position error of 0.0 m exceeds 0.02 m"
     assert control.reason == f"{last.diverged} at t = {PERIOD_S * last.tick:.2f} s"
     assert 0 < last.tick < TICKS - 1
@@ -218,7 +220,7 @@ def deaf_plant(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_timeouts_cost_nothing() -> None:
     """A run that a timeout ends, here of 1000 hours, is over at once: the clock jumps to what the nodes wait for."""
     began_s = time.monotonic()
-    end = memory.fly(setup(SHORT, "clock.barrier_timeout_s=3.6e6"))
+    end = memory.simulate(setup(SHORT, "clock.barrier_timeout_s=3.6e6"))
     assert (end.outcome, end.exit_code, end.tick) == ("aborted", 4, 1)
     assert end.reason == "no agent answered tick 1 in time: is the plant alive?"
     assert time.monotonic() - began_s < 60.0
@@ -229,7 +231,7 @@ def test_a_standstill_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nodes that wait for each other for ever are a bug, said with the tick, not an endless loop."""
     monkeypatch.setattr(CoordinatorNode, "wake_ns", None)
     with pytest.raises(RuntimeError, match="stands still at tick 1"):
-        memory.fly(setup(SHORT))
+        memory.simulate(setup(SHORT))
 
 
 def test_wrong_plans_do_not_stop_a_node() -> None:
@@ -243,7 +245,7 @@ def test_wrong_plans_do_not_stop_a_node() -> None:
 def test_stopwatch_is_only_for_reports() -> None:
     """A stopwatch that runs fast changes the times in the reports and nothing else."""
     now = iter(range(0, 10**15, 10**9))
-    messages = recorded(setup(SHORT), lambda run, record: memory.fly(run, record, stopwatch=lambda: next(now)))
+    messages = recorded(setup(SHORT), lambda run, record: memory.simulate(run, record, stopwatch=lambda: next(now)))
     assert contents(messages) == contents(flight(FOUR))
     reports = [message for message in messages if isinstance(message, StepReport)]
     times_ms = dict(zip(STAGES, reports[0].times_ms, strict=True))

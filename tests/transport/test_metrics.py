@@ -10,8 +10,8 @@ from model import state
 from model.arrays import Array
 from protocol.wire.messages import Control, Message, Outcome, Plan, Reason, Rejected, StepReport
 from tests.support import runs
-from tests.support.logs import ALONE, log_of, plan, report, truth
-from transport.analysis.metrics import network_ms, summarise
+from tests.support.logs import ALONE, log_of, plan, plant_state, report
+from transport.analysis.metrics import rest_of_tick_ms, summarise
 from transport.analysis.series import series_of
 from transport.analysis.steps import steps_columns, steps_rows
 
@@ -34,14 +34,14 @@ def perfect(ticks: int) -> list[Message]:
         messages.append(runs.tick(k))
         messages += [plan(run, agent, k) for agent in run.agents]
         messages += [report(run, agent, k) for agent in run.agents]
-        messages.append(truth(run, k))
+        messages.append(plant_state(run, k))
     return [*messages, control(ticks - 1)]
 
 
 def test_no_error_costs_nothing() -> None:
     """At the reference with hover inputs cost, errors, attitude and violations vanish."""
     run = runs.setup(runs.SHORT)
-    series = series_of(run, log_of([truth(run, k) for k in (0, 5, 12, 29)]))
+    series = series_of(run, log_of([plant_state(run, k) for k in (0, 5, 12, 29)]))
     assert np.abs(series.cost).max() < ROUNDING
     assert np.abs(series.payload_error_I).max() < ROUNDING
     assert np.abs(series.uav_errors_I).max() < ROUNDING
@@ -58,13 +58,13 @@ def test_cost_of_a_displaced_team() -> None:
         x[1] += 0.2
         u[4] += 1.0
 
-    summary = summarise(run, log_of([truth(run, 0), truth(run, 1, change)]))
+    summary = summarise(run, log_of([plant_state(run, 0), plant_state(run, 1, change)]))
     assert summary["cost"]["max"] == pytest.approx(4 * 0.2**2 + 1e-3, rel=ROUNDING)
     assert summary["cost"]["mean"] == pytest.approx((4 * 0.2**2 + 1e-3) / 2, rel=ROUNDING)
     for tracking in ("uav_tracking", "payload_tracking"):
         assert summary[tracking]["max_m"] == pytest.approx(0.2, rel=ROUNDING)
         assert summary[tracking]["rms_m"] == pytest.approx(np.sqrt(0.2**2 / 2), rel=ROUNDING)
-    series = series_of(run, log_of([truth(run, 1, change)]))
+    series = series_of(run, log_of([plant_state(run, 1, change)]))
     assert series.uav_errors_I == pytest.approx(np.tile([0.0, 0.2, 0.0], (1, 4, 1)), abs=ROUNDING)
 
 
@@ -75,7 +75,7 @@ def test_uav_and_payload_errors_are_told_apart() -> None:
     def lean(x: Array, u: Array) -> None:
         x[state.uav_slice(2)][state.E] = [0.0, 0.6, 0.8]
 
-    summary = summarise(run, log_of([truth(run, 0), truth(run, 1, lean)]))
+    summary = summarise(run, log_of([plant_state(run, 0), plant_state(run, 1, lean)]))
     off_m = 3.2 * np.hypot(0.6, 0.2)
     assert summary["uav_tracking"]["max_m"] == pytest.approx(off_m, rel=ROUNDING)
     assert summary["uav_tracking"]["rms_m"] == pytest.approx(np.sqrt(off_m**2 / 8), rel=ROUNDING)
@@ -89,7 +89,7 @@ def test_attitude_is_the_largest_angle() -> None:
     def tilt(x: Array, u: Array) -> None:
         x[state.THETA0] = np.radians([1.0, -3.0, 2.0])
 
-    summary = summarise(run, log_of([truth(run, 0), truth(run, 1, tilt), truth(run, 2)]))
+    summary = summarise(run, log_of([plant_state(run, 0), plant_state(run, 1, tilt), plant_state(run, 2)]))
     assert summary["attitude_max_deg"] == pytest.approx(3.0, rel=ROUNDING)
 
 
@@ -101,7 +101,7 @@ def test_the_first_phase_does_not_count_after_hover() -> None:
         return np.array([0.0, by_m, 0.0])
 
     messages = [
-        truth(run, k, lambda x, u, by_m=by_m: x.__setitem__(state.R0, x[state.R0] + off(by_m)))  # type: ignore[misc]
+        plant_state(run, k, lambda x, u, by_m=by_m: x.__setitem__(state.R0, x[state.R0] + off(by_m)))  # type: ignore[misc]
         for k, by_m in ((0, 0.0), (9, 0.3), (10, 0.1))
     ]
     cost = summarise(run, log_of(messages))["cost"]
@@ -113,9 +113,9 @@ def test_the_first_phase_does_not_count_after_hover() -> None:
 def test_separation_is_the_closest_pair() -> None:
     """The UAVs of Table I hover 0.5 m apart; one of them alone has no distance to anybody."""
     run = runs.setup(HOVER)
-    assert summarise(run, log_of([truth(run, 0)]))["separation_min_m"] == pytest.approx(0.5, rel=ROUNDING)
+    assert summarise(run, log_of([plant_state(run, 0)]))["separation_min_m"] == pytest.approx(0.5, rel=ROUNDING)
     alone = runs.setup(HOVER, *ALONE)
-    assert summarise(alone, log_of([truth(alone, 0)]))["separation_min_m"] is None
+    assert summarise(alone, log_of([plant_state(alone, 0)]))["separation_min_m"] is None
 
 
 def test_violations_are_shares_of_the_range() -> None:
@@ -138,13 +138,13 @@ def test_violations_are_shares_of_the_range() -> None:
         return value
 
     # After a gap in the record only the bound is judged.
-    assert worst(truth(run, 0), truth(run, 2, above)) == pytest.approx(4.5 / 45.0, rel=ROUNDING)
-    assert worst(truth(run, 0), truth(run, 1, jump)) == pytest.approx(2.0 / 10.0, rel=1e-9)
-    assert worst(truth(run, 0, jump)) == pytest.approx(2.0 / 10.0, rel=1e-9)
-    assert worst(truth(run, 2, jump)) == 0.0
-    distance_m = series_of(run, log_of([truth(run, 0, close)])).separation_m[0]
+    assert worst(plant_state(run, 0), plant_state(run, 2, above)) == pytest.approx(4.5 / 45.0, rel=ROUNDING)
+    assert worst(plant_state(run, 0), plant_state(run, 1, jump)) == pytest.approx(2.0 / 10.0, rel=1e-9)
+    assert worst(plant_state(run, 0, jump)) == pytest.approx(2.0 / 10.0, rel=1e-9)
+    assert worst(plant_state(run, 2, jump)) == 0.0
+    distance_m = series_of(run, log_of([plant_state(run, 0, close)])).separation_m[0]
     assert distance_m < 0.4
-    assert worst(truth(run, 0, close)) == pytest.approx((0.4 - distance_m) / 0.4, rel=ROUNDING)
+    assert worst(plant_state(run, 0, close)) == pytest.approx((0.4 - distance_m) / 0.4, rel=ROUNDING)
 
 
 def test_a_perfect_network_loses_nothing() -> None:
@@ -265,7 +265,7 @@ def test_agents_that_left_receive_nothing() -> None:
     messages.append(runs.tick(2, answered=left, members=left, version=2))
     messages += [plan(run, agent, 2) for agent in left]
     messages += [report(run, agent, 2, delivered=2) for agent in left]
-    messages += [truth(run, 2), control(2, "aborted", "interrupted")]
+    messages += [plant_state(run, 2), control(2, "aborted", "interrupted")]
     summary = summarise(run, log_of(messages))
     assert summary["messages"]["sent"] == 3 * 2 + 3 + 3 * 2
     assert summary["messages"]["lost"] == 0
@@ -318,10 +318,10 @@ def test_times_by_hand() -> None:
     run = runs.setup(HOVER)
     slow = report(run, 2, 1, times_ms=np.array([2.0, 1.0, 1.0, 1.0, 1.0, 4.0, 0.5, 8.0]))
     messages = [runs.tick(0), report(run, 1, 0), runs.tick(1), report(run, 1, 1), slow, runs.tick(2), control(2)]
-    log = log_of([*messages, truth(run, 0), truth(run, 1)], [10, 11, 14, 15, 16, 18, 60, 61, 62])
-    assert network_ms(run, log) == pytest.approx({0: 4.0 - 1.5, 1: 0.0})
+    log = log_of([*messages, plant_state(run, 0), plant_state(run, 1)], [10, 11, 14, 15, 16, 18, 60, 61, 62])
+    assert rest_of_tick_ms(run, log) == pytest.approx({0: 4.0 - 1.5, 1: 0.0})
     summary = summarise(run, log)
-    assert summary["network_ms"] == pytest.approx({"p50": 1.25, "p99": 2.475, "max": 2.5})
+    assert summary["rest_of_tick_ms"] == pytest.approx({"p50": 1.25, "p99": 2.475, "max": 2.5})
     assert summary["wall_time_s"] == pytest.approx(0.050)
     assert summary["startup_s"] == pytest.approx(0.010)
     assert summary["real_time_factor"] == pytest.approx(0.1 / 0.050)
@@ -329,7 +329,7 @@ def test_times_by_hand() -> None:
     assert summary["agent_step_ms"]["p50"] == 1.5
     assert summary["agent_step_ms"]["by_stage"]["solve"] == 0.5
     paced = runs.setup(HOVER, "clock.speed=1.0")
-    assert summarise(paced, log)["network_ms"] == {"p50": None, "p99": None, "max": None}
+    assert summarise(paced, log)["rest_of_tick_ms"] == {"p50": None, "p99": None, "max": None}
 
 
 def test_an_empty_log_says_nothing() -> None:
@@ -352,7 +352,7 @@ def test_one_row_for_each_agent_and_tick() -> None:
         u[:] = np.arange(16.0)
 
     pulled = report(run, 2, 1, plan_ages=(3,), force=np.array([0.5, -1.0, 4.4]))
-    messages = [pulled, report(run, 1, 1), report(run, 1, 0), truth(run, 1, change)]
+    messages = [pulled, report(run, 1, 1), report(run, 1, 0), plant_state(run, 1, change)]
     rows = list(steps_rows(run, log_of(messages)))
     assert [(row["tick"], row["agent"]) for row in rows] == [(0, 1), (1, 1), (1, 2)]
     assert [list(row) for row in rows] == [steps_columns(run)] * 3
@@ -369,4 +369,4 @@ def test_one_row_for_each_agent_and_tick() -> None:
 def test_a_log_of_another_team_has_no_flight() -> None:
     """Truths of another number of UAVs than the scenario's are not mixed in."""
     run, alone = runs.setup(HOVER), runs.setup(HOVER, *ALONE)
-    assert summarise(run, log_of([truth(alone, 0)]))["ticks"] == 0
+    assert summarise(run, log_of([plant_state(alone, 0)]))["ticks"] == 0

@@ -10,9 +10,9 @@ from model.arrays import Array
 from mpc.cost import Cost
 from protocol.scenario.file import read_scenario
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import Message, StepReport, Truth
+from protocol.wire.messages import Message, PlantState, StepReport
 from tests.support.runs import SCENARIOS, reproducible
-from transport.flight.memory import fly
+from transport.flight.memory import simulate
 
 # A climb, and a hover long enough to settle. Nothing moves sideways: swinging, the payload is higher than at rest.
 CLIMB = (
@@ -41,10 +41,13 @@ class Flown:
         path = SCENARIOS / "resilient.toml"
         self.run = Setup.of(read_scenario(path, settings), path.name)
         self.messages: list[Message] = []
-        self.outcome = fly(self.run, self.messages.append).outcome
-        truths = [message for message in self.messages if isinstance(message, Truth)]
-        times_s = self.run.settings.sampling_period_s * np.arange(len(truths), dtype=np.float64)
-        x, u = np.array([truth.x for truth in truths]), np.array([truth.u for truth in truths])
+        self.outcome = simulate(self.run, self.messages.append).outcome
+        plant_states = [message for message in self.messages if isinstance(message, PlantState)]
+        times_s = self.run.settings.sampling_period_s * np.arange(len(plant_states), dtype=np.float64)
+        x, u = (
+            np.array([plant_state.x for plant_state in plant_states]),
+            np.array([plant_state.u for plant_state in plant_states]),
+        )
         y, y_ref = np.array([self.run.model.outputs(row) for row in x]), self.run.reference.outputs(times_s)
         cost = Cost(self.run.settings.weights, self.run.hover)
         self.cost = float(np.mean([cost.stage(*at) for at in zip(y, y_ref, u, strict=True)]))

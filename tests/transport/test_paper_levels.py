@@ -9,7 +9,7 @@ from protocol.wire.messages import Message
 from tests.support.logs import log_of
 from tests.support.runs import SHORT
 from transport.analysis.series import Series, series_of
-from transport.flight.memory import fly
+from transport.flight.memory import simulate
 
 SCALE = 128.0  # a power of two: every weight keeps its digits
 SCALED = (
@@ -27,7 +27,7 @@ def flown(name: str, *settings: str) -> Series:
     """A flight in memory, completed."""
     run = Setup.of(read_scenario(find_scenario(name), settings), name)
     messages: list[Message] = []
-    assert fly(run, messages.append).outcome == "completed"
+    assert simulate(run, messages.append).outcome == "completed"
     return series_of(run, log_of(messages))
 
 

@@ -8,7 +8,7 @@ from protocol.scenario.setup import Setup
 from protocol.wire.messages import Message, StepReport
 from tests.support.logs import log_of
 from transport.analysis.series import Series, series_of
-from transport.flight.memory import fly
+from transport.flight.memory import simulate
 
 # What separation may fall short of its limit: the constraint is linearised, softened, and kept at sampling instants.
 SHORTFALL_M = 0.01
@@ -26,7 +26,7 @@ def flown(name: str, *settings: str) -> tuple[Setup, Series, list[StepReport]]:
     path = find_scenario(name)
     run = Setup.of(read_scenario(path, settings), path.name)
     messages: list[Message] = []
-    control = fly(run, messages.append)
+    control = simulate(run, messages.append)
     assert control.outcome == "completed", control
     series = series_of(run, log_of(messages))
     assert len(series.ticks) == run.ticks

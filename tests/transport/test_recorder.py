@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from protocol.admission.admission import Gate
+from protocol.admission.admission import Admission
 from protocol.network.bus import BusEvent
 from protocol.network.session import Endpoints
 from protocol.scenario.setup import Setup
@@ -35,10 +35,10 @@ class ScriptedBus:
     script: tuple[tuple[str, bytes] | Presence | Callable[[], None] | None, ...] = ()
     arrived_ns = 0
 
-    def __init__(self, *, gate: Gate, **_: object) -> None:
-        self._gate, self._left = gate, deque(self.script)
+    def __init__(self, *, admission: Admission, **_: object) -> None:
+        self._admission, self._left = admission, deque(self.script)
         for name in PROCESSES:
-            gate.announce(name, 0)
+            admission.announce(name, 0)
 
     def join(self, *_: object) -> None:
         """Everybody is there."""
@@ -54,7 +54,7 @@ class ScriptedBus:
             if callable(item):
                 item()
                 continue
-            event = item if isinstance(item, Presence) else self._gate.read(*item)
+            event = item if isinstance(item, Presence) else self._admission.read(*item)
             if event is not None:
                 return event
         return None
@@ -96,7 +96,7 @@ def flight(ticks: int) -> list[Message]:
     """What the coordinator and the plant say in a flight of some ticks that ends well."""
     said: list[Message] = [runs.roster()]
     for k in range(ticks):
-        said += [replace(runs.tick(k), sequence=k + 1), runs.truth(RUN, k)]
+        said += [replace(runs.tick(k), sequence=k + 1), runs.plant_state(RUN, k)]
     return [*said, replace(runs.end(ticks - 1), sequence=ticks + 1)]
 
 
@@ -153,7 +153,7 @@ def test_refusals_are_on_record(record: Record) -> None:
     wrong = [
         (f"{KEYS.prefix}/plan/2", b"nonsense"),
         changed(runs.end(), tick=29),  # nobody knows of a tick near that
-        changed(runs.truth(RUN, 9), x=RUN.initial_state()[:24], u=RUN.hover.u[:4], plan_ticks=(9,)),
+        changed(runs.plant_state(RUN, 9), x=RUN.initial_state()[:24], u=RUN.hover.u[:4], plan_ticks=(9,)),
         changed(sample(LinkChange), incarnation=0, tick=10, settings='{"loss": 7}'),
         said[3],
     ]

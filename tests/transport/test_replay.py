@@ -48,8 +48,12 @@ def plans(log: RunLog, agent: int) -> list[Plan]:
 
 @pytest.mark.parametrize(
     "settings",
-    [(), (*CLOSED_LOOP, *POOR_LINKS, *TROUBLE), (*CLOSED_LOOP, "controller.rounds=2", "links.loss=0.3")],
-    ids=["as printed", "poor links, killed, frozen", "rounds"],
+    [
+        (),
+        (*CLOSED_LOOP, *POOR_LINKS, *TROUBLE),
+        (*CLOSED_LOOP, "controller.negotiation_iterations=2", "links.loss=0.3"),
+    ],
+    ids=["as printed", "poor links, killed, frozen", "negotiation_iterations"],
 )
 def test_what_was_flown_is_flown_again(settings: tuple[str, ...]) -> None:
     """In lockstep an agent that hears what it heard says what it said, plans and reports, to the last bit."""
@@ -201,7 +205,7 @@ def test_command_takes_another_controller(folder: Path) -> None:
     ("arguments", "code", "text"),
     [
         (("--agent", "5"), 2, "expected an agent from 1 to 4"),
-        (("--agent", "1", "--set", "controller.rounds=2"), 3, "expected 1 as in the run, got 2"),
+        (("--agent", "1", "--set", "controller.negotiation_iterations=2"), 3, "expected 1 as in the run, got 2"),
         (("--agent", "1", "--against", "resilient", "--set", "links.loss=0.1"), 2, "a value of the controller"),
         (("--agent", "1", "--from", "9", "--to", "3"), 2, "--to: expected a tick not before --from 9"),
         (("--agent", "1", "--from", "900"), 2, "nothing to compare"),

@@ -6,9 +6,9 @@ import pytest
 from model.state import StateView
 from protocol.scenario.file import read_scenario
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import Message, Truth
+from protocol.wire.messages import Message, PlantState
 from tests.support.runs import SCENARIOS
-from transport.flight.memory import fly
+from transport.flight.memory import simulate
 
 MANEUVER = (
     "maneuver.phase=[{name='hover',duration_s=0.5,displacement_m=[0,0,0]},"
@@ -30,8 +30,8 @@ def test_a_late_return_brings_the_team_together(back_s: float) -> None:
     ]
     run = Setup.of(read_scenario(SCENARIOS / "resilient.toml", settings), "resilient")
     messages: list[Message] = []
-    assert fly(run, messages.append).outcome == "completed"
-    x = np.array([message.x for message in messages if isinstance(message, Truth)])
+    assert simulate(run, messages.append).outcome == "completed"
+    x = np.array([message.x for message in messages if isinstance(message, PlantState)])
     attitude_deg = np.abs(np.degrees(StateView(x).Theta0[:, :2])).max(axis=1)
     back = round(back_s / 0.05)
     assert attitude_deg.max() < 10.0

@@ -104,14 +104,14 @@ def test_links_show_age_and_loss(distributed: Scenes) -> None:
 def test_changes_of_links_are_seen(distributed: Scenes) -> None:
     """A change in flight counts from its tick on, however it was before, and once however often it is told."""
     record = Record(distributed.setup)
-    record.add(distributed.record.truths.values())
+    record.add(distributed.record.plant_states.values())
     changes = [change(1, 5, {"loss": 1.0}), change(1, 5, {"loss": 1.0}), change(2, 26, {"loss": 0.0, "delay_s": 0.1})]
     record.add(changes)
     scenes = Scenes(distributed.setup, record)
     assert {link.loss for link in scenes.at(25).links if link.receiver == 3} == {1.0}
     assert {link.loss for link in scenes.at(5).links if link.receiver == 3} == {0.0}
-    assert scenes.fates.settings(1, 3, 25) == (0.2, 1.0)
-    assert scenes.fates.settings(1, 3, 26) == (0.1, 0.0)
+    assert scenes.link_history.settings(1, 3, 25) == (0.2, 1.0)
+    assert scenes.link_history.settings(1, 3, 26) == (0.1, 0.0)
     assert [when for when, _ in record.news] == [5, 26]
 
 
@@ -132,14 +132,14 @@ def change(number: int, tick: int, settings: dict[str, float]) -> LinkChange:
 def test_gaps_and_beginnings(distributed: Scenes) -> None:
     """A tick that is not there shows the one before, or the first there is; paths skip what is missing."""
     record = Record(distributed.setup)
-    some: list[Message] = [distributed.record.truths[k] for k in (9, 3, 4)]
+    some: list[Message] = [distributed.record.plant_states[k] for k in (9, 3, 4)]
     record.add(some)
     assert (record.first, record.last) == (3, 9)
     assert [record.nearest(tick) for tick in (0, 3, 6, 9, 50)] == [3, 3, 4, 9, 9]
     payload_I, uavs_I = Scenes(distributed.setup, record).flown(9, 100)
     assert payload_I.shape == (3, 3)
     assert uavs_I.shape == (3, 4, 3)
-    np.testing.assert_array_equal(payload_I[-1], distributed.record.truths[9].x[:3])
+    np.testing.assert_array_equal(payload_I[-1], distributed.record.plant_states[9].x[:3])
 
 
 def test_the_payload_is_solid(distributed: Scenes) -> None:

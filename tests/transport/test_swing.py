@@ -11,13 +11,13 @@ from model.arrays import Array
 from model.rotations import rotation
 from protocol.scenario.file import find_scenario, read_scenario
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import Truth
+from protocol.wire.messages import PlantState
 from tests.support import runs
-from tests.support.logs import ALONE, log_of, truth
+from tests.support.logs import ALONE, log_of, plant_state
 from transport.analysis.metrics import summarise
 from transport.analysis.series import series_of
 from transport.analysis.swing import AT_REST_M, Swing, swing_of
-from transport.flight.memory import fly
+from transport.flight.memory import simulate
 
 # The last hover of the paper's maneuver, after a second of translation.
 HOLD = (
@@ -58,7 +58,7 @@ def swinging(
         ticks: Those in the log.
     """
 
-    def at(k: int) -> Truth:
+    def at(k: int) -> PlantState:
         t_s = 0.05 * k
         envelope_m = amplitude_m * math.exp(-damping * t_s)
         cos, sin = math.cos(omega * t_s + phase), math.sin(omega * t_s + phase)
@@ -68,7 +68,7 @@ def swinging(
             x[1] += envelope_m * cos
             x[state.V0] = [0.0, -envelope_m * (damping * cos + omega * sin), vertical_mps * math.exp(-t_s)]
 
-        return truth(run, k, change)
+        return plant_state(run, k, change)
 
     return swing_of(run, series_of(run, log_of([at(k) for k in ticks])))
 
@@ -137,7 +137,7 @@ def test_only_the_end_of_the_run_counts() -> None:
         x[1] += 1.0
 
     for k, expected_m in ((39, 0.0), (40, 1.0)):
-        records = [truth(run, i, off) if i == k else truth(run, i) for i in range(TICKS)]
+        records = [plant_state(run, i, off) if i == k else plant_state(run, i) for i in range(TICKS)]
         assert swing_of(run, series_of(run, log_of(records))).largest_m == pytest.approx(expected_m, abs=1e-12)
 
 
@@ -163,7 +163,7 @@ def test_velocity_in_the_inertial_frame() -> None:
         x[state.THETA0] = [0.1, -0.2, 1.0]
         x[state.V0] = rotation(x[state.THETA0]).T @ moving
 
-    series = series_of(run, log_of([truth(run, 0), truth(run, 1, turned)]))
+    series = series_of(run, log_of([plant_state(run, 0), plant_state(run, 1, turned)]))
     assert series.payload_velocity_I[1] == pytest.approx(moving, rel=1e-12)
 
 
@@ -172,7 +172,7 @@ def test_velocity_in_the_inertial_frame() -> None:
 def test_the_papers_maneuver(name: str, decays: bool) -> None:
     """A horizon of 1 s leaves a sustained swing of 0.55 m; with the infinite horizon behind it the swing dies out."""
     run = Setup.of(read_scenario(find_scenario(name), []), name)
-    messages = runs.recorded(run, fly)
+    messages = runs.recorded(run, simulate)
     payload = summarise(run, log_of(messages))["payload_tracking"]
     assert payload["decays"] is decays
     assert (payload["swing_m"] < 0.4) is decays

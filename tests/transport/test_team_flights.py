@@ -10,7 +10,7 @@ from protocol.wire.messages import Message, StepReport
 from tests.support.logs import log_of
 from tests.support.runs import SCENARIOS
 from transport.analysis.series import series_of
-from transport.flight.memory import fly
+from transport.flight.memory import simulate
 
 
 def team(uavs: int, template: str, *settings: str) -> Setup:
@@ -26,7 +26,7 @@ def test_larger_teams_complete_the_maneuver(uavs: int, delay_s: float) -> None:
     """Section V with six and eight UAVs: all 25 s, level and apart, on a perfect network and 0.1 s late."""
     run = team(uavs, "resilient", f"links.delay_s={delay_s}")
     messages: list[Message] = []
-    assert fly(run, messages.append).outcome == "completed"
+    assert simulate(run, messages.append).outcome == "completed"
     series = series_of(run, log_of(messages))
     assert len(series.ticks) == run.ticks == 500
     reports = [message for message in messages if isinstance(message, StepReport)]
@@ -42,5 +42,5 @@ def test_larger_teams_complete_the_maneuver(uavs: int, delay_s: float) -> None:
 
 def test_the_papers_settings_do_not_carry_over() -> None:
     """Why teams are made from `resilient`: eight agents that each correct the whole error lose the load."""
-    control = fly(team(8, "paper"))
+    control = simulate(team(8, "paper"))
     assert control.outcome == "diverged"

@@ -48,7 +48,7 @@ def summarise(setup: Setup, log: RunLog) -> dict[str, Any]:
         **_durations(setup, log, series),
         **_flight(setup, series),
         "agent_step_ms": _step_times(reports),
-        "network_ms": _spread(network_ms(setup, log).values()),
+        "rest_of_tick_ms": _spread(rest_of_tick_ms(setup, log).values()),
         "deadline": _deadline(setup, log),
         "plan_age_ticks": _ages(reports),
         "messages": _messages(setup, log, reports),
@@ -65,7 +65,7 @@ def summarise(setup: Setup, log: RunLog) -> dict[str, Any]:
     }
 
 
-def network_ms(setup: Setup, log: RunLog) -> dict[int, float]:
+def rest_of_tick_ms(setup: Setup, log: RunLog) -> dict[int, float]:
     """What each tick took besides the slowest agent's step, by tick, ms.
 
     From the recorder's receiving tick k to its receiving tick k + 1, minus the slowest step of tick k, at least
@@ -91,7 +91,7 @@ def _controller(setup: Setup) -> dict[str, Any]:
         "owned": [[uav + 1 for uav in group] for group in setup.owned],
         "prediction": setup.settings.prediction,
         "relaxation": setup.settings.relaxation,
-        "rounds": setup.scenario.controller.rounds,
+        "negotiation_iterations": setup.scenario.controller.negotiation_iterations,
         "sampling_period_s": setup.settings.sampling_period_s,
         "horizon": setup.settings.horizon,
         "solver": setup.settings.solver,

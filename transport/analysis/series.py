@@ -14,7 +14,7 @@ from model.rotations import rotation
 from mpc.cost import Cost
 from protocol.scenario.faults import UavFault, uav_faults
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import Truth
+from protocol.wire.messages import PlantState
 from transport.log.run_log import RunLog
 
 
@@ -77,12 +77,16 @@ def series_of(setup: Setup, log: RunLog) -> Series:
         setup: The run as it was flown.
         log: Its log, whole or not.
     """
-    truths = {truth.tick: truth for truth in log.of(Truth) if truth.x.shape == setup.hover.x.shape}
-    ticks = np.array(sorted(truths), dtype=np.int64)
+    plant_states = {
+        plant_state.tick: plant_state
+        for plant_state in log.of(PlantState)
+        if plant_state.x.shape == setup.hover.x.shape
+    }
+    ticks = np.array(sorted(plant_states), dtype=np.int64)
     times_s: Array = ticks.astype(np.float64) * setup.settings.sampling_period_s
     N = setup.system.N
-    x = np.array([truths[tick].x for tick in ticks]).reshape(-1, len(setup.hover.x))
-    u = np.array([truths[tick].u for tick in ticks]).reshape(-1, state.INPUTS * N)
+    x = np.array([plant_states[tick].x for tick in ticks]).reshape(-1, len(setup.hover.x))
+    u = np.array([plant_states[tick].u for tick in ticks]).reshape(-1, state.INPUTS * N)
     y_ref = setup.reference.outputs(times_s)
     y = np.array([setup.model.outputs(row) for row in x]).reshape(y_ref.shape)
     uavs_I = y[:, : 3 * N].reshape(len(ticks), N, 3)

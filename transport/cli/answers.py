@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import typer
 
+from protocol.wire.exit_codes import EXIT_SCENARIO
+
 if TYPE_CHECKING:
     from protocol.scenario.setup import Setup
-
-EXIT_SCENARIO = 3
 
 
 class Format(StrEnum):

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
 from transport.cli.answers import Format, fail, show_json
 
 if TYPE_CHECKING:
     from transport.report.compare import Compared, Row
-
-EXIT_USAGE, EXIT_SCENARIO = 2, 3
 
 
 def compare(

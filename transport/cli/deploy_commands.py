@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_UNREACHABLE, EXIT_USAGE
 from transport.cli.answers import fail, read_setup
 
 if TYPE_CHECKING:
     from deploy.hosts import Inventory
     from protocol.scenario.setup import Setup
 
-EXIT_USAGE, EXIT_SCENARIO, EXIT_LOST = 2, 3, 4
 
 deploy_app = typer.Typer(help="Take a run to several hosts.", no_args_is_help=True, rich_markup_mode=None)
 
@@ -131,7 +131,7 @@ def router(
     except SecurityError as error:
         fail(str(error), EXIT_SCENARIO)
     except BusError as error:
-        fail(str(error), EXIT_LOST)
+        fail(str(error), EXIT_UNREACHABLE)
     journal.say("finished")
 
 

@@ -4,9 +4,8 @@ from typing import Annotated
 
 import typer
 
+from protocol.wire.exit_codes import EXIT_CHECK_FAILED, EXIT_SCENARIO
 from transport.cli.answers import Format, fail, show_json
-
-EXIT_SCENARIO, EXIT_ILL = 3, 9
 
 _COLOURS = {"ok": "green", "warn": "yellow", "fail": "bold red"}
 
@@ -64,4 +63,4 @@ def doctor(
         warned = sum(check.status == "warn" for check in found)
         typer.echo(f"{len(found)} checks: {len(failed)} fail, {warned} warn")
     if failed:
-        raise typer.Exit(EXIT_ILL)
+        raise typer.Exit(EXIT_CHECK_FAILED)

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from transport.experiments.errors import EXIT_CASES, EXIT_SCENARIO, EXIT_USAGE, ExperimentError, refused
+from protocol.wire.exit_codes import EXIT_CASE_FAILED, EXIT_SCENARIO, EXIT_USAGE
+from transport.experiments.errors import ExperimentError, refused
 
 if TYPE_CHECKING:
     from protocol.scenario.schema import Scenario
@@ -542,9 +543,9 @@ def _compare(gust_mps: float, options: _Options) -> None:
     trial = "trial, no measurement" if options.quick else ""
     if trial:
         console.print(f"--quick: a {trial}", highlight=False)
-    fly = _way(options, folder)
+    simulate = _way(options, folder)
     lines, table, found = claim_report.conduct(
-        options.changes(), options.seeds, gust_mps, folder, fly, console, quick=options.quick
+        options.changes(), options.seeds, gust_mps, folder, simulate, console, quick=options.quick
     )
     output = Console()
     output.width = max(output.width, claim_report.WIDTH)
@@ -565,7 +566,7 @@ def _check_flown(found: "Sequence[Result]") -> None:
     failed = [result for result in found if result.outcome == "error"]
     if failed:
         more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
-        raise ExperimentError(f"a flight could not be flown{more}: {failed[0].reason}", EXIT_CASES)
+        raise ExperimentError(f"a flight could not be flown{more}: {failed[0].reason}", EXIT_CASE_FAILED)
 
 
 def _check(options: _Options) -> None:
@@ -590,7 +591,7 @@ def _way(options: _Options, folder: Path) -> "Fly":
         address = options.dask
         return lambda cases: workers.on_cluster(cases, address)
     if options.processes:
-        return lambda cases: (flight.fly_in_processes(case, folder / "runs") for case in cases)
+        return lambda cases: (flight.simulate_in_processes(case, folder / "runs") for case in cases)
     jobs = options.jobs or joblib.cpu_count()
     return lambda cases: workers.on_cores(cases, min(jobs, len(cases)))
 

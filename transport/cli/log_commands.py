@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from protocol.wire.exit_codes import EXIT_USAGE
 from transport.cli.answers import Format, fail, show_json
 
 if TYPE_CHECKING:
     from transport.log.info import LogFile
     from transport.log.tables import Row
 
-EXIT_USAGE = 2
 
 log_app = typer.Typer(
     help="Look into the log of a run, and get it out.",

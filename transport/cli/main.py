@@ -9,17 +9,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_SCENARIO, EXIT_UNREACHABLE, EXIT_USAGE
 from transport.cli.answers import Format, fail, read_setup
 from transport.cli.compare_commands import compare
 from transport.cli.deploy_commands import deploy_app, router
 from transport.cli.doctor_commands import doctor
 from transport.cli.experiment_commands import experiment_app
 from transport.cli.log_commands import log_app
+from transport.cli.metrics import metrics
 from transport.cli.operate import fault, link_app, status
 from transport.cli.replay_commands import replay
 from transport.cli.top_commands import top
 from transport.cli.viewer_commands import HostOption, PortOption, view, viewer_beside
-from transport.monitor.exporter import metrics
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from protocol.network.process import Place
     from protocol.scenario.setup import Setup
 
-EXIT_USAGE, EXIT_SCENARIO, EXIT_LOST, EXIT_INTERRUPTED = 2, 3, 4, 130
 
 app = typer.Typer(
     name="transport",
@@ -130,18 +130,18 @@ def run(
     from rich.console import Console
 
     from transport.flight.harness import HarnessError
-    from transport.flight.run import RunError, fly, new_folder
+    from transport.flight.run import RunError, new_folder, simulate
 
     console = Console(stderr=True)
     setup = read_setup(scenario, settings)
     folder = out if out is not None else new_folder(Path("runs"), setup.scenario.name)
     with viewer_beside(folder, host, port, setup.scenario.clock.join_timeout_s) if viewed else nullcontext() as linger:
         try:
-            finished = fly(setup, folder, console)
+            finished = simulate(setup, folder, console)
         except RunError as error:
             fail(str(error), error.exit_code)
         except HarnessError as error:
-            fail(str(error), EXIT_LOST)
+            fail(str(error), EXIT_UNREACHABLE)
         _report(finished.folder, output, figures, setup)
         if linger is not None and finished.exit_code != EXIT_INTERRUPTED:
             linger()
@@ -413,7 +413,7 @@ def _process(body: "Callable[[], int]") -> None:
     try:
         code = body()
     except BusError as error:
-        fail(str(error), EXIT_LOST)
+        fail(str(error), EXIT_UNREACHABLE)
     raise typer.Exit(code)
 
 

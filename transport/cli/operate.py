@@ -6,6 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
+from protocol.wire.exit_codes import EXIT_UNREACHABLE, EXIT_USAGE
 from transport.cli.answers import fail
 
 # What `transport run` chooses when nothing is said: the newest run that flies below this folder.
@@ -60,7 +61,7 @@ def link_set(
     }
     settings = {key: value for key, value in changes.items() if value is not None}
     if not settings:
-        fail("expected at least one of --delay, --jitter, --loss, ..., got none", 2)
+        fail("expected at least one of --delay, --jitter, --loss, ..., got none", EXIT_USAGE)
     ends = {"from": _process_name(sender), "to": _process_name(receiver)}
     answer = _ask(run, connect, keys, "coordinator", "link", {**ends, "settings": settings})
     typer.echo(f"links change with tick {answer['tick']} (t = {answer['t_s']:.2f} s)")
@@ -123,22 +124,22 @@ def _ask(
     from transport.flight.requests import RefusedError, UnansweredError, request
 
     if connect and not (run and Keys.allows(run)):
-        fail(f"--run: expected the name of a run with --connect, got {run!r}", 2)
+        fail(f"--run: expected the name of a run with --connect, got {run!r}", EXIT_USAGE)
     if connect and run:
         known, endpoints = run, connect
     else:
         there = live.newest(RUNS) if run is None else live.read(Path(run)) or live.read(RUNS / run)
         if there is None:
             where = f"below {RUNS}/" if run is None else f"in {run}"
-            fail(f"no run that flies {where}; name its folder with --run, or its endpoints with --connect", 2)
+            fail(f"no run that flies {where}; name its folder with --run, or its endpoints with --connect", EXIT_USAGE)
         if name not in there.endpoints:
-            fail(f"--process: expected one of {', '.join(there.endpoints)}, got {name!r}", 2)
+            fail(f"--process: expected one of {', '.join(there.endpoints)}, got {name!r}", EXIT_USAGE)
         # Only the one that is asked: others may be frozen, and then take their time.
         known, endpoints = there.run, [there.endpoints[name]]
         keys = keys or (Path(there.keys) if there.keys else None)
     try:
         return request(known, endpoints, name, what, given, keys=keys)
     except UnansweredError as error:
-        fail(str(error), 4)
+        fail(str(error), EXIT_UNREACHABLE)
     except RefusedError as error:
-        fail(str(error), 2)
+        fail(str(error), EXIT_USAGE)

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from protocol.wire.exit_codes import EXIT_DIFFERENT, EXIT_SCENARIO, EXIT_USAGE
 from transport.cli.answers import Format, fail, show_json
 
 if TYPE_CHECKING:
@@ -15,7 +16,6 @@ if TYPE_CHECKING:
     from transport.analysis.replay_compare import Comparison, Difference
     from transport.log.run_folder import RecordedRun
 
-EXIT_USAGE, EXIT_SCENARIO, EXIT_DIFFERENT = 2, 3, 8
 
 # Differences of inputs below are rounding: other numbers on the way to the same decision.
 _FELT = 1e-6
@@ -25,7 +25,7 @@ _FIXED = (
     ("agents.owned", lambda setup: [[uav + 1 for uav in group] for group in setup.owned]),
     ("system.uav", lambda setup: f"{setup.system.N} UAVs"),
     ("controller.sampling_period_s", lambda setup: setup.settings.sampling_period_s),
-    ("controller.rounds", lambda setup: setup.scenario.controller.rounds),
+    ("controller.negotiation_iterations", lambda setup: setup.scenario.controller.negotiation_iterations),
     ("clock.mode", lambda setup: setup.scenario.clock.mode),
     ("clock.actuation", lambda setup: "next_tick" if setup.scenario.clock.next_tick else "immediate"),
 )

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
+from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_SCENARIO, EXIT_UNREACHABLE, EXIT_USAGE
 from transport.cli.answers import Format, fail, show_json
 from transport.cli.operate import RUNS, ConnectOption, RunOption
 
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from protocol.scenario.setup import Setup
     from transport.monitor.watch import Watch
 
-EXIT_USAGE, EXIT_SCENARIO, EXIT_LOST, EXIT_INTERRUPTED = 2, 3, 4, 130
 
 # How often the table is drawn; without a terminal it is printed this often instead.
 _DRAW_S, _PRINT_S = 0.25, 10.0
@@ -80,7 +80,7 @@ def top(
         with closing(_listen(flight)) as bus:
             _watch(bus, flight, once=once, output=output)
     except BusError as error:
-        fail(str(error), EXIT_LOST)
+        fail(str(error), EXIT_UNREACHABLE)
     except KeyboardInterrupt:
         raise typer.Exit(EXIT_INTERRUPTED) from None
 
@@ -90,9 +90,8 @@ def _find(run: str | None, connect: list[str] | None, scenario: str | None, sett
     from protocol.network.security import SecurityError
     from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
     from protocol.scenario.setup import Setup
-    from protocol.wire.keys import Keys
+    from protocol.wire.keys import RECORDER, Keys
     from transport.flight import live
-    from transport.flight.recorder import NAME as RECORDER
 
     try:
         if scenario is not None:
@@ -132,7 +131,7 @@ def _folder(run: str | None) -> Path | None:
 
 
 def _listen(flight: _Flight) -> "Bus":
-    from protocol.admission.admission import Gate
+    from protocol.admission.admission import Admission
     from protocol.network.bus import Bus
     from protocol.network.process import security_of
     from protocol.network.session import Endpoints
@@ -151,7 +150,7 @@ def _listen(flight: _Flight) -> "Bus":
             mode="client" if flight.is_client else "peer",
             security=security_of(flight.setup.scenario),
         ),
-        gate=Gate(WATCHER, Keys(flight.run), flight.setup, Rejections()),
+        admission=Admission(WATCHER, Keys(flight.run), flight.setup, Rejections()),
         gather_s=_GATHER_S,
     )
 
@@ -165,7 +164,7 @@ def _watch(bus: "Bus", flight: _Flight, *, once: bool, output: Format) -> None:
     watch, console = Watch(flight.setup), Console()
     if once:
         _listen_until(bus, watch, lambda: watch.is_whole, _PATIENCE_S)
-        if watch.tick < 0 and watch.truth is None and watch.control is None:
+        if watch.tick < 0 and watch.plant_state is None and watch.control is None:
             _no_sign(flight)
         if output is Format.json:
             show_json({"run": flight.run, **watch.content()})
@@ -179,7 +178,7 @@ def _watch(bus: "Bus", flight: _Flight, *, once: bool, output: Format) -> None:
         _until_the_end(bus, flight, watch, _PRINT_S, console.print)
     console.print(_table(watch, flight.run))
     if watch.control is None:
-        fail(f"run {flight.run}: its coordinator is gone, and how it ended was not heard", EXIT_LOST)
+        fail(f"run {flight.run}: its coordinator is gone, and how it ended was not heard", EXIT_UNREACHABLE)
 
 
 def _until_the_end(bus: "Bus", flight: _Flight, watch: "Watch", every_s: float, draw: "Callable[[Group], Any]") -> None:
@@ -196,7 +195,7 @@ def _until_the_end(bus: "Bus", flight: _Flight, watch: "Watch", every_s: float, 
         quiet_s = 0.0 if heard else quiet_s + every_s
         if (
             watch.tick < 0
-            and watch.truth is None
+            and watch.plant_state is None
             and time.monotonic() - begun > flight.setup.scenario.clock.join_timeout_s
         ):
             _no_sign(flight)
@@ -208,7 +207,7 @@ def _no_sign(flight: _Flight) -> NoReturn:
     where = f"at {', '.join(flight.endpoints)}"
     fail(
         f"no sign of run {flight.run} {where}, or it flies another scenario than {flight.setup.scenario.name} as given",
-        EXIT_LOST,
+        EXIT_UNREACHABLE,
     )
 
 

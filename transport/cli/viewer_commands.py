@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
 from transport.cli.answers import fail
 from transport.cli.operate import RUNS
 
 if TYPE_CHECKING:
     from transport.viewer.viewer import Viewer
 
-EXIT_USAGE, EXIT_SCENARIO = 2, 3
 
 _LOG = "run.mcap"
 _POLL_S = 0.1

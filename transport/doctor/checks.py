@@ -151,7 +151,7 @@ def ports(setup: Setup) -> Check:
 
 def network(setup: Setup) -> Check:
     """Two Zenoh sessions on the loopback interface: whether one finds the other, and how long a question takes."""
-    from protocol.admission.admission import Gate
+    from protocol.admission.admission import Admission
     from protocol.network.bus import Bus
     from protocol.network.session import Endpoints
     from protocol.wire.keys import WATCHER, Keys
@@ -166,9 +166,15 @@ def network(setup: Setup) -> Check:
 
         def bus(name: str, endpoints: Endpoints, *, serves: bool) -> Bus:
             # Named as an observer, so that Zenoh leaves standard output alone.
-            gate = Gate(name, Keys(run), setup, Rejections())
+            admission = Admission(name, Keys(run), setup, Rejections())
             return Bus(
-                name=name, incarnation=0, run=run, digest="doctor", endpoints=endpoints, gate=gate, serves=serves
+                name=name,
+                incarnation=0,
+                run=run,
+                digest="doctor",
+                endpoints=endpoints,
+                admission=admission,
+                serves=serves,
             )
 
         begun = time.monotonic()

@@ -16,7 +16,7 @@ PARTS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "terminal": ("controller.terminal", ("multiple", "riccati")),
     "preview": ("controller.preview", ("false", "true")),
     "relaxation": ("controller.relaxation", ("1.0", "0.5", "0.25", "0.1")),
-    "rounds": ("controller.rounds", ("1", "2", "4")),
+    "negotiation_iterations": ("controller.negotiation_iterations", ("1", "2", "4")),
     "received plans": ("controller.received_plans", ("by_age", "by_one", "held")),
     "received states": ("controller.received_states", ("predicted", "as_received")),
     "actuation": ("clock.actuation", ("immediate", "next_tick")),
@@ -78,5 +78,5 @@ def _is_possible(scenario: Scenario, key: str, value: str) -> bool:
         key: value,
     }
     if chosen["controller.terminal"] == "riccati":
-        return controller.weights.priced == "deviation"
+        return controller.weights.penalised_input == "deviation"
     return chosen["controller.preview"] == "false" or chosen["controller.prediction"] == "closed_loop"

@@ -56,5 +56,5 @@ def _flown(setup: Setup) -> Series:
     def record(message: Message) -> None:
         messages.append(Recorded(message=message, received_ns=0))
 
-    memory.fly(setup, record)
+    memory.simulate(setup, record)
     return series_of(setup, RunLog(header={}, messages=tuple(messages), cut=""))

@@ -50,7 +50,7 @@ def conduct(
     seeds: int,
     gust_mps: float,
     folder: Path,
-    fly: Fly,
+    simulate: Fly,
     console: Console,
     *,
     quick: bool = False,
@@ -62,7 +62,7 @@ def conduct(
         seeds: Runs of each cell in gusts.
         gust_mps: Their standard deviation; 0 for still air alone.
         folder: Of the experiment.
-        fly: Gives the results of cases.
+        simulate: Gives the results of cases.
         console: For progress.
         quick: Few periods, computation measured on the shortest of runs: a trial.
     Returns: Lines for people, a table to go above them, and the results.
@@ -83,7 +83,7 @@ def conduct(
 
         measured = claim.computation(folder, settings, cells, quick=quick, notify=notify)
         try:
-            found = sweep(experiment, cases, fly, results, console)
+            found = sweep(experiment, cases, simulate, results, console)
         except (KeyboardInterrupt, ExperimentError):
             done = sum(results.done(case.key) for case in cases)
             notify(f"{done} of {len(cases)} flights are kept; go on with: --out {folder}")

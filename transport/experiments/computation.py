@@ -94,7 +94,7 @@ def step_ms(setup: Setup) -> float:
             times_ms.append(float(message.times_ms[-1]))
 
     with threadpoolctl.threadpool_limits(1):
-        control = memory.fly(setup, record, time.thread_time_ns)
+        control = memory.simulate(setup, record, time.thread_time_ns)
     if not times_ms:
         raise ValueError(f"expected a run of more than {WARM_UP} ticks, got {control.outcome}: {control.reason}")
     return statistics.fmean(times_ms)

@@ -7,20 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 from transport.experiments.catalogue import NOBODY, Experiment
 from transport.experiments.statistics import Measured
-from transport.report.style import WIDTH_IN, label_decades
+from transport.report.style import CURVES, WIDTH_IN, label_decades
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Colour (Okabe and Ito 2008), marker and line of each curve: told apart without colour as well.
-CURVES = (
-    ("#0072B2", "o", "-"),
-    ("#D55E00", "s", "--"),
-    ("#009E73", "^", "-."),
-    ("#CC79A7", "D", ":"),
-    ("#000000", "v", "-"),
-)
 MARKER, PRINT = 4.0, 7.0
 
 # What is drawn against the sweep: title, number, factor.

@@ -1,6 +1,6 @@
 """What stops an experiment."""
 
-EXIT_USAGE, EXIT_SCENARIO, EXIT_LOST, EXIT_CASES = 2, 3, 4, 7
+from protocol.wire.exit_codes import EXIT_USAGE
 
 
 class ExperimentError(RuntimeError):

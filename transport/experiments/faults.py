@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Literal
 
 from protocol.network.health import command_of
 from protocol.network.parent import python
+from protocol.wire.exit_codes import EXIT_INTERRUPTED
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -52,7 +53,7 @@ _STOPPING_S = 1.0
 _TAKE_OFF_S = 30.0
 _POLL_S = 0.02
 
-_EXIT_WRONG, _EXIT_INTERRUPTED = 1, 130
+_EXIT_WRONG = 1
 _KINDS = ("hang", "orphan", "unreadable log", "wrong exit code")
 
 _SLOW = "maneuver.phase=[{name='climb',duration_s=3.0,displacement_m=[0,0,-1.5]}]"
@@ -131,7 +132,7 @@ def drawn(seed: int, number: int) -> FaultRun:
     if pace == "realtime":
         settings += ["clock.mode=realtime", f"clock.on_overrun={chance.choice(('continue', 'continue', 'hold'))}"]
     elif chance.random() < 0.2:
-        settings += ["controller.rounds=2"]
+        settings += ["controller.negotiation_iterations=2"]
     if chance.random() < 0.3:
         settings += [chance.choice(_IMPAIRED)]
     count = 2 if chance.random() < 0.3 else 1
@@ -150,7 +151,7 @@ def _strike(chance: random.Random) -> Strike:
     )
 
 
-def fly(run: FaultRun, folder: Path, stop: threading.Event) -> Verdict:
+def simulate(run: FaultRun, folder: Path, stop: threading.Event) -> Verdict:
     """Fly one run and judge it; nothing of it is left running.
 
     Args:
@@ -289,7 +290,7 @@ def _wrong_code(run: FaultRun, code: int, log: "RunLog | None") -> str:
         if strike.target == COMMAND and (strike.signal == signal.SIGKILL or strike.signal == signal.SIGSTOP):
             fits.add(-signal.SIGKILL)
         if strike.target in (COMMAND, "coordinator") and strike.signal in (signal.SIGTERM, signal.SIGINT):
-            fits.add(_EXIT_INTERRUPTED)
+            fits.add(EXIT_INTERRUPTED)
         if strike.target == COMMAND and strike.since == "start" and strike.after_s < _HELPLESS_S:
             fits.add(-strike.signal)
     if code not in fits:
@@ -323,7 +324,7 @@ def _flown(planned: Sequence[FaultRun], folder: Path, jobs: int, console: "Conso
 
     stop = threading.Event()
     with SweepProgress("faults", 0, len(planned), console) as progress, ThreadPoolExecutor(jobs) as workers:
-        flights = [workers.submit(fly, run, folder / str(run.number), stop) for run in planned]
+        flights = [workers.submit(simulate, run, folder / str(run.number), stop) for run in planned]
         try:
             for flight in as_completed(flights):
                 verdict = flight.result()

@@ -11,8 +11,8 @@ from typing import Any
 import threadpoolctl
 from rich.console import Console
 
-from protocol.network.process import EXIT_INTERRUPTED
 from protocol.scenario.setup import Setup
+from protocol.wire.exit_codes import EXIT_INTERRUPTED
 from protocol.wire.messages import Control, Message
 from transport.analysis.metrics import summarise
 from transport.experiments.cases import Case, key_of
@@ -60,7 +60,7 @@ class Result:
     numbers: dict[str, float | None]
 
 
-def fly_in_memory(case: Case) -> Result:
+def simulate_in_memory(case: Case) -> Result:
     """Fly a case in this process."""
     # Processor time of this thread: what else the machine does, and waiting for it, is not the controller's.
     clock = time.thread_time_ns if case.timed else lambda: 0
@@ -71,14 +71,14 @@ def fly_in_memory(case: Case) -> Result:
         def record(message: Message) -> None:
             messages.append(Recorded(message=message, received_ns=clock()))
 
-        memory.fly(setup, record, clock)
+        memory.simulate(setup, record, clock)
         log = RunLog(header={}, messages=tuple(messages), cut="")
         return summarise(setup, log), log
 
     return _result(case, flight)
 
 
-def fly_in_processes(case: Case, folder: Path) -> Result:
+def simulate_in_processes(case: Case, folder: Path) -> Result:
     """Fly a case as `transport run` does, recorded into a run folder of its own.
 
     Args:
@@ -91,7 +91,7 @@ def fly_in_processes(case: Case, folder: Path) -> Result:
     def flight(setup: Setup) -> tuple[dict[str, Any], RunLog]:
         shutil.rmtree(own, ignore_errors=True)  # of a flight that was cut off: its result would be known otherwise
         try:
-            finished = run.fly(setup, own, Console(file=io.StringIO()))
+            finished = run.simulate(setup, own, Console(file=io.StringIO()))
         except run.RunError as error:
             if error.exit_code == EXIT_INTERRUPTED:
                 raise KeyboardInterrupt from error

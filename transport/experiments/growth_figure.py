@@ -5,10 +5,10 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from transport.experiments.catalogue import CENTRALIZED
-from transport.experiments.curves import CURVES, MARKER, PRINT
+from transport.experiments.curves import MARKER, PRINT
 from transport.experiments.growth import FEWEST
 from transport.experiments.statistics import Measured
-from transport.report.style import REFERENCE, WIDTH_IN, label_decades
+from transport.report.style import CURVES, REFERENCE, WIDTH_IN, label_decades
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

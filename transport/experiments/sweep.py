@@ -19,13 +19,15 @@ from transport.report.report import write_whole
 Fly = Callable[[Sequence[Case]], Iterable[Result]]
 
 
-def sweep(experiment: Experiment, cases: Sequence[Case], fly: Fly, results: Results, console: Console) -> list[Result]:
+def sweep(
+    experiment: Experiment, cases: Sequence[Case], simulate: Fly, results: Results, console: Console
+) -> list[Result]:
     """Fly the cases that are not done yet; each result is kept as soon as it is there.
 
     Args:
         experiment: What they belong to.
         cases: All of its flights.
-        fly: Gives the results of cases, in any order.
+        simulate: Gives the results of cases, in any order.
         results: What is done already, and where to keep the rest.
         console: Where progress is drawn.
     Returns: The results in the order of the cases, whatever was flown where and when.
@@ -35,7 +37,7 @@ def sweep(experiment: Experiment, cases: Sequence[Case], fly: Fly, results: Resu
     # Round by round: when the machine is slow for a while, timing suffers at every point and not at one.
     missing.sort(key=lambda case: case.scenario.seed)
     with SweepProgress(experiment.name, len(every) - len(missing), len(every), console) as progress:
-        for result in fly(missing) if missing else ():
+        for result in simulate(missing) if missing else ():
             results.add(result)
             case = every[result.key]
             point = experiment.points[case.point]

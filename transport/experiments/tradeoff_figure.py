@@ -4,9 +4,9 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from transport.experiments.curves import CURVES, MARKER, PRINT
+from transport.experiments.curves import MARKER, PRINT
 from transport.experiments.statistics import Measured
-from transport.report.style import WIDTH_IN
+from transport.report.style import CURVES, WIDTH_IN
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

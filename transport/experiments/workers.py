@@ -12,9 +12,10 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import TypeVar
 
+from protocol.wire.exit_codes import EXIT_UNREACHABLE
 from transport.experiments.cases import Case
-from transport.experiments.errors import EXIT_LOST, ExperimentError, refused
-from transport.experiments.flight import ERROR, Result, fly_in_memory
+from transport.experiments.errors import ExperimentError, refused
+from transport.experiments.flight import ERROR, Result, simulate_in_memory
 
 T = TypeVar("T")
 
@@ -32,7 +33,7 @@ def on_cores(cases: Sequence[Case], jobs: int) -> Iterator[Result]:
         jobs: How many at a time, in a process each; a single one in this process.
     Raises: ExperimentError: a worker process has died.
     """
-    yield from each_on_cores(fly_in_memory, cases, jobs)
+    yield from each_on_cores(simulate_in_memory, cases, jobs)
 
 
 def each_on_cores(do: Callable[[Case], T], cases: Sequence[Case], jobs: int) -> Iterator[T]:
@@ -62,7 +63,7 @@ def each_on_cores(do: Callable[[Case], T], cases: Sequence[Case], jobs: int) -> 
     try:
         yield from team(joblib.delayed(do)(case) for case in cases)
     except TerminatedWorkerError as error:
-        raise ExperimentError(f"a worker process died: {str(error).splitlines()[0]}", EXIT_LOST) from error
+        raise ExperimentError(f"a worker process died: {str(error).splitlines()[0]}", EXIT_UNREACHABLE) from error
     finally:
         get_reusable_executor().shutdown(wait=True, kill_workers=True)
 
@@ -92,17 +93,17 @@ def on_cluster(cases: Sequence[Case], address: str) -> Iterator[Result]:
         client = Client(address, timeout=_ANSWER_S, set_as_default=False)
     except (OSError, ValueError) as error:
         text = refused("--dask", f"a scheduler at {address}", f"no answer ({error})")
-        raise ExperimentError(str(text), EXIT_LOST) from error
+        raise ExperimentError(str(text), EXIT_UNREACHABLE) from error
     with client:
         _check_workers(client.scheduler_info(n_workers=-1)["workers"], address)
-        futures = {client.submit(fly_in_memory, case, pure=False): case for case in cases}
+        futures = {client.submit(simulate_in_memory, case, pure=False): case for case in cases}
         try:
             for future in as_completed(futures, loop=client.loop):
                 failure = future.exception()
                 if failure is None:
                     yield future.result()
                 elif future.cancelled():
-                    raise ExperimentError(f"--dask: the cluster at {address} is gone", EXIT_LOST)
+                    raise ExperimentError(f"--dask: the cluster at {address} is gone", EXIT_UNREACHABLE)
                 else:
                     reason = f"on the cluster: {failure}"
                     yield Result(key=futures[future].key, outcome=ERROR, reason=reason, numbers={})
@@ -113,7 +114,7 @@ def on_cluster(cases: Sequence[Case], address: str) -> Iterator[Result]:
 def _check_workers(workers: dict[str, dict[str, object]], address: str) -> None:
     if not workers:
         text = refused("--dask", f"workers at {address} (dask worker {address} --nthreads 1)", "none")
-        raise ExperimentError(str(text), EXIT_LOST)
+        raise ExperimentError(str(text), EXIT_UNREACHABLE)
     for name, worker in workers.items():
         if worker["nthreads"] != 1:
             raise refused("--dask", "workers with one thread each (--nthreads 1)", f"{name} with {worker['nthreads']}")
@@ -126,6 +127,6 @@ def _serve(parent: int) -> None:
     def look() -> None:
         while os.getppid() == parent:
             time.sleep(_LOOK_S)
-        os._exit(EXIT_LOST)
+        os._exit(EXIT_UNREACHABLE)
 
     threading.Thread(target=look, daemon=True).start()

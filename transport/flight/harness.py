@@ -12,14 +12,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO
 
-from coordinator.node import EXIT_DIVERGED, EXIT_INTERRUPTED, EXIT_OVERRUN
 from protocol.network.parent import PARENT_PIPE, STANDBY
 from protocol.network.session import Endpoints
-from protocol.wire.outbox import EXIT_LOST
+from protocol.wire.exit_codes import EXIT_DIVERGED, EXIT_INTERRUPTED, EXIT_OVERRUN, EXIT_UNREACHABLE
 from transport.flight.fork_server import Started, fork_server
 
 # Exit codes of a process that has seen its run's end.
-_ENDS = {0, EXIT_LOST, EXIT_OVERRUN, EXIT_DIVERGED, EXIT_INTERRUPTED}
+_ENDS = {0, EXIT_UNREACHABLE, EXIT_OVERRUN, EXIT_DIVERGED, EXIT_INTERRUPTED}
 
 # What a process gets to end by itself before it is killed.
 _GRACE_S = 5.0

@@ -20,7 +20,7 @@ from protocol.wire.messages import Control, Message, Presence
 from protocol.wire.node import Node
 
 
-def fly(
+def simulate(
     setup: Setup,
     record: Callable[[Message], None] = lambda _: None,
     stopwatch: Callable[[], int] = time.perf_counter_ns,

@@ -10,7 +10,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from model.state import StateView
 from mpc.cost import Cost
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import Truth
+from protocol.wire.messages import PlantState
 
 # Without a terminal a line is written this often, in seconds of wall time.
 _LINE_EVERY_S = 10.0
@@ -52,34 +52,34 @@ class RunProgress:
         if self._bar is not None:
             self._bar.stop()
 
-    def show(self, truth: Truth | None, started_s: float | None) -> None:
+    def show(self, plant_state: PlantState | None, started_s: float | None) -> None:
         """Draw the newest state.
 
         Args:
-            truth: Newest state of the plant, or None before the first.
+            plant_state: Newest state of the plant, or None before the first.
             started_s: Steady-clock time of the first one.
         """
-        if truth is None or started_s is None:
+        if plant_state is None or started_s is None:
             return
-        t_s = truth.tick * self._setup.settings.sampling_period_s
+        t_s = plant_state.tick * self._setup.settings.sampling_period_s
         now_s = time.monotonic()
         if self._bar is not None:
             phase = self._phase(t_s)
             self._bar.update(
-                self._task, completed=t_s, description=phase, status=self._status(truth, t_s, now_s - started_s)
+                self._task, completed=t_s, description=phase, status=self._status(plant_state, t_s, now_s - started_s)
             )
         elif now_s >= self._next_line_s:
             self._next_line_s = now_s + _LINE_EVERY_S
-            self._console.print(self._status(truth, t_s, now_s - started_s), highlight=False)
+            self._console.print(self._status(plant_state, t_s, now_s - started_s), highlight=False)
 
     def say(self, line: str) -> None:
         """Write a line above the bar."""
         self._console.print(line, highlight=False)
 
-    def _status(self, truth: Truth, t_s: float, wall_s: float) -> str:
+    def _status(self, plant_state: PlantState, t_s: float, wall_s: float) -> str:
         y_ref = self._setup.reference.outputs(np.array([t_s]))[0]
-        cost = self._cost.stage(self._setup.model.outputs(truth.x), y_ref, truth.u)
-        attitude_deg = float(np.degrees(np.abs(StateView(truth.x).Theta0)).max())
+        cost = self._cost.stage(self._setup.model.outputs(plant_state.x), y_ref, plant_state.u)
+        attitude_deg = float(np.degrees(np.abs(StateView(plant_state.x).Theta0)).max())
         factor = t_s / wall_s if wall_s > 0.0 else 0.0
         return (
             f"{t_s:5.1f} of {self._duration_s:.1f} s   {factor:5.1f}x real time   "

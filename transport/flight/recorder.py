@@ -8,14 +8,15 @@ import threading
 import time
 from collections.abc import Callable, Collection
 
-from protocol.admission.admission import Gate
-from protocol.admission.plausibility import Claims, check_moment
+from protocol.admission.admission import Admission
+from protocol.admission.plausibility import Plausibility, check_moment
 from protocol.network.bus import Bus, BusEvent, Interrupted
 from protocol.network.health import give_back_memory
 from protocol.network.session import BusError, Endpoints
 from protocol.scenario.links import told_change
 from protocol.scenario.setup import Setup
-from protocol.wire.keys import Keys
+from protocol.wire.exit_codes import EXIT_UNREACHABLE
+from protocol.wire.keys import RECORDER, Keys
 from protocol.wire.messages import (
     Control,
     FaultNote,
@@ -23,20 +24,19 @@ from protocol.wire.messages import (
     LinkChange,
     Message,
     MessageError,
+    PlantState,
     Presence,
     Request,
     Roster,
     Tick,
-    Truth,
 )
 from protocol.wire.outbox import Outbox
 from protocol.wire.rejections import Notices, Rejections
+from transport.log.gaps import UNHEARD
 from transport.log.run_log import LogError, LogWriter
 
-NAME = "recorder"
-
 # Why a run is over that nobody is left to end: what the recorder says of it.
-_GONE, UNHEARD = "coordinator is gone", "how the run ended did not reach the recorder"
+_GONE = "coordinator is gone"
 
 # Nobody waits for the recorder, and every time it wakes up costs those that fly: the more the faster they go. At the
 # pace of the clock it wakes up in time for who watches to see a tick before the next.
@@ -57,7 +57,7 @@ class Recorder:
     """Records one run; what people watch meanwhile is in its attributes.
 
     Attributes:
-        truth: The newest state of the plant, or None.
+        plant_state: The newest state of the plant, or None.
         started_s: Steady-clock time of the first truth, or None.
         control: How the run ended, once it has.
         notices: Roster changes after the start, for people.
@@ -66,7 +66,7 @@ class Recorder:
         tick: The newest open tick, -1 before the first.
         requests: What people have asked of whoever runs this run's processes.
         rejected: What was refused here.
-        gate: What is let in.
+        admission: What is let in.
 
     Args:
         setup: The run.
@@ -88,7 +88,7 @@ class Recorder:
         incarnation: int = 0,
         has_ended: Callable[[], bool] = lambda: False,
     ) -> None:
-        self.truth: Truth | None = None
+        self.plant_state: PlantState | None = None
         self.started_s: float | None = None
         self.control: Control | None = None
         self.notices: list[str] = []
@@ -97,26 +97,26 @@ class Recorder:
         self.tick = -1
         self.requests: queue.SimpleQueue[Request] = queue.SimpleQueue()
         self.rejected = Rejections()
-        self._claims = Claims(setup)
+        self._plausibility = Plausibility(setup)
         self._samples_s = setup.samples_s
-        self.gate = Gate(NAME, Keys(run), setup, self.rejected)
-        self._notices = Notices(NAME, self.rejected)
+        self.admission = Admission(RECORDER, Keys(run), setup, self.rejected)
+        self._notices = Notices(RECORDER, self.rejected)
         self._writer = writer
         self._join_timeout_s = join_timeout_s
         self._has_ended = has_ended
         self._bus = Bus(
-            name=NAME,
+            name=RECORDER,
             incarnation=incarnation,
             run=run,
             digest=setup.scenario.digest(),
             endpoints=endpoints,
-            gate=self.gate,
+            admission=self.admission,
             serves=True,
             gather_s=_GATHER_PACED_S if setup.scenario.clock.speed > 0.0 else _GATHER_S,
         )
-        self._out = Outbox(NAME, incarnation)
+        self._out = Outbox(RECORDER, incarnation)
         self._writing = threading.Lock()  # notes come from another thread
-        self._thread = threading.Thread(target=self._run, name=NAME, daemon=True)
+        self._thread = threading.Thread(target=self._run, name=RECORDER, daemon=True)
         self._expected: Collection[str] = ()
         self._tidy_s = 0.0
 
@@ -160,8 +160,8 @@ class Recorder:
         try:
             if self._bus.join(self._expected, self._join_timeout_s) is None:
                 self._record()
-                self.gate.close()
-                for notice in self._notices.rest(self._out.incarnation, self.gate.tick):
+                self.admission.close()
+                for notice in self._notices.rest(self._out.incarnation, self.admission.tick):
                     self._take(notice)
         except (BusError, LogError) as error:
             self.error = str(error)
@@ -195,7 +195,7 @@ class Recorder:
                     self.requests.put(event)
                 case _:
                     self.hear(event, self._bus.arrived_ns)
-            for notice in self._notices.due(time.monotonic_ns(), self._out.incarnation, self.gate.tick):
+            for notice in self._notices.due(time.monotonic_ns(), self._out.incarnation, self.admission.tick):
                 self._take(notice)
             if self.control is not None and deadline is None:
                 deadline = time.monotonic() + _TRAIL_S
@@ -224,9 +224,11 @@ class Recorder:
             at_ns: When it came, ns since 1970; now when left out.
         """
         try:
-            self._claims.check(message)
+            self._plausibility.check(message)
             if isinstance(message, Control):
-                check_moment(message, self.gate.tick - self.gate.window, self.gate.tick + self.gate.window)
+                check_moment(
+                    message, self.admission.tick - self.admission.window, self.admission.tick + self.admission.window
+                )
             if isinstance(message, LinkChange):
                 told_change(message, self._samples_s)
         except MessageError as error:
@@ -239,10 +241,10 @@ class Recorder:
             self._writer.write(message, time.time_ns() if at_ns is None else at_ns)
         self.received += 1
         match message:
-            case Truth():
+            case PlantState():
                 if self.started_s is None:
                     self.started_s = time.monotonic()
-                self.truth = message
+                self.plant_state = message
             case Tick():
                 self.tick = message.tick
             case Control():
@@ -255,12 +257,12 @@ class Recorder:
     def _end(self, reason: str) -> None:
         """Write the end of a run that nobody is left to declare."""
         control = Control(
-            sender=NAME,
+            sender=RECORDER,
             incarnation=0,
             sequence=0,
-            tick=self.truth.tick if self.truth else 0,
+            tick=self.plant_state.tick if self.plant_state else 0,
             outcome="aborted",
             reason=reason,
-            exit_code=4,
+            exit_code=EXIT_UNREACHABLE,
         )
         self._take(control)

@@ -19,10 +19,11 @@ from rich.console import Console
 
 from model import native
 from model.compiled import compile_functions
-from protocol.network.process import EXIT_INTERRUPTED, Place, places, process_names
+from protocol.network.process import Place, places, process_names
 from protocol.network.security import SecurityError
 from protocol.network.session import BusError, Endpoints
 from protocol.scenario.setup import Setup
+from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_SCENARIO, EXIT_UNREACHABLE, EXIT_USAGE
 from protocol.wire.keys import RECORDER, Keys
 from transport.flight import live
 from transport.flight.fault_script import FaultScript
@@ -30,8 +31,6 @@ from transport.flight.harness import Child, Harness, check_ports, free_ports
 from transport.flight.progress import RunProgress
 from transport.flight.recorder import Recorder
 from transport.log.run_log import LogError, LogWriter
-
-EXIT_USAGE, EXIT_SCENARIO, EXIT_LOST = 2, 3, 4
 
 # How long the processes may take to leave after the run's end before they are made to.
 _LEAVE_S = 3.0
@@ -76,7 +75,7 @@ def new_folder(parent: Path, name: str) -> Path:
     return folder
 
 
-def fly(setup: Setup, folder: Path, console: Console) -> Finished:
+def simulate(setup: Setup, folder: Path, console: Console) -> Finished:
     """Start the processes of a run, record it, see it to its end.
 
     Args:
@@ -106,7 +105,7 @@ def fly(setup: Setup, folder: Path, console: Console) -> Finished:
         try:
             return _fly(setup, folder, console, found, recording)
         except BusError as error:
-            raise RunError(str(error), EXIT_LOST) from error
+            raise RunError(str(error), EXIT_UNREACHABLE) from error
 
 
 def _fly(
@@ -168,7 +167,7 @@ def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finis
         except BusError as error:
             writer.close()
             shutil.rmtree(folder, ignore_errors=True)
-            raise RunError(str(error), EXIT_LOST) from error
+            raise RunError(str(error), EXIT_UNREACHABLE) from error
         try:
             recorder.start(names)
             _watch(None, recorder, progress, None)
@@ -260,11 +259,11 @@ def _open_log(folder: Path, header: Mapping[str, str], period_ns: int) -> LogWri
 
 def _finished(folder: Path, recorder: Recorder) -> Finished:
     if recorder.error is not None:
-        raise RunError(recorder.error, EXIT_LOST)
+        raise RunError(recorder.error, EXIT_UNREACHABLE)
     if recorder.control is None and recorder.started_s is not None:
         return Finished(folder, EXIT_INTERRUPTED, "recording interrupted; the run may go on without it")
     if recorder.control is None:
-        raise RunError("the run ended before it began", EXIT_LOST)
+        raise RunError("the run ended before it began", EXIT_UNREACHABLE)
     return Finished(folder, recorder.control.exit_code, recorder.control.reason)
 
 
@@ -275,7 +274,7 @@ def _watch(harness: Harness | None, recorder: Recorder, progress: RunProgress, f
         interrupted = 0
         while recorder.running:
             recorder.join(_POLL_S)
-            progress.show(recorder.truth, recorder.started_s)
+            progress.show(recorder.plant_state, recorder.started_s)
             if faults is not None:
                 faults.work()
             for notice in recorder.notices[shown:]:
@@ -301,7 +300,9 @@ def _ended_early(ended: list[Child]) -> RunError:
     how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
     # What a child refuses is this command's to refuse; any other end is that of a peer.
     passed_on = code in (EXIT_USAGE, EXIT_SCENARIO)
-    return RunError(f"{child.name} {how} before the run began: {child.last_words()}", code if passed_on else EXIT_LOST)
+    return RunError(
+        f"{child.name} {how} before the run began: {child.last_words()}", code if passed_on else EXIT_UNREACHABLE
+    )
 
 
 @contextmanager

@@ -3,10 +3,12 @@
 from collections.abc import Iterator
 from itertools import pairwise
 
-from protocol.wire.messages import Control, Measurement, Message, Plan, Rejected, StepReport, Truth
-from transport.flight.recorder import NAME as RECORDER
-from transport.flight.recorder import UNHEARD
+from protocol.wire.keys import RECORDER
+from protocol.wire.messages import Control, Measurement, Message, Plan, PlantState, Rejected, StepReport
 from transport.log.run_log import RunLog
+
+# Reason of a run whose end was not recorded.
+UNHEARD = "how the run ended did not reach the recorder"
 
 
 def missing(log: RunLog) -> str:
@@ -51,7 +53,7 @@ def _holes(log: RunLog) -> Iterator[tuple[int, int]]:
 
 def _unrecorded_end(log: RunLog) -> Iterator[tuple[int, int]]:
     """First and last tick that the plant has flown after the last one it is heard of, if there are any."""
-    recorded = max((truth.tick for truth in log.of(Truth)), default=-1)
+    recorded = max((plant_state.tick for plant_state in log.of(PlantState)), default=-1)
     flown = -1
     for message in (entry.message for entry in log.messages):
         flown = max(flown, _flown(message))

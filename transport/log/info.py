@@ -10,7 +10,7 @@ from typing import Any
 
 from protocol.scenario.file import ScenarioError, validate
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import Control, Tick, Truth
+from protocol.wire.messages import Control, PlantState, Tick
 from transport.log.gaps import missing
 from transport.log.run_log import RunLog, read_log, topic_of
 
@@ -89,7 +89,7 @@ def describe(file: LogFile) -> dict[str, Any]:
     ticks = [entry.message.tick for entry in log.messages]
     received = [entry.received_ns for entry in log.messages]
     control = next(log.of(Control), None)
-    flown = {truth.tick for truth in log.of(Truth)}
+    flown = {plant_state.tick for plant_state in log.of(PlantState)}
     return {
         "file": str(file.path),
         "bytes": file.path.stat().st_size,
@@ -160,7 +160,7 @@ def _holes(ticks: Collection[int]) -> tuple[tuple[int, int], ...]:
 
 def _is_regular(topic: str) -> bool:
     """Whether a channel has something to say at every tick."""
-    return topic.strip("/").split("/")[0] in (Tick.kind, Truth.kind, "measurement", "plan", "report")
+    return topic.strip("/").split("/")[0] in (Tick.kind, PlantState.kind, "measurement", "plan", "report")
 
 
 def _natural(topic: str) -> tuple[str, int]:

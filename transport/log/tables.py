@@ -6,7 +6,7 @@ from typing import Any
 
 from model.arrays import Array
 from model.state import INPUTS, PAYLOAD, PER_UAV
-from protocol.wire.messages import KINDS, STAGES, Measurement, Message, Plan, StepReport, Truth
+from protocol.wire.messages import KINDS, STAGES, Measurement, Message, Plan, PlantState, StepReport
 from transport.log.run_log import RunLog
 from transport.log.units import INPUT_NAMES, PAYLOAD_NAMES, UAV_STATE_NAMES
 
@@ -17,7 +17,7 @@ _SPREAD = {
     Measurement.kind: ("payload", "uavs", "uav_states", "inputs"),
     Plan.kind: ("uavs", "uav_states", "inputs", "corrections"),
     StepReport.kind: ("peers", "plan_ages", "state_ages", "force", "times_ms"),
-    Truth.kind: ("x", "u", "plan_ticks"),
+    PlantState.kind: ("x", "u", "plan_ticks"),
 }
 
 
@@ -83,7 +83,7 @@ def _spread(message: Message) -> Iterator[Row]:
                     for what, age in zip(("plan", "state"), both, strict=True)
                 },
             }
-        case Truth():
+        case PlantState():
             row = _named("payload_", PAYLOAD_NAMES, message.x[:PAYLOAD])
             for i, plan_tick in enumerate(message.plan_ticks):
                 begin = PAYLOAD + PER_UAV * i

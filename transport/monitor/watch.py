@@ -9,17 +9,17 @@ import numpy as np
 from model.state import StateView
 from mpc.cost import Cost
 from plant.schedule import FAIL_SAFE
-from protocol.admission.plausibility import Claims
+from protocol.admission.plausibility import Plausibility
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import (
     Control,
     Message,
     MessageError,
+    PlantState,
     Rejected,
     Roster,
     StepReport,
     Tick,
-    Truth,
     agent_name,
 )
 
@@ -68,7 +68,7 @@ class Watch:
         agents: By number.
         members: Who takes part; None before anybody said.
         tick: The newest open one, -1 before the first.
-        truth: The plant's newest record.
+        plant_state: The plant's newest record.
         control: How the run ended, once it has.
         notices: Latest changes of the roster, for people.
         rejections: Messages refused, by who refused them.
@@ -79,7 +79,7 @@ class Watch:
     agents: dict[int, AgentNow] = field(init=False)
     members: frozenset[int] | None = None
     tick: int = -1
-    truth: Truth | None = None
+    plant_state: PlantState | None = None
     control: Control | None = None
     notices: deque[str] = field(default_factory=lambda: deque(maxlen=_NOTICES))
     rejections: Counter[str] = field(default_factory=Counter)
@@ -87,10 +87,10 @@ class Watch:
     _opened_ns: int = 0
     _first: tuple[int, int] | None = None  # tick and time
     _cost: Cost = field(init=False)
-    _claims: Claims = field(init=False)
+    _plausibility: Plausibility = field(init=False)
 
     def __post_init__(self) -> None:
-        self._claims = Claims(self.setup)
+        self._plausibility = Plausibility(self.setup)
         self.agents = {agent: AgentNow() for agent in self.setup.agents}
         self._cost = Cost(self.setup.settings.weights, self.setup.hover)
 
@@ -102,7 +102,7 @@ class Watch:
             at_ns: When it came, on any clock.
         """
         try:
-            self._claims.check(message)
+            self._plausibility.check(message)
         except MessageError:
             return  # whoever it was meant for counts it
         match message:
@@ -110,8 +110,8 @@ class Watch:
                 self._open(message, at_ns)
             case StepReport():
                 self._report(message, at_ns)
-            case Truth():
-                self.truth = message
+            case PlantState():
+                self.plant_state = message
             case Roster():
                 self._join(frozenset(message.agents), message.reason)
             case Rejected():
@@ -126,7 +126,7 @@ class Watch:
     def is_whole(self) -> bool:
         """Whether there is something to show of everybody who takes part."""
         return (
-            self.truth is not None
+            self.plant_state is not None
             and self.members is not None
             and all(self.agents[agent].report is not None for agent in self.members)
         )
@@ -142,22 +142,24 @@ class Watch:
     @property
     def cost(self) -> float | None:
         """Stage cost of the whole team at the newest recorded tick, docs/equations.md (21)."""
-        if self.truth is None:
+        if self.plant_state is None:
             return None
-        y_ref = self.setup.reference.outputs(np.array([self.truth.tick * self.setup.settings.sampling_period_s]))[0]
-        return float(self._cost.stage(self.setup.model.outputs(self.truth.x), y_ref, self.truth.u))
+        y_ref = self.setup.reference.outputs(np.array([self.plant_state.tick * self.setup.settings.sampling_period_s]))[
+            0
+        ]
+        return float(self._cost.stage(self.setup.model.outputs(self.plant_state.x), y_ref, self.plant_state.u))
 
     @property
     def attitude_deg(self) -> float | None:
         """Largest magnitude of the payload's roll, pitch and yaw, deg."""
-        if self.truth is None:
+        if self.plant_state is None:
             return None
-        return float(np.degrees(np.abs(StateView(self.truth.x).Theta0)).max())
+        return float(np.degrees(np.abs(StateView(self.plant_state.x).Theta0)).max())
 
     def state_of(self, agent: int) -> str:
         """What an agent is doing: flies, silent, off the roster, or in the fail-safe; "-" while unknown."""
         uavs = self.setup.owned[agent - 1]
-        if self.truth is not None and any(self.truth.plan_ticks[uav] == FAIL_SAFE for uav in uavs):
+        if self.plant_state is not None and any(self.plant_state.plan_ticks[uav] == FAIL_SAFE for uav in uavs):
             return "fail-safe"
         if self.members is not None and agent not in self.members:
             return "off"

@@ -11,7 +11,8 @@ from model.arrays import Array
 from transport.analysis.series import Series, series_of
 from transport.log.run_folder import open_run
 from transport.report.animation_page import DPI, Page
-from transport.report.style import COMPONENTS, RC, REFERENCE, UAV_COLOURS
+from transport.report.style import COMPONENTS, RC, REFERENCE
+from transport.scene.colours import UAV_COLOURS
 from transport.scene.geometry import age_colour
 from transport.scene.scene import Scenes
 

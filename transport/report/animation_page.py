@@ -7,7 +7,8 @@ import numpy as np
 from model.arrays import Array
 from transport.analysis.series import Series
 from transport.report.figures_3d import frame, line
-from transport.report.style import COMPONENTS, PAYLOAD, REFERENCE, shade_phases, uav_style
+from transport.report.style import COMPONENTS, PAYLOAD, REFERENCE, shade_phases
+from transport.scene.colours import uav_style
 from transport.scene.geometry import agent_places, link_segments, rotor_centres, span_m
 from transport.scene.scene import Scene, Scenes
 

@@ -105,7 +105,7 @@ _QUANTITIES: tuple[tuple[str, str, Callable[[Summary], Any]], ...] = (
     ("limits exceeded, max", "%", _exceeded),
     ("agent step, median", "ms", _at("agent_step_ms", "p50")),
     ("agent step, p99", "ms", _at("agent_step_ms", "p99")),
-    ("network, median", "ms", _at("network_ms", "p50")),
+    ("network, median", "ms", _at("rest_of_tick_ms", "p50")),
     ("real-time factor", "", _at("real_time_factor")),
     ("deadlines missed", "%", _percent("deadline", "share")),
     ("plan age, mean", "ticks", _at("plan_age_ticks", "mean")),

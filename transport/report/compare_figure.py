@@ -5,9 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from transport.experiments.curves import CURVES
 from transport.report.compare import Compared, same_maneuver
-from transport.report.style import RC, WIDTH_IN, line_width, save, shade_phases
+from transport.report.style import CURVES, RC, WIDTH_IN, line_width, save, shade_phases
 
 # Decades of the cost that are shown, as in the figure of a single run.
 _COST_DECADES = 5

@@ -8,7 +8,8 @@ import numpy as np
 from protocol.scenario.setup import Setup
 from transport.analysis.series import Series, series_of
 from transport.log.run_log import RunLog
-from transport.report.style import COMPONENTS, RC, WIDTH_IN, line_width, save_both, shade_phases, uav_style
+from transport.report.style import COMPONENTS, RC, WIDTH_IN, line_width, save_both, shade_phases
+from transport.scene.colours import uav_style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,7 +10,8 @@ from model.rotations import rotation
 from model.state import StateView
 from protocol.scenario.setup import Setup
 from transport.analysis.series import Series
-from transport.report.style import PAYLOAD, REFERENCE, WIDTH_IN, save_both, uav_style
+from transport.report.style import PAYLOAD, REFERENCE, WIDTH_IN, save_both
+from transport.scene.colours import uav_style
 
 # Formations closer than this to one already drawn would only blot it.
 _APART_M = 0.5

@@ -7,9 +7,10 @@ import numpy as np
 
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import STAGES, StepReport
-from transport.analysis.metrics import network_ms
+from transport.analysis.metrics import rest_of_tick_ms
 from transport.log.run_log import RunLog
-from transport.report.style import WIDTH_IN, save_both, shade_phases, uav_style
+from transport.report.style import WIDTH_IN, save_both, shade_phases
+from transport.scene.colours import uav_style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,7 +37,7 @@ def draw_timing(setup: Setup, log: RunLog, path: Path) -> Path | None:
         return None
     figure = Figure(figsize=(WIDTH_IN, 4.6), layout="constrained")
     over_time, by_agent = figure.subplots(2, 1, height_ratios=(1.5, 1.0))
-    network = network_ms(setup, log)
+    network = rest_of_tick_ms(setup, log)
     _over_time(setup, over_time, reports, network)
 
     steps = {agent: [r.times_ms for r in reports if r.agent == agent] for agent in setup.agents}

@@ -79,7 +79,7 @@ def write_foxglove(scenes: Scenes, log: Path, out: Path) -> int:
                 copy.writer.add_message(
                     channel, entry.log_time, entry.data, publish_time=entry.publish_time, sequence=entry.sequence
                 )
-        ticks = sorted(scenes.record.truths)
+        ticks = sorted(scenes.record.plant_states)
         period_ns = scenes.setup.period_ns
         for number, tick in enumerate(ticks):
             scene, at_ns = scenes.at(tick), tick * period_ns

@@ -98,7 +98,7 @@ def _lines(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("separation", _text(summary["separation_min_m"], ".3f", "min {} m")),
         ("limits", _constraints(summary["constraint_violation_max"])),
         ("agent step", _milliseconds(summary["agent_step_ms"])),
-        ("network", _milliseconds(summary["network_ms"])),
+        ("network", _milliseconds(summary["rest_of_tick_ms"])),
         *([("deadlines", _deadlines(summary["deadline"]))] if summary["deadline"]["plans"] else []),
         ("plans", _plans(summary["messages"], summary["plan_age_ticks"])),
         ("solver", f"{solver['fallbacks']} fallbacks, {solver['failures']} failures"),

@@ -35,24 +35,25 @@ RC: Any = {  # its type differs between versions of matplotlib
     "svg.hashsalt": "transport",  # names inside an SVG are else different every time
 }
 
-# Okabe and Ito (2008). A UAV has the same colour in every figure; beyond five, the line style tells the turn.
-UAV_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#7F5F00")
-_TURNS = ("-", "--", ":", "-.")
 # Components (x, y, z; roll, pitch, yaw), in colours no UAV has.
 COMPONENTS = ("#000000", "#E69F00", "#56B4E9")
 PAYLOAD = "#000000"
 REFERENCE = "#8c8c8c"
 _BAND = "#f1f1f1"
 
+# Colour (Okabe and Ito 2008), marker and line of each curve: distinguishable without colour as well.
+CURVES = (
+    ("#0072B2", "o", "-"),
+    ("#D55E00", "s", "--"),
+    ("#009E73", "^", "-."),
+    ("#CC79A7", "D", ":"),
+    ("#000000", "v", "-"),
+)
+
 _THINNEST = 1.0
 
 # Narrower phases than this share of the axis carry no name.
 _NARROW = 0.08
-
-
-def uav_style(i: int) -> dict[str, Any]:
-    """Line colour and style of UAV i (0-based)."""
-    return {"color": UAV_COLOURS[i % len(UAV_COLOURS)], "linestyle": _TURNS[i // len(UAV_COLOURS) % len(_TURNS)]}
 
 
 def line_width(i: int, count: int, widest: float) -> float:

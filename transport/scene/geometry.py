@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from model.arrays import Array
 from model.parameters import System
-from transport.report.style import uav_style
+from transport.scene.colours import uav_style
 from transport.scene.link_history import LinkState
 from transport.scene.scene import Scene
 

@@ -27,7 +27,7 @@ class LinkState:
     loss: float
 
 
-class Fates:
+class LinkHistory:
     """What the links do to plans. Fates are drawn by counter, so that they can be drawn again from the scenario.
 
     Args:

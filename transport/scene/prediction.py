@@ -44,8 +44,8 @@ class Predictor:
         Returns: At ticks k..k + N_p, (N_p + 1, n); None if the agent made no plan at k, or the team was not whole then.
         Source: docs/equations.md (32), (35).
         """
-        own, truth = record.plan(agent, tick), record.truths.get(tick)
-        if own is None or truth is None or not record.is_whole(tick):
+        own, plant_state = record.plan(agent, tick), record.plant_states.get(tick)
+        if own is None or plant_state is None or not record.is_whole(tick):
             return None
         setup, report = self._setup, record.report(agent, tick)
         announced = AnnouncedInputs(
@@ -55,8 +55,8 @@ class Predictor:
             announced.add(plan)
         # What acts before the plan starts is decided already.
         waits = min(max(own.start_tick - tick, 0), self._steps)
-        U = np.tile(truth.u, (self._steps, 1))
-        x_ref = np.zeros((self._steps, len(truth.x)))
+        U = np.tile(plant_state.u, (self._steps, 1))
+        x_ref = np.zeros((self._steps, len(plant_state.x)))
         if self._regulation is None:
             U[waits:] = announced.sequence(own.start_tick, self._steps - waits, tick + 1)
         else:
@@ -66,8 +66,8 @@ class Predictor:
         forces = np.zeros(3 + 3 * setup.system.N)
         if report is not None:
             forces[:3] = report.force
-        ahead = self._rollout(truth.x, U.reshape(-1), x_ref.reshape(-1), forces)[0]
-        return np.vstack([truth.x, ahead.T])
+        ahead = self._rollout(plant_state.x, U.reshape(-1), x_ref.reshape(-1), forces)[0]
+        return np.vstack([plant_state.x, ahead.T])
 
 
 def _used(record: Record, report: StepReport | None, tick: int) -> list[Plan]:

@@ -4,11 +4,11 @@ from bisect import bisect_right
 from collections.abc import Iterable
 
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import Control, FaultNote, LinkChange, Message, Plan, Roster, StepReport, Truth
+from protocol.wire.messages import Control, FaultNote, LinkChange, Message, Plan, PlantState, Roster, StepReport
 from transport.log.tail import Unread
 
 # The kinds of messages that a record takes in; of others nothing is shown.
-KINDS = frozenset(kind.kind for kind in (Truth, Plan, StepReport, LinkChange, Roster, FaultNote, Control))
+KINDS = frozenset(kind.kind for kind in (PlantState, Plan, StepReport, LinkChange, Roster, FaultNote, Control))
 # Those that are most of a log, and of which those of few ticks are shown: a tail may leave them for later.
 LATER = frozenset(kind.kind for kind in (Plan, StepReport))
 
@@ -20,7 +20,7 @@ class Record:
         setup: The run as it is flown.
 
     Attributes:
-        truths: The plant's states by tick; a tick can be shown once its truth is here.
+        plant_states: The plant's states by tick; a tick can be shown once its truth is here.
         first: The first tick that can be shown, 0 when there is none.
         last: The newest tick that can be shown, -1 when there is none.
         changes: Changes of links in the order of their numbers, each once.
@@ -30,7 +30,7 @@ class Record:
 
     def __init__(self, setup: Setup) -> None:
         self._setup = setup
-        self.truths: dict[int, Truth] = {}
+        self.plant_states: dict[int, PlantState] = {}
         self.first, self.last = 0, -1
         self.changes: list[LinkChange] = []
         self.control: Control | None = None
@@ -43,10 +43,10 @@ class Record:
         """Take in messages; what cannot be of this run is left out."""
         for message in messages:
             match message:
-                case Truth() if message.x.shape == self._setup.hover.x.shape:
-                    self.first = min(self.first, message.tick) if self.truths else message.tick
+                case PlantState() if message.x.shape == self._setup.hover.x.shape:
+                    self.first = min(self.first, message.tick) if self.plant_states else message.tick
                     self.last = max(self.last, message.tick)
-                    self.truths[message.tick] = message
+                    self.plant_states[message.tick] = message
                 case Plan() | Unread(kind=Plan.kind):
                     if message.negotiation == 0:
                         self._plans[message.agent, message.tick] = message
@@ -86,9 +86,9 @@ class Record:
 
     def nearest(self, tick: int) -> int:
         """The tick that can be shown next to one: the newest up to it, or the first; there is at least one."""
-        if tick in self.truths:
+        if tick in self.plant_states:
             return tick
-        ticks = sorted(self.truths)
+        ticks = sorted(self.plant_states)
         return ticks[max(0, bisect_right(ticks, tick) - 1)]
 
     def members(self, tick: int) -> frozenset[int]:

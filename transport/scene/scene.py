@@ -15,7 +15,7 @@ from plant.schedule import FAIL_SAFE
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import StepReport
 from transport.log.run_log import LogError, RunLog
-from transport.scene.link_history import Fates, LinkState
+from transport.scene.link_history import LinkHistory, LinkState
 from transport.scene.prediction import Predictor
 from transport.scene.record import Record
 
@@ -108,7 +108,7 @@ class Scenes:
 
     def __init__(self, setup: Setup, record: Record) -> None:
         self.setup, self.record = setup, record
-        self.fates = Fates(setup)
+        self.link_history = LinkHistory(setup)
         self._cost = Cost(setup.settings.weights, setup.hover)
         self._predictor: Predictor | None = None
         self._changed = 0
@@ -135,14 +135,14 @@ class Scenes:
         """
         setup, tick = self.setup, self.record.nearest(tick)
         for change in self.record.changes[self._changed :]:
-            self.fates.change(change)
+            self.link_history.change(change)
         self._changed = len(self.record.changes)
-        truth = self.record.truths[tick]
+        plant_state = self.record.plant_states[tick]
         time_s = tick * setup.settings.sampling_period_s
-        view, N = StateView(truth.x), setup.system.N
+        view, N = StateView(plant_state.x), setup.system.N
         R_payload, R_uavs = rotation(view.Theta0), np.array([rotation(Theta) for Theta in view.Theta])
-        y, y_ref = setup.model.outputs(truth.x), setup.reference.outputs(np.array([time_s]))[0]
-        thrusts = truth.u.reshape(N, INPUTS)[:, 0]
+        y, y_ref = setup.model.outputs(plant_state.x), setup.reference.outputs(np.array([time_s]))[0]
+        thrusts = plant_state.u.reshape(N, INPUTS)[:, 0]
         reports = [self.record.report(agent, tick) for agent in setup.agents]
         members = self.record.members(tick)
         return Scene(
@@ -158,14 +158,14 @@ class Scenes:
             attachments_I=np.array([view.r0_I + R_payload @ uav.rho for uav in setup.system.uavs]),
             thrusts_I=-thrusts[:, None] * R_uavs[:, :, 2],
             expectations=self._expectations(tick) if expected else (),
-            links=self.fates.states(tick, [report for report in reports if report is not None]),
+            links=self.link_history.states(tick, [report for report in reports if report is not None]),
             agents=tuple(
                 AgentState(agent=agent, takes_part=agent in members, report=report)
                 for agent, report in zip(setup.agents, reports, strict=True)
             ),
-            cost=self._cost.stage(y, y_ref, truth.u),
+            cost=self._cost.stage(y, y_ref, plant_state.u),
             attitude_deg=np.degrees(view.Theta0),
-            fail_safe=tuple(i + 1 for i, source in enumerate(truth.plan_ticks) if source == FAIL_SAFE),
+            fail_safe=tuple(i + 1 for i, source in enumerate(plant_state.plan_ticks) if source == FAIL_SAFE),
         )
 
     def flown(self, tick: int, points: int) -> tuple[Array, Array]:
@@ -176,7 +176,7 @@ class Scenes:
             points: How many, about.
         Returns: Payload (k, 3) and UAVs (k, N, 3), inertial frame, m.
         """
-        ticks = [k for k in self.record.truths if k <= tick]
+        ticks = [k for k in self.record.plant_states if k <= tick]
         chosen = sorted(ticks)[:: max(1, len(ticks) // points)]
         chosen += [tick] if chosen[-1:] != [tick] else []
         places = np.array([self._place(k) for k in chosen])
@@ -194,7 +194,7 @@ class Scenes:
     def _place(self, tick: int) -> Array:
         """Payload and UAVs at a tick, (1 + N, 3)."""
         if tick not in self._places:
-            x = self.record.truths[tick].x
+            x = self.record.plant_states[tick].x
             y = self.setup.model.outputs(x)[: 3 * self.setup.system.N]
             self._places[tick] = np.vstack([StateView(x).r0_I, y.reshape(-1, 3)])
         return self._places[tick]

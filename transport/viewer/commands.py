@@ -11,7 +11,7 @@ from transport.flight.live import LiveRun
 from transport.flight.requests import PERFECT, RefusedError, UnansweredError, request
 
 
-class Acts:
+class Commands:
     """Asks one run for things, one after the other, on a thread of its own.
 
     Args:

@@ -9,7 +9,7 @@ from protocol.wire.messages import agent_name
 from transport.scene.scene import Scene, Scenes
 from transport.viewer import html as words
 from transport.viewer.clock import SPEEDS, Clock
-from transport.viewer.commands import Acts
+from transport.viewer.commands import Commands
 from transport.viewer.pace import pace
 from transport.viewer.view3d import LAYERS
 
@@ -43,9 +43,9 @@ class Panel:
         clock: Clock,
         show_layer: Callable[[str, bool], None],
         look: Callable[[bool], None],
-        acts: Acts | None,
+        acts: Commands | None,
     ) -> None:
-        self._scenes, self._clock, self._acts = scenes, clock, acts
+        self._scenes, self._clock, self._commands = scenes, clock, acts
         self._setup, gui = scenes.setup, server.gui
         self._period_s = self._setup.settings.sampling_period_s
         self._duration_s = self._setup.ticks * self._period_s
@@ -104,10 +104,10 @@ class Panel:
 
     def close_controls(self) -> None:
         """The run is over: nothing can be done to it any more."""
-        if self._acts is not None:
+        if self._commands is not None:
             self._links.visible = self._processes.visible = self._follow.visible = False
 
-    def _controls(self, gui: "viser.GuiApi", acts: Acts) -> None:
+    def _controls(self, gui: "viser.GuiApi", acts: Commands) -> None:
         agents = [str(agent) for agent in self._setup.agents]
         pairs = [f"{a} to {b}" for a in agents for b in agents if a != b]
         self._links = gui.add_folder("Links", visible=bool(pairs))
@@ -139,10 +139,10 @@ class Panel:
         ends = self._ends()
         if ends is None:
             return
-        delay_s, loss = self._scenes.fates.settings(*ends, max(0, self._scenes.record.last))
+        delay_s, loss = self._scenes.link_history.settings(*ends, max(0, self._scenes.record.last))
         self._show_link(round(1e3 * delay_s), round(100.0 * loss), cut=loss >= 1.0)
 
-    def _clear(self, acts: Acts) -> None:
+    def _clear(self, acts: Commands) -> None:
         self._show_link(0, 0, cut=False)
         acts.clear()
 
@@ -159,9 +159,9 @@ class Panel:
         self._timer.start()
 
     def _ask(self) -> None:
-        if self._acts is not None:
+        if self._commands is not None:
             loss = 1.0 if self._cut.value else self._loss.value / 100.0
-            self._acts.link(self._ends(), {"delay_s": self._delay.value / 1e3, "loss": loss})
+            self._commands.link(self._ends(), {"delay_s": self._delay.value / 1e3, "loss": loss})
 
 
 def _by_people(act: Callable[[], None]) -> Callable[[Any], None]:
@@ -173,7 +173,7 @@ def _switch(show_layer: Callable[[str, bool], None], name: str, event: Any) -> N
     show_layer(name, bool(event.target.value))
 
 
-def _press(acts: Acts, target: str, event: Any) -> None:
+def _press(acts: Commands, target: str, event: Any) -> None:
     acts.fault(str(event.target.value), target)
 
 

@@ -18,7 +18,7 @@ from transport.flight.live import LiveRun
 from transport.log.tail import LogTail
 from transport.scene.scene import Scene, Scenes
 from transport.viewer.clock import Clock
-from transport.viewer.commands import Acts
+from transport.viewer.commands import Commands
 from transport.viewer.panel import Panel
 from transport.viewer.view3d import Stage
 
@@ -83,7 +83,7 @@ class Viewer:
         self.shown: Scene | None = None
         self._server = _server(host, port)
         self.address = f"http://{host}:{self._server.get_port()}"
-        acts = None if live is None else Acts(live, self._answered)
+        acts = None if live is None else Commands(live, self._answered)
         period_s = scenes.setup.settings.sampling_period_s
         self.clock = Clock(period_s, follows=live is not None, playing=False)
         self.stage = Stage(self._server, scenes)

@@ -77,16 +77,18 @@ def test_settings_that_contradict_each_other_are_left_out() -> None:
     """A preview without closed loop needs the cost-to-go, the cost-to-go a price on the deviation from hover."""
     open_loop = variants("resilient", "controller.prediction=open_loop", "controller.terminal=riccati")
     assert open_loop["terminal"] == [set(), set()]
-    absolute = variants("paper", "controller.weights.priced=absolute", "controller.terminal=multiple", OFF)
+    absolute = variants("paper", "controller.weights.penalised_input=absolute", "controller.terminal=multiple", OFF)
     assert absolute["terminal"] == [set(), set()]
 
 
 def test_what_a_setting_gives_is_not_flown_twice() -> None:
     """Settings for all flights count: what they give is what the scenario is."""
-    points = built("controller.rounds=2", "clock.actuation=next_tick", "controller.relaxation=auto").points
+    points = built(
+        "controller.negotiation_iterations=2", "clock.actuation=next_tick", "controller.relaxation=auto"
+    ).points
     flown = {(point.labels["part"], point.labels["value"]) for point in points}
-    assert ("rounds", "2") not in flown
-    assert ("rounds", "1") in flown
+    assert ("negotiation_iterations", "2") not in flown
+    assert ("negotiation_iterations", "1") in flown
     assert ("actuation", "next_tick") not in flown
     assert ("actuation", "immediate") in flown
     assert ("relaxation", "0.25") not in flown

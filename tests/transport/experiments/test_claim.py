@@ -266,7 +266,7 @@ def test_the_whole_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
 
     monkeypatch.setattr(claim, "measure_in_turns", never)
     monkeypatch.setattr("transport.experiments.claim_figure.draw", lambda *_: [])
-    monkeypatch.setattr("transport.experiments.workers.fly_in_memory", never)
+    monkeypatch.setattr("transport.experiments.workers.simulate_in_memory", never)
     again = here(*arguments, "--set", ticks(6))
     assert again.exit_code == 0, again.output
     assert (out / "verdict.txt").read_text() == words

@@ -84,14 +84,14 @@ LATE = ("experiment", "latency", "--scenario", "resilient", "--delay", "0.1", "-
 
 def failing(when: Callable[[Setup], bool], monkeypatch: pytest.MonkeyPatch) -> None:
     """Let flights raise."""
-    whole = memory.fly
+    whole = memory.simulate
 
-    def fly(setup: Setup, *arguments: object, **options: object) -> Control:
+    def simulate(setup: Setup, *arguments: object, **options: object) -> Control:
         if when(setup):
             raise RuntimeError("the wing\nfell off")
         return whole(setup, *arguments, **options)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(memory, "fly", fly)
+    monkeypatch.setattr(memory, "simulate", simulate)
 
 
 def test_a_flight_that_raises_is_a_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

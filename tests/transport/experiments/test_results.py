@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from transport.experiments.errors import EXIT_USAGE, ExperimentError
+from protocol.wire.exit_codes import EXIT_USAGE
+from transport.experiments.errors import ExperimentError
 from transport.experiments.flight import ERROR, NUMBERS, Result
 from transport.experiments.results import Results
 
