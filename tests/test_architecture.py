@@ -152,6 +152,32 @@ def test_rooms_import_lower_floors_only(package: str) -> None:
     assert wrong == []
 
 
+def arrows(package: str) -> dict[str, set[str]]:
+    """Return the rooms that each room of a package imports, without those that follow from others."""
+    folder = ROOT / package
+    direct: dict[str, set[str]] = {room: set() for room in floors(package)}
+    for path in folder.glob("*/*.py"):
+        rooms = {other.parent.name for other in modules_imported(path) if other.parent.parent == folder}
+        direct[path.parent.name] |= rooms - {path.parent.name}
+
+    def below(room: str) -> set[str]:
+        return direct[room].union(*(below(other) for other in direct[room]))
+
+    return {room: direct[room].difference(*(below(other) for other in direct[room])) for room in direct}
+
+
+@pytest.mark.parametrize("package", ROOMS)
+def test_the_picture_shows_the_imports(package: str) -> None:
+    """The picture of the rooms in docs/architecture.md has exactly the arrows of the imports."""
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    picture = text.partition(f"subgraph {package}\n")[2].partition("    end\n")[0]
+    drawn: dict[str, set[str]] = {room: set() for room in floors(package)}
+    for line in picture.splitlines():
+        room, _, other = line.strip().partition(" --> ")
+        drawn[room].add(other)
+    assert drawn == arrows(package)
+
+
 def test_no_circles() -> None:
     """No file imports itself through others, lazy imports included."""
     graph = {path: {file for file in modules_imported(path) if file.name != "__init__.py"} for path in SOURCES}
