@@ -3,12 +3,13 @@
 import hashlib
 
 import numpy as np
+import numpy.typing as npt
 from numpy.random import Generator, Philox
 
-from model.arrays import Array
+Key = npt.NDArray[np.uint64]
 
 
-def draw_key(*purpose: object) -> Array:
+def draw_key(*purpose: object) -> Key:
     """Return the key of an independent stream of random numbers, (2,) uint64.
 
     Args:
@@ -18,6 +19,6 @@ def draw_key(*purpose: object) -> Array:
     return np.frombuffer(digest[:16], dtype="<u8")
 
 
-def generator(key: Array, tick: int, stream: int = 0) -> Generator:
+def generator(key: Key, tick: int, stream: int = 0) -> Generator:
     """Return the generator that belongs to a key, a tick and one of the streams of that tick."""
     return Generator(Philox(key=key, counter=np.array([0, 0, stream, tick], dtype=np.uint64)))

@@ -232,8 +232,13 @@ class LinkSection(Section):
     reorder_s: NotNegative = 0.0
     rate_hz: Positive | None = None
 
+    @property
+    def perfect(self) -> bool:
+        """Return whether every message arrives at once, once."""
+        return all(getattr(self, key) == field.default for key, field in LinkSection.model_fields.items())
+
     def settings(self) -> dict[str, Any]:
-        """The keys of a link that were given, as plain data."""
+        """Return the keys of a link that were given, as plain data."""
         given = self.model_dump(mode="json", exclude_unset=True)
         return {key: value for key, value in given.items() if key in LinkSection.model_fields}
 

@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from protocol.scenario.links import Link, LinkChanges, LinkError, link_change
+from protocol.scenario.schema import GilbertElliottSection
 from protocol.wire.messages import LinkChange, MessageError
 from tests.support.runs import setup
 
@@ -42,7 +43,7 @@ def told(found: dict[str, Link], *changes: LinkChange) -> dict[str, Link]:
 
 def losses(found: dict[str, Link], tick: int) -> list[float]:
     """Probability of loss of each of the links."""
-    return [one.model(tick).loss for one in found.values()]
+    return [one.impairments(tick).loss for one in found.values()]
 
 
 def test_from_its_tick_on() -> None:
@@ -50,7 +51,7 @@ def test_from_its_tick_on() -> None:
     found = told(links("links={delay_s=0.1,loss=0.2}"), change(1, 10, loss=0.5))
     assert losses(found, 9) == [0.2, 0.2, 0.0]
     assert losses(found, 10) == losses(found, 999) == [0.5, 0.5, 0.0]
-    assert found["agent2"].model(10).delay_s == 0.1
+    assert found["agent2"].impairments(10).delay_s == 0.1
 
 
 @pytest.mark.parametrize(
@@ -95,7 +96,7 @@ def test_a_newcomer_knows_as_much() -> None:
 def test_scripted_changes_stay_where_they_are() -> None:
     """A change by hand does not bring those forward that the scenario has for later, nor does it undo them."""
     found = told(links("links.change=[{at_s=2.0,delay_s=0.5}]"), change(1, 10, loss=0.3))
-    models = [found["agent2"].model(tick) for tick in (9, 10, 39, 40, 100)]
+    models = [found["agent2"].impairments(tick) for tick in (9, 10, 39, 40, 100)]
     assert [model.loss for model in models] == [0.0, 0.3, 0.3, 0.3, 0.3]
     assert [model.delay_s for model in models] == [0.0, 0.0, 0.0, 0.5, 0.5]
 
@@ -103,24 +104,31 @@ def test_scripted_changes_stay_where_they_are() -> None:
 def test_a_change_by_hand_ends_with_the_next_scripted_one() -> None:
     """Of changes of one key the one of the latest tick is in force."""
     found = told(links("links.change=[{at_s=2.0,delay_s=0.5}]"), change(1, 10, delay_s=0.2), change(2, 50, delay_s=0.1))
-    assert [found["agent2"].model(tick).delay_s for tick in (9, 10, 39, 40, 49, 50)] == [0.0, 0.2, 0.2, 0.5, 0.5, 0.1]
+    assert [found["agent2"].impairments(tick).delay_s for tick in (9, 10, 39, 40, 49, 50)] == [
+        0.0,
+        0.2,
+        0.2,
+        0.5,
+        0.5,
+        0.1,
+    ]
 
 
 def test_partial_keys() -> None:
     """A burst chain, a rate or measured delays are changed alone and as a whole."""
-    model = told(
+    found = told(
         links("links={delay_s=0.1,loss=0.2,gilbert_elliott={enter=0.1,leave=0.3,loss=0.9}}"),
         change(1, 1, gilbert_elliott={"enter": 0.0, "leave": 1.0}),
         change(2, 2, rate_hz=5.0),
         change(3, 3, distribution="empirical", samples="a.csv"),
         change(4, 4, distribution="normal", jitter_s=0.1),
-    )["agent2"].model
-    assert (model(0).burst_enter, model(0).burst_leave, model(0).burst_loss) == (0.1, 0.3, 0.9)
-    assert (model(1).burst_enter, model(1).burst_leave, model(1).burst_loss) == (0.0, 1.0, 1.0)
-    assert model(2).rate_hz == 5.0
-    assert (model(3).distribution, model(3).samples_s) == ("empirical", SAMPLES["a.csv"])
-    assert (model(4).distribution, model(4).samples_s, model(4).jitter_s) == ("normal", (), 0.1)
-    assert {(model(k).loss, model(k).delay_s) for k in range(5)} == {(0.2, 0.1)}
+    )["agent2"].impairments
+    assert found(0).gilbert_elliott == GilbertElliottSection(enter=0.1, leave=0.3, loss=0.9)
+    assert found(1).gilbert_elliott == GilbertElliottSection(enter=0.0, leave=1.0)
+    assert found(2).rate_hz == 5.0
+    assert (found(3).distribution, found(3).samples) == ("empirical", "a.csv")
+    assert (found(4).distribution, found(4).jitter_s) == ("normal", 0.1)
+    assert {(found(k).loss, found(k).delay_s) for k in range(5)} == {(0.2, 0.1)}
 
 
 WRONG = [
@@ -173,7 +181,7 @@ def test_measured_delays_that_nobody_has() -> None:
     changes = LinkChanges(found.values(), SAMPLES)
     with pytest.raises(MessageError, match=r"samples: expected a file that the scenario names, got 'c.csv'"):
         changes.apply(change(1, 0, distribution="empirical", samples="c.csv"))
-    assert found["agent2"].model(0).perfect
+    assert found["agent2"].impairments(0).perfect
 
 
 def test_changes_come_in_order() -> None:
