@@ -3,13 +3,44 @@
 Every process of a run reads the same file; docs/scenario.md describes each key for people.
 """
 
+import dataclasses
 import hashlib
 import json
-from typing import Annotated, Any, Literal
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    create_model,
+    model_serializer,
+)
 from pydantic_core import PydanticCustomError
+
+from model.maneuver import Profile
+from model.parameters import GRAVITY
+from mpc.settings import (
+    Constraint,
+    ControllerSettings,
+    CostTerm,
+    DiscretisationName,
+    Horizon,
+    Limits,
+    NotNegative,
+    Positive,
+    PredictionName,
+    Separation,
+    SolverName,
+    TerminalName,
+    Tilt,
+    Weights,
+)
+from protocol.wire.messages import MAX_HORIZON, MAX_NEGOTIATION_ITERATIONS
+from protocol.wire.names import MAX_UAVS, PLANT
 
 
 class Section(BaseModel):
@@ -18,8 +49,6 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
-Positive = Annotated[float, Field(gt=0.0)]
-NotNegative = Annotated[float, Field(ge=0.0)]
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 MassFactor = Annotated[float, Field(gt=0.0, le=100.0)]
 
@@ -64,7 +93,7 @@ class PayloadSection(Section):
 class UavSection(Section):
     """One UAV and its rod."""
 
-    id: Annotated[int, Field(ge=1, le=256)]
+    id: Annotated[int, Field(ge=1, le=MAX_UAVS)]
     mass_kg: Positive
     inertia_kgm2: Inertia
     rho_m: Vector
@@ -74,9 +103,9 @@ class UavSection(Section):
 class SystemSection(Section):
     """The physical system."""
 
-    gravity_mps2: Positive = 9.81
+    gravity_mps2: Positive = GRAVITY
     payload: PayloadSection
-    uav: Annotated[list[UavSection], Field(min_length=1, max_length=256)]
+    uav: Annotated[list[UavSection], Field(min_length=1, max_length=MAX_UAVS)]
 
 
 class PhaseSection(Section):
@@ -96,60 +125,70 @@ class ManeuverSection(Section):
     """What is flown."""
 
     start_m: Vector = [0.0, 0.0, -10.0]
-    profile: Literal["ramp", "min_jerk", "step"] = "ramp"
+    profile: Profile = "ramp"
     phase: Annotated[list[PhaseSection], Field(min_length=1)]
 
 
-class WeightsSection(Section):
+class SettingsSection(Section):
+    """A section with the fields, limits and defaults of a class of settings: see `like`."""
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any: ...
+
+
+S = TypeVar("S", bound=SettingsSection)
+
+
+def like(settings: type) -> Callable[[type[S]], type[S]]:
+    """Return a decorator that gives a section the fields of a class of settings; a tuple is a list in a file."""
+
+    def filled(section: type[S]) -> type[S]:
+        hints = get_type_hints(settings, include_extras=True)
+        fields: dict[str, Any] = {}
+        for field in dataclasses.fields(settings):
+            hint, default = hints[field.name], field.default
+            if get_origin(hint) is tuple:
+                entries = get_args(hint)
+                pair = Field(min_length=len(entries), max_length=len(entries))
+                hint = Annotated[list[entries[0]], AfterValidator(_three_numbers) if len(entries) == 3 else pair]  # type: ignore[valid-type]
+                default = list(default)
+            fields[field.name] = hint, ... if default is dataclasses.MISSING else default
+        return create_model(
+            section.__name__, __base__=section, __module__=section.__module__, __doc__=section.__doc__, **fields
+        )
+
+    return filled
+
+
+@like(Weights)
+class WeightsSection(SettingsSection):
     """Diagonal weights of the cost."""
 
-    position: Positive = 1.0
-    attitude: Positive = 5.0
-    yaw_rate: Positive = 0.05
-    payload_position: NotNegative = 0.0
-    payload_velocity: NotNegative = 0.0
-    terminal: NotNegative = 5.0
-    thrust: Positive = 1e-3
-    moments: PositiveVector = [1e-2, 1e-2, 1e-2]
-    penalised_input: Literal["deviation", "absolute"] = "deviation"
 
-
-class LimitsSection(Section):
+@like(Limits)
+class LimitsSection(SettingsSection):
     """Actuator limits."""
 
-    thrust_N: Annotated[list[NotNegative], Field(min_length=2, max_length=2)] = [0.0, 45.0]
-    moments_Nm: PositiveVector = [1.0, 1.0, 0.5]
-    thrust_rate_N_s: Positive = 100.0
-    moment_rates_Nm_s: PositiveVector = [10.0, 10.0, 5.0]
 
-
-class SeparationSection(Section):
+@like(Separation)
+class SeparationSection(SettingsSection):
     """Smallest distance between any two UAVs."""
 
-    minimum_m: Positive
-    penalty: Positive = 100.0
 
-
-class TiltSection(Section):
+@like(Tilt)
+class TiltSection(SettingsSection):
     """Largest roll and pitch an agent plans for its UAVs."""
 
-    limit_deg: Annotated[float, Field(gt=0.0, lt=90.0)]
-    penalty: Positive = 10.0
+
+@like(Constraint)
+class ConstraintSection(SettingsSection):
+    """A constraint of the user."""
 
 
-class ConstraintSection(Section):
-    """A constraint of the user's own."""
-
-    expression: str
-    soft: bool = True
-    penalty: Positive = 1000.0
-
-
-class CostSection(Section):
-    """A term of the cost of the user's own."""
-
-    expression: str
-    weight: Positive
+@like(CostTerm)
+class CostSection(SettingsSection):
+    """A cost term of the user."""
 
 
 class DisturbanceSection(Section):
@@ -159,20 +198,24 @@ class DisturbanceSection(Section):
     time_constant_s: Positive = 1.0
 
 
-class ControllerSection(Section):
-    """The controller every agent runs."""
+# Source of the controller's defaults.
+_DEFAULT = ControllerSettings()
 
-    sampling_period_s: Positive = 0.05
-    horizon: Annotated[int, Field(ge=1, le=10_000)] = 20
-    prediction: Literal["open_loop", "closed_loop"] = "open_loop"
-    terminal: Literal["multiple", "riccati"] = "multiple"
-    preview: bool = False
+
+class ControllerSection(Section):
+    """The controller of every agent."""
+
+    sampling_period_s: Positive = _DEFAULT.sampling_period_s
+    horizon: Annotated[Horizon, Field(le=MAX_HORIZON)] = _DEFAULT.horizon
+    prediction: PredictionName = _DEFAULT.prediction
+    terminal: TerminalName = _DEFAULT.terminal
+    preview: bool = _DEFAULT.preview
     received_plans: Literal["by_age", "by_one", "held"] = "by_age"
     received_states: Literal["predicted", "as_received"] = "predicted"
-    discretisation: Literal["exact", "euler"] = "exact"
-    negotiation_iterations: Annotated[int, Field(ge=1, le=20)] = 1
-    relaxation: Annotated[float | str, AfterValidator(_relaxation)] = 1.0
-    solver: Literal["daqp", "clarabel"] = "daqp"
+    discretisation: DiscretisationName = _DEFAULT.discretisation
+    negotiation_iterations: Annotated[int, Field(ge=1, le=MAX_NEGOTIATION_ITERATIONS)] = 1
+    relaxation: Annotated[float | str, AfterValidator(_relaxation)] = _DEFAULT.relaxation
+    solver: SolverName = _DEFAULT.solver
     share: Literal["always", "on_change"] = "always"
     share_threshold: NotNegative = 0.01
     share_heartbeat_s: Positive = 1.0
@@ -252,7 +295,7 @@ class LinkOverrideSection(LinkSection):
     def covers(self, sender: str, receiver: str) -> bool:
         """Whether it concerns the link from one process to another; the plant has to be named."""
         ends = ((self.from_, sender), (self.to, receiver))
-        return all(name == end if name is not None else end != "plant" for name, end in ends)
+        return all(name == end if name is not None else end != PLANT for name, end in ends)
 
 
 class LinkChangeSection(LinkOverrideSection):

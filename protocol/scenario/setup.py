@@ -2,9 +2,10 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property, partial
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -19,8 +20,10 @@ from mpc.settings import Constraint, ControllerSettings, CostTerm, Limits, Separ
 from protocol.scenario.faults import Fault, scripted
 from protocol.scenario.file import ScenarioError, building
 from protocol.scenario.links import Link, link
-from protocol.scenario.schema import Scenario, UavSection
+from protocol.scenario.schema import Scenario, SettingsSection, UavSection
 from protocol.wire.messages import Measurement, Plan
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -224,46 +227,21 @@ def _maneuver(scenario: Scenario) -> Maneuver:
 
 def _settings(scenario: Scenario) -> ControllerSettings:
     section = scenario.controller
-    weights, limits, separation, tilt = section.weights, section.limits, section.separation, section.tilt
     # 1/M of M agents: the descent guarantee of cooperative distributed MPC (docs/decisions.md).
     relaxation = 1.0 / len(scenario.owned) if section.relaxation == "auto" else float(section.relaxation)
-    return ControllerSettings(
-        sampling_period_s=section.sampling_period_s,
-        horizon=section.horizon,
-        weights=Weights(
-            position=weights.position,
-            attitude=weights.attitude,
-            yaw_rate=weights.yaw_rate,
-            payload_position=weights.payload_position,
-            payload_velocity=weights.payload_velocity,
-            terminal=weights.terminal,
-            thrust=weights.thrust,
-            moments=_three(weights.moments),
-            penalised_input=weights.penalised_input,
-        ),
-        limits=Limits(
-            thrust_N=(limits.thrust_N[0], limits.thrust_N[1]),
-            moments_Nm=_three(limits.moments_Nm),
-            thrust_rate_N_s=limits.thrust_rate_N_s,
-            moment_rates_Nm_s=_three(limits.moment_rates_Nm_s),
-        ),
-        separation=None
-        if separation is None
-        else Separation(minimum_m=separation.minimum_m, penalty=separation.penalty),
-        tilt=None if tilt is None else Tilt(limit_deg=tilt.limit_deg, penalty=tilt.penalty),
-        constraints=tuple(
-            Constraint(expression=c.expression, soft=c.soft, penalty=c.penalty) for c in section.constraint
-        ),
-        costs=tuple(CostTerm(expression=c.expression, weight=c.weight) for c in section.cost),
-        prediction=section.prediction,
-        terminal=section.terminal,
-        preview=section.preview,
-        discretisation=section.discretisation,
-        relaxation=relaxation,
-        solver=section.solver,
-    )
+    built = {
+        "weights": _like(Weights, section.weights),
+        "limits": _like(Limits, section.limits),
+        "separation": section.separation and _like(Separation, section.separation),
+        "tilt": section.tilt and _like(Tilt, section.tilt),
+        "constraints": tuple(_like(Constraint, constraint) for constraint in section.constraint),
+        "costs": tuple(_like(CostTerm, cost) for cost in section.cost),
+        "relaxation": relaxation,
+    }
+    same = {field.name: getattr(section, field.name) for field in fields(ControllerSettings) if field.name not in built}
+    return ControllerSettings(**same, **built)
 
 
-def _three(values: list[float]) -> tuple[float, float, float]:
-    a, b, c = values
-    return a, b, c
+def _like(settings: type[T], section: SettingsSection) -> T:
+    """Return settings with the values of the section that has their fields."""
+    return settings(**{key: tuple(value) if isinstance(value, list) else value for key, value in section})
