@@ -7,7 +7,7 @@ import dataclasses
 import hashlib
 import json
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
 from pydantic import (
@@ -147,7 +147,7 @@ def like(settings: type) -> Callable[[type[S]], type[S]]:
         hints = get_type_hints(settings, include_extras=True)
         fields: dict[str, Any] = {}
         for field in dataclasses.fields(settings):
-            hint, default = hints[field.name], field.default
+            hint, default = hints[field.name], cast(Any, field.default)
             if get_origin(hint) is tuple:
                 entries = get_args(hint)
                 pair = Field(min_length=len(entries), max_length=len(entries))

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -17,8 +17,8 @@ from model.parameters import Payload, System, Uav
 from mpc.constraints import UserCosts, compile_constraints
 from mpc.regulation import Regulation
 from mpc.settings import Constraint, ControllerSettings, CostTerm, Limits, Separation, Tilt, Weights
+from protocol.scenario.errors import ScenarioError, building
 from protocol.scenario.faults import Fault, scripted
-from protocol.scenario.file import ScenarioError, building
 from protocol.scenario.links import Link, link
 from protocol.scenario.schema import Scenario, SettingsSection, UavSection
 from protocol.wire.messages import Measurement, Plan
@@ -229,7 +229,7 @@ def _settings(scenario: Scenario) -> ControllerSettings:
     section = scenario.controller
     # 1/M of M agents: the descent guarantee of cooperative distributed MPC (docs/decisions.md).
     relaxation = 1.0 / len(scenario.owned) if section.relaxation == "auto" else float(section.relaxation)
-    built = {
+    built: dict[str, Any] = {
         "weights": _like(Weights, section.weights),
         "limits": _like(Limits, section.limits),
         "separation": section.separation and _like(Separation, section.separation),

@@ -29,15 +29,15 @@ _FLOAT64 = np.dtype("<f8")
 
 def encode(message: Message) -> bytes:
     """Return the bytes of a message."""
-    values = [getattr(message, name) for name in field_names(type(message))]
+    values = [getattr(message, name) for name in field_names(message.kind)]
     body: bytes = msgpack.packb([message.kind, *values], default=_pack_array, use_bin_type=True)
     return bytes([VERSION]) + body
 
 
 @cache
-def field_names(message: type[Message]) -> tuple[str, ...]:
-    """Return the fields of a message class in the order they are sent in, after the kind."""
-    return tuple(field.name for field in dataclasses.fields(message))
+def field_names(kind: str) -> tuple[str, ...]:
+    """Return the fields of a kind of message in the order they are sent in, after the kind."""
+    return tuple(field.name for field in dataclasses.fields(KINDS[kind]))
 
 
 def decode(data: bytes) -> Message:
@@ -64,7 +64,7 @@ def decode(data: bytes) -> Message:
     kind, values = content[0], content[1:]
     if kind not in KINDS:
         raise MessageError("unknown_kind", f"unknown message kind {kind[:40]!r}")
-    names = field_names(KINDS[kind])
+    names = field_names(kind)
     if len(values) != len(names):
         raise MessageError("wrong_shape", f"{kind}: expected {len(names)} fields, got {len(values)}")
     try:

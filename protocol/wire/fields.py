@@ -201,7 +201,7 @@ Text = Annotated[str, _text]
 
 
 @cache
-def checks(message: type) -> tuple[tuple[str, Check], ...]:
+def checks(message: Any) -> tuple[tuple[str, Check], ...]:
     """Return the fields of a message class with their checks, arrays last: their shapes depend on other fields."""
     hints = get_type_hints(message, include_extras=True)
     found = [(field.name, _check_of(hints[field.name])) for field in dataclasses.fields(message)]

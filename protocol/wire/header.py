@@ -83,7 +83,7 @@ def _to_detail(kind: object) -> int:
     """Return how many fields to read after the common ones."""
     if not (isinstance(kind, str) and kind in KINDS and _detail(kind)):
         return 0
-    return field_names(KINDS[kind]).index(_detail(kind)) + 1 - _COMMON
+    return field_names(kind).index(_detail(kind)) + 1 - _COMMON
 
 
 def _place(kind: str, tick: int, detail: int) -> Place | None:

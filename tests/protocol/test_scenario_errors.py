@@ -160,7 +160,7 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
     (
         ("controller.negotiation_iterations=2", REALTIME, "clock.speed=1"),
         "controller.negotiation_iterations",
-        "expected 1 with mode realtime, where nobody waits, got 2",
+        "expected 1 with mode realtime, where agents do not wait for each other, got 2",
     ),
     # Sharing.
     ("controller.share=never", "controller.share", "expected 'always' or 'on_change', got 'never'"),
@@ -169,7 +169,7 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
     (
         ("controller.share=on_change",),
         "controller.prediction",
-        "expected 'closed_loop' with controller.share 'on_change', where the others know the law that acts between two "
+        "expected 'closed_loop' with controller.share 'on_change', where the others know the control law that acts between two "
         "plans, got 'open_loop'",
     ),
     (
@@ -186,7 +186,7 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
     (
         ("controller.negotiation_iterations=2", *ON_CHANGE),
         "controller.negotiation_iterations",
-        "expected 1 with controller.share 'on_change', as each round exchanges every plan, got 2",
+        "expected 1 with controller.share 'on_change', as each iteration exchanges every plan, got 2",
     ),
     ("controller.negotiation_iterations=0", "controller.negotiation_iterations", "expected a number >= 1, got 0"),
     ("controller.negotiation_iterations=21", "controller.negotiation_iterations", "expected a number <= 20, got 21"),
