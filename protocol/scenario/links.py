@@ -16,7 +16,7 @@ from pydantic import ValidationError
 
 from model.arrays import Array
 from protocol.scenario.draws import draw_key, generator
-from protocol.scenario.schema import LinkOverrideSection, LinkSection, LinksSection
+from protocol.scenario.link_sections import LinkOverrideSection, LinkSection, LinksSection
 from protocol.wire.messages import LinkChange, MessageError
 from protocol.wire.names import PLANT
 

@@ -4,7 +4,8 @@ import re
 from collections.abc import Iterator
 
 from protocol.scenario.errors import ScenarioError
-from protocol.scenario.schema import LinkChangeSection, LinkOverrideSection, Scenario
+from protocol.scenario.link_sections import LinkChangeSection, LinkOverrideSection
+from protocol.scenario.schema import Scenario
 from protocol.wire.names import COORDINATOR, PLANT, agent_name
 
 # Largest distance of a path from the origin along any axis, m.

@@ -3,22 +3,12 @@
 Every process of a run reads the same file; docs/scenario.md describes each key for people.
 """
 
-import dataclasses
 import hashlib
 import json
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, cast, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
-    Field,
-    SerializerFunctionWrapHandler,
-    create_model,
-    model_serializer,
-)
+from pydantic import AfterValidator, Field
 from pydantic_core import PydanticCustomError
 
 from model.maneuver import Profile
@@ -39,29 +29,10 @@ from mpc.settings import (
     Tilt,
     Weights,
 )
+from protocol.scenario.link_sections import LinksSection
+from protocol.scenario.sections import NotNegativeVector, Section, SettingsSection, Vector, like
 from protocol.wire.messages import MAX_HORIZON, MAX_NEGOTIATION_ITERATIONS
-from protocol.wire.names import MAX_UAVS, PLANT
-
-
-class Section(BaseModel):
-    """Part of a scenario: unknown keys are refused, values never change after reading."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
-
-
-Probability = Annotated[float, Field(ge=0.0, le=1.0)]
-MassFactor = Annotated[float, Field(gt=0.0, le=100.0)]
-
-
-def _three_numbers(value: list[float]) -> list[float]:
-    if len(value) != 3:
-        raise PydanticCustomError("shape", "expected 3 numbers")
-    return value
-
-
-Vector = Annotated[list[float], AfterValidator(_three_numbers)]
-PositiveVector = Annotated[list[Positive], AfterValidator(_three_numbers)]
-NotNegativeVector = Annotated[list[NotNegative], AfterValidator(_three_numbers)]
+from protocol.wire.names import MAX_UAVS
 
 
 def _inertia(value: Any) -> Any:
@@ -80,6 +51,7 @@ def _relaxation(value: float | str) -> float | str:
     raise PydanticCustomError("relaxation", "expected a number in (0, 1] or 'auto'")
 
 
+MassFactor = Annotated[float, Field(gt=0.0, le=100.0)]
 Inertia = Annotated[list[float] | list[list[float]], AfterValidator(_inertia)]
 
 
@@ -122,43 +94,11 @@ class PhaseSection(Section):
 
 
 class ManeuverSection(Section):
-    """What is flown."""
+    """Path of the payload."""
 
     start_m: Vector = [0.0, 0.0, -10.0]
     profile: Profile = "ramp"
     phase: Annotated[list[PhaseSection], Field(min_length=1)]
-
-
-class SettingsSection(Section):
-    """A section with the fields, limits and defaults of a class of settings: see `like`."""
-
-    if TYPE_CHECKING:
-
-        def __getattr__(self, name: str) -> Any: ...
-
-
-S = TypeVar("S", bound=SettingsSection)
-
-
-def like(settings: type) -> Callable[[type[S]], type[S]]:
-    """Return a decorator that gives a section the fields of a class of settings; a tuple is a list in a file."""
-
-    def filled(section: type[S]) -> type[S]:
-        hints = get_type_hints(settings, include_extras=True)
-        fields: dict[str, Any] = {}
-        for field in dataclasses.fields(settings):
-            hint, default = hints[field.name], cast(Any, field.default)
-            if get_origin(hint) is tuple:
-                entries = get_args(hint)
-                pair = Field(min_length=len(entries), max_length=len(entries))
-                hint = Annotated[list[entries[0]], AfterValidator(_three_numbers) if len(entries) == 3 else pair]  # type: ignore[valid-type]
-                default = list(default)
-            fields[field.name] = hint, ... if default is dataclasses.MISSING else default
-        return create_model(
-            section.__name__, __base__=section, __module__=section.__module__, __doc__=section.__doc__, **fields
-        )
-
-    return filled
 
 
 @like(Weights)
@@ -192,7 +132,7 @@ class CostSection(SettingsSection):
 
 
 class DisturbanceSection(Section):
-    """Estimate of a constant force on the payload, and whether the controller allows for it."""
+    """Estimate of a constant force on the payload, compensated by the controller."""
 
     estimate: bool = False
     time_constant_s: Positive = 1.0
@@ -229,7 +169,7 @@ class ControllerSection(Section):
 
 
 class AgentsSection(Section):
-    """Which agent decides for which UAVs; agent 1 owns the first list. One agent for each UAV by default."""
+    """UAVs each agent owns; agent 1 owns the first list. One agent for each UAV by default."""
 
     owned: Annotated[list[Annotated[list[int], Field(min_length=1)]], Field(min_length=1)] | None = None
 
@@ -249,93 +189,12 @@ class ClockSection(Section):
 
     @property
     def next_tick(self) -> bool:
-        """Whether inputs act one tick after the state they are for: what hardware can do, and always in real time."""
+        """Return whether inputs act one tick after their state, as on hardware; always so in real time."""
         return self.mode == "realtime" if self.actuation is None else self.actuation == "next_tick"
 
 
-class GilbertElliottSection(Section):
-    """Bursts of loss: a chain between a good state without and a bad state with loss, one step per tick."""
-
-    enter: Probability
-    leave: Probability
-    loss: Probability = 1.0
-
-
-class LinkSection(Section):
-    """What a link does to the messages it carries."""
-
-    delay_s: NotNegative = 0.0
-    jitter_s: NotNegative = 0.0
-    distribution: Literal["uniform", "normal", "exponential", "lognormal", "empirical"] = "uniform"
-    samples: str | None = None
-    loss: Probability = 0.0
-    gilbert_elliott: GilbertElliottSection | None = None
-    duplicate: Probability = 0.0
-    reorder: Probability = 0.0
-    reorder_s: NotNegative = 0.0
-    rate_hz: Positive | None = None
-
-    @property
-    def perfect(self) -> bool:
-        """Return whether every message arrives at once, once."""
-        return all(getattr(self, key) == field.default for key, field in LinkSection.model_fields.items())
-
-    def settings(self) -> dict[str, Any]:
-        """Return the keys of a link that were given, as plain data."""
-        given = self.model_dump(mode="json", exclude_unset=True)
-        return {key: value for key, value in given.items() if key in LinkSection.model_fields}
-
-
-class LinkOverrideSection(LinkSection):
-    """The same for the links from and to one process; leaving one out means any agent."""
-
-    from_: Annotated[str | None, Field(alias="from")] = None
-    to: str | None = None
-
-    def covers(self, sender: str, receiver: str) -> bool:
-        """Whether it concerns the link from one process to another; the plant has to be named."""
-        ends = ((self.from_, sender), (self.to, receiver))
-        return all(name == end if name is not None else end != PLANT for name, end in ends)
-
-
-class LinkChangeSection(LinkOverrideSection):
-    """Changes links in flight: what is sent from `at_s` on is treated by the keys given, the others stay."""
-
-    at_s: NotNegative
-
-    @model_serializer(mode="wrap")
-    def _given(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Only what was given: a default written out would be a change."""
-        given = {*self.model_fields_set, *({"from"} if "from_" in self.model_fields_set else ())}
-        return {key: value for key, value in dump(self).items() if key in given}
-
-
-class PartitionSection(Section):
-    """An interval in which the processes named hear nothing of the agents that are not, nor those of them."""
-
-    between: Annotated[list[str], Field(min_length=1)]
-    start_s: NotNegative
-    end_s: Positive
-
-
-class LinksSection(LinkSection):
-    """The links between agents; measurement and actuation are those from and to the plant, ideal by default."""
-
-    measurement: LinkSection = LinkSection()
-    actuation: LinkSection = LinkSection()
-    override: list[LinkOverrideSection] = []
-    partition: list[PartitionSection] = []
-    change: list[LinkChangeSection] = []
-
-    def all(self) -> dict[str, LinkSection]:
-        """Every section of a link by its place below `links`, such as "override.1"."""
-        overrides = {f"override.{i}": section for i, section in enumerate(self.override, start=1)}
-        changes = {f"change.{i}": section for i, section in enumerate(self.change, start=1)}
-        return {"": self, "measurement": self.measurement, "actuation": self.actuation, **overrides, **changes}
-
-
 class FaultSection(Section):
-    """Something done to a process or a UAV at an instant of the flight."""
+    """Fault of a process or a UAV at an instant of the run."""
 
     at_s: NotNegative
     do: Literal["kill", "stop", "continue", "restart", "motor_off", "release"]
@@ -370,7 +229,7 @@ class NoiseSection(Section):
 
 
 class PlantSection(Section):
-    """The truth: its integration, how it differs from what the controller knows, when a flight counts as lost."""
+    """Ground truth: its integration, its difference from the controller's model, limits beyond which a run diverged."""
 
     step_s: Positive = 0.01
     max_attitude_deg: Annotated[float, Field(gt=0.0, lt=90.0)] = 80.0
@@ -382,9 +241,9 @@ class PlantSection(Section):
 
 
 class NetworkSection(Section):
-    """Where processes listen: the coordinator on the base port, the plant one above, agents above that.
+    """Addresses of the processes: the coordinator listens on the base port, the plant one above, agents above that.
 
-    All of it is about one host, so none of it is in the digest.
+    They belong to one host, so they are not in the digest.
     """
 
     host: str = "127.0.0.1"
@@ -412,16 +271,16 @@ class Scenario(Section):
 
     @property
     def owned(self) -> tuple[tuple[int, ...], ...]:
-        """UAV ids of agent 1, agent 2, ..."""
+        """Return the UAV ids of agent 1, agent 2, ..."""
         if self.agents.owned is None:
             return tuple((uav.id,) for uav in self.system.uav)
         return tuple(tuple(sorted(group)) for group in self.agents.owned)
 
     def tree(self) -> dict[str, Any]:
-        """As plain data, every default spelled out, for writing back and for the digest."""
+        """Return the scenario as plain data with every default, for writing back and for the digest."""
         return self.model_dump(mode="json", by_alias=True, exclude_none=True)
 
     def digest(self) -> str:
-        """Fingerprint of everything but the network addresses: processes of one run must agree on it."""
+        """Return the fingerprint of everything but the network addresses, equal in all processes of a run."""
         tree = {key: value for key, value in self.tree().items() if key != "network"}
         return hashlib.sha256(json.dumps(tree, sort_keys=True).encode()).hexdigest()[:12]

@@ -1,4 +1,4 @@
-"""From a scenario to the objects of a run: what every process builds for itself, identically."""
+"""Objects of a run, built from its scenario by every process, identically."""
 
 import math
 from collections.abc import Mapping
@@ -20,8 +20,10 @@ from mpc.settings import Constraint, ControllerSettings, CostTerm, Limits, Separ
 from protocol.scenario.errors import ScenarioError, building
 from protocol.scenario.faults import Fault, scripted
 from protocol.scenario.links import Link, link
-from protocol.scenario.schema import Scenario, SettingsSection, UavSection
+from protocol.scenario.schema import Scenario, UavSection
+from protocol.scenario.sections import SettingsSection
 from protocol.wire.messages import Measurement, Plan
+from protocol.wire.names import PLANT
 
 T = TypeVar("T")
 
@@ -50,12 +52,12 @@ class Setup:
 
     @staticmethod
     def of(scenario: Scenario, source: str) -> "Setup":
-        """Build everything a scenario describes.
+        """Return everything a scenario describes.
 
         Args:
             scenario: Validated scenario.
             source: Its file, for error texts.
-        Raises: ScenarioError: a body, path or setting that cannot exist; naming file, field, expected, got.
+        Raises: ScenarioError: a body, path or setting is impossible; naming file, field, expected, got.
         """
         payload = building(source, "system.payload", lambda: _payload(scenario))
         uavs = [building(source, f"system.uav.{section.id}", partial(_uav, section)) for section in scenario.system.uav]
@@ -106,28 +108,28 @@ class Setup:
 
     @property
     def agents(self) -> tuple[int, ...]:
-        """Agent ids, 1-based."""
+        """Return the agent ids, 1-based."""
         return tuple(range(1, len(self.owned) + 1))
 
     @property
     def ticks(self) -> int:
-        """Sampling instants of the run: t_k < duration of the maneuver."""
+        """Return the number of sampling instants of the run: t_k < duration of the maneuver."""
         periods = self.maneuver.duration_s / self.settings.sampling_period_s
         # A duration of a whole number of periods must not gain one by rounding.
         return max(1, math.ceil(periods - 1e-9 * periods))
 
     @property
     def period_ns(self) -> int:
-        """Sampling period, ns."""
+        """Return the sampling period, ns."""
         return round(self.settings.sampling_period_s * 1e9)
 
     def link(self, sender: str, receiver: str) -> Link:
-        """The link that carries one process's messages to another: plans, or from the plant measurements."""
+        """Return the link that carries one process's messages to another: plans, or measurements from the plant."""
         return link(
             self.scenario.links,
             sender,
             receiver,
-            kind=Measurement.kind if sender == "plant" else Plan.kind,
+            kind=Measurement.kind if sender == PLANT else Plan.kind,
             seed=self.scenario.seed,
             period_s=self.settings.sampling_period_s,
             samples_s=self.samples_s,
@@ -139,13 +141,13 @@ class Setup:
         return scripted(self.scenario)
 
     def initial_state(self) -> np.ndarray:
-        """Hover at the start of the maneuver, at rest, (12 + 12 N,)."""
+        """Return the state of hover at the start of the maneuver, at rest, (12 + 12 N,)."""
         x = self.hover.x.copy()
         x[:3] += self.maneuver.start_I
         return x
 
     def doubts(self) -> list[str]:
-        """Phases that ask for more than the vehicles have, one line each: they can be flown, but not as asked."""
+        """Return the phases that exceed the vehicles' thrust, one line each: they can be flown, but not in time."""
         limits, mass = self.settings.limits, self.system.payload.mass + sum(uav.mass for uav in self.system.uavs)
         weight, (least, most) = mass * self.system.gravity, np.multiply(self.system.N, limits.thrust_N)
         sideways, up, down = math.sqrt(most**2 - weight**2) / mass, (most - weight) / mass, (weight - least) / mass
@@ -187,7 +189,7 @@ class Setup:
 
 
 def _samples(scenario: Scenario, source: str) -> dict[str, tuple[float, ...]]:
-    """Read the files of measured delays that the links name, relative to the scenario's folder."""
+    """Return the measured delays by the files that the links name, relative to the scenario's folder."""
     found: dict[str, tuple[float, ...]] = {}
     for section in scenario.links.all().values():
         if section.distribution != "empirical" or section.samples is None:

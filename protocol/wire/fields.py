@@ -200,12 +200,14 @@ Flag = Annotated[bool, _flag]
 Text = Annotated[str, _text]
 
 
-@cache
-def checks(message: Any) -> tuple[tuple[str, Check], ...]:
+def _checks(message: type) -> tuple[tuple[str, Check], ...]:
     """Return the fields of a message class with their checks, arrays last: their shapes depend on other fields."""
     hints = get_type_hints(message, include_extras=True)
     found = [(field.name, _check_of(hints[field.name])) for field in dataclasses.fields(message)]
     return tuple(sorted(found, key=lambda entry: isinstance(entry[1], Shape)))
+
+
+checks: Callable[[type], tuple[tuple[str, Check], ...]] = cache(_checks)
 
 
 def _check_of(hint: Any) -> Check:

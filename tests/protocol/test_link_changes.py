@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
+from protocol.scenario.link_sections import GilbertElliottSection
 from protocol.scenario.links import Link, LinkChanges, LinkError, link_change
-from protocol.scenario.schema import GilbertElliottSection
 from protocol.wire.messages import LinkChange, MessageError
 from tests.support.runs import setup
 

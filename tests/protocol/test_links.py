@@ -3,13 +3,14 @@
 import math
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from protocol.scenario.file import ScenarioError, validate
+from protocol.scenario.link_sections import GilbertElliottSection, LinkSection
 from protocol.scenario.links import Link
-from protocol.scenario.schema import GilbertElliottSection, LinkSection
 from protocol.scenario.setup import Setup
 from tests.support.runs import setup
 
@@ -91,7 +92,7 @@ def test_bursts_of_gilbert_elliott() -> None:
         ("lognormal", 1.0 + 0.05 / np.sqrt(math.e - 1.0), 0.05),
     ],
 )
-def test_jitter(distribution: str, mean_s: float, deviation_s: float) -> None:
+def test_jitter(distribution: Any, mean_s: float, deviation_s: float) -> None:
     """Mean and standard deviation of the delay are those of the distribution about the fixed delay."""
     model = LinkSection(delay_s=1.0, jitter_s=0.05, distribution=distribution)
     delays = np.array([delay for fate in link_history(model) for delay in fate])
