@@ -1,4 +1,4 @@
-"""The link model: each impairment has the statistics its name promises, and depends on nothing but the message."""
+"""Links: each impairment has the statistics of its definition, and depends on nothing but the message."""
 
 import math
 from itertools import pairwise
@@ -112,7 +112,7 @@ def test_delays_are_never_negative() -> None:
 
 def test_empirical_delays_are_drawn_evenly() -> None:
     """Each measured delay is as likely as the others, and nothing else is drawn."""
-    delays = [fate[0] for fate in link_history(LinkSection(distribution="empirical", samples="measured.csv"))]
+    delays = [delays[0] for delays in link_history(LinkSection(distribution="empirical", samples="measured.csv"))]
     assert set(delays) == set(SAMPLES["measured.csv"])
     share([delay == 0.02 for delay in delays], 0.5)
     share([delay == 0.5 for delay in delays], 0.25)
@@ -128,20 +128,20 @@ def test_duplicates_have_delays_of_their_own() -> None:
 
 def test_reordering_holds_back() -> None:
     """A share of the messages comes later by a fixed time, behind those sent after them."""
-    found = [fate[0] for fate in link_history(LinkSection(delay_s=0.02, reorder=0.1, reorder_s=0.2))]
+    found = [delays[0] for delays in link_history(LinkSection(delay_s=0.02, reorder=0.1, reorder_s=0.2))]
     assert set(found) == {0.02, 0.02 + 0.2}
     share([delay > 0.1 for delay in found], 0.1)
 
 
 def test_partition_has_a_start_and_an_end() -> None:
-    """Nothing sent in [start, end) arrives; what is sent before and after does."""
+    """No message sent in [start, end) arrives; those sent before and after do."""
     one = link(LinkSection(), partitions=((0.5, 1.0),))
     assert [bool(one.delays(tick)) for tick in (9, 10, 19, 20)] == [True, False, False, True]
 
 
 @pytest.mark.parametrize("rate_hz", [0.5, 3.0, 7.0, 10.0, 15.0, 19.9])
 def test_rate_limit(rate_hz: float) -> None:
-    """Of 20 messages a second a link of r Hz carries r in every whole second, as evenly spread as ticks allow."""
+    """A link of r Hz carries r of 20 messages in every whole second, as evenly spread as ticks allow."""
     carried = np.array([bool(delays) for delays in link_history(LinkSection(rate_hz=rate_hz))])
     assert carried[0]
     at = np.flatnonzero(carried)
@@ -166,12 +166,12 @@ def test_virtual_arrival(delay_s: float, ticks: int) -> None:
 
 
 def test_within_the_tick() -> None:
-    """What may be used in its own tick, as measurements are, is usable there over a perfect link and no later."""
+    """A message for use in its own tick, such as a measurement, is usable in that tick over a perfect link."""
     for delay_s, ticks in ((0.0, 0), (0.01, 1), (0.05, 1), (0.051, 2)):
         assert link(LinkSection(delay_s=delay_s)).usable_ticks(7, after=0) == [7 + ticks]
 
 
-def test_negotiations_have_fates_of_their_own() -> None:
+def test_negotiations_are_independent() -> None:
     """Plans exchanged within one tick are lost independently of each other and of the tick's last one."""
     one = link(LinkSection(loss=0.5))
     lost = np.array([[not one.delays(tick, negotiation) for tick in range(2000)] for negotiation in range(4)])
@@ -180,7 +180,7 @@ def test_negotiations_have_fates_of_their_own() -> None:
 
 
 def test_the_order_of_questions_does_not_matter() -> None:
-    """What happens to a message is the same whenever it is asked, bursts included."""
+    """The delays of a message do not depend on the order in which they are computed, bursts included."""
     bursts = GilbertElliottSection(enter=0.1, leave=0.3)
     model = LinkSection(
         delay_s=0.1, jitter_s=0.1, loss=0.2, gilbert_elliott=bursts, duplicate=0.2, reorder=0.2, reorder_s=0.1
@@ -192,7 +192,7 @@ def test_the_order_of_questions_does_not_matter() -> None:
 
 
 def test_links_and_seeds_are_independent() -> None:
-    """Another seed, sender or receiver is another sequence of fates."""
+    """Another seed, sender or receiver gives an independent sequence of delays."""
     model = LinkSection(loss=0.5)
     variants = [link(model), link(model, seed=1), link(model, sender="agent3"), link(model, receiver="agent3")]
     lost = np.array([[not one.delays(tick) for tick in range(2000)] for one in variants], dtype=float)
@@ -232,7 +232,7 @@ def delays_ms(*settings: str, tick: int = 0) -> list[int]:
     ],
 )
 def test_which_links_a_section_is_for(settings: tuple[str, ...], expected: list[int]) -> None:
-    """Plans, measurements and actuation have a section each; an override has what fits its ends."""
+    """Plans, measurements and actuation have a section each; an override applies to the links of its ends."""
     assert delays_ms(*settings) == expected
 
 
@@ -250,7 +250,7 @@ def test_partition_with_the_plant() -> None:
 
 
 def test_scripted_change() -> None:
-    """From its instant on a change holds for the links it names; keys that it does not give stay as they are."""
+    """From its instant on a change applies to the links it names; keys that it does not give stay as they are."""
     settings = (
         "links={delay_s=0.1,loss=0.25}",
         "links.change=[{at_s=0.5,delay_s=0.2},{at_s=1.0,to='agent1',loss=0.5},{at_s=0.75,from='plant',delay_s=0.3}]",
@@ -267,19 +267,19 @@ def test_scripted_change() -> None:
 
 
 def test_change_within_a_period() -> None:
-    """What is sent before the instant of a change is treated as before: the first tick at or after it is the first."""
+    """A change applies from the first tick at or after its instant."""
     one = setup("links.change=[{at_s=0.51,loss=1.0}]").link("agent1", "agent2")
     assert [bool(one.delays(tick)) for tick in (10, 11)] == [True, False]
 
 
 def test_a_change_does_not_rewrite_the_past() -> None:
-    """Fates of messages sent before a change are those of a link that never changes, bursts included."""
+    """Delays of messages sent before a change are those of a link that never changes, bursts included."""
     bursts = "links={loss=0.1,gilbert_elliott={enter=0.1,leave=0.2}}"
     before = setup(bursts).link("agent1", "agent2")
     after = setup(bursts, "links.change=[{at_s=10.0,gilbert_elliott={enter=0.5,leave=0.1}}]").link("agent1", "agent2")
-    fates_before, fates_after = ([one.delays(tick) for tick in range(400)] for one in (before, after))
-    assert fates_before[:200] == fates_after[:200]
-    assert sum(map(bool, fates_after[200:])) < sum(map(bool, fates_before[200:])) - 50
+    delays_before, delays_after = ([one.delays(tick) for tick in range(400)] for one in (before, after))
+    assert delays_before[:200] == delays_after[:200]
+    assert sum(map(bool, delays_after[200:])) < sum(map(bool, delays_before[200:])) - 50
 
 
 def test_measured_delays_come_from_a_file(tmp_path: Path) -> None:
@@ -300,6 +300,6 @@ def test_measured_delays_come_from_a_file(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("settings", ["links.delay_s=1e308", "links={reorder=1.0,reorder_s=1.7e308}"])
 def test_a_delay_without_end(settings: str) -> None:
-    """A message may be as late as a number can say: it is then never usable, and nothing overflows."""
+    """A delay of any size is accepted: the message is never usable, and no number overflows."""
     link = setup(settings).link("agent1", "agent2")
     assert link.usable_ticks(3) == [3 + round(1e9 / 0.05)]
