@@ -1,9 +1,12 @@
 """What a controller is told: rates, horizon, weights, limits."""
 
+import operator
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
+from annotated_types import Ge, Gt, Le, Lt
 
 from model.arrays import Array
 
@@ -12,6 +15,19 @@ PredictionName = Literal["open_loop", "closed_loop"]
 TerminalName = Literal["multiple", "riccati"]
 DiscretisationName = Literal["exact", "euler"]
 PenalisedInput = Literal["deviation", "absolute"]
+
+Bound = Gt | Ge | Lt | Le
+_COMPARED: dict[type[Bound], tuple[str, Callable[[Any, Any], bool], str]] = {
+    Gt: (">", operator.gt, "gt"),
+    Ge: (">=", operator.ge, "ge"),
+    Lt: ("<", operator.lt, "lt"),
+    Le: ("<=", operator.le, "le"),
+}
+
+# Limits stand here alone: settings check them, and the scenario's schema is built from them.
+Positive = Annotated[float, Gt(0.0)]
+NotNegative = Annotated[float, Ge(0.0)]
+Horizon = Annotated[int, Ge(1)]
 
 
 class SettingsError(ValueError):
@@ -34,14 +50,14 @@ class Weights:
         penalised_input: Whether R prices the input's deviation from hover, or the input itself as in paper (17).
     """
 
-    position: float = 1.0
-    attitude: float = 5.0
-    yaw_rate: float = 0.05
-    payload_position: float = 0.0
-    payload_velocity: float = 0.0
-    terminal: float = 5.0
-    thrust: float = 1e-3
-    moments: tuple[float, float, float] = (1e-2, 1e-2, 1e-2)
+    position: Positive = 1.0
+    attitude: Positive = 5.0
+    yaw_rate: Positive = 0.05
+    payload_position: NotNegative = 0.0
+    payload_velocity: NotNegative = 0.0
+    terminal: NotNegative = 5.0
+    thrust: Positive = 1e-3
+    moments: tuple[Positive, Positive, Positive] = (1e-2, 1e-2, 1e-2)
     penalised_input: PenalisedInput = "deviation"
 
     def Q(self, N: int) -> Array:
@@ -65,21 +81,16 @@ class Limits:
         moment_rates_Nm_s: Largest change of each moment per second, (3,).
     """
 
-    thrust_N: tuple[float, float] = (0.0, 45.0)
-    moments_Nm: tuple[float, float, float] = (1.0, 1.0, 0.5)
-    thrust_rate_N_s: float = 100.0
-    moment_rates_Nm_s: tuple[float, float, float] = (10.0, 10.0, 5.0)
+    thrust_N: tuple[NotNegative, NotNegative] = (0.0, 45.0)
+    moments_Nm: tuple[Positive, Positive, Positive] = (1.0, 1.0, 0.5)
+    thrust_rate_N_s: Positive = 100.0
+    moment_rates_Nm_s: tuple[Positive, Positive, Positive] = (10.0, 10.0, 5.0)
 
     def __post_init__(self) -> None:
         low, high = self.thrust_N
         if not 0.0 <= low < high < np.inf:
             raise SettingsError(f"thrust_N: expected 0 <= smallest < largest, got {list(self.thrust_N)}")
-        for name in ("moments_Nm", "moment_rates_Nm_s"):
-            values = getattr(self, name)
-            if not all(0.0 < value < np.inf for value in values):
-                raise SettingsError(f"{name}: expected numbers > 0, got {list(values)}")
-        if not 0.0 < self.thrust_rate_N_s < np.inf:
-            raise SettingsError(f"thrust_rate_N_s: expected a number > 0, got {self.thrust_rate_N_s}")
+        _check(self)
 
     def lower(self, uavs: int) -> Array:
         """Smallest inputs of that many UAVs, (4 uavs,)."""
@@ -104,8 +115,8 @@ class Separation:
             multiplier the softened problem has the hard one's solution whenever that exists.
     """
 
-    minimum_m: float
-    penalty: float = 100.0
+    minimum_m: Positive
+    penalty: Positive = 100.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,8 +130,8 @@ class Tilt:
         penalty: Price of the largest violation over the horizon, per radian.
     """
 
-    limit_deg: float
-    penalty: float = 10.0
+    limit_deg: Annotated[float, Gt(0.0), Lt(90.0)]
+    penalty: Positive = 10.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -136,7 +147,7 @@ class Constraint:
 
     expression: str
     soft: bool = True
-    penalty: float = 1000.0
+    penalty: Positive = 1000.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -149,7 +160,7 @@ class CostTerm:
     """
 
     expression: str
-    weight: float
+    weight: Positive
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -170,8 +181,8 @@ class ControllerSettings:
         solver: Tried first; Clarabel takes over when its result does not pass the residual check.
     """
 
-    sampling_period_s: float = 0.05
-    horizon: int = 20
+    sampling_period_s: Positive = 0.05
+    horizon: Horizon = 20
     weights: Weights = field(default_factory=Weights)
     limits: Limits = field(default_factory=Limits)
     separation: Separation | None = None
@@ -182,15 +193,44 @@ class ControllerSettings:
     terminal: TerminalName = "multiple"
     preview: bool = False
     discretisation: DiscretisationName = "exact"
-    relaxation: float = 1.0
+    relaxation: Annotated[float, Gt(0.0), Le(1.0)] = 1.0
     solver: SolverName = "daqp"
 
     def __post_init__(self) -> None:
-        if not (isinstance(self.horizon, int) and self.horizon >= 1):
-            raise SettingsError(f"horizon: expected an integer >= 1, got {self.horizon}")
-        if not 0.0 < self.sampling_period_s < np.inf:
-            raise SettingsError(f"sampling_period_s: expected a number > 0, got {self.sampling_period_s}")
-        if not 0.0 < self.relaxation <= 1.0:
-            raise SettingsError(f"relaxation: expected a number in (0, 1], got {self.relaxation}")
-        if self.solver not in get_args(SolverName):
-            raise SettingsError(f"solver: expected one of {', '.join(get_args(SolverName))}, got {self.solver!r}")
+        _check(self)
+
+
+def _check(settings: object) -> None:
+    """Check settings against the limits and choices in the types of their fields.
+
+    Raises: SettingsError: naming the field, what was expected and what came.
+    """
+    for name, hint in get_type_hints(type(settings), include_extras=True).items():
+        value = getattr(settings, name)
+        is_tuple = get_origin(hint) is tuple
+        entry = get_args(hint)[0] if is_tuple else hint
+        if get_origin(entry) is Literal and value not in get_args(entry):
+            raise SettingsError(f"{name}: expected one of {', '.join(get_args(entry))}, got {value!r}")
+        if get_origin(entry) is Annotated:
+            kind, *bounds = get_args(entry)
+            if not all(_is_within(one, kind, bounds) for one in (value if is_tuple else (value,))):
+                noun = "an integer" if kind is int else "numbers" if is_tuple else "a number"
+                got = list(value) if is_tuple else value
+                raise SettingsError(f"{name}: expected {noun} {_range(*bounds)}, got {got}")
+
+
+def _is_within(value: Any, kind: type, bounds: Sequence[Bound]) -> bool:
+    if (kind is int and not isinstance(value, int)) or not np.isfinite(value):
+        return False
+    return all(_COMPARED[type(bound)][1](value, _limit(bound)) for bound in bounds)
+
+
+def _range(bound: Bound, upper: Bound | None = None) -> str:
+    if upper is None:
+        return f"{_COMPARED[type(bound)][0]} {_limit(bound):g}"
+    opening, closing = "(" if isinstance(bound, Gt) else "[", ")" if isinstance(upper, Lt) else "]"
+    return f"in {opening}{_limit(bound):g}, {_limit(upper):g}{closing}"
+
+
+def _limit(bound: Bound) -> Any:
+    return getattr(bound, _COMPARED[type(bound)][2])

@@ -4,18 +4,17 @@ All chance is drawn from counters (Philox) keyed by the seed and a purpose, the 
 happens at a tick does not depend on what was asked before, or by whom.
 """
 
-import hashlib
 import math
 from collections.abc import Collection
 
 import numpy as np
-from numpy.random import Generator, Philox
 
 from model.arrays import Array
 from model.failure import with_released
 from model.linearisation import Model
 from model.parameters import Payload, System, Uav
 from model.state import StateView
+from protocol.scenario.draws import draw_key, generator
 from protocol.scenario.setup import Setup
 
 # Gusts are drawn at these intervals, whatever the sampling period: the same wind blows at any rate of the controller.
@@ -119,9 +118,7 @@ class Environment:
 
     def _normal(self, purpose: str, tick: int, count: int) -> Array:
         """Standard normal numbers that belong to a purpose and a tick, (count,)."""
-        digest = hashlib.sha256(f"{self._seed}/plant/{purpose}".encode()).digest()
-        key = np.frombuffer(digest[:16], dtype="<u8")
-        return Generator(Philox(key=key, counter=np.array([0, 0, 0, tick], dtype=np.uint64))).standard_normal(count)
+        return generator(draw_key(self._seed, "plant", purpose), tick).standard_normal(count)
 
 
 def _scaled(system: System, payload: float, uavs: float) -> System:

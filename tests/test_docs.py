@@ -15,7 +15,9 @@ from pydantic.fields import FieldInfo
 from typer.core import TyperCommand, TyperGroup
 
 from protocol.scenario.file import find_scenario, read_scenario, validate
-from protocol.scenario.schema import LinkSection, Scenario, Section
+from protocol.scenario.link_sections import LinkSection
+from protocol.scenario.schema import Scenario
+from protocol.scenario.sections import Section
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Reason
 from tests.support.runs import PAPER

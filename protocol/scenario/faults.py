@@ -1,8 +1,8 @@
-"""Scripted faults: what happens to which process or UAV at which tick.
+"""Scripted faults: kills, stops and restarts of processes, failures of UAVs, each at a tick.
 
-A process that is to be killed or stopped at a tick does that to itself, on the message that opens the tick for
-it: so the fault happens at that tick on every machine. What brings a process back, its parent does. What happens to
-a UAV, the plant does, and the coordinator reports it with the roster of the tick.
+A process kills or stops itself on the message that opens the tick for it, so that the fault happens at that tick on
+every machine. Its parent restarts or continues it. The plant applies faults of UAVs, and the coordinator reports them
+with the roster of the tick.
 """
 
 import math
@@ -22,8 +22,8 @@ class Fault:
 
     Attributes:
         tick: When.
-        do: "kill" and "stop" happen when the tick opens for the target; "continue" and "start" are to have
-            brought it back when the tick opens; "motor_off" and "release" count from the tick on.
+        do: "kill" and "stop" happen when the tick opens for the target; "continue" and "start" bring it back
+            before the tick opens; "motor_off" and "release" apply from the tick on.
         target: Process name; for "motor_off" and "release" the name of a UAV, such as "uav3".
     """
 
@@ -33,16 +33,16 @@ class Fault:
 
 
 def uav_name(uav: int) -> str:
-    """Name of a UAV as a target of faults, e.g. "uav3" for the 0-based 2."""
+    """Return the name of a UAV as a target of faults, such as "uav3" for the 0-based 2."""
     return f"uav{uav + 1}"
 
 
-# What happens to a UAV: tick, what, UAV (0-based).
+# Fault of a UAV: tick, kind, UAV (0-based).
 UavFault = tuple[int, Literal["motor_off", "release"], int]
 
 
 def uav_faults(faults: Sequence[Fault]) -> tuple[UavFault, ...]:
-    """Return what happens to UAVs, in the order of time."""
+    """Return the faults of UAVs in the order of time."""
     return tuple(
         (fault.tick, fault.do, int(fault.target.removeprefix("uav")) - 1)
         for fault in faults
@@ -51,10 +51,10 @@ def uav_faults(faults: Sequence[Fault]) -> tuple[UavFault, ...]:
 
 
 def scripted(scenario: Scenario) -> tuple[Fault, ...]:
-    """The faults of a scenario in the order of time; a restart is a kill, unless that is done, and a start."""
+    """Return the faults of a scenario in the order of time; a restart is a kill, unless already down, and a start."""
     period_s = scenario.controller.sampling_period_s
     found: list[Fault] = []
-    down: dict[str, int] = {}  # who is not running, since which tick
+    down: dict[str, int] = {}  # processes that do not run, and since which tick
     for event in sorted(scenario.faults.event, key=lambda event: event.at_s):
         tick, target = math.ceil(event.at_s / period_s - 1e-9), event.target
         if event.do in ("motor_off", "release"):
@@ -66,19 +66,19 @@ def scripted(scenario: Scenario) -> tuple[Fault, ...]:
             continue
         if target not in down:
             found.append(Fault(tick, "kill", target))
-        # Nobody is back at the tick at which it went.
+        # A process is back at the next tick at the earliest.
         tick = max(tick, down.pop(target, tick) + 1)
         found.append(Fault(tick, "start" if event.do == "restart" else "continue", target))
     return tuple(sorted(found, key=lambda fault: fault.tick))
 
 
 def due(faults: Sequence[Fault], name: str, message: Message) -> Literal["kill", "stop"] | None:
-    """What a process is to do to itself on a message, if anything.
+    """Return the fault a process is to inject into itself on a message, if any.
 
     Args:
         faults: Of the run.
         name: The process.
-        message: What it has received, or is about to send.
+        message: Received, or about to be sent.
     """
     if not faults or not isinstance(message, Measurement | Tick):
         return None

@@ -1,7 +1,7 @@
-"""Paths from files: a table of times and positions in the place of a straight phase of the maneuver.
+"""Paths from files: a table of times and positions in place of a straight phase of the maneuver.
 
-The table becomes part of the scenario when that is read. So it is in the fingerprint that the processes of a run
-compare, and in the run folder, without the file.
+The table becomes part of the scenario when that is read: it is in the fingerprint that the processes of a run compare,
+and in the run folder, without the file.
 """
 
 import math
@@ -15,16 +15,16 @@ MOST_ROWS = 100_000
 
 
 class PathFileError(ValueError):
-    """A file that is no path: the text has the row, counted from 1 below the heading, expected and got."""
+    """An invalid path file: the text has the row, counted from 1 below the heading, expected and got."""
 
 
 def way_of(path: Path) -> list[list[float]]:
-    """Read a path.
+    """Return the path in a file.
 
     Args:
         path: CSV with the columns `COLUMNS`, at least two rows, times growing. Positions may count from anywhere.
     Returns: Rows of time and position, both relative to the first row.
-    Raises: PathFileError: it cannot be read, or is no path.
+    Raises: PathFileError: it cannot be read, or is invalid.
     """
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
@@ -46,10 +46,10 @@ def way_of(path: Path) -> list[list[float]]:
 
 
 def with_paths(tree: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """A scenario's tree with the tables in the place of the files that its phases name.
+    """Return a scenario's tree with tables in place of the files that its phases name.
 
     Args:
-        tree: As read from TOML, perhaps no scenario at all: what does not look like one is left alone.
+        tree: As read from TOML; left as it is where it is no valid scenario.
         folder: Of the scenario.
     Raises: PathFileError: as `way_of`, its text preceded by the number of the phase and a blank.
     """

@@ -1,10 +1,11 @@
-"""From a scenario to the objects of a run: what every process builds for itself, identically."""
+"""Objects of a run, built from its scenario by every process, identically."""
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property, partial
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -16,11 +17,15 @@ from model.parameters import Payload, System, Uav
 from mpc.constraints import UserCosts, compile_constraints
 from mpc.regulation import Regulation
 from mpc.settings import Constraint, ControllerSettings, CostTerm, Limits, Separation, Tilt, Weights
+from protocol.scenario.errors import ScenarioError, building
 from protocol.scenario.faults import Fault, scripted
-from protocol.scenario.file import ScenarioError, building
 from protocol.scenario.links import Link, link
 from protocol.scenario.schema import Scenario, UavSection
+from protocol.scenario.sections import SettingsSection
 from protocol.wire.messages import Measurement, Plan
+from protocol.wire.names import PLANT
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -47,12 +52,12 @@ class Setup:
 
     @staticmethod
     def of(scenario: Scenario, source: str) -> "Setup":
-        """Build everything a scenario describes.
+        """Return everything a scenario describes.
 
         Args:
             scenario: Validated scenario.
             source: Its file, for error texts.
-        Raises: ScenarioError: a body, path or setting that cannot exist; naming file, field, expected, got.
+        Raises: ScenarioError: a body, path or setting is impossible; naming file, field, expected, got.
         """
         payload = building(source, "system.payload", lambda: _payload(scenario))
         uavs = [building(source, f"system.uav.{section.id}", partial(_uav, section)) for section in scenario.system.uav]
@@ -103,28 +108,28 @@ class Setup:
 
     @property
     def agents(self) -> tuple[int, ...]:
-        """Agent ids, 1-based."""
+        """Return the agent ids, 1-based."""
         return tuple(range(1, len(self.owned) + 1))
 
     @property
     def ticks(self) -> int:
-        """Sampling instants of the run: t_k < duration of the maneuver."""
+        """Return the number of sampling instants of the run: t_k < duration of the maneuver."""
         periods = self.maneuver.duration_s / self.settings.sampling_period_s
         # A duration of a whole number of periods must not gain one by rounding.
         return max(1, math.ceil(periods - 1e-9 * periods))
 
     @property
     def period_ns(self) -> int:
-        """Sampling period, ns."""
+        """Return the sampling period, ns."""
         return round(self.settings.sampling_period_s * 1e9)
 
     def link(self, sender: str, receiver: str) -> Link:
-        """The link that carries one process's messages to another: plans, or from the plant measurements."""
+        """Return the link that carries one process's messages to another: plans, or measurements from the plant."""
         return link(
             self.scenario.links,
             sender,
             receiver,
-            kind=Measurement.kind if sender == "plant" else Plan.kind,
+            kind=Measurement.kind if sender == PLANT else Plan.kind,
             seed=self.scenario.seed,
             period_s=self.settings.sampling_period_s,
             samples_s=self.samples_s,
@@ -136,13 +141,13 @@ class Setup:
         return scripted(self.scenario)
 
     def initial_state(self) -> np.ndarray:
-        """Hover at the start of the maneuver, at rest, (12 + 12 N,)."""
+        """Return the state of hover at the start of the maneuver, at rest, (12 + 12 N,)."""
         x = self.hover.x.copy()
         x[:3] += self.maneuver.start_I
         return x
 
     def doubts(self) -> list[str]:
-        """Phases that ask for more than the vehicles have, one line each: they can be flown, but not as asked."""
+        """Return the phases that exceed the vehicles' thrust, one line each: they can be flown, but not in time."""
         limits, mass = self.settings.limits, self.system.payload.mass + sum(uav.mass for uav in self.system.uavs)
         weight, (least, most) = mass * self.system.gravity, np.multiply(self.system.N, limits.thrust_N)
         sideways, up, down = math.sqrt(most**2 - weight**2) / mass, (most - weight) / mass, (weight - least) / mass
@@ -184,7 +189,7 @@ class Setup:
 
 
 def _samples(scenario: Scenario, source: str) -> dict[str, tuple[float, ...]]:
-    """Read the files of measured delays that the links name, relative to the scenario's folder."""
+    """Return the measured delays by the files that the links name, relative to the scenario's folder."""
     found: dict[str, tuple[float, ...]] = {}
     for section in scenario.links.all().values():
         if section.distribution != "empirical" or section.samples is None:
@@ -224,46 +229,21 @@ def _maneuver(scenario: Scenario) -> Maneuver:
 
 def _settings(scenario: Scenario) -> ControllerSettings:
     section = scenario.controller
-    weights, limits, separation, tilt = section.weights, section.limits, section.separation, section.tilt
     # 1/M of M agents: the descent guarantee of cooperative distributed MPC (docs/decisions.md).
     relaxation = 1.0 / len(scenario.owned) if section.relaxation == "auto" else float(section.relaxation)
-    return ControllerSettings(
-        sampling_period_s=section.sampling_period_s,
-        horizon=section.horizon,
-        weights=Weights(
-            position=weights.position,
-            attitude=weights.attitude,
-            yaw_rate=weights.yaw_rate,
-            payload_position=weights.payload_position,
-            payload_velocity=weights.payload_velocity,
-            terminal=weights.terminal,
-            thrust=weights.thrust,
-            moments=_three(weights.moments),
-            penalised_input=weights.penalised_input,
-        ),
-        limits=Limits(
-            thrust_N=(limits.thrust_N[0], limits.thrust_N[1]),
-            moments_Nm=_three(limits.moments_Nm),
-            thrust_rate_N_s=limits.thrust_rate_N_s,
-            moment_rates_Nm_s=_three(limits.moment_rates_Nm_s),
-        ),
-        separation=None
-        if separation is None
-        else Separation(minimum_m=separation.minimum_m, penalty=separation.penalty),
-        tilt=None if tilt is None else Tilt(limit_deg=tilt.limit_deg, penalty=tilt.penalty),
-        constraints=tuple(
-            Constraint(expression=c.expression, soft=c.soft, penalty=c.penalty) for c in section.constraint
-        ),
-        costs=tuple(CostTerm(expression=c.expression, weight=c.weight) for c in section.cost),
-        prediction=section.prediction,
-        terminal=section.terminal,
-        preview=section.preview,
-        discretisation=section.discretisation,
-        relaxation=relaxation,
-        solver=section.solver,
-    )
+    built: dict[str, Any] = {
+        "weights": _like(Weights, section.weights),
+        "limits": _like(Limits, section.limits),
+        "separation": section.separation and _like(Separation, section.separation),
+        "tilt": section.tilt and _like(Tilt, section.tilt),
+        "constraints": tuple(_like(Constraint, constraint) for constraint in section.constraint),
+        "costs": tuple(_like(CostTerm, cost) for cost in section.cost),
+        "relaxation": relaxation,
+    }
+    same = {field.name: getattr(section, field.name) for field in fields(ControllerSettings) if field.name not in built}
+    return ControllerSettings(**same, **built)
 
 
-def _three(values: list[float]) -> tuple[float, float, float]:
-    a, b, c = values
-    return a, b, c
+def _like(settings: type[T], section: SettingsSection) -> T:
+    """Return settings with the values of the section that has their fields."""
+    return settings(**{key: tuple(value) if isinstance(value, list) else value for key, value in section})

@@ -1,6 +1,6 @@
-"""A team of any size: the paper's UAVs in a ring over a payload of the paper's shape, told to fly as another team does.
+"""A team of any size: the paper's UAVs in a ring over a payload of the paper's shape.
 
-The system is made anew, everything else is taken from a scenario that exists (docs/scenario.md, "A team of any size").
+Only the system is new; the rest is taken from an existing scenario (docs/scenario.md, "A team of any size").
 """
 
 import math
@@ -11,16 +11,17 @@ from typing import Any
 from model.parameters import table_1
 from protocol.scenario.file import validate
 from protocol.scenario.schema import PayloadSection, Scenario, SystemSection, UavSection
+from protocol.wire.names import MAX_UAVS
 
 # One rod leaves the payload free to turn about it: no force along the rods changes its heading.
-FEWEST, MOST = 2, 256
+FEWEST, MOST = 2, MAX_UAVS
 
-# Decimals of lengths and inertias, m and kg m^2: what a person would write, far below what a flight notices.
+# Decimals of lengths and inertias, m and kg m^2: readable, and fine enough not to affect a run.
 _DECIMALS = 6
 
 
 def ring(N: int, gravity_mps2: float) -> SystemSection:
-    """N of the paper's UAVs over a payload of the paper's shape, as large as the ring has to be.
+    """Return N of the paper's UAVs over a payload of the paper's shape, as large as the ring has to be.
 
     Neighbours are as far apart as the paper's, 0.5 m, and each carries as much, 0.75 kg. The payload's lengths,
     the height of the attachment points among them, grow with the radius, its inertia with mass times radius^2.
@@ -60,18 +61,18 @@ def ring(N: int, gravity_mps2: float) -> SystemSection:
 def resized(
     template: Scenario, folder: Path, uavs: int, *, group: int | None, name: str | None, source: str
 ) -> Scenario:
-    """A scenario for N UAVs: a ring of them, and every other section of the template.
+    """Return a scenario for N UAVs: a ring of them, and every other section of the template.
 
     Args:
-        template: Where controller, clock, links, maneuver, ... and gravity come from.
+        template: Source of controller, clock, links, maneuver, ... and gravity.
         folder: Of the template's file; paths in it are relative to that and become absolute.
         uavs: N, from `FEWEST` to `MOST`.
         group: UAVs per agent, the last agent may have fewer; None: as many as the template's first agent has, and
             all of them where that one has all.
         name: Of the scenario; the template's with the number of UAVs when None.
-        source: What the template is called in error texts.
+        source: Name of the template in error texts.
     Returns: The scenario, with no more keys given than the template gives.
-    Raises: ScenarioError: the template speaks of agents that this team does not have, or the name cannot be one.
+    Raises: ScenarioError: the template names agents that this team does not have, or the name is invalid.
     """
     if group is None:
         group = uavs if len(template.owned) == 1 else len(template.owned[0])
@@ -85,12 +86,12 @@ def resized(
 
 
 def given(scenario: Scenario) -> dict[str, Any]:
-    """A scenario as plain data without the values nobody gave."""
+    """Return a scenario as plain data, with the given values only."""
     return scenario.model_dump(mode="json", by_alias=True, exclude_unset=True, exclude_none=True)
 
 
 def _anchor(node: Any, folder: Path) -> None:
-    """Make the files of measured delays absolute, wherever in the tree they are named."""
+    """Make the paths of files of measured delays absolute, everywhere in the tree."""
     if isinstance(node, dict):
         if "samples" in node:
             node["samples"] = str((folder / node["samples"]).resolve())

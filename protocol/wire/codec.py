@@ -8,36 +8,42 @@ little-endian uint32, then the values row by row.
 import dataclasses
 import math
 import struct
+from functools import cache
 from typing import Any
 
 import msgpack
 import numpy as np
 
 from model.arrays import Array
-from protocol.wire.messages import KINDS, Message, MessageError, is_name
+from protocol.wire.messages import KINDS, Message, MessageError
+from protocol.wire.names import is_name
 
 VERSION = 5
-MAX_BYTES = 4 * 1024 * 1024  # a plan for 256 UAVs over 400 steps; anything larger is not ours
+MAX_BYTES = 4 * 1024 * 1024  # a plan for 256 UAVs over 400 steps
 
 _ARRAY = 1
 _HEADER = struct.Struct("<4I")  # 16 bytes keep the values aligned
 _AXES = 3
 _FLOAT64 = np.dtype("<f8")
 
-_FIELDS = {kind: tuple(field.name for field in dataclasses.fields(cls)) for kind, cls in KINDS.items()}
-
 
 def encode(message: Message) -> bytes:
-    """Bytes of a message."""
-    values = [getattr(message, name) for name in _FIELDS[message.kind]]
+    """Return the bytes of a message."""
+    values = [getattr(message, name) for name in field_names(message.kind)]
     body: bytes = msgpack.packb([message.kind, *values], default=_pack_array, use_bin_type=True)
     return bytes([VERSION]) + body
 
 
-def decode(data: bytes) -> Message:
-    """The message in some bytes.
+@cache
+def field_names(kind: str) -> tuple[str, ...]:
+    """Return the fields of a kind of message in the order they are sent in, after the kind."""
+    return tuple(field.name for field in dataclasses.fields(KINDS[kind]))
 
-    Raises: MessageError: for anything that is not a valid message of this version, with the reason.
+
+def decode(data: bytes) -> Message:
+    """Return the message in some bytes.
+
+    Raises: MessageError: they are no valid message of this version.
     """
     if not data:
         raise MessageError("malformed", "empty message")
@@ -58,7 +64,7 @@ def decode(data: bytes) -> Message:
     kind, values = content[0], content[1:]
     if kind not in KINDS:
         raise MessageError("unknown_kind", f"unknown message kind {kind[:40]!r}")
-    names = _FIELDS[kind]
+    names = field_names(kind)
     if len(values) != len(names):
         raise MessageError("wrong_shape", f"{kind}: expected {len(names)} fields, got {len(values)}")
     try:

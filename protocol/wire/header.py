@@ -1,8 +1,8 @@
-"""The head of a message, read without the rest: enough to see that it has been said before.
+"""The header of a message, read without the rest: enough to recognise a message that was received before.
 
-Whoever floods a process with what it has heard already is refused on the thread that receives, unread; the thread that
-works is not even woken. Only what the gate would refuse later in any case is refused here, so nobody who follows the
-protocol loses anything, and a lockstep run stays the same bit for bit.
+A flood of repeated messages is refused on the receiving thread, without decoding the rest or waking the working thread.
+Only messages that the admission would refuse later in any case are refused here, so a process that follows the protocol
+loses nothing, and a lockstep run stays the same bit for bit.
 """
 
 import struct
@@ -10,39 +10,26 @@ from dataclasses import dataclass
 
 import msgpack
 
-from protocol.wire.codec import VERSION
-from protocol.wire.messages import (
-    Measurement,
-    Message,
-    MessageError,
-    Plan,
-    PlantState,
-    Roster,
-    StepReport,
-    Tick,
-    is_name,
-)
+from protocol.wire.codec import VERSION, field_names
+from protocol.wire.messages import KINDS, Message, MessageError
+from protocol.wire.names import is_name
 
-# Bytes that hold the head of any message a process of a run sends: a name, a kind and up to six integers.
+# Bytes that hold the header of any message of a run: a name, a kind and up to six integers.
 _ENOUGH = 128
 
-# Kinds of which each tick brings one under a key, once what they negotiate is settled.
-ONCE_A_TICK = (Tick.kind, Measurement.kind, Plan.kind, StepReport.kind, PlantState.kind)
-
-# How much of what follows tells where among its kind a message belongs, the last of which does: a plan's negotiation, a
-# roster's version.
-_TO_PLACE = {Plan.kind: 3, Roster.kind: 1}
+# Fields of every message: sender, incarnation, sequence, tick.
+_COMMON = 4
 
 Place = tuple[int, int]
 
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """What every message begins with.
+    """The beginning of a message.
 
     Attributes:
-        place: What grows from each message of its kind under a key to the next; None for kinds of which only the
-            number does.
+        place: Value that grows from each message of its kind under a key to the next; None for kinds of which only
+            the sequence number does.
     """
 
     kind: str
@@ -54,33 +41,26 @@ class Header:
 
 
 def place_of(message: Message) -> Place | None:
-    """The place of a message, as its head tells it."""
-    match message:
-        case Plan():
-            return _place(message.kind, message.tick, message.negotiation)
-        case Roster():
-            return _place(message.kind, message.tick, message.version)
-    return _place(message.kind, message.tick, 0)
+    """Return the place of a message, as its header has it."""
+    return _place(message.kind, message.tick, getattr(message, _detail(message.kind), 0))
 
 
 def header_of(data: bytes) -> Header | None:
-    """The head of a message; None where it takes reading the whole to say what is wrong with it.
+    """Return the header of a message; None if only decoding the whole message can say what is wrong with it.
 
-    Args:
-        data: The message.
     Raises: MessageError: no message of this version begins so.
     """
     if not data:
         raise MessageError("malformed", "empty message")
     if data[0] != VERSION:
         raise MessageError("wrong_version", f"protocol version {data[0]}, expected {VERSION}")
-    unpacker = msgpack.Unpacker(raw=False, max_buffer_size=_ENOUGH)  # which bounds what a header may announce, too
+    unpacker = msgpack.Unpacker(raw=False, max_buffer_size=_ENOUGH)  # which also bounds the sizes it announces
     unpacker.feed(memoryview(data)[1:_ENOUGH])
     try:
-        if unpacker.read_array_header() < 5:
+        if unpacker.read_array_header() < 1 + _COMMON:
             return None
-        kind, sender, incarnation, sequence, tick = (unpacker.unpack() for _ in range(5))
-        further = [unpacker.unpack() for _ in range(_TO_PLACE.get(kind, 0))] if isinstance(kind, str) else []
+        kind, sender, incarnation, sequence, tick = (unpacker.unpack() for _ in range(1 + _COMMON))
+        further = [unpacker.unpack() for _ in range(_to_detail(kind))]
     except msgpack.OutOfData:
         return None
     except (ValueError, TypeError, RecursionError, msgpack.UnpackException, struct.error) as error:
@@ -93,7 +73,21 @@ def header_of(data: bytes) -> Header | None:
     return Header(kind, sender, incarnation, sequence, tick, _place(kind, tick, detail))
 
 
+def _detail(kind: str) -> str:
+    """Return the field of its own by which a kind is ordered, or an empty text."""
+    route = KINDS[kind].route
+    return route.falls or (route.grows if route.grows not in ("sequence", "tick") else "")
+
+
+def _to_detail(kind: object) -> int:
+    """Return how many fields to read after the common ones."""
+    if not (isinstance(kind, str) and kind in KINDS and _detail(kind)):
+        return 0
+    return field_names(kind).index(_detail(kind)) + 1 - _COMMON
+
+
 def _place(kind: str, tick: int, detail: int) -> Place | None:
-    if kind == Roster.kind:
-        return detail, 0
-    return (tick, -detail) if kind in ONCE_A_TICK else None
+    grows = KINDS[kind].route.grows if kind in KINDS else "sequence"
+    if grows == "sequence":
+        return None
+    return (tick, -detail) if grows == "tick" else (detail, 0)

@@ -1,4 +1,4 @@
-"""What a node is: a state machine without I/O. Two runtimes drive the same nodes."""
+"""Interface of a node: a state machine without I/O. Two runtimes drive the same nodes."""
 
 from collections.abc import Sequence
 from typing import Protocol
@@ -10,11 +10,12 @@ from protocol.wire.rejections import Rejections
 class Node(Protocol):
     """A role in a run as a state machine: events and time in, messages out.
 
-    `rejected` counts the messages it refused, by sender and reason, and those that never got as far as to it.
+    Times are nanoseconds of a monotonic clock; in lockstep nothing in the messages depends on them. A node that starts
+    anew by itself has a higher incarnation from then on, which its runtime announces.
 
-    Times are nanoseconds of any clock that only goes forward; in lockstep nothing in the messages depends
-    on them. A node that starts anew by itself has a higher incarnation from then on; whoever runs it tells the
-    others. `publish_ns` is for the runtime to fill in: what sending the last messages took.
+    Attributes:
+        publish_ns: Time the runtime took to send the last messages; the runtime sets it.
+        rejected: Messages refused by the node and before it, by sender and reason.
     """
 
     name: str
@@ -24,14 +25,14 @@ class Node(Protocol):
 
     @property
     def finished(self) -> Control | None:
-        """How the run ended for this node, once it has."""
+        """Return the end of the run, once it has ended for this node."""
 
     @property
     def wake_ns(self) -> int | None:
-        """When `poll` must be called next at the latest; None while only events matter."""
+        """Return the latest time of the next call of `poll`; None while only events matter."""
 
     def receive(self, event: Event, now_ns: int) -> Sequence[Message]:
-        """Take in one event and return what to send because of it."""
+        """Handle one event and return the messages to send."""
 
     def poll(self, now_ns: int) -> Sequence[Message]:
-        """Let time pass and return what to send because of it."""
+        """Advance time and return the messages to send."""

@@ -10,7 +10,7 @@ M = TypeVar("M", bound=Message)
 
 
 class Outbox:
-    """Stamps messages with sender, incarnation and a sequence number that grows by one.
+    """Source of a process's messages, with sender, incarnation and a sequence number that grows by one.
 
     Args:
         sender: Process name.
@@ -22,18 +22,18 @@ class Outbox:
         self._sequence = 0
 
     def stamp(self, kind: type[M], **fields: Any) -> M:
-        """A message of this sender with the next sequence number."""
+        """Return a message of this sender with the next sequence number."""
         message = kind(sender=self.sender, incarnation=self.incarnation, sequence=self._sequence, **fields)
         self._sequence += 1
         return message
 
     def again(self, message: M) -> M:
-        """A message that was sent before, for those who were not there, with a number of its own."""
+        """Return a message that was sent before, under a new sequence number, for processes that joined since."""
         again = replace(message, sequence=self._sequence)
         self._sequence += 1
         return again
 
 
 def lost(outbox: Outbox, tick: int, reason: str) -> Control:
-    """The end of a run as a node sees it that has lost the coordinator: nobody else will tell it."""
+    """Return the end of a run for a node that has lost the coordinator, and with it the sender of that message."""
     return outbox.stamp(Control, tick=max(tick, 0), outcome="aborted", reason=reason, exit_code=EXIT_UNREACHABLE)

@@ -1,18 +1,18 @@
-"""What was refused: counted by sender and reason, with one example of each."""
+"""Refused messages, counted by sender and reason, with one example of each."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 from protocol.wire.messages import MAX_TEXT, MessageError, Reason, Rejected
 
-# Senders told apart. Anybody can claim to be anybody, so the rest share a name.
+# Senders counted separately. A message can claim any sender, so the rest share a name.
 MAX_SENDERS = 64
 OTHERS = "others"
 
-# A sender is a process name, or else a key, and that can be as long as its author likes.
+# A sender is a process name, or else a key, which can be of any length.
 _LONGEST_SENDER = 80
 
-# Between two messages about what is refused.
+# Between two `Rejected` messages.
 _EVERY_NS = 1_000_000_000
 
 
@@ -21,10 +21,10 @@ class Rejection:
     """Messages of one sender refused for one reason.
 
     Attributes:
-        sender: Who sent them by their own account; the end of the key they came under where that cannot be read.
+        sender: Sender according to the messages, or the end of their key where that cannot be read.
         reason: Why they were refused.
         count: How many so far.
-        example: What was wrong with the first of them.
+        example: Error of the first of them.
     """
 
     sender: str
@@ -34,7 +34,7 @@ class Rejection:
 
 
 class Rejections:
-    """Counts of one process; they do not grow with what is refused.
+    """Counts of one process, in bounded memory.
 
     Attributes:
         total: Messages refused so far.
@@ -45,10 +45,10 @@ class Rejections:
         self._counts: dict[tuple[str, Reason], int] = {}
         self._examples: dict[tuple[str, Reason], str] = {}
         self._senders: set[str] = set()
-        self._told: dict[tuple[str, Reason], int] = {}
+        self._reported: dict[tuple[str, Reason], int] = {}
 
     def __iter__(self) -> Iterator[Rejection]:
-        """What was refused so far, in the order it first happened."""
+        """Yield the refusals so far, in the order they first happened."""
         for (sender, reason), count in self._counts.items():
             yield Rejection(sender, reason, count, self._examples[sender, reason])
 
@@ -56,7 +56,7 @@ class Rejections:
         """Count messages.
 
         Args:
-            sender: Who sent them, or the key they came under.
+            sender: Their sender, or the key they came under.
             error: Why the first of them is refused.
             count: How many there are.
         """
@@ -74,44 +74,44 @@ class Rejections:
         self.total += count
 
     def news(self) -> Iterator[Rejection]:
-        """What was refused since this was asked the last time; `count` is of that alone."""
-        told, self._told = self._told, dict(self._counts)
-        for (sender, reason), count in self._told.items():
-            new = count - told.get((sender, reason), 0)
+        """Yield the refusals since the last call, with their counts since then."""
+        reported, self._reported = self._reported, dict(self._counts)
+        for (sender, reason), count in self._reported.items():
+            new = count - reported.get((sender, reason), 0)
             if new:
                 yield Rejection(sender, reason, new, self._examples[sender, reason])
 
 
 class Notices:
-    """Messages about what a process refuses: none without news, and never more often than once in a while.
+    """`Rejected` messages of a process: none without news, and at most one batch a second.
 
     Args:
-        name: The process's.
+        name: Process name.
         rejections: Its counts.
     """
 
     def __init__(self, name: str, rejections: Rejections) -> None:
         self._name, self._rejections = name, rejections
-        self._told = 0
+        self._reported = 0
         self._sent = 0
         self._next_ns: int | None = None
 
     def due(self, now_ns: int, incarnation: int, tick: int) -> list[Rejected]:
-        """What is to be said now.
+        """Return the messages to send now.
 
         Args:
-            now_ns: Of any clock that only goes forward.
+            now_ns: Of a monotonic clock.
             incarnation: Of the process.
-            tick: Newest it knows of.
+            tick: Newest known to it.
         """
-        if self._rejections.total == self._told or (self._next_ns is not None and now_ns < self._next_ns):
+        if self._rejections.total == self._reported or (self._next_ns is not None and now_ns < self._next_ns):
             return []
         self._next_ns = now_ns + _EVERY_NS
         return self.rest(incarnation, tick)
 
     def rest(self, incarnation: int, tick: int) -> list[Rejected]:
-        """What has not been said yet: at the end."""
-        self._told = self._rejections.total
+        """Return all messages not sent yet, at the end of a run."""
+        self._reported = self._rejections.total
         messages = []
         for entry in self._rejections.news():
             messages.append(

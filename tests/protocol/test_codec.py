@@ -37,7 +37,7 @@ def content(message: Message) -> Any:
 
 
 def packed(*values: Any, version: int = VERSION) -> bytes:
-    """Bytes as a stranger would send them."""
+    """Bytes of any values as a sender without this code would pack them."""
     body: bytes = msgpack.packb(list(values))
     return bytes([version]) + body
 
@@ -54,7 +54,7 @@ def array(*header: int, values: int = 0, code: int = 1) -> msgpack.ExtType:
 
 
 def survives(data: bytes) -> Message | None:
-    """Decode bytes that may be anything: nothing but `MessageError` may come out, and a message must be a whole one."""
+    """Decode arbitrary bytes: the result is `MessageError` or a complete message."""
     try:
         message = decode(data)
     except MessageError:
@@ -118,7 +118,7 @@ def test_random_bytes() -> None:
 @given(st.binary(max_size=200))
 @settings(max_examples=300, deadline=None, derandomize=True)
 def test_any_bytes(data: bytes) -> None:
-    """Whatever hypothesis thinks of is refused or a valid message, with and without our version byte."""
+    """Arbitrary bytes are refused or a valid message, with and without the version byte."""
     survives(data)
     survives(bytes([VERSION]) + data)
 
@@ -163,7 +163,7 @@ def test_empty() -> None:
 
 
 def test_oversized() -> None:
-    """More bytes than any message of ours are refused unread, whatever they hold."""
+    """More bytes than the largest message are refused undecoded."""
     with pytest.raises(MessageError, match=f"message of {MAX_BYTES + 1} bytes, at most {MAX_BYTES}"):
         decode(bytes([VERSION]) + b"\x90" * MAX_BYTES)
 
@@ -180,7 +180,7 @@ def test_wrong_number_of_fields(message: Message) -> None:
 
 @pytest.mark.parametrize("kind", ["", "Tick", "ticks", "x" * 10_000, "tick\0"])
 def test_unknown_kind(kind: str) -> None:
-    """A kind nobody knows is refused and named, cut to a readable length."""
+    """An unknown kind is refused and named, cut to a readable length."""
     with pytest.raises(MessageError, match="unknown message kind") as caught:
         decode(packed(kind, *wire(sample(Tick))[1:]))
     assert len(str(caught.value)) < 100
@@ -262,7 +262,7 @@ def test_what_an_array_lies_about_is_told(lie: object, reason: str) -> None:
     ],
 )
 def test_why_and_whose(data: bytes, sender: str, reason: str) -> None:
-    """A refusal has one of a few reasons, and names the sender as far as the bytes can be read."""
+    """A refusal has one of a few reasons, and names the sender where the bytes can be read that far."""
     with pytest.raises(MessageError) as caught:
         decode(data)
     assert (caught.value.reason, caught.value.sender) == (reason, sender)
@@ -288,7 +288,7 @@ def test_claimed_lengths_are_not_believed(header: bytes) -> None:
 
 
 def test_only_arrays_and_plain_values_are_sent() -> None:
-    """Every kind of message can be sent; what has more axes than the header holds is our own bug and raises."""
+    """Every kind of message can be sent; an array with more axes than its header can hold raises."""
     assert {decode(encode(message)).kind for message in samples()} == set(KINDS)
     message = sample(Plan)
     object.__setattr__(message, "inputs", np.zeros((1, 1, 1, 1)))

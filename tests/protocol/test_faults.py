@@ -1,4 +1,4 @@
-"""Scripted faults: what becomes of the events of a scenario, and on which message they happen."""
+"""Scripted faults: the faults made from a scenario's events, and the message on which each happens."""
 
 import pytest
 
@@ -15,7 +15,7 @@ def scripted(*events: str) -> list[tuple[int, str, str]]:
 
 
 def test_no_faults() -> None:
-    """Without a script nothing happens to anybody."""
+    """Without a script there are no faults."""
     assert setup().faults == ()
     assert due((), "plant", tick(3)) is None
 
@@ -27,14 +27,14 @@ def test_at_the_first_tick_from_its_instant_on(at_s: str, k: int) -> None:
 
 
 def test_a_restart_is_a_kill_and_a_start() -> None:
-    """A restart of who is running kills it, and has it back a tick later; of who is down it only brings it back."""
+    """A restart kills a running process and starts it a tick later; it starts one that is down."""
     assert scripted("0.5 restart agent2") == [(10, "kill", "agent2"), (11, "start", "agent2")]
     assert scripted("0.5 kill agent2", "1.0 restart agent2") == [(10, "kill", "agent2"), (20, "start", "agent2")]
     assert scripted("0.5 stop agent2", "1.0 restart agent2") == [(10, "stop", "agent2"), (20, "start", "agent2")]
 
 
-def test_nobody_is_back_at_the_tick_it_went() -> None:
-    """Who goes and comes within one tick comes back at the next."""
+def test_a_process_is_back_a_tick_later_at_the_earliest() -> None:
+    """A process killed and restarted within one tick is back at the next."""
     assert scripted("0.5 stop agent2", "0.5 continue agent2") == [(10, "stop", "agent2"), (11, "continue", "agent2")]
     assert scripted("0.46 kill agent2", "0.49 restart agent2") == [(10, "kill", "agent2"), (11, "start", "agent2")]
 

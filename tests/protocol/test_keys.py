@@ -1,4 +1,4 @@
-"""Key expressions: who hears what, and whose messages travel where."""
+"""Key expressions: senders and receivers of every kind of message."""
 
 import pytest
 
@@ -61,8 +61,8 @@ def listeners(message: Message) -> set[str]:
         (PlantState, {"coordinator", "recorder"}),
     ],
 )
-def test_who_hears_what(kind: type[Message], expected: set[str]) -> None:
-    """Each message reaches exactly the roles that protocol/wire/keys.py says; the recorder hears everything."""
+def test_receivers(kind: type[Message], expected: set[str]) -> None:
+    """Each message reaches exactly the roles of its route; the recorder receives every message that is sent."""
     assert listeners(sample(kind)) == expected
 
 
@@ -127,7 +127,7 @@ def test_keys_are_as_documented() -> None:
         "report": "transport/run-1/report/2",
         "rejected": "transport/run-1/rejected/agent2",
     }
-    assert {kind: KEYS.of(sample(cls)) for kind, cls in KINDS.items()} == expected
+    assert {kind: KEYS.of(sample(KINDS[kind])) for kind in expected} == expected
     assert KEYS.alive("agent2", 3, "0123ab", 5) == "transport/run-1/alive/agent2/3/0123ab/5"
     assert KEYS.ready("plant", 0) == "transport/run-1/ready/plant/0"
 
@@ -151,7 +151,7 @@ def test_forged_senders_are_refused(kind: type[Message]) -> None:
 
 
 def test_each_speaks_of_refusals_under_a_key_of_its_own() -> None:
-    """What one process refuses is not told under another's key."""
+    """A process reports the messages it refused under its own key only."""
     message = sample(Rejected, sender="agent12")
     KEYS.check_sender(KEYS.of(message), message)
     for name in set(NAMES) - {"agent12"}:
@@ -181,7 +181,7 @@ def test_an_agent_cannot_plan_for_another() -> None:
 
 
 def test_tokens_are_read() -> None:
-    """A token says again what it was made of."""
+    """A token is read back as it was written."""
     assert KEYS.token(KEYS.alive("agent2", 3, "0123ab", 5)) == Token("agent2", 3, "0123ab", 5)
     assert KEYS.token(f"{KEYS.prefix}/alive/agent2/3/0123ab") == Token("agent2", 3, "0123ab", 2)  # as it was once
     assert KEYS.token(KEYS.ready("plant", 0)) == Token("plant", 0, None, None)
@@ -200,7 +200,7 @@ def test_tokens_are_read() -> None:
     ],
 )
 def test_strange_tokens_are_refused(end: str) -> None:
-    """The key of a token that nobody of this run makes is refused, and shown."""
+    """The key of a token that no process of this run makes is refused, and shown."""
     with pytest.raises(MessageError, match="expected the key of a token") as caught:
         KEYS.token(f"{KEYS.prefix}/{end}")
     assert caught.value.reason == "malformed"

@@ -1,10 +1,11 @@
-"""Changes of links in flight: each applied once, in the order of time, by whoever has the link."""
+"""Changes of links during a run: each applied once, in the order of time, by the receiver of the link."""
 
 import json
 from typing import Any
 
 import pytest
 
+from protocol.scenario.link_sections import GilbertElliottSection
 from protocol.scenario.links import Link, LinkChanges, LinkError, link_change
 from protocol.wire.messages import LinkChange, MessageError
 from tests.support.runs import setup
@@ -19,7 +20,7 @@ def links(*settings: str) -> dict[str, Link]:
 
 
 def change(number: int, tick: int, source: str = "", target: str = "", **settings: Any) -> LinkChange:
-    """The coordinator changes links from a tick on."""
+    """Message of the coordinator that changes links from a tick on."""
     return LinkChange(
         sender="coordinator",
         incarnation=0,
@@ -42,15 +43,15 @@ def told(found: dict[str, Link], *changes: LinkChange) -> dict[str, Link]:
 
 def losses(found: dict[str, Link], tick: int) -> list[float]:
     """Probability of loss of each of the links."""
-    return [one.model(tick).loss for one in found.values()]
+    return [one.impairments(tick).loss for one in found.values()]
 
 
 def test_from_its_tick_on() -> None:
-    """A change holds for what is sent from its tick on, and leaves the keys it does not give as they were."""
+    """A change applies to messages sent from its tick on; keys that it does not give stay as they were."""
     found = told(links("links={delay_s=0.1,loss=0.2}"), change(1, 10, loss=0.5))
     assert losses(found, 9) == [0.2, 0.2, 0.0]
     assert losses(found, 10) == losses(found, 999) == [0.5, 0.5, 0.0]
-    assert found["agent2"].model(10).delay_s == 0.1
+    assert found["agent2"].impairments(10).delay_s == 0.1
 
 
 @pytest.mark.parametrize(
@@ -66,19 +67,19 @@ def test_from_its_tick_on() -> None:
     ],
 )
 def test_which_links(ends: dict[str, str], expected: list[float]) -> None:
-    """A change concerns the links it names; those of the plant only by name."""
+    """A change applies to the links it names; to those of the plant only by name."""
     assert losses(told(links(), change(1, 0, loss=0.5, **ends)), 0) == expected
 
 
 def test_told_again() -> None:
-    """All changes are told again for whoever joins: those that are known change nothing, by number."""
+    """All changes are repeated for a process that joins: known ones, by number, have no effect."""
     once = change(1, 5, loss=0.5)
     twice = told(links(), once, change(2, 6, loss=0.7), once, change(1, 9, loss=1.0), change(2, 6, loss=0.7))
     assert [losses(twice, tick)[0] for tick in (4, 5, 6, 100)] == [0.0, 0.5, 0.7, 0.7]
 
 
 def test_a_newcomer_knows_as_much() -> None:
-    """Who is told all changes at once, and late, treats every message like those who heard them as they came."""
+    """A receiver that gets all changes at once, and late, treats every message like one that got each in time."""
     changes = [change(i, 10 * i, loss=0.1 * i, delay_s=0.01 * i) for i in range(1, 9)]
     early, late = links("links={loss=0.3}"), links("links={loss=0.3}")
     heard = LinkChanges(early.values(), SAMPLES)
@@ -93,34 +94,41 @@ def test_a_newcomer_knows_as_much() -> None:
 
 
 def test_scripted_changes_stay_where_they_are() -> None:
-    """A change by hand does not bring those forward that the scenario has for later, nor does it undo them."""
+    """A change by hand neither advances nor undoes the later changes of the scenario."""
     found = told(links("links.change=[{at_s=2.0,delay_s=0.5}]"), change(1, 10, loss=0.3))
-    models = [found["agent2"].model(tick) for tick in (9, 10, 39, 40, 100)]
+    models = [found["agent2"].impairments(tick) for tick in (9, 10, 39, 40, 100)]
     assert [model.loss for model in models] == [0.0, 0.3, 0.3, 0.3, 0.3]
     assert [model.delay_s for model in models] == [0.0, 0.0, 0.0, 0.5, 0.5]
 
 
 def test_a_change_by_hand_ends_with_the_next_scripted_one() -> None:
-    """Of changes of one key the one of the latest tick is in force."""
+    """Among changes of one key the one of the latest tick is in force."""
     found = told(links("links.change=[{at_s=2.0,delay_s=0.5}]"), change(1, 10, delay_s=0.2), change(2, 50, delay_s=0.1))
-    assert [found["agent2"].model(tick).delay_s for tick in (9, 10, 39, 40, 49, 50)] == [0.0, 0.2, 0.2, 0.5, 0.5, 0.1]
+    assert [found["agent2"].impairments(tick).delay_s for tick in (9, 10, 39, 40, 49, 50)] == [
+        0.0,
+        0.2,
+        0.2,
+        0.5,
+        0.5,
+        0.1,
+    ]
 
 
 def test_partial_keys() -> None:
     """A burst chain, a rate or measured delays are changed alone and as a whole."""
-    model = told(
+    found = told(
         links("links={delay_s=0.1,loss=0.2,gilbert_elliott={enter=0.1,leave=0.3,loss=0.9}}"),
         change(1, 1, gilbert_elliott={"enter": 0.0, "leave": 1.0}),
         change(2, 2, rate_hz=5.0),
         change(3, 3, distribution="empirical", samples="a.csv"),
         change(4, 4, distribution="normal", jitter_s=0.1),
-    )["agent2"].model
-    assert (model(0).burst_enter, model(0).burst_leave, model(0).burst_loss) == (0.1, 0.3, 0.9)
-    assert (model(1).burst_enter, model(1).burst_leave, model(1).burst_loss) == (0.0, 1.0, 1.0)
-    assert model(2).rate_hz == 5.0
-    assert (model(3).distribution, model(3).samples_s) == ("empirical", SAMPLES["a.csv"])
-    assert (model(4).distribution, model(4).samples_s, model(4).jitter_s) == ("normal", (), 0.1)
-    assert {(model(k).loss, model(k).delay_s) for k in range(5)} == {(0.2, 0.1)}
+    )["agent2"].impairments
+    assert found(0).gilbert_elliott == GilbertElliottSection(enter=0.1, leave=0.3, loss=0.9)
+    assert found(1).gilbert_elliott == GilbertElliottSection(enter=0.0, leave=1.0)
+    assert found(2).rate_hz == 5.0
+    assert (found(3).distribution, found(3).samples) == ("empirical", "a.csv")
+    assert (found(4).distribution, found(4).jitter_s) == ("normal", 0.1)
+    assert {(found(k).loss, found(k).delay_s) for k in range(5)} == {(0.2, 0.1)}
 
 
 WRONG = [
@@ -150,7 +158,7 @@ WRONG = [
 
 @pytest.mark.parametrize("settings", WRONG)
 def test_what_is_no_change_is_refused(settings: str) -> None:
-    """Whatever is no JSON object of a link's keys is refused on one line, changes nothing, and does not count."""
+    """Anything but a JSON object of a link's keys is refused on one line, without effect, and does not count."""
     with pytest.raises(LinkError) as caught:
         link_change("", "", settings)
     assert "\n" not in str(caught.value)
@@ -167,17 +175,17 @@ def test_what_is_no_change_is_refused(settings: str) -> None:
     assert losses(found, 3) == [0.4, 0.4, 0.0]
 
 
-def test_measured_delays_that_nobody_has() -> None:
-    """Measured delays travel with the scenario: a file that it does not name is refused by whoever is told of it."""
+def test_unknown_measured_delays() -> None:
+    """Measured delays come with the scenario: a change with a file that it does not name is refused."""
     found = links()
     changes = LinkChanges(found.values(), SAMPLES)
     with pytest.raises(MessageError, match=r"samples: expected a file that the scenario names, got 'c.csv'"):
         changes.apply(change(1, 0, distribution="empirical", samples="c.csv"))
-    assert found["agent2"].model(0).perfect
+    assert found["agent2"].impairments(0).perfect
 
 
 def test_changes_come_in_order() -> None:
-    """A change is not taken in before those with lower numbers: whoever misses one would fly over other links."""
+    """A change is refused before those with lower numbers: receivers would otherwise disagree about the links."""
     found = links()
     changes = LinkChanges(found.values(), SAMPLES)
     with pytest.raises(MessageError) as caught:

@@ -1,14 +1,16 @@
-"""The link model: each impairment has the statistics its name promises, and depends on nothing but the message."""
+"""Links: each impairment has the statistics of its definition, and depends on nothing but the message."""
 
 import math
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from protocol.scenario.file import ScenarioError, validate
-from protocol.scenario.links import Link, LinkModel
+from protocol.scenario.link_sections import GilbertElliottSection, LinkSection
+from protocol.scenario.links import Link
 from protocol.scenario.setup import Setup
 from tests.support.runs import setup
 
@@ -18,14 +20,33 @@ COUNT = 20_000
 SIGMAS = 5.0
 
 
-def link(model: LinkModel, seed: int = 0, sender: str = "agent1", receiver: str = "agent2") -> Link:
-    """A link with plans on it."""
-    return Link(model, seed=seed, sender=sender, receiver=receiver, kind="plan", period_s=PERIOD_S)
+# Measured delays, by the name of their file.
+SAMPLES = {"measured.csv": (0.01, 0.02, 0.02, 0.5)}
 
 
-def link_history(model: LinkModel, seed: int = 0) -> list[list[float]]:
+def link(
+    section: LinkSection,
+    seed: int = 0,
+    sender: str = "agent1",
+    receiver: str = "agent2",
+    partitions: tuple[tuple[float, float], ...] = (),
+) -> Link:
+    """A link that carries plans."""
+    return Link(
+        section,
+        seed=seed,
+        sender=sender,
+        receiver=receiver,
+        kind="plan",
+        period_s=PERIOD_S,
+        samples_s=SAMPLES,
+        partitions=partitions,
+    )
+
+
+def link_history(section: LinkSection, seed: int = 0) -> list[list[float]]:
     """Delays of many messages."""
-    one = link(model, seed)
+    one = link(section, seed)
     return [one.delays(tick) for tick in range(COUNT)]
 
 
@@ -38,7 +59,7 @@ def share(happened: list[bool], expected: float) -> None:
 @pytest.mark.parametrize("loss", [0.1, 0.3, 0.6])
 def test_bernoulli_loss(loss: float) -> None:
     """The share of lost messages is the probability, and one loss says nothing about the next."""
-    lost = [not delays for delays in link_history(LinkModel(loss=loss))]
+    lost = [not delays for delays in link_history(LinkSection(loss=loss))]
     share(lost, loss)
     share([b for a, b in pairwise(lost) if a], loss)
 
@@ -46,7 +67,12 @@ def test_bernoulli_loss(loss: float) -> None:
 def test_bursts_of_gilbert_elliott() -> None:
     """Share of time in the bad state is enter / (enter + leave), and a burst lasts 1 / leave ticks on average."""
     enter, leave = 0.05, 0.25
-    lost = np.array([not delays for delays in link_history(LinkModel(burst_enter=enter, burst_leave=leave))])
+    lost = np.array(
+        [
+            not delays
+            for delays in link_history(LinkSection(gilbert_elliott=GilbertElliottSection(enter=enter, leave=leave)))
+        ]
+    )
     bad = enter / (enter + leave)
     # Neighbours are correlated by 1 - enter - leave, which widens the error of the mean.
     correlation = 1.0 - enter - leave
@@ -66,9 +92,9 @@ def test_bursts_of_gilbert_elliott() -> None:
         ("lognormal", 1.0 + 0.05 / np.sqrt(math.e - 1.0), 0.05),
     ],
 )
-def test_jitter(distribution: str, mean_s: float, deviation_s: float) -> None:
+def test_jitter(distribution: Any, mean_s: float, deviation_s: float) -> None:
     """Mean and standard deviation of the delay are those of the distribution about the fixed delay."""
-    model = LinkModel(delay_s=1.0, jitter_s=0.05, distribution=distribution)
+    model = LinkSection(delay_s=1.0, jitter_s=0.05, distribution=distribution)
     delays = np.array([delay for fate in link_history(model) for delay in fate])
     fourth = np.mean((delays - delays.mean()) ** 4) / delays.var() ** 2
     assert abs(delays.mean() - mean_s) < SIGMAS * deviation_s / np.sqrt(COUNT)
@@ -78,7 +104,7 @@ def test_jitter(distribution: str, mean_s: float, deviation_s: float) -> None:
 def test_delays_are_never_negative() -> None:
     """Jitter wider than the delay is cut at zero: nothing arrives before it is sent."""
     delays = [
-        delay for fate in link_history(LinkModel(delay_s=0.01, jitter_s=0.1, distribution="normal")) for delay in fate
+        delay for fate in link_history(LinkSection(delay_s=0.01, jitter_s=0.1, distribution="normal")) for delay in fate
     ]
     assert min(delays) == 0.0
     assert max(delays) > 0.2
@@ -86,16 +112,15 @@ def test_delays_are_never_negative() -> None:
 
 def test_empirical_delays_are_drawn_evenly() -> None:
     """Each measured delay is as likely as the others, and nothing else is drawn."""
-    samples = (0.01, 0.02, 0.02, 0.5)
-    delays = [fate[0] for fate in link_history(LinkModel(distribution="empirical", samples_s=samples))]
-    assert set(delays) == set(samples)
+    delays = [delays[0] for delays in link_history(LinkSection(distribution="empirical", samples="measured.csv"))]
+    assert set(delays) == set(SAMPLES["measured.csv"])
     share([delay == 0.02 for delay in delays], 0.5)
     share([delay == 0.5 for delay in delays], 0.25)
 
 
 def test_duplicates_have_delays_of_their_own() -> None:
     """The share that arrives twice is the probability; the second delay is drawn anew."""
-    found = link_history(LinkModel(delay_s=0.1, jitter_s=0.1, duplicate=0.2))
+    found = link_history(LinkSection(delay_s=0.1, jitter_s=0.1, duplicate=0.2))
     share([len(fate) == 2 for fate in found], 0.2)
     twice = np.array([fate for fate in found if len(fate) == 2])
     assert abs(np.corrcoef(twice.T)[0, 1]) < SIGMAS / np.sqrt(len(twice))
@@ -103,21 +128,21 @@ def test_duplicates_have_delays_of_their_own() -> None:
 
 def test_reordering_holds_back() -> None:
     """A share of the messages comes later by a fixed time, behind those sent after them."""
-    found = [fate[0] for fate in link_history(LinkModel(delay_s=0.02, reorder=0.1, reorder_s=0.2))]
+    found = [delays[0] for delays in link_history(LinkSection(delay_s=0.02, reorder=0.1, reorder_s=0.2))]
     assert set(found) == {0.02, 0.02 + 0.2}
     share([delay > 0.1 for delay in found], 0.1)
 
 
 def test_partition_has_a_start_and_an_end() -> None:
-    """Nothing sent in [start, end) arrives; what is sent before and after does."""
-    one = link(LinkModel(partitions=((0.5, 1.0),)))
+    """No message sent in [start, end) arrives; those sent before and after do."""
+    one = link(LinkSection(), partitions=((0.5, 1.0),))
     assert [bool(one.delays(tick)) for tick in (9, 10, 19, 20)] == [True, False, False, True]
 
 
 @pytest.mark.parametrize("rate_hz", [0.5, 3.0, 7.0, 10.0, 15.0, 19.9])
 def test_rate_limit(rate_hz: float) -> None:
-    """Of 20 messages a second a link of r Hz carries r in every whole second, as evenly spread as ticks allow."""
-    carried = np.array([bool(delays) for delays in link_history(LinkModel(rate_hz=rate_hz))])
+    """A link of r Hz carries r of 20 messages in every whole second, as evenly spread as ticks allow."""
+    carried = np.array([bool(delays) for delays in link_history(LinkSection(rate_hz=rate_hz))])
     assert carried[0]
     at = np.flatnonzero(carried)
     # Seconds since the first message times the rate, rounded: at most one message from a steady flow at any instant.
@@ -126,10 +151,10 @@ def test_rate_limit(rate_hz: float) -> None:
     assert set(np.diff(at)) <= {int(np.floor(apart)), int(np.ceil(apart))}
 
 
-@pytest.mark.parametrize("rate_hz", [20.0, 21.0, 1e9, np.inf])
-def test_rate_above_the_sampling_rate(rate_hz: float) -> None:
+@pytest.mark.parametrize("rate_hz", [20.0, 21.0, 1e9, None])
+def test_rate_above_the_sampling_rate(rate_hz: float | None) -> None:
     """A link that could carry as many messages as are sent, or more, carries all of them."""
-    assert all(delays == [0.0] for delays in link_history(LinkModel(rate_hz=rate_hz))[:1000])
+    assert all(delays == [0.0] for delays in link_history(LinkSection(rate_hz=rate_hz))[:1000])
 
 
 @pytest.mark.parametrize(
@@ -137,27 +162,28 @@ def test_rate_above_the_sampling_rate(rate_hz: float) -> None:
 )
 def test_virtual_arrival(delay_s: float, ticks: int) -> None:
     """A message is usable at the first tick later than its own at or after its arrival. Source: docs/time.md."""
-    assert link(LinkModel(delay_s=delay_s)).usable_ticks(7) == [7 + ticks]
+    assert link(LinkSection(delay_s=delay_s)).usable_ticks(7) == [7 + ticks]
 
 
 def test_within_the_tick() -> None:
-    """What may be used in its own tick, as measurements are, is usable there over a perfect link and no later."""
+    """A message for use in its own tick, such as a measurement, is usable in that tick over a perfect link."""
     for delay_s, ticks in ((0.0, 0), (0.01, 1), (0.05, 1), (0.051, 2)):
-        assert link(LinkModel(delay_s=delay_s)).usable_ticks(7, after=0) == [7 + ticks]
+        assert link(LinkSection(delay_s=delay_s)).usable_ticks(7, after=0) == [7 + ticks]
 
 
-def test_negotiations_have_fates_of_their_own() -> None:
+def test_negotiations_are_independent() -> None:
     """Plans exchanged within one tick are lost independently of each other and of the tick's last one."""
-    one = link(LinkModel(loss=0.5))
+    one = link(LinkSection(loss=0.5))
     lost = np.array([[not one.delays(tick, negotiation) for tick in range(2000)] for negotiation in range(4)])
     correlations = np.corrcoef(lost)[np.triu_indices(4, 1)]
     assert np.abs(correlations).max() < SIGMAS / np.sqrt(2000)
 
 
 def test_the_order_of_questions_does_not_matter() -> None:
-    """What happens to a message is the same whenever it is asked, bursts included."""
-    model = LinkModel(
-        delay_s=0.1, jitter_s=0.1, loss=0.2, burst_enter=0.1, burst_leave=0.3, duplicate=0.2, reorder=0.2, reorder_s=0.1
+    """The delays of a message do not depend on the order in which they are computed, bursts included."""
+    bursts = GilbertElliottSection(enter=0.1, leave=0.3)
+    model = LinkSection(
+        delay_s=0.1, jitter_s=0.1, loss=0.2, gilbert_elliott=bursts, duplicate=0.2, reorder=0.2, reorder_s=0.1
     )
     ticks = np.random.default_rng(0).permutation(500)
     shuffled = {int(tick): one.delays(int(tick)) for one in [link(model)] for tick in ticks}
@@ -166,8 +192,8 @@ def test_the_order_of_questions_does_not_matter() -> None:
 
 
 def test_links_and_seeds_are_independent() -> None:
-    """Another seed, sender or receiver is another sequence of fates."""
-    model = LinkModel(loss=0.5)
+    """Another seed, sender or receiver gives an independent sequence of delays."""
+    model = LinkSection(loss=0.5)
     variants = [link(model), link(model, seed=1), link(model, sender="agent3"), link(model, receiver="agent3")]
     lost = np.array([[not one.delays(tick) for tick in range(2000)] for one in variants], dtype=float)
     correlations = np.corrcoef(lost)[np.triu_indices(len(variants), 1)]
@@ -180,7 +206,7 @@ ENDS = (("agent1", "agent2"), ("agent2", "agent1"), ("plant", "agent1"), ("plant
 def delays_ms(*settings: str, tick: int = 0) -> list[int]:
     """The fixed delays of some links of a scenario, in the order of `ENDS`."""
     run = setup(*settings)
-    return [round(1e3 * run.link(*ends).model(tick).delay_s) for ends in ENDS]
+    return [round(1e3 * run.link(*ends).impairments(tick).delay_s) for ends in ENDS]
 
 
 @pytest.mark.parametrize(
@@ -206,7 +232,7 @@ def delays_ms(*settings: str, tick: int = 0) -> list[int]:
     ],
 )
 def test_which_links_a_section_is_for(settings: tuple[str, ...], expected: list[int]) -> None:
-    """Plans, measurements and actuation have a section each; an override has what fits its ends."""
+    """Plans, measurements and actuation have a section each; an override applies to the links of its ends."""
     assert delays_ms(*settings) == expected
 
 
@@ -224,7 +250,7 @@ def test_partition_with_the_plant() -> None:
 
 
 def test_scripted_change() -> None:
-    """From its instant on a change holds for the links it names; keys that it does not give stay as they are."""
+    """From its instant on a change applies to the links it names; keys that it does not give stay as they are."""
     settings = (
         "links={delay_s=0.1,loss=0.25}",
         "links.change=[{at_s=0.5,delay_s=0.2},{at_s=1.0,to='agent1',loss=0.5},{at_s=0.75,from='plant',delay_s=0.3}]",
@@ -237,23 +263,23 @@ def test_scripted_change() -> None:
         [200, 200, 300, 300, 0],
     ]
     one = setup(*settings).link("agent2", "agent1")
-    assert [one.model(tick).loss for tick in (0, 19, 20)] == [0.25, 0.25, 0.5]
+    assert [one.impairments(tick).loss for tick in (0, 19, 20)] == [0.25, 0.25, 0.5]
 
 
 def test_change_within_a_period() -> None:
-    """What is sent before the instant of a change is treated as before: the first tick at or after it is the first."""
+    """A change applies from the first tick at or after its instant."""
     one = setup("links.change=[{at_s=0.51,loss=1.0}]").link("agent1", "agent2")
     assert [bool(one.delays(tick)) for tick in (10, 11)] == [True, False]
 
 
 def test_a_change_does_not_rewrite_the_past() -> None:
-    """Fates of messages sent before a change are those of a link that never changes, bursts included."""
+    """Delays of messages sent before a change are those of a link that never changes, bursts included."""
     bursts = "links={loss=0.1,gilbert_elliott={enter=0.1,leave=0.2}}"
     before = setup(bursts).link("agent1", "agent2")
     after = setup(bursts, "links.change=[{at_s=10.0,gilbert_elliott={enter=0.5,leave=0.1}}]").link("agent1", "agent2")
-    fates_before, fates_after = ([one.delays(tick) for tick in range(400)] for one in (before, after))
-    assert fates_before[:200] == fates_after[:200]
-    assert sum(map(bool, fates_after[200:])) < sum(map(bool, fates_before[200:])) - 50
+    delays_before, delays_after = ([one.delays(tick) for tick in range(400)] for one in (before, after))
+    assert delays_before[:200] == delays_after[:200]
+    assert sum(map(bool, delays_after[200:])) < sum(map(bool, delays_before[200:])) - 50
 
 
 def test_measured_delays_come_from_a_file(tmp_path: Path) -> None:
@@ -264,7 +290,8 @@ def test_measured_delays_come_from_a_file(tmp_path: Path) -> None:
     tree = scenario.tree()
     tree["links"] = {"distribution": "empirical", "samples": "delays.csv"}
     built = Setup.of(validate(tree, source), source)
-    assert built.link("agent1", "agent2").model(0).samples_s == (0.01, 0.02, 0.03)
+    delays = {delay for tick in range(100) for delay in built.link("agent1", "agent2").delays(tick)}
+    assert delays == {0.01, 0.02, 0.03}
     for content in ("0.01 fast", "", "-0.1", "inf"):
         (tmp_path / "delays.csv").write_text(content)
         with pytest.raises(ScenarioError, match="expected delays"):
@@ -273,6 +300,6 @@ def test_measured_delays_come_from_a_file(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("settings", ["links.delay_s=1e308", "links={reorder=1.0,reorder_s=1.7e308}"])
 def test_a_delay_without_end(settings: str) -> None:
-    """A message may be as late as a number can say: it is then never usable, and nothing overflows."""
+    """A delay of any size is accepted: the message is never usable, and no number overflows."""
     link = setup(settings).link("agent1", "agent2")
     assert link.usable_ticks(3) == [3 + round(1e9 / 0.05)]

@@ -151,14 +151,14 @@ ARRAYS = [(kind, field) for kind, own in SORTS.items() for field, sort in own.it
 
 
 def refusal(kind: type[Message], **changes: Any) -> str:
-    """What a message with some fields changed is refused with."""
+    """Error text of a message with some fields changed."""
     with pytest.raises(MessageError) as caught:
         sample(kind, **changes)
     return str(caught.value)
 
 
 def test_the_table_covers_every_field() -> None:
-    """Every field of every message kind is in the table of wrong values."""
+    """The table of wrong values covers every field of every message kind."""
     for kind in KINDS.values():
         assert {field.name for field in dataclasses.fields(kind)} == set(HEAD | SORTS[kind]) == set(fields(kind))
 
@@ -203,7 +203,7 @@ def test_wrong_value_is_refused(kind: type[Message], field: str, value: object) 
     ],
 )
 def test_why_a_value_is_refused(kind: type[Message], changes: dict[str, Any], reason: str) -> None:
-    """A refusal tells a value of the wrong type or shape from one that is no number and one that is out of range."""
+    """The reason distinguishes wrong type or shape, not finite, and out of range."""
     with pytest.raises(MessageError) as caught:
         sample(kind, **changes)
     assert caught.value.reason == reason
@@ -220,15 +220,15 @@ def test_wrong_entry_is_refused(kind: type[Message], field: str) -> None:
 
 
 @pytest.mark.parametrize("value", NO_LISTS)
-def test_what_is_no_list_is_refused(value: object) -> None:
+def test_other_values_than_lists_are_refused(value: object) -> None:
     """Anything but a list of bounded length is refused where a list belongs."""
     for kind, field in LISTS:
         assert "expected a list of at most 256, got " in refusal(kind, **{field: value})
 
 
 @pytest.mark.parametrize(("kind", "field"), LISTS)
-def test_what_is_no_list_is_named(kind: type[Message], field: str) -> None:
-    """The refusal of something that is no list names the field it came in."""
+def test_field_of_a_missing_list_is_named(kind: type[Message], field: str) -> None:
+    """The error about a value that is no list names its field."""
     assert refusal(kind, **{field: 3}) == f"{field}: expected a list of at most 256, got 3"
 
 
@@ -358,6 +358,6 @@ def test_limits_themselves_are_allowed(kind: type[Message], changes: dict[str, A
 
 
 def test_long_values_are_cut_in_the_text() -> None:
-    """The text of a refusal stays readable whatever came."""
+    """Long values are shortened in error texts."""
     assert len(refusal(Control, outcome="x" * 100_000)) < 200
     assert len(refusal(Tick, members=["y" * 100_000])) < 200

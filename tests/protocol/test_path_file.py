@@ -70,7 +70,7 @@ def test_two_rows_are_a_straight_phase(tmp_path: Path) -> None:
 
 
 def test_a_path_is_flown(tmp_path: Path) -> None:
-    """The team follows it as it follows phases: no further off than the swing of a straight way of that speed."""
+    """The team follows it as it follows phases: the error is at most the swing of a straight path of that speed."""
     path = written(tmp_path, csv(QUARTER))
     run = Setup.of(read_scenario(path, ["controller.prediction=closed_loop", "controller.relaxation=0.25"]), str(path))
     messages: list[Message] = []
@@ -82,7 +82,7 @@ def test_a_path_is_flown(tmp_path: Path) -> None:
 
 
 def test_the_scenario_stands_for_itself_once_read(tmp_path: Path) -> None:
-    """Written back and read without the file it is the same, fingerprint and all: a run folder needs no copy."""
+    """Written back and read without the file it is equal, with the same fingerprint: a run folder needs no copy."""
     path = written(tmp_path, csv(QUARTER))
     scenario = read_scenario(path)
     (tmp_path / "way.csv").unlink()
@@ -121,7 +121,7 @@ GARBAGE = [
 
 @pytest.mark.parametrize(("text", "problem"), GARBAGE)
 def test_garbage_is_refused_with_row_and_reason(text: str, problem: str, tmp_path: Path) -> None:
-    """What is no path is refused on reading: scenario, key, file, row, expected and got, in one line."""
+    """An invalid path is refused on reading: scenario, key, file, row, expected and got, in one line."""
     path = written(tmp_path, text)
     with pytest.raises(ScenarioError) as caught:
         read_scenario(path)
@@ -131,7 +131,7 @@ def test_garbage_is_refused_with_row_and_reason(text: str, problem: str, tmp_pat
 
 
 def test_a_path_that_is_not_there_is_refused(tmp_path: Path) -> None:
-    """No file, a folder, bytes: each is said, and the setting is blamed when it gave the name."""
+    """A missing file, a folder or bytes are named as such, with the setting if it gave the name."""
     path = written(tmp_path, csv(QUARTER))
     with pytest.raises(
         ScenarioError, match=r"^--set maneuver.phase.2.file=no.csv: cannot read .*no.csv \(No such file"

@@ -1,4 +1,4 @@
-"""What is refused is counted by sender and reason, within bounds, and told now and then."""
+"""Refused messages are counted by sender and reason, within bounds, and reported now and then."""
 
 from typing import get_args
 
@@ -32,7 +32,7 @@ def test_counts_by_sender_and_reason() -> None:
 
 
 def test_nothing_at_first() -> None:
-    """Without refusals there is nothing to count and nothing to tell."""
+    """Without refusals there is nothing to count and nothing to report."""
     rejections = Rejections()
     assert (rejections.total, list(rejections), list(rejections.news())) == (0, [], [])
     notices = Notices("plant", rejections)
@@ -40,7 +40,7 @@ def test_nothing_at_first() -> None:
 
 
 def test_senders_are_bounded() -> None:
-    """However many senders somebody makes up, few are told apart; all are counted, and early ones stay apart."""
+    """A flood of invented senders is counted under one name; senders known before stay separate."""
     rejections = Rejections()
     for i in range(10 * MAX_SENDERS):
         for reason in get_args(Reason):
@@ -57,7 +57,7 @@ def test_senders_are_bounded() -> None:
 
 @pytest.mark.parametrize("length", [10, 80, 81, 60_000])
 def test_texts_are_bounded(length: int) -> None:
-    """A key or a text as long as its author likes is cut to what can be sent."""
+    """A key or a text of any length is cut to what can be sent."""
     rejections = Rejections()
     rejections.add("k" * length, past("t" * length))
     (entry,) = rejections
@@ -68,7 +68,7 @@ def test_texts_are_bounded(length: int) -> None:
 
 
 def test_news_are_told_once() -> None:
-    """Each refusal is told once; the example stays that of the first."""
+    """Each refusal is reported once; the example stays that of the first."""
     rejections = Rejections()
     rejections.add("agent1", past("first"))
     assert list(rejections.news()) == [Rejection("agent1", "past", 1, "first")]
@@ -80,7 +80,7 @@ def test_news_are_told_once() -> None:
 
 
 def test_notices_come_once_a_second() -> None:
-    """The first news are told at once, later ones a second after those before at the earliest, the rest at the end."""
+    """The first refusals are reported at once, later ones at least a second after, the rest at the end."""
     rejections = Rejections()
     notices = Notices("agent2", rejections)
     told = []
@@ -95,7 +95,7 @@ def test_notices_come_once_a_second() -> None:
 
 
 def test_no_notice_without_news() -> None:
-    """Time alone is no reason to say anything."""
+    """Without new refusals nothing is reported."""
     rejections = Rejections()
     notices = Notices("agent2", rejections)
     rejections.add("plan/3", past())
@@ -104,7 +104,7 @@ def test_no_notice_without_news() -> None:
 
 
 def test_notices_are_numbered() -> None:
-    """Messages about refusals count up from 0 by themselves: they take no numbers from what else a process says."""
+    """`Rejected` messages have sequence numbers of their own, from 0."""
     rejections = Rejections()
     notices = Notices("agent2", rejections)
     sequences = []

@@ -1,4 +1,4 @@
-"""Reading scenarios: files, defaults, settings, writing back, digest, and what is built from them."""
+"""Reading scenarios: files, defaults, settings, writing back, digest, and the objects built from them."""
 
 import copy
 import math
@@ -151,7 +151,7 @@ def test_one_agent_for_each_uav_by_default() -> None:
 
 
 def test_owned_uavs_are_ascending() -> None:
-    """UAVs of one agent are sorted, whatever order they are written in: messages list them ascending."""
+    """UAVs of one agent are sorted: messages list them ascending."""
     assert read_scenario(PAPER, ["agents.owned=[[4, 1], [3, 2]]"]).owned == ((1, 4), (2, 3))
 
 
@@ -178,7 +178,7 @@ def test_changes_are_written_back_as_given(tmp_path: Path) -> None:
     once, again = setup(*EVERYTHING), Setup.of(read_scenario(path), str(path))
     for ends in (("agent1", "agent2"), ("plant", "agent1"), ("agent3", "plant")):
         for tick in (0, 19, 20, 39, 40):
-            assert again.link(*ends).model(tick) == once.link(*ends).model(tick)
+            assert again.link(*ends).impairments(tick) == once.link(*ends).impairments(tick)
 
 
 @pytest.mark.parametrize(
@@ -213,7 +213,7 @@ def test_digest_covers_every_field_but_the_network() -> None:
     assert len(seen) > 60  # the walk has really been through the tree
 
 
-def test_digest_ignores_the_way_of_writing(tmp_path: Path) -> None:
+def test_digest_ignores_formatting(tmp_path: Path) -> None:
     """Comments, order, integers for floats and spelled-out defaults do not change the digest."""
     tree = minimal()
     spelled = read_scenario(PAPER, ["controller.separation={minimum_m=1}", "controller.received_plans=by_age"]).tree()
@@ -352,7 +352,7 @@ def test_shorter_than_a_period(duration_s: float) -> None:
 
 @pytest.mark.parametrize("count", [1, 2, 3, 7, 30])
 def test_ticks_of_whole_periods(count: int) -> None:
-    """A maneuver of k sampling periods has k ticks, whatever rounding makes of the product."""
+    """A maneuver of k sampling periods has k ticks, also where the product is rounded."""
     assert setup(ticks(count)).ticks == count
 
 

@@ -21,7 +21,7 @@ ENDS = "expected one of plant, agent1, agent2, agent3, agent4, got "
 REALTIME = "clock.mode=realtime"
 ON_CHANGE = ("controller.prediction=closed_loop", "controller.received_plans=by_age", "controller.share=on_change")
 
-# What is set, the field that must be named, what the text must say.
+# Settings, the field that must be named, the text that must follow.
 WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
     # Keys.
     ("controller.horizn=20", "controller.horizn", "unknown key; did you mean 'horizon'?"),
@@ -160,7 +160,7 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
     (
         ("controller.negotiation_iterations=2", REALTIME, "clock.speed=1"),
         "controller.negotiation_iterations",
-        "expected 1 with mode realtime, where nobody waits, got 2",
+        "expected 1 with mode realtime, where agents do not wait for each other, got 2",
     ),
     # Sharing.
     ("controller.share=never", "controller.share", "expected 'always' or 'on_change', got 'never'"),
@@ -169,8 +169,8 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
     (
         ("controller.share=on_change",),
         "controller.prediction",
-        "expected 'closed_loop' with controller.share 'on_change', where the others know the law that acts between two "
-        "plans, got 'open_loop'",
+        "expected 'closed_loop' with controller.share 'on_change', where the others know the control law that "
+        "acts between two plans, got 'open_loop'",
     ),
     (
         ("controller.prediction=closed_loop", "controller.share=on_change"),
@@ -186,7 +186,7 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
     (
         ("controller.negotiation_iterations=2", *ON_CHANGE),
         "controller.negotiation_iterations",
-        "expected 1 with controller.share 'on_change', as each round exchanges every plan, got 2",
+        "expected 1 with controller.share 'on_change', as each iteration exchanges every plan, got 2",
     ),
     ("controller.negotiation_iterations=0", "controller.negotiation_iterations", "expected a number >= 1, got 0"),
     ("controller.negotiation_iterations=21", "controller.negotiation_iterations", "expected a number <= 20, got 21"),
@@ -348,7 +348,7 @@ WRONG_SETTINGS = [
 
 
 def refusal(path: Path, *settings: str) -> str:
-    """What a scenario is refused with, on reading or on building."""
+    """Error text of a scenario, on reading or on building."""
     with pytest.raises(ScenarioError) as caught:
         Setup.of(read_scenario(path, settings), str(path))
     text = str(caught.value.blaming(settings))
@@ -358,7 +358,7 @@ def refusal(path: Path, *settings: str) -> str:
 
 @pytest.mark.parametrize(("settings", "field", "problem"), WRONG, ids=lambda value: str(value)[:50])
 def test_wrong_scenario(settings: str | tuple[str, ...], field: str, problem: str) -> None:
-    """What is wrong is refused before anything starts: one line with setting or file, field, expected and got."""
+    """An invalid value is refused before anything starts: one line with setting or file, field, expected and got."""
     given = [settings] if isinstance(settings, str) else list(settings)
     text = refusal(PAPER, *given)
     key, shown = given[0].partition("=")[0], given[0]
@@ -382,7 +382,7 @@ def test_wrong_scenario(settings: str | tuple[str, ...], field: str, problem: st
     ],
 )
 def test_wrong_file(line: str, wrong: str, problem: str, tmp_path: Path) -> None:
-    """What is wrong in the file is said of the file, settings of other keys or not."""
+    """An error in the file names the file, with or without settings of other keys."""
     path = tmp_path / "wrong.toml"
     path.write_text(PAPER.read_text(encoding="utf-8").replace(line, wrong, 1), encoding="utf-8")
     for settings in ((), ("controller.solver=clarabel",)):
@@ -390,7 +390,7 @@ def test_wrong_file(line: str, wrong: str, problem: str, tmp_path: Path) -> None
 
 
 def test_the_last_setting_is_blamed() -> None:
-    """Of several settings of a key the one that decides is named, and all that make up what is wrong."""
+    """The error names the last of several settings of a key, and all settings that cause it together."""
     horizons = ["controller.horizon=0", "controller.horizon=-1"]
     assert refusal(PAPER, *horizons).startswith("--set controller.horizon=-1: expected")
     thrusts = ["controller.limits.thrust_N.1=50", "controller.limits.thrust_N.2=40"]
@@ -402,7 +402,7 @@ def test_the_last_setting_is_blamed() -> None:
 
 
 def test_settings_that_contradict_the_cost_to_go() -> None:
-    """The cost-to-go prices deviations from hover, and a preview without law and cost-to-go would have no effect."""
+    """The cost-to-go weighs deviations from hover; a preview without control law and cost-to-go has no effect."""
     penalised_input = refusal(PAPER, "controller.terminal=riccati", "controller.weights.penalised_input=absolute")
     expected = "expected 'deviation' with controller.terminal = 'riccati', whose optimum rests at hover, got 'absolute'"
     assert penalised_input == f"--set controller.weights.penalised_input=absolute: {expected}"
@@ -462,7 +462,7 @@ def test_empty_file(tmp_path: Path) -> None:
 
 
 def test_any_value_anywhere() -> None:
-    """Any kind of value at any key is accepted or refused with a `ScenarioError` on one line; nothing else happens."""
+    """Any kind of value at any key is accepted, or refused with a `ScenarioError` on one line."""
     rng = np.random.default_rng(7)
     values = ["0", "-1", "x", "true", "[]", "{}", "[[1]]", "inf", "nan", "1e400", "9" * 23, "2024-01-01", "''",
               "[1,2,3]", "[1,'a']", "{a=1}", "[{}]", "[nan,1,1]", "07:30:00"]  # fmt: skip

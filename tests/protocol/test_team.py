@@ -28,7 +28,7 @@ ROUNDING, DISTANCE_ROUNDING, SHARE_ROUNDING = 0.5e-6, 2e-6, 1e-5
 
 
 def scenario_of(uavs: int, template: Path = PAPER, group: int | None = None, name: str | None = None) -> Scenario:
-    """A team that flies as a scenario does."""
+    """A team with the settings of a scenario."""
     return resized(read_scenario(template), template.parent, uavs, group=group, name=name, source="--from paper")
 
 
@@ -92,7 +92,7 @@ def test_every_size_is_valid(uavs: int, template: str) -> None:
 
 @pytest.mark.parametrize("template", ["paper", "centralized", "resilient"])
 def test_the_rest_is_the_templates(template: str) -> None:
-    """Everything but name, system and ownership is what the template says, and no default is added."""
+    """Everything but name, system and ownership is the template's, and no default is added."""
     path = SCENARIOS / f"{template}.toml"
     own = ("name", "system", "agents")
 
@@ -158,7 +158,7 @@ def test_what_names_agents_that_are_gone_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["a b", "", "x" * 41])
 def test_a_name_that_cannot_be_is_refused(name: str) -> None:
-    """A name no scenario can have is refused as the field it is."""
+    """An invalid name is refused with its field."""
     with pytest.raises(ScenarioError) as caught:
         scenario_of(3, name=name)
     assert caught.value.field == "name"
@@ -172,7 +172,7 @@ def test_the_largest_team_is_the_largest_scenario() -> None:
 
 
 def test_one_uav_cannot_turn_the_payload() -> None:
-    """Why there is no team of one: whatever a UAV above the centre of mass does, the payload's yaw rate stays 0."""
+    """There is no team of one: no input of a UAV above the centre of mass changes the payload's yaw rate."""
     uav, payload = ring(4, GRAVITY).uav[0], ring(4, GRAVITY).payload
     alone = Uav(mass=uav.mass_kg, inertia=uav.inertia_kgm2, rho=[0.0, 0.0, -0.125], rod_length=uav.rod_length_m)
     system = System(payload=Payload(mass=payload.mass_kg, inertia=payload.inertia_kgm2), uavs=[alone])

@@ -1,117 +1,91 @@
 """One valid message of every kind, as the fields it is built from."""
 
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from protocol.wire.messages import (
-    KINDS,
-    STAGES,
-    Control,
-    FaultNote,
-    LinkChange,
-    Measurement,
-    Message,
-    Plan,
-    PlantState,
-    Rejected,
-    Roster,
-    StepReport,
-    Tick,
+from protocol.wire.fields import (
+    Age,
+    Agent,
+    Ages,
+    Check,
+    Counts,
+    End,
+    Finite,
+    Flag,
+    Ids,
+    Name,
+    Number,
+    Shape,
+    Text,
+    checks,
 )
+from protocol.wire.messages import KINDS, Control, FaultNote, LinkChange, Message, PlantState, Rejected, Roster
+from protocol.wire.names import AGENT
 
 HEAD: dict[str, Any] = {"incarnation": 1, "sequence": 7, "tick": 3}
+
+# A valid value of each type of field; other integers and lists of them are small.
+BY_TYPE: dict[Any, Any] = {
+    Name: "agent2",
+    End: "agent1",
+    Number: 2,
+    Age: 1,
+    Agent: 2,
+    Ids: (2, 4),
+    Counts: (0, 5),
+    Ages: (1, -1),
+    Finite: 1e-9,
+    Flag: True,
+    Text: "text",
+    int: 1,
+    tuple: (3, -2),
+}
+
+# Fields of one kind whose values tests rely on.
+OWN: dict[type[Message], dict[str, Any]] = {
+    Roster: {"agents": (1, 3), "off": (2, 3), "released": (3,)},
+    LinkChange: {"target": "", "settings": '{"delay_s": 0.1}'},
+    PlantState: {"diverged": ""},
+    FaultNote: {"target": "agent3", "what": "killed"},
+    Rejected: {"offender": "agent3", "reason": "not_finite", "example": "inputs: expected finite numbers, got nan"},
+    Control: {"outcome": "aborted", "exit_code": 4},
+}
+
+# Rows of an array that may have any number of them.
+ROWS = 3
+
+
+def type_of_field(kind: type[Message], field: str) -> Any:
+    """Type of a field: one of `protocol.wire.fields`, or its plain type."""
+    hint = get_type_hints(kind, include_extras=True)[field]
+    if hint in BY_TYPE or get_origin(hint) is Literal:
+        return hint
+    plain = get_type_hints(kind)[field]
+    return get_origin(plain) or plain
+
+
+def array_of(check: Check, values: dict[str, Any], rows: int = ROWS) -> tuple[int, ...]:
+    """Shape of an array among the other fields of a message."""
+    assert isinstance(check, Shape)
+    return tuple(rows if length is None else length for length in check.of(SimpleNamespace(**values)))
 
 
 def fields(kind: type[Message]) -> dict[str, Any]:
     """Valid fields of a message class, fresh on every call."""
-    states, inputs = np.arange(24.0).reshape(2, 12), np.arange(8.0).reshape(2, 4)
-    own: dict[type[Message], dict[str, Any]] = {
-        Tick: {
-            "sender": "coordinator",
-            "members": (1, 2),
-            "answered": (2,),
-            "shared": (2,),
-            "roster": 3,
-            "late_ns": 50_000,
-            "overrun_ns": 1_200_000,
-        },
-        Roster: {
-            "sender": "coordinator",
-            "version": 2,
-            "agents": (1, 3),
-            "incarnations": (0, 5),
-            "off": (2, 3),
-            "released": (3,),
-            "reason": "ready",
-        },
-        LinkChange: {
-            "sender": "coordinator",
-            "number": 2,
-            "source": "agent1",
-            "target": "",
-            "settings": '{"delay_s": 0.1}',
-        },
-        Measurement: {
-            "sender": "plant",
-            "agent": 2,
-            "answered": (1, 2),
-            "shared": (1,),
-            "roster": 3,
-            "payload": np.arange(12.0),
-            "uavs": (2, 4),
-            "uav_states": states,
-            "inputs": inputs,
-        },
-        Plan: {
-            "sender": "agent2",
-            "agent": 2,
-            "start_tick": 4,
-            "negotiation": 1,
-            "shared": True,
-            "uavs": (2, 4),
-            "uav_states": states,
-            "inputs": np.arange(24.0).reshape(3, 8),
-            "corrections": np.arange(24.0).reshape(3, 8) / 8.0,
-            "status": "solved",
-        },
-        StepReport: {
-            "sender": "agent2",
-            "agent": 2,
-            "status": "limit",
-            "solver": "daqp",
-            "fallback": True,
-            "iterations": 12,
-            "residual": 1e-9,
-            "peers": (1, 3),
-            "plan_ages": (1, -1),
-            "state_ages": (2, -1),
-            "measurement_age": 1,
-            "delivered": 2,
-            "lost": 1,
-            "late": 1,
-            "force": np.array([0.5, -1.0, 4.4]),
-            "times_ms": np.arange(float(len(STAGES))),
-        },
-        PlantState: {
-            "sender": "plant",
-            "x": np.arange(36.0),
-            "u": np.arange(8.0),
-            "plan_ticks": (3, -2),
-            "local_error": 1e-12,
-            "diverged": "",
-        },
-        FaultNote: {"sender": "recorder", "target": "agent3", "what": "killed", "origin": "person"},
-        Rejected: {
-            "sender": "agent2",
-            "offender": "agent3",
-            "reason": "not_finite",
-            "count": 3,
-            "example": "inputs: expected finite numbers, got nan",
-        },
-        Control: {"sender": "coordinator", "outcome": "aborted", "reason": "agent1 is gone", "exit_code": 4},
-    }
-    return HEAD | own[kind]
+    sender = kind.route.sender
+    values = HEAD | {"sender": "agent2" if sender in (AGENT, None) else sender} | OWN.get(kind, {})
+    for field, check in checks(kind):
+        if field in values:
+            continue
+        if isinstance(check, Shape):
+            shape = array_of(check, values)
+            values[field] = np.arange(float(np.prod(shape))).reshape(shape)
+        else:
+            hint = type_of_field(kind, field)
+            values[field] = get_args(hint)[0] if get_origin(hint) is Literal else BY_TYPE[hint]
+    return values
 
 
 def sample(kind: type[Message], **changes: Any) -> Message:

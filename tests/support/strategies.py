@@ -1,33 +1,42 @@
-"""Hypothesis strategies: any valid message of any kind."""
+"""Hypothesis strategies: any valid message of any kind, drawn from the types of its fields."""
 
-from typing import get_args
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
-from hypothesis.strategies import SearchStrategy
+from hypothesis.strategies import DrawFn, SearchStrategy
 
-from model.arrays import Array
+from protocol.wire.fields import (
+    Age,
+    Agent,
+    Ages,
+    Count,
+    Counts,
+    End,
+    Finite,
+    Flag,
+    Ids,
+    Name,
+    Number,
+    Shape,
+    Text,
+    checks,
+)
 from protocol.wire.messages import (
+    KINDS,
     MAX_NEGOTIATION_ITERATIONS,
     MAX_TICK,
     MAX_UAVS,
-    STAGES,
     Control,
-    FaultNote,
-    FaultOrigin,
-    LinkChange,
-    Measurement,
     Message,
-    Outcome,
     Plan,
-    PlanStatus,
     PlantState,
-    Reason,
-    Rejected,
     Roster,
     StepReport,
-    Tick,
+    agent_name,
 )
+from protocol.wire.names import COORDINATOR, PLANT, RECORDER
+from tests.support.samples import array_of
 
 # Sizes that keep an example cheap; larger ones take the same path.
 _UAVS, _STEPS = 4, 5
@@ -37,122 +46,62 @@ _count = st.integers(0, MAX_TICK)
 _age = st.integers(-1, MAX_TICK)
 _text = st.text(max_size=40)
 _number = st.floats(allow_nan=False, allow_infinity=False)
-_ids = st.lists(_agent, max_size=_UAVS, unique=True).map(sorted)
-_name = st.sampled_from(["coordinator", "plant", "recorder"]) | _agent.map(lambda agent: f"agent{agent}")
-_head = {
-    "sender": _name,
-    "incarnation": _count,
-    "sequence": _count,
-    "tick": _count,
+_name = st.sampled_from([COORDINATOR, PLANT, RECORDER]) | _agent.map(agent_name)
+
+_BY_TYPE: dict[Any, SearchStrategy[Any]] = {
+    Name: _name,
+    End: _name | st.just(""),
+    Count: _count,
+    Number: st.integers(1, MAX_TICK),
+    Age: _age,
+    Agent: _agent,
+    Ids: st.lists(_agent, max_size=_UAVS, unique=True).map(sorted),
+    Counts: st.lists(_count, max_size=_UAVS),
+    Ages: st.lists(_age, max_size=_UAVS),
+    Finite: _number,
+    Flag: st.booleans(),
+    Text: _text,
 }
-_status = st.sampled_from(get_args(PlanStatus))
+
+# Fields with a range of their own.
+_OWN: dict[tuple[type[Message], str], SearchStrategy[Any]] = {
+    (Plan, "negotiation"): st.integers(0, MAX_NEGOTIATION_ITERATIONS - 1),
+    (PlantState, "plan_ticks"): st.lists(st.integers(-3, MAX_TICK), max_size=_UAVS),
+    (Control, "exit_code"): st.integers(0, 255),
+}
 
 
-def _array(*shape: int) -> SearchStrategy[Array]:
-    return arrays.arrays("float64", shape, elements=_number)
+def _field(kind: type[Message], field: str) -> SearchStrategy[Any]:
+    if (kind, field) in _OWN:
+        return _OWN[kind, field]
+    hint = get_type_hints(kind, include_extras=True)[field]
+    return st.sampled_from(get_args(hint)) if get_origin(hint) is Literal else _BY_TYPE[hint]
 
 
-def _listed(length: int, entries: SearchStrategy[int]) -> SearchStrategy[list[int]]:
-    return st.lists(entries, min_size=length, max_size=length)
+def _relate(draw: DrawFn, kind: type[Message], values: dict[str, Any]) -> None:
+    """Replace the lists whose lengths follow from another field."""
+
+    def listed(like: str, entries: SearchStrategy[int]) -> list[int]:
+        return draw(st.lists(entries, min_size=len(values[like]), max_size=len(values[like])))
+
+    if kind is Roster:
+        values |= {"incarnations": listed("agents", _count), "released": values["off"][1:]}
+    if kind is StepReport:
+        values |= {"plan_ages": listed("peers", _age), "state_ages": listed("peers", _age)}
 
 
-ticks = st.builds(
-    Tick, members=_ids, answered=_ids, shared=_ids, roster=_count, late_ns=_count, overrun_ns=_count, **_head
-)
-rosters = _ids.flatmap(
-    lambda ids: st.builds(
-        Roster,
-        version=_count,
-        agents=st.just(ids),
-        incarnations=_listed(len(ids), _count),
-        off=st.just(ids),
-        released=st.just(ids[1:]),
-        reason=_text,
-        **_head,
-    )
-)
-link_changes = st.builds(
-    LinkChange,
-    number=st.integers(1, MAX_TICK),
-    source=_name | st.just(""),
-    target=_name | st.just(""),
-    settings=_text,
-    **_head,
-)
-measurements = _ids.flatmap(
-    lambda ids: st.builds(
-        Measurement,
-        agent=_agent,
-        answered=_ids,
-        shared=_ids,
-        roster=_count,
-        payload=_array(12),
-        uavs=st.just(ids),
-        uav_states=_array(len(ids), 12),
-        inputs=_array(len(ids), 4),
-        **_head,
-    )
-)
-plans = st.tuples(_ids, st.integers(1, _STEPS), st.booleans()).flatmap(
-    lambda drawn: st.builds(
-        Plan,
-        agent=_agent,
-        start_tick=_count,
-        negotiation=st.integers(0, MAX_NEGOTIATION_ITERATIONS - 1),
-        shared=st.booleans(),
-        uavs=st.just(drawn[0]),
-        uav_states=_array(len(drawn[0]), 12),
-        inputs=_array(drawn[1], 4 * len(drawn[0])),
-        corrections=_array(drawn[1] * drawn[2], 4 * len(drawn[0])),
-        status=_status,
-        **_head,
-    )
-)
-reports = _ids.flatmap(
-    lambda ids: st.builds(
-        StepReport,
-        agent=_agent,
-        status=_status,
-        solver=_text,
-        fallback=st.booleans(),
-        iterations=_count,
-        residual=_number,
-        peers=st.just(ids),
-        plan_ages=_listed(len(ids), _age),
-        state_ages=_listed(len(ids), _age),
-        measurement_age=_age,
-        delivered=_count,
-        lost=_count,
-        late=_count,
-        force=_array(3),
-        times_ms=_array(len(STAGES)),
-        **_head,
-    )
-)
-plant_states = st.integers(0, _UAVS).flatmap(
-    lambda N: st.builds(
-        PlantState,
-        x=_array(12 + 12 * N),
-        u=_array(4 * N),
-        plan_ticks=_listed(N, st.integers(-3, MAX_TICK)),
-        local_error=_number,
-        diverged=_text,
-        **_head,
-    )
-)
-fault_notes = st.builds(FaultNote, target=_name, what=_text, origin=st.sampled_from(get_args(FaultOrigin)), **_head)
-rejections = st.builds(
-    Rejected,
-    offender=_text,
-    reason=st.sampled_from(get_args(Reason)),
-    count=st.integers(1, MAX_TICK),
-    example=_text,
-    **_head,
-)
-controls = st.builds(
-    Control, outcome=st.sampled_from(get_args(Outcome)), reason=_text, exit_code=st.integers(0, 255), **_head
-)
+@st.composite
+def _message(draw: DrawFn, kind: type[Message]) -> Message:
+    table = checks(kind)
+    values = {field: draw(_field(kind, field)) for field, check in table if not isinstance(check, Shape)}
+    _relate(draw, kind, values)
+    rows = draw(st.integers(1, _STEPS))
+    for field, check in table:
+        if isinstance(check, Shape):
+            has_rows = field != "corrections" or draw(st.booleans())
+            shape = array_of(check, values, rows if has_rows else 0)
+            values[field] = draw(arrays.arrays("float64", shape, elements=_number))
+    return kind(**values)
 
-messages: SearchStrategy[Message] = st.one_of(
-    ticks, rosters, link_changes, measurements, plans, reports, plant_states, fault_notes, rejections, controls
-)
+
+messages: SearchStrategy[Message] = st.one_of([_message(kind) for kind in KINDS.values()])

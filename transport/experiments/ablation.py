@@ -78,5 +78,5 @@ def _is_possible(scenario: Scenario, key: str, value: str) -> bool:
         key: value,
     }
     if chosen["controller.terminal"] == "riccati":
-        return controller.weights.penalised_input == "deviation"
+        return bool(controller.weights.penalised_input == "deviation")
     return chosen["controller.preview"] == "false" or chosen["controller.prediction"] == "closed_loop"

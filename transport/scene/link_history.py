@@ -81,8 +81,8 @@ class LinkHistory:
 
     def settings(self, sender: int, receiver: int, tick: int) -> tuple[float, float]:
         """Fixed delay, s, and loss of a link for the plan of a tick."""
-        model = self._links[sender, receiver].model(tick)
-        return model.delay_s, model.loss
+        section = self._links[sender, receiver].impairments(tick)
+        return section.delay_s, section.loss
 
     def _is_lost(self, sender: int, receiver: int, tick: int) -> bool:
         key = (sender, receiver, tick)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
-from protocol.scenario.links import LinkModel, link
+from protocol.scenario.links import link
 from transport.experiments import catalogue
 from transport.experiments.cases import Point, cases_of, is_random
 from transport.experiments.catalogue import Experiment
@@ -110,7 +110,7 @@ def test_jitters_are_comparable(distribution: str) -> None:
 def test_constant_delay_is_what_jitter_is_compared_to() -> None:
     """Without jitter there is the perfect network and the mean delay alone."""
     perfect, constant = catalogue.jitter(["paper"], [], [], 0.16).points
-    assert delays(perfect)[0] == [LinkModel().delay_s]
+    assert delays(perfect)[0] == [0.0]
     assert delays(constant)[0] == [0.16]
 
 

@@ -1,0 +1,140 @@
+"""Errors of scenarios: one line with file, field, what was expected and what came, also from pydantic's problems."""
+
+import difflib
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, TypeVar, get_args
+
+from pydantic import BaseModel, ValidationError
+
+from model.arrays import ShapeError
+from model.parameters import ParameterError
+from mpc.feedback import FeedbackError
+from mpc.settings import SettingsError
+from protocol.scenario.schema import Scenario
+
+T = TypeVar("T")
+
+
+class ScenarioError(ValueError):
+    """An invalid scenario: `file: field: expected ..., got ...`.
+
+    Args:
+        source: File of the scenario, or the option.
+        field: Dotted path of the key, list entries counted from 1; may be empty.
+        problem: What was expected and what came.
+    """
+
+    def __init__(self, source: str, field: str, problem: str) -> None:
+        text = ": ".join(part for part in (source, field, problem) if part)
+        super().__init__(" ".join(text.splitlines()))
+        self.field, self.problem = field, problem
+
+    def blaming(self, settings: Sequence[str]) -> "ScenarioError":
+        """Return the same error, with the settings in place of the file if they gave the field or part of it.
+
+        Args:
+            settings: As `read_scenario` takes them.
+        """
+        given: list[str] = []
+        for setting in reversed(settings):
+            key = key_of(setting)
+            around = f"{self.field}.".startswith(f"{key}.")
+            if around or key.startswith(f"{self.field}."):
+                given.insert(0, setting)
+            if around:
+                break  # it replaced all that settings before it had given
+        if not given:
+            return self
+        field = "" if [key_of(setting) for setting in given] == [self.field] else self.field
+        return ScenarioError(" ".join(map(option, given)), field, self.problem)
+
+
+def building(source: str, field: str, build: Callable[[], T]) -> T:
+    """Return a model object built from a scenario's values; its errors become a `ScenarioError` of that field."""
+    try:
+        return build()
+    except (FeedbackError, ParameterError, SettingsError, ShapeError) as error:
+        raise ScenarioError(source, field, str(error)) from error
+
+
+def key_of(setting: str) -> str:
+    """Return the dotted key of a setting "key=value"."""
+    return setting.partition("=")[0].strip()
+
+
+def option(setting: str) -> str:
+    """Return a setting as it was given on the command line, shortened when it is long."""
+    return f"--set {_short(setting) or repr(setting)}"
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= 80 else text[:77] + "..."
+
+
+def first_problem(error: ValidationError, source: str) -> ScenarioError:
+    """Return the first problem found by pydantic, as one line in the project's words."""
+    # Unknown keys first: a mistyped key is also a missing one, and the typo tells more.
+    problems = sorted(error.errors(), key=lambda problem: problem["type"] != "extra_forbidden")
+    problem = problems[0]
+    *above, last = problem["loc"]
+    # Pydantic names the branch of a union it tried; an unknown key may be called anything and comes last.
+    known_last = problem["type"] == "extra_forbidden" or not _is_union_branch(last)
+    location = [part for part in above if not _is_union_branch(part)] + ([last] if known_last else [])
+    field = ".".join(str(part + 1) if isinstance(part, int) else part for part in location)
+    kind, context, value = problem["type"], problem.get("ctx", {}), problem["input"]
+    if kind == "extra_forbidden":
+        known = _known_keys(location[:-1])
+        near = difflib.get_close_matches(str(location[-1]), known, n=1, cutoff=0.5)
+        hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known)}"
+        return ScenarioError(source, field, f"unknown key; {hint}")
+    if kind == "missing":
+        return ScenarioError(source, field, "expected a value, got nothing")
+    message = problem["msg"]
+    expected = f"expected {_WORDS[kind].format(**context)}" if kind in _WORDS else message[0].lower() + message[1:]
+    return ScenarioError(source, field, f"{expected}, got {_short(repr(value))}")
+
+
+_WORDS = {
+    "greater_than": "a number > {gt}",
+    "greater_than_equal": "a number >= {ge}",
+    "less_than": "a number < {lt}",
+    "less_than_equal": "a number <= {le}",
+    "too_short": "at least {min_length} list entries",
+    "too_long": "at most {max_length} list entries",
+    "literal_error": "{expected}",
+    "string_pattern_mismatch": "text matching {pattern}",
+    "int_type": "an integer",
+    "int_from_float": "an integer",
+    "float_type": "a number",
+    "finite_number": "a finite number",
+    "string_type": "text",
+    "bool_type": "true or false",
+    "list_type": "a list",
+    "model_type": "a section",
+    "dict_type": "a section",
+}
+
+
+def _is_union_branch(part: int | str) -> bool:
+    """Return whether a part of an error's location is not a key but a type that was tried."""
+    return isinstance(part, str) and (part in ("float", "constrained-float", "int", "str") or "[" in part)
+
+
+def _known_keys(location: Iterable[int | str]) -> list[str]:
+    section: type[BaseModel] = Scenario
+    for part in location:
+        if isinstance(part, int):
+            continue
+        section = _section_of(section.model_fields[part].annotation)
+    return [field.alias or name for name, field in section.model_fields.items()]
+
+
+def _section_of(annotation: Any) -> type[BaseModel]:
+    """Return the section class inside an annotation such as `list[UavSection]` or `X | None`."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    for argument in get_args(annotation):
+        found = _section_of(argument) if argument is not type(None) else None
+        if found is not None:
+            return found
+    return Scenario

@@ -1,0 +1,140 @@
+"""Messages for the record: no process decides anything by them, but for the coordinator, which ends a diverged run."""
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal
+
+from model.arrays import Array
+from model.state import INPUTS, PAYLOAD, PER_UAV
+from protocol.wire.control_loop import PlanStatus
+from protocol.wire.fields import (
+    Age,
+    Agent,
+    Ages,
+    Count,
+    Finite,
+    Flag,
+    Ids,
+    MessageError,
+    Name,
+    Number,
+    Reason,
+    Shape,
+    Text,
+    integers,
+)
+from protocol.wire.message import Message, Route
+from protocol.wire.names import AGENT, COORDINATOR, PLANT, RECORDER, WATCHER
+
+FaultOrigin = Literal["script", "person", "unknown"]
+
+# Stages of an agent's step: waiting for the measurement, the computation, publishing; the total is of the computation.
+STAGES = ("wait", "estimate", "linearise", "discretise", "condense", "solve", "publish", "total")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StepReport(Message):
+    """Agent to the record: one step.
+
+    Attributes:
+        agent: The agent that reports.
+        status, solver, fallback, iterations, residual: Of the solve; residual is the worst KKT residual,
+            or -1 when there is none.
+        peers: The other agents, ascending.
+        plan_ages: Age in ticks of the newest plan used of each of `peers`; -1 where none was ever received.
+        state_ages: The same for the newest state of each.
+        measurement_age: The same for the newest measurement used.
+        delivered: Plans of others that became usable at this tick.
+        lost: Plans of earlier ticks that are known from now on to be lost on their link.
+        late: How many of the delivered ones were older than one tick.
+        force: Estimated external force on the payload, (3,), inertial frame, N; zero without an estimate.
+        times_ms: Wall-clock per stage, in the order of `STAGES`, (8,); "publish" is that of the step before.
+            Not reproducible, unlike the rest.
+    """
+
+    kind: ClassVar[str] = "report"
+    route: ClassVar[Route] = Route(sender=AGENT, receivers=(RECORDER, WATCHER), each="agent", grows="tick")
+
+    agent: Agent
+    status: PlanStatus
+    solver: Text
+    fallback: Flag
+    iterations: Count
+    residual: Finite
+    peers: Ids
+    plan_ages: Ages
+    state_ages: Ages
+    measurement_age: Age
+    delivered: Count
+    lost: Count
+    late: Count
+    force: Annotated[Array, Shape(lambda _: (3,))]
+    times_ms: Annotated[Array, Shape(lambda _: (len(STAGES),))]
+
+    def _check_relations(self) -> None:
+        for field, ages in (("plan_ages", self.plan_ages), ("state_ages", self.state_ages)):
+            if len(ages) != len(self.peers):
+                text = f"{field}: expected one for each of {len(self.peers)} peers, got {len(ages)}"
+                raise MessageError("wrong_shape", text)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlantState(Message):
+    """Plant to the record and the coordinator: the true state at tick k and the inputs until k + 1.
+
+    Attributes:
+        x: State at t_k, (12 + 12 N,), SI.
+        u: Inputs applied over [t_k, t_{k+1}), (4 N,), N and N m.
+        plan_ticks: Tick of the plan each UAV's actuators followed, (N): -1 before any plan, -2 for the fail-safe,
+            -3 with the motors off.
+        local_error: Largest local error estimate of the integration over the interval, SI.
+        diverged: Empty, or why the run ends after this interval.
+    """
+
+    kind: ClassVar[str] = "plant_state"
+    route: ClassVar[Route] = Route(sender=PLANT, receivers=(COORDINATOR, RECORDER, WATCHER), grows="tick")
+
+    x: Annotated[Array, Shape(lambda message: (PAYLOAD + PER_UAV * len(message.plan_ticks),))]
+    u: Annotated[Array, Shape(lambda message: (INPUTS * len(message.plan_ticks),))]
+    plan_ticks: Annotated[tuple[int, ...], integers(-3)]
+    local_error: Finite
+    diverged: Text
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FaultNote(Message):
+    """In the log alone, never sent: a fault was injected into a process, or a process ended by itself.
+
+    Attributes:
+        target: The process.
+        what: "killed", "stopped", "continued", "started" or how it ended.
+        origin: The scenario's script, a person, or unknown to the recorder.
+    """
+
+    kind: ClassVar[str] = "fault"
+    route: ClassVar[Route] = Route(sender=RECORDER, receivers=())
+
+    target: Name
+    what: Text
+    origin: FaultOrigin
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rejected(Message):
+    """Any process to the record: it has refused messages. Sent only when there were any; not reproducible.
+
+    Its sequence numbers count messages of this kind alone, so that they do not change those of the others.
+
+    Attributes:
+        offender: Sender according to the messages, or the key they came under.
+        reason: Why they were refused.
+        count: How many since the last message about this offender and reason.
+        example: The error of the first of all of them, for people.
+    """
+
+    kind: ClassVar[str] = "rejected"
+    route: ClassVar[Route] = Route(sender=None, receivers=(RECORDER, WATCHER), each="sender")
+
+    offender: Text
+    reason: Reason
+    count: Number
+    example: Text

@@ -1,0 +1,139 @@
+"""The recipes of docs/contributing.md, followed on a copy of the sources."""
+
+import dataclasses
+import os
+import re
+import shutil
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+
+from protocol.wire.message import Message
+from protocol.wire.messages import KINDS
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGE = ROOT / "docs" / "contributing.md"
+PROTOCOL = ROOT / "docs" / "protocol.md"
+
+# Everything the examples import: a package may not hide another copy of itself.
+PACKAGES = (
+    "model",
+    "mpc",
+    "protocol",
+    "agent",
+    "plant",
+    "coordinator",
+    "deploy",
+    "transport",
+    "scenarios",
+    "tests/support",
+)
+
+EDIT = re.compile(r" *In `([\w/.]+)`, (?:after `([^`]+)`|at the end):\n\n( *)```python\n(.*?)\n *```", re.DOTALL)
+NAMED = re.compile(r"`([a-z_]+/[\w/]+\.(?:py|md))`")
+SEEN = re.compile(r"`(\w+)`")
+
+# A link as the scenario describes it, then a run in memory over such links.
+IMPAIRMENT = """
+from protocol.scenario.file import find_scenario, read_scenario
+from protocol.scenario.setup import Setup
+from transport.flight.memory import simulate
+
+path = find_scenario("resilient")
+hover = 'maneuver.phase=[{name="hover",duration_s=1.0,displacement_m=[0,0,0]}]'
+settings = ["links.lose_every=3", "links.change=[{at_s=0.6,lose_every=2}]", hover]
+setup = Setup.of(read_scenario(path, settings), str(path))
+lost = [tick for tick in range(20) if not setup.link("agent1", "agent2").delays(tick)]
+assert lost == [0, 3, 6, 9, 12, 14, 16, 18], lost
+reports = []
+assert simulate(setup, reports.append).outcome == "completed"
+assert sum(getattr(message, "lost", 0) for message in reports) > 0
+"""
+
+# From the sender's outbox over key, bytes and checks to the JSON of the log.
+MESSAGE = """
+from protocol.wire.codec import decode, encode
+from protocol.wire.fields import MessageError
+from protocol.wire.header import header_of
+from protocol.wire.keys import Keys, matches
+from protocol.wire.outbox import Outbox
+from protocol.wire.records import Battery
+from tests.support.samples import sample
+from transport.log.json_messages import from_json, json_schema, to_json
+
+keys = Keys("run")
+message = Outbox("agent2", 0).stamp(Battery, tick=3, agent=2, charge_As=7e3)
+key, data = keys.of(message), encode(message)
+assert header_of(data).place == (3, 0)
+hears = {name for name in ("coordinator", "plant", "agent1", "agent2", "recorder")
+         if any(matches(expression, key) for expression in keys.subscriptions(name))}
+assert (key, hears) == ("transport/run/battery/2", {"recorder"})
+assert key in keys.publications("agent2") and key not in keys.publications("agent1")
+assert decode(data) == message
+keys.check_sender(key, message)
+try:
+    keys.check_sender(key, Outbox("agent1", 0).stamp(Battery, tick=3, agent=2, charge_As=7e3))
+except MessageError as error:
+    assert error.reason == "wrong_sender"
+else:
+    raise AssertionError("a forged sender was accepted")
+assert from_json("battery", to_json(message)) == message
+assert json_schema("battery")["properties"]["charge_As"] == {"type": "number"}
+assert sample(Battery).sender == "agent2"
+"""
+
+
+def section(heading: str) -> str:
+    """Text below a heading of the page."""
+    return PAGE.read_text(encoding="utf-8").partition(f"## {heading}\n")[2].partition("\n## ")[0]
+
+
+@pytest.mark.parametrize(
+    ("heading", "script"), [("A new link impairment", IMPAIRMENT), ("A new message", MESSAGE)], ids=["link", "message"]
+)
+def test_recipe(heading: str, script: str, tmp_path: Path) -> None:
+    """With the edits of a recipe, and no others, the example works from its definition to the result."""
+    for package in PACKAGES:
+        shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
+    edits = EDIT.findall(section(heading))
+    assert edits
+    for file, anchor, indent, block in edits:
+        path = tmp_path / file
+        text = path.read_text(encoding="utf-8")
+        added = "\n".join(line.removeprefix(indent) for line in block.splitlines())
+        if anchor:
+            assert text.count(f"{anchor}\n") == 1, f"{file} has no single line {anchor!r}"
+            text = text.replace(f"{anchor}\n", f"{anchor}\n{added}\n")
+        else:
+            text = f"{text}\n\n{added}\n"
+        path.write_text(text, encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", textwrap.dedent(script)],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("heading", re.findall(r"^## (.+)$", PAGE.read_text(encoding="utf-8"), re.MULTILINE))
+def test_files_of_a_recipe_exist(heading: str) -> None:
+    """Every file that a recipe names exists."""
+    for file in NAMED.findall(section(heading)):
+        assert (ROOT / file).is_file(), f"docs/contributing.md names {file}"
+
+
+@pytest.mark.parametrize("kind", KINDS.values(), ids=list(KINDS))
+def test_messages_are_described(kind: type[Message]) -> None:
+    """docs/protocol.md has each message's fields, in the order in which they are sent."""
+    row = re.search(rf"^\| `{kind.kind}` \| (.*) \|$", PROTOCOL.read_text(encoding="utf-8"), re.MULTILINE)
+    assert row is not None, f"docs/protocol.md has no row for {kind.kind}"
+    common = len(dataclasses.fields(Message))
+    names = [field.name for field in dataclasses.fields(kind)][common:]
+    assert [name for name in SEEN.findall(row[1]) if name in names] == names
