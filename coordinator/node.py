@@ -11,7 +11,8 @@ waiting  --everybody ready-->  running  --last tick answered and recorded-->  st
 import json
 from collections.abc import Sequence
 
-from protocol.admission.plausibility import Plausibility, check_moment
+from protocol.admission.plausibility import check_moment
+from protocol.admission.reception import Reception
 from protocol.scenario.faults import uav_faults, uav_name
 from protocol.scenario.links import LinkError, link_change
 from protocol.scenario.setup import Setup
@@ -32,7 +33,6 @@ from protocol.wire.messages import (
     agent_name,
 )
 from protocol.wire.outbox import Outbox
-from protocol.wire.rejections import Rejections
 
 # A process that wakes up so much later than it meant to was frozen, or had no processor to run on.
 _AWAY_NS = 200_000_000
@@ -87,8 +87,8 @@ class CoordinatorNode:
         self._last_truth = -1
         self._truth_ns = 0  # when it came, or when the plant was asked for the next
         self._diverged = ""
-        self._plausibility = Plausibility(setup)
-        self.rejected = Rejections()
+        self._reception = Reception(setup, self._handle)
+        self.rejected = self._reception.rejected
         self.finished: Control | None = None
 
     @property
@@ -119,12 +119,7 @@ class CoordinatorNode:
             return self._presence(event, now_ns)
         if isinstance(event, Request):
             return self._request(event)
-        try:
-            self._hear(event, now_ns)
-        except MessageError as error:
-            self.rejected.add(event.sender, error)
-            return ()
-        return self._advance(now_ns)
+        return self._advance(now_ns) if self._reception.receive(event, now_ns) else ()
 
     def poll(self, now_ns: int) -> Sequence[Message]:
         """Open a tick that is due; take whoever missed the barrier off the roster."""
@@ -163,12 +158,11 @@ class CoordinatorNode:
         """End the run on a person's wish."""
         return () if self.finished is not None else self._stop("aborted", reason, EXIT_INTERRUPTED)
 
-    def _hear(self, message: Message, now_ns: int) -> None:
-        """Take in an answer or the plant's record.
+    def _handle(self, message: Message, now_ns: int) -> None:
+        """Take in an agent's plan or the plant's state.
 
         Raises: MessageError: it is not for now.
         """
-        self._plausibility.check(message)
         if isinstance(message, PlantState):
             check_moment(message, self._last_truth + 1, self._tick)
             self._last_truth, self._truth_ns = message.tick, now_ns

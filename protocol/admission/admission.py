@@ -25,9 +25,10 @@ from protocol.wire.messages import (
     Message,
     MessageError,
     Reason,
+    Rejected,
     agent_name,
 )
-from protocol.wire.rejections import MAX_SENDERS, Rejections
+from protocol.wire.rejections import MAX_SENDERS, Notices, Rejections
 
 # What a message needs besides its arrays, with the longest texts and lists it may have.
 _FRAME_BYTES = 16 * 1024
@@ -75,7 +76,7 @@ class Admission:
         self.tick = 0
         self._name = name
         self._keys = keys
-        self._rejections = rejections
+        self._rejections, self._notices = rejections, Notices(name, rejections)
         self._senders = {"coordinator", "plant", "recorder", *map(agent_name, setup.agents)}
         self.window = max(_AHEAD, window(setup))
         self._is_up_to_date = False  # whether `tick` is where the run is
@@ -214,6 +215,14 @@ class Admission:
         for key, message in self._early:
             self.refuse(key, _wrong_incarnation(message))
         self._early.clear()
+
+    def due_notices(self, now_ns: int, incarnation: int) -> list[Rejected]:
+        """Return the notices about refused messages that are to be published now; see `Notices.due`."""
+        return self._notices.due(now_ns, incarnation, self.tick)
+
+    def remaining_notices(self, incarnation: int) -> list[Rejected]:
+        """Return the notices about refused messages that were not published yet; for the end of the process."""
+        return self._notices.rest(incarnation, self.tick)
 
     def _keep(self, key: str, message: Message) -> None:
         self._early.append((key, message))

@@ -92,7 +92,7 @@ class Bus:
         self._inbox: queue.SimpleQueue[tuple[int, Any]] = queue.SimpleQueue()  # with the time of arrival
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._tokens: list[zenoh.LivelinessToken] = []
-        self._admission, self._rate_limit = admission, RateLimit()
+        self.admission, self._rate_limit = admission, RateLimit()
         log_errors(to_output=name not in ("recorder", WATCHER))
         self._session = open_session(endpoints, patience_s, name, self._keys, reach_s)
         # Subscribers before the token: whoever sees the token may send at once, and nothing is lost.
@@ -172,7 +172,7 @@ class Bus:
         """Announce that this process has started anew by itself, ready at once."""
         old, self._tokens = self._tokens, []
         self.incarnation = incarnation
-        self._admission.announce(self.name, incarnation)
+        self.admission.announce(self.name, incarnation)
         self._declare(self._keys.alive(self.name, incarnation, self._digest, VERSION))
         self._declare(self._keys.ready(self.name, incarnation))
         for token in old:
@@ -200,9 +200,9 @@ class Bus:
     def next(self, timeout_s: float | None) -> BusEvent | None:
         """The next event, or None after the timeout (None waits for ever). Bad messages are counted, not returned."""
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
-        self._admission.count_unread()
+        self.admission.count_unread()
         while True:
-            kept = self._admission.released()
+            kept = self.admission.released()
             if kept is not None:
                 return kept
             if self._gather_s > 0.0 and self._inbox.empty():
@@ -264,8 +264,8 @@ class Bus:
             "name": self.name,
             "incarnation": self.incarnation,
             "protocol": VERSION,
-            "tick": self._admission.tick,
-            "refused": self._admission.refused,
+            "tick": self.admission.tick,
+            "refused": self.admission.refused,
             "clock_offset_s": None if self.offset is None else self.offset.ahead_s,
             "clock_uncertainty_s": None if self.offset is None else self.offset.uncertainty_s,
             **usage(),
@@ -286,7 +286,7 @@ class Bus:
                 raise MessageError("malformed", "expected a JSON object under the key of one thing")
         except (ValueError, RecursionError, MessageError, zenoh.ZError) as error:
             text = f"not a request ({type(error).__name__})"
-            self._admission.refuse(key, MessageError("malformed", text))
+            self.admission.refuse(key, MessageError("malformed", text))
             query.reply_err(json.dumps({"error": "expected a JSON object, under the key of what is asked for"}))
             query.drop()  # type: ignore[no-untyped-call]
             return None
@@ -305,9 +305,9 @@ class Bus:
         """
         flooded = self._rate_limit.flooded()
         size = len(sample.payload)
-        if size > self._admission.max_bytes:
+        if size > self.admission.max_bytes:
             self._put(_Oversized(str(sample.key_expr), size))
-        elif flooded and self._admission.has_passed(str(sample.key_expr), sample.payload.to_bytes()):
+        elif flooded and self.admission.has_passed(str(sample.key_expr), sample.payload.to_bytes()):
             self._rate_limit.hold()
         else:
             self._put(sample)
@@ -320,11 +320,11 @@ class Bus:
             return sample
         key = str(sample.key_expr)
         if isinstance(sample, _Oversized):
-            self._admission.refuse(key, self._admission.oversized(sample.size))
+            self.admission.refuse(key, self.admission.oversized(sample.size))
             return None
         if self._keys.is_token(key):
             return self._presence(key, here=sample.kind == zenoh.SampleKind.PUT)
-        return self._admission.read(key, sample.payload.to_bytes())
+        return self.admission.read(key, sample.payload.to_bytes())
 
     def _presence(self, key: str, *, here: bool) -> Presence | None:
         """What a token that has appeared or disappeared says about its process."""
@@ -332,7 +332,7 @@ class Bus:
             token = self._keys.token(key)
         except MessageError as error:
             if here:
-                self._admission.refuse(key, error)
+                self.admission.refuse(key, error)
             return None
         if token.digest is None:
             return Presence(token.name, token.incarnation, alive=True) if here else None
@@ -340,7 +340,7 @@ class Bus:
             return None  # of another scenario: it finds out by itself that it does not belong here
         if here:
             self._alive[token.name] = token.incarnation
-            self._admission.announce(token.name, token.incarnation)
+            self.admission.announce(token.name, token.incarnation)
             return None
         if self._alive.get(token.name) == token.incarnation:
             del self._alive[token.name]

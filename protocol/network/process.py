@@ -27,7 +27,6 @@ from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_UNREACHABLE
 from protocol.wire.keys import RECORDER, Keys
 from protocol.wire.messages import Message, agent_name
 from protocol.wire.node import Node
-from protocol.wire.rejections import Notices
 
 DEFAULT_BASE_PORT = 7447
 
@@ -190,7 +189,6 @@ def run_node(
     """
     journal = Journal(place.run, node.name)
     admission = Admission(node.name, Keys(place.run), setup, node.rejected)
-    notices = Notices(node.name, node.rejected)
     # A collection in mid-step is a latency spike; reference counting frees what the loop makes, and what little
     # is left is collected where the node has nothing to do. Before it joins nobody waits for it.
     gc.collect()
@@ -226,13 +224,13 @@ def run_node(
                 }
             )
             journal.say("joined", peers=len(expected), **clock)
-            interruption = drive(node, bus, setup.faults, admission, notices)
+            interruption = drive(node, bus, setup.faults)
         if interruption is not None and node.finished is None:
             journal.say("interrupted", reason=interruption.reason)
             for message in on_interrupt(interruption.reason) if on_interrupt else ():
                 bus.publish(message)
         admission.close()
-        for message in notices.rest(node.incarnation, admission.tick):
+        for message in admission.remaining_notices(node.incarnation):
             bus.publish(message)
         bus.wait_gone(linger_for)
     for entry in node.rejected:
@@ -245,15 +243,13 @@ def run_node(
     return end.exit_code
 
 
-def drive(node: Node, bus: Bus, faults: Sequence[Fault], admission: Admission, notices: Notices) -> Interrupted | None:
+def drive(node: Node, bus: Bus, faults: Sequence[Fault]) -> Interrupted | None:
     """Feed events and time to a node until it is finished or somebody interrupts.
 
     Args:
         node: The state machine.
         bus: Its place on the network.
         faults: Scripted ones; those of this process happen here.
-        admission: What the bus lets in.
-        notices: What there is to say about messages that are refused.
     """
     handled = 0
     while node.finished is None:
@@ -268,7 +264,7 @@ def drive(node: Node, bus: Bus, faults: Sequence[Fault], admission: Admission, n
         messages = node.poll(now_ns) if event is None else node.receive(event, now_ns)
         if node.incarnation != bus.incarnation:
             bus.renew(node.incarnation)
-        for notice in notices.due(now_ns, node.incarnation, admission.tick):
+        for notice in bus.admission.due_notices(now_ns, node.incarnation):
             bus.publish(notice)
         if not messages:
             continue

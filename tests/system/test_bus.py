@@ -176,15 +176,15 @@ SPEAKS = """
 import sys
 from protocol.network.bus import Bus
 from protocol.network.session import BusError, Endpoints
-from protocol.admission.admission import Gate
+from protocol.admission.admission import Admission
 from protocol.wire.keys import Keys
 from protocol.wire.rejections import Rejections
 from tests.support.runs import setup
 
 name, own = sys.argv[1], f"tcp/127.0.0.1:{sys.argv[2]}"
-gate = Gate(name, Keys("bus"), setup(), Rejections())
+admission = Admission(name, Keys("bus"), setup(), Rejections())
 endpoints = Endpoints(listen=[own], connect=[own])  # nobody can be connected to himself
-bus = Bus(name=name, incarnation=0, run="bus", digest="0" * 12, endpoints=endpoints, gate=gate)
+bus = Bus(name=name, incarnation=0, run="bus", digest="0" * 12, endpoints=endpoints, admission=admission)
 print("open", file=sys.stderr, flush=True)
 sys.stdin.read()
 bus.close()
