@@ -110,7 +110,7 @@ def test_what_is_no_change(given: dict[str, Any], problem: str) -> None:
 def test_outside_a_flight() -> None:
     """Before the first tick and at the last there is no next tick for a change to hold from."""
     for node in (coordinator(), at_last_tick(coordinator())):
-        assert change(node, loss=0.1) == ({"error": "expected a run in flight"}, [])
+        assert change(node, loss=0.1) == ({"error": "expected a running simulation"}, [])
 
 
 def test_an_unknown_request() -> None:
