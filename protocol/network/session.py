@@ -8,11 +8,11 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import zenoh
 
+from protocol.network.endpoints import Endpoints
 from protocol.network.security import Security, SecurityError
 from protocol.wire.codec import MAX_BYTES
 from protocol.wire.keys import ACTING, OPERATOR, ROUTER, WATCHER, Keys
@@ -30,23 +30,6 @@ _TRY_MS = 500
 
 class BusError(RuntimeError):
     """The network cannot be used: the text says what was tried and what to do."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Endpoints:
-    """Where a process listens and whom it calls.
-
-    Attributes:
-        listen: Zenoh endpoints such as "tcp/127.0.0.1:7447"; none for an observer or a client.
-        connect: Endpoints of the processes it connects to; each pair of processes is connected once.
-        mode: A peer of the mesh, the client of a router, or a router.
-        security: Keys and what they allow; None where everybody who can connect may say everything.
-    """
-
-    listen: Sequence[str]
-    connect: Sequence[str]
-    mode: Literal["peer", "client", "router"] = "peer"
-    security: Security | None = None
 
 
 def open_session(endpoints: Endpoints, patience_s: float, name: str, keys: Keys, reach_s: float) -> zenoh.Session:
@@ -148,7 +131,7 @@ def ask(
             if time.monotonic() > deadline:
                 raise BusError(f"no sign of {name} of run {run} within {timeout_s:g} s; tried {', '.join(connect)}")
             time.sleep(0.02)
-        answer = asked(session, keys.request(name, what), given, timeout_s)
+        answer = fetch_answer(session, keys.request(name, what), given, timeout_s)
     finally:
         in_bounded_time(session.close)
     if answer is None:
@@ -192,8 +175,10 @@ def in_bounded_time(close: Callable[[], Any]) -> None:
     closer.join(CLOSE_S)
 
 
-def asked(session: zenoh.Session, key: str, request: Mapping[str, Any], timeout_s: float) -> Mapping[str, Any] | None:
-    """The answer to a request, or None if there is none in time."""
+def fetch_answer(
+    session: zenoh.Session, key: str, request: Mapping[str, Any], timeout_s: float
+) -> Mapping[str, Any] | None:
+    """Return the answer to a request, or None if there is none in time."""
     for reply in session.get(key, payload=json.dumps(request), timeout=timeout_s):
         if reply.ok is not None:
             answer: Mapping[str, Any] = json.loads(reply.ok.payload.to_string())

@@ -15,7 +15,8 @@ import zenoh
 
 from protocol.admission.admission import Admission
 from protocol.network.bus import Bus
-from protocol.network.session import BusError, Endpoints
+from protocol.network.endpoints import Endpoints
+from protocol.network.session import BusError
 from protocol.wire.codec import VERSION, encode
 from protocol.wire.keys import Keys
 from protocol.wire.messages import Presence
@@ -175,7 +176,8 @@ def test_a_flood_holds_nobody_up(network: tuple[Plant, zenoh.Session]) -> None:
 SPEAKS = """
 import sys
 from protocol.network.bus import Bus
-from protocol.network.session import BusError, Endpoints
+from protocol.network.endpoints import Endpoints
+from protocol.network.session import BusError
 from protocol.admission.admission import Admission
 from protocol.wire.keys import Keys
 from protocol.wire.rejections import Rejections

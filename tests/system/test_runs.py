@@ -13,7 +13,7 @@ import pytest
 import zenoh
 
 from deploy.keys import make_passwords
-from protocol.network.process import process_names
+from protocol.network.endpoints import process_names
 from protocol.scenario.file import find_scenario, read_scenario
 from protocol.scenario.setup import Setup
 from protocol.wire.keys import Keys

@@ -12,8 +12,9 @@ from protocol.admission.admission import Admission
 from protocol.admission.plausibility import check_moment
 from protocol.admission.reception import Reception
 from protocol.network.bus import Bus, BusEvent, Interrupted
+from protocol.network.endpoints import Endpoints
 from protocol.network.health import give_back_memory
-from protocol.network.session import BusError, Endpoints
+from protocol.network.session import BusError
 from protocol.scenario.links import told_change
 from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import EXIT_UNREACHABLE
