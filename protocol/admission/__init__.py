@@ -1,1 +1,1 @@
-"""admission."""
+"""Checks of received messages, from bytes to messages that a node may use."""
