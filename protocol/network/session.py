@@ -155,7 +155,7 @@ def route(endpoints: Endpoints) -> Iterator[None]:
 
 
 def log_errors(*, to_output: bool) -> None:
-    """Let Zenoh write its errors to standard output, or, where a command's results go there, only if RUST_LOG is set."""
+    """Let Zenoh write its errors to standard output; a command whose results go there leaves it to RUST_LOG."""
     if to_output:
         zenoh.init_log_from_env_or("error")
     else:

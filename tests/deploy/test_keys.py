@@ -87,7 +87,7 @@ def test_keys_that_cannot_be_used(tmp_path: Path) -> None:
     make_certificates(other, {"coordinator": LOOPBACK}, days=1)
     for end in ("pem", "key"):
         (tmp_path / f"coordinator.{end}").write_bytes((other / f"coordinator.{end}").read_bytes())
-    with pytest.raises(SecurityError, match=r"coordinator\.pem: expected a certificate of ca\.pem that is good now"):
+    with pytest.raises(SecurityError, match=r"coordinator\.pem: expected a certificate of ca\.pem that is valid now"):
         Security(tmp_path, names).check("coordinator", mode="peer")
     old = tmp_path / "old"
     make_certificates(old, {"agent1": LOOPBACK}, days=-1)
