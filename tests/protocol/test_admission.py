@@ -325,9 +325,7 @@ def test_any_order_of_two_streams() -> None:
             if stream:
                 message = stream.pop(0)
                 again = [message] * int(rng.integers(1, 3))
-                passed += [
-                    message for message, accepted in zip(again, receiver.accepts(*again), strict=True) if accepted
-                ]
+                passed += [message for message, ok in zip(again, receiver.accepts(*again), strict=True) if ok]
         for agent in (2, 3):
             ticks = [message.tick for message in passed if message.agent == agent]
             assert all(after == before + 1 for before, after in pairwise(ticks))

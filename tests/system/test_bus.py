@@ -107,7 +107,7 @@ def test_time_of_arrival(network: tuple[Plant, zenoh.Session]) -> None:
 
 
 def test_a_stranger_is_counted(network: tuple[Plant, zenoh.Session]) -> None:
-    """Random bytes, deletions, oversized messages, unknown incarnations and bad tokens are refused with their reasons."""
+    """Garbage, deletions, oversized messages, unknown incarnations and bad tokens are refused with their reasons."""
     plant, session = network
     block = zenoh.CongestionControl.BLOCK
     key = f"{KEYS.prefix}/tick"
