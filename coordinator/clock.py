@@ -12,7 +12,7 @@ _AWAY_NS = 200_000_000
 
 def clock_of(setup: Setup) -> "Clock":
     """Return the clock of a run."""
-    return LockstepClock(setup) if setup.scenario.clock.mode == "lockstep" else RealTimeClock(setup)
+    return _LockstepClock(setup) if setup.scenario.clock.mode == "lockstep" else _RealTimeClock(setup)
 
 
 class Clock(ABC):
@@ -25,8 +25,11 @@ class Clock(ABC):
         setup: The run.
 
     Attributes:
+        counts_late_plans: Whether a plan of an earlier tick than the open one shows that its agent is alive.
         waiting_since_ns: Start of the barrier timeout.
     """
+
+    counts_late_plans: bool
 
     def __init__(self, setup: Setup) -> None:
         self.waiting_since_ns = 0
@@ -34,7 +37,8 @@ class Clock(ABC):
         self._barrier_ns = round(self._settings.barrier_timeout_s * 1e9)
         self._start_ns = self._plant_ns = 0
         self._owed_since_ns: dict[int, int] = {}  # by agent: since when it owes an answer
-        self._overrun_ns = 0  # worst since the last tick
+        self._overrun_ns = 0  # largest overrun of a plan since the last tick
+        self._overruns = 0  # missed deadlines
         self._called_ns = 0  # when the coordinator last handled something
         self._excused_tick = -1  # newest tick in which it was found to have been away
 
@@ -48,14 +52,9 @@ class Clock(ABC):
         return now_ns >= self.waiting_since_ns + self._barrier_ns
 
     def excuse_absence(self, tick: int, wake_ns: int | None, now_ns: int) -> None:
-        """Restart all timeouts if the coordinator itself was away: answers that came meanwhile are still to be read.
+        """Restart all timeouts if the coordinator woke up late: answers that came meanwhile are still to be read.
 
         At most once in a tick: a process that is always late must still find out which agents are gone.
-
-        Args:
-            tick: The open one.
-            wake_ns: When the coordinator meant to wake up; None before the first tick.
-            now_ns: Now.
         """
         called_ns, self._called_ns = self._called_ns, now_ns
         if wake_ns is None or self._excused_tick == tick or now_ns <= max(wake_ns, called_ns) + _AWAY_NS:
@@ -90,10 +89,6 @@ class Clock(ABC):
         """Return how late a tick opens, and by how much the latest plan since the tick before missed its deadline."""
 
     @abstractmethod
-    def oldest_answer(self, tick: int) -> int:
-        """Return the oldest tick whose plans count while a tick is open."""
-
-    @abstractmethod
     def silent(self, members: set[int], missing: set[int], now_ns: int) -> set[int]:
         """Return the agents that have owed an answer for the barrier timeout."""
 
@@ -114,72 +109,52 @@ class Clock(ABC):
         """Return when the open tick may be closed at the earliest, or else when the barrier timeout ends."""
 
 
-class LockstepClock(Clock):
+class _LockstepClock(Clock):
     """Clock that waits for the answers of all agents; a speed above 0 holds the next tick until it is due."""
 
-    def lateness_ns(self, tick: int, now_ns: int) -> tuple[int, int]:  # noqa: ARG002
-        """Return zeros: messages do not depend on wall-clock time."""
-        return 0, 0
+    counts_late_plans = False
 
-    def oldest_answer(self, tick: int) -> int:
-        """Return the open tick."""
-        return tick
+    def lateness_ns(self, tick: int, now_ns: int) -> tuple[int, int]:  # noqa: ARG002
+        return 0, 0  # messages do not depend on wall-clock time
 
     def silent(self, members: set[int], missing: set[int], now_ns: int) -> set[int]:  # noqa: ARG002
-        """Return all missing agents when the barrier timeout is over."""
         return missing if self.has_expired(now_ns) else set()
 
     def plant_is_silent(self, now_ns: int) -> bool:  # noqa: ARG002
-        """Return False: agents without measurements do not answer either."""
-        return False
+        return False  # agents without measurements do not answer either
 
     def may_close(self, tick: int, missing: set[int], now_ns: int, *, last: bool) -> bool:
-        """Return whether all agents have answered and the next tick, if there is one, is due."""
         return not missing and (last or now_ns >= self.due_ns(tick + 1))
 
     def overrun(self, tick: int, missing: set[int], now_ns: int) -> str:  # noqa: ARG002
-        """Return an empty text: there are no deadlines."""
         return ""
 
     def wake_ns(self, tick: int, missing: set[int], *, awaits_plant: bool) -> int:
-        """Return the next tick's time once all agents have answered."""
-        if missing or awaits_plant:
-            return self.waiting_since_ns + self._barrier_ns
-        return self.due_ns(tick + 1)
+        waits = missing or awaits_plant
+        return self.waiting_since_ns + self._barrier_ns if waits else self.due_ns(tick + 1)
 
 
-class RealTimeClock(Clock):
+class _RealTimeClock(Clock):
     """Clock that opens ticks at their deadlines; `clock.on_overrun` says what happens when plans miss them."""
 
-    def __init__(self, setup: Setup) -> None:
-        super().__init__(setup)
-        self._overruns = 0  # missed deadlines
+    counts_late_plans = True
 
     def lateness_ns(self, tick: int, now_ns: int) -> tuple[int, int]:
-        """Return both; with "hold" all later deadlines move by the lateness of this tick."""
         late_ns = max(0, now_ns - self.due_ns(tick)) if tick > 0 else 0
         if self._settings.on_overrun == "hold":
-            self._start_ns += late_ns
+            self._start_ns += late_ns  # all later deadlines move by the wait
         return late_ns, self._overrun_ns
 
-    def oldest_answer(self, tick: int) -> int:  # noqa: ARG002
-        """Return 0: a late plan shows that its agent is alive."""
-        return 0
-
     def silent(self, members: set[int], missing: set[int], now_ns: int) -> set[int]:  # noqa: ARG002
-        """Return the agents that have answered no tick for the barrier timeout."""
         return {a for a in members if now_ns >= self._owed_since_ns.get(a, now_ns) + self._barrier_ns}
 
     def plant_is_silent(self, now_ns: int) -> bool:
-        """Return whether the plant has answered no tick for the barrier timeout."""
         return now_ns >= self._plant_ns + self._barrier_ns
 
     def may_close(self, tick: int, missing: set[int], now_ns: int, *, last: bool) -> bool:  # noqa: ARG002
-        """Return whether the next tick is due; with "hold" all agents must have answered, too."""
-        return now_ns >= self.due_ns(tick + 1) and not (missing and self._settings.on_overrun == "hold")
+        return now_ns >= self.due_ns(tick + 1) and not self._holds(missing)
 
     def overrun(self, tick: int, missing: set[int], now_ns: int) -> str:
-        """Count the missing plans; with "abort" their number and the largest lateness are limited."""
         self._overruns += len(missing)
         settings = self._settings
         if settings.on_overrun != "abort":
@@ -197,7 +172,8 @@ class RealTimeClock(Clock):
         return ""
 
     def wake_ns(self, tick: int, missing: set[int], *, awaits_plant: bool) -> int:
-        """Return the next deadline, unless it has to wait for an answer."""
-        if awaits_plant or (missing and self._settings.on_overrun == "hold"):
-            return self.waiting_since_ns + self._barrier_ns
-        return self.due_ns(tick + 1)
+        waits = awaits_plant or self._holds(missing)
+        return self.waiting_since_ns + self._barrier_ns if waits else self.due_ns(tick + 1)
+
+    def _holds(self, missing: set[int]) -> bool:
+        return bool(missing) and self._settings.on_overrun == "hold"

@@ -142,7 +142,7 @@ class CoordinatorNode:
                     message.sender
                 ):
                     raise MessageError("wrong_incarnation", "plan of an incarnation that is not on the roster")
-                check_moment(message, self._clock.oldest_answer(self.tick), self.tick)
+                check_moment(message, 0 if self._clock.counts_late_plans else self.tick, self.tick)
                 if message.negotiation > 0:
                     self._negotiating[message.agent] = message.negotiation
                     return

@@ -40,44 +40,22 @@ ENDS: dict[Trigger, tuple[Outcome, int]] = {
     Trigger.INTERRUPTED: ("aborted", EXIT_INTERRUPTED),
 }
 
+_ABORTS = {Trigger.UNREACHABLE: State.STOPPED, Trigger.INTERRUPTED: State.STOPPED}
+_OPENS = {Trigger.TICK_OPENED: State.OPEN, Trigger.LAST_TICK_OPENED: State.LAST}
+_DIVERGES = {Trigger.DIVERGENCE_REPORTED: State.DIVERGED}
+_OVERRUNS = {Trigger.OVERRUN: State.STOPPED}
+
 # Every other pair of state and trigger is an error of the coordinator.
 TRANSITIONS: dict[State, dict[Trigger, State]] = {
-    State.WAITING: {
-        Trigger.TICK_OPENED: State.OPEN,
-        Trigger.LAST_TICK_OPENED: State.LAST,
-        Trigger.UNREACHABLE: State.STOPPED,
-        Trigger.INTERRUPTED: State.STOPPED,
-    },
-    State.OPEN: {
-        Trigger.TICK_OPENED: State.OPEN,
-        Trigger.LAST_TICK_OPENED: State.LAST,
-        Trigger.TICK_HELD: State.HELD,
-        Trigger.DIVERGENCE_REPORTED: State.DIVERGED,
-        Trigger.UNREACHABLE: State.STOPPED,
-        Trigger.OVERRUN: State.STOPPED,
-        Trigger.INTERRUPTED: State.STOPPED,
-    },
-    State.HELD: {
-        Trigger.TICK_OPENED: State.OPEN,
-        Trigger.LAST_TICK_OPENED: State.LAST,
-        Trigger.DIVERGENCE_REPORTED: State.DIVERGED,
-        Trigger.UNREACHABLE: State.STOPPED,
-        Trigger.INTERRUPTED: State.STOPPED,
-    },
-    State.LAST: {
-        Trigger.DIVERGENCE_REPORTED: State.DIVERGED,
-        Trigger.COMPLETED: State.STOPPED,
-        Trigger.UNREACHABLE: State.STOPPED,
-        Trigger.OVERRUN: State.STOPPED,
-        Trigger.INTERRUPTED: State.STOPPED,
-    },
+    State.WAITING: {**_OPENS, **_ABORTS},
+    State.OPEN: {**_OPENS, Trigger.TICK_HELD: State.HELD, **_DIVERGES, **_OVERRUNS, **_ABORTS},
+    State.HELD: {**_OPENS, **_DIVERGES, **_ABORTS},
+    State.LAST: {Trigger.COMPLETED: State.STOPPED, **_DIVERGES, **_OVERRUNS, **_ABORTS},
     State.DIVERGED: {
-        Trigger.TICK_OPENED: State.DIVERGED,
-        Trigger.LAST_TICK_OPENED: State.DIVERGED,
+        **dict.fromkeys(_OPENS, State.DIVERGED),
         Trigger.DIVERGENCE_RECORDED: State.STOPPED,
-        Trigger.UNREACHABLE: State.STOPPED,
-        Trigger.OVERRUN: State.STOPPED,
-        Trigger.INTERRUPTED: State.STOPPED,
+        **_OVERRUNS,
+        **_ABORTS,
     },
     State.STOPPED: {},
 }

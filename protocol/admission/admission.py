@@ -58,6 +58,7 @@ class Admission:
         rejections: Counts refused messages, also those that the node refuses.
 
     Attributes:
+        rejections: These counts.
         max_bytes: Upper bound of the size of the run's messages.
         tick: Newest tick of an admitted message.
         window: How many ticks from `tick` a present message can be.
@@ -68,7 +69,7 @@ class Admission:
         self.tick = 0
         self._name = name
         self._keys = keys
-        self._rejections, self._notices = rejections, Notices(name, rejections)
+        self.rejections, self._notices = rejections, Notices(name, rejections)
         self._senders = {"coordinator", "plant", "recorder", *map(agent_name, setup.agents)}
         self.window = max(_AHEAD, window(setup))
         self._is_up_to_date = False  # whether `tick` is the present tick of the run
@@ -115,7 +116,7 @@ class Admission:
         with self._counting:
             unread, self._unread = self._unread, {}
         for (sender, _), (error, count) in unread.items():
-            self._rejections.add(sender, error, count)
+            self.rejections.add(sender, error, count)
 
     def read(self, key: str, data: bytes) -> Message | None:
         """Return the message in some bytes; None if it is refused, or kept because its sender is not announced yet."""
@@ -172,11 +173,6 @@ class Admission:
         return None
 
     @property
-    def refused(self) -> int:
-        """Number of messages refused so far, here and by the node."""
-        return self._rejections.total
-
-    @property
     def kept(self) -> int:
         """Number of messages that wait for their sender's token."""
         return len(self._early)
@@ -184,7 +180,7 @@ class Admission:
     def refuse(self, key: str, error: MessageError) -> None:
         """Count a refused message."""
         self._remember_last()
-        self._rejections.add(error.sender or self._keys.end(key), error)
+        self.rejections.add(error.sender or self._keys.end(key), error)
 
     def oversized(self, size: int) -> MessageError:
         """Return the error of an oversized message."""
@@ -223,7 +219,7 @@ class Admission:
             raise MessageError("replayed", f"{message.kind} number {message.sequence} again", message.sender)
 
     def _admit(self, key: str, message: Message) -> Message:
-        self._last = key, message, self._rejections.total
+        self._last = key, message, self.rejections.total
         return message
 
     def _remember_last(self) -> None:
@@ -232,7 +228,7 @@ class Admission:
             return
         key, message, refused = self._last
         self._last = None
-        if self._rejections.total != refused:
+        if self.rejections.total != refused:
             return
         at = key, message.kind
         before = self._newest.get(at)

@@ -255,7 +255,7 @@ class Bus:
                 "incarnation": self.incarnation,
                 "protocol": VERSION,
                 "tick": self.admission.tick,
-                "refused": self.admission.refused,
+                "refused": self.admission.rejections.total,
                 "clock_offset_s": None if self.offset is None else self.offset.ahead_s,
                 "clock_uncertainty_s": None if self.offset is None else self.offset.uncertainty_s,
                 **usage(),
