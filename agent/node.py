@@ -30,7 +30,8 @@ from mpc.prediction import Prediction
 from mpc.regulation import CostToGo
 from protocol.admission.arrivals import Arrivals
 from protocol.admission.membership import Membership
-from protocol.admission.plausibility import Plausibility, check_moment, window
+from protocol.admission.plausibility import check_moment
+from protocol.admission.reception import Reception
 from protocol.scenario.links import LinkChanges
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import (
@@ -48,7 +49,6 @@ from protocol.wire.messages import (
     agent_name,
 )
 from protocol.wire.outbox import Outbox, lost
-from protocol.wire.rejections import Rejections
 
 # Integration steps for looking one period ahead with actuation "next_tick"; see `agent.estimator`.
 _AHEAD_STEPS = 2
@@ -108,8 +108,8 @@ class AgentNode:
         self._membership = Membership()
         self._gone: set[int] = set()  # agents the controller does not count on
         self.publish_ns = 0
-        self._plausibility, self._window = Plausibility(setup), window(setup)
-        self.rejected = Rejections()
+        self._reception = Reception(setup, self._handle, self._newest_tick)
+        self.rejected = self._reception.rejected
         self.finished: Control | None = None
         self._begin(incarnation)
 
@@ -171,7 +171,7 @@ class AgentNode:
         """Take in the roster, measurements and the others' plans."""
         match event:
             case Message():
-                self._hear(event, now_ns)
+                self._reception.receive(event, now_ns)
             case Presence(name="coordinator", alive=False):
                 self.finished = lost(self._out, self._last_tick, "coordinator is gone")
             case Presence(alive=False):
@@ -192,39 +192,25 @@ class AgentNode:
         controller.step(hover.x, hover.u, U, y_ref, law, forces, end=controller.end(hover.x, hover.x, forces))
         self._setup.model.integrate(hover.x, hover.u, self._setup.settings.sampling_period_s, _AHEAD_STEPS)
 
-    def _hear(self, message: Message, now_ns: int) -> None:
-        """Take in a message that is for now; count any other."""
-        try:
-            self._plausibility.check(message)
-            match message:
-                case Control():
-                    self._check_moment(message)
-                    self.finished = message
-                case Roster():
-                    self._check_moment(message)
-                    for plan in self._enlist(message):
-                        self._hear(plan, now_ns)
-                case LinkChange():
-                    self._check_moment(message)
-                    self._link_changes.apply(message)
-                case Measurement():
-                    self._measure(message, now_ns)
-                case Plan() if self._membership.admits(message):
-                    self._take(message, now_ns)
-        except MessageError as error:
-            self.rejected.add(message.sender, error)
+    def _handle(self, message: Message, now_ns: int) -> None:
+        """Take in a message that passed the checks of the reception."""
+        match message:
+            case Control():
+                self.finished = message
+            case Roster():
+                for plan in self._enlist(message):
+                    self._reception.receive(plan, now_ns)
+            case LinkChange():
+                self._link_changes.apply(message)
+            case Measurement():
+                self._measure(message, now_ns)
+            case Plan() if self._membership.admits(message):
+                self._take(message, now_ns)
 
-    def _now(self) -> int | None:
-        """The tick the run is at as far as this process knows; None while it does not take part."""
+    def _newest_tick(self) -> int | None:
+        """Return the newest tick this agent knows of, or None while it is not on the roster."""
         joined = self._membership.since.get(self._agent)
         return None if joined is None else max(self._last_tick, joined - 1)
-
-    def _check_moment(self, message: Message) -> None:
-        """Refuse what the coordinator cannot say at the tick it is likely to be at; changes of links it says again."""
-        now = self._now()
-        if now is not None:
-            first = 0 if isinstance(message, LinkChange) else now - self._window
-            check_moment(message, first, now + 1 + self._window)
 
     def _enlist(self, roster: Roster) -> list[Plan]:
         """Take in a roster and return the plans that were ahead of it."""
@@ -242,9 +228,9 @@ class AgentNode:
             raise MessageError("wrong_uavs", f"measurement of UAVs {list(measurement.uavs)}")
         newest = self._last_tick if self._measurement is None else self._measurement.tick
         last = self._setup.ticks
-        now = self._now()
+        now = self._newest_tick()
         if now is not None:
-            last = now + self._window
+            last = now + self._reception.window
         elif measurement.roster <= self._membership.version:
             raise MessageError("past", f"measurement of tick {measurement.tick}, without this start on the roster")
         if self._waits and self._measurement is not None:
@@ -256,11 +242,11 @@ class AgentNode:
     def _take(self, plan: Plan, now_ns: int) -> None:
         if plan.agent == self._agent:
             raise MessageError("wrong_sender", "plan of this process itself")
-        now = self._now()
+        now = self._newest_tick()
         if now is None:
             self._early.append(plan)
             return
-        check_moment(plan, 0, now + self._window)
+        check_moment(plan, 0, now + self._reception.window)
         if plan.tick < self._membership.since[self._agent]:
             return
         if plan.negotiation > 0:

@@ -18,7 +18,7 @@ from typing import Any
 
 from benchmarks.page import BenchmarkError, Table
 from deploy.keys import LOOPBACK, OTHERS, make_certificates
-from protocol.network.process import process_names
+from protocol.network.endpoints import process_names
 from protocol.scenario.file import find_scenario, read_scenario
 from transport.flight.run import machine
 

@@ -12,8 +12,8 @@ from typing import Any
 import tomli_w
 
 from benchmarks.page import BenchmarkError
+from protocol.network.endpoints import mesh, process_names
 from protocol.network.health import command_of
-from protocol.network.process import mesh, process_names
 from protocol.scenario.setup import Setup
 from transport.flight.harness import Harness, free_ports
 

@@ -9,12 +9,12 @@ from protocol.wire.messages import agent_name
 
 
 def run(setup: Setup, place: Place, observers: Sequence[str] = ()) -> int:
-    """Keep the clock of a run until it ends.
+    """Coordinate a run until it ends.
 
     Args:
         setup: The run.
-        place: Where this process is.
-        observers: Processes besides plant and agents that must be there before the first tick.
+        place: Place of this process in the run.
+        observers: Processes besides plant and agents that must be ready before the first tick.
     Returns: Exit code.
     Raises: BusError: see `protocol.network.process.run_node`.
     """

@@ -1,43 +1,22 @@
-"""The coordinator as a state machine: opens tick k + 1 when everybody has answered tick k, or at its deadline.
+"""The coordinator as a state machine: opens tick k + 1 when all agents have answered tick k, or at its deadline.
 
-In lockstep the clock waits for everybody on the roster, in real time for nobody. Agents that are gone or do
-not answer are taken off the roster; those that come back, with a higher incarnation, are put on it again when
-a tick is opened.
-
-waiting  --everybody ready-->  running  --last tick answered and recorded-->  stopped
-                               running  --plant gone, agent lost, diverged, overrun, interrupted-->  stopped
+`coordinator.state` has the states and transitions, `coordinator.clock` the difference between lockstep and real time.
+Agents that are gone or do not answer are taken off the roster; those that return with a higher incarnation are put on
+it again when a tick is opened.
 """
 
-import json
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
-from protocol.admission.plausibility import Plausibility, check_moment
-from protocol.scenario.faults import uav_faults, uav_name
-from protocol.scenario.links import LinkError, link_change
+from coordinator.clock import clock_of
+from coordinator.links import RequestedLinkChanges
+from coordinator.roster import TeamRoster, names
+from coordinator.state import ENDS, TRANSITIONS, State, Trigger
+from protocol.admission.plausibility import check_moment
+from protocol.admission.reception import Reception
+from protocol.scenario.links import LinkError
 from protocol.scenario.setup import Setup
-from protocol.wire.exit_codes import EXIT_DIVERGED, EXIT_INTERRUPTED, EXIT_OVERRUN, EXIT_UNREACHABLE
-from protocol.wire.messages import (
-    Control,
-    Event,
-    LinkChange,
-    Message,
-    MessageError,
-    Outcome,
-    Plan,
-    PlantState,
-    Presence,
-    Request,
-    Roster,
-    Tick,
-    agent_name,
-)
+from protocol.wire.messages import Control, Event, Message, MessageError, Plan, PlantState, Presence, Request, Tick
 from protocol.wire.outbox import Outbox
-from protocol.wire.rejections import Rejections
-
-# A process that wakes up so much later than it meant to was frozen, or had no processor to run on.
-_AWAY_NS = 200_000_000
-
-# Exit codes a run can end with (docs/command-line.md).
 
 
 class CoordinatorNode:
@@ -47,412 +26,273 @@ class CoordinatorNode:
         setup: The run.
         incarnation: Which start of this process.
         observers: Names that must be ready besides the plant and the agents, such as "recorder".
+
+    Attributes:
+        state: State of the run.
+        tick: The open tick, -1 before the first.
     """
 
     name = "coordinator"
     publish_ns = 0
 
     def __init__(self, setup: Setup, incarnation: int = 0, observers: Sequence[str] = ()) -> None:
-        self._clock = setup.scenario.clock
-        self._ticks, self._period_ns = setup.ticks, setup.period_ns
+        self.state, self.tick = State.WAITING, -1
         self.incarnation = incarnation
-        self._out = Outbox(self.name, incarnation)
-        self._agents = {agent_name(agent): agent for agent in setup.agents}
-        self._awaited = {"plant", *self._agents, *observers}
-        self._observers = set(observers)  # that are there
-        self._incarnations: dict[str, int] = {}  # of the processes that take part, by name
-        self._members: set[int] = set(setup.agents)
-        self._joining: dict[int, int] = {}  # agents to be put on the roster, with their incarnations
-        self._answered: set[int] = set()
-        self._shared: set[int] = set()  # those of them whose plans the other agents got
-        self._negotiating: dict[int, int] = {}  # exchanges still to come in the open tick, of who has proposed in it
-        self._owes_ns: dict[int, int] = {}  # in real time: since when there is something that an agent has not answered
-        self._waits = self._clock.mode == "lockstep"
-        self._barrier_ns = round(self._clock.barrier_timeout_s * 1e9)
-        self._setup = setup
-        self._changes: list[LinkChange] = []
-        self._returns = _returns(setup)  # in lockstep: agents to wait for, by the tick they are to be back at
-        self._uav_faults = list(uav_faults(setup.faults))  # still to be reported
-        self._off: set[int] = set()  # UAVs without motors, 1-based
-        self._released: set[int] = set()
-        self._held_ns: int | None = None  # since when a tick is held for them
-        self._overruns = 0  # missed deadlines
-        self._overrun_ns = 0  # worst since the last tick
-        self._tick = -1
-        self._opened_ns = 0  # when the present tick was opened
-        self._start_ns = 0  # when tick 0 was opened; paced ticks are due relative to it
-        self._called_ns = 0  # when this process last had something to do
-        self._excused = -1  # tick in which it was found to have been away last
-        self._roster_version = 0
-        self._last_truth = -1
-        self._truth_ns = 0  # when it came, or when the plant was asked for the next
-        self._diverged = ""
-        self._plausibility = Plausibility(setup)
-        self.rejected = Rejections()
         self.finished: Control | None = None
-
-    @property
-    def tick(self) -> int:
-        """The open tick, -1 before the first."""
-        return self._tick
+        self._ticks, self._period_ns, self._settings = setup.ticks, setup.period_ns, setup.scenario.clock
+        self._negotiation_iterations = setup.scenario.controller.negotiation_iterations
+        self._out = Outbox(self.name, incarnation)
+        self._clock = clock_of(setup)
+        self._roster = TeamRoster(setup, self._out)
+        self._link_changes = RequestedLinkChanges(setup, self._out)
+        self._reception = Reception(setup, self._handle)
+        self.rejected = self._reception.rejected
+        self._awaited = {"plant", *self._roster.agents, *observers}
+        self._observers = set(observers)  # that have not left
+        self._answered: set[int] = set()
+        self._shared: set[int] = set()  # agents that answered with a plan the other agents received
+        self._negotiating: dict[int, int] = {}  # negotiation iterations left in the open tick, by agent
+        self._plant_tick = -1  # newest tick the plant has recorded
+        self._divergence = ""
 
     @property
     def wake_ns(self) -> int | None:
         """Next pacing, barrier or real-time deadline."""
-        if self.finished is not None or self._tick < 0:
+        if self.state in (State.WAITING, State.STOPPED):
             return None
-        if self._held_ns is not None:
-            return self._held_ns + round(self._clock.join_timeout_s * 1e9)
-        barrier = self._opened_ns + self._barrier_ns
-        last = self._tick + 1 == self._ticks
-        if self._waits:
-            return self._due_ns() if self._is_complete() and not last else barrier
-        waiting = self._clock.on_overrun == "hold" and not self._is_complete()
-        return barrier if waiting or (last and self._last_truth < self._tick) else self._due_ns()
+        if self.state is State.HELD:
+            return self._hold_ends_ns
+        return self._clock.wake_ns(self.tick, self._missing, awaits_plant=self._awaits_plant)
 
     def receive(self, event: Event, now_ns: int) -> Sequence[Message]:
-        """Take in presences, plans, the plant's truth, and what people ask for."""
-        if self.finished is not None:
+        """Take in presences, plans, plant states, and requests."""
+        if self.state is State.STOPPED:
             return ()
-        self._excuse(now_ns)
-        if isinstance(event, Presence):
-            return self._presence(event, now_ns)
-        if isinstance(event, Request):
-            return self._request(event)
-        try:
-            self._hear(event, now_ns)
-        except MessageError as error:
-            self.rejected.add(event.sender, error)
-            return ()
-        return self._advance(now_ns)
+        self._clock.excuse_absence(self.tick, self.wake_ns, now_ns)
+        match event:
+            case Request():
+                return self._answer_request(event)
+            case Presence(alive=True) if self.state is State.WAITING:
+                return self._process_ready(event, now_ns)
+            case Presence(alive=True):
+                return self._agent_returned(event, now_ns)
+            case Presence():
+                return self._process_gone(event, now_ns)
+        return self._advance(now_ns) if self._reception.receive(event, now_ns) else ()
 
     def poll(self, now_ns: int) -> Sequence[Message]:
-        """Open a tick that is due; take whoever missed the barrier off the roster."""
-        if self.finished is not None or self._tick < 0:
+        """Open a tick that is due; take agents that missed the barrier timeout off the roster."""
+        if self.state in (State.WAITING, State.STOPPED):
             return ()
-        self._excuse(now_ns)
-        if self._held_ns is not None and now_ns >= self._held_ns + round(self._clock.join_timeout_s * 1e9):
-            missing = ", ".join(agent_name(agent) for agent in sorted(self._returns.pop(self._tick + 1)))
-            when = f"{missing} did not come back at {self._time(self._tick + 1)}"
-            return [self._roster(when), *self._advance(now_ns)]
-        expired = now_ns >= self._opened_ns + self._barrier_ns
-        if expired and self._diverged:
-            return self._stop("diverged", self._diverged, EXIT_DIVERGED)
-        if not self._waits and now_ns >= self._truth_ns + self._barrier_ns:
-            return self._stop("aborted", f"plant has not answered since tick {self._last_truth}", EXIT_UNREACHABLE)
-        late = self._late(now_ns)
-        if late:
-            # Of those that negotiate, whoever is behind keeps the others waiting; they get as long again without it.
-            negotiation_iterations = self._setup.scenario.controller.negotiation_iterations
-            left = {agent: self._negotiating.get(agent, negotiation_iterations) for agent in late}
-            behind = {agent for agent in late if left[agent] == max(left.values())}
-            if behind < late:
-                late, self._opened_ns = behind, now_ns
-            if self._answered.isdisjoint(self._members) and len(late) > 1 and late == self._members:
-                # All at once: more likely the one they all depend on.
-                return self._stop(
-                    "aborted", f"no agent answered tick {self._tick} in time: is the plant alive?", EXIT_UNREACHABLE
-                )
-            names = ", ".join(agent_name(agent) for agent in sorted(late))
-            return self._lose(sorted(late), f"{names} did not answer tick {self._tick} in time", now_ns)
-        if expired and self._last_truth < self._tick and self._tick + 1 == self._ticks:
-            return self._stop("aborted", f"plant did not answer tick {self._tick} in time", EXIT_UNREACHABLE)
+        self._clock.excuse_absence(self.tick, self.wake_ns, now_ns)
+        if self.state is State.HELD:
+            if now_ns < self._hold_ends_ns:
+                return ()
+            return [self._roster.give_up(self.tick + 1), *self._advance(now_ns)]
+        expired = self._clock.has_expired(now_ns)
+        if expired and self.state is State.DIVERGED:
+            return self._stop(Trigger.DIVERGENCE_RECORDED, self._divergence)
+        if self._clock.plant_is_silent(now_ns):
+            return self._stop(Trigger.UNREACHABLE, f"plant has not answered since tick {self._plant_tick}")
+        silent = self._clock.silent(self._roster.members, self._missing, now_ns)
+        if silent:
+            return self._drop_silent(silent, now_ns)
+        if expired and self._awaits_plant:
+            return self._stop(Trigger.UNREACHABLE, f"plant did not answer tick {self.tick} in time")
         return self._advance(now_ns)
 
     def interrupt(self, reason: str) -> Sequence[Message]:
-        """End the run on a person's wish."""
-        return () if self.finished is not None else self._stop("aborted", reason, EXIT_INTERRUPTED)
+        """End the run because of a signal."""
+        return () if self.state is State.STOPPED else self._stop(Trigger.INTERRUPTED, reason)
 
-    def _hear(self, message: Message, now_ns: int) -> None:
-        """Take in an answer or the plant's record.
+    @property
+    def _is_last(self) -> bool:
+        return self.tick + 1 == self._ticks
 
-        Raises: MessageError: it is not for now.
+    @property
+    def _awaits_plant(self) -> bool:
+        """Whether the plant's last state is missing, without which the record is not complete."""
+        return self._is_last and self._plant_tick < self.tick
+
+    @property
+    def _missing(self) -> set[int]:
+        """Agents on the roster that have not answered the open tick."""
+        return self._roster.members - self._answered
+
+    @property
+    def _hold_ends_ns(self) -> int:
+        return self._clock.waiting_since_ns + round(self._settings.join_timeout_s * 1e9)
+
+    def _handle(self, message: Message, now_ns: int) -> None:
+        """Take in an agent's plan or the plant's state that passed the checks of the reception.
+
+        Raises: MessageError: the message is not for now.
         """
-        self._plausibility.check(message)
-        if isinstance(message, PlantState):
-            check_moment(message, self._last_truth + 1, self._tick)
-            self._last_truth, self._truth_ns = message.tick, now_ns
-            if message.diverged:
-                self._diverged = f"{message.diverged} at {self._time(message.tick)}"
-        elif isinstance(message, Plan):
-            on_it = message.agent in self._members
-            if not on_it or message.incarnation != self._incarnations.get(message.sender):
-                raise MessageError("wrong_incarnation", "plan of an incarnation that is not on the roster")
-            check_moment(message, self._tick if self._waits else 0, self._tick)
-            if message.negotiation == 0:
-                if message.tick == self._tick and message.agent in self._answered:
-                    # A plan has two keys it can come under, and only one of them may count.
-                    raise MessageError("replayed", f"plan of tick {message.tick} again")
-                self._answer(message, now_ns)
-            else:
-                self._negotiating[message.agent] = message.negotiation
+        match message:
+            case PlantState():
+                check_moment(message, self._plant_tick + 1, self.tick)
+                self._plant_tick = message.tick
+                self._clock.plant_answer(now_ns)
+                if message.diverged and not self._divergence:
+                    self._divergence = f"{message.diverged} at {self._roster.time(message.tick)}"
+                    self._move(Trigger.DIVERGENCE_REPORTED)
+            case Plan():
+                roster = self._roster
+                if message.agent not in roster.members or message.incarnation != roster.incarnations.get(
+                    message.sender
+                ):
+                    raise MessageError("wrong_incarnation", "plan of an incarnation that is not on the roster")
+                check_moment(message, 0 if self._clock.counts_late_plans else self.tick, self.tick)
+                if message.negotiation > 0:
+                    self._negotiating[message.agent] = message.negotiation
+                    return
+                if message.tick == self.tick:
+                    if message.agent in self._answered:
+                        # A plan can come under two keys, and only one of them may count.
+                        raise MessageError("replayed", f"plan of tick {message.tick} again")
+                    self._answered.add(message.agent)
+                    if message.shared:
+                        self._shared.add(message.agent)
+                self._clock.answer(message, self.tick, now_ns)
 
-    def _presence(self, event: Presence, now_ns: int) -> Sequence[Message]:
-        known = self._incarnations.get(event.name, -1)
-        agent = self._agents.get(event.name)
-        if event.alive:
-            if self._tick < 0 and event.name in {"plant", *self._agents} | self._awaited:
-                self._awaited.discard(event.name)
-                self._incarnations[event.name] = max(event.incarnation, known)
-                if not self._awaited:
-                    self._start_ns = self._truth_ns = now_ns
-                    return [self._roster("everybody is ready"), *self._open(now_ns)]
-            elif agent is not None and self._tick >= 0 and event.incarnation > known:
-                self._joining[agent] = event.incarnation
-                # Back before its end was noticed: what it was is over all the same.
-                lost = self._lose([agent], f"{event.name} is gone", now_ns) if agent in self._members else ()
-                return [*lost, *(self._advance(now_ns) if self.finished is None else ())]
+    def _process_ready(self, event: Presence, now_ns: int) -> Sequence[Message]:
+        """Note that a process is ready; open the first tick when all are."""
+        if event.name in {"plant", *self._roster.agents} | self._awaited:
+            self._awaited.discard(event.name)
+            known = self._roster.incarnations.get(event.name, -1)
+            self._roster.incarnations[event.name] = max(event.incarnation, known)
+            if not self._awaited:
+                return [self._roster.message("all processes are ready", 0), *self._open(now_ns)]
+        return ()
+
+    def _agent_returned(self, event: Presence, now_ns: int) -> Sequence[Message]:
+        """Let a new incarnation of an agent join at the next tick."""
+        agent = self._roster.agents.get(event.name)
+        if agent is None or event.incarnation <= self._roster.incarnations.get(event.name, -1):
             return ()
-        if agent in self._joining and event.incarnation == self._joining[agent]:
-            del self._joining[agent]
-        if event.incarnation != known:
+        self._roster.joining[agent] = event.incarnation
+        # It may return before its end was noticed: the old incarnation is gone all the same.
+        lost = self._lose([agent], f"{event.name} is gone", now_ns) if agent in self._roster.members else ()
+        return lost if self.state is State.STOPPED else [*lost, *self._advance(now_ns)]
+
+    def _process_gone(self, event: Presence, now_ns: int) -> Sequence[Message]:
+        """Note that a process has left, and what follows for the run."""
+        agent = self._roster.agents.get(event.name)
+        if agent is not None and self._roster.joining.get(agent) == event.incarnation:
+            del self._roster.joining[agent]
+        if event.incarnation != self._roster.incarnations.get(event.name):
             return ()
         self._observers.discard(event.name)
         if event.name == "plant":
-            return self._stop("aborted", "plant is gone", EXIT_UNREACHABLE)
-        if agent in self._members:
-            return self._lose([agent], f"{event.name} is gone", now_ns)
-        return ()
+            return self._stop(Trigger.UNREACHABLE, "plant is gone")
+        return self._lose([agent], f"{event.name} is gone", now_ns) if agent in self._roster.members else ()
 
-    def _request(self, request: Request) -> Sequence[Message]:
-        """Answer a request of a person or a process: who takes part, or a change of links from the next tick on."""
+    def _answer_request(self, request: Request) -> Sequence[Message]:
+        """Answer a request for the status of the run, or for a change of links from the next tick on."""
         if request.what == "status":
-            request.reply(
-                {
-                    "tick": self._tick,
-                    "ticks": self._ticks,
-                    "members": sorted(self._members),
-                    "observers": sorted(self._observers),
-                }
-            )
+            members, observers = sorted(self._roster.members), sorted(self._observers)
+            request.reply({"tick": self.tick, "ticks": self._ticks, "members": members, "observers": observers})
             return ()
-        if request.what != "link":
-            request.reply({"error": f"what: expected status or link, got {request.what!r}"})
-            return ()
-        source, target = (str(request.given.get(end, "")) for end in ("from", "to"))
-        names = ["plant", *self._agents]
         try:
-            for end, name in (("from", source), ("to", target)):
-                if name and name not in names:
-                    raise LinkError(f"{end}: expected one of {', '.join(names)}, got {name!r}")
-            settings = json.dumps(request.given.get("settings"))
-            change = link_change(source, target, settings)
-            if not change.settings():
-                raise LinkError("expected at least one key of a link, got none")
-            if change.distribution == "empirical" and change.samples not in self._setup.samples_s:
-                known = ", ".join(sorted(self._setup.samples_s)) or "none"
-                raise LinkError(f"samples: expected a file the scenario names ({known}), got {change.samples!r}")
-            if self._tick < 0 or self._tick + 1 >= self._ticks:
-                raise LinkError("expected a run in flight")
-            message = self._out.stamp(
-                LinkChange,
-                tick=self._tick + 1,
-                number=len(self._changes) + 1,
-                source=source,
-                target=target,
-                settings=settings,
-            )
+            if request.what != "link":
+                raise LinkError(f"what: expected status or link, got {request.what!r}")
+            if self.state is State.WAITING or self._is_last:
+                raise LinkError("expected a running simulation")
+            change = self._link_changes.change(request.given, self.tick + 1)
         except (LinkError, MessageError) as error:
             request.reply({"error": str(error)})
             return ()
-        self._changes.append(message)
-        request.reply({"tick": message.tick, "t_s": message.tick * self._period_ns / 1e9})
-        ends = f"from {source or 'any agent'} to {target or 'any agent'}"
-        # A roster follows: ticks name its version, so nobody opens the next one without knowing of the change.
-        return [message, self._roster(f"links {ends} changed: {settings} from {self._time(message.tick)} on")]
+        request.reply({"tick": change.tick, "t_s": change.tick * self._period_ns / 1e9})
+        ends = f"from {change.source or 'any agent'} to {change.target or 'any agent'}"
+        reason = f"links {ends} changed: {change.settings} from {self._roster.time(change.tick)} on"
+        # Ticks name the version of this roster, so no process opens the next one without knowing of the change.
+        return [change, self._roster.message(reason, self.tick)]
 
-    def _lose(self, agents: Sequence[int], reason: str, now_ns: int) -> Sequence[Message]:
-        """Take agents off the roster, and go on or end the run by policy."""
-        when = f"{reason} at {self._time(max(self._tick, 0))}"
-        if self._clock.on_agent_loss == "abort" or self._tick < 0:
-            return self._stop("aborted", when, EXIT_UNREACHABLE)
-        self._members -= set(agents)
-        if not self._members:
-            return self._stop("aborted", f"{when}; no agent is left", EXIT_UNREACHABLE)
-        return [self._roster(when), *self._advance(now_ns)]
+    def _drop_silent(self, silent: set[int], now_ns: int) -> Sequence[Message]:
+        """Take agents that have not answered in time off the roster."""
+        # An agent that is behind in a negotiation blocks the others: drop it alone and restart their timeout.
+        left = {agent: self._negotiating.get(agent, self._negotiation_iterations) for agent in silent}
+        behind = {agent for agent in silent if left[agent] == max(left.values())}
+        if behind < silent:
+            silent, self._clock.waiting_since_ns = behind, now_ns
+        members = self._roster.members
+        if len(silent) > 1 and silent == members and self._answered.isdisjoint(members):
+            # All at once: more likely the plant, on which all depend.
+            reason = f"no agent answered tick {self.tick} in time: is the plant alive?"
+            return self._stop(Trigger.UNREACHABLE, reason)
+        return self._lose(silent, f"{names(silent)} did not answer tick {self.tick} in time", now_ns)
 
-    def _answer(self, plan: Plan, now_ns: int) -> None:
-        self._owes_ns[plan.agent] = now_ns
-        if plan.tick == self._tick:
-            self._answered.add(plan.agent)
-            if plan.shared:
-                self._shared.add(plan.agent)
-            del self._owes_ns[plan.agent]
-        if not self._waits:
-            self._overrun_ns = max(self._overrun_ns, now_ns - self._deadline_ns(plan.tick + 1))
-
-    def _late(self, now_ns: int) -> set[int]:
-        """Agents that have not answered for the barrier's time."""
-        if self._waits:
-            missed = now_ns >= self._opened_ns + self._barrier_ns and self._held_ns is None
-            return self._members - self._answered if missed else set()
-        return {a for a in self._members if now_ns >= self._owes_ns.get(a, now_ns) + self._barrier_ns}
-
-    def _excuse(self, now_ns: int) -> None:
-        """When this process itself was away, blame nobody for it: what came meanwhile has yet to be read.
-
-        Once in a tick at most: a process that is always late still has to find out who is gone.
-        """
-        wake_ns, called_ns, self._called_ns = self.wake_ns, self._called_ns, now_ns
-        if wake_ns is None or self._excused == self._tick:
-            return
-        if now_ns > max(wake_ns, called_ns) + _AWAY_NS:
-            self._excused = self._tick
-            self._opened_ns = self._truth_ns = now_ns
-            self._owes_ns = dict.fromkeys(self._owes_ns, now_ns)
-            self._held_ns = None if self._held_ns is None else now_ns
-
-    def _is_complete(self) -> bool:
-        return self._members <= self._answered
-
-    def _deadline_ns(self, tick: int) -> int:
-        """When a tick may open: relative to the first one, so that delays do not add up."""
-        return self._start_ns + round(tick * self._period_ns / self._clock.speed)
-
-    def _due_ns(self) -> int:
-        """When the next tick may open."""
-        return 0 if self._clock.speed == 0.0 else self._deadline_ns(self._tick + 1)
-
-    def _is_held(self, now_ns: int) -> bool:
-        """Whether the next tick is held for agents a script brings back at it: lockstep's time is not the host's."""
-        expected = self._returns.get(self._tick + 1, set())
-        if not self._waits or expected <= self._joining.keys() | self._members:
-            self._held_ns = None
-        elif self._held_ns is None:
-            self._held_ns = now_ns
-        return self._held_ns is not None
+    def _lose(self, agents: Collection[int], reason: str, now_ns: int) -> Sequence[Message]:
+        """Take agents off the roster, and go on or end the run by `clock.on_agent_loss`."""
+        reason = f"{reason} at {self._roster.time(max(self.tick, 0))}"
+        if self._settings.on_agent_loss == "abort" or self.state is State.WAITING:
+            return self._stop(Trigger.UNREACHABLE, reason)
+        self._roster.members.difference_update(agents)
+        if not self._roster.members:
+            return self._stop(Trigger.UNREACHABLE, f"{reason}; no agent is left")
+        return [self._roster.message(reason, self.tick), *self._advance(now_ns)]
 
     def _advance(self, now_ns: int) -> Sequence[Message]:
-        if self._diverged and self._tick > self._last_truth:
-            # The tick after the last interval is always opened before the end, whichever news came first.
-            return self._stop("diverged", self._diverged, EXIT_DIVERGED)
-        if self._tick < 0:
+        """Close the open tick if it may be closed: open the next one, or end the run."""
+        if self.state is State.WAITING:
             return ()
-        return self._advance_lockstep(now_ns) if self._waits else self._advance_realtime(now_ns)
-
-    def _advance_lockstep(self, now_ns: int) -> Sequence[Message]:
-        if not self._is_complete():
+        if self.state is State.DIVERGED and self.tick > self._plant_tick:
+            # The tick after the last interval is always opened before the end, whichever message came first.
+            return self._stop(Trigger.DIVERGENCE_RECORDED, self._divergence)
+        if not self._clock.may_close(self.tick, self._missing, now_ns, last=self._is_last) or self._awaits_plant:
             return ()
-        if self._tick + 1 == self._ticks:
-            # The record is complete only with the truth of the last interval.
-            return self._finish() if self._last_truth >= self._tick else ()
-        if now_ns < self._due_ns() or self._is_held(now_ns):
+        if self._is_held(now_ns):
             return ()
-        opened = self._open(now_ns)
-        return [*opened, *self._advance(now_ns)] if self._diverged else opened
-
-    def _advance_realtime(self, now_ns: int) -> Sequence[Message]:
-        late = self._members - self._answered
-        last = self._tick + 1 == self._ticks
-        if now_ns < self._due_ns() or (late and self._clock.on_overrun == "hold"):
-            return ()
-        if last and self._last_truth < self._tick:
-            return ()
-        self._overruns += len(late)
-        overrun = self._overrun(now_ns, late)
+        overrun = self._clock.overrun(self.tick, self._missing, now_ns)
         if overrun:
-            return self._stop("aborted", overrun, EXIT_OVERRUN)
-        return self._finish() if last else self._open(now_ns)
+            return self._stop(Trigger.OVERRUN, overrun)
+        if self._is_last:
+            end = Trigger.DIVERGENCE_RECORDED if self.state is State.DIVERGED else Trigger.COMPLETED
+            return self._stop(end, self._divergence)
+        opened = self._open(now_ns)
+        return [*opened, *self._advance(now_ns)] if self.state is State.DIVERGED else opened
 
-    def _finish(self) -> Sequence[Message]:
-        if self._diverged:
-            return self._stop("diverged", self._diverged, EXIT_DIVERGED)
-        return self._stop("completed", "", 0)
-
-    def _overrun(self, now_ns: int, late: set[int]) -> str:
-        """Why the deadline policy ends the run, or nothing."""
-        clock = self._clock
-        if clock.on_overrun != "abort":
-            return ""
-        if self._overruns > clock.overrun_limit:
-            names = ", ".join(agent_name(agent) for agent in sorted(late))
-            return (
-                f"{names} missed the deadline of tick {self._tick} at {self._time(self._tick + 1)}: "
-                f"{self._overruns} missed in all, {clock.overrun_limit} allowed"
-            )
-        worst_s = max(self._overrun_ns, now_ns - self._due_ns()) / 1e9
-        if clock.overrun_limit_s is not None and worst_s > clock.overrun_limit_s:
-            return f"tick {self._tick + 1} came {worst_s:.3f} s late, {clock.overrun_limit_s:g} s allowed"
-        return ""
+    def _is_held(self, now_ns: int) -> bool:
+        """Return whether the next tick waits for agents that scripted faults bring back at it."""
+        if self.state is State.DIVERGED or not self._roster.awaited(self.tick + 1):
+            return False
+        if self.state is not State.HELD:
+            self._move(Trigger.TICK_HELD)
+            self._clock.waiting_since_ns = now_ns
+        return True
 
     def _open(self, now_ns: int) -> list[Message]:
-        """Open the next tick, for those who have come back, too."""
-        news: list[Message] = []
-        if self._joining:
-            names = ", ".join(agent_name(agent) for agent in sorted(self._joining))
-            for agent, incarnation in self._joining.items():
-                self._incarnations[agent_name(agent)] = incarnation
-                self._owes_ns.pop(agent, None)
-            self._members |= self._joining.keys()
-            self._joining = {}
-            changes = [self._out.again(change) for change in self._changes]
-            news = [*changes, self._roster(f"{names} joined at {self._time(self._tick + 1)}", self._tick + 1)]
-        news += self._uav_news(self._tick + 1)
-        answered, shared = tuple(sorted(self._answered)), tuple(sorted(self._shared))
-        late_ns = 0 if self._waits or self._tick < 0 else max(0, now_ns - self._due_ns())
-        if self._clock.on_overrun == "hold" and not self._waits:
-            self._start_ns += late_ns  # the deadlines move by what was waited
-        overrun_ns, self._overrun_ns = self._overrun_ns, 0
-        self._tick += 1
-        self._answered, self._shared, self._negotiating = set(), set(), {}
-        self._opened_ns = now_ns
-        if self._last_truth + 1 == self._tick:
-            self._truth_ns = now_ns
-        for agent in self._members:
-            self._owes_ns.setdefault(agent, now_ns)
-        return [
-            *news,
-            self._out.stamp(
-                Tick,
-                tick=self._tick,
-                members=tuple(sorted(self._members)),
-                answered=answered,
-                shared=shared,
-                roster=self._roster_version,
-                late_ns=late_ns,
-                overrun_ns=overrun_ns,
-            ),
-        ]
-
-    def _uav_news(self, tick: int) -> list[Message]:
-        """Report the UAVs whose motors or rods fail at a tick, as their flight controllers would: not before."""
-        news: list[Message] = []
-        while self._uav_faults and self._uav_faults[0][0] <= tick:
-            _, what, uav = self._uav_faults.pop(0)
-            self._off.add(uav + 1)
-            if what == "release":
-                self._released.add(uav + 1)
-            words = "released" if what == "release" else "motors off"
-            news.append(self._roster(f"{uav_name(uav)} {words} at {self._time(tick)}", tick))
-        return news
-
-    def _roster(self, reason: str, tick: int | None = None) -> Roster:
-        members = sorted(self._members)
-        self._roster_version += 1
-        return self._out.stamp(
-            Roster,
-            tick=max(self._tick, 0) if tick is None else tick,
-            version=self._roster_version,
-            agents=tuple(members),
-            incarnations=tuple(self._incarnations[agent_name(agent)] for agent in members),
-            off=tuple(sorted(self._off)),
-            released=tuple(sorted(self._released)),
-            reason=reason,
+        """Open the next tick, also for agents that have returned."""
+        tick = self.tick + 1
+        repeated = self._link_changes.repeated() if self._roster.joining else []
+        joined, rosters = self._roster.join(tick)
+        messages: list[Message] = [*repeated, *rosters, *self._roster.fail_uavs(tick)]
+        late_ns, overrun_ns = self._clock.lateness_ns(tick, now_ns)
+        opened = self._out.stamp(
+            Tick,
+            tick=tick,
+            members=tuple(sorted(self._roster.members)),
+            answered=tuple(sorted(self._answered)),
+            shared=tuple(sorted(self._shared)),
+            roster=self._roster.version,
+            late_ns=late_ns,
+            overrun_ns=overrun_ns,
         )
+        self.tick = tick
+        self._move(Trigger.LAST_TICK_OPENED if self._is_last else Trigger.TICK_OPENED)
+        self._answered, self._shared, self._negotiating = set(), set(), {}
+        self._clock.open(tick, self._roster.members, joined, now_ns)
+        if self._plant_tick + 1 == tick:
+            self._clock.plant_answer(now_ns)  # it owes no earlier interval
+        return [*messages, opened]
 
-    def _stop(self, outcome: Outcome, reason: str, exit_code: int) -> Sequence[Message]:
-        control = self._out.stamp(Control, tick=max(self._tick, 0), outcome=outcome, reason=reason, exit_code=exit_code)
-        self.finished = control
-        return [control]
+    def _move(self, trigger: Trigger) -> None:
+        self.state = TRANSITIONS[self.state][trigger]
 
-    def _time(self, tick: int) -> str:
-        return f"t = {tick * self._period_ns / 1e9:.2f} s"
-
-
-def _returns(setup: Setup) -> dict[int, set[int]]:
-    """Agents that scripted faults bring back, by the tick they are to be back at."""
-    found: dict[int, set[int]] = {}
-    for fault in setup.faults:
-        if fault.do in ("continue", "start") and fault.target.startswith("agent"):
-            found.setdefault(fault.tick, set()).add(int(fault.target.removeprefix("agent")))
-    return found
+    def _stop(self, trigger: Trigger, reason: str) -> Sequence[Message]:
+        self._move(trigger)
+        outcome, exit_code = ENDS[trigger]
+        self.finished = self._out.stamp(
+            Control, tick=max(self.tick, 0), outcome=outcome, reason=reason, exit_code=exit_code
+        )
+        return [self.finished]

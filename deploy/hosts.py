@@ -9,8 +9,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from protocol.network.process import DEFAULT_BASE_PORT
-from protocol.network.session import Endpoints
+from protocol.network.endpoints import DEFAULT_BASE_PORT, Endpoints
 from protocol.wire.keys import RECORDER, ROUTER
 
 

@@ -24,8 +24,8 @@ from types import FrameType
 from deploy.hosts import Host, Inventory, Posting, postings
 from deploy.keys import LOOPBACK, OTHERS, KeysError, make_certificates
 from deploy.render import RenderError, command, render
+from protocol.network.endpoints import process_names
 from protocol.network.parent import ENVIRONMENT, python
-from protocol.network.process import process_names
 from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
 from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_SCENARIO, EXIT_USAGE

@@ -14,8 +14,9 @@ import tomli_w
 
 from deploy.hosts import Host, Inventory, Posting, postings
 from deploy.keys import files_of
+from protocol.network.endpoints import process_names
 from protocol.network.parent import ENVIRONMENT
-from protocol.network.process import PATIENCE_S, process_names
+from protocol.network.process import PATIENCE_S
 from protocol.network.security import AUTHORITY, Security
 from protocol.network.session import configuration
 from protocol.scenario.setup import Setup

@@ -19,7 +19,8 @@ from plant.environment import Environment
 from plant.schedule import MOTOR_OFF, ActuatorSchedule
 from protocol.admission.arrivals import Arrivals
 from protocol.admission.membership import Membership
-from protocol.admission.plausibility import Plausibility, check_moment, window
+from protocol.admission.plausibility import check_moment
+from protocol.admission.reception import Reception
 from protocol.scenario.faults import uav_faults
 from protocol.scenario.links import LinkChanges
 from protocol.scenario.setup import Setup
@@ -38,7 +39,6 @@ from protocol.wire.messages import (
     agent_name,
 )
 from protocol.wire.outbox import Outbox, lost
-from protocol.wire.rejections import Rejections
 
 
 class PlantNode:
@@ -83,15 +83,15 @@ class PlantNode:
         self._arrived: dict[int, set[int]] = {}  # agents whose plans are in, by tick
         self._membership = Membership()
         self._diverged = False
-        self._plausibility, self._window = Plausibility(setup), window(setup)
-        self.rejected = Rejections()
+        self._reception = Reception(setup, self._handle, lambda: self._measured_tick)
+        self.rejected = self._reception.rejected
         self.finished: Control | None = None
 
     def receive(self, event: Event, now_ns: int) -> Sequence[Message]:
         """Take in ticks, plans and the roster."""
         match event:
             case Message():
-                self._hear(event, now_ns)
+                self._reception.receive(event, now_ns)
             case Presence(name="coordinator", alive=False):
                 self.finished = lost(self._out, self._state_tick, "coordinator is gone")
             case Presence(alive=False):
@@ -102,32 +102,20 @@ class PlantNode:
         """Nothing happens to the plant by time alone: its time is the tick."""
         return ()
 
-    def _hear(self, message: Message, now_ns: int) -> None:
-        """Take in a message that is for now; count any other."""
-        try:
-            self._plausibility.check(message)
-            match message:
-                case Control():
-                    self._check_moment(message)
-                    self.finished = message
-                case Roster():
-                    self._check_moment(message)
-                    for plan in self._membership.update(message):
-                        self._hear(plan, now_ns)
-                case LinkChange():
-                    self._check_moment(message)
-                    self._link_changes.apply(message)
-                case Tick():
-                    self._open(message)
-                case Plan() if self._membership.admits(message):
-                    self._take(message, now_ns)
-        except MessageError as error:
-            self.rejected.add(message.sender, error)
-
-    def _check_moment(self, message: Message) -> None:
-        """Refuse what the coordinator cannot say at the tick it is likely to be at; changes of links it says again."""
-        first = 0 if isinstance(message, LinkChange) else self._measured_tick - self._window
-        check_moment(message, first, self._measured_tick + 1 + self._window)
+    def _handle(self, message: Message, now_ns: int) -> None:
+        """Take in a message that passed the checks of the reception."""
+        match message:
+            case Control():
+                self.finished = message
+            case Roster():
+                for plan in self._membership.update(message):
+                    self._reception.receive(plan, now_ns)
+            case LinkChange():
+                self._link_changes.apply(message)
+            case Tick():
+                self._open(message)
+            case Plan() if self._membership.admits(message):
+                self._take(message, now_ns)
 
     def _open(self, tick: Tick) -> None:
         # In real time the next tick opens whether or not this one could be measured: then they are made up for.

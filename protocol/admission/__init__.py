@@ -1,1 +1,1 @@
-"""Admission of incoming messages: order, plausibility, membership, rate limit."""
+"""Checks of received messages, from bytes to messages that a node may use."""

@@ -1,13 +1,12 @@
-"""The way in: bytes under a key become a message of the run, or are refused and counted.
+"""Admission: received bytes become a message of the run, or are refused and counted.
 
-What is checked here needs nothing but what has come in before: size, form, key, sender, which start of it, and the
-order of its messages. Whether a message fits the run and the moment is for the node to say.
+The checks here depend only on earlier messages: size, form, key, sender, its incarnation, and the messages' order.
+`protocol.admission.reception` checks whether a message fits the run and the tick.
 
-Zenoh keeps the order of one sender's messages under one key, and no other. So each key counts for itself, and each
-kind under it. What grows is the tick for kinds that each tick brings, the version for rosters, and the sequence number
-for all others. Higher numbers do not count where ticks do: whoever has the sender's key as well and numbers higher than
-it could keep all it says from being heard, and the run would hang on what he repeats. That a number is there twice is
-held against the second all the same.
+Zenoh keeps the order of one sender's messages under one key only, so order is checked by key and kind. The tick must
+grow for kinds sent once a tick, the version for rosters, and the sequence number for all others. Where ticks count,
+higher sequence numbers do not: otherwise an attacker with the sender's key could number its messages higher, and all
+true messages would be refused. A sequence number that occurs twice is refused all the same.
 """
 
 import threading
@@ -20,30 +19,24 @@ from protocol.scenario.setup import Setup
 from protocol.wire.codec import MAX_BYTES, decode
 from protocol.wire.header import Header, Place, header_of, place_of
 from protocol.wire.keys import Keys
-from protocol.wire.messages import (
-    LinkChange,
-    Message,
-    MessageError,
-    Reason,
-    agent_name,
-)
-from protocol.wire.rejections import MAX_SENDERS, Rejections
+from protocol.wire.messages import LinkChange, Message, MessageError, Reason, Rejected, agent_name
+from protocol.wire.rejections import MAX_SENDERS, Notices, Rejections
 
-# What a message needs besides its arrays, with the longest texts and lists it may have.
+# Size of a message without its arrays, with the longest texts and lists it may have.
 _FRAME_BYTES = 16 * 1024
 
-# Messages kept for a token to come, of all senders together: a moment's worth.
+# Messages of all senders kept until their senders are announced: a moment's worth.
 _KEPT = 256
 
-# How many of the last numbers under a key are known: a garbled tick does not make an old message new.
+# Sequence numbers remembered per key and kind: a changed tick does not make an old message new.
 _NUMBERS = 1024
 
-# How many ticks a message may be ahead of all others here: more than any connection is slower than another.
+# How many ticks a message may be ahead of all others: more than one connection is slower than another.
 _AHEAD = 16
 
 
 @dataclass(frozen=True, slots=True)
-class _Heard:
+class _Newest:
     """The newest message of a kind under a key."""
 
     sender: str
@@ -53,21 +46,22 @@ class _Heard:
 
 
 class Admission:
-    """What one process lets in.
+    """Admission of messages to one process.
 
-    A message counts as heard when the next one is read and it has not been refused in between: what its node does
-    not believe must not stand in the way of the real one.
+    A message counts for the order of later ones only if the node has not refused it by the time the next one is read:
+    a forged message that the node sees through must not block the true one.
 
     Args:
-        name: The process's.
+        name: Name of the process.
         keys: Key expressions of the run.
         setup: The run.
-        rejections: Where refusals are counted; those of the node as well.
+        rejections: Counts refused messages, also those that the node refuses.
 
     Attributes:
-        max_bytes: Size of the largest message of the run, or a little more.
-        tick: Newest tick of a message heard.
-        window: How many ticks from that a message can be that is for now.
+        rejections: These counts.
+        max_bytes: Upper bound of the size of the run's messages.
+        tick: Newest tick of an admitted message.
+        window: How many ticks from `tick` a present message can be.
     """
 
     def __init__(self, name: str, keys: Keys, setup: Setup, rejections: Rejections) -> None:
@@ -75,45 +69,39 @@ class Admission:
         self.tick = 0
         self._name = name
         self._keys = keys
-        self._rejections = rejections
+        self.rejections, self._notices = rejections, Notices(name, rejections)
         self._senders = {"coordinator", "plant", "recorder", *map(agent_name, setup.agents)}
         self.window = max(_AHEAD, window(setup))
-        self._is_up_to_date = False  # whether `tick` is where the run is
+        self._is_up_to_date = False  # whether `tick` is the present tick of the run
         self._announced: dict[str, int] = {}  # newest incarnation, by name
-        self._heard: dict[tuple[str, str], _Heard] = {}  # by key and kind
-        self._numbers: dict[tuple[str, str], dict[int, None]] = {}  # of messages heard, in their order
-        self._unread: dict[tuple[str, Reason], tuple[MessageError, int]] = {}  # refused as they came, by sender
-        self._counting = threading.Lock()  # of them: several threads receive
-        self._given: tuple[str, Message, int] | None = None  # the last one let in: key, message, refusals before it
-        self._early: deque[tuple[str, Message]] = deque()  # waiting for their sender's token
-        self._released: deque[tuple[str, Message]] = deque()  # no longer
+        self._newest: dict[tuple[str, str], _Newest] = {}  # by key and kind
+        self._numbers: dict[tuple[str, str], dict[int, None]] = {}  # sequence numbers in their order, by key and kind
+        self._unread: dict[tuple[str, Reason], tuple[MessageError, int]] = {}  # refused on arrival, by sender
+        self._counting = threading.Lock()  # for `_unread`: several threads receive
+        self._last: tuple[str, Message, int] | None = None  # last admitted one: key, message, refusals before it
+        self._early: deque[tuple[str, Message]] = deque()  # messages that wait for their sender's token
+        self._released: deque[tuple[str, Message]] = deque()  # messages whose sender's token has come
 
     def has_passed(self, key: str, data: bytes) -> bool:
-        """Whether a message that comes in need not be read, as what it says is over; if so it is counted.
+        """Return whether a message is outdated and need not be read; if so, count it.
 
-        Safe on any thread. What it refuses `read` would refuse as well, however much later.
-
-        Args:
-            key: What it came under.
-            data: Its bytes.
+        Safe on any thread. It refuses only messages that `read` would refuse at any later time as well.
         """
         try:
             header = header_of(data)
             if header is not None and header.sender == self._name:
                 raise MessageError("wrong_sender", f"{header.kind} of this process itself", header.sender)
-            heard = None if header is None else self._heard.get((key, header.kind))
-            if (
-                header is None
-                or heard is None
-                or (header.sender, header.incarnation) != (heard.sender, heard.incarnation)
-            ):
+            newest = None if header is None else self._newest.get((key, header.kind))
+            if header is None or newest is None:
                 return False
-            _check_new(header, header.place, heard)
+            if (header.sender, header.incarnation) != (newest.sender, newest.incarnation):
+                return False
+            _check_new(header, header.place, newest)
         except MessageError as error:
             sender = error.sender or self._keys.end(key)
             with self._counting:
                 first, count = self._unread.get((sender, error.reason), (error, 0))
-                # Senders can be anything: those beyond a moment's worth are counted where they are told apart.
+                # Forged senders can be many: those beyond the limit are left to `read`.
                 if count == 0 and len(self._unread) >= MAX_SENDERS:
                     return False
                 self._unread[sender, error.reason] = first, count + 1
@@ -121,23 +109,18 @@ class Admission:
         return False
 
     def count_unread(self) -> None:
-        """Count what was refused as it came since the last time; for the thread that reads."""
+        """Count the messages that `has_passed` has refused since the last call; for the thread that reads."""
         if not self._unread:
             return
-        self._settle()
+        self._remember_last()
         with self._counting:
             unread, self._unread = self._unread, {}
         for (sender, _), (error, count) in unread.items():
-            self._rejections.add(sender, error, count)
+            self.rejections.add(sender, error, count)
 
     def read(self, key: str, data: bytes) -> Message | None:
-        """The message in what came in; None if it is refused, or kept because its sender is not announced yet.
-
-        Args:
-            key: What it came under.
-            data: Its bytes.
-        """
-        self._settle()
+        """Return the message in some bytes; None if it is refused, or kept because its sender is not announced yet."""
+        self._remember_last()
         try:
             if len(data) > self.max_bytes:
                 raise self.oversized(len(data))
@@ -157,15 +140,15 @@ class Admission:
         except MessageError as error:
             self.refuse(key, error)
             return None
-        return self._give(key, message)
+        return self._admit(key, message)
 
     def announce(self, name: str, incarnation: int) -> None:
-        """A process's token is here: from now on its messages are believed, those of an earlier start no longer.
+        """Admit messages of an incarnation whose token has appeared, and no longer those of earlier ones.
 
-        Said again, it means that the process was out of reach for a while, or this one was; said of this one, that
-        it has started anew. What it was told before does not say where the run is now.
+        A process that is announced again was unreachable, or this process was; if it is this process, it has a new
+        incarnation. In all these cases `tick` may be out of date.
         """
-        self._settle()
+        self._remember_last()
         if name in self._announced or name == self._name:
             self._is_up_to_date = False
         self._announced[name] = max(incarnation, self._announced.get(name, -1))
@@ -175,8 +158,8 @@ class Admission:
             (self._early if ahead else self._released).append((key, message))
 
     def released(self) -> Message | None:
-        """The next message that was kept and can now be handled, or None."""
-        self._settle()
+        """Return the next message that was kept and can now be handled, or None."""
+        self._remember_last()
         while self._released:
             key, message = self._released.popleft()
             try:
@@ -186,34 +169,37 @@ class Admission:
             except MessageError as error:
                 self.refuse(key, error)
                 continue
-            return self._give(key, message)
+            return self._admit(key, message)
         return None
 
     @property
-    def refused(self) -> int:
-        """How many messages were refused so far, here and by the node."""
-        return self._rejections.total
-
-    @property
     def kept(self) -> int:
-        """How many messages wait for their sender's token."""
+        """Number of messages that wait for their sender's token."""
         return len(self._early)
 
     def refuse(self, key: str, error: MessageError) -> None:
-        """Count something that came under a key and is not let in."""
-        self._settle()
-        self._rejections.add(error.sender or self._keys.end(key), error)
+        """Count a refused message."""
+        self._remember_last()
+        self.rejections.add(error.sender or self._keys.end(key), error)
 
     def oversized(self, size: int) -> MessageError:
-        """Why so many bytes are refused."""
+        """Return the error of an oversized message."""
         return MessageError("oversized", f"message of {size} bytes, at most {self.max_bytes} in this run")
 
     def close(self) -> None:
-        """Nothing comes any more: what was kept is refused."""
+        """Refuse the messages that are still kept, at the end of the process."""
         self.count_unread()
         for key, message in self._early:
             self.refuse(key, _wrong_incarnation(message))
         self._early.clear()
+
+    def due_notices(self, now_ns: int, incarnation: int) -> list[Rejected]:
+        """Return the notices about refused messages that are to be published now; see `Notices.due`."""
+        return self._notices.due(now_ns, incarnation, self.tick)
+
+    def remaining_notices(self, incarnation: int) -> list[Rejected]:
+        """Return the notices about refused messages that were not published yet; for the end of the process."""
+        return self._notices.rest(incarnation, self.tick)
 
     def _keep(self, key: str, message: Message) -> None:
         self._early.append((key, message))
@@ -225,48 +211,49 @@ class Admission:
         if self._is_up_to_date and message.tick > self.tick + self.window:
             text = f"{message.kind} of tick {message.tick}, the newest here is {self.tick}"
             raise MessageError("future", text, message.sender)
-        heard = self._heard.get((key, message.kind))
-        if heard is None or message.incarnation > heard.incarnation:
+        newest = self._newest.get((key, message.kind))
+        if newest is None or message.incarnation > newest.incarnation:
             return
-        _check_new(message, place_of(message), heard)
+        _check_new(message, place_of(message), newest)
         if message.sequence in self._numbers[key, message.kind]:
             raise MessageError("replayed", f"{message.kind} number {message.sequence} again", message.sender)
 
-    def _give(self, key: str, message: Message) -> Message:
-        self._given = key, message, self._rejections.total
+    def _admit(self, key: str, message: Message) -> Message:
+        self._last = key, message, self.rejections.total
         return message
 
-    def _settle(self) -> None:
-        """Remember the last message let in, if it has not been refused."""
-        if self._given is None:
+    def _remember_last(self) -> None:
+        """Remember the place of the last admitted message, unless the node has refused it."""
+        if self._last is None:
             return
-        key, message, refused = self._given
-        self._given = None
-        if self._rejections.total == refused:
-            at = key, message.kind
-            before = self._heard.get(at)
-            if before is None or message.incarnation != before.incarnation:
-                self._numbers[at] = {}
-            numbers = self._numbers[at]
-            numbers[message.sequence] = None
-            if len(numbers) > _NUMBERS:
-                del numbers[next(iter(numbers))]
-            self._heard[at] = _Heard(message.sender, message.incarnation, message.sequence, place_of(message))
-            if not isinstance(message, LinkChange):  # told again, it is of the past
-                self.tick = max(self.tick, message.tick)
-                self._is_up_to_date = True
+        key, message, refused = self._last
+        self._last = None
+        if self.rejections.total != refused:
+            return
+        at = key, message.kind
+        before = self._newest.get(at)
+        if before is None or message.incarnation != before.incarnation:
+            self._numbers[at] = {}
+        numbers = self._numbers[at]
+        numbers[message.sequence] = None
+        if len(numbers) > _NUMBERS:
+            del numbers[next(iter(numbers))]
+        self._newest[at] = _Newest(message.sender, message.incarnation, message.sequence, place_of(message))
+        if not isinstance(message, LinkChange):  # a repeated change is of the past
+            self.tick = max(self.tick, message.tick)
+            self._is_up_to_date = True
 
 
-def _check_new(said: Message | Header, place: Place | None, heard: _Heard) -> None:
-    """Refuse what has been said of its kind under its key."""
-    known = said.sequence <= heard.sequence
-    if place is None or heard.place is None:
+def _check_new(message: Message | Header, place: Place | None, newest: _Newest) -> None:
+    """Refuse a message that is not newer than the newest of its kind under its key."""
+    known = message.sequence <= newest.sequence
+    if place is None or newest.place is None:
         if known:
-            text = f"{said.kind} number {said.sequence} after number {heard.sequence}"
-            raise MessageError("replayed", text, said.sender)
-    elif place <= heard.place:
-        text = f"{said.kind} {place[0]} after {heard.place[0]}"
-        raise MessageError("replayed" if known else "past", text, said.sender)
+            text = f"{message.kind} number {message.sequence} after number {newest.sequence}"
+            raise MessageError("replayed", text, message.sender)
+    elif place <= newest.place:
+        text = f"{message.kind} {place[0]} after {newest.place[0]}"
+        raise MessageError("replayed" if known else "past", text, message.sender)
 
 
 def _wrong_incarnation(message: Message) -> MessageError:
@@ -275,6 +262,6 @@ def _wrong_incarnation(message: Message) -> MessageError:
 
 
 def _max_bytes(setup: Setup) -> int:
-    """The largest message is a plan for all UAVs or the truth of all; anything larger is not ours."""
+    """Return the size of the largest message: a plan for all UAVs, or the plant state."""
     per_uav = PER_UAV + 2 * INPUTS * setup.settings.horizon
     return min(MAX_BYTES, _FRAME_BYTES + 8 * (PAYLOAD + setup.system.N * per_uav))

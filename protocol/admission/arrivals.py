@@ -1,7 +1,7 @@
-"""Messages on their way to one receiver: held back until the links let them through.
+"""Messages on their way to one receiver, delayed or lost by the links.
 
-In lockstep the links work in scenario time: what a tick may use depends on nothing but the scenario. In real
-time a message is really held back: it counts from the instant its delay is over on this process's clock.
+In lockstep links work in scenario time: the messages that a tick may use depend on the scenario alone. In real time a
+message is held back until its delay is over on this process's clock.
 """
 
 from collections.abc import Mapping
@@ -25,39 +25,34 @@ class Arrivals(Generic[M]):
     def __init__(self, links: Mapping[str, Link], *, after: int, speed: float | None) -> None:
         self.links = links
         self._after, self._speed = after, speed
-        self._sent: list[M] = []  # in lockstep, until the link's state at their tick is known for sure
-        self._held: list[tuple[int, M]] = []  # with the tick, or in real time the instant (ns), of their arrival
-        self._lost: list[int] = []  # ticks of messages that do not come
+        self._sent: list[M] = []  # in lockstep, until their tick: link changes may precede it
+        self._held: list[tuple[int, M]] = []  # with the tick of their arrival, or in real time its instant (ns)
+        self._lost = 0  # messages lost since the last `take`
 
     def put(self, message: M, now_ns: int) -> None:
-        """A message is physically here."""
+        """Take in a message that has physically arrived."""
         if self._speed is None:
             self._sent.append(message)
             return
         delays = self.links[message.sender].delays(message.tick)
         self._held += [(now_ns + round(delay * 1e9 / self._speed), message) for delay in delays]
-        if not delays:
-            self._lost.append(message.tick)
+        self._lost += not delays
 
     def take(self, tick: int, now_ns: int) -> tuple[list[M], int]:
-        """What can be used from now on.
+        """Return the messages that have become usable, sorted by tick and sender, and the number of newly lost ones.
 
         Args:
-            tick: The present one.
-            now_ns: Now, on the clock that `put` was told.
-        Returns: Messages that have become usable, by tick and sender, whatever the order they came in; how many
-            are known from now on not to come.
+            tick: The present tick.
+            now_ns: Now, on the clock of `put`.
         """
-        # The link's state at a tick is known for sure once that tick is reached, not when a message happens to come.
         for message in [message for message in self._sent if message.tick + self._after <= tick]:
             ticks = self.links[message.sender].usable_ticks(message.tick, self._after)
             self._held += [(usable, message) for usable in ticks]
-            if not ticks:
-                self._lost.append(message.tick)
+            self._lost += not ticks
         self._sent = [message for message in self._sent if message.tick + self._after > tick]
         until = tick if self._speed is None else now_ns
-        # In real time others may be ahead: what they say of a tick that is still to come waits for it.
+        # In real time senders may be ahead: a message of a future tick waits for that tick.
         usable = [message for at, message in self._held if at <= until and message.tick <= tick]
         self._held = [(at, message) for at, message in self._held if at > until or message.tick > tick]
-        lost, self._lost = len(self._lost), []
+        lost, self._lost = self._lost, 0
         return sorted(usable, key=lambda message: (message.tick, message.sender)), lost

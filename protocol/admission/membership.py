@@ -1,4 +1,4 @@
-"""Who takes part, as a node knows it from the rosters it has received.
+"""The agents that take part, as a node knows them from the rosters it has received.
 
 Plans and rosters come over different connections, so a plan may overtake the roster that admits its sender.
 Such a plan is kept until the roster is here; a plan of an earlier incarnation is refused.
@@ -6,7 +6,7 @@ Such a plan is kept until the roster is here; a plan of an earlier incarnation i
 
 from protocol.wire.messages import MessageError, Plan, Roster
 
-# Plans kept for a roster to come: a few ticks of a large team. Beyond that somebody is talking out of turn.
+# Plans kept for a roster to come: a few ticks of a large team.
 _KEPT = 1024
 
 
@@ -14,9 +14,8 @@ class Membership:
     """The newest roster and the plans that are ahead of it.
 
     Attributes:
-        version: Of the newest roster, 0 before the first.
-        agents: Agents on it.
-        since: From which tick on each of them is on the roster in its present incarnation.
+        version: Version of the newest roster, 0 before the first.
+        since: Tick from which each agent is on the roster in its present incarnation.
         failed_since: Tick of the newest failure of a UAV, 0 before the first.
     """
 
@@ -26,8 +25,8 @@ class Membership:
         self._incarnations: dict[int, int] = {}
         self._newest: dict[int, int] = {}  # highest incarnation ever on a roster
         self._early: list[Plan] = []
-        self._left: dict[int, tuple[int, int]] = {}  # last incarnation of those that left, and the tick they did at
-        self._closed: dict[int, int] = {}  # newest incarnation of each agent that is known to be gone
+        self._left: dict[int, tuple[int, int]] = {}  # by agent that left: its last incarnation, the tick it left at
+        self._closed: dict[int, int] = {}  # newest incarnation of each agent whose connection is closed
         self._history: dict[int, Roster | None] = {0: None}  # by version
 
     @property
@@ -36,9 +35,9 @@ class Membership:
         return set(self._incarnations)
 
     def took_part(self, tick: int) -> set[int]:
-        """Agents whose plans of a tick are here or still to come, also of those that have left since.
+        """Return the agents whose plans of a tick are here or still to come.
 
-        Of those that have left, what they said before is on its way until their connection is closed.
+        Plans of an agent that has left since may be on their way until its connection is closed.
         """
         present = {agent for agent, since in self.since.items() if since <= tick}
         left = {
@@ -49,18 +48,18 @@ class Membership:
         return present | left
 
     def close(self, name: str, incarnation: int) -> None:
-        """A process is gone: whatever it has said has arrived, or never will."""
+        """Note that a process is gone: messages it sent have arrived, or never will."""
         agent = name.removeprefix("agent")
         if agent != name and agent.isdecimal():
             self._closed[int(agent)] = max(incarnation, self._closed.get(int(agent), -1))
 
     def agents_at(self, version: int) -> frozenset[int]:
-        """Agents on the roster of a version: what everybody knows at a tick that names it, whatever has come since."""
+        """Return the agents on the roster of a version, the same at all processes at a tick that names the version."""
         roster = self._roster_at(version)
         return frozenset() if roster is None else frozenset(roster.agents)
 
     def failed_at(self, version: int) -> tuple[frozenset[int], frozenset[int]]:
-        """UAVs, 0-based, whose motors are off by the roster of a version, and those of them that are released."""
+        """Return the UAVs (0-based) whose motors are off by the roster of a version, and the released among them."""
         return self._failed(self._roster_at(version))
 
     @staticmethod
@@ -76,7 +75,7 @@ class Membership:
         return self._history[known]
 
     def incarnation(self, agent: int) -> int | None:
-        """The incarnation in which an agent is on the roster, or None."""
+        """Return the incarnation in which an agent is on the roster, or None."""
         return self._incarnations.get(agent)
 
     def update(self, roster: Roster) -> list[Plan]:
@@ -107,7 +106,7 @@ class Membership:
         return waiting
 
     def admits(self, plan: Plan) -> bool:
-        """Whether a plan's sender is on the roster; otherwise the plan is kept for a roster to come.
+        """Return whether a plan's sender is on the roster; otherwise keep the plan for a roster to come.
 
         Raises: MessageError: no roster to come will admit it, or too many wait for one.
         """
@@ -115,7 +114,7 @@ class Membership:
             return True
         incarnation, at = self._left.get(plan.agent, (-1, 0))
         if plan.incarnation == incarnation and plan.tick < at:
-            return True  # said while it took part: on every connection it counts
+            return True  # sent while the agent took part: it counts at all receivers
         if plan.incarnation <= self._newest.get(plan.agent, -1):
             raise MessageError("wrong_incarnation", "plan of an incarnation that is not on the roster")
         if len(self._early) >= _KEPT:

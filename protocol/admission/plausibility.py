@@ -1,4 +1,4 @@
-"""What a message of a run may claim, whatever the moment: agents and UAVs there are, inputs and states there can be."""
+"""Plausibility of messages: agents and UAVs of the run, possible inputs and states, and the tick."""
 
 import math
 from collections.abc import Collection
@@ -20,14 +20,14 @@ from protocol.wire.messages import (
     agent_name,
 )
 
-# What a rod's direction may be off unit length: noise of sensors, but never no direction at all.
+# Deviation of a rod direction's length from 1 that sensor noise can cause.
 _OFF_UNIT = 0.2
 
 
 def window(setup: Setup) -> int:
-    """How many ticks another process may be ahead of, or behind, what a process knows.
+    """Return how many ticks another process may be ahead of this one, or behind it.
 
-    In lockstep one: nobody gets further. In real time as many as it may miss without being taken for dead, twice.
+    In lockstep one. In real time twice the number of ticks an agent may miss before it is taken off the roster.
     """
     clock = setup.scenario.clock
     if clock.mode == "lockstep":
@@ -36,13 +36,9 @@ def window(setup: Setup) -> int:
 
 
 def check_moment(message: Message, first: int, last: int) -> None:
-    """Refuse a message that is not of one of the ticks it can be of now.
+    """Refuse a message whose tick is not among those from a first to a last one.
 
-    Args:
-        message: Of any kind.
-        first: The first of them.
-        last: The last of them.
-    Raises: MessageError: it is of the past or the future.
+    Raises: MessageError: the message is of the past or the future.
     """
     if message.tick < first:
         raise MessageError("past", f"{message.kind} of tick {message.tick}, expected {first} or later")
@@ -51,7 +47,7 @@ def check_moment(message: Message, first: int, last: int) -> None:
 
 
 class Plausibility:
-    """Checks messages against the run they say they belong to.
+    """Checks of messages that need the run alone, not the present tick.
 
     Args:
         setup: The run.
@@ -69,7 +65,7 @@ class Plausibility:
         self._limits = {agent: (limits.lower(len(uavs)), limits.upper(len(uavs))) for agent, uavs in self._uavs.items()}
 
     def check(self, message: Message) -> None:
-        """Refuse a message that nobody of this run can have meant.
+        """Refuse a message that no process of this run can have sent.
 
         Raises: MessageError: with the reason.
         """
@@ -136,7 +132,7 @@ class Plausibility:
 
 
 def _check_states(blocks: Array) -> None:
-    """Refuse states of UAVs, (owned, 12), that no flight has."""
+    """Refuse impossible states of UAVs, (owned, 12)."""
     _check_size("uav_states", blocks)
     lengths = [math.hypot(*e) for e in blocks[:, state.E].tolist()]
     if any(abs(length - 1.0) > _OFF_UNIT for length in lengths):
@@ -145,14 +141,14 @@ def _check_states(blocks: Array) -> None:
 
 def _check_size(field: str, values: Array) -> None:
     if np.vdot(values, values) < state.LARGEST**2:
-        return  # not even all of them together
+        return  # the usual case, in one pass
     largest = float(np.abs(values).max(initial=0.0))
     if largest > state.LARGEST:
         raise MessageError("out_of_range", f"{field}: expected at most {state.LARGEST:g}, got {largest:g}")
 
 
 def _check_level(angles: Array) -> None:
-    """Refuse attitudes at which the flight had been lost, (rows, 3), rad: the plant says so before it measures them."""
+    """Refuse attitudes, (rows, 3), rad, at which the plant would have reported divergence before measuring them."""
     steepest = max((abs(angle) for row in angles[:, :2].tolist() for angle in row), default=0.0)
     if steepest >= math.pi / 2.0:
         raise MessageError("out_of_range", f"roll and pitch: expected less than 90 deg, got {math.degrees(steepest):g}")

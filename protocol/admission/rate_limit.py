@@ -1,28 +1,27 @@
-"""Rate limit for messages that are refused: whoever sends too many of them is slowed down, and nothing is dropped.
+"""Rate limit for refused messages: their sender is slowed down, and no message is dropped.
 
-The thread that receives waits before it takes the next one, so the connection fills up and its sender has to wait too.
-Whoever follows the protocol sends nothing that is over by the time it comes, and so never waits.
+The receiving thread waits before it takes the next message, so the connection fills up and its sender must wait, too.
+A process that follows the protocol sends no outdated messages and never waits.
 """
 
 import math
 import threading
 import time
 
-# Refused messages per second that cost no more than their reading, and how many may come at once.
+# Refused messages per second without a wait, and how many may come at once.
 RATE_HZ, BURST = 500.0, 500.0
 
-# How long the thread that receives waits at a time; others receive meanwhile.
+# How long the receiving thread waits at a time; others receive meanwhile.
 _WAIT_S = 0.02
 
-# More messages than this in so short a time is more than a process of any run is told as fast as that goes: from then
-# on they are looked at as they come.
+# More messages than this in so short a time are a flood, which no run causes: they are checked on arrival.
 WINDOW, WINDOW_S = 128, 0.016
 
 
 class RateLimit:
-    """Sees a flood, and slows it down: a token bucket; each refused message takes one, and waits where there is none.
+    """Token bucket that detects a flood and slows it down: each refused message takes a token, or waits.
 
-    For the threads that receive: they may call it at the same time. A count that is off by one then does no harm.
+    Several receiving threads may call it at the same time; a count that is off by one does no harm.
     """
 
     def __init__(self) -> None:
@@ -33,7 +32,7 @@ class RateLimit:
         self._waiting = threading.Lock()
 
     def flooded(self) -> bool:
-        """Count a message that comes in; whether more come than any run has."""
+        """Count an arriving message; return whether more arrive than any run has."""
         self._came += 1
         if self._came % WINDOW == 0:
             now_s = time.monotonic()
@@ -41,10 +40,10 @@ class RateLimit:
         return self._flooded
 
     def hold(self) -> None:
-        """Take a token; without one wait, unless another thread does: one has to be left that receives."""
+        """Take a token; without one wait, unless another thread waits: one must be left that receives."""
         now_s = time.monotonic()
         filled = min(BURST, self._left + RATE_HZ * (now_s - self._filled_s))
-        self._left = max(-BURST, filled - 1.0)  # nobody pays for others' floods for ever
+        self._left = max(-BURST, filled - 1.0)  # the debt is bounded: a flood has an end
         self._filled_s = now_s
         if self._left >= 0.0 or not self._waiting.acquire(blocking=False):
             return
@@ -53,4 +52,4 @@ class RateLimit:
         finally:
             self._waiting.release()
         waited_s = time.monotonic() - now_s
-        self._window_s += waited_s  # who is slowed down does not send less
+        self._window_s += waited_s  # a slowed-down sender does not send less

@@ -1,4 +1,4 @@
-"""How a process is: what it uses of its host, and how far its wall clock is from another's."""
+"""Health of a process: its use of the host's resources, and the offset of its wall clock."""
 
 import ctypes
 import os
@@ -9,19 +9,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-# Exchanges that a clock is measured by; the one that took least is believed.
+# Exchanges in a measurement of a clock's offset; the quickest one counts.
 _EXCHANGES = 4
 
 
 @dataclass(frozen=True, slots=True)
 class Offset:
-    """By how much another host's wall clock is ahead.
-
-    Only those who lay logs of several hosts side by side need it: nothing in a run compares times of two clocks.
+    """Offset of another host's wall clock, for comparing logs of several hosts; no run compares two clocks.
 
     Attributes:
-        ahead_s: Of the other clock, s.
-        uncertainty_s: At most so much is wrong with it, s: half of what the exchange took on the way.
+        ahead_s: How much the other clock is ahead, s.
+        uncertainty_s: Bound of the error, s: half of the exchange's travel time.
     """
 
     ahead_s: float
@@ -29,10 +27,10 @@ class Offset:
 
     @staticmethod
     def measured(ask: Callable[[], Mapping[str, Any] | None]) -> "Offset | None":
-        """The offset by four times of one exchange, as NTP has it; None if the other does not answer.
+        """Measure the offset as NTP does, by the four times of an exchange; return None without an answer.
 
         Args:
-            ask: An exchange; the answer has `asked_ns` and `answered_ns` by the other's clock.
+            ask: Performs an exchange; its answer has `asked_ns` and `answered_ns` by the other clock.
         Source: RFC 5905, section 8.
         """
         best: Offset | None = None
@@ -49,13 +47,13 @@ class Offset:
 
 
 def offset(sent_ns: int, asked_ns: int, answered_ns: int, received_ns: int) -> Offset:
-    """By how much the other clock is ahead, from the times of one exchange.
+    """Return the offset of the other clock from the times of one exchange.
 
     Args:
-        sent_ns: When the question left, own clock.
-        asked_ns: When it came, the other's clock.
-        answered_ns: When the answer left, the other's clock.
-        received_ns: When it came, own clock.
+        sent_ns: When the request left, own clock.
+        asked_ns: When it arrived, the other clock.
+        answered_ns: When the answer left, the other clock.
+        received_ns: When it arrived, own clock.
     """
     ahead_ns = ((asked_ns - sent_ns) + (answered_ns - received_ns)) / 2
     way_ns = (received_ns - sent_ns) - (answered_ns - asked_ns)
@@ -63,10 +61,10 @@ def offset(sent_ns: int, asked_ns: int, answered_ns: int, received_ns: int) -> O
 
 
 def usage(process: str = "self") -> dict[str, float | int | None]:
-    """What a process uses: memory (bytes), threads, open files, processor time (s); None where that is not told.
+    """Return a process's memory (bytes), threads, open files and processor time (s); None where they are not known.
 
     Args:
-        process: Its id.
+        process: Process id.
     """
     root = Path("/proc") / process
     try:
@@ -83,16 +81,16 @@ def usage(process: str = "self") -> dict[str, float | int | None]:
 
 
 def give_back_memory() -> None:
-    """Let the C library give the system what it keeps of memory that is used no more. Others than glibc cannot."""
+    """Return freed memory to the system; only glibc can."""
     with suppress(OSError, AttributeError):
         ctypes.CDLL(None).malloc_trim(0)
 
 
 def command_of(process: str) -> list[str]:
-    """Words of a process's command line, or of the title it has given itself; none when it has ended.
+    """Return the words of a process's command line, or of its title if it has set one; none when it has ended.
 
     Args:
-        process: Its id.
+        process: Process id.
     """
     try:
         content = (Path("/proc") / process / "cmdline").read_bytes()

@@ -1,4 +1,4 @@
-"""A process that was started by another of this project: its environment, its begin and its end are that one's."""
+"""Contract between parent and child process: environment, start signal, end."""
 
 import ctypes
 import os
@@ -6,14 +6,13 @@ import signal
 import sys
 from contextlib import suppress
 
-# Set by a parent that wants its children to end with it: they watch their standard input for its end.
+# Set by a parent whose children end with it: they watch their standard input for its end.
 PARENT_PIPE = "PAYLOAD_TRANSPORT_PARENT_PIPE"
-# Set by a parent for a child that is to be ready ahead of its time: it waits for a byte on its standard input.
+# Set by a parent for a child that is started ahead of time: it waits for a byte on its standard input.
 STANDBY = "PAYLOAD_TRANSPORT_STANDBY"
 
 # One thread for linear algebra per process, and few for Zenoh: a run has more processes than a host has cores.
-# Three that receive: one is held up for seconds when the connection to a frozen process is given up, as closing it
-# waits for the frozen one to read, and meanwhile everybody else must be heard.
+# Three that receive: closing the connection to a frozen process blocks one of them for seconds.
 ENVIRONMENT = {
     "OPENBLAS_NUM_THREADS": "1",
     "OMP_NUM_THREADS": "1",
@@ -35,15 +34,12 @@ def python(module: str) -> list[str]:
 
 
 def wake_with_its_end() -> None:
-    """If a parent started this process, let it run on when the parent dies: frozen, it would never notice.
-
-    Linux alone can do that; elsewhere a process that is frozen when its parent is killed stays so.
-    """
+    """Let the death of a parent continue this process if it is stopped: otherwise it would never notice. Linux only."""
     if os.environ.get(PARENT_PIPE):
         with suppress(OSError, AttributeError):
             ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGCONT, 0, 0, 0)
 
 
 def stand_by() -> bool:
-    """Wait for the parent's word, if it has asked for that; False if it is gone."""
+    """Wait for the parent's start signal if there is to be one; return False if the parent is gone."""
     return not os.environ.get(STANDBY) or bool(os.read(sys.stdin.fileno(), 1))

@@ -1,8 +1,8 @@
-"""Who may connect, and who may say what: the folder of keys, and Zenoh's access control made from the table of keys.
+"""Authentication and access control: the folder of keys, and Zenoh's rules made from the table of key expressions.
 
-With certificates every link is TLS, both ends show theirs, and each process holds everybody to what the name in the
-certificate may say. Passwords are known to a router alone: whoever connects proves its name to the one it calls, and
-learns nothing of that one; so in a mesh they could not say who is who.
+With certificates every link is TLS, both ends authenticate, and each process admits from a peer only the messages that
+the name in its certificate may send. Passwords are for a router alone: a client proves its name to the router, but the
+router proves nothing, so in a mesh they could not tell processes apart.
 """
 
 import ipaddress
@@ -21,17 +21,17 @@ AUTHORITY, USERS = "ca.pem", "users.txt"
 # Messages of a TLS handshake in either direction, at most.
 _FLIGHTS = 4
 
-# Everything that Zenoh's access control knows of.
-_SPEAKING = ("put", "delete")
-_LISTENING = ("declare_liveliness_subscriber", "liveliness_query")
+# All kinds of messages in Zenoh's access control.
+_PUBLISHING = ("put", "delete")
+_OBSERVING = ("declare_liveliness_subscriber", "liveliness_query")
 _ALL = (
-    *(*_SPEAKING, *_LISTENING, "declare_subscriber", "liveliness_token"),
+    *(*_PUBLISHING, *_OBSERVING, "declare_subscriber", "liveliness_token"),
     *("query", "reply", "declare_queryable"),
 )
 
 
 class SecurityError(ValueError):
-    """Keys that cannot be used: the text says which file or option, expected, got."""
+    """Unusable keys: the text names the file or option, what was expected and what came."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ class Security:
     """The keys of this host and the processes of the run.
 
     Args:
-        folder: Made by `transport deploy keys`: certificates, or passwords.
+        folder: Certificates or passwords made by `transport deploy keys`.
         names: Processes that take part: coordinator, plant, agent1, ..., recorder.
     """
 
@@ -48,9 +48,9 @@ class Security:
 
     @property
     def kind(self) -> Literal["certificates", "passwords"]:
-        """What the folder holds.
+        """Kind of keys in the folder.
 
-        Raises: SecurityError: neither.
+        Raises: SecurityError: there are none.
         """
         if (self.folder / AUTHORITY).is_file():
             return "certificates"
@@ -68,8 +68,8 @@ class Security:
         """Refuse keys with which a process cannot take part.
 
         Args:
-            name: The process's.
-            mode: Zenoh's: peer, client or router.
+            name: Name of the process.
+            mode: Zenoh's mode: peer, client or router.
         Raises: SecurityError: naming the file, what was expected and what came.
         """
         if self.kind == "passwords":
@@ -89,17 +89,17 @@ class Security:
         try:
             _shake_hands(authority, certificate, key)
         except (OSError, ssl.SSLError) as error:
-            expected = f"expected a certificate of {authority.name} that is good now, and the key that belongs to it"
+            expected = f"expected a certificate of {authority.name} that is valid now, and its key"
             problem = getattr(error, "verify_message", "") or error
             raise SecurityError(f"network.keys: {certificate}: {expected}, got {problem}") from error
 
     def configuration(self, name: str, prefix: str, *, mode: str) -> dict[str, Any]:
-        """What belongs into Zenoh's configuration of a process.
+        """Return the security part of Zenoh's configuration of a process.
 
         Args:
-            name: The process's.
-            prefix: What its run's keys begin with.
-            mode: Zenoh's: peer, client or router.
+            name: Name of the process.
+            prefix: Prefix of its run's key expressions.
+            mode: Zenoh's mode: peer, client or router.
         """
         self.check(name, mode=mode)
         if self.kind == "passwords":
@@ -135,15 +135,15 @@ class Security:
 
 
 def access_control(names: Sequence[str], prefix: str, attribute: str) -> dict[str, Any]:
-    """Zenoh's access control: nothing is allowed but what `protocol.wire.keys` says of a name.
+    """Return Zenoh's access control, which allows each name only the key expressions of `protocol.wire.keys`.
 
-    What comes in from a name is held to that name's rights. What goes out is not: who may listen has been asked when
-    it subscribed.
+    Incoming messages are checked against their sender's rights. Outgoing ones are not: the receiver's rights were
+    checked when it subscribed.
 
     Args:
-        names: Processes that take part; those that look on, and a router, are known as well.
-        prefix: What the keys begin with; its run may be `*` for any.
-        attribute: What tells who is who: cert_common_names or usernames.
+        names: Processes that take part; watchers, operators and a router are added.
+        prefix: Prefix of the key expressions; its run may be `*` for any.
+        attribute: Zenoh's attribute that identifies a peer: cert_common_names or usernames.
     """
     keys = Keys.below(prefix)
     subjects = [*dict.fromkeys([*names, WATCHER, OPERATOR, ROUTER])]
@@ -163,7 +163,7 @@ def access_control(names: Sequence[str], prefix: str, attribute: str) -> dict[st
 
 
 def exposed(endpoints: Sequence[str]) -> str | None:
-    """The first of some Zenoh endpoints that others than this host can reach and that is not encrypted, or None."""
+    """Return the first Zenoh endpoint that is not encrypted and that other hosts can reach, or None."""
     for endpoint in endpoints:
         protocol, _, address = endpoint.partition("/")
         host = address.rpartition(":")[0].strip("[]")
@@ -173,7 +173,7 @@ def exposed(endpoints: Sequence[str]) -> str | None:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether an address or name is this host's own, reached by nobody else."""
+    """Return whether only this host can reach an address or host name."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -181,14 +181,14 @@ def is_loopback(host: str) -> bool:
 
 
 def _shake_hands(authority: Path, certificate: Path, key: Path) -> None:
-    """Have a certificate looked at as a peer would, by TLS with itself: authority, validity, key.
+    """Check authority, validity and key of a certificate as a peer would, by a TLS handshake with itself.
 
-    Raises: ssl.SSLError: it would be refused. OSError: a file cannot be read.
+    Raises: ssl.SSLError: a peer would refuse it. OSError: a file cannot be read.
     """
     contexts = []
     for protocol in (ssl.PROTOCOL_TLS_SERVER, ssl.PROTOCOL_TLS_CLIENT):
         context = ssl.SSLContext(protocol)
-        context.check_hostname = False  # which address it is called by is not known here
+        context.check_hostname = False  # its address is not known here
         context.verify_mode = ssl.CERT_REQUIRED
         context.load_verify_locations(authority)
         context.load_cert_chain(certificate, key)
@@ -205,20 +205,20 @@ def _shake_hands(authority: Path, certificate: Path, key: Path) -> None:
 
 
 def _rights(keys: Keys, name: str) -> Iterator[tuple[Sequence[str], list[str]]]:
-    """What may come from a name: messages in Zenoh's words, and the keys."""
+    """Yield the rights of a name: kinds of messages in Zenoh's access control, and key expressions."""
     if name == ROUTER:
         yield _ALL, [f"{keys.prefix}/**"]
         return
-    looks_on = name in (WATCHER, OPERATOR)
-    yield _LISTENING, [f"{keys.prefix}/{kind}/**" for kind in ("alive", "ready")]
-    yield ("declare_subscriber",), [f"{keys.prefix}/**"] if looks_on else keys.subscriptions(name)
+    observes = name in (WATCHER, OPERATOR)
+    yield _OBSERVING, [f"{keys.prefix}/{kind}/**" for kind in ("alive", "ready")]
+    yield ("declare_subscriber",), [f"{keys.prefix}/**"] if observes else keys.subscriptions(name)
     questions = READING if name != OPERATOR else (*READING, *ACTING)
     yield ("query",), [keys.request("*", what) for what in questions]
-    if looks_on:
+    if observes:
         return
-    said = keys.publications(name)
-    if said:
-        yield _SPEAKING, said
+    published = keys.publications(name)
+    if published:
+        yield _PUBLISHING, published
     yield ("liveliness_token",), [f"{keys.prefix}/{kind}/{name}/**" for kind in ("alive", "ready")]
     yield ("declare_queryable", "reply"), [keys.request(name, "*")]
 

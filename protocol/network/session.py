@@ -1,30 +1,26 @@
-"""Zenoh sessions of a run: where they listen and whom they call, their configuration, questions and answers, a router.
-
-All of Zenoh's configuration is here; what a process does with its session is in `protocol.network.bus`.
-"""
+"""Zenoh sessions: their configuration, requests from outside a run, and a router."""
 
 import json
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import zenoh
 
+from protocol.network.endpoints import Endpoints
 from protocol.network.security import Security, SecurityError
 from protocol.wire.codec import MAX_BYTES
 from protocol.wire.keys import ACTING, OPERATOR, ROUTER, WATCHER, Keys
 
-# Closing can block for as long as a peer does not read (zenoh issue 2675); a process that has said all it
-# had to say does not wait for that longer than this.
+# How long closing may take: it blocks while a peer does not read (zenoh issue 2675).
 CLOSE_S = 2.0
 
-# What Zenoh puts together for us at most; from the gate's limit up to here it is counted, beyond it just dropped.
+# Largest message that Zenoh reassembles: larger ones are dropped uncounted.
 _MAX_RECEIVED_BYTES = 2 * MAX_BYTES
 
-# How long a client tries to connect at a time.
+# Duration of one attempt of a client to connect.
 _TRY_MS = 500
 
 
@@ -32,26 +28,15 @@ class BusError(RuntimeError):
     """The network cannot be used: the text says what was tried and what to do."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Endpoints:
-    """Where a process listens and whom it calls.
-
-    Attributes:
-        listen: Zenoh endpoints such as "tcp/127.0.0.1:7447"; none for an observer or a client.
-        connect: Endpoints of the processes it connects to; each pair of processes is connected once.
-        mode: A peer of the mesh, the client of a router, or a router.
-        security: Keys and what they allow; None where everybody who can connect may say everything.
-    """
-
-    listen: Sequence[str]
-    connect: Sequence[str]
-    mode: Literal["peer", "client", "router"] = "peer"
-    security: Security | None = None
-
-
 def open_session(endpoints: Endpoints, patience_s: float, name: str, keys: Keys, reach_s: float) -> zenoh.Session:
-    """A session under a name.
+    """Open a session.
 
+    Args:
+        endpoints: Where it listens, and which endpoints it connects to.
+        patience_s: How long sending may wait for a peer that does not read.
+        name: Name of the process.
+        keys: Key expressions of its run.
+        reach_s: How long a client looks for its router.
     Raises: BusError: the endpoint cannot be listened on, the router not reached, or the keys not used.
     """
     try:
@@ -68,26 +53,23 @@ def open_session(endpoints: Endpoints, patience_s: float, name: str, keys: Keys,
             if time.monotonic() > deadline:
                 where = ", ".join(endpoints.connect)
                 raise BusError(
-                    f"{name}: no router lets it in at {where} within {reach_s:g} s ({str(error)[:200]})"
+                    f"{name}: no router accepts it at {where} within {reach_s:g} s ({str(error)[:200]})"
                 ) from error
 
 
 def configuration(endpoints: Endpoints, patience_s: float, name: str, keys: Keys) -> dict[str, Any]:
-    """Zenoh's configuration of a process: fixed endpoints, no discovery, fast retries, patience until `join` gives up.
+    """Return Zenoh's configuration of a process: fixed endpoints, no discovery, retries until `Bus.join` gives up.
 
-    Args:
-        endpoints: Where it is, with which keys.
-        patience_s: How long sending may wait for a peer that does not read.
-        name: The process's.
-        keys: Key expressions of its run.
-    Raises: SecurityError: keys that it cannot use.
+    The arguments are those of `open_session`.
+
+    Raises: SecurityError: keys that cannot be used.
     """
     found: dict[str, Any] = {
         "mode": endpoints.mode,
         "listen": {"endpoints": list(endpoints.listen), "exit_on_failure": True},
         "connect": {
             "endpoints": list(endpoints.connect),
-            # A client is nothing without its router, and tries again by itself (`open_session`), where Ctrl-C is heard.
+            # `open_session` repeats a client's attempts, so that Ctrl-C can end them.
             "timeout_ms": _TRY_MS if endpoints.mode == "client" else -1,
             "exit_on_failure": endpoints.mode == "client",
             "retry": {"period_init_ms": 50, "period_max_ms": 200, "period_increase_factor": 1.5},
@@ -125,21 +107,21 @@ def ask(
     timeout_s: float = 5.0,
     security: Security | None = None,
 ) -> Mapping[str, Any]:
-    """Ask a process of a run for something, from outside.
+    """Send a request to a process from outside its run; return the answer.
 
     Args:
         run: Name of the run.
         connect: Endpoints of its processes, or of their router.
         name: Process to ask.
-        what: Request; see docs/protocol.md.
-        given: Its arguments.
+        what: Kind of request; see docs/protocol.md.
+        given: Arguments of the request.
         timeout_s: How long to look for the process, and how long to wait for its answer.
-        security: Keys of who asks, an operator or, for what changes nothing, a watcher.
+        security: Keys of an operator or, for requests that change nothing, a watcher.
     Raises: BusError: there is no such process, or it does not answer.
     """
     keys = Keys(run)
     log_errors(to_output=False)
-    # One endpoint may be a process or a router; a client is at home with both.
+    # One endpoint may be a process or a router; a client can connect to either.
     endpoints = Endpoints(listen=[], connect=connect, mode="client" if len(connect) == 1 else "peer", security=security)
     deadline = time.monotonic() + timeout_s
     session = open_session(endpoints, 1.0, OPERATOR if what in ACTING else WATCHER, keys, timeout_s)
@@ -148,7 +130,7 @@ def ask(
             if time.monotonic() > deadline:
                 raise BusError(f"no sign of {name} of run {run} within {timeout_s:g} s; tried {', '.join(connect)}")
             time.sleep(0.02)
-        answer = asked(session, keys.request(name, what), given, timeout_s)
+        answer = fetch_answer(session, keys.request(name, what), given, timeout_s)
     finally:
         in_bounded_time(session.close)
     if answer is None:
@@ -158,10 +140,10 @@ def ask(
 
 @contextmanager
 def route(endpoints: Endpoints) -> Iterator[None]:
-    """Pass on what the clients of any run say to each other, as long as the context is open.
+    """Route the messages of the clients of any run while the context is open.
 
     Args:
-        endpoints: Where to listen, and other routers to call.
+        endpoints: Where to listen, and other routers to connect to.
     Raises: BusError: the endpoint cannot be listened on, or the keys not used.
     """
     log_errors(to_output=True)
@@ -173,7 +155,7 @@ def route(endpoints: Endpoints) -> Iterator[None]:
 
 
 def log_errors(*, to_output: bool) -> None:
-    """Let Zenoh write its errors to standard output, or leave that to RUST_LOG where a command's results go there."""
+    """Let Zenoh write its errors to standard output; a command whose results go there leaves it to RUST_LOG."""
     if to_output:
         zenoh.init_log_from_env_or("error")
     else:
@@ -181,7 +163,7 @@ def log_errors(*, to_output: bool) -> None:
 
 
 def in_bounded_time(close: Callable[[], Any]) -> None:
-    """Close something, or leave it to the end of the process when a peer that does not read holds it up."""
+    """Call a closing function; return after `CLOSE_S` even if a peer that does not read blocks it."""
 
     def run() -> None:
         with suppress(zenoh.ZError):  # "timed out"
@@ -192,8 +174,10 @@ def in_bounded_time(close: Callable[[], Any]) -> None:
     closer.join(CLOSE_S)
 
 
-def asked(session: zenoh.Session, key: str, request: Mapping[str, Any], timeout_s: float) -> Mapping[str, Any] | None:
-    """The answer to a request, or None if there is none in time."""
+def fetch_answer(
+    session: zenoh.Session, key: str, request: Mapping[str, Any], timeout_s: float
+) -> Mapping[str, Any] | None:
+    """Return the answer to a request, or None if there is none in time."""
     for reply in session.get(key, payload=json.dumps(request), timeout=timeout_s):
         if reply.ok is not None:
             answer: Mapping[str, Any] = json.loads(reply.ok.payload.to_string())

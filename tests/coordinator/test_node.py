@@ -26,7 +26,7 @@ PACED = "clock.speed=1"
 
 
 def test_waits_for_all_and_the_observers() -> None:
-    """Tick 0 opens when plant, agents and observers are ready, whoever is last; the roster comes before it."""
+    """Tick 0 opens when plant, agents and observers are ready, in any order; the roster comes before it."""
     names = ["plant", "agent1", "agent2", "agent3", "agent4", "recorder"]
     for last in names:
         node = coordinator(observers=["recorder"])
@@ -40,7 +40,7 @@ def test_waits_for_all_and_the_observers() -> None:
 
 
 def test_a_whole_run() -> None:
-    """Each tick opens on the last answer to the one before; the run is over with the last truth and not before."""
+    """Each tick opens on the last answer to the one before; the run ends with the last plant state and not before."""
     node = started(coordinator())
     sent = []
     for k in range(3):
@@ -59,7 +59,7 @@ def test_answers_count_once() -> None:
     assert kinds(tell(node, answers(0, (4,)))) == ["tick 1"]
 
 
-def test_tick_tells_who_answered() -> None:
+def test_a_tick_names_the_agents_that_answered() -> None:
     """Tick k + 1 names the agents whose plans of k count, and the roster in force."""
     node = started(coordinator(CONTINUE))
     tell(node, answers(0, (1, 4)))
@@ -71,7 +71,7 @@ def test_tick_tells_who_answered() -> None:
     assert (tick.tick, tick.members, tick.answered, tick.roster) == (1, (1, 4), (1, 4), 2)
 
 
-def test_who_left_is_not_waited_for() -> None:
+def test_an_agent_that_left_is_not_awaited() -> None:
     """After an agent left, ticks open without it, and its answers no longer count."""
     node = started(coordinator(CONTINUE))
     tell(node, [gone("agent2")])
@@ -79,8 +79,8 @@ def test_who_left_is_not_waited_for() -> None:
     assert kinds(tell(node, answers(0, (4,)))) == ["tick 1"]
 
 
-def test_an_answer_of_somebody_gone_still_counts_for_the_others() -> None:
-    """An agent that answered and then went is named among the answers: its plan may be used."""
+def test_the_answer_of_an_agent_that_left_still_counts() -> None:
+    """An agent that answered and then left is named among the answers: its plan may be used."""
     node = started(coordinator(CONTINUE))
     tell(node, [*answers(0, (1, 2)), gone("agent2"), *answers(0, (3,))])
     (tick,) = tell(node, answers(0, (4,)))
@@ -137,7 +137,7 @@ def test_pacing_catches_up() -> None:
 
 
 def test_pacing_outlasts_the_barrier() -> None:
-    """A tick everybody has answered does not time out while the next one is not due."""
+    """A tick that all have answered does not time out while the next one is not due."""
     node = started(coordinator("clock.speed=0.001"))  # 50 s per tick, ten timeouts
     tell(node, answers(0))
     assert list(node.poll(START_NS + 2 * BARRIER_NS)) == []
@@ -165,13 +165,13 @@ def test_wake() -> None:
     assert node.wake_ns == START_NS + 51 * MS + BARRIER_NS
     tell(node, answers(1), START_NS + 120 * MS)
     tell(node, answers(2), START_NS + 130 * MS)
-    assert node.wake_ns == START_NS + 120 * MS + BARRIER_NS  # nothing but the last truth is missing
+    assert node.wake_ns == START_NS + 120 * MS + BARRIER_NS  # only the last plant state is missing
     tell(node, [plant_state(setup(), 2)], START_NS + 140 * MS)
     assert node.wake_ns is None
 
 
 def test_polling_at_wake_always_does_something() -> None:
-    """Whoever sleeps until `wake_ns` and polls then finds something done: a loop never spins."""
+    """Polling at `wake_ns` always returns messages: a loop never spins."""
     node = started(coordinator(PACED, CONTINUE))
     for k in range(3):
         tell(node, answers(k, (1, 2, 3) if k == 0 else (1, 2)), START_NS + k)
@@ -194,7 +194,7 @@ def test_messages_are_numbered() -> None:
 
 @pytest.mark.parametrize("incarnations", [(0, 1), (0, 1, 4), (2, 1), (4, 0, 3)])
 def test_newest_incarnation_takes_part(incarnations: tuple[int, ...]) -> None:
-    """Of several starts of an agent the newest is on the roster, in whatever order their tokens are seen."""
+    """The newest of several incarnations of an agent is on the roster, in any order of their tokens."""
     node = coordinator()
     tell(node, [ready("agent2", incarnation) for incarnation in incarnations])
     roster, _ = tell(node, [ready(name) for name in ("plant", "agent1", "agent3", "agent4")])
@@ -203,7 +203,7 @@ def test_newest_incarnation_takes_part(incarnations: tuple[int, ...]) -> None:
 
 
 def test_answers_of_other_incarnations_do_not_count() -> None:
-    """A plan of an earlier or later start than the roster's is no answer."""
+    """A plan of another incarnation than the roster's is no answer."""
     node = started(coordinator())
     tell(node, answers(0, (1, 2, 3)))
     for incarnation in (0, 2):
@@ -211,17 +211,17 @@ def test_answers_of_other_incarnations_do_not_count() -> None:
     assert kinds(tell(node, answers(0, (4,)))) == ["tick 1"]
 
 
-def test_what_is_refused_is_counted() -> None:
-    """A plan that is no answer because of its incarnation is counted by sender and reason. Source: docs/protocol.md."""
+def test_refused_plans_are_counted() -> None:
+    """A plan refused for its incarnation is counted by sender and reason. Source: docs/protocol.md."""
     node = started(coordinator())
     node.receive(plan(setup(), 4, 0, incarnation=0), START_NS)
     assert refused(node) == [("agent4", "wrong_incarnation", 1)]
 
 
 def test_a_restarted_agent_joins_at_the_next_tick() -> None:
-    """A newer start of an agent ends the older one, is not waited for in the open tick, and takes part from the next.
+    """A new incarnation ends the old one, is not awaited in the open tick, and takes part from the next tick on.
 
-    That the older one's token disappears only after that says nothing about the newer one.
+    The late end of the old one's token does not concern the new one.
     """
     node = started(coordinator(CONTINUE))
     (left,) = tell(node, [ready("agent2", 2)])
@@ -239,7 +239,7 @@ def test_a_restarted_agent_joins_at_the_next_tick() -> None:
 
 
 def test_a_stale_plant_token() -> None:
-    """That an earlier start of the plant is gone says nothing about the present one."""
+    """The end of an earlier incarnation of the plant does not end the run."""
     node = started(coordinator())
     assert tell(node, [gone("plant", 0)]) == []
     assert node.finished is None

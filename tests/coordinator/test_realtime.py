@@ -1,4 +1,4 @@
-"""The coordinator in real time: absolute deadlines, what happens to those who miss them, and to who is gone."""
+"""The coordinator in real time: absolute deadlines, missed deadlines, lost and returning agents."""
 
 from collections.abc import Sequence
 
@@ -29,7 +29,7 @@ def answers(run: Setup, k: int, agents: Sequence[int] = EVERYBODY) -> list[Messa
 
 
 def answers_now(run: Setup, k: int, agents: Sequence[int] = EVERYBODY) -> list[Message]:
-    """Plans of tick k for itself, as lockstep has them."""
+    """Plans of tick k that start at tick k, as in lockstep."""
     return [plan(run, agent, k) for agent in agents]
 
 
@@ -39,7 +39,7 @@ def due(k: int) -> int:
 
 
 def only_tick(messages: Sequence[Message]) -> Tick:
-    """The one message there is: a tick."""
+    """The only message, a tick."""
     (message,) = messages
     assert isinstance(message, Tick)
     return message
@@ -82,8 +82,8 @@ def test_catching_up_after_a_freeze() -> None:
 
 
 @pytest.mark.parametrize("mode", [REALTIME, ("clock.speed=1",), ("clock.speed=0",)])
-def test_nobody_is_blamed_for_the_coordinators_own_absence(mode: tuple[str, ...]) -> None:
-    """Longer away than the barrier, the coordinator finds everybody silent, and gives them as long again."""
+def test_the_coordinators_own_absence_restarts_the_timeouts(mode: tuple[str, ...]) -> None:
+    """After an absence of its own, all agents look silent to the coordinator, which restarts their timeouts."""
     for first in ("poll", "receive"):
         run = setup(ticks(400), *mode)
         node = started(CoordinatorNode(run))
@@ -100,8 +100,8 @@ def test_nobody_is_blamed_for_the_coordinators_own_absence(mode: tuple[str, ...]
         assert node.tick > 0
 
 
-def test_an_absence_is_no_excuse_for_ever() -> None:
-    """A coordinator that is always late, for want of a processor, still finds who is gone: time is given once."""
+def test_an_absence_is_excused_once_a_tick() -> None:
+    """A coordinator that is always late, for want of a processor, still finds the agents that are gone."""
     run = setup(ticks(400), CONTINUE)
     node = started(CoordinatorNode(run))
     tell(node, answers_now(run, 0, (1, 2, 3)))
@@ -112,7 +112,7 @@ def test_an_absence_is_no_excuse_for_ever() -> None:
 
 
 def test_missed_deadlines_are_counted() -> None:
-    """With "continue" ticks are opened on time whoever is late; they say who answered, and the worst lateness."""
+    """With "continue" ticks open on time; they name the agents that answered, and the worst lateness."""
     run, node = realtime()
     tell(node, answers(run, 0, (1, 2)), due(0) + 20 * MS)
     assert only_tick(node.poll(due(1))).answered == (1, 2)
@@ -121,11 +121,11 @@ def test_missed_deadlines_are_counted() -> None:
     tell(node, answers(run, 1, (1, 2)), due(1) + 40 * MS)
     second = only_tick(node.poll(due(2) + 2 * MS))
     assert (second.answered, second.overrun_ns, second.late_ns) == ((1, 2), 30 * MS, 2 * MS)
-    assert only_tick(node.poll(due(3))).overrun_ns == 0  # said once
+    assert only_tick(node.poll(due(3))).overrun_ns == 0  # reported once
 
 
-def test_a_late_answer_is_none_for_the_open_tick() -> None:
-    """A plan of an earlier tick that comes now is nobody's answer to the open one."""
+def test_a_late_plan_does_not_answer_the_open_tick() -> None:
+    """A plan of an earlier tick does not answer the open one."""
     run, node = realtime()
     node.poll(due(1))
     tell(node, answers(run, 0), due(1) + MS)
@@ -133,7 +133,7 @@ def test_a_late_answer_is_none_for_the_open_tick() -> None:
 
 
 def test_hold() -> None:
-    """With "hold" a tick waits for everybody, and all later deadlines move by what was waited."""
+    """With "hold" a tick waits for all agents, and all later deadlines move by the wait."""
     run, node = realtime(HOLD)
     tell(node, answers(run, 0, (1, 2, 3)), due(0) + 20 * MS)
     assert node.poll(due(1)) == ()
@@ -145,8 +145,8 @@ def test_hold() -> None:
     assert only_tick(node.poll(due(2) + 70 * MS)).late_ns == 0
 
 
-def test_hold_is_no_reason_to_lose_the_others() -> None:
-    """While a tick waits for one nearly as long as the barrier, the others owe nothing, nor does the plant."""
+def test_hold_does_not_count_against_the_others() -> None:
+    """While a tick waits for one agent, no timeout runs for the others or the plant."""
     run, node = realtime(HOLD, CONTINUE)
     waited_ns = due(0) + 20 * MS + BARRIER_NS - MS
     tell(node, [*answers(run, 0, (1, 2, 3)), plant_state(run, 0)], due(0) + 20 * MS)
@@ -158,7 +158,7 @@ def test_hold_is_no_reason_to_lose_the_others() -> None:
 
 @pytest.mark.parametrize("limit", [0, 1, 3])
 def test_abort_by_count(limit: int) -> None:
-    """With "abort" the run ends with exit code 5 when more deadlines are missed than allowed, and says by whom."""
+    """With "abort" the run ends with exit code 5 when more deadlines are missed than allowed, and names the agents."""
     _, node = realtime(ABORT, f"clock.overrun_limit={limit}")
     run = setup(ticks(400), *REALTIME)
     for k in range(limit):
@@ -194,40 +194,40 @@ def test_abort_by_a_late_tick() -> None:
     assert (end.exit_code, end.reason) == (5, "tick 1 came 0.040 s late, 0.03 s allowed")
 
 
-def fly_until(run: Setup, node: CoordinatorNode, until_ns: int, silent: Sequence[str]) -> tuple[list[Message], int]:
-    """Everybody but the silent answers every tick at once; what was sent that is no tick, and when that was."""
-    said: list[Message] = []
+def run_until(run: Setup, node: CoordinatorNode, until_ns: int, silent: Sequence[str]) -> tuple[list[Message], int]:
+    """Let all but the silent processes answer every tick at once; return the first messages besides ticks, and when."""
+    sent_else: list[Message] = []
     agents = [agent for agent in EVERYBODY if f"agent{agent}" not in silent]
     while node.finished is None and node.wake_ns is not None and node.wake_ns < until_ns:
         now_ns = node.wake_ns
         sent = list(node.poll(now_ns))
-        said += [message for message in sent if not isinstance(message, Tick)]
+        sent_else += [message for message in sent if not isinstance(message, Tick)]
         events: list[Plan | PlantState | Message] = [*answers(run, node.tick, agents)]
         tell(node, events if "plant" in silent else [*events, plant_state(run, node.tick)], now_ns)
-        if said:
-            return said, now_ns
-    return said, until_ns
+        if sent_else:
+            return sent_else, now_ns
+    return sent_else, until_ns
 
 
 def test_a_frozen_agent_is_taken_off_the_roster() -> None:
-    """Who has not answered for the barrier's time is lost; till then and afterwards ticks are opened on time."""
+    """An agent that is silent for the barrier timeout leaves the roster; ticks open on time before and after."""
     run, node = realtime(CONTINUE)
     tell(node, [*answers(run, 0), plant_state(run, 0)])
-    said, now_ns = fly_until(run, node, due(400), ["agent4"])
-    (roster,) = said
+    sent, now_ns = run_until(run, node, due(400), ["agent4"])
+    (roster,) = sent
     assert isinstance(roster, Roster)
     assert roster.agents == (1, 2, 3)
     assert roster.reason.startswith("agent4 did not answer tick ")
     # It owes its answer since tick 1 was opened; a tick is the clock's resolution.
     assert due(1) + BARRIER_NS <= now_ns <= due(2) + BARRIER_NS
     tick = node.tick
-    said, _ = fly_until(run, node, due(150), ["agent4"])
-    assert said == []
+    sent, _ = run_until(run, node, due(150), ["agent4"])
+    assert sent == []
     assert node.tick - tick > 30
 
 
 def test_a_slow_agent_is_not_lost() -> None:
-    """Who always answers, if always late, stays: missing deadlines is another thing than being gone."""
+    """An agent that always answers late stays on the roster: missed deadlines are not silence."""
     run, node = realtime(CONTINUE)
     for k in range(1, 200):
         now_ns = due(k)
@@ -238,11 +238,11 @@ def test_a_slow_agent_is_not_lost() -> None:
 
 
 def test_a_frozen_plant_ends_the_run() -> None:
-    """Without a sign of the plant for the barrier's time the run ends, on_agent_loss or not."""
+    """A plant that is silent for the barrier timeout ends the run, whatever `clock.on_agent_loss` says."""
     run, node = realtime(CONTINUE)
     tell(node, [*answers(run, 0), plant_state(run, 0)])
-    said, now_ns = fly_until(run, node, due(400), ["plant"])
-    (end,) = said
+    sent, now_ns = run_until(run, node, due(400), ["plant"])
+    (end,) = sent
     assert isinstance(end, Control)
     assert (end.outcome, end.exit_code) == ("aborted", 4)
     assert end.reason == "plant has not answered since tick 0"
@@ -250,7 +250,7 @@ def test_a_frozen_plant_ends_the_run() -> None:
 
 
 def test_a_dead_plant_ends_the_run() -> None:
-    """The plant's token is gone: the run is over at once."""
+    """The end of the plant's token ends the run at once."""
     _, node = realtime(CONTINUE)
     (end,) = tell(node, [gone("plant")])
     assert isinstance(end, Control)
@@ -258,7 +258,7 @@ def test_a_dead_plant_ends_the_run() -> None:
 
 
 def test_a_dead_agent_comes_back() -> None:
-    """A killed agent leaves at once; its next start joins when a tick is opened, which waits for nobody."""
+    """A killed agent leaves at once; its next incarnation joins at the next tick, which does not wait for it."""
     run, node = realtime(CONTINUE)
     (left,) = tell(node, [gone("agent2")], due(0) + MS)
     assert isinstance(left, Roster)
@@ -273,7 +273,7 @@ def test_a_dead_agent_comes_back() -> None:
 
 
 def test_the_end() -> None:
-    """The run ends a period after its last tick was opened, not before its truth is here: also if answers are late."""
+    """The run ends a period after its last tick opened, when the plant state is here, even if plans are missing."""
     run, node = realtime(length=3)
     for k in (1, 2):
         tell(node, [*answers(run, k - 1), plant_state(run, k - 1)], due(k) - MS)
@@ -285,8 +285,8 @@ def test_the_end() -> None:
     assert (end.outcome, end.tick, end.exit_code) == ("completed", 2, 0)
 
 
-def test_the_last_truth_never_comes() -> None:
-    """A plant that is silent at the last tick is waited for no longer than the barrier."""
+def test_the_last_plant_state_never_comes() -> None:
+    """At the last tick the coordinator waits for the plant no longer than the barrier timeout."""
     run, node = realtime(length=2)
     tell(node, [*answers(run, 0), plant_state(run, 0)])
     node.poll(due(1))

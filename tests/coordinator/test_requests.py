@@ -1,4 +1,4 @@
-"""What people and processes ask of the coordinator: who takes part, and changes of links."""
+"""Requests to the coordinator: status of the run, and changes of links."""
 
 import json
 from collections.abc import Mapping
@@ -22,7 +22,7 @@ from tests.support.coordinator_clock import (
 from tests.support.coordinator_clock import ready as is_ready
 
 
-def asked(node: CoordinatorNode, what: str, **given: Any) -> tuple[Mapping[str, Any], list[Message]]:
+def answer_to(node: CoordinatorNode, what: str, **given: Any) -> tuple[Mapping[str, Any], list[Message]]:
     """The one answer to a request, and what is sent because of it."""
     replies: list[Mapping[str, Any]] = []
     sent = list(node.receive(Request(what, given, replies.append), START_NS))
@@ -33,22 +33,22 @@ def asked(node: CoordinatorNode, what: str, **given: Any) -> tuple[Mapping[str, 
 
 def change(node: CoordinatorNode, **settings: Any) -> tuple[Mapping[str, Any], list[Message]]:
     """A change of the links from agent 1."""
-    return asked(node, "link", **{"from": "agent1"}, settings=settings)
+    return answer_to(node, "link", **{"from": "agent1"}, settings=settings)
 
 
 def test_status() -> None:
-    """Tick, length, members and observers, before the first tick, in flight, and after a loss."""
+    """Status is tick, length, members and observers, before the first tick, later, and after the loss of an agent."""
     node = coordinator(CONTINUE, observers=["recorder"])
-    assert asked(node, "status")[0]["tick"] == -1
+    assert answer_to(node, "status")[0]["tick"] == -1
     tell(node, [is_ready(name) for name in ("recorder", "plant", "agent1", "agent2", "agent3", "agent4")])
     expected = {"tick": 0, "ticks": 3, "members": [1, 2, 3, 4], "observers": ["recorder"]}
-    assert asked(node, "status") == (expected, [])
+    assert answer_to(node, "status") == (expected, [])
     tell(node, [gone("agent2"), gone("recorder"), *answers(0, (1, 3, 4))])
-    assert asked(node, "status") == ({"tick": 1, "ticks": 3, "members": [1, 3, 4], "observers": []}, [])
+    assert answer_to(node, "status") == ({"tick": 1, "ticks": 3, "members": [1, 3, 4], "observers": []}, [])
 
 
 def test_a_change_of_links() -> None:
-    """A change holds from the next tick on, is numbered, and comes with a roster, which ticks then name."""
+    """A change holds from the next tick on, is numbered, and comes with a roster that the ticks name."""
     node = started(coordinator())
     reply, sent = change(node, delay_s=0.1)
     assert reply == {"tick": 1, "t_s": 0.05}
@@ -65,18 +65,18 @@ def test_a_change_of_links() -> None:
     assert kinds(tell(node, answers(0))) == ["tick 1"]
 
 
-def test_newcomers_are_told_all_changes() -> None:
-    """Who joins hears every change there was, in order, before the roster that it is on."""
+def test_all_changes_are_repeated_for_joining_agents() -> None:
+    """All changes so far are sent again, in order, before the roster of the agent that joins."""
     node = started(coordinator(CONTINUE))
     changes = [change(node, delay_s=0.1)[1][0], change(node, loss=0.2)[1][0]]
     tell(node, [gone("agent2"), is_ready("agent2", 2)])
     sent = tell(node, answers(0, (1, 3, 4)))
     assert kinds(sent) == ["link 1", "link 1", "roster 1", "tick 1"]
-    for told, message in zip(sent, changes, strict=False):
-        assert isinstance(told, LinkChange)
+    for repeated, message in zip(sent, changes, strict=False):
+        assert isinstance(repeated, LinkChange)
         assert isinstance(message, LinkChange)
-        assert (told.number, told.tick, told.settings) == (message.number, message.tick, message.settings)
-    assert len({message.sequence for message in [*changes, *sent]}) == 6  # said anew, not sent again
+        assert (repeated.number, repeated.tick, repeated.settings) == (message.number, message.tick, message.settings)
+    assert len({message.sequence for message in [*changes, *sent]}) == 6  # numbered anew
 
 
 @pytest.mark.parametrize(
@@ -98,23 +98,23 @@ def test_newcomers_are_told_all_changes() -> None:
         ({"settings": {"distribution": "x" * 5000}}, "distribution"),
     ],
 )
-def test_what_is_no_change(given: dict[str, Any], problem: str) -> None:
-    """Anything else is answered with what was expected; nothing is sent and nothing changes."""
+def test_an_invalid_change_is_refused(given: dict[str, Any], problem: str) -> None:
+    """An invalid request is answered by the expected value; nothing is sent and nothing changes."""
     node = started(coordinator())
-    reply, sent = asked(node, "link", **given)
+    reply, sent = answer_to(node, "link", **given)
     assert problem in reply["error"]
     assert sent == []
     assert change(node, loss=0.1)[1][0].kind == "link"
 
 
-def test_outside_a_flight() -> None:
-    """Before the first tick and at the last there is no next tick for a change to hold from."""
+def test_there_is_no_change_without_a_next_tick() -> None:
+    """Before the first tick and at the last one a change of links is refused."""
     for node in (coordinator(), at_last_tick(coordinator())):
-        assert change(node, loss=0.1) == ({"error": "expected a run in flight"}, [])
+        assert change(node, loss=0.1) == ({"error": "expected a running simulation"}, [])
 
 
 def test_an_unknown_request() -> None:
-    """What nobody knows is answered, too."""
-    reply, sent = asked(started(coordinator()), "land")
+    """An unknown request is answered by the known ones."""
+    reply, sent = answer_to(started(coordinator()), "land")
     assert reply == {"error": "what: expected status or link, got 'land'"}
     assert sent == []

@@ -1,4 +1,4 @@
-"""Agents that come back: in lockstep the tick a script names waits for them, and rounds wait for whoever is behind."""
+"""Agents that return at a scripted tick, which waits for them, and agents that fall behind in a negotiation."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -33,8 +33,8 @@ def held() -> CoordinatorNode:
     return node
 
 
-def test_a_tick_waits_for_who_is_to_be_back() -> None:
-    """The tick at which a script has an agent back is opened when it is ready, with its new incarnation."""
+def test_a_tick_waits_for_agents_that_return_at_it() -> None:
+    """The tick at which an agent is to return opens when the agent is ready, with its new incarnation."""
     node = held()
     assert node.wake_ns == START_NS + JOIN_NS
     assert node.poll(START_NS + JOIN_NS - 1) == ()
@@ -45,16 +45,16 @@ def test_a_tick_waits_for_who_is_to_be_back() -> None:
     assert (tick.tick, tick.members, tick.answered, tick.roster) == (3, EVERYBODY, LEFT, joined.version)
 
 
-def test_who_is_back_early_waits_for_nobody() -> None:
-    """An agent that is back before its tick joins with the next one; nothing is held then."""
+def test_an_early_return_holds_no_tick() -> None:
+    """An agent that returns before its tick joins at the next one, and no tick is held."""
     node = started(CoordinatorNode(setup(SIX, CONTINUE, KILLED)))
     tell(node, [*answers(0), gone("agent2"), ready("agent2", 2)])
     assert kinds(tell(node, answers(1, LEFT))) == ["roster 2", "tick 2"]
     assert kinds(tell(node, [*answers(2, LEFT), *answers(2, (2,), 2)])) == ["tick 3"]
 
 
-def test_who_does_not_come_back_is_not_waited_for_longer() -> None:
-    """After `join_timeout_s` the flight goes on without, and the record says so."""
+def test_a_tick_is_held_no_longer_than_the_join_timeout() -> None:
+    """After `clock.join_timeout_s` the run continues without the agent, and a roster says so."""
     node = held()
     roster, tick = node.poll(START_NS + JOIN_NS)
     assert isinstance(roster, Roster)
@@ -64,8 +64,8 @@ def test_who_does_not_come_back_is_not_waited_for_longer() -> None:
     assert kinds(tell(node, answers(3, LEFT))) == ["tick 4"]
 
 
-def test_who_dies_again_before_it_joined() -> None:
-    """A newcomer that is gone before its tick was opened does not count as back."""
+def test_an_agent_that_leaves_before_it_joined() -> None:
+    """A new incarnation that is gone before its tick opened has not returned."""
     node = started(CoordinatorNode(setup(SIX, CONTINUE, KILLED)))
     tell(node, [*answers(0), gone("agent2"), ready("agent2", 2), gone("agent2", 2)])
     tell(node, answers(1, LEFT))
@@ -74,7 +74,7 @@ def test_who_dies_again_before_it_joined() -> None:
 
 
 def test_an_end_while_a_tick_is_held() -> None:
-    """While a tick is held the run can still be ended, and another loss is noticed."""
+    """While a tick is held, other agents can be lost and the run can be interrupted."""
     node = held()
     (roster,) = tell(node, [gone("agent4")])
     assert isinstance(roster, Roster)
@@ -86,7 +86,7 @@ def test_an_end_while_a_tick_is_held() -> None:
 
 
 def test_a_restart_without_a_script_holds_nothing() -> None:
-    """An agent restarted by hand joins at the next tick, whenever it is ready; nobody waits for it."""
+    """An agent restarted by hand joins at the next tick once it is ready; no tick is held for it."""
     node = started(CoordinatorNode(setup(SIX, CONTINUE)))
     tell(node, [gone("agent2"), *answers(0, LEFT)])
     assert kinds(tell(node, answers(1, LEFT))) == ["tick 2"]
@@ -94,8 +94,8 @@ def test_a_restart_without_a_script_holds_nothing() -> None:
     assert kinds(tell(node, answers(2, LEFT))) == ["roster 3", "tick 3"]
 
 
-def test_with_policy_abort_nobody_comes_back() -> None:
-    """A newer start of an agent that takes part means the older one is lost: with "abort" the run ends."""
+def test_with_policy_abort_a_new_incarnation_ends_the_run() -> None:
+    """A new incarnation of an agent on the roster means that the old one is gone: with "abort" the run ends."""
     node = started(CoordinatorNode(setup(SIX)))
     (end,) = tell(node, [ready("agent2", 2)])
     assert isinstance(end, Control)
@@ -109,8 +109,8 @@ def proposals(agents: Sequence[int], negotiation: int) -> list[Message]:
 
 
 @pytest.mark.parametrize("negotiation", [2, 1])
-def test_whoever_is_behind_in_a_negotiation_is_lost(negotiation: int) -> None:
-    """An agent that freezes keeps the others from the next exchange: it alone is lost, and they get as long again."""
+def test_only_agents_behind_in_a_negotiation_are_dropped(negotiation: int) -> None:
+    """A frozen agent blocks the others' next iteration: it alone is dropped, and their timeout restarts."""
     node = started(CoordinatorNode(setup(SIX, ROUNDS, CONTINUE)))
     tell(node, proposals(EVERYBODY if negotiation < 2 else LEFT, 2))
     if negotiation < 2:
@@ -123,16 +123,16 @@ def test_whoever_is_behind_in_a_negotiation_is_lost(negotiation: int) -> None:
     assert kinds(tell(node, answers(0, LEFT), expired_ns + BARRIER_NS - 1)) == ["tick 1"]
 
 
-def test_negotiations_are_no_answers() -> None:
-    """A tick is over with everybody's last plan, not with what comes before it."""
+def test_proposals_are_no_answers() -> None:
+    """A tick is closed by the last plans of all agents, not by the proposals before them."""
     node = started(CoordinatorNode(setup(SIX, ROUNDS)))
     assert tell(node, [*proposals(EVERYBODY, 2), *proposals(EVERYBODY, 1)]) == []
     assert tell(node, answers(0, LEFT)) == []
     assert kinds(tell(node, answers(0, (2,)))) == ["tick 1"]
 
 
-def test_everybody_stuck_in_a_negotiation() -> None:
-    """When all are equally far, nobody of them is to blame: it is what they all depend on."""
+def test_all_agents_stuck_in_a_negotiation() -> None:
+    """When all agents are equally far behind, the plant is the likely cause and the run ends."""
     node = started(CoordinatorNode(setup(SIX, ROUNDS, CONTINUE)))
     tell(node, proposals(EVERYBODY, 2))
     (end,) = node.poll(START_NS + BARRIER_NS)

@@ -1,4 +1,4 @@
-"""What a process gives back to its host."""
+"""Memory that a process returns to its host."""
 
 import platform
 import subprocess
@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-# Memory that is free between some that is used, and by how many bytes the process shrinks when it gives that back.
+# Fragments memory, and prints by how many bytes the process shrinks when it returns what is free.
 FREE_BETWEEN = """
 from pathlib import Path
 from protocol.network.health import give_back_memory
@@ -26,8 +26,8 @@ print(before - own_bytes())
 """
 
 
-@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc gives back when asked")
-def test_memory_is_given_back() -> None:
-    """What the allocator keeps goes back to the system, most of 40 MB here."""
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc returns memory on request")
+def test_memory_is_returned() -> None:
+    """Memory kept by the allocator is returned to the system, most of 40 MB here."""
     found = subprocess.run([sys.executable, "-c", FREE_BETWEEN], capture_output=True, text=True, check=True, timeout=60)
     assert int(found.stdout) > 30e6

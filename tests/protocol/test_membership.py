@@ -1,4 +1,4 @@
-"""Membership: who is believed, by the rosters received, and plans that overtake their roster."""
+"""Membership: plans admitted by the rosters received, and plans that overtake their roster."""
 
 from contextlib import suppress
 
@@ -15,14 +15,14 @@ def sent(agent: int, incarnation: int = INCARNATION, k: int = 0) -> Plan:
 
 
 def is_refused(membership: Membership, message: Plan) -> bool:
-    """Whether a plan's sender is not believed, now and later."""
+    """Whether a plan is refused rather than kept."""
     with pytest.raises(MessageError) as caught:
         membership.admits(message)
     return caught.value.reason == "wrong_incarnation"
 
 
-def test_nobody_at_first() -> None:
-    """Before the first roster nobody takes part, and every plan is kept for it."""
+def test_no_agents_at_first() -> None:
+    """Before the first roster no agent takes part, and every plan is kept for it."""
     membership = Membership()
     assert membership.version == 0
     assert membership.agents == set()
@@ -42,8 +42,8 @@ def test_rosters_count_in_order_of_version() -> None:
     assert (membership.version, membership.agents) == (5, {2})
 
 
-def test_who_is_believed() -> None:
-    """The roster's incarnation is believed, an earlier one or one that left is refused, a later one kept."""
+def test_admitted_incarnations() -> None:
+    """Plans of the roster's incarnation are admitted, earlier ones and those that left refused, later ones kept."""
     membership = Membership()
     membership.update(roster({1: 1, 2: 3}))
     assert membership.admits(sent(2, 3))
@@ -58,7 +58,7 @@ def test_who_is_believed() -> None:
 
 
 def test_early_plans_come_back_once_in_order() -> None:
-    """What was ahead of a roster comes back with it, once, in the order received."""
+    """Plans ahead of a roster are returned with it, once, in the order received."""
     membership = Membership()
     early = [sent(2), sent(1), sent(2, k=1), sent(3)]
     assert [membership.admits(message) for message in early] == [False] * 4
@@ -77,8 +77,8 @@ def test_an_old_roster_releases_nothing() -> None:
     assert len(membership.update(roster({1: 2}, version=2))) == 1
 
 
-def test_what_is_kept_is_bounded() -> None:
-    """Somebody who keeps talking without ever being admitted is refused from some plan on, in words."""
+def test_kept_plans_are_bounded() -> None:
+    """A sender that is never admitted is refused from some plan on, with a text."""
     membership = Membership()
     kept = 0
     with suppress(MessageError):
@@ -91,8 +91,8 @@ def test_what_is_kept_is_bounded() -> None:
     assert len(membership.update(roster())) == kept
 
 
-def test_what_was_said_before_leaving_counts() -> None:
-    """Plans of ticks before the one an agent left at are believed after the roster that says so, later ones are not."""
+def test_plans_sent_before_leaving_count() -> None:
+    """Plans of ticks before the one an agent left at are admitted after that roster, later ones are refused."""
     membership = Membership()
     membership.update(roster({1: 1, 2: 1}))
     membership.update(roster({1: 1}, k=5, version=2))
@@ -105,8 +105,8 @@ def test_what_was_said_before_leaving_counts() -> None:
     assert membership.admits(sent(2, 2, k=8))
 
 
-def test_who_took_part() -> None:
-    """Of whom there can be a plan of a tick: those that joined by then, and those that left later."""
+def test_participants_of_a_tick() -> None:
+    """Plans of a tick can come from agents that joined by then, and from those that left later."""
     membership = Membership()
     membership.update(roster({1: 1, 2: 1}))
     membership.update(roster({1: 1}, k=5, version=2))
@@ -114,8 +114,8 @@ def test_who_took_part() -> None:
     assert [membership.took_part(tick) for tick in (4, 5, 7, 8)] == [{1, 2}, {1}, {1}, {1, 3}]
 
 
-def test_nothing_more_comes_from_who_is_gone() -> None:
-    """Once its connection is closed nobody waits for what an agent may have said, but for its next start."""
+def test_no_plans_come_from_a_closed_connection() -> None:
+    """Once its connection is closed an agent's old plans are not awaited, those of its next incarnation are."""
     membership = Membership()
     membership.update(roster({1: 1, 2: 3}))
     membership.update(roster({1: 1}, k=5, version=2))

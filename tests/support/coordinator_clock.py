@@ -1,4 +1,4 @@
-"""A coordinator with some history, for tests: three ticks, four agents, incarnation 1 of everybody."""
+"""Coordinators at several points of a run of three ticks with four agents, all in incarnation 1."""
 
 from collections.abc import Iterable, Sequence
 
@@ -14,7 +14,7 @@ START_NS = 7 * S  # a steady clock starts anywhere
 
 
 def coordinator(*settings: str, observers: Sequence[str] = ()) -> CoordinatorNode:
-    """A coordinator of a run of three ticks that waits for everybody."""
+    """A coordinator that waits for all processes of a run of three ticks."""
     return CoordinatorNode(setup(THREE, *settings), observers=observers)
 
 
@@ -29,12 +29,12 @@ def gone(name: str, incarnation: int = INCARNATION) -> Presence:
 
 
 def tell(node: CoordinatorNode, events: Iterable[Message | Presence], now_ns: int = START_NS) -> list[Message]:
-    """Hand events over at one time and return all that comes back."""
+    """Hand events over at one time; return all messages."""
     return [message for event in events for message in node.receive(event, now_ns)]
 
 
 def started(node: CoordinatorNode, now_ns: int = START_NS) -> CoordinatorNode:
-    """The coordinator once everybody is ready: tick 0 is open."""
+    """The coordinator once all processes are ready: tick 0 is open."""
     tell(node, [ready(name) for name in ("plant", *map(agent_name, EVERYBODY))], now_ns)
     assert node.tick == 0
     return node
@@ -46,7 +46,7 @@ def answers(k: int, agents: Sequence[int] = EVERYBODY) -> list[Message]:
 
 
 def at_last_tick(node: CoordinatorNode, now_ns: int = START_NS) -> CoordinatorNode:
-    """The coordinator with its last tick open and nobody's answer yet."""
+    """The coordinator with its last tick open and without answers."""
     started(node, now_ns)
     for k in (0, 1):
         tell(node, [*answers(k), plant_state(setup(THREE), k)], now_ns)
@@ -55,5 +55,5 @@ def at_last_tick(node: CoordinatorNode, now_ns: int = START_NS) -> CoordinatorNo
 
 
 def kinds(messages: Sequence[Message]) -> list[str]:
-    """What the messages are, in order."""
+    """Kinds and ticks of messages, in order."""
     return [f"{message.kind} {message.tick}" for message in messages]

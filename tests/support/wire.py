@@ -13,7 +13,7 @@ from protocol.wire.codec import encode
 from protocol.wire.keys import Keys, matches
 from protocol.wire.messages import Control, Message, Presence
 from protocol.wire.node import Node
-from protocol.wire.rejections import Notices, Rejections
+from protocol.wire.rejections import Rejections
 from tests.support.runs import INCARNATION
 from transport.flight.recorder import Recorder
 
@@ -50,7 +50,7 @@ class RecordingReceiver:
 
     def hear(self, message: Message) -> Sequence[Message]:
         """Nothing, but the recorder has heard it."""
-        self._recorder.hear(message)
+        self._recorder.receive(message)
         return ()
 
 
@@ -113,7 +113,7 @@ class Wire:
         recorder = self.receivers["recorder"]
         for name, receiver in self.receivers.items():
             receiver.admission.close()
-            for notice in Notices(name, receiver.rejected).rest(INCARNATION, receiver.admission.tick):
+            for notice in receiver.admission.remaining_notices(INCARNATION):
                 if name == "recorder":
                     recorder.hear(notice)
                     continue

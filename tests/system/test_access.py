@@ -11,8 +11,8 @@ import zenoh
 
 from protocol.admission.admission import Admission
 from protocol.network.bus import Bus
+from protocol.network.endpoints import Endpoints
 from protocol.network.security import Security, access_control
-from protocol.network.session import Endpoints
 from protocol.wire.codec import VERSION, encode
 from protocol.wire.keys import ACTING, OPERATOR, ROUTER, WATCHER, Keys
 from protocol.wire.messages import KINDS, Message, Plan, agent_name
@@ -138,7 +138,7 @@ def test_nobody_speaks_for_another(plant: Guarded, impostor: str) -> None:
         extra = plant.reached - before
         assert 0 <= extra <= (5 if impostor == "agent1" else 0)  # its own calls, repeated until one was heard
         assert {entry.sender for entry in plant.rejections} <= {"plan/1"}
-        assert all(plant.bus._alive.get(name) is None for name in ("coordinator", "agent2"))
+        assert all(plant.bus._peers.alive.get(name) is None for name in ("coordinator", "agent2"))
         del tokens
 
 

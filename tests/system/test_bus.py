@@ -1,4 +1,4 @@
-"""The bus against a stranger on its network: what he says is counted, and never keeps it from anything."""
+"""The bus against a stranger on its network, whose messages are counted and do not disturb it."""
 
 import json
 import os
@@ -15,7 +15,8 @@ import zenoh
 
 from protocol.admission.admission import Admission
 from protocol.network.bus import Bus
-from protocol.network.session import BusError, Endpoints
+from protocol.network.endpoints import Endpoints
+from protocol.network.session import BusError
 from protocol.wire.codec import VERSION, encode
 from protocol.wire.keys import Keys
 from protocol.wire.messages import Presence
@@ -33,7 +34,7 @@ PATIENCE_S = 20.0
 
 
 class Plant:
-    """The bus of a plant, and what it has refused."""
+    """The bus of a plant, and its counts of refused messages."""
 
     def __init__(self, port: int) -> None:
         self.rejections = Rejections()
@@ -48,11 +49,11 @@ class Plant:
         )
 
     def counts(self) -> dict[tuple[str, str], int]:
-        """How many were refused, by sender and reason."""
+        """Numbers of refused messages, by sender and reason."""
         return {(entry.sender, entry.reason): entry.count for entry in self.rejections}
 
     def waits_for(self, condition: Callable[[], bool]) -> bool:
-        """Take in what comes, which is nothing to tell a node, until a condition holds."""
+        """Take in messages, none of which is an event, until a condition holds."""
         deadline = time.monotonic() + PATIENCE_S
         while not condition():
             assert self.bus.next(0.01) is None
@@ -63,7 +64,7 @@ class Plant:
 
 @contextmanager
 def stranger(port: int) -> Iterator[zenoh.Session]:
-    """A session connected to a port, that nobody has asked for."""
+    """A session that is connected to a port, and is no process of the run."""
     configuration = {
         "mode": "peer",
         "connect": {"endpoints": [f"tcp/127.0.0.1:{port}"], "exit_on_failure": True, "timeout_ms": 10_000},
@@ -76,7 +77,7 @@ def stranger(port: int) -> Iterator[zenoh.Session]:
 
 @pytest.fixture
 def network() -> Iterator[tuple[Plant, zenoh.Session]]:
-    """A plant and a stranger who reaches it."""
+    """A plant and a stranger that is connected to it."""
     port = free_base()
     plant = Plant(port)
     try:
@@ -94,8 +95,8 @@ def network() -> Iterator[tuple[Plant, zenoh.Session]]:
         plant.bus.close()
 
 
-def test_when_something_came(network: tuple[Plant, zenoh.Session]) -> None:
-    """The time of arrival is that of the thread that receives, however late somebody reads."""
+def test_time_of_arrival(network: tuple[Plant, zenoh.Session]) -> None:
+    """The time of arrival is taken by the receiving thread, however late the message is read."""
     plant, session = network
     refused, sent_ns = plant.rejections.total, time.time_ns()
     session.put(f"{KEYS.prefix}/plan/2", encode(runs.tick(0)), congestion_control=zenoh.CongestionControl.BLOCK)
@@ -106,7 +107,7 @@ def test_when_something_came(network: tuple[Plant, zenoh.Session]) -> None:
 
 
 def test_a_stranger_is_counted(network: tuple[Plant, zenoh.Session]) -> None:
-    """Bytes, deletions, too much at once, an unknown start and strange tokens: each is refused for what it is."""
+    """Garbage, deletions, oversized messages, unknown incarnations and bad tokens are refused with their reasons."""
     plant, session = network
     block = zenoh.CongestionControl.BLOCK
     key = f"{KEYS.prefix}/tick"
@@ -135,8 +136,8 @@ def test_a_stranger_is_counted(network: tuple[Plant, zenoh.Session]) -> None:
     assert expected.items() <= plant.counts().items()
 
 
-def test_who_is_announced_is_believed(network: tuple[Plant, zenoh.Session]) -> None:
-    """With a token of its sender a message is let in, one that was ahead of it as well; with another's it is not."""
+def test_messages_of_announced_processes_are_accepted(network: tuple[Plant, zenoh.Session]) -> None:
+    """A message is accepted once its sender's token of the same scenario is here, even if it came before."""
     plant, session = network
     block = zenoh.CongestionControl.BLOCK
     session.put(f"{KEYS.prefix}/tick", encode(runs.tick(0)), congestion_control=block)
@@ -149,8 +150,8 @@ def test_who_is_announced_is_believed(network: tuple[Plant, zenoh.Session]) -> N
     assert plant.bus.next(PATIENCE_S) == Presence("coordinator", 0, alive=False)
 
 
-def test_a_flood_holds_nobody_up(network: tuple[Plant, zenoh.Session]) -> None:
-    """However much nonsense comes without an end, whoever waits for an event until some time is back by then."""
+def test_a_flood_delays_no_timeout(network: tuple[Plant, zenoh.Session]) -> None:
+    """An endless flood of bad messages does not delay the end of a wait for events."""
     plant, session = network
     over = threading.Event()
 
@@ -175,16 +176,17 @@ def test_a_flood_holds_nobody_up(network: tuple[Plant, zenoh.Session]) -> None:
 SPEAKS = """
 import sys
 from protocol.network.bus import Bus
-from protocol.network.session import BusError, Endpoints
-from protocol.admission.admission import Gate
+from protocol.network.endpoints import Endpoints
+from protocol.network.session import BusError
+from protocol.admission.admission import Admission
 from protocol.wire.keys import Keys
 from protocol.wire.rejections import Rejections
 from tests.support.runs import setup
 
 name, own = sys.argv[1], f"tcp/127.0.0.1:{sys.argv[2]}"
-gate = Gate(name, Keys("bus"), setup(), Rejections())
-endpoints = Endpoints(listen=[own], connect=[own])  # nobody can be connected to himself
-bus = Bus(name=name, incarnation=0, run="bus", digest="0" * 12, endpoints=endpoints, gate=gate)
+admission = Admission(name, Keys("bus"), setup(), Rejections())
+endpoints = Endpoints(listen=[own], connect=[own])  # no process can connect to itself
+bus = Bus(name=name, incarnation=0, run="bus", digest="0" * 12, endpoints=endpoints, admission=admission)
 print("open", file=sys.stderr, flush=True)
 sys.stdin.read()
 bus.close()
@@ -193,7 +195,7 @@ bus.close()
 
 @pytest.mark.parametrize(("name", "speaks"), [("plant", True), ("recorder", False)])
 def test_standard_output_belongs_to_results(name: str, speaks: bool) -> None:
-    """Zenoh complains on standard output: in a process of the run, whose output is a log, and not in the command."""
+    """Zenoh writes errors to standard output in a process of the run, whose output is a log, but not in a command."""
     environment = {key: value for key, value in os.environ.items() if key != "RUST_LOG"}
     with subprocess.Popen(
         [sys.executable, "-c", SPEAKS, name, str(free_base())],
@@ -205,8 +207,8 @@ def test_standard_output_belongs_to_results(name: str, speaks: bool) -> None:
     ) as process:
         assert process.stdout is not None
         assert process.stderr is not None
-        said = process.stderr.readline()
-        assert said == "open\n", said + process.stderr.read()
+        line = process.stderr.readline()
+        assert line == "open\n", line + process.stderr.read()
         if speaks:  # however long that takes: the test has a timeout
             assert any("ERROR" in line for line in process.stdout)
         else:
@@ -217,7 +219,7 @@ def test_standard_output_belongs_to_results(name: str, speaks: bool) -> None:
 
 
 def test_another_version_is_refused_by_name(network: tuple[Plant, zenoh.Session]) -> None:
-    """Whoever speaks another version of the protocol is not joined: both versions are named, and what to do."""
+    """A process with another version of the protocol is not joined; the error names both versions and the remedy."""
     plant, session = network
     for version in (VERSION + 1, 2):
         end = f"/{version}" if version > VERSION else ""  # tokens of version 2 did not say so

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from deploy.lab import EXIT_UNAVAILABLE, Cut, unavailable
-from protocol.network.process import process_names
+from protocol.network.endpoints import process_names
 from protocol.scenario.file import find_scenario, read_scenario
 from tests.support.commands import PATIENCE_S, settings, wait_for
 from transport.log.run_log import read_log

@@ -158,5 +158,5 @@ def test_processes_with_different_scenarios_refuse_each_other(tmp_path: Path) ->
     other = transport("agent", "--id", "1", *options, *settings(base, "controller.horizon=30"), cwd=tmp_path)
     _, plant_says = plant.communicate(timeout=60)
     assert (other.returncode, plant.returncode) == (4, 4)
-    assert "plant flies another scenario" in other.stderr
-    assert "agent1 flies another scenario" in plant_says
+    assert "plant runs another scenario" in other.stderr
+    assert "agent1 runs another scenario" in plant_says

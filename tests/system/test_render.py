@@ -12,7 +12,7 @@ import zenoh
 from deploy.hosts import Inventory, InventoryError, postings, read_inventory
 from deploy.keys import KeysError
 from deploy.render import RenderError, command, render
-from protocol.network.process import process_names
+from protocol.network.endpoints import process_names
 from protocol.scenario.file import read_scenario
 from tests.support.commands import transport
 from tests.support.keyrings import keyring

@@ -13,7 +13,7 @@ import pytest
 import zenoh
 
 from deploy.keys import make_passwords
-from protocol.network.process import process_names
+from protocol.network.endpoints import process_names
 from protocol.scenario.file import find_scenario, read_scenario
 from protocol.scenario.setup import Setup
 from protocol.wire.keys import Keys
@@ -158,7 +158,7 @@ def test_passwords_through_a_router(tmp_path: Path) -> None:
     assert flight.returncode == 0, flight.stderr
     assert table(tmp_path / "out") == calm(tmp_path / "calm", *BRIEF)
     assert wrong.returncode == 4
-    assert "agent3: no router lets it in at" in wrong.stderr
+    assert "agent3: no router accepts it at" in wrong.stderr
 
 
 @pytest.mark.slow

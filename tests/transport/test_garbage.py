@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from protocol.admission.admission import Admission
-from protocol.network.session import Endpoints
+from protocol.network.endpoints import Endpoints
 from protocol.scenario.setup import Setup
 from protocol.wire.codec import encode
 from protocol.wire.keys import Keys

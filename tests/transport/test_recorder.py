@@ -10,7 +10,7 @@ import pytest
 
 from protocol.admission.admission import Admission
 from protocol.network.bus import BusEvent
-from protocol.network.session import Endpoints
+from protocol.network.endpoints import Endpoints
 from protocol.scenario.setup import Setup
 from protocol.wire.codec import encode
 from protocol.wire.keys import Keys

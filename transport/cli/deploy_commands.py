@@ -42,7 +42,7 @@ def deploy_keys(
         from deploy.keys import LOOPBACK, OTHERS, KeysError, make_certificates, make_passwords
     except ModuleNotFoundError as error:
         fail(f"expected the package {error.name}, got none: pip install 'payload-transport[deploy]'", EXIT_USAGE)
-    from protocol.network.process import process_names
+    from protocol.network.endpoints import process_names
     from protocol.wire.keys import ROUTER
 
     names = [*process_names(setup.scenario), *OTHERS]
@@ -109,9 +109,10 @@ def router(
     """
     import threading
 
-    from protocol.network.process import Journal, refuse_exposed, security_of
+    from protocol.network.endpoints import Endpoints, refuse_exposed, security_of
+    from protocol.network.journal import Journal
     from protocol.network.security import SecurityError
-    from protocol.network.session import BusError, Endpoints, route
+    from protocol.network.session import BusError, route
     from protocol.wire.keys import ROUTER
 
     setup = read_setup(scenario, settings)
@@ -126,18 +127,18 @@ def router(
         if security is not None:
             security.check(ROUTER, mode="router")
         with route(endpoints):
-            journal.say("listening", at=", ".join(listen))
+            journal.log("listening", at=", ".join(listen))
             over.wait()
     except SecurityError as error:
         fail(str(error), EXIT_SCENARIO)
     except BusError as error:
         fail(str(error), EXIT_UNREACHABLE)
-    journal.say("finished")
+    journal.log("finished")
 
 
 def _inventory(path: Path, setup: "Setup") -> "Inventory":
     from deploy.hosts import InventoryError, read_inventory
-    from protocol.network.process import process_names
+    from protocol.network.endpoints import process_names
 
     try:
         return read_inventory(path, process_names(setup.scenario))

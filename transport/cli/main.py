@@ -382,7 +382,8 @@ def _place(
 ) -> "Place":
     import time
 
-    from protocol.network.process import Place, place_of
+    from protocol.network.endpoints import endpoints_of
+    from protocol.network.process import Place
     from protocol.network.security import SecurityError
     from protocol.wire.keys import Keys, RunNameError
 
@@ -396,7 +397,7 @@ def _place(
             if not re.fullmatch(r"[a-z0-9-]+/\S+", endpoint):
                 fail(f"{option}: expected an endpoint such as tcp/127.0.0.1:7447, got {endpoint!r}", EXIT_USAGE)
     try:
-        endpoints = place_of(name, setup.scenario, listen, connect)
+        endpoints = endpoints_of(name, setup.scenario, listen, connect)
     except SecurityError as error:
         fail(str(error), EXIT_SCENARIO)
     return Place(

@@ -6,9 +6,8 @@ from typing import Annotated
 
 import typer
 
-from protocol.network.process import default_mesh, process_names, security_of
+from protocol.network.endpoints import Endpoints, default_mesh, process_names, security_of
 from protocol.network.security import SecurityError
-from protocol.network.session import Endpoints
 from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
 from protocol.scenario.schema import Scenario
 from transport.cli.answers import fail

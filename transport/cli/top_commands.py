@@ -86,7 +86,7 @@ def top(
 
 
 def _find(run: str | None, connect: list[str] | None, scenario: str | None, settings: list[str]) -> _Flight:
-    from protocol.network.process import default_mesh
+    from protocol.network.endpoints import default_mesh
     from protocol.network.security import SecurityError
     from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
     from protocol.scenario.setup import Setup
@@ -133,8 +133,7 @@ def _folder(run: str | None) -> Path | None:
 def _listen(flight: _Flight) -> "Bus":
     from protocol.admission.admission import Admission
     from protocol.network.bus import Bus
-    from protocol.network.process import security_of
-    from protocol.network.session import Endpoints
+    from protocol.network.endpoints import Endpoints, security_of
     from protocol.wire.keys import WATCHER, Keys
     from protocol.wire.rejections import Rejections
 

@@ -119,7 +119,7 @@ def packages(distribution: str = _DISTRIBUTION) -> Iterator[Check]:
 
 def ports(setup: Setup) -> Check:
     """Whether processes started by hand would find their ports free, and a run with a base port of its own."""
-    from protocol.network.process import default_mesh
+    from protocol.network.endpoints import default_mesh
     from transport.flight.harness import HarnessError, check_ports, free_ports
 
     scenario, host = setup.scenario, setup.scenario.network.host
@@ -153,7 +153,7 @@ def network(setup: Setup) -> Check:
     """Two Zenoh sessions on the loopback interface: whether one finds the other, and how long a question takes."""
     from protocol.admission.admission import Admission
     from protocol.network.bus import Bus
-    from protocol.network.session import Endpoints
+    from protocol.network.endpoints import Endpoints
     from protocol.wire.keys import WATCHER, Keys
     from protocol.wire.messages import Request
     from protocol.wire.rejections import Rejections

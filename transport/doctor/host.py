@@ -9,7 +9,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Literal
 
-from protocol.network.process import process_names
+from protocol.network.endpoints import process_names
 from protocol.scenario.setup import Setup
 
 Finding = tuple[Literal["ok", "warn", "fail"], str, str]  # status, what was found, what to do

@@ -12,8 +12,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO
 
+from protocol.network.endpoints import Endpoints
 from protocol.network.parent import PARENT_PIPE, STANDBY
-from protocol.network.session import Endpoints
 from protocol.wire.exit_codes import EXIT_DIVERGED, EXIT_INTERRUPTED, EXIT_OVERRUN, EXIT_UNREACHABLE
 from transport.flight.fork_server import Started, fork_server
 

@@ -9,10 +9,12 @@ import time
 from collections.abc import Callable, Collection
 
 from protocol.admission.admission import Admission
-from protocol.admission.plausibility import Plausibility, check_moment
+from protocol.admission.plausibility import check_moment
+from protocol.admission.reception import Reception
 from protocol.network.bus import Bus, BusEvent, Interrupted
+from protocol.network.endpoints import Endpoints
 from protocol.network.health import give_back_memory
-from protocol.network.session import BusError, Endpoints
+from protocol.network.session import BusError
 from protocol.scenario.links import told_change
 from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import EXIT_UNREACHABLE
@@ -23,7 +25,6 @@ from protocol.wire.messages import (
     FaultOrigin,
     LinkChange,
     Message,
-    MessageError,
     PlantState,
     Presence,
     Request,
@@ -31,7 +32,6 @@ from protocol.wire.messages import (
     Tick,
 )
 from protocol.wire.outbox import Outbox
-from protocol.wire.rejections import Notices, Rejections
 from transport.log.gaps import UNHEARD
 from transport.log.run_log import LogError, LogWriter
 
@@ -96,11 +96,10 @@ class Recorder:
         self.received = 0
         self.tick = -1
         self.requests: queue.SimpleQueue[Request] = queue.SimpleQueue()
-        self.rejected = Rejections()
-        self._plausibility = Plausibility(setup)
+        self._reception = Reception(setup, self._handle)
+        self.rejected = self._reception.rejected
         self._samples_s = setup.samples_s
         self.admission = Admission(RECORDER, Keys(run), setup, self.rejected)
-        self._notices = Notices(RECORDER, self.rejected)
         self._writer = writer
         self._join_timeout_s = join_timeout_s
         self._has_ended = has_ended
@@ -161,7 +160,7 @@ class Recorder:
             if self._bus.join(self._expected, self._join_timeout_s) is None:
                 self._record()
                 self.admission.close()
-                for notice in self._notices.rest(self._out.incarnation, self.admission.tick):
+                for notice in self.admission.remaining_notices(self._out.incarnation):
                     self._take(notice)
         except (BusError, LogError) as error:
             self.error = str(error)
@@ -194,8 +193,8 @@ class Recorder:
                 case Request():
                     self.requests.put(event)
                 case _:
-                    self.hear(event, self._bus.arrived_ns)
-            for notice in self._notices.due(time.monotonic_ns(), self._out.incarnation, self.admission.tick):
+                    self.receive(event, self._bus.arrived_ns)
+            for notice in self.admission.due_notices(time.monotonic_ns(), self._out.incarnation):
                 self._take(notice)
             if self.control is not None and deadline is None:
                 deadline = time.monotonic() + _TRAIL_S
@@ -216,24 +215,22 @@ class Recorder:
                 self._tidy_s = time.monotonic() + _TIDY_S
         return self._bus.next(timeout_s)
 
-    def hear(self, message: Message, at_ns: int | None = None) -> None:
-        """Record a message that came from the network, unless it cannot be of this run or of now.
+    def receive(self, message: Message, at_ns: int | None = None) -> None:
+        """Record a message from the network, unless it is refused.
 
         Args:
             message: Of any kind.
-            at_ns: When it came, ns since 1970; now when left out.
+            at_ns: Time of arrival, ns since 1970; now when left out.
         """
-        try:
-            self._plausibility.check(message)
-            if isinstance(message, Control):
-                check_moment(
-                    message, self.admission.tick - self.admission.window, self.admission.tick + self.admission.window
-                )
-            if isinstance(message, LinkChange):
-                told_change(message, self._samples_s)
-        except MessageError as error:
-            self.rejected.add(message.sender, error)
-            return
+        self._reception.receive(message, time.time_ns() if at_ns is None else at_ns)
+
+    def _handle(self, message: Message, at_ns: int) -> None:
+        """Record a message that passed the checks of the reception."""
+        if isinstance(message, Control):
+            tick, window = self.admission.tick, self.admission.window
+            check_moment(message, tick - window, tick + window)
+        if isinstance(message, LinkChange):
+            told_change(message, self._samples_s)
         self._take(message, at_ns)
 
     def _take(self, message: Message, at_ns: int | None = None) -> None:

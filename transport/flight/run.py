@@ -19,9 +19,10 @@ from rich.console import Console
 
 from model import native
 from model.compiled import compile_functions
-from protocol.network.process import Place, places, process_names
+from protocol.network.endpoints import Endpoints, endpoints_of_all, process_names
+from protocol.network.process import Place
 from protocol.network.security import SecurityError
-from protocol.network.session import BusError, Endpoints
+from protocol.network.session import BusError
 from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_SCENARIO, EXIT_UNREACHABLE, EXIT_USAGE
 from protocol.wire.keys import RECORDER, Keys
@@ -98,7 +99,7 @@ def simulate(setup: Setup, folder: Path, console: Console) -> Finished:
             ports = list(range(base_port, base_port + len(names)))
             check_ports(host, ports)
         try:
-            found = places([*names, RECORDER], scenario, [*ports, own])
+            found = endpoints_of_all([*names, RECORDER], scenario, [*ports, own])
         except SecurityError as error:
             raise RunError(str(error), EXIT_SCENARIO) from error
         recording = found.pop(RECORDER)

@@ -5,7 +5,8 @@ from typing import Any
 
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 
-from protocol.network.session import BusError, Endpoints, ask
+from protocol.network.endpoints import Endpoints
+from protocol.network.session import BusError, ask
 
 # How long a process may take to answer before it counts as not there.
 _PATIENCE_S = 1.0

@@ -1,4 +1,4 @@
-"""Claims: what a message may say in a run, whatever the moment."""
+"""Plausibility: the contents a message can have in a run, at any tick."""
 
 from dataclasses import replace
 from typing import Any
@@ -16,14 +16,14 @@ from tests.support.samples import sample
 from transport.flight.memory import simulate
 
 RUN = setup("controller.horizon=5", ticks(40))
-CLAIMS = Plausibility(RUN)
+PLAUSIBILITY = Plausibility(RUN)
 PLAN, MEASUREMENT = runs.plan(RUN, 2, 3), runs.measurement(RUN, 2, 3)
 PITCHED = MEASUREMENT.uav_states.copy()
 PITCHED[0, state.THETA] = [0.0, np.pi / 2, 0.0]
 
 
-def refusal(message: Message, plausibility: Plausibility = CLAIMS) -> tuple[str, str]:
-    """Reason and text a message is refused with; nothing if it is not."""
+def refusal(message: Message, plausibility: Plausibility = PLAUSIBILITY) -> tuple[str, str]:
+    """Reason and text with which a message is refused; empty if it is not."""
     try:
         plausibility.check(message)
     except MessageError as error:
@@ -40,8 +40,8 @@ def refusal(message: Message, plausibility: Plausibility = CLAIMS) -> tuple[str,
         ("plant.max_error_m=0.02",),
     ],
 )
-def test_what_a_run_says_is_believed(settings: tuple[str, ...]) -> None:
-    """No message of a flight is refused, not even of one that diverges."""
+def test_all_messages_of_a_run_are_plausible(settings: tuple[str, ...]) -> None:
+    """No message of a run is refused, not even of one that diverges."""
     run = setup(runs.SHORT, *settings)
     plausibility = Plausibility(run)
     messages: list[Message] = []
@@ -79,8 +79,8 @@ def test_what_a_run_says_is_believed(settings: tuple[str, ...]) -> None:
         (sample(type(runs.plant_state(RUN, 3))), {"tick": 3}, "wrong_shape", "x: expected 60 numbers, got 36"),
     ],
 )
-def test_what_nobody_of_the_run_can_mean(message: Message, changes: dict[str, Any], reason: str, text: str) -> None:
-    """Each claim that cannot be true of the run is refused for its reason, in words."""
+def test_implausible_messages_are_refused(message: Message, changes: dict[str, Any], reason: str, text: str) -> None:
+    """Each impossible field is refused with its reason and a text."""
     found = refusal(replace(message, **changes))
     assert found[0] == reason
     assert text in found[1]
@@ -92,14 +92,14 @@ def test_what_nobody_of_the_run_can_mean(message: Message, changes: dict[str, An
         (PLAN, {"tick": 39, "start_tick": 39}),
         (PLAN, {"inputs": np.tile([45.0, 1.0, -1.0, 0.5], (5, 1))}),
         (PLAN, {"inputs": np.tile([0.0, -1.0, 1.0, -0.5], (5, 1))}),
-        (PLAN, {"uav_states": PITCHED}),  # predicted, perhaps: only what is measured is known not to be lost
+        (PLAN, {"uav_states": PITCHED}),  # a prediction may diverge, a measurement cannot
         (PLAN, {"corrections": np.full((5, 4), 1e6)}),
         (runs.roster({}), {}),
         (runs.tick(3), {"members": EVERYBODY, "answered": ()}),
     ],
 )
 def test_limits_themselves_are_allowed(message: Message, changes: dict[str, Any]) -> None:
-    """What can just be true is believed."""
+    """Values at the limits are accepted."""
     assert refusal(replace(message, **changes)) == ("", "")
 
 
@@ -111,8 +111,8 @@ def test_start_of_plans() -> None:
 
 
 @pytest.mark.parametrize(("tick", "reason"), [(4, "past"), (5, ""), (7, ""), (8, "future")])
-def test_moment(tick: int, reason: str) -> None:
-    """A message is of one of the ticks it can be of now, the first and the last included."""
+def test_tick(tick: int, reason: str) -> None:
+    """Messages of the first to the last possible tick are accepted, no others."""
     try:
         check_moment(runs.tick(tick), 5, 7)
         found = ""
@@ -122,7 +122,7 @@ def test_moment(tick: int, reason: str) -> None:
 
 
 def test_window() -> None:
-    """Nobody gets further in lockstep; in real time one may be behind for as long as it is not taken for dead."""
+    """The window is one tick in lockstep; in real time it is twice the barrier timeout."""
     assert window(setup()) == 1
     realtime = ("clock.mode=realtime", "clock.barrier_timeout_s=2.0")
     assert window(setup(*realtime, "clock.speed=1.0")) == 80

@@ -1,0 +1,179 @@
+"""Sampling clocks: when a tick opens, and which answers to it are late."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Collection
+
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import Plan, agent_name
+
+# A process that wakes up so much later than planned was frozen, or had no processor to run on.
+_AWAY_NS = 200_000_000
+
+
+def clock_of(setup: Setup) -> "Clock":
+    """Return the clock of a run."""
+    return _LockstepClock(setup) if setup.scenario.clock.mode == "lockstep" else _RealTimeClock(setup)
+
+
+class Clock(ABC):
+    """Sampling clock of a run. Ticks are due relative to the first one, so that delays do not add up.
+
+    All times are ns on a clock that only goes forward. `missing` are the agents on the roster that have not answered
+    the open tick; `awaits_plant` says that only the plant's last state is outstanding.
+
+    Args:
+        setup: The run.
+
+    Attributes:
+        counts_late_plans: Whether a plan of an earlier tick than the open one shows that its agent is alive.
+        waiting_since_ns: Start of the barrier timeout.
+    """
+
+    counts_late_plans: bool
+
+    def __init__(self, setup: Setup) -> None:
+        self.waiting_since_ns = 0
+        self._settings, self._period_ns = setup.scenario.clock, setup.period_ns
+        self._barrier_ns = round(self._settings.barrier_timeout_s * 1e9)
+        self._start_ns = self._plant_ns = 0
+        self._owed_since_ns: dict[int, int] = {}  # by agent: since when it owes an answer
+        self._overrun_ns = 0  # largest overrun of a plan since the last tick
+        self._overruns = 0  # missed deadlines
+        self._called_ns = 0  # when the coordinator last handled something
+        self._excused_tick = -1  # newest tick in which it was found to have been away
+
+    def due_ns(self, tick: int) -> int:
+        """Return the earliest time at which a tick may open."""
+        speed = self._settings.speed
+        return 0 if speed == 0.0 else self._start_ns + round(tick * self._period_ns / speed)
+
+    def has_expired(self, now_ns: int) -> bool:
+        """Return whether the barrier timeout is over."""
+        return now_ns >= self.waiting_since_ns + self._barrier_ns
+
+    def excuse_absence(self, tick: int, wake_ns: int | None, now_ns: int) -> None:
+        """Restart all timeouts if the coordinator woke up late: answers that came meanwhile are still to be read.
+
+        At most once in a tick: a process that is always late must still find out which agents are gone.
+        """
+        called_ns, self._called_ns = self._called_ns, now_ns
+        if wake_ns is None or self._excused_tick == tick or now_ns <= max(wake_ns, called_ns) + _AWAY_NS:
+            return
+        self._excused_tick = tick
+        self.waiting_since_ns = self._plant_ns = now_ns
+        self._owed_since_ns = dict.fromkeys(self._owed_since_ns, now_ns)
+
+    def open(self, tick: int, members: Collection[int], joined: Collection[int], now_ns: int) -> None:
+        """Note that a tick is opened for the members of the roster, some of which have just joined."""
+        if tick == 0:
+            self._start_ns = now_ns
+        self.waiting_since_ns, self._overrun_ns = now_ns, 0
+        for agent in joined:
+            self._owed_since_ns.pop(agent, None)
+        for agent in members:
+            self._owed_since_ns.setdefault(agent, now_ns)
+
+    def answer(self, plan: Plan, tick: int, now_ns: int) -> None:
+        """Note an agent's plan while a tick is open."""
+        self._owed_since_ns[plan.agent] = now_ns
+        if plan.tick == tick:
+            del self._owed_since_ns[plan.agent]
+        self._overrun_ns = max(self._overrun_ns, now_ns - self.due_ns(plan.tick + 1))
+
+    def plant_answer(self, now_ns: int) -> None:
+        """Note that the plant has answered, or that it has only now been asked for the next interval."""
+        self._plant_ns = now_ns
+
+    @abstractmethod
+    def lateness_ns(self, tick: int, now_ns: int) -> tuple[int, int]:
+        """Return how late a tick opens, and by how much the latest plan since the tick before missed its deadline."""
+
+    @abstractmethod
+    def silent(self, members: set[int], missing: set[int], now_ns: int) -> set[int]:
+        """Return the agents that have owed an answer for the barrier timeout."""
+
+    @abstractmethod
+    def plant_is_silent(self, now_ns: int) -> bool:
+        """Return whether the plant has owed an answer for the barrier timeout while agents still answer."""
+
+    @abstractmethod
+    def may_close(self, tick: int, missing: set[int], now_ns: int, *, last: bool) -> bool:
+        """Return whether the open tick may be closed."""
+
+    @abstractmethod
+    def overrun(self, tick: int, missing: set[int], now_ns: int) -> str:
+        """Count the deadlines missed in a tick that is closed; return why they end the run, or an empty text."""
+
+    @abstractmethod
+    def wake_ns(self, tick: int, missing: set[int], *, awaits_plant: bool) -> int:
+        """Return when the open tick may be closed at the earliest, or else when the barrier timeout ends."""
+
+
+class _LockstepClock(Clock):
+    """Clock that waits for the answers of all agents; a speed above 0 holds the next tick until it is due."""
+
+    counts_late_plans = False
+
+    def lateness_ns(self, tick: int, now_ns: int) -> tuple[int, int]:  # noqa: ARG002
+        return 0, 0  # messages do not depend on wall-clock time
+
+    def silent(self, members: set[int], missing: set[int], now_ns: int) -> set[int]:  # noqa: ARG002
+        return missing if self.has_expired(now_ns) else set()
+
+    def plant_is_silent(self, now_ns: int) -> bool:  # noqa: ARG002
+        return False  # agents without measurements do not answer either
+
+    def may_close(self, tick: int, missing: set[int], now_ns: int, *, last: bool) -> bool:
+        return not missing and (last or now_ns >= self.due_ns(tick + 1))
+
+    def overrun(self, tick: int, missing: set[int], now_ns: int) -> str:  # noqa: ARG002
+        return ""
+
+    def wake_ns(self, tick: int, missing: set[int], *, awaits_plant: bool) -> int:
+        waits = missing or awaits_plant
+        return self.waiting_since_ns + self._barrier_ns if waits else self.due_ns(tick + 1)
+
+
+class _RealTimeClock(Clock):
+    """Clock that opens ticks at their deadlines; `clock.on_overrun` says what happens when plans miss them."""
+
+    counts_late_plans = True
+
+    def lateness_ns(self, tick: int, now_ns: int) -> tuple[int, int]:
+        late_ns = max(0, now_ns - self.due_ns(tick)) if tick > 0 else 0
+        if self._settings.on_overrun == "hold":
+            self._start_ns += late_ns  # all later deadlines move by the wait
+        return late_ns, self._overrun_ns
+
+    def silent(self, members: set[int], missing: set[int], now_ns: int) -> set[int]:  # noqa: ARG002
+        return {a for a in members if now_ns >= self._owed_since_ns.get(a, now_ns) + self._barrier_ns}
+
+    def plant_is_silent(self, now_ns: int) -> bool:
+        return now_ns >= self._plant_ns + self._barrier_ns
+
+    def may_close(self, tick: int, missing: set[int], now_ns: int, *, last: bool) -> bool:  # noqa: ARG002
+        return now_ns >= self.due_ns(tick + 1) and not self._holds(missing)
+
+    def overrun(self, tick: int, missing: set[int], now_ns: int) -> str:
+        self._overruns += len(missing)
+        settings = self._settings
+        if settings.on_overrun != "abort":
+            return ""
+        if self._overruns > settings.overrun_limit:
+            names = ", ".join(agent_name(agent) for agent in sorted(missing))
+            at_s = (tick + 1) * self._period_ns / 1e9
+            return (
+                f"{names} missed the deadline of tick {tick} at t = {at_s:.2f} s: "
+                f"{self._overruns} missed in all, {settings.overrun_limit} allowed"
+            )
+        worst_s = max(self._overrun_ns, now_ns - self.due_ns(tick + 1)) / 1e9
+        if settings.overrun_limit_s is not None and worst_s > settings.overrun_limit_s:
+            return f"tick {tick + 1} came {worst_s:.3f} s late, {settings.overrun_limit_s:g} s allowed"
+        return ""
+
+    def wake_ns(self, tick: int, missing: set[int], *, awaits_plant: bool) -> int:
+        waits = awaits_plant or self._holds(missing)
+        return self.waiting_since_ns + self._barrier_ns if waits else self.due_ns(tick + 1)
+
+    def _holds(self, missing: set[int]) -> bool:
+        return bool(missing) and self._settings.on_overrun == "hold"

@@ -1,0 +1,125 @@
+"""Joining a run: the processes that are up, and those a joining process still waits for."""
+
+import math
+from collections.abc import Callable, Collection, Mapping
+from typing import Any
+
+from protocol.admission.admission import Admission
+from protocol.network.session import BusError
+from protocol.wire.codec import VERSION
+from protocol.wire.keys import Keys
+from protocol.wire.messages import MessageError, Presence
+
+# How often a process that joins a run that has begun asks for the processes that still take part.
+_ASK_EVERY_S = 0.5
+
+
+class Peers:
+    """The processes of a run that are up, by their liveliness tokens.
+
+    Args:
+        name: Name of this process.
+        incarnation: Which start of it.
+        digest: Fingerprint of its scenario.
+        keys: Key expressions of the run.
+        admission: Learns of each new incarnation of a process, and counts bad tokens.
+
+    Attributes:
+        alive: Incarnations of the processes that are up, by name.
+    """
+
+    def __init__(self, name: str, incarnation: int, digest: str, keys: Keys, admission: Admission) -> None:
+        self.alive: dict[str, int] = {}
+        self._name, self._incarnation, self._digest = name, incarnation, digest
+        self._keys, self._admission = keys, admission
+
+    def check(self, key: str) -> None:
+        """Check the token of another process while this one joins.
+
+        Raises: BusError: the token shows another scenario, protocol version, or a process with this one's name.
+        """
+        try:
+            token = self._keys.token(key)
+        except MessageError:
+            return  # counted by `note`
+        if token.name == self._name and token.incarnation != self._incarnation:
+            raise BusError(f"{self._name} is already running in this run (incarnation {token.incarnation})")
+        if token.digest is not None and token.version != VERSION:
+            raise BusError(
+                f"{token.name} speaks version {token.version} of the protocol, {self._name} version {VERSION}: "
+                f"install the same release on all hosts"
+            )
+        if token.digest != self._digest:
+            raise BusError(
+                f"{token.name} runs another scenario (digest {token.digest}, here {self._digest}): "
+                f"start all from the same file"
+            )
+
+    def note(self, key: str, *, here: bool) -> Presence | None:
+        """Take note of a token that has appeared or disappeared.
+
+        Returns: The event for the node, or None: a process takes part from its "ready" token on, not from "alive" on.
+        """
+        try:
+            token = self._keys.token(key)
+        except MessageError as error:
+            if here:
+                self._admission.refuse(key, error)
+            return None
+        if token.digest is None:
+            return Presence(token.name, token.incarnation, alive=True) if here else None
+        if token.digest != self._digest or token.version != VERSION:
+            return None  # a process of another scenario finds out by itself that it does not belong here
+        if here:
+            self.alive[token.name] = token.incarnation
+            self._admission.announce(token.name, token.incarnation)
+            return None
+        if self.alive.get(token.name) == token.incarnation:
+            del self.alive[token.name]
+        return Presence(token.name, token.incarnation, alive=False)
+
+
+class Expected:
+    """The processes that a joining process waits for.
+
+    A run that has begun goes on without processes that are gone for good; the coordinator knows which take part.
+
+    Args:
+        name: Name of the joining process.
+        expected: Names of all processes it knows of.
+        status: Asks the coordinator for the status of the run; returns None without an answer.
+
+    Attributes:
+        update_every_s: How often to call `update` while waiting.
+    """
+
+    def __init__(self, name: str, expected: Collection[str], status: Callable[[], Mapping[str, Any] | None]) -> None:
+        self.update_every_s = math.inf
+        self._name, self._expected, self._status = name, set(expected), status
+        self._has_asked = name == "coordinator"  # it needs no answer
+
+    def missing(self, alive: Collection[str]) -> set[str]:
+        """Return the processes still to come.
+
+        When all are up, the coordinator is asked once: the run may have begun, and may have observers besides.
+        """
+        missing = self._expected - set(alive) - {self._name}
+        if missing or self._has_asked:
+            return missing
+        self._has_asked = True
+        self.update()
+        return self._expected - set(alive) - {self._name}
+
+    def note_begun(self) -> None:
+        """Note that the run has begun: the coordinator is ready, which it is once it has seen all processes."""
+        self.update_every_s = _ASK_EVERY_S
+        self.update()
+
+    def update(self) -> None:
+        """Ask the coordinator; in a run that has begun wait only for the processes that take part, and observers."""
+        status = self._status()
+        if status is None or status.get("tick", -1) < 0:
+            return
+        self.update_every_s = _ASK_EVERY_S
+        team = {"coordinator", "plant", *(f"agent{agent}" for agent in status["members"])} & self._expected
+        self._expected = team | set(status.get("observers", ()))  # so that the record misses nothing this process sends

@@ -1,0 +1,28 @@
+"""Log lines of a process on standard error."""
+
+import json
+import sys
+import time
+
+
+class Journal:
+    """Log events with key-value context on standard error: JSON lines, or plain text on a terminal.
+
+    Args:
+        run: Name of the run, in every line.
+        role: Process name, in every line.
+    """
+
+    def __init__(self, run: str, role: str) -> None:
+        self._run, self._role = run, role
+
+    def log(self, event: str, **keys: object) -> None:
+        """Write one event."""
+        if sys.stderr.isatty():
+            shown = "  ".join(f"{key}={value}" for key, value in keys.items() if value != "")
+            line = f"{time.strftime('%H:%M:%S')}  {self._role:<12}{event:<12}{shown}"
+        else:
+            entry = {"time": time.time(), "run_id": self._run, "role": self._role, "event": event, **keys}
+            line = json.dumps(entry, default=str)
+        sys.stderr.write(line + "\n")
+        sys.stderr.flush()
