@@ -82,6 +82,15 @@ class Maneuver:
         """Sum of the phases, s."""
         return sum(phase.duration_s for phase in self.phases)
 
+    def phase_at(self, t_s: float) -> Phase:
+        """Return the phase that a time belongs to: the first phase before the start, the last one after the end."""
+        end_s = 0.0
+        for phase in self.phases:
+            end_s += phase.duration_s
+            if t_s < end_s:
+                break
+        return phase
+
     def path(self, t_s: Array) -> tuple[Array, Array]:
         """Reference position and velocity of the payload.
 
@@ -126,7 +135,7 @@ class Reference:
 
     def __init__(self, system: System, hover: Hover, maneuver: Maneuver) -> None:
         self.maneuver = maneuver
-        self._hover = hover
+        self._system, self._hover = system, hover
         rods = state.StateView(hover.x).e_P
         self._offsets = np.array([uav.rho - uav.rod_length * e for uav, e in zip(system.uavs, rods, strict=True)])
 
@@ -139,8 +148,8 @@ class Reference:
         Source: docs/equations.md (14), (20).
         """
         r0, v0 = self.maneuver.path(t_s)
-        N = len(self._offsets)
-        y = np.zeros((len(t_s), 4 * N + 9))
+        N = self._system.N
+        y = np.zeros((len(t_s), self._system.p))
         y[:, : 3 * N] = (r0[:, None, :] + self._offsets).reshape(len(t_s), 3 * N)
         y[:, -6:-3], y[:, -3:] = r0, v0
         return y

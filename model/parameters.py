@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from model import state
 from model.arrays import Array, ArrayLike, ShapeError, checked
 
 GRAVITY = 9.81  # m/s^2; the paper gives none
@@ -83,12 +84,17 @@ class System:
     @property
     def n(self) -> int:
         """Number of states, 12 + 12 N."""
-        return 12 + 12 * self.N
+        return state.PAYLOAD + state.PER_UAV * self.N
 
     @property
     def m(self) -> int:
         """Number of inputs, 4 N."""
-        return 4 * self.N
+        return state.INPUTS * self.N
+
+    @property
+    def p(self) -> int:
+        """Number of outputs, 4 N + 9."""
+        return 4 * self.N + 9
 
     @property
     def total_mass(self) -> float:

@@ -240,7 +240,7 @@ class Controller:
             checked("x0", x0, (system.n,)),
             checked("u0", u0, (system.m,)),
             checked("U", U, (steps, system.m)),
-            checked("y_ref", y_ref, (steps + 1, 4 * system.N + 9)),
+            checked("y_ref", y_ref, (steps + 1, system.p)),
         )
 
     def linearise(self, x0: Array, u0: Array, forces: Array | None = None) -> Linear:

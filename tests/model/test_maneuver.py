@@ -56,6 +56,13 @@ def test_paper_maneuver_passes_its_way_points() -> None:
     assert [phase.name for phase in maneuver.phases] == ["hover", "climb", "translate", "descend", "hover"]
 
 
+def test_every_time_belongs_to_one_phase() -> None:
+    """A phase begins at the end of the one before; the first holds before the start, the last after the end."""
+    maneuver = paper_maneuver()
+    belongs = [maneuver.phases.index(maneuver.phase_at(t)) for t in (-1.0, 0.0, 4.999, 5.0, 14.0, 20.0, 25.0, 99.0)]
+    assert belongs == [0, 0, 0, 1, 2, 4, 4, 4]
+
+
 def test_paper_maneuver_moves_at_half_a_metre_per_second() -> None:
     """Each leg of 2.5 m is covered at constant speed over its 5 s, docs/equations.md (20)."""
     r, v = paper_maneuver().path(np.array([2.5, 7.5, 12.5, 17.5, 22.5]))

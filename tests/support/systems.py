@@ -102,7 +102,7 @@ def situation(setup: Setup, settings: ControllerSettings, seed: int, size: float
     x = disturbed(setup, rng, size)
     u = u_hover + size * half * rng.standard_normal(setup.system.m)
     U = u_hover + size * half * rng.standard_normal((steps, setup.system.m))
-    y_ref = setup.model.outputs(setup.x) + size * rng.standard_normal((steps + 1, 4 * setup.system.N + 9))
+    y_ref = setup.model.outputs(setup.x) + size * rng.standard_normal((steps + 1, setup.system.p))
     return Situation(x=x, u=u, U=U, y_ref=y_ref)
 
 
