@@ -13,13 +13,13 @@ from model.hover import Hover
 from model.linearisation import Model
 from model.parameters import ParameterError
 from model.state import input_slice
-from mpc.constraints import UserCosts
 from mpc.cost import Cost
 from mpc.fail_safe import FailSafe
 from mpc.feedback import FeedbackError, FeedbackLaw, Regulator, regulator
 from mpc.preview import Preview, at_rest, preview
 from mpc.settings import ControllerSettings
 from mpc.target import Target, target
+from mpc.user_costs import UserCosts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,7 +55,7 @@ class Regulation:
 
     def __init__(self, model: Model, hover: Hover, settings: ControllerSettings, X_ref: Array | None = None) -> None:
         self._whole, self._whole_hover = model, hover
-        self._settings, self._user_costs = settings, UserCosts(settings.costs, model)
+        self._settings, self.user_costs = settings, UserCosts(settings.costs, model)
         self._fail_safe = FailSafe(model.system, hover.u)
         self._X_ref = X_ref if settings.preview else None
         self._preview: Preview | None = None
@@ -68,7 +68,7 @@ class Regulation:
     def target(self) -> Target:
         """Where the team is to rest under external forces; found when it is first asked for."""
         if self._target is None:
-            self._target = target(self._model, self.hover, self.cost, self._alone, self._off, self._released)
+            self._target = target(self._model, self.hover, self.cost, self._uncontrolled, self._off, self._released)
         return self._target
 
     def form(self, gone: Collection[int], off: Collection[int], released: Collection[int]) -> None:
@@ -95,11 +95,11 @@ class Regulation:
         """Raises: ParameterError, FeedbackError: there is no hover, or no regulator."""
         self._off, self._released = off, released
         # Without motors there is no fail-safe either.
-        self._alone = {uav: self._fail_safe.gain(uav) for uav in gone - off}
+        self._uncontrolled = {uav: self._fail_safe.gain(uav) for uav in gone - off}
         self._model, self.hover = self._whole, self._whole_hover
         if off:
             system, u = self._whole.system, self._whole_hover.u
-            held = {uav: float(u[input_slice(uav)][0]) for uav in self._alone}
+            held = {uav: float(u[input_slice(uav)][0]) for uav in self._uncontrolled}
             self._model = failed_model(system, off, released)
             self.hover = failed_hover(system, off, released, held)
         self.cost = Cost(self._settings.weights, self.hover, off, released)
@@ -161,14 +161,16 @@ class Regulation:
         return self._preview.feedforward[self._within(start, steps)]
 
     def _regulate(self) -> None:
-        further = self._user_costs.about(self.hover.x)
+        further = self.user_costs.about(self.hover.x)
         period_s = self._settings.sampling_period_s
-        found = regulator(self._model, self.hover, self.cost, period_s, self._alone, further, self._off, self._released)
+        found = regulator(
+            self._model, self.hover, self.cost, period_s, self._uncontrolled, further, self._off, self._released
+        )
         self.regulator = found
         if self._X_ref is not None:
             # The outputs follow the reference exactly; the user's terms have values of their own along it.
-            values = np.array([self._user_costs.at(x).value for x in self._X_ref])
-            pull = (np.sqrt(self._user_costs.weights) * values) @ further
+            values = np.array([self.user_costs.at(x).value for x in self._X_ref])
+            pull = (np.sqrt(self.user_costs.weights) * values) @ further
             self._preview = preview(found, self._X_ref, pull)
 
     def _within(self, start: int, steps: int) -> npt.NDArray[np.intp]:
@@ -184,7 +186,7 @@ class Regulation:
         if self._by_forces is None:
             C = self._model.linearise(self.hover.x, self.hover.u).C
             missed = C.T @ (self.cost.Q[:, None] * (C @ self.target.M_x))
-            further = self._user_costs.about(self.hover.x)
+            further = self.user_costs.about(self.hover.x)
             missed = missed + further.T @ (further @ self.target.M_x)
             p = at_rest(regulator, regulator.T.T @ missed)
             feedforward = np.zeros_like(self.target.M_u)

@@ -65,7 +65,7 @@ def test_a_curved_term_is_expanded_about_the_present_state() -> None:
     free = own.predict(linear, own.discretise(linear), at.U, None)
 
     def value(x: Array) -> float:
-        return float(own.linearise(x, at.u).costs.value[0])
+        return float(own.regulation.user_costs.at(x).value[0])
 
     steps = 1e-6 * np.eye(len(at.x))
     slope = np.array([(value(at.x + h) - value(at.x - h)) / 2e-6 for h in steps])

@@ -9,8 +9,8 @@ import pytest
 from model import state
 from model.arrays import Array
 from model.dynamics import Symbols
-from mpc.constraints import compile_constraints
 from mpc.expressions import Relation, read
+from mpc.rows.user import compile_constraints
 from mpc.settings import Constraint, SettingsError
 from tests.support.systems import disturbed, paper_setup
 
@@ -91,10 +91,11 @@ def test_values_by_hand(text: str) -> None:
 def test_slopes_by_finite_differences(text: str) -> None:
     """Compiled slopes, the gradients of paper (20)-(21), are central differences of the compiled values."""
     x, u = at_a_point()
-    model = paper_setup().model
-    on_state, on_input = compile_constraints((Constraint(expression=text),), model)
-    compiled, point = (on_state, x) if len(on_state) else (on_input, u)
-    assert len(on_state) + len(on_input) == 1
+    system = paper_setup().system
+    on_state, on_input = compile_constraints((Constraint(expression=text),), system)
+    kind, point = (on_state, x) if len(on_state.expressions) else (on_input, u)
+    compiled = kind.expressions
+    assert len(on_state.expressions) + len(on_input.expressions) == 1
     moved = np.eye(len(point)) * STEP
     differences = [(compiled.at(point + d).value[0] - compiled.at(point - d).value[0]) / (2.0 * STEP) for d in moved]
     assert np.abs(compiled.at(point).slope[0] - differences).max() < SLOPE_AGREEMENT
@@ -104,12 +105,12 @@ def test_slopes_by_finite_differences(text: str) -> None:
 def test_several_constraints_keep_their_order() -> None:
     """Constraints on states and inputs are told apart; each kind keeps the order it was written in."""
     constraints = tuple(Constraint(expression=text, penalty=float(k + 1)) for k, text in enumerate(GOOD))
-    on_state, on_input = compile_constraints(constraints, paper_setup().model)
+    on_state, on_input = compile_constraints(constraints, paper_setup().system)
     x, u = at_a_point()
     states = [text for text in GOOD if read(text, SYMBOLS).on == "state"]
     inputs = [text for text in GOOD if text not in states]
-    assert on_state.at(x).value == pytest.approx([GOOD[text](x, u) for text in states], abs=ROUNDING)
-    assert on_input.at(u).value == pytest.approx([GOOD[text](x, u) for text in inputs], abs=ROUNDING)
+    assert on_state.expressions.at(x).value == pytest.approx([GOOD[text](x, u) for text in states], abs=ROUNDING)
+    assert on_input.expressions.at(u).value == pytest.approx([GOOD[text](x, u) for text in inputs], abs=ROUNDING)
     assert on_state.equality.tolist() == ["==" in text for text in states]
     prices = [np.nan if "==" in text else list(GOOD).index(text) + 1.0 for text in states]
     assert on_state.penalty == pytest.approx(prices, nan_ok=True), "equalities stay hard, inequalities have a price"
@@ -119,10 +120,10 @@ def test_several_constraints_keep_their_order() -> None:
 def test_no_constraints() -> None:
     """Without texts there are no values and no slopes, in the shapes the rest counts on."""
     x, u = at_a_point()
-    on_state, on_input = compile_constraints((), paper_setup().model)
-    assert on_state.at(x).slope.shape == (0, len(x))
-    assert on_input.at(u).slope.shape == (0, len(u))
-    assert on_state.at(x).value.shape == (0,)
+    on_state, on_input = compile_constraints((), paper_setup().system)
+    assert on_state.expressions.at(x).slope.shape == (0, len(x))
+    assert on_input.expressions.at(u).slope.shape == (0, len(u))
+    assert on_state.expressions.at(x).value.shape == (0,)
 
 
 BAD = {
