@@ -141,8 +141,7 @@ def _build(N: int) -> dict[str, ca.Function]:
         slopes.append(f(at, s.u, s.p, s.F))
     fifth = s.x + h * sum((b * k for b, k in zip(_DP_FIFTH, slopes, strict=True)), start=ca.SX.zeros(s.x.shape))
     error = h * sum(
-        ((b5 - b4) * k for b5, b4, k in zip(_DP_FIFTH, _DP_FOURTH, slopes, strict=True)),
-        start=ca.SX.zeros(s.x.shape),
+        ((b5 - b4) * k for b5, b4, k in zip(_DP_FIFTH, _DP_FOURTH, slopes, strict=True)), start=ca.SX.zeros(s.x.shape)
     )
     linearised = [derivative, ca.jacobian(derivative, s.x), ca.jacobian(derivative, s.u), y, ca.jacobian(y, s.x)]
     return {

@@ -34,11 +34,7 @@ class Symbols:
     def of(N: int) -> "Symbols":
         """Fresh symbols for N UAVs."""
         return Symbols(
-            N,
-            ca.SX.sym("x", 12 + 12 * N),
-            ca.SX.sym("u", 4 * N),
-            ca.SX.sym("p", 8 + 11 * N),
-            ca.SX.sym("F", 3 + 3 * N),
+            N, ca.SX.sym("x", 12 + 12 * N), ca.SX.sym("u", 4 * N), ca.SX.sym("p", 8 + 11 * N), ca.SX.sym("F", 3 + 3 * N)
         )
 
     @property

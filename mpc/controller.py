@@ -49,12 +49,7 @@ class Controller:
     """
 
     def __init__(
-        self,
-        model: Model,
-        hover: Hover,
-        settings: ControllerSettings,
-        owned: Sequence[int],
-        X_ref: Array | None = None,
+        self, model: Model, hover: Hover, settings: ControllerSettings, owned: Sequence[int], X_ref: Array | None = None
     ) -> None:
         N = model.system.N
         if not owned or list(owned) != sorted(set(owned)) or not 0 <= owned[0] <= owned[-1] < N:

@@ -181,13 +181,7 @@ def _scalar(tree: ast.expr, symbols: Symbols, what: str) -> ca.SX:
 
 def _names(symbols: Symbols) -> dict[str, Any]:
     x, u = symbols.x, symbols.u
-    names = {
-        "r0": x[state.R0],
-        "v0": x[state.V0],
-        "Theta0": x[state.THETA0],
-        "omega0": x[state.OMEGA0],
-        "pi": ca.pi,
-    }
+    names = {"r0": x[state.R0], "v0": x[state.V0], "Theta0": x[state.THETA0], "omega0": x[state.OMEGA0], "pi": ca.pi}
     for i, position in enumerate(uav_positions(symbols)):
         block, inputs = x[state.uav_slice(i)], u[state.input_slice(i)]
         names |= {
