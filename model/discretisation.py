@@ -4,9 +4,8 @@
 
     A = I + A_c Phi,   B = Phi B_c,   f_d = Phi f,
 
-so a Taylor series of Phi (n x n) replaces the exponential of the (n + m + 1)-sized augmented matrix. The
-number of terms follows from the remainder bound, and periods that are long for the system are halved
-until the series is short, then doubled back.
+so a Taylor series of Phi, (n, n), replaces the exponential of an augmented matrix of size n + m + 1. The number of
+terms follows from the remainder bound; long periods are halved until the series is short, then doubled back.
 """
 
 import math
@@ -18,8 +17,8 @@ from model import native
 from model.arrays import Array, ShapeError
 from model.linearisation import Linearisation
 
-_THETA_MAX = 2.0  # theta (see _terms) above which the period is halved: keeps the series short, free of cancellation
-_THETA_POSSIBLE = 300.0  # exp of it, and products of that, are far from what a float64 can hold
+_THETA_MAX = 2.0  # theta (see _terms) above which the period is halved: a short series without cancellation
+_THETA_POSSIBLE = 300.0  # products of exp(theta) stay far below the float64 range
 _REMAINDER = 2.0**-53  # relative to T: below the rounding of the sum itself
 
 
@@ -39,13 +38,12 @@ class Discrete:
 
 
 def zero_order_hold(linear: Linearisation, period_s: float) -> Discrete:
-    """Discretise with the input held over the period; no approximation beyond rounding.
+    """Discretise with the input held over the period, exact but for rounding.
 
     Args:
         linear: Expansion about (x0, u0).
         period_s: Sampling period T_s, > 0, s.
-    Returns: A, B, f_d.
-    Raises: ShapeError: A_c holds numbers that are not finite, or so large that what follows would not be.
+    Raises: ShapeError: A_c or its exponential is not finite.
     Source: docs/equations.md (16)-(17).
     """
     if native.AVAILABLE:
@@ -80,13 +78,12 @@ def _zero_order_hold(linear: Linearisation, period_s: float) -> Discrete:
 
 
 def euler(linear: Linearisation, period_s: float) -> Discrete:
-    """Discretise by one step of Euler's method: what the exact hold is compared to.
+    """Discretise by one step of Euler's method, for comparison; error per step of order T_s^2.
 
     Args:
         linear: Expansion about (x0, u0).
         period_s: Sampling period T_s, > 0, s.
-    Returns: A, B, f_d, with an error per step of order T_s^2.
-    Raises: ShapeError: A_c holds numbers that are not finite.
+    Raises: ShapeError: A_c is not finite.
     """
     if not np.isfinite(linear.A_c).all():
         raise ShapeError("A_c: expected finite numbers")
@@ -101,16 +98,16 @@ def _check_growth(theta: float, period_s: float) -> None:
 
 
 def _norm(X: Array) -> float:
-    """Largest column sum of magnitudes."""
+    """Return the largest column sum of magnitudes."""
     return float(np.abs(X).sum(axis=0).max())
 
 
 def _integrated_exponential(powers: Array, terms: int) -> Array:
-    """sum_{k < terms} X^k / (k+1)!, four terms for each product of matrices (Paterson, Stockmeyer 1973).
+    """Return sum_{k < terms} X^k / (k+1)!, four terms per matrix product (Paterson, Stockmeyer 1973).
 
     Args:
         powers: I, X, X^2, X^3, (4, n, n).
-        terms: How many.
+        terms: Their number.
     """
     n, blocks = powers.shape[1], -(-terms // 4)
     coefficients = np.array([1.0 / math.factorial(k + 1) for k in range(4 * blocks)]).reshape(blocks, 4)
@@ -124,7 +121,7 @@ def _integrated_exponential(powers: Array, terms: int) -> Array:
 
 
 def _terms(theta: float) -> int:
-    """Smallest K >= 2 with sum_{k >= K} theta^k / (k+1)! <= the permitted remainder; bounded by a geometric series.
+    """Return the smallest K >= 2 with sum_{k >= K} theta^k / (k+1)! <= _REMAINDER, bounded by a geometric series.
 
     theta = max(|X^2|^(1/2), |X^3|^(1/3)) stands for the norm: every k >= 2 is a sum of twos and threes, so
     |X^k| <= theta^k, and for a mechanical system (positions feed on velocities, not the other way) it is

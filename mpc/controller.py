@@ -13,10 +13,9 @@ from model.state import LARGEST
 from mpc import plan
 from mpc.decision import Decision
 from mpc.feedback import FeedbackLaw
-from mpc.linear import Linear
 from mpc.objective import Objective
 from mpc.plan import StepResult
-from mpc.prediction import Prediction, closed_loop, open_loop
+from mpc.prediction import Linear, Prediction, closed_loop, open_loop
 from mpc.qp import QP, Solution
 from mpc.regulation import CostToGo, Regulation
 from mpc.rows.interface import StepData
@@ -44,7 +43,7 @@ class Controller:
         model: The system, with motor failures reported to `fail`.
         owned: The owned UAVs, 0-based.
         own: Positions of their inputs in u, (m_own,).
-        regulation: Shared control law, cost-to-go and target of the team.
+        regulation: Shared control law (`law`), cost-to-go (`end`) and target of the team.
         cost: Weights of the team.
     """
 
@@ -61,6 +60,7 @@ class Controller:
         self._decision = Decision(model.system, settings, owned)
         self.owned, self.own = self._decision.uavs, self._decision.own
         self.regulation = Regulation(model, hover, settings, X_ref)
+        self.law, self.end = self.regulation.law, self.regulation.cost_to_go
         self.cost = self.regulation.cost
         self._rows = Rows(self._decision)
         slacks = self._rows.penalties
@@ -108,14 +108,6 @@ class Controller:
             checked("U", U, (steps, system.m)),
             checked("y_ref", y_ref, (steps + 1, system.p)),
         )
-
-    def law(self, x0: Array, x_ref: Array, c: Array, forces: Array | None = None, start: int = 0) -> FeedbackLaw | None:
-        """Return the shared control law over the horizon, None with open-loop prediction; see `Regulation.law`."""
-        return self.regulation.law(x0, x_ref, c, forces, start)
-
-    def end(self, x0: Array, x_ref: Array, forces: Array | None = None, instant: int = 0) -> CostToGo | None:
-        """Return the cost after the horizon, None if it is a multiple of Q; see `Regulation.cost_to_go`."""
-        return self.regulation.cost_to_go(x0, x_ref, forces, instant)
 
     def linearise(self, x0: Array, u0: Array, forces: Array | None = None) -> Linear:
         """Linearise the model about (x0, u0), under estimated external forces.

@@ -1,4 +1,4 @@
-"""The cost every agent minimises and every run is judged by."""
+"""The cost that every agent minimises and that measures every run."""
 
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -12,19 +12,19 @@ from mpc.settings import Weights
 
 @dataclass(frozen=True, slots=True, init=False)
 class Cost:
-    """Quadratic cost with diagonal weights.
+    """A quadratic cost with diagonal weights.
 
     Args:
         weights: Of outputs and inputs.
         hover: The equilibrium.
-        off: UAVs without motors, 0-based: their yaw rates have no weight.
-        released: UAVs that are no longer on their rods, 0-based: none of their outputs has.
+        off: UAVs without motors, 0-based; their yaw rates have no weight.
+        released: UAVs no longer on their rods, 0-based; none of their outputs has a weight.
 
     Attributes:
         Q: Stage weight on the output error, (p,).
         Q_f: Terminal weight on the output error, (p,).
         R: Weight on the inputs, (m,).
-        u_target: Input that costs nothing: hover, or zero, (m,).
+        u_target: Input without cost: hover, or zero, (m,).
     """
 
     Q: Array
@@ -49,7 +49,7 @@ class Cost:
         )
 
     def stage(self, y: Array, y_ref: Array, u: Array) -> float:
-        """Cost of one sampling instant, (y - y_ref)' Q (y - y_ref) + (u - u_target)' R (u - u_target).
+        """Return the cost of one sampling instant, (y - y_ref)' Q (y - y_ref) + (u - u_target)' R (u - u_target).
 
         Args:
             y: Output, (p,).

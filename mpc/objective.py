@@ -10,8 +10,7 @@ from mpc import condensing
 from mpc.cost import Cost
 from mpc.decision import Decision
 from mpc.feedback import FeedbackLaw
-from mpc.linear import Linear
-from mpc.prediction import Prediction
+from mpc.prediction import Linear, Prediction
 from mpc.regulation import CostToGo
 from mpc.user_costs import UserCosts
 

@@ -1,8 +1,10 @@
-"""QP solvers behind one call: DAQP for speed, Clarabel as the other opinion and the fallback."""
+"""QP solvers behind one call: DAQP for speed, Clarabel as an alternative and the fallback."""
 
 from collections.abc import Callable
 from dataclasses import replace
 
+import clarabel
+import daqp
 import numpy as np
 
 from model.arrays import Array
@@ -10,16 +12,16 @@ from mpc import bounded
 from mpc.qp import QP, RESIDUAL_TOLERANCE, Residuals, Solution, Status, residuals
 from mpc.settings import SolverName
 
-_ITERATIONS = 2000  # DAQP needs about as many as active constraints; a cycle is caught here
+_ITERATIONS = 2000  # DAQP needs about as many as active constraints; the limit ends a cycle
 _INFINITY = 1e30  # DAQP's own
 
 
 def solve(qp: QP, solver: SolverName) -> Solution:
-    """Solve, check the answer by its residuals, and hand over to Clarabel when it does not pass.
+    """Solve, check the residuals, and use Clarabel as fallback.
 
     Args:
         qp: The program.
-        solver: Asked first.
+        solver: First choice.
     Returns: A solution with status "solved", or the last failure.
     """
     if not (np.isfinite(qp.g).all() and np.isfinite(qp.H).all()):
@@ -31,7 +33,7 @@ def solve(qp: QP, solver: SolverName) -> Solution:
 
 
 def unsolved(n: int, rows: int, solver: str) -> Solution:
-    """The answer to a program nobody was asked to solve, because its numbers are beyond all bounds."""
+    """Return the failure of a QP that is not solved because its numbers are out of range."""
     none = Residuals(stationarity=np.inf, primal=np.inf, complementarity=np.inf)
     return Solution(
         status="numerical",
@@ -47,9 +49,8 @@ def unsolved(n: int, rows: int, solver: str) -> Solution:
 def solve_daqp(qp: QP) -> Solution:
     """Dual active-set method (Arnstrom, Bemporad, Axehill 2022).
 
-    Most programs of a flight have no active row, and preparing the rows is most of the work: so the bounds
-    alone first, by a method that has nothing to prepare, and that answer stands if it passes the residual check of
-    the whole program.
+    Most QPs of a flight have no active row, and preparing the rows is most of the work: the QP with bounds alone is
+    solved first, and its solution is accepted if it passes the residual check of the whole QP.
     """
     if not (qp.row_lower == qp.row_upper).any():
         z, multipliers, guesses = bounded.solve(qp.H, qp.g, qp.lower, qp.upper)
@@ -63,9 +64,7 @@ def solve_daqp(qp: QP) -> Solution:
 
 
 def _daqp(qp: QP) -> tuple[Array, Array, Status, int]:
-    """DAQP's answer: z, multipliers of bounds and rows, status, iterations."""
-    import daqp
-
+    """Return DAQP's z, multipliers of bounds and rows, status, iterations."""
     lower = np.maximum(np.concatenate([qp.lower, qp.row_lower]), -_INFINITY)
     upper = np.minimum(np.concatenate([qp.upper, qp.row_upper]), _INFINITY)
     sense = np.where(lower == upper, 5, 0).astype(np.int32)
@@ -79,8 +78,7 @@ def _daqp(qp: QP) -> tuple[Array, Array, Status, int]:
 
 def solve_clarabel(qp: QP) -> Solution:
     """Interior-point method (Goulart, Chen 2024), single-threaded so that equal data give equal bits."""
-    import clarabel
-    from scipy import sparse
+    from scipy import sparse  # 0.3 s at start, and only this solver needs it
 
     n = len(qp.g)
     equal = qp.row_lower == qp.row_upper
@@ -138,7 +136,7 @@ def solve_clarabel(qp: QP) -> Solution:
 def _checked(
     qp: QP, z: Array, bound_multipliers: Array, row_multipliers: Array, status: Status, iterations: int, solver: str
 ) -> Solution:
-    """Believe a solver that says it solved only if the residuals say so too."""
+    """Return the solution, with status "solved" only if the residuals pass."""
     found = Residuals(stationarity=np.inf, primal=np.inf, complementarity=np.inf)
     if status == "solved":
         found = residuals(qp, z, bound_multipliers, row_multipliers)

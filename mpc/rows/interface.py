@@ -4,8 +4,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from model.arrays import Array
-from mpc.linear import Linear
-from mpc.prediction import Prediction
+from mpc.prediction import Linear, Prediction
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -6,10 +6,11 @@ import pytest
 from model.arrays import Array, ShapeError
 from model.hover import hover
 from model.linearisation import Model
-from model.maneuver import Maneuver, Phase, Profile, Reference, paper_maneuver
+from model.maneuver import Maneuver, Phase, Profile, Reference
 from model.parameters import ParameterError, table_1
 from model.state import StateView
 from tests.support.paper_form import K
+from tests.support.systems import paper_maneuver
 
 PROFILES: list[Profile] = ["ramp", "min_jerk", "step"]
 # Sums of a few displacements of metres.

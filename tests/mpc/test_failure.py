@@ -75,7 +75,7 @@ def test_three_stabilise_the_payload_without_the_fourth() -> None:
 def test_what_can_be_stabilised(uavs: int, released: bool) -> None:
     """Four without the dead UAV, five and more with it balanced on its rod."""
     system = table_1() if uavs == 4 else larger(uavs)
-    closed = found(system, {DEAD}, {DEAD} if released else set()).closed
+    closed = found(system, {DEAD}, {DEAD} if released else set()).A_closed
     assert np.abs(np.linalg.eigvals(closed)).max() < 1.0 + MARGINAL
 
 

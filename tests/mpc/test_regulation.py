@@ -247,7 +247,7 @@ def test_no_gain_is_better(gone: list[int]) -> None:
         others = np.delete(law.K[state.input_slice(uav)], np.arange(len(at.x))[state.uav_slice(uav)], axis=1)
         assert not others.any()
     push = np.zeros((40, len(at.u)))
-    push[:, law.led] = rng.standard_normal((40, len(law.led)))
+    push[:, law.controlled] = rng.standard_normal((40, len(law.controlled)))
 
     def costs(size: float) -> float:
         """Cost over 2000 steps with a push besides the law."""
@@ -255,7 +255,7 @@ def test_no_gain_is_better(gone: list[int]) -> None:
         for k in range(2000):
             u = law.K @ x + (size * push[k] if k < len(push) else 0.0)
             y = model.C @ x
-            total += float(y @ (cost.Q * y) + u[law.led] @ (cost.R[law.led] * u[law.led]))
+            total += float(y @ (cost.Q * y) + u[law.controlled] @ (cost.R[law.controlled] * u[law.controlled]))
             x = model.A @ x + model.B @ u
         return total
 
@@ -278,7 +278,7 @@ def test_equal_uavs_without_agents(gone: list[int]) -> None:
     regulation.form(gone, (), ())
     found = regulation.regulator
     assert found is not None
-    assert np.abs(np.linalg.eigvals(found.closed)).max() < 1.0 + MODE_TOLERANCE
+    assert np.abs(np.linalg.eigvals(found.A_closed)).max() < 1.0 + MODE_TOLERANCE
     for uav in gone:
         fail_safe = FailSafe(system, at.u).gain(uav)
         np.testing.assert_array_equal(found.K[input_slice(uav), uav_slice(uav)], fail_safe)

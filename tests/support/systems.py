@@ -10,7 +10,7 @@ from model import state
 from model.arrays import Array
 from model.hover import Hover, hover
 from model.linearisation import Model
-from model.maneuver import Maneuver, Reference, paper_maneuver
+from model.maneuver import Maneuver, Phase, Reference
 from model.parameters import Payload, System, Uav, table_1
 from mpc.controller import Controller, StepResult
 from mpc.settings import ControllerSettings
@@ -179,6 +179,16 @@ def _loop(
         # The paper's shift: everyone's plan moves on by one, its end is held.
         U = np.vstack([announced[1:], announced[-1:]])
         yield at, optima, x
+
+
+def paper_maneuver() -> Maneuver:
+    """Hover, climb 2.5 m, translate 2.5 m in +x, descend 2.5 m, hover: 5 s each. Source: paper, section V."""
+    legs = {"hover": (0, 0, 0), "climb": (0, 0, -2.5), "translate": (2.5, 0, 0), "descend": (0, 0, 2.5)}
+    order = ["hover", "climb", "translate", "descend", "hover"]
+    return Maneuver(
+        start_I=[0.0, 0.0, -10.0],
+        phases=[Phase(name=name, duration_s=5.0, displacement_I=legs[name]) for name in order],
+    )
 
 
 def _from_start(maneuver: Maneuver) -> Maneuver:
