@@ -5,6 +5,7 @@ UAV is replaced at the end of its rod by a bob of negligible mass that hangs bel
 """
 
 from collections.abc import Collection, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from model import state
 from model.arrays import Array
 from model.hover import Hover, hover
 from model.linearisation import Model
-from model.parameters import System, Uav
+from model.parameters import System
 from model.rotations import rotation
 
 # The bob pulls with 1e-5 N. The equations of motion divide by a mass only where a thrust or force acts on it.
@@ -20,26 +21,17 @@ RELEASED_MASS_KG = 1e-6
 
 
 def with_released(system: System, released: Collection[int]) -> System:
-    """Return the system with bobs of `RELEASED_MASS_KG` in place of some UAVs.
+    """Return the system with bobs of `RELEASED_MASS_KG` in place of released UAVs, 0-based.
 
-    The bob keeps the UAV's inertia, which has no effect without moment and rotation.
-
-    Args:
-        system: Physical parameters.
-        released: UAVs, 0-based.
-    Source: docs/equations.md (50).
+    A bob keeps the UAV's inertia, which has no effect without moment and rotation. Source: docs/equations.md (50).
     """
-    uavs = [_bob(uav) if i in released else uav for i, uav in enumerate(system.uavs)]
+    uavs = [replace(uav, mass=RELEASED_MASS_KG) if i in released else uav for i, uav in enumerate(system.uavs)]
     return System(payload=system.payload, uavs=uavs, gravity=system.gravity)
 
 
 def failed_model(system: System, off: Collection[int], released: Collection[int]) -> Model:
-    """Return the model of a team some of whose UAVs have no motors: their inputs have no effect.
+    """Return the model of a team with motor failures; arguments as those of `failed_hover`.
 
-    Args:
-        system: Physical parameters of the whole team.
-        off: UAVs without motors, 0-based, the released ones among them.
-        released: UAVs cut loose, 0-based.
     Source: docs/equations.md (50).
     """
     return Model(with_released(system, released), off=off, released=released)
@@ -67,14 +59,10 @@ def failed_hover(
 
 
 def motor_off_state(x: Array, uav: int) -> Array:
-    """Return the state with a UAV's rotation stopped, (n,).
+    """Return the state with the rotation of a UAV, 0-based, stopped, (n,).
 
     Without thrust its attitude has no effect, but an undamped rotation would reach the singularity of docs/equations.md
     (3).
-
-    Args:
-        x: State, (n,).
-        uav: 0-based.
     """
     x = x.copy()
     x[state.uav_slice(uav)][state.OMEGA] = 0.0
@@ -82,11 +70,8 @@ def motor_off_state(x: Array, uav: int) -> Array:
 
 
 def released_state(x: Array, uav: int) -> Array:
-    """Return the state with a bob at rest straight below the attachment point of a UAV, (n,).
+    """Return the state with a bob at rest below the attachment point of a UAV, 0-based, (n,).
 
-    Args:
-        x: State, (n,).
-        uav: 0-based.
     Source: docs/equations.md (50).
     """
     x = x.copy()
@@ -101,7 +86,3 @@ def no_inputs(u: Array, uavs: Collection[int]) -> Array:
     u = u.copy()
     u[..., state.input_indices(sorted(uavs))] = 0.0
     return np.asarray(u)
-
-
-def _bob(uav: Uav) -> Uav:
-    return Uav(mass=RELEASED_MASS_KG, inertia=uav.inertia, rho=uav.rho, rod_length=uav.rod_length)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+import numpy.typing as npt
 
 from model import native, state
 from model.arrays import Array
@@ -50,32 +51,20 @@ class Model:
         self._off = input_indices(sorted(off))
         self._unforced = np.array([3 + 3 * uav + axis for uav in sorted(released) for axis in range(3)], dtype=np.intp)
         self._p = system.vector()
-        self._functions = functions(system.N)
-        self._derivative = Compiled(self._functions["derivative"])
-        self._tensions = Compiled(self._functions["tensions"])
-        self._velocities = Compiled(self._functions["velocities"])
-        self._outputs = Compiled(self._functions["outputs"])
-        self._linearise = Compiled(self._functions["linearise"])
+        found = functions(system.N)
+        self._derivative, self._tensions = Compiled(found["derivative"]), Compiled(found["tensions"])
+        self._velocities, self._outputs = Compiled(found["velocities"]), Compiled(found["outputs"])
+        self._linearise, self._step = Compiled(found["linearise"]), found["step"]
         self._steps: dict[int, Compiled] = {}
         self._no_forces = np.zeros(3 + 3 * system.N)
 
     def _effective(self, u: Array) -> Array:
         """Return inputs without those of motor-off UAVs, (m,)."""
-        if not len(self._off):
-            return u
-        u = u.copy()
-        u[self._off] = 0.0
-        return u
+        return _zeroed(u, self._off)
 
     def _acting(self, forces: Array | None) -> Array:
         """Return external forces without those on released UAVs, (3 + 3 N,)."""
-        if forces is None:
-            return self._no_forces
-        if not len(self._unforced):
-            return forces
-        forces = forces.copy()
-        forces[self._unforced] = 0.0
-        return forces
+        return self._no_forces if forces is None else _zeroed(forces, self._unforced)
 
     def derivative(self, x: Array, u: Array, *, forces: Array | None = None) -> Array:
         """Return x' = f(x, u, F), (n,), SI. Source: docs/equations.md (4)-(13), (37)."""
@@ -127,7 +116,7 @@ class Model:
         Returns: State, (n,), and the largest local error estimate of any step and component, SI.
         """
         if steps not in self._steps:
-            chained = self._functions["step"].mapaccum(steps)
+            chained = self._step.mapaccum(steps)
             self._steps[steps] = Compiled(_last_and_errors(chained, self.system, steps))
         held = self._acting(forces)
         end, errors = self._steps[steps](x, self._effective(u), self._p, held, duration_s / steps)
@@ -156,6 +145,14 @@ def _along_manifold(A_c: Array, x: Array) -> None:
         across, across_rate = by_e @ e, by_Omega @ e
         by_e -= np.outer(across, e) + np.outer(across_rate, Omega)
         by_Omega -= np.outer(across_rate, e)
+
+
+def _zeroed(vector: Array, entries: npt.NDArray[np.intp]) -> Array:
+    """Return the vector with some entries zero; a copy only if there are any."""
+    if len(entries):
+        vector = vector.copy()
+        vector[entries] = 0.0
+    return vector
 
 
 def _last_and_errors(chained: ca.Function, system: System, steps: int) -> ca.Function:

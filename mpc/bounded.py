@@ -15,13 +15,8 @@ MOST_GUESSES = 8
 
 
 def solve(H: Array, g: Array, lower: Array, upper: Array) -> tuple[Array, Array, int]:
-    """Minimise 1/2 z' H z + g' z subject to lower <= z <= upper.
+    """Minimise 1/2 z' H z + g' z, H positive definite, (n, n), subject to lower <= z <= upper, possibly infinite.
 
-    Args:
-        H: Positive definite, (n, n).
-        g: (n,).
-        lower: (n,), -inf without a bound.
-        upper: (n,), inf without a bound.
     Returns: Solution, (n,); multipliers, (n,), positive at upper bounds; number of guesses, 0 for a failure, in which
         case the rest is meaningless.
     """

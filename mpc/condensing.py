@@ -22,8 +22,8 @@ def condense(output_impulse: Array, Q: Array, terminal: float, weighted: Array, 
         Q: Stage weight, (p,).
         terminal: Q_f as a multiple of Q.
         weighted: Weighted errors of the free response at steps 1..N_p, (N_p, p).
-        H: Written from its corner on, (at least N_p m, as many).
-        g: Written from its beginning on, (at least N_p m,).
+        H: (at least N_p m, as many).
+        g: (at least N_p m,).
     Source: docs/equations.md (26)-(27).
     """
     if native.AVAILABLE:
@@ -35,17 +35,10 @@ def condense(output_impulse: Array, Q: Array, terminal: float, weighted: Array, 
 
 
 def hessian(output_impulse: Array, Q: Array, terminal: float) -> Array:
-    """Return sum_{k=1}^{N_p-1} G_k' Q G_k + terminal G_Np' Q G_Np, with G_k the effect of the decision on y(k).
+    """Return sum_{k=1}^{N_p-1} G_k' Q G_k + terminal G_Np' Q G_Np, (N_p m, N_p m); G_k: effect of the decision on y(k).
 
-    Block (i, j) sums S_a' Q S_b over b = 0, 1, .. with a - b = j - i fixed, S the impulse response: one matrix
-    product for all pairs, then sums along its block diagonals.
-
-    Args:
-        output_impulse: S_j = C A^j B, (N_p, p, m).
-        Q: Stage weight, (p,).
-        terminal: Q_f as a multiple of Q.
-    Returns: (N_p m, N_p m), symmetric.
-    Source: docs/equations.md (26).
+    Block (i, j) sums S_a' Q S_b over b = 0, 1, .. with a - b = j - i fixed: one matrix product for all pairs, then sums
+    along its block diagonals. Arguments as those of `condense`. Source: docs/equations.md (26).
     """
     steps, p, m = output_impulse.shape
     S = output_impulse.transpose(1, 0, 2).reshape(p, steps * m)
@@ -61,36 +54,14 @@ def hessian(output_impulse: Array, Q: Array, terminal: float) -> Array:
 
 
 def gradient(output_impulse: Array, weighted: Array) -> Array:
-    """Return sum_k G_k' w(k); block j sums S_a' w(j + 1 + a) over a = 0, 1, ... up to the last step.
-
-    Args:
-        output_impulse: S_j = C A^j B, (N_p, p, m).
-        weighted: Weighted errors of the free response at steps 1..N_p, (N_p, p).
-    Returns: (N_p m,).
-    Source: docs/equations.md (27).
-    """
-    steps, p, m = output_impulse.shape
-    products = weighted @ output_impulse.transpose(1, 0, 2).reshape(p, steps * m)
-    return _diagonal_sums(products.reshape(steps, steps, m)).reshape(-1)
-
-
-def _diagonal_sums(table: Array) -> Array:
-    """Return the sums of table[k + a, a] over a, (N, m), of a table (N, N, m)."""
-    N, _, m = table.shape
-    padded = np.zeros((2 * N, N, m))
-    padded[:N] = table
-    down, across, within = padded.strides
-    skewed = np.lib.stride_tricks.as_strided(padded, (N, N, m), (down, down + across, within), writeable=False)
-    sums: Array = skewed.sum(axis=1)
-    return sums
+    """Return sum_k G_k' w(k), (N_p m,); arguments as those of `condense`. Source: docs/equations.md (27)."""
+    return weighted.reshape(-1) @ rows(output_impulse)
 
 
 def fill(impulse: Array, to: Array) -> None:
-    """Write the prediction matrix of a signal (`rows`) into the first columns of rows that hold zeros.
+    """Write the prediction matrix of a signal (`rows`) into the first columns of zero rows, (N_p s, at least N_p m).
 
-    Args:
-        impulse: Effect of one decision on the signal j + 1 steps later, (N_p, s, m).
-        to: (N_p s, at least N_p m), whole rows of a row-major matrix.
+    The rows are whole rows of a row-major matrix.
     """
     if native.AVAILABLE:
         native.toeplitz(np.ascontiguousarray(impulse), to)
@@ -99,11 +70,10 @@ def fill(impulse: Array, to: Array) -> None:
 
 
 def rows(impulse: Array) -> Array:
-    """Return the prediction matrix of a signal at steps 1..N_p, lower block-Toeplitz.
+    """Return the prediction matrix of a signal at steps 1..N_p, lower block-Toeplitz, (N_p s, N_p m).
 
     Args:
         impulse: Effect of one decision on the signal j + 1 steps later, (N_p, s, m).
-    Returns: (N_p s, N_p m), step by step.
     Source: docs/equations.md (25); paper (16).
     """
     steps, s, m = impulse.shape

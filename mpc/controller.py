@@ -139,15 +139,8 @@ class Controller:
         law: FeedbackLaw | None = None,
         end: CostToGo | None = None,
     ) -> QP:
-        """Return the QP in the scaled decision and the slacks.
+        """Return the QP in the scaled decision and the slacks; arguments as those of `step`.
 
-        Args:
-            linear: Linearisation of the step.
-            prediction: Of the team.
-            U: Announced inputs of all UAVs over the horizon, (N_p, m).
-            y_ref: Reference outputs at steps 0..N_p, (N_p + 1, p).
-            law: With closed-loop prediction, the shared control law over the horizon.
-            end: With terminal "riccati", the cost after the horizon.
         Source: docs/equations.md (22)-(30), (48); paper (22)-(27).
         """
         H, g, output_impulse = self._objective.fill(linear, prediction, y_ref, law, end)
@@ -155,15 +148,8 @@ class Controller:
         positions = output_impulse[:, : 3 * self.model.system.N]
         step = StepData(linear=linear, prediction=prediction, position_impulse=positions, U=U)
         A, row_lower, row_upper = self._rows.fill(step)
-        return QP(
-            H=H,
-            g=g,
-            lower=np.concatenate([lower, self._slack_bounds[0]]),
-            upper=np.concatenate([upper, self._slack_bounds[1]]),
-            A=A,
-            row_lower=row_lower,
-            row_upper=row_upper,
-        )
+        lower, upper = np.concatenate([lower, self._slack_bounds[0]]), np.concatenate([upper, self._slack_bounds[1]])
+        return QP(H=H, g=g, lower=lower, upper=upper, A=A, row_lower=row_lower, row_upper=row_upper)
 
     def solve(self, qp: QP) -> Solution:
         """Solve by the chosen solver, or by Clarabel when that fails."""

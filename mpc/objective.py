@@ -47,14 +47,9 @@ class Objective:
     ) -> tuple[Array, Array, Array]:
         """Return H, g and the effect of the scaled decision on the outputs, (N_p, p', m_own).
 
-        The UAVs' positions, which always have a weight, are the first of these outputs.
+        The UAVs' positions, which always have a weight, are the first of these outputs. Arguments as those of
+        `Controller.step`.
 
-        Args:
-            linear: Linearisation of the step.
-            prediction: Of the team.
-            y_ref: Reference outputs at steps 0..N_p, (N_p + 1, p).
-            law: With closed-loop prediction, the shared control law over the horizon.
-            end: With terminal "riccati", the cost after the horizon.
         Source: docs/equations.md (26)-(27), (48); paper (25).
         """
         C, error_0 = linear.model.C[self._weighted], (linear.model.y - y_ref)[1:, self._weighted]

@@ -34,15 +34,10 @@ def relaxed(
 ) -> StepResult:
     """Return the plan w U* + (1 - w) U_previous; with a shared law only the corrections are mixed.
 
-    Then the stabilising feedback acts in full, and the inputs follow from law and mixed corrections.
+    Then the stabilising feedback acts in full, and the inputs follow from law and mixed corrections. Without a
+    solution, the previous plan or its corrections are taken as they are.
 
-    Args:
-        decision: Owned inputs.
-        solution: Of the QP; unless solved, the previous plan (or its corrections) is taken as it is.
-        prediction: The one in the QP.
-        U: Announced inputs of all UAVs over the horizon, (N_p, m).
-        law: With closed-loop prediction, the shared control law over the horizon.
-        w: Relaxation weight in (0, 1].
+    Args: as those of `Controller.conclude`, with the relaxation weight w in (0, 1].
     Source: docs/equations.md (30a), (36a).
     """
     solved = solution.status == "solved"
@@ -73,12 +68,7 @@ def fallback(decision: Decision, solution: Solution, U: Array, law: FeedbackLaw 
 def foreseen(decision: Decision, prediction: Prediction, law: FeedbackLaw, inputs: Array) -> Array:
     """Return the inputs of all UAVs over the horizon as one controller expects them, within bounds, (N_p, m).
 
-    Args:
-        decision: Owned inputs.
-        prediction: Of the team.
-        law: The shared control law over the horizon.
-        inputs: Of the owned UAVs, (N_p, m_own).
-    Source: docs/equations.md (35), (36).
+    The owned inputs are given, (N_p, m_own). Source: docs/equations.md (35), (36).
     """
     dX = free_response(prediction.A, prediction.W + (inputs - prediction.U_free) @ prediction.B.T)
     U = np.empty_like(law.c)
@@ -89,14 +79,14 @@ def foreseen(decision: Decision, prediction: Prediction, law: FeedbackLaw, input
 
 
 def adapted(law: FeedbackLaw, discrete: Discrete, u0: Array, U: Array, columns: npt.NDArray[np.intp]) -> FeedbackLaw:
-    """Return the law with the corrections that reproduce inputs announced under another law.
+    """Return the law with the corrections, in some columns, that reproduce inputs announced under another law.
 
     Args:
         law: The shared control law over the horizon.
         discrete: Zero-order hold about (x0, u0).
         u0: Input of the linearisation, (m,).
         U: Announced inputs of all UAVs over the horizon, (N_p, m).
-        columns: Inputs whose corrections to determine.
+        columns: Positions in u.
     Source: docs/equations.md (46).
     """
     dX = free_response(discrete.A, discrete.f_d + (U - u0) @ discrete.B.T)
@@ -106,14 +96,7 @@ def adapted(law: FeedbackLaw, discrete: Discrete, u0: Array, U: Array, columns: 
 
 
 def _inputs_of(decision: Decision, prediction: Prediction, K: Array, drive: Array) -> Array:
-    """Return the owned inputs that follow from the law within bounds and rates, (N_p, m_own).
-
-    Args:
-        decision: Owned inputs.
-        prediction: Of the team.
-        K: Feedback of the owned inputs, (m_own, n).
-        drive: Inputs of the law without this feedback, (N_p, m_own).
-    """
+    """Return the owned inputs K dx + drive within bounds and rates, (N_p, m_own); K (m_own, n), drive (N_p, m_own)."""
     closed = prediction.A + prediction.B @ K
     dX = free_response(closed, prediction.W + (drive - prediction.U_free) @ prediction.B.T)
     inputs = drive + dX[:-1] @ K.T

@@ -74,15 +74,8 @@ def open_loop(discrete: Discrete, u0: Array, own: np.ndarray, others: np.ndarray
     W = discrete.f_d + dU @ discrete.B.T
     B = np.ascontiguousarray(discrete.B[:, own])
     impulse, dX = responses(discrete.A, B, W)
-    return Prediction(
-        A=discrete.A,
-        B=B,
-        impulse=impulse,
-        dX_free=dX,
-        U_free=np.repeat(u0[own][None], len(U), axis=0),
-        W=W,
-        U_others=U[:, others],
-    )
+    U_free = np.repeat(u0[own][None], len(U), axis=0)
+    return Prediction(A=discrete.A, B=B, impulse=impulse, dX_free=dX, U_free=U_free, W=W, U_others=U[:, others])
 
 
 def closed_loop(discrete: Discrete, u0: Array, own: np.ndarray, others: np.ndarray, law: FeedbackLaw) -> Prediction:
@@ -90,13 +83,7 @@ def closed_loop(discrete: Discrete, u0: Array, own: np.ndarray, others: np.ndarr
 
     The prediction includes the others' feedback, so an agent does not correct an error that they already correct.
 
-    Args:
-        discrete: Zero-order hold about (x0, u0).
-        u0: Input of the linearisation, (m,).
-        own: Positions of the owned inputs in u, (m_own,).
-        others: Positions of all other inputs, (m - m_own,).
-        law: The shared control law over the horizon, with the announced corrections.
-    Returns: Prediction whose decision is the deviation of the owned inputs from u0.
+    The law is that over the horizon, with the announced corrections; the rest as in `open_loop`.
     Source: docs/equations.md (35)-(36).
     """
     B, B_others = np.ascontiguousarray(discrete.B[:, own]), discrete.B[:, others]
@@ -105,24 +92,13 @@ def closed_loop(discrete: Discrete, u0: Array, own: np.ndarray, others: np.ndarr
     at_x0 = law.inputs(others)
     W = discrete.f_d + (at_x0 - u0[others]) @ B_others.T
     impulse, dX = responses(A, B, W)
-    return Prediction(
-        A=A,
-        B=B,
-        impulse=impulse,
-        dX_free=dX,
-        U_free=np.repeat(u0[own][None], len(law.error), axis=0),
-        W=W,
-        U_others=at_x0 + dX[:-1] @ K.T,
-    )
+    U_free, U_others = np.repeat(u0[own][None], len(W), axis=0), at_x0 + dX[:-1] @ K.T
+    return Prediction(A=A, B=B, impulse=impulse, dX_free=dX, U_free=U_free, W=W, U_others=U_others)
 
 
 def free_response(A: Array, W: Array) -> Array:
-    """Return the response from zero to a known drive: dx(0) = 0, dx(k+1) = A dx(k) + W(k).
+    """Return the response from zero to a drive W, (N_p, n): dx(0) = 0, dx(k+1) = A dx(k) + W(k), (N_p + 1, n).
 
-    Args:
-        A: State matrix, (n, n).
-        W: Drive per step, (N_p, n).
-    Returns: dx at steps 0..N_p, (N_p + 1, n).
     Source: docs/equations.md (23); paper (15), (23).
     """
     if native.AVAILABLE:
@@ -136,10 +112,8 @@ def free_response(A: Array, W: Array) -> Array:
 def responses(A: Array, B: Array, W: Array) -> tuple[Array, Array]:
     """Return impulse response A^j B and free response; one matrix product per step serves both.
 
-    Args:
-        A: State matrix, (n, n).
-        B: Effect of the decision, (n, m).
-        W: Drive per step, (N_p, n).
+    A (n, n), B (n, m), drive per step W (N_p, n).
+
     Returns: A^j B for j = 0..N_p-1, (N_p, n, m), the first block column of H in paper (16); dx at steps
         0..N_p as in `free_response`, (N_p + 1, n).
     Source: docs/equations.md (23)-(24); paper (15)-(16).

@@ -14,16 +14,13 @@ from mpc.settings import SolverName
 
 _ITERATIONS = 2000  # DAQP needs about as many as active constraints; the limit ends a cycle
 _INFINITY = 1e30  # DAQP's own
+_CLARABEL: dict[str, Status] = {
+    "Solved": "solved", "PrimalInfeasible": "infeasible", "MaxIterations": "limit", "MaxTime": "limit"
+}  # fmt: skip
 
 
 def solve(qp: QP, solver: SolverName) -> Solution:
-    """Solve, check the residuals, and use Clarabel as fallback.
-
-    Args:
-        qp: The program.
-        solver: First choice.
-    Returns: A solution with status "solved", or the last failure.
-    """
+    """Solve by the chosen solver, check the residuals, and use Clarabel as fallback; return the last failure else."""
     if not (np.isfinite(qp.g).all() and np.isfinite(qp.H).all()):
         return unsolved(len(qp.g), len(qp.A), solver)
     first = _SOLVERS[solver](qp)
@@ -36,14 +33,9 @@ def unsolved(n: int, rows: int, solver: str) -> Solution:
     """Return the failure of a QP that is not solved because its numbers are out of range."""
     none = Residuals(stationarity=np.inf, primal=np.inf, complementarity=np.inf)
     return Solution(
-        status="numerical",
-        z=np.zeros(n),
-        bound_multipliers=np.zeros(n),
-        row_multipliers=np.zeros(rows),
-        residuals=none,
-        iterations=0,
-        solver=solver,
-    )
+        status="numerical", z=np.zeros(n), bound_multipliers=np.zeros(n), row_multipliers=np.zeros(rows),
+        residuals=none, iterations=0, solver=solver,
+    )  # fmt: skip
 
 
 def solve_daqp(qp: QP) -> Solution:
@@ -86,42 +78,18 @@ def solve_clarabel(qp: QP) -> Solution:
     bound_upper, bound_lower = np.isfinite(qp.upper), np.isfinite(qp.lower)
     identity = np.eye(n)
     G = np.concatenate([qp.A[equal], identity[bound_upper], -identity[bound_lower], qp.A[has_upper], -qp.A[has_lower]])
-    h = np.concatenate(
-        [
-            qp.row_upper[equal],
-            qp.upper[bound_upper],
-            -qp.lower[bound_lower],
-            qp.row_upper[has_upper],
-            -qp.row_lower[has_lower],
-        ]
-    )
+    parts = qp.row_upper[equal], qp.upper[bound_upper], -qp.lower[bound_lower], qp.row_upper[has_upper]
+    h = np.concatenate([*parts, -qp.row_lower[has_lower]])
     equalities = int(equal.sum())
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.direct_solve_method = "qdldl"
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-11
-    solver = clarabel.DefaultSolver(
-        sparse.triu(sparse.csc_matrix(qp.H), format="csc"),
-        qp.g,
-        sparse.csc_matrix(G),
-        h,
-        [clarabel.ZeroConeT(equalities), clarabel.NonnegativeConeT(len(h) - equalities)],
-        settings,
-    )
-    answer = solver.solve()
-    kinds = clarabel.SolverStatus
-    status: Status = (
-        "solved"
-        if answer.status in (kinds.Solved, kinds.AlmostSolved)
-        else "infeasible"
-        if answer.status in (kinds.PrimalInfeasible, kinds.AlmostPrimalInfeasible)
-        else "limit"
-        if answer.status in (kinds.MaxIterations, kinds.MaxTime)
-        else "numerical"
-    )
-    duals = np.split(
-        np.asarray(answer.z), np.cumsum([equalities, bound_upper.sum(), bound_lower.sum(), has_upper.sum()])
-    )
+    cones = [clarabel.ZeroConeT(equalities), clarabel.NonnegativeConeT(len(h) - equalities)]
+    H = sparse.triu(sparse.csc_matrix(qp.H), format="csc")
+    answer = clarabel.DefaultSolver(H, qp.g, sparse.csc_matrix(G), h, cones, settings).solve()
+    status = _CLARABEL.get(str(answer.status).removeprefix("Almost"), "numerical")
+    duals = np.split(np.asarray(answer.z), np.cumsum([len(part) for part in parts]))
     bound_multipliers, row_multipliers = np.zeros(n), np.zeros(len(qp.A))
     row_multipliers[equal] = duals[0]
     bound_multipliers[bound_upper] += duals[1]
@@ -143,14 +111,9 @@ def _checked(
         if found.worst > RESIDUAL_TOLERANCE:
             status = "numerical"
     return Solution(
-        status=status,
-        z=z,
-        bound_multipliers=bound_multipliers,
-        row_multipliers=row_multipliers,
-        residuals=found,
-        iterations=iterations,
-        solver=solver,
-    )
+        status=status, z=z, bound_multipliers=bound_multipliers, row_multipliers=row_multipliers,
+        residuals=found, iterations=iterations, solver=solver,
+    )  # fmt: skip
 
 
 _SOLVERS: dict[str, Callable[[QP], Solution]] = {"daqp": solve_daqp, "clarabel": solve_clarabel}
