@@ -124,12 +124,9 @@ class Model:
 
 
 def along_manifold(A_c: Array, x: Array) -> None:
-    """Remove the directions across |e_i| = 1, e_i . Omega_i = 0: multiply A_c by the derivative of the projection.
+    """Multiply df/dx, (n, n), column-major, in place, by the derivative of the projection of the rods.
 
-    Args:
-        A_c: df/dx, (n, n), column-major; changed in place.
-        x: State, (n,).
-    Source: docs/equations.md (15a).
+    That removes the directions across |e_i| = 1, e_i . Omega_i = 0. Source: docs/equations.md (15a).
     """
     if native.AVAILABLE:
         native.along_manifold(A_c, x)

@@ -112,13 +112,7 @@ class Maneuver:
 
 
 class Reference:
-    """The reference outputs and states of a maneuver: the hover configuration moved along the path.
-
-    Args:
-        system: Physical parameters.
-        hover: Equilibrium at the origin.
-        maneuver: The path.
-    """
+    """The reference outputs and states of a maneuver: the hover configuration moved along the path."""
 
     def __init__(self, system: System, hover: Hover, maneuver: Maneuver) -> None:
         self.maneuver = maneuver

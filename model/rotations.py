@@ -9,11 +9,8 @@ from model.arrays import Array
 
 
 def rotation(Theta: Any) -> Any:
-    """Return the rotation matrix of 3-2-1 Euler angles; it maps body coordinates to those of the outer frame.
+    """Return R = Rz(yaw) Ry(pitch) Rx(roll), (3, 3), of roll, pitch, yaw, (3,), rad; it maps body to outer coordinates.
 
-    Args:
-        Theta: Roll, pitch, yaw, (3,), rad.
-    Returns: R = Rz(yaw) Ry(pitch) Rx(roll), (3, 3).
     Source: docs/equations.md (2).
     """
     cos, sin = _trigonometry(Theta)
@@ -28,12 +25,9 @@ def rotation(Theta: Any) -> Any:
 
 
 def euler_rates(Theta: Any) -> Any:
-    """Return the matrix E with Theta' = E omega for body rates omega. Singular at pitch = +-90 deg.
+    """Return E, (3, 3), with Theta' = E omega for body rates omega and roll, pitch, yaw Theta, (3,), rad.
 
-    Args:
-        Theta: Roll, pitch, yaw, (3,), rad.
-    Returns: E, (3, 3), dimensionless.
-    Source: docs/equations.md (3).
+    Singular at pitch = +-90 deg. Source: docs/equations.md (3).
     """
     cos, sin = _trigonometry(Theta)
     cr, cp = cos(Theta[0]), cos(Theta[1])
@@ -43,12 +37,9 @@ def euler_rates(Theta: Any) -> Any:
 
 
 def euler_angles(R: Array) -> Array:
-    """Return the 3-2-1 Euler angles of a rotation matrix, the inverse of `rotation`.
+    """Return roll, pitch, yaw, (..., 3), rad, of rotation matrices, (..., 3, 3): the inverse of `rotation`.
 
-    Args:
-        R: Rotation matrix, (..., 3, 3).
-    Returns: Roll, pitch, yaw, (..., 3), rad; roll and yaw in (-pi, pi], pitch in [-pi/2, pi/2].
-    Source: docs/equations.md (2).
+    Roll and yaw are in (-pi, pi], pitch in [-pi/2, pi/2]. Source: docs/equations.md (2).
     """
     roll = np.arctan2(R[..., 2, 1], R[..., 2, 2])
     pitch = -np.arcsin(np.clip(R[..., 2, 0], -1.0, 1.0))

@@ -67,10 +67,7 @@ def at_rest(regulator: Regulator, pulled: Array) -> Array:
     Directions without cost (headings) are neither pulled nor damped; the slope has no part along them. A_closed' maps
     the other directions into themselves, and there the solution is unique: the sum of all future pulls.
 
-    Args:
-        regulator: Of the team.
-        pulled: Half the gradient of the stage cost, in the regulator's coordinates, (r,) or (r, columns).
-    Returns: p, the same shape.
+    Pull, half the gradient of the stage cost, and slope are in the regulator's coordinates, (r,) or (r, columns).
     """
     costly = np.linalg.svd(regulator.root @ regulator.T, full_matrices=False)[2]  # orthonormal basis, (rank, r)
     within = np.eye(len(costly)) - costly @ regulator.A_closed.T @ costly.T

@@ -90,20 +90,11 @@ class Solution:
 
 
 def residuals(qp: QP, z: Array, bound_multipliers: Array, row_multipliers: Array) -> Residuals:
-    """Return the Karush-Kuhn-Tucker residuals of a solution.
-
-    Args:
-        qp: The program.
-        z: Solution, (n,).
-        bound_multipliers: (n,), positive at upper bounds, negative at lower bounds.
-        row_multipliers: (r,), the same for rows.
-    Source: docs/equations.md (28).
-    """
+    """Return the Karush-Kuhn-Tucker residuals; arguments as in `Solution`. Source: docs/equations.md (28)."""
     if native.AVAILABLE:
-        found = native.residuals(
-            qp.H, qp.g, qp.lower, qp.upper, qp.A, qp.row_lower, qp.row_upper, z, bound_multipliers, row_multipliers
-        )
-        return Residuals(stationarity=found[0], primal=found[1], complementarity=found[2])
+        program = qp.H, qp.g, qp.lower, qp.upper, qp.A, qp.row_lower, qp.row_upper
+        stationarity, primal, complementarity = native.residuals(*program, z, bound_multipliers, row_multipliers)
+        return Residuals(stationarity=stationarity, primal=primal, complementarity=complementarity)
     return _residuals(qp, z, bound_multipliers, row_multipliers)
 
 

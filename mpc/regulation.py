@@ -72,15 +72,12 @@ class Regulation:
         return self._target
 
     def form(self, gone: Collection[int], off: Collection[int], released: Collection[int]) -> None:
-        """Set the team. The shared law depends on nothing else, so all agents have the same.
+        """Set the UAVs, 0-based, without an agent, without motors, and of these those released from their rods.
 
-        UAVs without an agent follow the fail-safe and are predicted so. If the remaining UAVs have no hover or cannot
-        stabilise the team, the regulator ignores the lost agents, else the failures, else both.
+        The shared law depends on nothing else, so all agents have the same. UAVs without an agent follow the fail-safe.
+        If the remaining UAVs have no hover or cannot stabilise the team, the regulator ignores the lost agents, else
+        the failures, else both.
 
-        Args:
-            gone: UAVs without an agent, 0-based.
-            off: UAVs without motors, the released ones among them.
-            released: UAVs cut loose.
         Source: docs/equations.md (40), (45), (50), (51).
         """
         none: frozenset[int] = frozenset()
@@ -127,22 +124,14 @@ class Regulation:
         return FeedbackLaw(K=self.regulator.K, u_rest=u_rest, error=error, feedforward=feedforward, c=c)
 
     def inputs(self, x: Array, x_ref: Array, forces: Array | None, instant: int) -> Array | None:
-        """Return the inputs by the shared control law at one instant, without corrections, (m,).
-
-        None with open-loop prediction. Arguments as those of `law`, for one step. Source: docs/equations.md (35).
-        """
+        """Return the inputs by `law` at one instant without corrections, (m,), or None with open-loop prediction."""
         law = self.law(x, x_ref[None], np.zeros((1, self._model.system.m)), forces, instant)
         return None if law is None else law.inputs(np.arange(self._model.system.m))[0]
 
     def cost_to_go(self, x0: Array, x_ref: Array, forces: Array | None = None, instant: int = 0) -> CostToGo | None:
         """Return the cost after the horizon; None if it is a multiple of the stage cost.
 
-        Args:
-            x0: State at the first step of the horizon, (n,).
-            x_ref: Reference state at step N_p, (n,).
-            forces: Estimated external forces, (3 + 3 N,), inertial frame, N; None without estimate.
-            instant: Of step N_p.
-        Source: docs/equations.md (36d).
+        Reference state, (n,), and instant are those of step N_p; the rest as in `law`. Source: docs/equations.md (36d).
         """
         if self.regulator is None or self._settings.terminal != "riccati":
             return None

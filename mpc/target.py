@@ -46,13 +46,9 @@ def target(
     Remaining free directions, such as the headings of the UAVs, stay as at hover. A steady state exists for any forces:
     rods lean in parallel or pull in proportion, a remaining moment tilts the payload, and thrusts balance their rods.
 
-    Args:
-        model: The system as the controller knows it.
-        hover: Its equilibrium.
-        cost: Q weighs the output error, R the input deviation.
-        uncontrolled: Feedback from its own state, (4, 12), of each UAV without an agent, by its 0-based number.
-        off: UAVs without motors, 0-based; their attitudes are not part of the target.
-        released: UAVs no longer on their rods, 0-based; none of their states is.
+    Attitudes of UAVs without motors and all states of released UAVs are not part of the target. Arguments as those of
+    `mpc.feedback.regulator`.
+
     Source: docs/equations.md (40).
     """
     linear = model.linearise(hover.x, hover.u)

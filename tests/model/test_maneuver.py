@@ -1,4 +1,4 @@
-"""The path the payload is asked to fly, and the references that follow from it."""
+"""The path of the payload and the references that follow from it."""
 
 import numpy as np
 import pytest

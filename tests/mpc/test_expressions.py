@@ -103,7 +103,7 @@ def test_slopes_by_finite_differences(text: str) -> None:
 
 
 def test_several_constraints_keep_their_order() -> None:
-    """Constraints on states and inputs are told apart; each kind keeps the order it was written in."""
+    """Constraints on states and inputs are separated; each kind keeps the order it was written in."""
     constraints = tuple(Constraint(expression=text, penalty=float(k + 1)) for k, text in enumerate(GOOD))
     on_state, on_input = compile_constraints(constraints, paper_setup().system)
     x, u = at_a_point()
@@ -112,9 +112,11 @@ def test_several_constraints_keep_their_order() -> None:
     assert on_state.expressions.at(x).value == pytest.approx([GOOD[text](x, u) for text in states], abs=ROUNDING)
     assert on_input.expressions.at(u).value == pytest.approx([GOOD[text](x, u) for text in inputs], abs=ROUNDING)
     assert on_state.equality.tolist() == ["==" in text for text in states]
-    prices = [np.nan if "==" in text else list(GOOD).index(text) + 1.0 for text in states]
-    assert on_state.penalty == pytest.approx(prices, nan_ok=True), "equalities stay hard, inequalities have a price"
-    assert np.isnan(on_input.penalty).all(), "inputs are the controller's own: their limits are never softened"
+    penalties = [np.nan if "==" in text else list(GOOD).index(text) + 1.0 for text in states]
+    assert on_state.penalty == pytest.approx(penalties, nan_ok=True), (
+        "equalities stay hard, inequalities have a penalty"
+    )
+    assert np.isnan(on_input.penalty).all(), "limits of the controller's own inputs are never softened"
 
 
 def test_no_constraints() -> None:
@@ -180,7 +182,7 @@ def test_bad_text_is_refused(text: str) -> None:
 
 
 def test_unknown_name_lists_every_known_one() -> None:
-    """Whoever misspells a name reads which ones there are, for the number of UAVs at hand."""
+    """The error for a misspelt name lists the known names, for the given number of UAVs."""
     with pytest.raises(SettingsError) as refused:
         read("r9[0] <= 1", Symbols.of(1))
     known = str(refused.value).split("known: ")[1].split(", ")
@@ -201,6 +203,6 @@ def test_arithmetic_that_fails_is_refused(text: str) -> None:
 
 @pytest.mark.parametrize("text", ["r0[2] <= 1e400", "sqrt(-1) <= r0[0]", "r0[True] <= 1"])
 def test_meaningless_text_is_refused(text: str) -> None:
-    """A limit that is no number, or an index that is a truth value, is a slip of the writer: refused, not flown."""
+    """A limit that is not finite, or a boolean as an index, is refused."""
     with pytest.raises(SettingsError):
         read(text, SYMBOLS)

@@ -23,9 +23,9 @@ from mpc.settings import ControllerSettings, CostTerm, Weights
 from tests.support import naive
 from tests.support.linear_model import PERIOD_S, Difference, difference, reference_states, small_state
 
-# Of the largest value: two solutions of one linear problem whose Hessian has a condition of around 1e5.
+# Relative to the largest value: two solutions of one linear problem whose Hessian has a condition of around 1e5.
 AGREEMENT = 1e-8
-# Of the largest value: positions of a hundred metres carry the rounding of 1e-14 m into the drift.
+# Relative to the largest value: positions of a hundred metres carry the rounding of 1e-14 m into the drift.
 FAR = 1e-9
 # N and N m, and per unit of state: rounding of products of the entries of P, which reach 1e3.
 ROUNDING = 1e-10
@@ -88,7 +88,7 @@ def problem(profile: Profile, pulled: str, gone: tuple[int, ...] = (), weights: 
 
 
 def slope_at_the_end(of: Problem) -> Array:
-    """What the last pull, lasting for ever, adds to half the slope of the cost-to-go: summed step by step, (n,)."""
+    """Return the part of the cost-to-go's half slope from the last pull, held for ever, summed step by step, (n,)."""
     closed = of.model.A + of.model.B @ of.law.K[of.controlled]
     p = np.zeros(len(of.at.x))
     for _ in range(STEPS_TO_REST):
@@ -144,7 +144,7 @@ def test_preview_is_the_optimum_of_the_tracking_problem(case: tuple[Profile, str
         assert np.abs(by_law - du).max() < AGREEMENT * np.abs(du).max()
     others = np.setdiff1d(np.arange(len(of.at.u)), of.controlled)
     assert not found.feedforward[:, others].any()
-    assert np.abs(found.feedforward).max() > 0.01, "nothing to see ahead: the comparison shows nothing"
+    assert np.abs(found.feedforward).max() > 0.01, "a zero feedforward would compare nothing"
 
 
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)

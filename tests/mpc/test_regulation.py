@@ -32,8 +32,8 @@ from tests.support.linear_model import (
 )
 from tests.support.systems import INTEGRATION_STEPS
 
-# Of the largest deviation of the inputs from hover: two solutions of one linear problem with condition around 1e5,
-# one by the Riccati recursion, one by condensing and a solver.
+# Relative to the largest deviation of the inputs from hover: two solutions of one linear problem with condition around
+# 1e5, one by the Riccati recursion, one by condensing and a solver.
 NO_CORRECTION = 1e-8
 # Share of the same deviation: above any rounding; a program with another cost has larger corrections.
 A_CORRECTION = 1e-2
@@ -57,7 +57,7 @@ TERMS = (CostTerm(expression="v0[0]", weight=0.3), CostTerm(expression="e1[0] - 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
-    """A team and what its controllers are told.
+    """A team and the settings of its controllers.
 
     Attributes:
         owned: UAVs of the agent whose program is solved, 0-based.

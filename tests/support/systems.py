@@ -123,7 +123,7 @@ def step(owner: Controller, at: Situation) -> StepResult:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Flight:
-    """What a closed loop did.
+    """The result of a closed loop.
 
     Attributes:
         X: States, (steps + 1, n).
@@ -176,7 +176,7 @@ def _loop(
             announced[:, owner.own] = optimum.U
         u = announced[0]
         x, _ = setup.model.integrate(x, u, period, INTEGRATION_STEPS)
-        # The paper's shift: everyone's plan moves on by one, its end is held.
+        # The paper's shift: every plan moves on by one step, its end is held.
         U = np.vstack([announced[1:], announced[-1:]])
         yield at, optima, x
 
