@@ -10,8 +10,9 @@ from scipy.linalg import block_diag
 from benchmarks.flights import Situation
 from benchmarks.page import BenchmarkError
 from model.arrays import Array
-from mpc.constraints import pairs_of, rate_rows, separation_rows
 from mpc.qp import QP
+from mpc.rows.rate import rate_rows
+from mpc.rows.separation import pairs_of, separation_rows
 from mpc.settings import SolverName
 from mpc.solvers import solve
 

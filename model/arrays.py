@@ -1,4 +1,4 @@
-"""Arrays as the project passes them: float64, checked once where they enter, read-only from then on."""
+"""Arrays of the project: float64, checked at construction, read-only from then on."""
 
 from collections.abc import Sequence
 
@@ -10,21 +10,20 @@ ArrayLike = npt.ArrayLike
 
 
 class ShapeError(ValueError):
-    """An array of the wrong shape or not finite; the text names it, what was expected and what came."""
+    """An array of the wrong shape or not finite; the text names it, the expected and the actual value."""
 
 
 class NotFiniteError(ShapeError):
-    """An array of the right shape with an entry that is infinite or no number."""
+    """An array of the right shape with an infinite entry or nan."""
 
 
 def checked(name: str, value: ArrayLike, shape: Sequence[int | None]) -> Array:
-    """Copy `value` into a read-only float64 array of the given shape.
+    """Return a C-contiguous, read-only float64 copy of the given shape.
 
     Args:
-        name: What the array is called in the error text.
-        value: Anything numpy can turn into an array.
+        name: In the error text.
+        value: To copy.
         shape: Expected length per axis; None accepts any length.
-    Returns: A C-contiguous, read-only copy.
     Raises: ShapeError: wrong number of axes, wrong length, not numeric; NotFiniteError: not finite.
     """
     try:

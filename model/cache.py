@@ -1,4 +1,4 @@
-"""Where what is computed once per machine is kept. A cache that cannot be read or written only costs time."""
+"""The cache folder of compiled models. A cache that cannot be read or written only costs time."""
 
 import os
 import tempfile
@@ -6,7 +6,7 @@ from pathlib import Path
 
 
 def cache_folder() -> Path:
-    """Where compiled models are kept: $PAYLOAD_TRANSPORT_CACHE, or the user's cache folder."""
+    """Return $PAYLOAD_TRANSPORT_CACHE, or the user's cache folder."""
     named = os.environ.get("PAYLOAD_TRANSPORT_CACHE")
     if named:
         return Path(named)
@@ -14,7 +14,7 @@ def cache_folder() -> Path:
 
 
 def replace_atomically(path: Path, content: bytes) -> bool:
-    """Write a file that others see in full or not at all; False where that is not possible."""
+    """Write a file that other processes see in full or not at all; return False if that fails."""
     temporary: Path | None = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -23,7 +23,7 @@ def replace_atomically(path: Path, content: bytes) -> bool:
             file.write(content)
         os.replace(temporary, path)
     except OSError:
-        # A read-only home or a full disk is no reason not to fly, nor to leave half a file behind.
+        # A read-only home or a full disk must not stop a run.
         if temporary is not None:
             temporary.unlink(missing_ok=True)
         return False

@@ -1,8 +1,7 @@
-"""Compiled model functions: built once per number of UAVs, kept on disk, called without copies through CasADi.
+"""Compiled model functions: built once per number of UAVs, kept on disk, called through CasADi's buffers.
 
-Building the Jacobians symbolically takes a second for large N; every process of a run needs the same ones.
-They depend on N alone (physical parameters are arguments), so they are serialised under the user's cache
-folder and the next process loads them in milliseconds. A cache that cannot be read or written only costs time.
+Building the Jacobians symbolically takes a second for large N, and every process of a run needs the same ones. They
+depend on N alone (physical parameters are arguments), so the next process loads them from the cache in milliseconds.
 """
 
 import hashlib
@@ -17,10 +16,10 @@ from model.arrays import Array, ShapeError
 from model.cache import cache_folder, replace_atomically
 from model.dynamics import Symbols
 
-# No contraction of products and sums: the same bits as from CasADi's interpreter.
+# No contraction of products and sums: the same bits as CasADi's interpreter.
 _FLAGS = ("-Og", "-ffp-contract=off")
-# Compilers take more than linear time for the one long block that a function is; beyond this it stays interpreted.
-_LONGEST = 40_000
+# Instructions; longer functions stay interpreted, as compilation time grows more than linearly.
+_MAX_LENGTH = 40_000
 
 _FUNCTIONS = ("derivative", "tensions", "velocities", "outputs", "linearise", "step")
 
@@ -49,7 +48,7 @@ class Compiled:
         self._buffer, self._evaluate = function.buffer()
         self._name: str = function.name()
         self._arguments = [np.zeros(function.numel_in(i)) for i in range(function.n_in())]
-        # CasADi writes column by column.
+        # CasADi is column-major.
         self._results = [
             np.zeros(function.numel_out(i)).reshape(function.size_out(i), order="F") for i in range(function.n_out())
         ]
@@ -59,11 +58,10 @@ class Compiled:
             self._buffer.set_res(i, result.reshape(-1, order="A").data)  # type: ignore[call-arg]
 
     def __call__(self, *arguments: Array | float) -> list[Array]:
-        """Evaluate.
+        """Return one new array per output; matrices with one column become vectors.
 
         Args:
             arguments: One array (or float) per input, with that input's number of elements.
-        Returns: One fresh array per output; columns of width 1 come as vectors.
         Raises: ShapeError: an argument of the wrong length.
         """
         for own, argument in zip(self._arguments, arguments, strict=True):
@@ -75,7 +73,7 @@ class Compiled:
 
 
 def functions(N: int) -> dict[str, ca.Function]:
-    """The CasADi functions of a system of N UAVs, from the cache when it holds them.
+    """Return the CasADi functions of a system of N UAVs, from the cache if it holds them.
 
     derivative  (x, u, p, F) -> x'
     tensions    (x, u, p, F) -> rod tensions
@@ -97,22 +95,22 @@ def functions(N: int) -> dict[str, ca.Function]:
 
 
 def compile_functions(N: int) -> bool:
-    """Compile the functions of a system of N UAVs for this processor, unless that is done; False if it cannot be.
+    """Compile the functions of a system of N UAVs for this processor; return False if that is not possible.
 
-    Whoever calls `functions` from then on gets them compiled. That changes no bit of a result, only its time, and
-    takes seconds: for whoever starts processes, before it starts them.
+    Later calls of `functions`, in all processes, return the compiled ones, with bit-identical results. Compilation
+    takes seconds: call this before the processes of a run are started.
     """
     path = _compiled_file(N)
     if not compiler.enabled() or compiler.find_compiler() is None:
         return False
     if compiler.intact(path):
         return True
-    sources = (_source(function) for function in functions(N).values() if function.n_instructions() <= _LONGEST)
+    sources = (_source(function) for function in functions(N).values() if function.n_instructions() <= _MAX_LENGTH)
     return compiler.compile_library(path, "\n".join(sources).encode(), _FLAGS)
 
 
 def _source(function: ca.Function) -> str:
-    """A function in C. CasADi prefixes what it needs beside it with the generator's name, so that sources add up."""
+    """Return a function in C. The generator's name prefixes its helpers, so that sources can be concatenated."""
     generator = ca.CodeGenerator(f"{function.name()}_source.c", {"with_header": False})
     generator.add(function)
     text: str = generator.dump()
@@ -120,7 +118,7 @@ def _source(function: ca.Function) -> str:
 
 
 def _compiled(N: int) -> dict[str, ca.Function]:
-    """Functions that have been compiled for this processor."""
+    """Return the functions already compiled for this processor."""
     path = _compiled_file(N)
     if not compiler.enabled() or not compiler.intact(path):
         return {}
@@ -141,8 +139,7 @@ def _build(N: int) -> dict[str, ca.Function]:
         slopes.append(f(at, s.u, s.p, s.F))
     fifth = s.x + h * sum((b * k for b, k in zip(_DP_FIFTH, slopes, strict=True)), start=ca.SX.zeros(s.x.shape))
     error = h * sum(
-        ((b5 - b4) * k for b5, b4, k in zip(_DP_FIFTH, _DP_FOURTH, slopes, strict=True)),
-        start=ca.SX.zeros(s.x.shape),
+        ((b5 - b4) * k for b5, b4, k in zip(_DP_FIFTH, _DP_FOURTH, slopes, strict=True)), start=ca.SX.zeros(s.x.shape)
     )
     linearised = [derivative, ca.jacobian(derivative, s.x), ca.jacobian(derivative, s.u), y, ca.jacobian(y, s.x)]
     return {
@@ -160,11 +157,11 @@ def _cache_path(N: int) -> Path:
 
 
 def _compiled_file(N: int) -> Path:
-    return compiler.compiled_file(f"model-N{N}", _digest().encode(), (*_FLAGS, str(_LONGEST)))
+    return compiler.compiled_file(f"model-N{N}", _digest().encode(), (*_FLAGS, str(_MAX_LENGTH)))
 
 
 def _digest() -> str:
-    """Of everything that makes the functions what they are."""
+    """Return a hash of all code that determines the functions."""
     sources: Sequence[str | None] = (__file__, dynamics.__file__, rotations.__file__, state.__file__)
     digest = hashlib.sha256(ca.CasadiMeta.version().encode())
     for source in sources:
@@ -174,7 +171,7 @@ def _digest() -> str:
 
 
 def _read_cache(path: Path, names: Sequence[str]) -> dict[str, ca.Function] | None:
-    """Some of the functions, no more of the file in memory than these: those of large teams take some room."""
+    """Return some of the functions; only these are held in memory, as those of large teams are large."""
     texts: dict[str, bytes] = {}
     digest, count = hashlib.sha256(), 0
     try:
@@ -187,9 +184,9 @@ def _read_cache(path: Path, names: Sequence[str]) -> dict[str, ca.Function] | No
     except OSError:
         return None
     if digest.hexdigest().encode() != checksum:
-        return None  # cut or damaged: CasADi must never see it
+        return None  # truncated or damaged: CasADi could crash on it
     if count != len(_FUNCTIONS):
-        return None  # written by a process whose source was changed while it ran
+        return None  # written by a process whose source changed while it ran
     return {name: ca.Function.deserialize(texts.pop(name).decode("latin-1").rstrip("\n")) for name in names}
 
 

@@ -1,6 +1,6 @@
-"""C source compiled for this processor by the compiler that is here, if one is, and kept in the cache folder.
+"""C source compiled for this processor by the installed compiler, and kept in the cache folder.
 
-Everything works without: what is compiled has a twin that is not. Set PAYLOAD_TRANSPORT_NATIVE=0 to do without.
+Compiled code is optional: each function has an uncompiled equivalent. PAYLOAD_TRANSPORT_NATIVE=0 switches it off.
 """
 
 import hashlib
@@ -20,24 +20,24 @@ _TIMEOUT_S = 300.0
 
 
 def enabled() -> bool:
-    """Whether compiled code is wanted."""
+    """Return whether compiled code is switched on."""
     return os.environ.get("PAYLOAD_TRANSPORT_NATIVE") != "0"
 
 
 def find_compiler() -> str | None:
-    """The C compiler: $CC, or whichever of the usual ones is there."""
+    """Return the C compiler: $CC, or the first installed of cc, gcc and clang."""
     return next(filter(None, map(shutil.which, filter(None, [os.environ.get("CC"), "cc", "gcc", "clang"]))), None)
 
 
 def compiled_file(name: str, source: bytes, flags: Sequence[str]) -> Path:
-    """Where a library is kept: the name has all that may make it differ or not run, the processor too."""
+    """Return the path of a library, with a hash of source, flags and processor in its name."""
     digest = hashlib.sha256(source)
     digest.update(repr((tuple(flags), _processor())).encode())
     return cache_folder() / f"{name}-{digest.hexdigest()[:16]}.so"
 
 
 def intact(path: Path) -> bool:
-    """Whether a library is there in full, and nobody else's: loading half of one would end the process."""
+    """Return whether a library is complete and of this user or root; a truncated one would crash the process."""
     try:
         if path.stat().st_uid not in (0, os.getuid()):
             return False
@@ -48,7 +48,7 @@ def intact(path: Path) -> bool:
 
 
 def compile_library(path: Path, source: bytes, flags: Sequence[str]) -> bool:
-    """Compile a C source; False where there is no compiler, it fails, or there is nowhere to keep the result."""
+    """Compile a C source; return False if there is no compiler, it fails, or the cache cannot be written."""
     compiler = find_compiler()
     if compiler is None:
         return False
@@ -69,7 +69,7 @@ def compile_library(path: Path, source: bytes, flags: Sequence[str]) -> bool:
 
 @lru_cache
 def _processor() -> str:
-    """What code made for one processor needs to find again in another."""
+    """Return the processor's identity: code compiled for one may not run on another."""
     try:
         first = Path("/proc/cpuinfo").read_text(encoding="utf-8").split("\n\n")[0].splitlines()
         wanted = [line for line in first if line.startswith(("flags", "Features", "model name"))]

@@ -4,9 +4,8 @@
 
     A = I + A_c Phi,   B = Phi B_c,   f_d = Phi f,
 
-so a Taylor series of Phi (n x n) replaces the exponential of the (n + m + 1)-sized augmented matrix. The
-number of terms follows from the remainder bound, and periods that are long for the system are halved
-until the series is short, then doubled back.
+so a Taylor series of Phi, (n, n), replaces the exponential of an augmented matrix of size n + m + 1. The number of
+terms follows from the remainder bound; long periods are halved until the series is short, then doubled back.
 """
 
 import math
@@ -18,9 +17,12 @@ from model import native
 from model.arrays import Array, ShapeError
 from model.linearisation import Linearisation
 
-_THETA_MAX = 2.0  # theta (see _terms) above which the period is halved: keeps the series short, free of cancellation
-_THETA_POSSIBLE = 300.0  # exp of it, and products of that, are far from what a float64 can hold
+# theta = max(|X^2|^(1/2), |X^3|^(1/3)) with X = A_c T stands for the norm: every k >= 2 is a sum of twos and threes, so
+# |X^k| <= theta^k, and for a mechanical system theta is several times smaller than |X| (Al-Mohy, Higham 2009).
+_THETA_MAX = 2.0  # above it the period is halved: a short series without cancellation
+_THETA_POSSIBLE = 300.0  # products of exp(theta) stay far below the float64 range
 _REMAINDER = 2.0**-53  # relative to T: below the rounding of the sum itself
+_TERMS = 24  # of the series without compiled kernels: _THETA_MAX^k / (k + 1)! is below _REMAINDER
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,13 +41,12 @@ class Discrete:
 
 
 def zero_order_hold(linear: Linearisation, period_s: float) -> Discrete:
-    """Discretise with the input held over the period; no approximation beyond rounding.
+    """Discretise with the input held over the period, exact but for rounding.
 
     Args:
         linear: Expansion about (x0, u0).
         period_s: Sampling period T_s, > 0, s.
-    Returns: A, B, f_d.
-    Raises: ShapeError: A_c holds numbers that are not finite, or so large that what follows would not be.
+    Raises: ShapeError: A_c or its exponential is not finite.
     Source: docs/equations.md (16)-(17).
     """
     if native.AVAILABLE:
@@ -58,35 +59,32 @@ def zero_order_hold(linear: Linearisation, period_s: float) -> Discrete:
 
 
 def _zero_order_hold(linear: Linearisation, period_s: float) -> Discrete:
-    # Row-major for the products below; CasADi hands out column-major.
+    # Row-major for the products below; CasADi returns column-major.
     A_c = np.ascontiguousarray(linear.A_c)
-    X = A_c * period_s
-    powers = np.empty((4, *X.shape))
-    powers[0], powers[1] = np.eye(len(X)), X
+    X, identity = A_c * period_s, np.eye(len(A_c))
     with np.errstate(over="ignore", invalid="ignore"):
-        np.matmul(X, X, out=powers[2])
-        np.matmul(powers[2], X, out=powers[3])
-        theta = float(np.maximum(_norm(powers[2]) ** (1 / 2), _norm(powers[3]) ** (1 / 3)))
+        X2 = X @ X
+        theta = float(np.maximum(_norm(X2) ** (1 / 2), _norm(X2 @ X) ** (1 / 3)))
     _check_growth(theta, period_s)
     halvings = max(0, math.ceil(math.log2(theta / _THETA_MAX))) if theta > 0.0 else 0
-    T = period_s / 2**halvings
-    for k in (1, 2, 3):
-        powers[k] /= 2 ** (k * halvings)
-    Phi = T * _integrated_exponential(powers, _terms(theta / 2**halvings))
+    X /= 2**halvings
+    Phi = identity
+    for k in range(_TERMS, 1, -1):
+        Phi = identity + X @ Phi / k
+    Phi = Phi * period_s / 2**halvings
     for _ in range(halvings):
         # exp(2 A T) has Phi(2T) = Phi(T) + exp(A T) Phi(T).
         Phi = 2.0 * Phi + (A_c @ Phi) @ Phi
-    return Discrete(A=np.eye(len(X)) + A_c @ Phi, B=Phi @ linear.B_c, f_d=Phi @ linear.f)
+    return Discrete(A=identity + A_c @ Phi, B=Phi @ linear.B_c, f_d=Phi @ linear.f)
 
 
 def euler(linear: Linearisation, period_s: float) -> Discrete:
-    """Discretise by one step of Euler's method: what the exact hold is compared to.
+    """Discretise by one step of Euler's method, for comparison; error per step of order T_s^2.
 
     Args:
         linear: Expansion about (x0, u0).
         period_s: Sampling period T_s, > 0, s.
-    Returns: A, B, f_d, with an error per step of order T_s^2.
-    Raises: ShapeError: A_c holds numbers that are not finite.
+    Raises: ShapeError: A_c is not finite.
     """
     if not np.isfinite(linear.A_c).all():
         raise ShapeError("A_c: expected finite numbers")
@@ -101,38 +99,5 @@ def _check_growth(theta: float, period_s: float) -> None:
 
 
 def _norm(X: Array) -> float:
-    """Largest column sum of magnitudes."""
+    """Return the largest column sum of magnitudes."""
     return float(np.abs(X).sum(axis=0).max())
-
-
-def _integrated_exponential(powers: Array, terms: int) -> Array:
-    """sum_{k < terms} X^k / (k+1)!, four terms for each product of matrices (Paterson, Stockmeyer 1973).
-
-    Args:
-        powers: I, X, X^2, X^3, (4, n, n).
-        terms: How many.
-    """
-    n, blocks = powers.shape[1], -(-terms // 4)
-    coefficients = np.array([1.0 / math.factorial(k + 1) for k in range(4 * blocks)]).reshape(blocks, 4)
-    sums = (coefficients @ powers.reshape(4, n * n)).reshape(blocks, n, n)
-    total: Array = sums[-1]
-    if blocks > 1:
-        X4 = powers[2] @ powers[2]
-        for block in range(blocks - 2, -1, -1):
-            total = total @ X4 + sums[block]
-    return total
-
-
-def _terms(theta: float) -> int:
-    """Smallest K >= 2 with sum_{k >= K} theta^k / (k+1)! <= the permitted remainder; bounded by a geometric series.
-
-    theta = max(|X^2|^(1/2), |X^3|^(1/3)) stands for the norm: every k >= 2 is a sum of twos and threes, so
-    |X^k| <= theta^k, and for a mechanical system (positions feed on velocities, not the other way) it is
-    several times smaller than |X| (Al-Mohy, Higham 2009).
-    """
-    K = 2
-    term = theta**2 / 6.0
-    while term / (1.0 - theta / (K + 2)) > _REMAINDER:
-        K += 1
-        term *= theta / (K + 1)
-    return K

@@ -1,9 +1,8 @@
-"""The equations of motion, written once, as CasADi expressions.
+"""The equations of motion as CasADi expressions.
 
-The paper's (7)-(9) are a linear system in (v0', omega0', Omega_1', ..., Omega_N'). Solving each rod's
-equation for Omega_i' and putting it into the other two leaves 6 unknowns, and every term of what is left
-is a rod tension: the payload feels nothing of the vehicles but -T_i along each rod. docs/equations.md
-derives it; a test compares it with the paper's own matrix (11).
+The paper's (7)-(9) are a linear system in (v0', omega0', Omega_1', ..., Omega_N'). Eliminating each Omega_i' leaves 6
+unknowns, and every remaining term is a rod tension: the only forces of the UAVs on the payload act along the rods.
+docs/equations.md derives it.
 """
 
 from dataclasses import dataclass
@@ -19,9 +18,8 @@ class Symbols:
     """The symbols of a system of N UAVs: state x, input u, parameters p and external forces F, in their named parts.
 
     p holds g, m0, the upper triangle of J0, and for each UAV m_i, the upper triangle of J_i, rho_i, l_i
-    (`System.vector` fills it): the expressions depend on N only, so compiled functions serve any system
-    of N UAVs. F holds the external force on the payload's centre of mass and on that of each UAV, in the inertial
-    frame, N.
+    (`System.vector`), so that compiled functions serve any system of N UAVs. F holds the external forces on the centres
+    of mass of payload and UAVs, inertial frame, N.
     """
 
     N: int
@@ -32,13 +30,9 @@ class Symbols:
 
     @staticmethod
     def of(N: int) -> "Symbols":
-        """Fresh symbols for N UAVs."""
+        """Return new symbols for N UAVs."""
         return Symbols(
-            N,
-            ca.SX.sym("x", 12 + 12 * N),
-            ca.SX.sym("u", 4 * N),
-            ca.SX.sym("p", 8 + 11 * N),
-            ca.SX.sym("F", 3 + 3 * N),
+            N, ca.SX.sym("x", 12 + 12 * N), ca.SX.sym("u", 4 * N), ca.SX.sym("p", 8 + 11 * N), ca.SX.sym("F", 3 + 3 * N)
         )
 
     @property
@@ -67,7 +61,7 @@ class Symbols:
 
 
 def state_derivative(symbols: Symbols) -> tuple[ca.SX, ca.SX]:
-    """Right-hand side f(x, u, F) and the rod tensions.
+    """Return the right-hand side f(x, u, F) and the rod tensions.
 
     Returns: x' (12 + 12 N), SI; tensions (N,), N, positive when the rod pulls.
     Source: docs/equations.md (4)-(13), (37); paper (2)-(11).
@@ -78,7 +72,7 @@ def state_derivative(symbols: Symbols) -> tuple[ca.SX, ca.SX]:
     g_P = symbols.gravity * R0[2, :].T  # gravity in the payload frame
     J0 = symbols.payload_inertia
 
-    # 6 x 6 system in the payload's acceleration a0 = v0' + omega0 x v0 and omega0', both in payload frame.
+    # 6 x 6 system in the payload's acceleration a0 = v0' + omega0 x v0 and omega0', both in the payload frame.
     M = ca.diagcat(symbols.payload_mass * ca.SX.eye(3), J0)
     b = ca.vertcat(symbols.payload_mass * g_P + R0.T @ symbols.force(0), -ca.cross(omega0, J0 @ omega0))
     rods = []
@@ -87,7 +81,7 @@ def state_derivative(symbols: Symbols) -> tuple[ca.SX, ca.SX]:
         block = x[state.uav_slice(i)]
         e, Omega = block[state.E], block[state.ROD_RATE]
         thrust = u[state.INPUTS * i]
-        # Specific force of the UAV alone: lift along -b3 of its body, gravity, and what pushes it from outside.
+        # Specific force of the UAV without rod: lift along -b3 of its body, gravity, external force.
         s_P = g_P - thrust / m * (R0.T @ rotation(block[state.THETA])[:, 2]) + R0.T @ symbols.force(i + 1) / m
         centripetal = ca.cross(omega0, ca.cross(omega0, rho))
         along = ca.dot(e, centripetal - s_P) + length * ca.dot(Omega, Omega)
@@ -114,7 +108,7 @@ def state_derivative(symbols: Symbols) -> tuple[ca.SX, ca.SX]:
 
 
 def uav_positions(symbols: Symbols) -> list[ca.SX]:
-    """r_i = r0 + R0 (rho_i - l_i e_i) for each UAV, (3,), inertial frame, m. Source: paper (1)."""
+    """Return r_i = r0 + R0 (rho_i - l_i e_i) for each UAV, (3,), inertial frame, m. Source: paper (1)."""
     R0 = rotation(symbols.x[state.THETA0])
     positions = []
     for i in range(symbols.N):
@@ -125,7 +119,7 @@ def uav_positions(symbols: Symbols) -> list[ca.SX]:
 
 
 def velocities(symbols: Symbols) -> ca.SX:
-    """Of the centres of mass of payload and UAVs, (1 + N, 3), inertial frame, m/s. Source: docs/equations.md (39)."""
+    """Return the velocities of the centres of mass, (1 + N, 3), inertial frame, m/s. Source: docs/equations.md (39)."""
     x = symbols.x
     R0, v0, omega0 = rotation(x[state.THETA0]), x[state.V0], x[state.OMEGA0]
     rows: list[ca.SX] = [(R0 @ v0).T]
@@ -138,7 +132,7 @@ def velocities(symbols: Symbols) -> ca.SX:
 
 
 def outputs(symbols: Symbols) -> ca.SX:
-    """y = h(x) = [r_1..r_N, Theta_0, yaw rates of the UAVs, r_0, r_0'], (4 N + 9), SI.
+    """Return y = h(x) = [r_1..r_N, Theta_0, yaw rates of the UAVs, r_0, r_0'], (4 N + 9), SI.
 
     Positions and the payload's velocity are in the inertial frame. Source: docs/equations.md (14).
     """
@@ -149,7 +143,7 @@ def outputs(symbols: Symbols) -> ca.SX:
 
 
 def project(x: ca.SX, N: int) -> ca.SX:
-    """Put the rods back on |e_i| = 1 and e_i . Omega_i = 0, which integration leaves by its local error."""
+    """Return the state with the rods projected back onto |e_i| = 1 and e_i . Omega_i = 0."""
     parts = [x[: state.PAYLOAD]]
     for i in range(N):
         block = x[state.uav_slice(i)]
@@ -165,7 +159,7 @@ def _symmetric(upper: ca.SX) -> ca.SX:
 
 
 def _solve_positive_definite(M: ca.SX, b: ca.SX) -> ca.SX:
-    """M^-1 b by an unrolled L D L^T factorisation: short expressions, no square roots, exact derivatives."""
+    """Return M^-1 b by an unrolled L D L^T factorisation: short expressions, no square roots, exact derivatives."""
     size = M.shape[0]
     L = [[ca.SX(0)] * size for _ in range(size)]
     D: list[ca.SX] = []

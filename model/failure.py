@@ -1,10 +1,11 @@
-"""A UAV whose motors are off, and one that has been cut loose, in the state and the parameters of the whole team.
+"""Motor-off and released UAVs in the state and the parameters of the whole team.
 
 The layout of state and input stays that of N UAVs. A motor-off UAV keeps mass and rod and has no inputs. A released
 UAV is replaced at the end of its rod by a bob of negligible mass that hangs below its attachment point.
 """
 
 from collections.abc import Collection, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,35 +13,25 @@ from model import state
 from model.arrays import Array
 from model.hover import Hover, hover
 from model.linearisation import Model
-from model.parameters import System, Uav
+from model.parameters import System
 from model.rotations import rotation
 
-# A millionth of a kilogram pulls with 1e-5 N. The equations of motion divide by no mass but where a thrust or a force
-# acts on it, so the bob needs to be no heavier; a test compares with the system that has no such rod.
+# The bob pulls with 1e-5 N. The equations of motion divide by a mass only where a thrust or force acts on it.
 RELEASED_MASS_KG = 1e-6
 
 
 def with_released(system: System, released: Collection[int]) -> System:
-    """Return the system with bobs of `RELEASED_MASS_KG` in place of some UAVs.
+    """Return the system with bobs of `RELEASED_MASS_KG` in place of released UAVs, 0-based.
 
-    The bob keeps the UAV's inertia: with neither moment nor rotation it is without effect.
-
-    Args:
-        system: Physical parameters.
-        released: UAVs, 0-based.
-    Source: docs/equations.md (50).
+    A bob keeps the UAV's inertia, which has no effect without moment and rotation. Source: docs/equations.md (50).
     """
-    uavs = [_bob(uav) if i in released else uav for i, uav in enumerate(system.uavs)]
+    uavs = [replace(uav, mass=RELEASED_MASS_KG) if i in released else uav for i, uav in enumerate(system.uavs)]
     return System(payload=system.payload, uavs=uavs, gravity=system.gravity)
 
 
 def failed_model(system: System, off: Collection[int], released: Collection[int]) -> Model:
-    """Return the model of a team some of whose UAVs have no motors: their inputs have no effect.
+    """Return the model of a team with motor failures; arguments as those of `failed_hover`.
 
-    Args:
-        system: Physical parameters of the whole team.
-        off: UAVs without motors, 0-based, the released ones among them.
-        released: UAVs cut loose, 0-based.
     Source: docs/equations.md (50).
     """
     return Model(with_released(system, released), off=off, released=released)
@@ -51,15 +42,14 @@ def failed_hover(
 ) -> Hover:
     """Return the hover of a team some of whose UAVs have no motors, the payload level.
 
-    A motor-off UAV stands upright on its rod: that is where it is when its motors stop, and the payload feels the same
-    weight from there as from below.
+    A motor-off UAV stands upright on its rod, as at the moment of failure; its weight on the payload is the same below.
 
     Args:
         system: Physical parameters of the whole team.
         off: UAVs without motors, 0-based, the released ones among them.
         released: UAVs cut loose, 0-based.
-        thrusts: Thrusts of UAVs that hold them whatever happens, N, by UAV, 0-based: those left to the fail-safe.
-    Raises: ParameterError: the UAVs that are left cannot hold the payload.
+        thrusts: Fixed thrusts of the UAVs left to the fail-safe, N, by UAV, 0-based.
+    Raises: ParameterError: the remaining UAVs cannot hold the payload.
     Source: docs/equations.md (51).
     """
     rods = np.tile([0.0, 0.0, 1.0], (system.N, 1))
@@ -69,14 +59,10 @@ def failed_hover(
 
 
 def motor_off_state(x: Array, uav: int) -> Array:
-    """Return the state with a UAV's rotation stopped, (n,).
+    """Return the state with the rotation of a UAV, 0-based, stopped, (n,).
 
-    Without thrust its attitude acts on nothing: rods end in ball joints at centres of mass. A rotation that no moment
-    stops would only carry the angles into the singularity of docs/equations.md (3).
-
-    Args:
-        x: State, (n,).
-        uav: 0-based.
+    Without thrust its attitude has no effect, but an undamped rotation would reach the singularity of docs/equations.md
+    (3).
     """
     x = x.copy()
     x[state.uav_slice(uav)][state.OMEGA] = 0.0
@@ -84,11 +70,8 @@ def motor_off_state(x: Array, uav: int) -> Array:
 
 
 def released_state(x: Array, uav: int) -> Array:
-    """Return the state with a bob at rest straight below the attachment point of a UAV, (n,).
+    """Return the state with a bob at rest below the attachment point of a UAV, 0-based, (n,).
 
-    Args:
-        x: State, (n,).
-        uav: 0-based.
     Source: docs/equations.md (50).
     """
     x = x.copy()
@@ -99,16 +82,7 @@ def released_state(x: Array, uav: int) -> Array:
 
 
 def no_inputs(u: Array, uavs: Collection[int]) -> Array:
-    """Return inputs with those of some UAVs zero.
-
-    Args:
-        u: Inputs, (..., m).
-        uavs: 0-based.
-    """
+    """Return inputs, (..., m), with those of some UAVs, 0-based, zero."""
     u = u.copy()
     u[..., state.input_indices(sorted(uavs))] = 0.0
     return np.asarray(u)
-
-
-def _bob(uav: Uav) -> Uav:
-    return Uav(mass=RELEASED_MASS_KG, inertia=uav.inertia, rho=uav.rho, rod_length=uav.rod_length)

@@ -1,4 +1,4 @@
-"""Hover: the equilibrium the maneuver starts from, ends in, and is measured against."""
+"""Hover: the equilibrium at the start and end of a maneuver."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ _BALANCE_TOLERANCE = 1e-9
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hover:
-    """Equilibrium with the payload level at the inertial origin.
+    """The equilibrium with the payload level at the inertial origin.
 
     Attributes:
         x: State, (12 + 12 N,), SI.
@@ -30,17 +30,16 @@ class Hover:
 
 
 def hover(system: System, rods_P: ArrayLike | None = None, thrusts: Mapping[int, float] | None = None) -> Hover:
-    """Equilibrium of the system with given rod directions.
+    """Return the equilibrium with given rod directions, the payload at the origin.
 
     The rods hold the payload's weight and no moment: sum_i T_i [e_i; rho_i x e_i] = [m0 g k; 0], the
-    least-norm solution when several exist. Each UAV then pulls against its rod and its own weight. A UAV whose
-    thrust is given, zero for one without motors, has what its vertical rod carries decided; the others balance that.
+    least-norm solution when several exist. Each UAV then pulls against its rod and its own weight. A given thrust
+    (zero without motors) fixes the tension of that UAV's vertical rod; the others balance it.
 
     Args:
         system: Physical parameters.
         rods_P: Rod directions from UAV to attachment point, (N, 3), payload frame, unit; straight down when None.
-        thrusts: Thrusts that are given, N, by UAV, 0-based; these UAVs have vertical rods.
-    Returns: State with the payload at the origin, input, tensions.
+        thrusts: Given thrusts, N, by UAV, 0-based; these UAVs have vertical rods.
     Raises: ParameterError: no rod tensions balance the payload, or a UAV would have to push down.
     Source: docs/equations.md (18)-(19), (51).
     """
@@ -54,13 +53,13 @@ def hover(system: System, rods_P: ArrayLike | None = None, thrusts: Mapping[int,
     target = np.array([0.0, 0.0, weight, 0.0, 0.0, 0.0])
     tensions = np.zeros(N)
     given = dict(thrusts or {})
-    led = np.setdiff1d(np.arange(N), sorted(given))
+    free = np.setdiff1d(np.arange(N), sorted(given))
     for i, thrust in given.items():
         if abs(e[i, 2]) < 1.0 - _BALANCE_TOLERANCE:
             raise ParameterError(f"rods: expected a vertical one for UAV{i + 1} of given thrust, got {e[i].tolist()}")
         tensions[i] = (thrust - system.uavs[i].mass * system.gravity) * e[i, 2]
     carried = target - wrenches[:, sorted(given)] @ tensions[sorted(given)]
-    tensions[led] = np.linalg.lstsq(wrenches[:, led], carried, rcond=None)[0]
+    tensions[free] = np.linalg.lstsq(wrenches[:, free], carried, rcond=None)[0]
     unbalanced = np.abs(wrenches @ tensions - target).max()
     if unbalanced > _BALANCE_TOLERANCE * max(weight, 1.0):
         raise ParameterError(
@@ -73,7 +72,7 @@ def hover(system: System, rods_P: ArrayLike | None = None, thrusts: Mapping[int,
         force_I = -(uav.mass * system.gravity * np.array([0.0, 0.0, 1.0]) + tensions[i] * e[i])
         thrust = float(np.linalg.norm(force_I))
         if thrust <= _BALANCE_TOLERANCE * max(weight, 1.0):
-            thrust = 0.0  # none is needed but for rounding
+            thrust = 0.0  # zero but for rounding
         if thrust > 0.0 and force_I[2] >= 0.0:
             raise ParameterError(
                 f"no hover equilibrium: UAV{i + 1} would have to push down or sideways ({force_I[2]:.3g} N)"
@@ -88,7 +87,7 @@ def hover(system: System, rods_P: ArrayLike | None = None, thrusts: Mapping[int,
 
 
 def _level_attitude(force_I: Array, thrust: float) -> Array:
-    """Roll and pitch that point -b3 along the force, with zero yaw."""
+    """Return roll and pitch that point -b3 along the force, with zero yaw, (3,), rad."""
     if thrust == 0.0:
         return np.zeros(3)
     b3 = -force_I / thrust

@@ -1,8 +1,8 @@
-/* The loops of a controller's step, for matrices too small for a BLAS to be worth its calls.
+/* The loops of a controller's step, for matrices so small that BLAS calls are mostly overhead.
 
-   Each function here has a twin in Python, which is its oracle (tests/model/test_native.py) and takes its place
-   where there is no C compiler. Matrices are dense and row-major, sizes are numbers of entries, nothing is allocated,
-   nothing is kept; sums are taken in an order that depends on the sizes and the zeros alone.
+   Each function has an equivalent in Python, which tests it (tests/model/test_native.py) and replaces it without a C
+   compiler. Matrices are dense and row-major, sizes are numbers of entries, nothing is allocated or kept; the order of
+   summation depends on the sizes and the zeros alone.
 
    Work arrays are padded: their rows are a multiple of LANES long, so that no loop has a remainder. */
 
@@ -20,7 +20,7 @@ ptrdiff_t padded(ptrdiff_t n) { return (n + LANES - 1) / LANES * LANES; }
 INLINE lanes splat(double a) { return a - (lanes){0.0}; }
 
 /* One row of a product over `count` vectors of columns: to[] += sum of value[k] * X[index[k] * width, columns].
-   `chains` sums are kept apart, so that one addition need not wait for the one before. */
+   `chains` independent sums hide the latency of additions. */
 INLINE void combine(int count, int chains, ptrdiff_t terms, const ptrdiff_t *index, const double *value,
                     const double *X, ptrdiff_t width, double *to)
 {
@@ -53,7 +53,7 @@ static void combine_row(ptrdiff_t terms, const ptrdiff_t *index, const double *v
     for (; at < columns; at += LANES) combine(1, 8, terms, index, value, X + at, width, to + at);
 }
 
-/* Rows of a square matrix as lists of what is not zero: a model's Jacobians are mostly zeros. */
+/* A square matrix as lists of the nonzero entries of each row: a model's Jacobians are mostly zeros. */
 typedef struct {
     ptrdiff_t n, *begin, *index; /* row i: begin[i] .. begin[i + 1] */
     double *value;
@@ -70,7 +70,7 @@ static sparse compress(ptrdiff_t n, ptrdiff_t width, const double *A, double *wo
             double a = A[i * width + j];
             S.index[at] = j;
             S.value[at] = a;
-            at += a != 0.0; /* also where it is not a number */
+            at += a != 0.0; /* nan counts as nonzero */
         }
     }
     S.begin[n] = at;
@@ -94,7 +94,7 @@ static double norm(ptrdiff_t n, ptrdiff_t width, const double *X, double *sums)
         for (ptrdiff_t j = 0; j < width; j++) sums[j] += fabs(X[i * width + j]);
     double largest = 0.0;
     for (ptrdiff_t j = 0; j < n; j++)
-        if (!(sums[j] <= largest)) largest = sums[j]; /* what is not a number comes through */
+        if (!(sums[j] <= largest)) largest = sums[j]; /* nan is kept */
     return largest;
 }
 
@@ -109,7 +109,6 @@ INLINE double dot(ptrdiff_t n, const double *a, const double *b)
     return rest;
 }
 
-/* Numbers of doubles of work space that the functions below ask for. */
 /* A := A Pi, with Pi the derivative of the projection of the rods, (15a). A is stored column by column; each rod's
    direction e and rate Omega begin a block of `block` states, the first one behind `payload` states. */
 void along_manifold(ptrdiff_t n, ptrdiff_t payload, ptrdiff_t block, const double *x, double *A)
@@ -143,8 +142,8 @@ ptrdiff_t condense_work(ptrdiff_t steps, ptrdiff_t p, ptrdiff_t m)
 
    The algorithm, its bounds and its names are those of model/discretisation.py.
 
-   A_c and B_c come column by column. theta_max, theta_possible, remainder: as there.
-   Returns theta, which is larger than theta_possible (or not a number) when nothing was computed. */
+   A_c and B_c are column-major. theta_max, theta_possible, remainder: as there.
+   Returns theta; nothing is computed if it is larger than theta_possible or nan. */
 double zero_order_hold(ptrdiff_t n, ptrdiff_t m, const double *A_c, const double *B_c, const double *f,
                        double period, double theta_max, double theta_possible, double remainder,
                        double *A, double *B, double *f_d, double *work)
@@ -179,11 +178,11 @@ double zero_order_hold(ptrdiff_t n, ptrdiff_t m, const double *A_c, const double
          term / (1.0 - short_theta / (terms + 2)) > remainder; term *= short_theta / (terms + 1))
         terms++;
     const int blocks = (terms + 3) / 4;
-    double coefficient[4 * 64]; /* 1 / (k + 1)!, of which 170 are not zero */
+    double coefficient[4 * 64]; /* 1 / (k + 1)!; the first 170 are nonzero */
     coefficient[0] = 1.0;
     for (int k = 1; k < 4 * blocks; k++) coefficient[k] = coefficient[k - 1] / (k + 1);
 
-    /* P = sum of X^k / (k+1)!, by fours; powers of one matrix commute, so that X^4 can be the one on the left. */
+    /* P = sum of X^k / (k+1)!, four terms at a time; powers of X commute, so X^4 can be the left factor. */
     if (blocks > 1) {
         S = compress(n, w, X[2], lists);
         multiply(&S, X[2], w, X[4]);
@@ -277,7 +276,7 @@ void condense(ptrdiff_t steps, ptrdiff_t p, ptrdiff_t m, const double *S, const 
             memset(row, 0, (size_t)columns * sizeof *row);
             for (ptrdiff_t o = 0; o < p; o++) value[o] = Q[o] * flat[o * w + a * m + r];
             combine_row(p, index, value, flat, w, columns, row);
-            /* Step N_p is priced by Q_f alone, so Q's sums end one step earlier: they are without this product. */
+            /* Step N_p has the weight Q_f alone, so the sums with Q end one step earlier, without this product. */
             memmove(sum + m, sum, (size_t)(a * m) * sizeof *sum);
             memset(sum, 0, (size_t)m * sizeof *sum);
             double *to = H + (i * m + r) * stride;
@@ -289,7 +288,7 @@ void condense(ptrdiff_t steps, ptrdiff_t p, ptrdiff_t m, const double *S, const 
             for (ptrdiff_t c = 0; c < (a + 1) * m; c++) sum[c] += row[c];
         }
         for (ptrdiff_t r = 0; r < m; r++) {
-            /* The mirror image; of the diagonal block, the half above counts. */
+            /* The lower triangle, from the upper one. */
             const ptrdiff_t x = i * m + r;
             for (ptrdiff_t y = x + 1; y < D; y++) H[y * stride + x] = H[x * stride + y];
         }
@@ -306,8 +305,8 @@ void condense(ptrdiff_t steps, ptrdiff_t p, ptrdiff_t m, const double *S, const 
         }
 }
 
-/* Lower block-Toeplitz matrix of an impulse response, (steps s, steps m), into rows of length `stride`; what is
-   above the diagonal is not touched. */
+/* Lower block-Toeplitz matrix of an impulse response, (steps s, steps m), into rows of length `stride`; entries above
+   the diagonal stay as they are. */
 void toeplitz(ptrdiff_t steps, ptrdiff_t s, ptrdiff_t m, const double *impulse, double *to, ptrdiff_t stride)
 {
     for (ptrdiff_t k = 0; k < steps; k++)
@@ -327,9 +326,9 @@ void free_response(ptrdiff_t steps, ptrdiff_t n, const double *A, const double *
             dX[(k + 1) * n + i] = dot(n, A + i * n, dX + k * n) + W[k * n + i];
 }
 
-#define PIVOTS 16 /* rows of a factor that are found before they are taken off the rest, in one pass over it */
+#define PIVOTS 16 /* rows of the factor per update of the remaining matrix */
 
-/* H = U' U in place, rows of length `width` (a multiple of LANES, zero beyond n); below the diagonal: rubbish.
+/* H = U' U in place, rows of length `width` (a multiple of LANES, zero beyond n); undefined below the diagonal.
    Returns 0 when H is not positive definite. */
 static int factorise(ptrdiff_t n, ptrdiff_t width, double *H)
 {
@@ -379,7 +378,7 @@ ptrdiff_t within_bounds_work(ptrdiff_t n) { return n * padded(n) + 2 * padded(n)
 
 /* minimise 1/2 z' H z + g' z within bounds by a primal-dual active-set method; see mpc/bounded.py.
 
-   Returns how many guesses it took, or 0 when there were too many or H is not positive definite. */
+   Returns the number of guesses, or 0 if there were too many or H is not positive definite. */
 int within_bounds(ptrdiff_t n, const double *H, const double *g, const double *lower, const double *upper,
                   int most, double *z, double *multipliers, double *work)
 {
@@ -426,7 +425,7 @@ int within_bounds(ptrdiff_t n, const double *H, const double *g, const double *l
     return 0;
 }
 
-static double larger(double a, double b) { return b <= a || a != a ? a : b; } /* what is not a number stays */
+static double larger(double a, double b) { return b <= a || a != a ? a : b; } /* nan is kept */
 
 /* Violations of bounds and of complementarity by one value; see mpc/qp.py. */
 static void judge(double value, double multiplier, double low, double high, double *outside, double *slackness)

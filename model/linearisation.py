@@ -1,10 +1,11 @@
-"""The model of one system, numerically: derivative, outputs, exact linearisation, integration."""
+"""The numerical model of one system: derivative, outputs, exact linearisation, integration."""
 
 from collections.abc import Collection
 from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+import numpy.typing as npt
 
 from model import native, state
 from model.arrays import Array
@@ -15,7 +16,7 @@ from model.state import input_indices
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Linearisation:
-    """First-order expansion about (x0, u0), which need not be an equilibrium.
+    """The first-order expansion about (x0, u0), which need not be an equilibrium.
 
     Attributes:
         f: x' at (x0, u0), (n,), SI.
@@ -34,70 +35,55 @@ class Linearisation:
 
 
 class Model:
-    """Equations of motion of one system, evaluated numerically.
+    """The equations of motion of one system, evaluated numerically.
 
-    External forces, where a method takes them, are (F_0, F_1, .., F_N): on the centres of mass of payload and
-    UAVs, (3 + 3 N,), inertial frame, N; none when left out.
+    External forces, where a method takes them, are (F_0, F_1, .., F_N) on the centres of mass of payload and UAVs,
+    (3 + 3 N,), inertial frame, N; zero by default.
 
     Args:
         system: Physical parameters.
-        off: UAVs without motors, 0-based: their inputs have no effect.
-        released: UAVs that are no longer on their rods, 0-based: forces on them have no effect.
+        off: UAVs without motors, 0-based; their inputs have no effect.
+        released: UAVs no longer on their rods, 0-based; forces on them have no effect.
     """
 
     def __init__(self, system: System, off: Collection[int] = (), released: Collection[int] = ()) -> None:
         self.system = system
         self._off = input_indices(sorted(off))
-        self._beyond = np.array([3 + 3 * uav + axis for uav in sorted(released) for axis in range(3)], dtype=np.intp)
+        self._unforced = np.array([3 + 3 * uav + axis for uav in sorted(released) for axis in range(3)], dtype=np.intp)
         self._p = system.vector()
-        self._functions = functions(system.N)
-        self._derivative = Compiled(self._functions["derivative"])
-        self._tensions = Compiled(self._functions["tensions"])
-        self._velocities = Compiled(self._functions["velocities"])
-        self._outputs = Compiled(self._functions["outputs"])
-        self._linearise = Compiled(self._functions["linearise"])
+        found = functions(system.N)
+        self._derivative, self._tensions = Compiled(found["derivative"]), Compiled(found["tensions"])
+        self._velocities, self._outputs = Compiled(found["velocities"]), Compiled(found["outputs"])
+        self._linearise, self._step = Compiled(found["linearise"]), found["step"]
         self._steps: dict[int, Compiled] = {}
         self._no_forces = np.zeros(3 + 3 * system.N)
 
     def _effective(self, u: Array) -> Array:
-        """Inputs without those of motor-off UAVs, (m,)."""
-        if not len(self._off):
-            return u
-        u = u.copy()
-        u[self._off] = 0.0
-        return u
+        """Return inputs without those of motor-off UAVs, (m,)."""
+        return _zeroed(u, self._off)
 
     def _acting(self, forces: Array | None) -> Array:
-        """External forces without those on released UAVs, (3 + 3 N,)."""
-        if forces is None:
-            return self._no_forces
-        if not len(self._beyond):
-            return forces
-        forces = forces.copy()
-        forces[self._beyond] = 0.0
-        return forces
+        """Return external forces without those on released UAVs, (3 + 3 N,)."""
+        return self._no_forces if forces is None else _zeroed(forces, self._unforced)
 
     def derivative(self, x: Array, u: Array, *, forces: Array | None = None) -> Array:
-        """x' = f(x, u, F), (n,), SI. Source: docs/equations.md (4)-(13), (37)."""
+        """Return x' = f(x, u, F), (n,), SI. Source: docs/equations.md (4)-(13), (37)."""
         return self._derivative(x, self._effective(u), self._p, self._acting(forces))[0]
 
     def tensions(self, x: Array, u: Array, *, forces: Array | None = None) -> Array:
-        """Rod tensions, (N,), N; positive when the rod pulls. Source: docs/equations.md (9), (37)."""
+        """Return the rod tensions, (N,), N; positive when the rod pulls. Source: docs/equations.md (9), (37)."""
         return self._tensions(x, self._effective(u), self._p, self._acting(forces))[0]
 
     def outputs(self, x: Array) -> Array:
-        """y = h(x), (4 N + 9,), SI. Source: docs/equations.md (14)."""
+        """Return y = h(x), (4 N + 9,), SI. Source: docs/equations.md (14)."""
         return self._outputs(x, self._p)[0]
 
     def velocities(self, x: Array) -> Array:
-        """Of the centres of mass of payload and UAVs, (1 + N, 3), inertial frame, m/s.
-
-        Source: docs/equations.md (39).
-        """
+        """Return the velocities of the centres of mass, (1 + N, 3), inertial frame, m/s. Source: equations.md (39)."""
         return self._velocities(x, self._p)[0]
 
     def linearise(self, x: Array, u: Array, *, forces: Array | None = None) -> Linearisation:
-        """Exact derivatives about (x, u) under constant forces.
+        """Return exact derivatives about (x, u) under constant forces.
 
         Source: docs/equations.md (15), (15a), (37); paper (13).
         """
@@ -109,9 +95,9 @@ class Model:
         return Linearisation(f=f, A_c=A_c, B_c=B_c, y=y, C=C)
 
     def force_effect(self, x: Array, u: Array) -> Array:
-        """df/dF, (n, 3 + 3 N), SI per N; the first three columns are those of the payload.
+        """Return df/dF, (n, 3 + 3 N), SI per N; the first three columns are those of the payload.
 
-        f is affine in the forces, so that differences are exact. Source: docs/equations.md (38).
+        f is affine in the forces, so differences are exact. Source: docs/equations.md (38).
         """
         f = self.derivative(x, u)
         return np.column_stack([self.derivative(x, u, forces=unit) - f for unit in np.eye(len(self._no_forces))])
@@ -119,18 +105,18 @@ class Model:
     def integrate(
         self, x: Array, u: Array, duration_s: float, steps: int, *, forces: Array | None = None
     ) -> tuple[Array, float]:
-        """State after `duration_s` of constant input, by `steps` Dormand-Prince steps of order 5.
+        """Return the state after `duration_s` of constant input, by `steps` Dormand-Prince steps of order 5.
 
         Args:
             x: State, (n,).
             u: Input, held, (m,).
             duration_s: s.
             steps: Number of equal steps, >= 1; the rods are projected back after each.
-            forces: Held, too.
+            forces: Held.
         Returns: State, (n,), and the largest local error estimate of any step and component, SI.
         """
         if steps not in self._steps:
-            chained = self._functions["step"].mapaccum(steps)
+            chained = self._step.mapaccum(steps)
             self._steps[steps] = Compiled(_last_and_errors(chained, self.system, steps))
         held = self._acting(forces)
         end, errors = self._steps[steps](x, self._effective(u), self._p, held, duration_s / steps)
@@ -138,12 +124,9 @@ class Model:
 
 
 def along_manifold(A_c: Array, x: Array) -> None:
-    """Make a derivative blind to what lies across |e_i| = 1, e_i . Omega_i = 0: multiply it by that of the projection.
+    """Multiply df/dx, (n, n), column-major, in place, by the derivative of the projection of the rods.
 
-    Args:
-        A_c: df/dx, (n, n), column by column in memory; changed in place.
-        x: State, (n,).
-    Source: docs/equations.md (15a).
+    That removes the directions across |e_i| = 1, e_i . Omega_i = 0. Source: docs/equations.md (15a).
     """
     if native.AVAILABLE:
         native.along_manifold(A_c, x)
@@ -159,6 +142,14 @@ def _along_manifold(A_c: Array, x: Array) -> None:
         across, across_rate = by_e @ e, by_Omega @ e
         by_e -= np.outer(across, e) + np.outer(across_rate, Omega)
         by_Omega -= np.outer(across_rate, e)
+
+
+def _zeroed(vector: Array, entries: npt.NDArray[np.intp]) -> Array:
+    """Return the vector with some entries zero; a copy only if there are any."""
+    if len(entries):
+        vector = vector.copy()
+        vector[entries] = 0.0
+    return vector
 
 
 def _last_and_errors(chained: ca.Function, system: System, steps: int) -> ca.Function:

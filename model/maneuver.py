@@ -1,4 +1,4 @@
-"""What the team is asked to fly: phases of payload motion, straight or along a table, and the references they give."""
+"""The maneuver: phases of payload motion, straight or along a table, and the references that follow from them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,14 +16,14 @@ Profile = Literal["ramp", "min_jerk", "step"]
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
 class Phase:
-    """One piece of the payload's path: straight, or along a table.
+    """One piece of the payload's path, straight or along a table.
 
     Attributes:
         name: For figures and progress, e.g. "climb".
         duration_s: > 0.
-        displacement_I: Way from start to end of the phase, (3,), inertial frame (z down), m.
-        way: Table of times since the start of the phase, s, and positions relative to it, m, (k, 4), from zeros to
-            duration and displacement; between rows at constant speed. None: straight, by the profile.
+        displacement_I: From start to end of the phase, (3,), inertial frame (z down), m.
+        way: Times since the start of the phase, s, and positions relative to it, m, (k, 4), from zeros to duration and
+            displacement, at constant speed between rows. None: straight, by the profile.
     """
 
     name: str
@@ -60,8 +60,8 @@ class Maneuver:
 
     Attributes:
         start_I: Payload position at t = 0, (3,), inertial frame, m.
-        phases: Flown one after the other; the end is held.
-        profile: How the displacement of a straight phase is covered: at constant speed, with minimum jerk, or at once.
+        phases: In this order; the end is held.
+        profile: Of straight phases: constant speed, minimum jerk, or a step at the beginning.
     """
 
     start_I: Array
@@ -79,16 +79,22 @@ class Maneuver:
 
     @property
     def duration_s(self) -> float:
-        """Sum of the phases, s."""
+        """Sum over the phases, s."""
         return sum(phase.duration_s for phase in self.phases)
 
-    def path(self, t_s: Array) -> tuple[Array, Array]:
-        """Reference position and velocity of the payload.
+    def phase_at(self, t_s: float) -> Phase:
+        """Return the phase that a time belongs to: the first phase before the start, the last one after the end."""
+        end_s = 0.0
+        for phase in self.phases:
+            end_s += phase.duration_s
+            if t_s < end_s:
+                break
+        return phase
 
-        Args:
-            t_s: Times, (k,), s.
-        Returns: r0 (k, 3), m, and its time derivative (k, 3), m/s, both inertial. A step has no velocity.
-        Source: docs/equations.md (20).
+    def path(self, t_s: Array) -> tuple[Array, Array]:
+        """Return r0, (k, 3), m, and its time derivative, (k, 3), m/s, at times t_s, (k,), s; both inertial.
+
+        A step has no velocity. Source: docs/equations.md (20).
         """
         r = np.tile(self.start_I, (len(t_s), 1))
         v = np.zeros((len(t_s), 3))
@@ -105,48 +111,29 @@ class Maneuver:
         return r, v
 
 
-def paper_maneuver() -> Maneuver:
-    """Hover, climb 2.5 m, translate 2.5 m in +x, descend 2.5 m, hover: 5 s each. Source: paper, section V."""
-    legs = {"hover": (0, 0, 0), "climb": (0, 0, -2.5), "translate": (2.5, 0, 0), "descend": (0, 0, 2.5)}
-    order = ["hover", "climb", "translate", "descend", "hover"]
-    return Maneuver(
-        start_I=[0.0, 0.0, -10.0],
-        phases=[Phase(name=name, duration_s=5.0, displacement_I=legs[name]) for name in order],
-    )
-
-
 class Reference:
-    """Reference outputs and states along a maneuver: the hover configuration carried along the path.
-
-    Args:
-        system: Physical parameters.
-        hover: Equilibrium at the origin.
-        maneuver: The path.
-    """
+    """The reference outputs and states of a maneuver: the hover configuration moved along the path."""
 
     def __init__(self, system: System, hover: Hover, maneuver: Maneuver) -> None:
         self.maneuver = maneuver
-        self._hover = hover
+        self._system, self._hover = system, hover
         rods = state.StateView(hover.x).e_P
         self._offsets = np.array([uav.rho - uav.rod_length * e for uav, e in zip(system.uavs, rods, strict=True)])
 
     def outputs(self, t_s: Array) -> Array:
-        """y_ref at the given times: UAVs and payload along the path, level payload, no yaw rates.
+        """Return y_ref at times t_s, (k,), s: level payload, no yaw rates, (k, 4 N + 9), SI.
 
-        Args:
-            t_s: Times, (k,), s.
-        Returns: (k, 4 N + 9), SI.
         Source: docs/equations.md (14), (20).
         """
         r0, v0 = self.maneuver.path(t_s)
-        N = len(self._offsets)
-        y = np.zeros((len(t_s), 4 * N + 9))
+        N = self._system.N
+        y = np.zeros((len(t_s), self._system.p))
         y[:, : 3 * N] = (r0[:, None, :] + self._offsets).reshape(len(t_s), 3 * N)
         y[:, -6:-3], y[:, -3:] = r0, v0
         return y
 
     def states(self, t_s: Array) -> Array:
-        """x_ref at the given times: hover configuration at r0(t) moving with r0'(t), (k, 12 + 12 N), SI."""
+        """Return x_ref at times t_s, (k,), s: hover at r0(t) with velocity r0'(t), (k, 12 + 12 N), SI."""
         r0, v0 = self.maneuver.path(t_s)
         x = np.tile(self._hover.x, (len(t_s), 1))
         x[:, state.R0] += r0
@@ -155,7 +142,7 @@ class Reference:
 
 
 def _profile(profile: Profile, tau: Array) -> tuple[Array, Array]:
-    """Share of the displacement covered at normalised time tau, and its derivative with respect to tau."""
+    """Return the share of the displacement at normalised time tau, and its derivative with respect to tau."""
     inside = (tau >= 0.0) & (tau < 1.0)
     c = np.clip(tau, 0.0, 1.0)
     if profile == "ramp":
@@ -166,7 +153,7 @@ def _profile(profile: Profile, tau: Array) -> tuple[Array, Array]:
 
 
 def _along(way: Array, t_s: Array) -> tuple[Array, Array]:
-    """Position and velocity along a table, (k, 3) each; its ends are held."""
+    """Return position and velocity along a table, (k, 3) each; its ends are held."""
     times, places = way[:, 0], way[:, 1:]
     r = np.column_stack([np.interp(t_s, times, places[:, axis]) for axis in range(3)])
     speeds = np.diff(places, axis=0) / np.diff(times)[:, None]

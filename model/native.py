@@ -1,8 +1,6 @@
-"""The loops of `kernels.c`, compiled for this processor by the C compiler that is here, if one is.
+"""The compiled loops of `kernels.c`: a controller's step is a hundred small matrix operations, mostly call overhead.
 
-A controller's step is a hundred small matrix operations, and most of its time went into starting them. Where there is
-no compiler, or it fails, `AVAILABLE` is false and the functions in Python do the same: they are what the kernels are
-tested against, and results agree but for rounding. See `model.compiler`.
+Without a C compiler `AVAILABLE` is false and Python functions with the same result, but for rounding, take their place.
 """
 
 import ctypes
@@ -45,7 +43,7 @@ def along_manifold(A_c: Array, x: Array) -> None:
 def zero_order_hold(
     A_c: Array, B_c: Array, f: Array, period_s: float, theta_max: float, theta_possible: float, remainder: float
 ) -> tuple[float, Array, Array, Array]:
-    """The growth theta, and A, B and f_d, which mean nothing when theta is above theta_possible or no number.
+    """Return the growth theta, A, B and f_d; the last three are meaningless if theta > theta_possible or nan.
 
     Args:
         A_c: (n, n).
@@ -54,10 +52,10 @@ def zero_order_hold(
         period_s: Sampling period, s.
         theta_max: Growth above which the period is halved.
         theta_possible: Growth above which nothing is computed.
-        remainder: What the series may leave out; see `model.discretisation`.
+        remainder: Largest remainder of the series; see `model.discretisation`.
     """
     n, m = B_c.shape
-    # Column by column, as CasADi hands them out.
+    # Column-major, as CasADi returns them: no copies.
     columns, inputs = np.ascontiguousarray(A_c.T), np.ascontiguousarray(B_c.T)
     A, B, f_d = np.empty((n, n)), np.empty((n, m)), np.empty(n)
     theta = _KERNELS.zero_order_hold(
@@ -101,7 +99,7 @@ def toeplitz(impulse: Array, rows: Array) -> None:
 
 
 def within_bounds(H: Array, g: Array, lower: Array, upper: Array, most: int) -> tuple[int, Array, Array]:
-    """See `mpc.bounded.solve`: guesses needed, 0 when it failed; answer and multipliers."""
+    """Return number of guesses (0: failed), solution and multipliers; see `mpc.bounded.solve`."""
     n = len(g)
     z, multipliers = np.empty(n), np.empty(n)
     guesses = _KERNELS.within_bounds(
@@ -126,28 +124,28 @@ def residuals(
 
 
 def _at(array: Array) -> int:
-    """Address of the numbers of an array, which has to be row-major float64; of nothing where it is empty."""
+    """Return the address of a row-major float64 array, 0 for an empty one."""
     if array.size == 0:
         return 0
     if array.dtype.char != "d" or not array.flags.c_contiguous:
         raise TypeError(f"expected a row-major array of float64, got {array.dtype} with strides {array.strides}")
     if array.flags.writeable:
-        return ctypes.addressof(ctypes.c_double.from_buffer(array.data))  # the quickest way there is
+        return ctypes.addressof(ctypes.c_double.from_buffer(array.data))  # fastest
     return int(array.ctypes.data)
 
 
 def _work(which: str, *sizes: int) -> int:
-    """Address of the work space of a kernel; kernels run to their end before anybody else computes."""
+    """Return the address of a kernel's work space, shared by all its calls: kernels hold the interpreter lock."""
     found = _WORK.get((which, sizes))
     if found is None:
         room = np.zeros(getattr(_KERNELS, which)(*sizes) + 8)
-        # Aligned to the width of the vectors of every processor there is.
+        # Aligned to the widest vectors.
         room = room[(-room.ctypes.data // 8) % 8 :]
         found = _WORK[which, sizes] = room, int(room.ctypes.data)
     return found[1]
 
 
-# By kernel and sizes, for good: whoever has the address has no hold on the array.
+# By kernel and sizes; never freed, as addresses do not keep the arrays alive.
 _WORK: dict[tuple[str, tuple[int, ...]], tuple[Array, int]] = {}
 
 
@@ -159,7 +157,7 @@ def _load() -> Any:
     if not compiler.intact(path) and not compiler.compile_library(path, source, _FLAGS):
         return None
     try:
-        # PyDLL keeps the interpreter's lock: a kernel is shorter than handing the lock over and getting it back.
+        # PyDLL keeps the interpreter lock: a kernel is shorter than releasing and taking it.
         library = ctypes.PyDLL(str(path))
     except OSError:
         return None

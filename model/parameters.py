@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from model import state
 from model.arrays import Array, ArrayLike, ShapeError, checked
 
 GRAVITY = 9.81  # m/s^2; the paper gives none
@@ -14,12 +15,12 @@ _INERTIA_SLACK = 1e-9
 
 
 class ParameterError(ValueError):
-    """A physical parameter that no real body has."""
+    """A physical parameter out of its range."""
 
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
 class Payload:
-    """The rigid body that is carried.
+    """The carried rigid body.
 
     Attributes:
         mass: kg.
@@ -36,7 +37,7 @@ class Payload:
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
 class Uav:
-    """One quadrotor and the rod that ties its centre of mass to the payload.
+    """One quadrotor and the rod from its centre of mass to the payload.
 
     Attributes:
         mass: kg.
@@ -59,7 +60,7 @@ class Uav:
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
 class System:
-    """The coupled system: one payload, N UAVs, gravity along the inertial z axis (down)."""
+    """One payload, N UAVs, and gravity along the inertial z axis (down), m/s^2."""
 
     payload: Payload
     uavs: tuple[Uav, ...]
@@ -70,7 +71,7 @@ class System:
             raise ParameterError("system: expected at least one UAV, got none")
         object.__setattr__(self, "payload", payload)
         object.__setattr__(self, "uavs", tuple(uavs))
-        # Zero gravity is a legitimate test of the dynamics, so only the sign is checked.
+        # Zero gravity is used by tests of the dynamics.
         if not (np.isfinite(gravity) and gravity >= 0.0):
             raise ParameterError(f"gravity: expected a number >= 0 m/s^2, got {gravity!r}")
         object.__setattr__(self, "gravity", float(gravity))
@@ -83,12 +84,17 @@ class System:
     @property
     def n(self) -> int:
         """Number of states, 12 + 12 N."""
-        return 12 + 12 * self.N
+        return state.PAYLOAD + state.PER_UAV * self.N
 
     @property
     def m(self) -> int:
         """Number of inputs, 4 N."""
-        return 4 * self.N
+        return state.INPUTS * self.N
+
+    @property
+    def p(self) -> int:
+        """Number of outputs, 4 N + 9."""
+        return 4 * self.N + 9
 
     @property
     def total_mass(self) -> float:
@@ -96,7 +102,7 @@ class System:
         return self.payload.mass + sum(uav.mass for uav in self.uavs)
 
     def vector(self) -> Array:
-        """All parameters in the order the compiled model takes them (`model.dynamics.Symbols`), (8 + 11 N,), SI."""
+        """Return all parameters in the order of `model.dynamics.Symbols`, (8 + 11 N,), SI."""
         parts = [np.array([self.gravity, self.payload.mass]), _upper(self.payload.inertia)]
         for uav in self.uavs:
             parts += [np.array([uav.mass]), _upper(uav.inertia), uav.rho, np.array([uav.rod_length])]
@@ -106,7 +112,7 @@ class System:
 
 
 def table_1() -> System:
-    """The system of the paper's Table I: a 3 kg payload under four 1.5 kg UAVs on 3.2 m rods."""
+    """Return the system of the paper's Table I: a 3 kg payload under four 1.5 kg UAVs on 3.2 m rods."""
     corners = [(0.25, 0.25), (0.25, -0.25), (-0.25, -0.25), (-0.25, 0.25)]
     return System(
         payload=Payload(mass=3.0, inertia=[0.556, 0.556, 0.556]),

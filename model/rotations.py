@@ -1,8 +1,4 @@
-"""Rotations: the cross-product matrix, 3-2-1 Euler angles (roll, pitch, yaw) and their rates.
-
-Every function takes numpy arrays or CasADi expressions: the equations of motion are built from the
-symbolic form, tests and figures use the numeric one, and both come from the same lines.
-"""
+"""3-2-1 Euler angles (roll, pitch, yaw) and their rates, for numpy arrays and CasADi expressions."""
 
 from typing import Any
 
@@ -12,23 +8,9 @@ import numpy as np
 from model.arrays import Array
 
 
-def hat(a: Any) -> Any:
-    """Cross-product matrix, hat(a) b = a x b.
-
-    Args:
-        a: Vector, (3,), numeric or symbolic.
-    Returns: Skew-symmetric matrix, (3, 3), of the same kind.
-    Source: docs/equations.md (1).
-    """
-    return _matrix(a, [[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]])
-
-
 def rotation(Theta: Any) -> Any:
-    """Rotation matrix of 3-2-1 Euler angles; maps body coordinates to those of the frame above.
+    """Return R = Rz(yaw) Ry(pitch) Rx(roll), (3, 3), of roll, pitch, yaw, (3,), rad; it maps body to outer coordinates.
 
-    Args:
-        Theta: Roll, pitch, yaw, (3,), rad.
-    Returns: R = Rz(yaw) Ry(pitch) Rx(roll), (3, 3).
     Source: docs/equations.md (2).
     """
     cos, sin = _trigonometry(Theta)
@@ -43,12 +25,9 @@ def rotation(Theta: Any) -> Any:
 
 
 def euler_rates(Theta: Any) -> Any:
-    """Matrix E with Theta' = E omega for body rates omega. Singular at pitch = +-90 deg.
+    """Return E, (3, 3), with Theta' = E omega for body rates omega and roll, pitch, yaw Theta, (3,), rad.
 
-    Args:
-        Theta: Roll, pitch, yaw, (3,), rad.
-    Returns: E, (3, 3), dimensionless.
-    Source: docs/equations.md (3).
+    Singular at pitch = +-90 deg. Source: docs/equations.md (3).
     """
     cos, sin = _trigonometry(Theta)
     cr, cp = cos(Theta[0]), cos(Theta[1])
@@ -58,17 +37,14 @@ def euler_rates(Theta: Any) -> Any:
 
 
 def euler_angles(R: Array) -> Array:
-    """3-2-1 Euler angles of a rotation matrix, the inverse of `rotation`.
+    """Return roll, pitch, yaw, (..., 3), rad, of rotation matrices, (..., 3, 3): the inverse of `rotation`.
 
-    Args:
-        R: Rotation matrix, (..., 3, 3).
-    Returns: Roll, pitch, yaw, (..., 3), rad; roll and yaw in (-pi, pi], pitch in [-pi/2, pi/2].
-    Source: docs/equations.md (2).
+    Roll and yaw are in (-pi, pi], pitch in [-pi/2, pi/2]. Source: docs/equations.md (2).
     """
     roll = np.arctan2(R[..., 2, 1], R[..., 2, 2])
     pitch = -np.arcsin(np.clip(R[..., 2, 0], -1.0, 1.0))
     yaw = np.arctan2(R[..., 1, 0], R[..., 0, 0])
-    # At exactly 90 deg of pitch only yaw -+ roll is defined and the entries above vanish: all of it is yaw.
+    # At exactly 90 deg of pitch only yaw -+ roll is defined and these entries vanish: roll is set to zero.
     locked = (R[..., 2, 1] == 0.0) & (R[..., 2, 2] == 0.0)
     roll = np.where(locked, 0.0, roll)
     yaw = np.where(locked, np.arctan2(-R[..., 0, 1], R[..., 1, 1]), yaw)

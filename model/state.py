@@ -1,9 +1,9 @@
-"""Where each variable sits in the state and input vectors.
+"""The layout of the state and input vectors.
 
     x = [r0, v0, Theta0, omega0, (e_i, Omega_i, Theta_i, omega_i) for i = 1..N],   12 + 12 N
     u = [(thrust_i, tau_i) for i = 1..N],                                          4 N
 
-Indices here are 0-based; ids that people see (UAV1..UAVN) are 1-based and converted at the edge.
+Indices are 0-based; the ids UAV1..UAVN in scenarios and output are 1-based.
 """
 
 from collections.abc import Iterable
@@ -29,31 +29,28 @@ ROD_RATE = slice(3, 6)  # Omega_i, absolute angular velocity of the rod, payload
 THETA = slice(6, 9)  # UAV attitude, rad
 OMEGA = slice(9, 12)  # UAV angular velocity, UAV body frame, rad/s
 
-
-# No state, input or correction of a flight is larger, in SI units; what is computed from numbers of this size stays
-# far from what a float64 can hold.
+# Largest plausible state, input or correction, SI; results computed from such numbers stay far below the float64 range.
 LARGEST = 1e6
 
 
 def uav_slice(i: int) -> slice:
-    """States of UAV i (0-based) in x."""
-    start = PAYLOAD + PER_UAV * i
-    return slice(start, start + PER_UAV)
+    """Return the states of UAV i (0-based) in x."""
+    return slice(PAYLOAD + PER_UAV * i, PAYLOAD + PER_UAV * (i + 1))
 
 
 def input_slice(i: int) -> slice:
-    """Inputs of UAV i (0-based) in u."""
+    """Return the inputs of UAV i (0-based) in u."""
     return slice(INPUTS * i, INPUTS * (i + 1))
 
 
 def input_indices(uavs: Iterable[int]) -> npt.NDArray[np.intp]:
-    """Positions in u of the inputs of several UAVs (0-based), in the order given, (4 len(uavs),)."""
+    """Return the positions in u of the inputs of several UAVs (0-based), in the given order, (4 len(uavs),)."""
     return np.array([INPUTS * i + j for i in uavs for j in range(INPUTS)], dtype=np.intp)
 
 
 @dataclass(frozen=True, slots=True)
 class StateView:
-    """Named views into a state vector or a trajectory of them; nothing is copied.
+    """Named views, without copies, into a state vector or a trajectory.
 
     Args:
         x: State(s), (..., 12 + 12 N).

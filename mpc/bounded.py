@@ -1,8 +1,8 @@
-"""A primal-dual active-set method for programs with bounds alone.
+"""A primal-dual active-set method for QPs with bounds only (Hintermueller, Ito, Kunisch 2003).
 
-Guess which bounds hold; solve the equations that are left; let go of bounds that are pulled at, hold those that are
-crossed; again, until the guess explains itself (Hintermueller, Ito, Kunisch 2003, a semismooth Newton method). One
-factorisation a guess, and most programs of a flight need one. It may go in circles: then it has failed, and says so.
+Guess the active bounds; solve the remaining equations; release bounds whose multiplier has the wrong sign, add violated
+ones; repeat until the guess is consistent. Each guess costs one factorisation, and most QPs of a flight need one guess.
+The method may cycle; it then reports failure.
 """
 
 import numpy as np
@@ -10,20 +10,15 @@ import numpy as np
 from model import native
 from model.arrays import Array
 
-# The usual program needs one guess, one with bounds that hold two or three; a circle is caught here.
+# A usual QP needs one guess, a QP with active bounds two or three; the limit ends a cycle.
 MOST_GUESSES = 8
 
 
 def solve(H: Array, g: Array, lower: Array, upper: Array) -> tuple[Array, Array, int]:
-    """Minimise 1/2 z' H z + g' z subject to lower <= z <= upper.
+    """Minimise 1/2 z' H z + g' z, H positive definite, (n, n), subject to lower <= z <= upper, possibly infinite.
 
-    Args:
-        H: Positive definite, (n, n).
-        g: (n,).
-        lower: (n,), -inf where there is none.
-        upper: (n,), inf where there is none.
-    Returns: The answer, (n,); its multipliers, (n,), positive at upper bounds; how many guesses it took, 0 when it
-        failed and the rest means nothing.
+    Returns: Solution, (n,); multipliers, (n,), positive at upper bounds; number of guesses, 0 for a failure, in which
+        case the rest is meaningless.
     """
     if native.AVAILABLE:
         guesses, z, multipliers = native.within_bounds(np.ascontiguousarray(H), g, lower, upper, MOST_GUESSES)
@@ -33,7 +28,7 @@ def solve(H: Array, g: Array, lower: Array, upper: Array) -> tuple[Array, Array,
 
 def _solve(H: Array, g: Array, lower: Array, upper: Array) -> tuple[Array, Array, int]:
     z, multipliers = np.zeros(len(g)), np.zeros(len(g))
-    # Whoever is pulled at a bound that zero is at stays there: a slack, say.
+    # Start with the bounds at zero that the gradient pushes against, such as those of slacks.
     held = np.where((lower >= 0.0) & (g > 0.0), -1, np.where((upper <= 0.0) & (g < 0.0), 1, 0))
     for guess in range(1, MOST_GUESSES + 1):
         free = held == 0

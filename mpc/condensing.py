@@ -1,8 +1,7 @@
-"""Condensing: Hessian, gradient and constraint rows of the cost in the decision alone.
+"""Condensing: Hessian, gradient and constraint rows in terms of the decision alone.
 
-The prediction matrix is block-Toeplitz, so the Hessian's blocks along each diagonal are partial sums of
-the same products, and so are the gradient and what decisions cause. The work is O(N_p^2) blocks; forming the
-matrices of paper (16) and multiplying them, the oracle of the tests, is O(N_p^3).
+The prediction matrix is block-Toeplitz, so the Hessian's blocks along each diagonal, and likewise the gradient's, are
+partial sums of the same products: O(N_p^2) blocks of work instead of O(N_p^3) for the matrix products of paper (16).
 """
 
 import itertools
@@ -16,15 +15,15 @@ from model.arrays import Array
 
 
 def condense(output_impulse: Array, Q: Array, terminal: float, weighted: Array, H: Array, g: Array) -> None:
-    """Hessian and gradient of the tracking cost, into the first rows and columns of those of a program.
+    """Write Hessian and gradient of the tracking cost into the first rows and columns of those of a QP.
 
     Args:
         output_impulse: S_j = C A^j B, (N_p, p, m).
         Q: Stage weight, (p,).
         terminal: Q_f as a multiple of Q.
         weighted: Weighted errors of the free response at steps 1..N_p, (N_p, p).
-        H: Filled from its corner on, (at least N_p m, as many).
-        g: Filled from its beginning on, (at least N_p m,).
+        H: (at least N_p m, as many).
+        g: (at least N_p m,).
     Source: docs/equations.md (26)-(27).
     """
     if native.AVAILABLE:
@@ -36,17 +35,10 @@ def condense(output_impulse: Array, Q: Array, terminal: float, weighted: Array, 
 
 
 def hessian(output_impulse: Array, Q: Array, terminal: float) -> Array:
-    """sum_{k=1}^{N_p-1} G_k' Q G_k + terminal G_Np' Q G_Np, with G_k the effect of the decision on y(k).
+    """Return sum_{k=1}^{N_p-1} G_k' Q G_k + terminal G_Np' Q G_Np, (N_p m, N_p m); G_k: effect of the decision on y(k).
 
-    Block (i, j) sums S_a' Q S_b over b = 0, 1, .. with a - b = j - i fixed, S the impulse response; the
-    products of all pairs are one matrix product, the sums run down its block diagonals.
-
-    Args:
-        output_impulse: S_j = C A^j B, (N_p, p, m).
-        Q: Stage weight, (p,).
-        terminal: Q_f as a multiple of Q.
-    Returns: (N_p m, N_p m), symmetric.
-    Source: docs/equations.md (26).
+    Block (i, j) sums S_a' Q S_b over b = 0, 1, .. with a - b = j - i fixed: one matrix product for all pairs, then sums
+    along its block diagonals. Arguments as those of `condense`. Source: docs/equations.md (26).
     """
     steps, p, m = output_impulse.shape
     S = output_impulse.transpose(1, 0, 2).reshape(p, steps * m)
@@ -55,60 +47,21 @@ def hessian(output_impulse: Array, Q: Array, terminal: float) -> Array:
     blocks = terminal * sums
     for above, below in itertools.pairwise(sums):
         below[1:] += above[:-1]
-    # Step k = N_p is priced by Q_f alone, so Q's sums end one step earlier.
+    # Step k = N_p has the weight Q_f alone, so the sums with Q end one step earlier.
     blocks[1:, 1:] += sums[:-1, :-1]
     H = blocks[::-1, ::-1].transpose(0, 2, 1, 3).reshape(steps * m, steps * m)
     return (H + H.T) / 2.0
 
 
 def gradient(output_impulse: Array, weighted: Array) -> Array:
-    """sum_k G_k' w(k): block j sums S_a' w(j + 1 + a) over a = 0, 1, ... as far as there are steps.
-
-    All products at once, and then sums along the diagonals of their table: as many products as an adjoint sweep
-    of the outputs, without a step that waits for the one before.
-
-    Args:
-        output_impulse: S_j = C A^j B, (N_p, p, m).
-        weighted: Weighted errors of the free response at steps 1..N_p, (N_p, p).
-    Returns: (N_p m,).
-    Source: docs/equations.md (27).
-    """
-    steps, p, m = output_impulse.shape
-    products = weighted @ output_impulse.transpose(1, 0, 2).reshape(p, steps * m)
-    return _diagonal_sums(products.reshape(steps, steps, m)).reshape(-1)
-
-
-def response(impulse: Array, V: Array) -> Array:
-    """Signal at steps 1..N_p that decisions cause: sum_{j < k} S_(k-1-j) v(j).
-
-    Args:
-        impulse: S_j, effect of one decision on the signal j + 1 steps later, (N_p, s, m).
-        V: Decisions, (N_p, m).
-    Returns: (N_p, s).
-    Source: docs/equations.md (24); paper (16).
-    """
-    steps, s, m = impulse.shape
-    products = V[::-1] @ impulse.transpose(2, 0, 1).reshape(m, steps * s)
-    return _diagonal_sums(products.reshape(steps, steps, s))[::-1]
-
-
-def _diagonal_sums(table: Array) -> Array:
-    """Entry k: sum of table[k + a, a] over a, as far as the table goes; (N, m) of (N, N, m)."""
-    N, _, m = table.shape
-    padded = np.zeros((2 * N, N, m))
-    padded[:N] = table
-    down, across, within = padded.strides
-    skewed = np.lib.stride_tricks.as_strided(padded, (N, N, m), (down, down + across, within), writeable=False)
-    sums: Array = skewed.sum(axis=1)
-    return sums
+    """Return sum_k G_k' w(k), (N_p m,); arguments as those of `condense`. Source: docs/equations.md (27)."""
+    return weighted.reshape(-1) @ rows(output_impulse)
 
 
 def fill(impulse: Array, to: Array) -> None:
-    """Write the prediction matrix of a signal (`rows`) into the first columns of rows that are zero there.
+    """Write the prediction matrix of a signal (`rows`) into the first columns of zero rows, (N_p s, at least N_p m).
 
-    Args:
-        impulse: Effect of one decision on the signal j + 1 steps later, (N_p, s, m).
-        to: (N_p s, at least N_p m), its rows whole ones of a row-major matrix.
+    The rows are whole rows of a row-major matrix.
     """
     if native.AVAILABLE:
         native.toeplitz(np.ascontiguousarray(impulse), to)
@@ -117,11 +70,10 @@ def fill(impulse: Array, to: Array) -> None:
 
 
 def rows(impulse: Array) -> Array:
-    """Prediction matrix of a signal at steps 1..N_p from its impulse response (lower block-Toeplitz).
+    """Return the prediction matrix of a signal at steps 1..N_p, lower block-Toeplitz, (N_p s, N_p m).
 
     Args:
         impulse: Effect of one decision on the signal j + 1 steps later, (N_p, s, m).
-    Returns: (N_p s, N_p m), step by step.
     Source: docs/equations.md (25); paper (16).
     """
     steps, s, m = impulse.shape
@@ -131,6 +83,6 @@ def rows(impulse: Array) -> Array:
 
 @lru_cache
 def _later(steps: int) -> npt.NDArray[np.intp]:
-    """How many steps before a step each decision was made; as many as there are steps where it is made behind it."""
+    """Return the steps from decision (column) to signal (row); the number of steps if the decision comes later."""
     later = np.arange(steps)[:, None] - np.arange(steps)[None, :]
     return np.where(later < 0, steps, later)

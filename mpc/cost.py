@@ -1,7 +1,6 @@
-"""The cost every agent minimises and every run is judged by."""
+"""The cost that every agent minimises and that measures every run."""
 
 from collections.abc import Collection
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,27 +9,20 @@ from model.hover import Hover
 from mpc.settings import Weights
 
 
-@dataclass(frozen=True, slots=True, init=False)
 class Cost:
-    """Quadratic cost with diagonal weights.
+    """A quadratic cost with diagonal weights.
 
     Args:
         weights: Of outputs and inputs.
         hover: The equilibrium.
-        off: UAVs without motors, 0-based: their yaw rates have no weight.
-        released: UAVs that are no longer on their rods, 0-based: none of their outputs has.
+        off: UAVs without motors, 0-based; their yaw rates have no weight.
+        released: UAVs no longer on their rods, 0-based; none of their outputs has a weight.
 
     Attributes:
         Q: Stage weight on the output error, (p,).
-        Q_f: Terminal weight on the output error, (p,).
         R: Weight on the inputs, (m,).
-        u_target: Input that costs nothing: hover, or zero, (m,).
+        u_target: Input without cost: hover, or zero, (m,).
     """
-
-    Q: Array
-    Q_f: Array
-    R: Array
-    u_target: Array
 
     def __init__(
         self, weights: Weights, hover: Hover, off: Collection[int] = (), released: Collection[int] = ()
@@ -41,15 +33,11 @@ class Cost:
             Q[3 * uav : 3 * uav + 3] = 0.0
         for uav in off:
             Q[3 * N + 3 + uav] = 0.0
-        object.__setattr__(self, "Q", Q)
-        object.__setattr__(self, "Q_f", weights.terminal * Q)
-        object.__setattr__(self, "R", weights.R(N))
-        object.__setattr__(
-            self, "u_target", hover.u if weights.penalised_input == "deviation" else np.zeros_like(hover.u)
-        )
+        self.Q, self.R = Q, weights.R(N)
+        self.u_target = hover.u if weights.penalised_input == "deviation" else np.zeros_like(hover.u)
 
     def stage(self, y: Array, y_ref: Array, u: Array) -> float:
-        """Cost of one sampling instant, (y - y_ref)' Q (y - y_ref) + (u - u_target)' R (u - u_target).
+        """Return the cost of one sampling instant, (y - y_ref)' Q (y - y_ref) + (u - u_target)' R (u - u_target).
 
         Args:
             y: Output, (p,).

@@ -1,7 +1,7 @@
-"""Constraints and terms of the cost as text: "r0[2] <= -2", "norm(r1 - r3) >= 0.8", "thrust1 + thrust2 <= 60"; "e1[0]".
+"""The user's constraints and cost terms as text: "r0[2] <= -2", "norm(r1 - r3) >= 0.8", "thrust1 <= 30"; "e1[0]".
 
-Text travels in the scenario to every process and is read here into a CasADi expression, by walking the
-syntax tree and allowing nothing but the names below, numbers, arithmetic and one comparison.
+The text is part of the scenario. It is read into a CasADi expression by walking its syntax tree; only the names below,
+numbers, arithmetic and one comparison are allowed.
 
 States: r0, v0, Theta0, omega0 (payload), and for UAV i: ri, ei, Omegai, Thetai, omegai. Inputs: thrusti, taui.
 Functions: norm, dot, cross, sin, cos, tan, sqrt, exp, fabs, fmin, fmax; the constant pi.
@@ -9,7 +9,7 @@ Functions: norm, dot, cross, sin, cos, tan, sqrt, exp, fabs, fmin, fmax; the con
 
 import ast
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -17,6 +17,8 @@ import casadi as ca
 import numpy as np
 
 from model import state
+from model.arrays import Array
+from model.compiled import Compiled
 from model.dynamics import Symbols, uav_positions
 from mpc.settings import SettingsError
 
@@ -54,7 +56,7 @@ class Relation:
     Attributes:
         text: As written.
         value: Scalar expression over the symbols it was read with.
-        on: Whether it speaks of states or of inputs; never both, as in paper (18)-(19).
+        on: States or inputs; never both, as in paper (18)-(19).
         kind: "inequality" (value <= 0) or "equality" (value = 0).
     """
 
@@ -94,7 +96,7 @@ def read(text: str, symbols: Symbols) -> Relation:
 
 
 def read_term(text: str, symbols: Symbols) -> ca.SX:
-    """Read what a term of the cost prices.
+    """Read the expression of a cost term.
 
     Args:
         text: An expression of states.
@@ -105,10 +107,58 @@ def read_term(text: str, symbols: Symbols) -> ca.SX:
     what = f"cost {text!r}"
     value = _scalar(_parsed(text, what), symbols, what)
     if ca.depends_on(value, symbols.u):
-        raise SettingsError(f"{what}: expected states, got inputs; they are priced by controller.weights")
+        raise SettingsError(f"{what}: expected states, got inputs; their weights are controller.weights")
     if not ca.depends_on(value, symbols.x):
         raise SettingsError(f"{what}: expected states, got none")
     return value
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Affine:
+    """Scalar expressions linearised about a state or an input.
+
+    Attributes:
+        value: (c,).
+        slope: Gradients, (c, n) or (c, m).
+    """
+
+    value: Array
+    slope: Array
+
+
+class Expressions:
+    """Scalar expressions of the user, compiled with exact derivatives.
+
+    Args:
+        values: Over the symbols below.
+        variable: State or input.
+        parameters: Of the system.
+        p: Their values.
+
+    Attributes:
+        depends: Which elements of the variable occur in each expression, (c, n) or (c, m).
+    """
+
+    def __init__(self, values: Sequence[ca.SX], variable: ca.SX, parameters: ca.SX, p: Array) -> None:
+        self._p, self._shape = p, (len(values), variable.numel())
+        self._function: Compiled | None = None
+        self.depends = np.zeros(self._shape, dtype=bool)
+        if values:
+            value = ca.vertcat(*values)
+            slope = ca.jacobian(value, variable)
+            self.depends = np.array(ca.DM(slope.sparsity(), 1).full(), dtype=bool)
+            results = [ca.densify(value), ca.densify(slope)]
+            self._function = Compiled(ca.Function("expressions", [variable, parameters], results))
+
+    def __len__(self) -> int:
+        return self._shape[0]
+
+    def at(self, point: Array) -> Affine:
+        """Linearise about a state or an input. Source: docs/equations.md (30), (48)."""
+        if self._function is None:
+            return Affine(value=np.zeros(0), slope=np.zeros(self._shape))
+        value, slope = self._function(point, self._p)
+        return Affine(value=value, slope=slope.reshape(self._shape))
 
 
 def _parsed(text: str, what: str) -> ast.expr:
@@ -131,13 +181,7 @@ def _scalar(tree: ast.expr, symbols: Symbols, what: str) -> ca.SX:
 
 def _names(symbols: Symbols) -> dict[str, Any]:
     x, u = symbols.x, symbols.u
-    names = {
-        "r0": x[state.R0],
-        "v0": x[state.V0],
-        "Theta0": x[state.THETA0],
-        "omega0": x[state.OMEGA0],
-        "pi": ca.pi,
-    }
+    names = {"r0": x[state.R0], "v0": x[state.V0], "Theta0": x[state.THETA0], "omega0": x[state.OMEGA0], "pi": ca.pi}
     for i, position in enumerate(uav_positions(symbols)):
         block, inputs = x[state.uav_slice(i)], u[state.input_slice(i)]
         names |= {

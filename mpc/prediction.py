@@ -1,8 +1,7 @@
-"""Prediction over the horizon: what happens if the owned inputs stay, and what each owned input changes.
+"""Prediction over the horizon: the free response with held owned inputs, and the effect of each owned input.
 
-A prediction is affine in the decision v (one row per step), and time-invariant over the horizon, so it is
-fully described by the free response and one impulse response. Whoever predicts the others differently
-(another feedback, another decision variable) returns the same type and the rest of the controller stays.
+A prediction is affine in the decision v (one row per step) and time-invariant over the horizon, so the free response
+and one impulse response describe it fully.
 """
 
 from dataclasses import dataclass
@@ -12,12 +11,30 @@ import numpy as np
 from model import native
 from model.arrays import Array
 from model.discretisation import Discrete
+from model.linearisation import Linearisation
 from mpc.feedback import FeedbackLaw
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Linear:
+    """Linearisation of one step and its steady-state input.
+
+    Attributes:
+        x0: State of the linearisation, (n,).
+        u0: Input of the linearisation, (m,).
+        model: f, A_c, B_c, y, C.
+        u_target: Input without cost, (m,).
+    """
+
+    x0: Array
+    u0: Array
+    model: Linearisation
+    u_target: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Prediction:
-    """States and owned inputs over the horizon as affine functions of the decision v.
+    """The states and inputs over the horizon as affine functions of the decision v.
 
         dx(k) = dX_free(k) + sum_{j < k} A^(k-1-j) B v(j),    u_own(k) = U_free(k) + v(k)
 
@@ -41,13 +58,13 @@ class Prediction:
 
 
 def open_loop(discrete: Discrete, u0: Array, own: np.ndarray, others: np.ndarray, U: Array) -> Prediction:
-    """The paper's prediction: owned inputs held at u0, the others' inputs as they announced them.
+    """Predict with the owned inputs held at u0 and the others' inputs as announced, as in the paper.
 
     Args:
         discrete: Zero-order hold about (x0, u0).
         u0: Input of the linearisation, (m,).
         own: Positions of the owned inputs in u, (m_own,).
-        others: Of all others, (m - m_own,).
+        others: Positions of all other inputs, (m - m_own,).
         U: Announced inputs of all UAVs over the horizon, (N_p, m); owned columns are not read.
     Returns: Prediction whose decision is the deviation of the owned inputs from u0.
     Source: docs/equations.md (22)-(24); paper (22)-(24), with B_i in (23) and delta X in (24).
@@ -57,57 +74,31 @@ def open_loop(discrete: Discrete, u0: Array, own: np.ndarray, others: np.ndarray
     W = discrete.f_d + dU @ discrete.B.T
     B = np.ascontiguousarray(discrete.B[:, own])
     impulse, dX = responses(discrete.A, B, W)
-    return Prediction(
-        A=discrete.A,
-        B=B,
-        impulse=impulse,
-        dX_free=dX,
-        U_free=np.repeat(u0[own][None], len(U), axis=0),
-        W=W,
-        U_others=U[:, others],
-    )
+    U_free = np.repeat(u0[own][None], len(U), axis=0)
+    return Prediction(A=discrete.A, B=B, impulse=impulse, dX_free=dX, U_free=U_free, W=W, U_others=U[:, others])
 
 
 def closed_loop(discrete: Discrete, u0: Array, own: np.ndarray, others: np.ndarray, law: FeedbackLaw) -> Prediction:
-    """The others follow the shared law, u_j = u_rest + K_j (x - x_ref) + c_j; the owned inputs are free.
+    """Predict with the owned inputs held at u0 and the others' by the shared law, u_rest + K_j (x - x_ref) + c_j.
 
-    The others' answer to what the owned UAVs do is part of the prediction: nobody takes their inputs as
-    given, so nobody corrects an error that the others are already correcting.
+    The prediction includes the others' feedback, so an agent does not correct an error that they already correct.
 
-    Args:
-        discrete: Zero-order hold about (x0, u0).
-        u0: Input of the linearisation, (m,).
-        own: Positions of the owned inputs in u, (m_own,).
-        others: Of all others, (m - m_own,).
-        law: The shared law over the horizon, with the corrections announced.
-    Returns: Prediction whose decision is the deviation of the owned inputs from u0.
+    The law is that over the horizon, with the announced corrections; the rest as in `open_loop`.
     Source: docs/equations.md (35)-(36).
     """
-    steps = len(law.error)
     B, B_others = np.ascontiguousarray(discrete.B[:, own]), discrete.B[:, others]
     K = law.K[others]
     A = discrete.A + B_others @ K
     at_x0 = law.inputs(others)
     W = discrete.f_d + (at_x0 - u0[others]) @ B_others.T
     impulse, dX = responses(A, B, W)
-    return Prediction(
-        A=A,
-        B=B,
-        impulse=impulse,
-        dX_free=dX,
-        U_free=np.repeat(u0[own][None], steps, axis=0),
-        W=W,
-        U_others=at_x0 + dX[:-1] @ K.T,
-    )
+    U_free, U_others = np.repeat(u0[own][None], len(W), axis=0), at_x0 + dX[:-1] @ K.T
+    return Prediction(A=A, B=B, impulse=impulse, dX_free=dX, U_free=U_free, W=W, U_others=U_others)
 
 
 def free_response(A: Array, W: Array) -> Array:
-    """Response from zero to a known drive: dx(0) = 0, dx(k+1) = A dx(k) + W(k).
+    """Return the response from zero to a drive W, (N_p, n): dx(0) = 0, dx(k+1) = A dx(k) + W(k), (N_p + 1, n).
 
-    Args:
-        A: State matrix, (n, n).
-        W: Drive per step, (N_p, n).
-    Returns: dx at steps 0..N_p, (N_p + 1, n).
     Source: docs/equations.md (23); paper (15), (23).
     """
     if native.AVAILABLE:
@@ -119,12 +110,10 @@ def free_response(A: Array, W: Array) -> Array:
 
 
 def responses(A: Array, B: Array, W: Array) -> tuple[Array, Array]:
-    """Impulse response A^j B and free response together: one product of matrices per step serves both.
+    """Return impulse response A^j B and free response; one matrix product per step serves both.
 
-    Args:
-        A: State matrix, (n, n).
-        B: Effect of the decision, (n, m).
-        W: Drive per step, (N_p, n).
+    A (n, n), B (n, m), drive per step W (N_p, n).
+
     Returns: A^j B for j = 0..N_p-1, (N_p, n, m), the first block column of H in paper (16); dx at steps
         0..N_p as in `free_response`, (N_p + 1, n).
     Source: docs/equations.md (23)-(24); paper (15)-(16).

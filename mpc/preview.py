@@ -1,9 +1,8 @@
-"""What the reference ahead changes in the team's optimum: a feedforward of the inputs, and a slope of the cost-to-go.
+"""Preview of the reference: a feedforward of the inputs and a slope of the cost-to-go.
 
-The regulator of `mpc.feedback` is the optimum for a reference at rest. A reference that moves is a known disturbance of
-the deviation from it; one backward recursion along the whole maneuver gives the optimum under that disturbance
-(linear-quadratic tracking with preview: Anderson and Moore 1990, chapter 4; Tomizuka 1975). It is computed once for a
-maneuver and a team.
+The regulator of `mpc.feedback` is the optimum for a reference at rest. A moving reference is a known disturbance of the
+deviation from it; one backward recursion along the maneuver gives the optimum under that disturbance (Anderson and
+Moore 1990, chapter 4; Tomizuka 1975), once per maneuver and team.
 """
 
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from mpc.feedback import Regulator
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Preview:
-    """The optimum's dependence on the reference, at instants 0..K-1 of a maneuver; beyond, that of the last instant.
+    """Effect of the reference on the optimum at instants 0..K-1 of a maneuver; the last one holds from then on.
 
     Attributes:
         feedforward: Added to the shared control law, (K, m).
@@ -28,23 +27,22 @@ class Preview:
 
 
 def preview(regulator: Regulator, X_ref: Array, pull: Array) -> Preview:
-    """Solve the tracking problem backwards from a reference at rest.
+    """Solve the tracking problem backwards from the reference at rest after the last instant.
 
     With xi the deviation from the reference, the regulator's problem becomes
 
         xi(k+1) = A xi(k) + B du(k) + d(k),    d(k) = A xi_ref(k) - xi_ref(k+1),
         stage cost xi' Q xi + 2 pull(k)' xi + du' R du,    cost-to-go xi' P xi + 2 p(k)' xi + constant,
-        p(k) = closed' (p(k+1) + P d(k)) + pull(k),    du(k) = K xi(k) - (R + B' P B)^-1 B' (p(k+1) + P d(k)).
+        p(k) = A_closed' (p(k+1) + P d(k)) + pull(k),    du(k) = K xi(k) - (R + B' P B)^-1 B' (p(k+1) + P d(k)).
 
     Args:
         regulator: Of the team.
         X_ref: Reference states at the instants of the maneuver, (K, n); held after the last one.
         pull: Half the gradient of the stage cost where the deviation is zero, (K, n).
-    Returns: Feedforward and slope at each instant.
     Source: docs/equations.md (36b), (36c).
     """
-    T, P, closed = regulator.T, regulator.P, regulator.closed
-    # From the last instant, which is at rest: hover itself is no deviation, whatever its attitudes.
+    T, P, A_closed = regulator.T, regulator.P, regulator.A_closed
+    # Relative to the last instant, which is at rest, so that the attitudes at hover are no deviation.
     reference, pulled = (X_ref - X_ref[-1]) @ T, pull @ T
     drift = np.zeros_like(reference)
     drift[:-1] = reference[:-1] @ regulator.A.T - reference[1:]
@@ -54,8 +52,8 @@ def preview(regulator: Regulator, X_ref: Array, pull: Array) -> Preview:
     p: Array = at_rest(regulator, pulled[-1])
     for k in range(len(X_ref) - 1, -1, -1):
         h = p + pushed[k]
-        feedforward[k, regulator.led] = regulator.ahead @ h
-        slope[k] = h @ closed + pulled[k]
+        feedforward[k, regulator.controlled] = regulator.preview_gain @ h
+        slope[k] = h @ A_closed + pulled[k]
         p = slope[k]
     slope = slope @ T.T
     for array in (feedforward, slope):
@@ -64,17 +62,14 @@ def preview(regulator: Regulator, X_ref: Array, pull: Array) -> Preview:
 
 
 def at_rest(regulator: Regulator, pulled: Array) -> Array:
-    """Slope of the cost-to-go under a pull that lasts: p = closed' p + pulled.
+    """Return the slope of the cost-to-go under a constant pull: the solution of p = A_closed' p + pulled.
 
-    Directions that cost nothing (headings) are neither pulled nor forgotten. The slope has no part along them, and
-    within the others, which closed' does not leave, the equation has one solution: the sum of the pull's future.
+    Directions without cost (headings) are neither pulled nor damped; the slope has no part along them. A_closed' maps
+    the other directions into themselves, and there the solution is unique: the sum of all future pulls.
 
-    Args:
-        regulator: Of the team.
-        pulled: Half the gradient of the stage cost, in the regulator's coordinates, (r,) or (r, columns).
-    Returns: p, the same shape.
+    Pull, half the gradient of the stage cost, and slope are in the regulator's coordinates, (r,) or (r, columns).
     """
     costly = np.linalg.svd(regulator.root @ regulator.T, full_matrices=False)[2]  # orthonormal basis, (rank, r)
-    within = np.eye(len(costly)) - costly @ regulator.closed.T @ costly.T
+    within = np.eye(len(costly)) - costly @ regulator.A_closed.T @ costly.T
     solution: Array = costly.T @ np.linalg.solve(within, costly @ pulled)
     return solution

@@ -1,4 +1,4 @@
-"""The quadratic program as every solver sees it, and the check every answer must pass.
+"""The quadratic program and the optimality check that every solution must pass.
 
 minimise 1/2 z' H z + g' z   subject to   lower <= z <= upper,   row_lower <= A z <= row_upper
 """
@@ -13,14 +13,14 @@ from model.arrays import Array
 
 Status = Literal["solved", "infeasible", "limit", "numerical"]
 
-# An answer counts as solved when its residuals, relative to the size of the problem's data, are below
-# this. The stage cost is accepted to 1e-3 relative between solvers; residuals this small give 1e-6.
+# Largest residual of a solved QP, relative to its data: solvers then agree in the stage cost to 1e-6 relative, where
+# 1e-3 is required.
 RESIDUAL_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class QP:
-    """Data of one program; equalities are rows with equal bounds, missing bounds are infinite.
+    """The data of one program; equalities are rows with equal bounds, missing bounds are infinite.
 
     Attributes:
         H: Positive definite, (n, n).
@@ -39,13 +39,13 @@ class QP:
     row_upper: Array
 
     def objective(self, z: Array) -> float:
-        """1/2 z' H z + g' z."""
+        """Return 1/2 z' H z + g' z."""
         return float(z @ (0.5 * (self.H @ z) + self.g))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Residuals:
-    """How far an answer is from satisfying the optimality conditions, relative to the data.
+    """The violations of the optimality conditions, relative to the data.
 
     Attributes:
         stationarity: |H z + g + multipliers| relative to 1 + |g|.
@@ -59,14 +59,14 @@ class Residuals:
 
     @property
     def worst(self) -> float:
-        """The largest of the three; nan counts as infinite."""
+        """Largest of the three; nan counts as infinite."""
         values = (self.stationarity, self.primal, self.complementarity)
         return max(values) if np.isfinite(values).all() else np.inf
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Solution:
-    """A solver's answer; a failed solve is an answer too.
+    """The result of a solver, also of one that failed.
 
     Attributes:
         status: "solved" only if the residuals pass.
@@ -75,8 +75,8 @@ class Solution:
         row_multipliers: (r,), positive when the upper bound pushes.
         residuals: Optimality conditions at z.
         iterations: The solver's own count.
-        solver: Which one answered.
-        fallback: Whether the solver that was asked for did not solve it and this one did or tried.
+        solver: Name of the solver.
+        fallback: The chosen solver failed, and this one solved or tried.
     """
 
     status: Status
@@ -90,20 +90,11 @@ class Solution:
 
 
 def residuals(qp: QP, z: Array, bound_multipliers: Array, row_multipliers: Array) -> Residuals:
-    """Karush-Kuhn-Tucker residuals of an answer.
-
-    Args:
-        qp: The program.
-        z: Answer, (n,).
-        bound_multipliers: (n,), positive at upper bounds, negative at lower bounds.
-        row_multipliers: (r,), the same for rows.
-    Source: docs/equations.md (28).
-    """
+    """Return the Karush-Kuhn-Tucker residuals; arguments as in `Solution`. Source: docs/equations.md (28)."""
     if native.AVAILABLE:
-        found = native.residuals(
-            qp.H, qp.g, qp.lower, qp.upper, qp.A, qp.row_lower, qp.row_upper, z, bound_multipliers, row_multipliers
-        )
-        return Residuals(stationarity=found[0], primal=found[1], complementarity=found[2])
+        program = qp.H, qp.g, qp.lower, qp.upper, qp.A, qp.row_lower, qp.row_upper
+        stationarity, primal, complementarity = native.residuals(*program, z, bound_multipliers, row_multipliers)
+        return Residuals(stationarity=stationarity, primal=primal, complementarity=complementarity)
     return _residuals(qp, z, bound_multipliers, row_multipliers)
 
 

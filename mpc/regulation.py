@@ -1,4 +1,4 @@
-"""What all agents of a team share: regulator, preview of the reference, and target, for the UAVs that have agents."""
+"""The shared control law of a team: its regulator, preview and target, for the UAVs that have agents."""
 
 import contextlib
 from collections.abc import Collection
@@ -13,23 +13,23 @@ from model.hover import Hover
 from model.linearisation import Model
 from model.parameters import ParameterError
 from model.state import input_slice
-from mpc.constraints import UserCosts
 from mpc.cost import Cost
 from mpc.fail_safe import FailSafe
 from mpc.feedback import FeedbackError, FeedbackLaw, Regulator, regulator
 from mpc.preview import Preview, at_rest, preview
 from mpc.settings import ControllerSettings
 from mpc.target import Target, target
+from mpc.user_costs import UserCosts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CostToGo:
-    """Cost after the horizon as a function of the last state: |root (error + dx)|^2 + 2 slope' dx + constant.
+    """The cost after the horizon as a function of the last state: |root (error + dx)|^2 + 2 slope' dx + constant.
 
     Attributes:
         root: Square root of the Riccati solution, (rank, n).
-        error: x0 - x_ref at step N_p, x_ref moved by external forces, (n,).
-        slope: What reference and forces add, (n,).
+        error: x0 - x_ref at step N_p, x_ref shifted by external forces, (n,).
+        slope: Effect of reference and forces, (n,).
     """
 
     root: Array
@@ -44,18 +44,18 @@ class Regulation:
         model: The system as the controller knows it.
         hover: Its equilibrium.
         settings: Of the controllers.
-        X_ref: Reference states at instants 0..K-1, (K, n), where the preview is to know them; the last one is held.
-    Raises: FeedbackError: the settings want a regulator and none stabilises the team.
+        X_ref: Reference states at instants 0..K-1, (K, n), for the preview; the last one is held.
+    Raises: FeedbackError: the settings need a regulator and none stabilises the team.
 
     Attributes:
-        hover: Of the team that is left.
-        cost: The same.
-        regulator: None where the settings use none.
+        hover, cost: Of the remaining team.
+        user_costs: The user's terms of the cost.
+        regulator: None if the settings need none.
     """
 
     def __init__(self, model: Model, hover: Hover, settings: ControllerSettings, X_ref: Array | None = None) -> None:
         self._whole, self._whole_hover = model, hover
-        self._settings, self._user_costs = settings, UserCosts(settings.costs, model)
+        self._settings, self.user_costs = settings, UserCosts(settings.costs, model)
         self._fail_safe = FailSafe(model.system, hover.u)
         self._X_ref = X_ref if settings.preview else None
         self._preview: Preview | None = None
@@ -66,22 +66,18 @@ class Regulation:
 
     @property
     def target(self) -> Target:
-        """Where the team is to rest under external forces; found when it is first asked for."""
+        """Steady state under external forces; computed at the first use."""
         if self._target is None:
-            self._target = target(self._model, self.hover, self.cost, self._alone, self._off, self._released)
+            self._target = target(self._model, self.hover, self.cost, self._uncontrolled, self._off, self._released)
         return self._target
 
     def form(self, gone: Collection[int], off: Collection[int], released: Collection[int]) -> None:
-        """From now on this is the team; what all share depends on nothing else, so that all agents share it.
+        """Set the UAVs, 0-based, without an agent, without motors, and of these those released from their rods.
 
-        UAVs without an agent follow the fail-safe, and are predicted so. Where the UAVs that are left have no hover or
-        cannot stabilise the team, the regulator is that of a team without the lost agents, else of one without the
-        failures, else of the whole one.
+        The shared law depends on nothing else, so all agents have the same. UAVs without an agent follow the fail-safe.
+        If the remaining UAVs have no hover or cannot stabilise the team, the regulator ignores the lost agents, else
+        the failures, else both.
 
-        Args:
-            gone: UAVs without an agent, 0-based.
-            off: UAVs without motors, those cut loose among them.
-            released: UAVs cut loose.
         Source: docs/equations.md (40), (45), (50), (51).
         """
         none: frozenset[int] = frozenset()
@@ -92,14 +88,14 @@ class Regulation:
         return self._form(none, none, none)
 
     def _form(self, gone: frozenset[int], off: frozenset[int], released: frozenset[int]) -> None:
-        """Raises: ParameterError, FeedbackError: there is no hover, or no regulator."""
+        """Set the team. Raises: ParameterError, FeedbackError: there is no hover, or no regulator."""
         self._off, self._released = off, released
-        # Without motors there is no fail-safe either.
-        self._alone = {uav: self._fail_safe.gain(uav) for uav in gone - off}
+        # A UAV without motors has no fail-safe.
+        self._uncontrolled = {uav: self._fail_safe.gain(uav) for uav in gone - off}
         self._model, self.hover = self._whole, self._whole_hover
         if off:
             system, u = self._whole.system, self._whole_hover.u
-            held = {uav: float(u[input_slice(uav)][0]) for uav in self._alone}
+            held = {uav: float(u[input_slice(uav)][0]) for uav in self._uncontrolled}
             self._model = failed_model(system, off, released)
             self.hover = failed_hover(system, off, released, held)
         self.cost = Cost(self._settings.weights, self.hover, off, released)
@@ -107,8 +103,8 @@ class Regulation:
         if self._settings.prediction == "closed_loop" or self._settings.terminal == "riccati":
             self._regulate()
 
-    def law(self, x0: Array, x_ref: Array, c: Array, forces: Array | None, start: int) -> FeedbackLaw | None:
-        """The shared control law over the horizon; None with open-loop prediction.
+    def law(self, x0: Array, x_ref: Array, c: Array, forces: Array | None = None, start: int = 0) -> FeedbackLaw | None:
+        """Return the shared control law over the horizon; None with open-loop prediction.
 
         Args:
             x0: State at the first step of the horizon, (n,).
@@ -128,22 +124,14 @@ class Regulation:
         return FeedbackLaw(K=self.regulator.K, u_rest=u_rest, error=error, feedforward=feedforward, c=c)
 
     def inputs(self, x: Array, x_ref: Array, forces: Array | None, instant: int) -> Array | None:
-        """Inputs by the shared control law at one instant, without corrections, (m,).
-
-        None with open-loop prediction. Arguments as those of `law`, for one step. Source: docs/equations.md (35).
-        """
+        """Return the inputs by `law` at one instant without corrections, (m,), or None with open-loop prediction."""
         law = self.law(x, x_ref[None], np.zeros((1, self._model.system.m)), forces, instant)
         return None if law is None else law.inputs(np.arange(self._model.system.m))[0]
 
-    def cost_to_go(self, x0: Array, x_ref: Array, forces: Array | None, instant: int) -> CostToGo | None:
-        """Cost after the horizon; None where it is a multiple of the stage cost.
+    def cost_to_go(self, x0: Array, x_ref: Array, forces: Array | None = None, instant: int = 0) -> CostToGo | None:
+        """Return the cost after the horizon; None if it is a multiple of the stage cost.
 
-        Args:
-            x0: State at the first step of the horizon, (n,).
-            x_ref: Reference state at step N_p, (n,).
-            forces: Estimated external forces, (3 + 3 N,), inertial frame, N; None without estimate.
-            instant: Of step N_p.
-        Source: docs/equations.md (36d).
+        Reference state, (n,), and instant are those of step N_p; the rest as in `law`. Source: docs/equations.md (36d).
         """
         if self.regulator is None or self._settings.terminal != "riccati":
             return None
@@ -155,39 +143,41 @@ class Regulation:
         return CostToGo(root=self.regulator.root, error=error, slope=slope)
 
     def feedforward(self, start: int, steps: int) -> Array:
-        """What the reference ahead asks for in advance at some instants, (steps, m); zero without preview."""
+        """Return the response to the reference ahead from instant `start` on, (steps, m); zero without preview."""
         if self._preview is None:
             return np.zeros((steps, self._model.system.m))
         return self._preview.feedforward[self._within(start, steps)]
 
     def _regulate(self) -> None:
-        further = self._user_costs.about(self.hover.x)
+        further = self.user_costs.about(self.hover.x)
         period_s = self._settings.sampling_period_s
-        found = regulator(self._model, self.hover, self.cost, period_s, self._alone, further, self._off, self._released)
+        found = regulator(
+            self._model, self.hover, self.cost, period_s, self._uncontrolled, further, self._off, self._released
+        )
         self.regulator = found
         if self._X_ref is not None:
-            # The outputs follow the reference exactly; the user's terms have values of their own along it.
-            values = np.array([self._user_costs.at(x).value for x in self._X_ref])
-            pull = (np.sqrt(self._user_costs.weights) * values) @ further
+            # On the reference, the output error is zero; the user's terms are not.
+            values = np.array([self.user_costs.at(x).value for x in self._X_ref])
+            pull = (np.sqrt(self.user_costs.weights) * values) @ further
             self._preview = preview(found, self._X_ref, pull)
 
     def _within(self, start: int, steps: int) -> npt.NDArray[np.intp]:
-        """Instants of the maneuver, its last one in place of what comes after it."""
+        """Return instants of the maneuver; later ones are replaced by its last."""
         known = 0 if self._preview is None else len(self._preview.slope)
         return np.minimum(np.arange(start, start + steps), known - 1)
 
     def _forced(self, regulator: Regulator) -> tuple[Array, Array]:
-        """Feedforward (m, 3 + 3 N) and slope of the cost-to-go (n, 3 + 3 N) per newton, if the target misses outputs.
+        """Return feedforward (m, 3 + 3 N) and slope of the cost-to-go (n, 3 + 3 N) per newton.
 
-        Source: docs/equations.md (40a).
+        They are nonzero where the target misses outputs. Source: docs/equations.md (40a).
         """
         if self._by_forces is None:
             C = self._model.linearise(self.hover.x, self.hover.u).C
             missed = C.T @ (self.cost.Q[:, None] * (C @ self.target.M_x))
-            further = self._user_costs.about(self.hover.x)
+            further = self.user_costs.about(self.hover.x)
             missed = missed + further.T @ (further @ self.target.M_x)
             p = at_rest(regulator, regulator.T.T @ missed)
             feedforward = np.zeros_like(self.target.M_u)
-            feedforward[regulator.led] = regulator.ahead @ p
+            feedforward[regulator.controlled] = regulator.preview_gain @ p
             self._by_forces = feedforward, regulator.T @ p
         return self._by_forces

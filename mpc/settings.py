@@ -1,4 +1,4 @@
-"""What a controller is told: rates, horizon, weights, limits."""
+"""Settings of a controller: rates, horizon, weights, limits."""
 
 import operator
 from collections.abc import Callable, Sequence
@@ -36,7 +36,7 @@ class SettingsError(ValueError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Weights:
-    """Diagonal weights of the cost (docs/equations.md (21)).
+    """The diagonal weights of the cost (docs/equations.md (21)).
 
     Attributes:
         position: On each UAV position error, 1/m^2.
@@ -47,7 +47,7 @@ class Weights:
         terminal: Q_f as a multiple of Q, with a terminal cost of that kind.
         thrust: 1/N^2.
         moments: About the UAV's body axes, (3,), 1/(N m)^2.
-        penalised_input: Whether R prices the input's deviation from hover, or the input itself as in paper (17).
+        penalised_input: R weighs the input's deviation from hover, or the input itself as in paper (17).
     """
 
     position: Positive = 1.0
@@ -61,18 +61,18 @@ class Weights:
     penalised_input: PenalisedInput = "deviation"
 
     def Q(self, N: int) -> Array:
-        """Diagonal of Q for N UAVs, (4 N + 9,)."""
+        """Return the diagonal of Q for N UAVs, (4 N + 9,)."""
         weights = (self.position, self.attitude, self.yaw_rate, self.payload_position, self.payload_velocity)
         return np.repeat(weights, [3 * N, 3, N, 3, 3])
 
     def R(self, N: int) -> Array:
-        """Diagonal of R for N UAVs, (4 N,)."""
+        """Return the diagonal of R for N UAVs, (4 N,)."""
         return np.tile([self.thrust, *self.moments], N)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
-    """Actuator limits, the same for every UAV.
+    """The actuator limits, the same for every UAV.
 
     Attributes:
         thrust_N: Smallest and largest thrust.
@@ -93,26 +93,26 @@ class Limits:
         _check(self)
 
     def lower(self, uavs: int) -> Array:
-        """Smallest inputs of that many UAVs, (4 uavs,)."""
+        """Return the smallest inputs of that many UAVs, (4 uavs,)."""
         return np.tile([self.thrust_N[0], *(-value for value in self.moments_Nm)], uavs)
 
     def upper(self, uavs: int) -> Array:
-        """Largest inputs of that many UAVs, (4 uavs,)."""
+        """Return the largest inputs of that many UAVs, (4 uavs,)."""
         return np.tile([self.thrust_N[1], *self.moments_Nm], uavs)
 
     def step(self, uavs: int, period_s: float) -> Array:
-        """Largest change of the inputs over one sampling period, (4 uavs,)."""
+        """Return the largest change of the inputs over one sampling period, (4 uavs,)."""
         return np.tile([self.thrust_rate_N_s, *self.moment_rates_Nm_s], uavs) * period_s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Separation:
-    """Smallest distance between the centres of any two UAVs, softened so that no state makes the QP infeasible.
+    """The smallest distance between the centres of any two UAVs, softened so that no state makes the QP infeasible.
 
     Attributes:
         minimum_m: m.
-        penalty: Price of the largest violation over the horizon, per metre. Above the constraint's
-            multiplier the softened problem has the hard one's solution whenever that exists.
+        penalty: Weight of the largest violation over the horizon, per metre. Above the constraint's
+            multiplier the softened problem has the solution of the hard one if that exists.
     """
 
     minimum_m: Positive
@@ -121,13 +121,13 @@ class Separation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tilt:
-    """Largest roll and pitch that an agent plans for its UAVs, softened so that no state makes the QP infeasible.
+    """The largest roll and pitch that an agent plans for its UAVs, softened so that no state makes the QP infeasible.
 
-    A vehicle that is far off its place would answer with angles at which the linearisation says nothing any more.
+    It keeps a UAV far off its reference from angles at which the linearisation is not valid.
 
     Attributes:
         limit_deg: Either sign, deg.
-        penalty: Price of the largest violation over the horizon, per radian.
+        penalty: Weight of the largest violation over the horizon, per radian.
     """
 
     limit_deg: Annotated[float, Gt(0.0), Lt(90.0)]
@@ -136,13 +136,13 @@ class Tilt:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Constraint:
-    """A constraint of the user's own, as text over the model's variables (see `mpc.expressions`).
+    """A constraint of the user as text over the model's variables (see `mpc.expressions`).
 
     Attributes:
         expression: Such as "r0[2] <= -2" or "thrust1 + thrust2 <= 60".
-        soft: Soften a state inequality with a slack of its own. Ignored for equalities, which stay hard.
-        penalty: Price per unit of the largest violation over the horizon. Every agent corrects the whole
-            violation it predicts, so a team under a constraint it really runs into wants `relaxation`.
+        soft: Soften a state inequality with a slack of its own; equalities stay hard.
+        penalty: Weight per unit of the largest violation over the horizon. Every agent corrects the whole
+            violation it predicts: use `relaxation` where the constraint becomes active.
     """
 
     expression: str
@@ -152,11 +152,11 @@ class Constraint:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CostTerm:
-    """A term of the cost of the user's own: weight times the square of an expression, at every step of the horizon.
+    """A cost term of the user: weight times the square of an expression, at every step of the horizon.
 
     Attributes:
-        expression: Of states, zero where nothing is to be paid, such as "e1[0]" (see `mpc.expressions`).
-        weight: Price per square of its unit; at the last step `Weights.terminal` times as much.
+        expression: Of states, zero without cost, such as "e1[0]" (see `mpc.expressions`).
+        weight: Per square of its unit; at the last step `Weights.terminal` times as much.
     """
 
     expression: str
@@ -165,20 +165,20 @@ class CostTerm:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ControllerSettings:
-    """Everything that turns a model and a set of owned UAVs into a controller.
+    """All settings of one controller.
 
     Attributes:
         sampling_period_s: T_s.
         horizon: N_p, in sampling periods.
-        prediction: How the others are predicted: by the inputs they announced ("open_loop", the paper), or by
-            the law all share and the corrections they announced ("closed_loop").
+        prediction: Of the other UAVs: by the inputs they announced ("open_loop", the paper), or by
+            the shared control law and the corrections they announced ("closed_loop").
         terminal: Cost of the last state: a multiple of the stage cost ("multiple", the paper), or the infinite-horizon
             cost-to-go of the team's linear-quadratic regulator ("riccati").
-        preview: Whether that regulator, and with it the shared law and the cost-to-go, knows the reference ahead.
+        preview: The regulator, and with it the shared control law and the cost-to-go, uses the reference ahead.
         discretisation: Exact zero-order hold, or one step of Euler's method for comparison.
         relaxation: w in (0, 1]; the published plan is w U* + (1 - w) U_shifted, in closed loop the same of the
             corrections.
-        solver: Tried first; Clarabel takes over when its result does not pass the residual check.
+        solver: First choice; Clarabel takes over when the residual check fails.
     """
 
     sampling_period_s: Positive = 0.05

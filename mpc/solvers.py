@@ -1,8 +1,10 @@
-"""QP solvers behind one call: DAQP for speed, Clarabel as the other opinion and the fallback."""
+"""QP solvers behind one call: DAQP for speed, Clarabel as an alternative and the fallback."""
 
 from collections.abc import Callable
 from dataclasses import replace
 
+import clarabel
+import daqp
 import numpy as np
 
 from model.arrays import Array
@@ -10,18 +12,15 @@ from mpc import bounded
 from mpc.qp import QP, RESIDUAL_TOLERANCE, Residuals, Solution, Status, residuals
 from mpc.settings import SolverName
 
-_ITERATIONS = 2000  # DAQP needs about as many as active constraints; a cycle is caught here
+_ITERATIONS = 2000  # DAQP needs about as many as active constraints; the limit ends a cycle
 _INFINITY = 1e30  # DAQP's own
+_CLARABEL: dict[str, Status] = {
+    "Solved": "solved", "PrimalInfeasible": "infeasible", "MaxIterations": "limit", "MaxTime": "limit"
+}  # fmt: skip
 
 
 def solve(qp: QP, solver: SolverName) -> Solution:
-    """Solve, check the answer by its residuals, and hand over to Clarabel when it does not pass.
-
-    Args:
-        qp: The program.
-        solver: Asked first.
-    Returns: A solution with status "solved", or the last failure.
-    """
+    """Solve by the chosen solver, check the residuals, and use Clarabel as fallback; return the last failure else."""
     if not (np.isfinite(qp.g).all() and np.isfinite(qp.H).all()):
         return unsolved(len(qp.g), len(qp.A), solver)
     first = _SOLVERS[solver](qp)
@@ -31,25 +30,19 @@ def solve(qp: QP, solver: SolverName) -> Solution:
 
 
 def unsolved(n: int, rows: int, solver: str) -> Solution:
-    """The answer to a program nobody was asked to solve, because its numbers are beyond all bounds."""
+    """Return the failure of a QP that is not solved because its numbers are out of range."""
     none = Residuals(stationarity=np.inf, primal=np.inf, complementarity=np.inf)
     return Solution(
-        status="numerical",
-        z=np.zeros(n),
-        bound_multipliers=np.zeros(n),
-        row_multipliers=np.zeros(rows),
-        residuals=none,
-        iterations=0,
-        solver=solver,
-    )
+        status="numerical", z=np.zeros(n), bound_multipliers=np.zeros(n), row_multipliers=np.zeros(rows),
+        residuals=none, iterations=0, solver=solver,
+    )  # fmt: skip
 
 
 def solve_daqp(qp: QP) -> Solution:
     """Dual active-set method (Arnstrom, Bemporad, Axehill 2022).
 
-    Most programs of a flight have no active row, and preparing the rows is most of the work: so the bounds
-    alone first, by a method that has nothing to prepare, and that answer stands if it passes the residual check of
-    the whole program.
+    Most QPs of a flight have no active row, and preparing the rows is most of the work: the QP with bounds alone is
+    solved first, and its solution is accepted if it passes the residual check of the whole QP.
     """
     if not (qp.row_lower == qp.row_upper).any():
         z, multipliers, guesses = bounded.solve(qp.H, qp.g, qp.lower, qp.upper)
@@ -63,9 +56,7 @@ def solve_daqp(qp: QP) -> Solution:
 
 
 def _daqp(qp: QP) -> tuple[Array, Array, Status, int]:
-    """DAQP's answer: z, multipliers of bounds and rows, status, iterations."""
-    import daqp
-
+    """Return DAQP's z, multipliers of bounds and rows, status, iterations."""
     lower = np.maximum(np.concatenate([qp.lower, qp.row_lower]), -_INFINITY)
     upper = np.minimum(np.concatenate([qp.upper, qp.row_upper]), _INFINITY)
     sense = np.where(lower == upper, 5, 0).astype(np.int32)
@@ -79,8 +70,7 @@ def _daqp(qp: QP) -> tuple[Array, Array, Status, int]:
 
 def solve_clarabel(qp: QP) -> Solution:
     """Interior-point method (Goulart, Chen 2024), single-threaded so that equal data give equal bits."""
-    import clarabel
-    from scipy import sparse
+    from scipy import sparse  # 0.3 s at start, and only this solver needs it
 
     n = len(qp.g)
     equal = qp.row_lower == qp.row_upper
@@ -88,42 +78,18 @@ def solve_clarabel(qp: QP) -> Solution:
     bound_upper, bound_lower = np.isfinite(qp.upper), np.isfinite(qp.lower)
     identity = np.eye(n)
     G = np.concatenate([qp.A[equal], identity[bound_upper], -identity[bound_lower], qp.A[has_upper], -qp.A[has_lower]])
-    h = np.concatenate(
-        [
-            qp.row_upper[equal],
-            qp.upper[bound_upper],
-            -qp.lower[bound_lower],
-            qp.row_upper[has_upper],
-            -qp.row_lower[has_lower],
-        ]
-    )
+    parts = qp.row_upper[equal], qp.upper[bound_upper], -qp.lower[bound_lower], qp.row_upper[has_upper]
+    h = np.concatenate([*parts, -qp.row_lower[has_lower]])
     equalities = int(equal.sum())
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.direct_solve_method = "qdldl"
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-11
-    solver = clarabel.DefaultSolver(
-        sparse.triu(sparse.csc_matrix(qp.H), format="csc"),
-        qp.g,
-        sparse.csc_matrix(G),
-        h,
-        [clarabel.ZeroConeT(equalities), clarabel.NonnegativeConeT(len(h) - equalities)],
-        settings,
-    )
-    answer = solver.solve()
-    kinds = clarabel.SolverStatus
-    status: Status = (
-        "solved"
-        if answer.status in (kinds.Solved, kinds.AlmostSolved)
-        else "infeasible"
-        if answer.status in (kinds.PrimalInfeasible, kinds.AlmostPrimalInfeasible)
-        else "limit"
-        if answer.status in (kinds.MaxIterations, kinds.MaxTime)
-        else "numerical"
-    )
-    duals = np.split(
-        np.asarray(answer.z), np.cumsum([equalities, bound_upper.sum(), bound_lower.sum(), has_upper.sum()])
-    )
+    cones = [clarabel.ZeroConeT(equalities), clarabel.NonnegativeConeT(len(h) - equalities)]
+    H = sparse.triu(sparse.csc_matrix(qp.H), format="csc")
+    answer = clarabel.DefaultSolver(H, qp.g, sparse.csc_matrix(G), h, cones, settings).solve()
+    status = _CLARABEL.get(str(answer.status).removeprefix("Almost"), "numerical")
+    duals = np.split(np.asarray(answer.z), np.cumsum([len(part) for part in parts]))
     bound_multipliers, row_multipliers = np.zeros(n), np.zeros(len(qp.A))
     row_multipliers[equal] = duals[0]
     bound_multipliers[bound_upper] += duals[1]
@@ -138,21 +104,16 @@ def solve_clarabel(qp: QP) -> Solution:
 def _checked(
     qp: QP, z: Array, bound_multipliers: Array, row_multipliers: Array, status: Status, iterations: int, solver: str
 ) -> Solution:
-    """Believe a solver that says it solved only if the residuals say so too."""
+    """Return the solution, with status "solved" only if the residuals pass."""
     found = Residuals(stationarity=np.inf, primal=np.inf, complementarity=np.inf)
     if status == "solved":
         found = residuals(qp, z, bound_multipliers, row_multipliers)
         if found.worst > RESIDUAL_TOLERANCE:
             status = "numerical"
     return Solution(
-        status=status,
-        z=z,
-        bound_multipliers=bound_multipliers,
-        row_multipliers=row_multipliers,
-        residuals=found,
-        iterations=iterations,
-        solver=solver,
-    )
+        status=status, z=z, bound_multipliers=bound_multipliers, row_multipliers=row_multipliers,
+        residuals=found, iterations=iterations, solver=solver,
+    )  # fmt: skip
 
 
 _SOLVERS: dict[str, Callable[[QP], Solution]] = {"daqp": solve_daqp, "clarabel": solve_clarabel}

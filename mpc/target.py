@@ -1,8 +1,7 @@
-"""Where the team should rest while constant forces act from outside: the target calculation of offset-free MPC.
+"""The target calculation of offset-free MPC: the steady state of the team under constant external forces.
 
-A controller that steers towards hover under forces that hover does not know of stops short of the reference.
-Moving the state and the input it steers to by what the forces take removes the offset (Pannocchia, Rawlings 2003;
-Maeder, Borrelli, Morari 2009).
+Steering towards hover leaves an offset under such forces; steering towards the steady state that balances them does not
+(Pannocchia, Rawlings 2003; Maeder, Borrelli, Morari 2009).
 """
 
 from collections.abc import Collection, Mapping
@@ -17,13 +16,13 @@ from model.linearisation import Model
 from mpc.cost import Cost
 from mpc.feedback import tangent
 
-# Free directions that change a quantity by less than this share of the most that any does count as changing nothing.
+# Directions that change a quantity by less than this share of the largest change count as without effect.
 _RANK = 1e-9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Target:
-    """Deviation from hover of the steady state under external forces, linear in them.
+    """The deviation from hover of the steady state under external forces, linear in them.
 
     Attributes:
         M_x: State per newton, (n, 3 + 3 N), SI.
@@ -42,20 +41,14 @@ def target(
     off: Collection[int] = (),
     released: Collection[int] = (),
 ) -> Target:
-    """Of all steady states of the linearisation about hover, those of least output error, of these least input effort.
+    """Return the steady state of the linearisation about hover with least output error, then least input effort.
 
-    What is still free then, such as the headings of the UAVs, stays as it is at hover. A steady state exists for any
-    forces: rods lean in parallel or pull in proportion, what moment is left tilts the payload, and each UAV's thrust
-    takes whatever its rod and the air ask.
+    Remaining free directions, such as the headings of the UAVs, stay as at hover. A steady state exists for any forces:
+    rods lean in parallel or pull in proportion, a remaining moment tilts the payload, and thrusts balance their rods.
 
-    Args:
-        model: The system as the controller knows it.
-        hover: Its equilibrium.
-        cost: Q weighs the output error, R the input deviation.
-        uncontrolled: Feedback from its own state, (4, 12), of each UAV without an agent, by its 0-based number. Its
-            inputs are not available to reach the target.
-        off: UAVs without motors, 0-based: their attitudes are not part of the target.
-        released: UAVs that are no longer on their rods, 0-based: none of their states is.
+    Attitudes of UAVs without motors and all states of released UAVs are not part of the target. Arguments as those of
+    `mpc.feedback.regulator`.
+
     Source: docs/equations.md (40).
     """
     linear = model.linearise(hover.x, hover.u)
@@ -64,8 +57,8 @@ def target(
     states, inputs = T.shape[1], len(hover.u)
     at_rest = [(T.T @ np.hstack([linear.A_c @ T, linear.B_c]), -T.T @ E)]
     for uav, K in (uncontrolled or {}).items():
-        led_by_itself = np.hstack([-K @ T[state.uav_slice(uav)], np.eye(inputs)[state.input_slice(uav)]])
-        at_rest.append((led_by_itself, np.zeros((len(K), E.shape[1]))))
+        own_law = np.hstack([-K @ T[state.uav_slice(uav)], np.eye(inputs)[state.input_slice(uav)]])
+        at_rest.append((own_law, np.zeros((len(K), E.shape[1]))))
     rest, pushed = (np.vstack(rows) for rows in zip(*at_rest, strict=True))
     error = np.hstack([np.sqrt(cost.Q)[:, None] * (linear.C @ T), np.zeros((len(cost.Q), inputs))])
     effort = np.hstack([np.zeros((inputs, states)), np.diag(np.sqrt(cost.R))])

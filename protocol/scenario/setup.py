@@ -14,10 +14,11 @@ from model.hover import Hover, hover
 from model.linearisation import Model
 from model.maneuver import Maneuver, Phase, Reference
 from model.parameters import Payload, System, Uav
-from mpc.constraints import UserCosts, compile_constraints
 from mpc.regulation import Regulation
+from mpc.rows.user import compile_constraints
 from mpc.settings import Constraint, ControllerSettings, CostTerm, Limits, Separation, Tilt, Weights
 from protocol.scenario.errors import ScenarioError, building
+from mpc.user_costs import UserCosts
 from protocol.scenario.faults import Fault, scripted
 from protocol.scenario.links import Link, link
 from protocol.scenario.schema import Scenario, UavSection
@@ -76,7 +77,7 @@ class Setup:
             owned=tuple(tuple(uav - 1 for uav in group) for group in scenario.owned),
             samples_s=_samples(scenario, source),
         )
-        building(source, "controller.constraint", lambda: compile_constraints(settings.constraints, setup.model))
+        building(source, "controller.constraint", lambda: compile_constraints(settings.constraints, system))
         building(source, "controller.cost", lambda: UserCosts(settings.costs, setup.model).about(equilibrium.x))
         building(source, "controller.prediction", lambda: Regulation(setup.model, equilibrium, settings))
         setup._check_hover_is_possible(source)

@@ -139,7 +139,7 @@ def test_read_only_folder_costs_only_time(cache: Path) -> None:
 
 
 def test_failed_write_leaves_nothing_behind(cache: Path) -> None:
-    """Where the final name cannot be taken (here: a folder has it), no temporary file of megabytes piles up."""
+    """If the final name cannot be written (here: it is a folder), no temporary file is left."""
     functions(N)
     file = only_file(cache)
     file.unlink()

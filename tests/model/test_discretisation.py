@@ -22,7 +22,7 @@ RATIO_TOLERANCE = 0.05
 
 @cache
 def random_linearisation(N: int, draw: int = 0) -> Linearisation:
-    """Of a random system, far from equilibrium."""
+    """Return that of a random system, far from equilibrium."""
     rng = np.random.default_rng(1500 + 10 * N + draw)
     return Model(random_system(rng, N)).linearise(random_state(rng, N), random_input(rng, N))
 

@@ -1,4 +1,4 @@
-"""Equations of motion against MuJoCo, run at test time on systems nobody stored."""
+"""Equations of motion against MuJoCo on random systems at test time."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What is left of a team when a UAV's motors stop: statics with the UAV on its rod, and without it."""
+"""A team after a motor failure: statics with the UAV on its rod, and without it."""
 
 import math
 

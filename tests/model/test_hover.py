@@ -182,7 +182,7 @@ def test_rods_of_the_wrong_shape_are_refused() -> None:
 
 
 def test_equilibrium_is_read_only() -> None:
-    """Everybody shares the equilibrium; writing to it raises."""
+    """The equilibrium is shared by all modules; writing to it raises."""
     at = hover(table_1())
     for array in (at.x, at.u, at.tensions):
         with pytest.raises(ValueError, match="read-only"):

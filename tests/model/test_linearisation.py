@@ -19,7 +19,7 @@ from tests.support.random_systems import random_forces, random_input, random_sta
 STEP = 2e-3
 WEIGHTS = {1: 45.0 / 60.0, 2: -9.0 / 60.0, 3: 1.0 / 60.0}
 JACOBIAN_TOLERANCE = 1e-10
-# Of the largest entry: rounding of |e| = 1 and e . Omega = 0 in the random state, times entries of that size.
+# Relative to the largest entry: rounding of |e| = 1 and e . Omega = 0 in the random state, times entries of that size.
 ACROSS_TOLERANCE = 1e-9
 # A handful of products and sums per position.
 OUTPUT_TOLERANCE = 1e-13

@@ -1,4 +1,4 @@
-"""The path the payload is asked to fly, and the references that follow from it."""
+"""The path of the payload and the references that follow from it."""
 
 import numpy as np
 import pytest
@@ -6,10 +6,11 @@ import pytest
 from model.arrays import Array, ShapeError
 from model.hover import hover
 from model.linearisation import Model
-from model.maneuver import Maneuver, Phase, Profile, Reference, paper_maneuver
+from model.maneuver import Maneuver, Phase, Profile, Reference
 from model.parameters import ParameterError, table_1
 from model.state import StateView
 from tests.support.paper_form import K
+from tests.support.systems import paper_maneuver
 
 PROFILES: list[Profile] = ["ramp", "min_jerk", "step"]
 # Sums of a few displacements of metres.
@@ -54,6 +55,13 @@ def test_paper_maneuver_passes_its_way_points() -> None:
     assert r == pytest.approx(np.array(expected), abs=PATH_TOLERANCE_M)
     assert maneuver.duration_s == 25.0
     assert [phase.name for phase in maneuver.phases] == ["hover", "climb", "translate", "descend", "hover"]
+
+
+def test_every_time_belongs_to_one_phase() -> None:
+    """A phase begins at the end of the one before; the first holds before the start, the last after the end."""
+    maneuver = paper_maneuver()
+    belongs = [maneuver.phases.index(maneuver.phase_at(t)) for t in (-1.0, 0.0, 4.999, 5.0, 14.0, 20.0, 25.0, 99.0)]
+    assert belongs == [0, 0, 0, 1, 2, 4, 4, 4]
 
 
 def test_paper_maneuver_moves_at_half_a_metre_per_second() -> None:

@@ -1,4 +1,4 @@
-"""What is compiled for this processor against its twins in Python, and what happens without a compiler."""
+"""Compiled kernels against their equivalents in Python, and the behaviour without a compiler."""
 
 import os
 import subprocess
@@ -110,7 +110,7 @@ def bits(built: dict[str, ca.Function], N: int) -> list[bytes]:
 @needs_compiler
 @pytest.mark.parametrize("N", [1, 2])
 def test_compiled_functions_give_the_same_bits(N: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A model that has been compiled changes no bit of a result: whoever has it flies with whoever has not."""
+    """A compiled model gives the same bits as an interpreted one, so processes with and without it can run together."""
     monkeypatch.setenv("PAYLOAD_TRANSPORT_CACHE", str(tmp_path))
     monkeypatch.delenv("PAYLOAD_TRANSPORT_NATIVE", raising=False)
     interpreted = functions(N)
@@ -149,7 +149,7 @@ def test_everything_works_without_a_compiler(environment: dict[str, str], tmp_pa
 
 
 @needs_compiler
-def test_a_library_of_somebody_else_is_not_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_library_of_another_user_is_not_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In a cache folder that others can write to, only what the user or root put there counts."""
     library = tmp_path / "library.so"
     assert compiler.compile_library(library, b"int one(void) { return 1; }", ())

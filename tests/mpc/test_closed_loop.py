@@ -41,13 +41,13 @@ def flight(teams: tuple[tuple[int, ...], ...], again: int = 0, constraints: tupl
 @pytest.mark.parametrize("teams", [ALL, EACH], ids=["centralized", "distributed"])
 def test_climb_is_bounded(teams: tuple[tuple[int, ...], ...]) -> None:
     """Centralized (section III) and distributed (section IV) control climb along the reference, level and apart."""
-    flown, setup = flight(teams), paper_setup()
-    assert flown.statuses == {"solved"}
+    result, setup = flight(teams), paper_setup()
+    assert result.statuses == {"solved"}
     reference = setup.x[R0] - np.outer(0.5 * 0.05 * np.arange(STEPS + 1), [0.0, 0.0, 1.0])
-    assert np.abs(flown.X[:, R0] - reference).max() < TRACKING_M
-    assert np.abs(flown.X[:, THETA0]).max() < ATTITUDE_RAD
-    assert flown.X[-1, 2] < setup.x[2] - 1.0, "it must have climbed to be judged by its climb"
-    positions = np.array([setup.model.outputs(x)[:12].reshape(4, 3) for x in flown.X])
+    assert np.abs(result.X[:, R0] - reference).max() < TRACKING_M
+    assert np.abs(result.X[:, THETA0]).max() < ATTITUDE_RAD
+    assert result.X[-1, 2] < setup.x[2] - 1.0, "it must have climbed to be judged by its climb"
+    positions = np.array([setup.model.outputs(x)[:12].reshape(4, 3) for x in result.X])
     apart = np.linalg.norm(positions[:, :, None] - positions[:, None], axis=3) + 9.0 * np.eye(4)
     assert apart.min() > MINIMUM_M - SEPARATION_SLACK_M
 
@@ -55,11 +55,11 @@ def test_climb_is_bounded(teams: tuple[tuple[int, ...], ...]) -> None:
 @pytest.mark.parametrize("teams", [ALL, EACH], ids=["centralized", "distributed"])
 def test_climb_keeps_the_actuators_limits(teams: tuple[tuple[int, ...], ...]) -> None:
     """Applied inputs stay within bounds and rates, section V-A, and the rods stay rods: |e| = 1, e . Omega = 0."""
-    flown, setup, settings = flight(teams), paper_setup(), ControllerSettings()
-    assert np.array_equal(flown.U, np.clip(flown.U, settings.limits.lower(4), settings.limits.upper(4)))
-    change = np.abs(np.diff(np.vstack([setup.hover.u, flown.U]), axis=0))
+    result, setup, settings = flight(teams), paper_setup(), ControllerSettings()
+    assert np.array_equal(result.U, np.clip(result.U, settings.limits.lower(4), settings.limits.upper(4)))
+    change = np.abs(np.diff(np.vstack([setup.hover.u, result.U]), axis=0))
     assert (change <= settings.limits.step(4, 0.05) + RATE_SLACK).all()
-    rods = StateView(flown.X)
+    rods = StateView(result.X)
     assert np.abs(np.linalg.norm(rods.e_P, axis=2) - 1.0).max() < ROD_ROUNDING
     assert np.abs((rods.e_P * rods.Omega_P).sum(axis=2)).max() < ROD_ROUNDING
 
@@ -78,7 +78,7 @@ def test_pairs_lie_between() -> None:
 
 @pytest.mark.parametrize("teams", [ALL, EACH], ids=["centralized", "distributed"])
 def test_equal_flights_have_equal_bits(teams: tuple[tuple[int, ...], ...]) -> None:
-    """The whole loop is a function of its arguments: flown twice by fresh controllers, not one bit differs."""
+    """The whole loop is a function of its arguments: two runs with new controllers are equal to the bit."""
     first, second = flight(teams), flight(teams, again=1)
     assert first is not second
     assert first.X.tobytes() == second.X.tobytes()
@@ -92,8 +92,8 @@ def test_order_of_the_controllers_does_not_matter() -> None:
 
 CEILING = f"r0[2] >= {CEILING_M}"
 CEILINGS = {
-    "default price": Constraint(expression=CEILING),
-    "price above the multiplier": Constraint(expression=CEILING, penalty=1000.0),
+    "default penalty": Constraint(expression=CEILING),
+    "penalty above the multiplier": Constraint(expression=CEILING, penalty=1000.0),
     "hard": Constraint(expression=CEILING, soft=False),
 }
 

@@ -67,16 +67,6 @@ def test_gradient_is_the_stacked_product(system: Random) -> None:
     assert close(condensing.gradient(system.C @ impulse, weighted), expected)
 
 
-def test_response_is_the_stacked_product(system: Random) -> None:
-    """What decisions cause at steps 1..N_p is C-bar H v of paper (16)."""
-    steps = system.steps
-    V = system.rng.standard_normal((steps, system.m))
-    lifted = naive.stacked_output(system.C, steps) @ naive.stacked_input(system.A, system.B, steps)
-    impulse = responses(system.A, system.B, np.zeros((steps, system.n)))[0]
-    found = condensing.response(system.C @ impulse, V)
-    assert close(found.reshape(-1), (lifted @ V.reshape(-1))[system.p :])
-
-
 def test_rows_are_the_stacked_matrix(system: Random) -> None:
     """Rows of a signal s = S x at steps 1..N_p are S-bar H of paper (16) without its first, zero block row."""
     stacked = naive.stacked_output(system.C, system.steps) @ naive.stacked_input(system.A, system.B, system.steps)

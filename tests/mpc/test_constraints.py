@@ -9,8 +9,9 @@ import pytest
 
 from model.arrays import Array
 from model.state import THETA, V0, uav_slice
-from mpc.constraints import pairs_of, rate_rows, separation_rows
 from mpc.qp import QP
+from mpc.rows.rate import rate_rows
+from mpc.rows.separation import pairs_of, separation_rows
 from mpc.settings import Constraint, ControllerSettings, Separation, Tilt
 from tests.support import naive
 from tests.support.systems import Setup, Situation, controller, paper_setup, situation, step
@@ -152,7 +153,7 @@ def test_separation_rows(case: Case) -> None:
 
 
 def test_tilt_rows(case: Case) -> None:
-    """Predicted roll and pitch of the owned UAVs, from above and from below, with one slack; nobody else's."""
+    """Predicted roll and pitch of the owned UAVs, from above and from below, with one slack; no other UAVs."""
     owners = sorted({int(i) // 4 for i in case.own})
     angles = np.array(
         [[(case.at.x + dx)[uav_slice(uav)][THETA][:2] for uav in owners] for dx in case.dX[1:]]
@@ -223,7 +224,7 @@ def test_uavs_in_one_point_are_pushed_apart() -> None:
     assert np.array_equal(rows[0, :3], -rows[0, 3:6])
 
 
-def test_soft_equals_hard_when_the_price_is_high() -> None:
+def test_soft_equals_hard_when_the_penalty_is_high() -> None:
     """Above the multiplier of the hard constraint, the softened program has the hard one's plan and no slack."""
     setup, ceiling, horizon = paper_setup(), "r0[2] >= -10.01", 6
     y_ref = np.tile(setup.model.outputs(setup.x), (horizon + 1, 1))

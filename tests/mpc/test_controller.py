@@ -29,7 +29,7 @@ def half_range(limits: Limits, uavs: int) -> Array:
 def cost_by_simulation(
     setup: Setup, settings: ControllerSettings, owned: tuple[int, ...], at: Situation, v: Array
 ) -> float:
-    """The cost (25) for owned inputs u0 + v, everybody else as announced: one simulated step after the other."""
+    """The cost (25) for owned inputs u0 + v, all other inputs as announced: one simulated step after the other."""
     linear = setup.model.linearise(at.x, at.u)
     A, B, f_d = naive.exact_hold(linear, settings.sampling_period_s)
     own = [4 * i + j for i in owned for j in range(4)]
@@ -37,12 +37,12 @@ def cost_by_simulation(
     dU[:, own] = v
     N = setup.system.N
     Q, R = settings.weights.Q(N), settings.weights.R(N)[own]
-    price_from = setup.hover.u[own] if settings.weights.penalised_input == "deviation" else np.zeros(len(own))
+    target = setup.hover.u[own] if settings.weights.penalised_input == "deviation" else np.zeros(len(own))
     total = 0.0
     for k, dx in enumerate(naive.simulate(A, B, f_d, dU)):
         error = linear.y + linear.C @ dx - at.y_ref[k]
         total += float(error @ (Q * error)) * (settings.weights.terminal if k == settings.horizon else 1.0)
-    for effort in at.u[own] + v - price_from:
+    for effort in at.u[own] + v - target:
         total += float(effort @ (R * effort))
     return total
 
@@ -53,7 +53,7 @@ def cost_by_simulation(
 def test_objective_is_the_cost_of_the_paper(
     owned: tuple[int, ...], horizon: int, penalised_input: PenalisedInput
 ) -> None:
-    """Differences of the program's objective are differences of the cost (25), slack prices aside."""
+    """Differences of the program's objective are differences of the cost (25), apart from the slack penalties."""
     setup = paper_setup()
     settings = ControllerSettings(
         horizon=horizon,
@@ -70,8 +70,8 @@ def test_objective_is_the_cost_of_the_paper(
     for _ in range(5):
         z, slack = 0.3 * rng.standard_normal(len(scale)), rng.uniform(0.0, 0.2)
         cost = cost_by_simulation(setup, settings, owned, at, (z * scale).reshape(horizon, -1)) - at_zero
-        price = 30.0 * (slack + slack**2 / 2.0)
-        assert qp.objective(np.append(z, slack)) == pytest.approx(cost + price, rel=COST_AGREEMENT)
+        penalty = 30.0 * (slack + slack**2 / 2.0)
+        assert qp.objective(np.append(z, slack)) == pytest.approx(cost + penalty, rel=COST_AGREEMENT)
 
 
 def solve_as_printed(setup: Setup, settings: ControllerSettings, at: Situation, ceiling_m: float) -> Array:

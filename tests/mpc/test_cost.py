@@ -28,7 +28,7 @@ def test_stage_cost_by_hand() -> None:
 
 
 def test_error_is_measured_from_the_reference() -> None:
-    """Moving output and reference together changes nothing: only their difference is priced, paper (17)."""
+    """Moving output and reference together changes nothing: the cost depends on their difference only, paper (17)."""
     setup = paper_setup()
     cost = Cost(Weights(), setup.hover)
     rng = np.random.default_rng(0)
@@ -37,8 +37,8 @@ def test_error_is_measured_from_the_reference() -> None:
     assert cost.stage(y, y, u) == 0.0
 
 
-def test_deviation_prices_from_hover() -> None:
-    """Priced as deviation, hover is free and an equal change either way costs the same."""
+def test_deviation_is_measured_from_hover() -> None:
+    """With the deviation penalised, hover is free and an equal change either way costs the same."""
     setup = paper_setup()
     cost, y = Cost(Weights(penalised_input="deviation"), setup.hover), setup.model.outputs(setup.x)
     change = np.linspace(-1.0, 1.0, setup.system.m)
@@ -47,8 +47,8 @@ def test_deviation_prices_from_hover() -> None:
     assert more == pytest.approx(less, rel=ROUNDING * setup.hover.u.max())
 
 
-def test_absolute_prices_from_zero() -> None:
-    """Priced as the paper prints (17), no input is free and hover costs its thrusts' squares."""
+def test_absolute_inputs_are_measured_from_zero() -> None:
+    """With the input itself penalised, paper (17), hover costs its squared thrusts."""
     setup = paper_setup()
     cost, y = Cost(Weights(penalised_input="absolute", thrust=0.5), setup.hover), setup.model.outputs(setup.x)
     assert cost.stage(y, y, np.zeros(setup.system.m)) == 0.0
@@ -58,8 +58,8 @@ def test_absolute_prices_from_zero() -> None:
 
 @pytest.mark.parametrize("N", [1, 2, 4, 8])
 def test_weights_for_any_team(N: int) -> None:
-    """Q, Q_f and R have one entry per output and input, and the terminal weight is a multiple of Q."""
-    cost = Cost(Weights(terminal=7.0), ring_setup(N).hover)
-    assert cost.Q.shape == cost.Q_f.shape == (4 * N + 9,)
+    """Q and R have one entry per output and input."""
+    setup = ring_setup(N)
+    cost = Cost(Weights(), setup.hover)
+    assert cost.Q.shape == (setup.system.p,) == (4 * N + 9,)
     assert cost.R.shape == cost.u_target.shape == (4 * N,)
-    assert np.array_equal(cost.Q_f, 7.0 * cost.Q)

@@ -1,4 +1,4 @@
-"""Terms of the cost of the user's own: priced like the outputs they may be, and of use."""
+"""Cost terms of the user: equal to weights on the outputs where both say the same, and effective."""
 
 from dataclasses import replace
 
@@ -30,7 +30,7 @@ def programs(one: Controller, x: Array, u: Array, U: Array, y_ref: Array) -> tup
 @pytest.mark.parametrize("prediction", ["open_loop", "closed_loop"])
 @pytest.mark.parametrize("owned", OWNED)
 def test_a_term_that_is_an_output_adds_to_its_weight(owned: tuple[int, ...], prediction: str) -> None:
-    """Position errors priced half by the weights and half by terms are the same program as priced by the weights."""
+    """Position errors weighted half by the weights and half by terms give the same QP as the weights alone."""
     setup = paper_setup()
     whole = ControllerSettings(horizon=6, prediction=prediction, weights=Weights(position=1.0, terminal=3.0))  # type: ignore[arg-type]
     at = situation(setup, whole, seed=1)
@@ -65,7 +65,7 @@ def test_a_curved_term_is_expanded_about_the_present_state() -> None:
     free = own.predict(linear, own.discretise(linear), at.U, None)
 
     def value(x: Array) -> float:
-        return float(own.linearise(x, at.u).costs.value[0])
+        return float(own.regulation.user_costs.at(x).value[0])
 
     steps = 1e-6 * np.eye(len(at.x))
     slope = np.array([(value(at.x + h) - value(at.x - h)) / 2e-6 for h in steps])
@@ -92,7 +92,7 @@ def swing_m(run: Setup) -> float:
 
 
 @pytest.mark.parametrize("prediction", ["open_loop", "closed_loop"])
-def test_the_loads_speed_has_a_price(prediction: str) -> None:
+def test_the_payload_speed_can_be_penalised(prediction: str) -> None:
     """A load whose speed is paid for swings less after a move than one whose is not."""
     hover, move = "duration_s={},displacement_m=[0,0,0]", "duration_s=1.0,displacement_m=[0.5,0,0]"
     phases = f"{{name='wait',{hover.format(1.0)}}},{{name='move',{move}}},{{name='hover',{hover.format(4.0)}}}"

@@ -9,8 +9,8 @@ import pytest
 from model import state
 from model.arrays import Array
 from model.dynamics import Symbols
-from mpc.constraints import compile_constraints
 from mpc.expressions import Relation, read
+from mpc.rows.user import compile_constraints
 from mpc.settings import Constraint, SettingsError
 from tests.support.systems import disturbed, paper_setup
 
@@ -91,10 +91,11 @@ def test_values_by_hand(text: str) -> None:
 def test_slopes_by_finite_differences(text: str) -> None:
     """Compiled slopes, the gradients of paper (20)-(21), are central differences of the compiled values."""
     x, u = at_a_point()
-    model = paper_setup().model
-    on_state, on_input = compile_constraints((Constraint(expression=text),), model)
-    compiled, point = (on_state, x) if len(on_state) else (on_input, u)
-    assert len(on_state) + len(on_input) == 1
+    system = paper_setup().system
+    on_state, on_input = compile_constraints((Constraint(expression=text),), system)
+    kind, point = (on_state, x) if len(on_state.expressions) else (on_input, u)
+    compiled = kind.expressions
+    assert len(on_state.expressions) + len(on_input.expressions) == 1
     moved = np.eye(len(point)) * STEP
     differences = [(compiled.at(point + d).value[0] - compiled.at(point - d).value[0]) / (2.0 * STEP) for d in moved]
     assert np.abs(compiled.at(point).slope[0] - differences).max() < SLOPE_AGREEMENT
@@ -102,27 +103,29 @@ def test_slopes_by_finite_differences(text: str) -> None:
 
 
 def test_several_constraints_keep_their_order() -> None:
-    """Constraints on states and inputs are told apart; each kind keeps the order it was written in."""
+    """Constraints on states and inputs are separated; each kind keeps the order it was written in."""
     constraints = tuple(Constraint(expression=text, penalty=float(k + 1)) for k, text in enumerate(GOOD))
-    on_state, on_input = compile_constraints(constraints, paper_setup().model)
+    on_state, on_input = compile_constraints(constraints, paper_setup().system)
     x, u = at_a_point()
     states = [text for text in GOOD if read(text, SYMBOLS).on == "state"]
     inputs = [text for text in GOOD if text not in states]
-    assert on_state.at(x).value == pytest.approx([GOOD[text](x, u) for text in states], abs=ROUNDING)
-    assert on_input.at(u).value == pytest.approx([GOOD[text](x, u) for text in inputs], abs=ROUNDING)
+    assert on_state.expressions.at(x).value == pytest.approx([GOOD[text](x, u) for text in states], abs=ROUNDING)
+    assert on_input.expressions.at(u).value == pytest.approx([GOOD[text](x, u) for text in inputs], abs=ROUNDING)
     assert on_state.equality.tolist() == ["==" in text for text in states]
-    prices = [np.nan if "==" in text else list(GOOD).index(text) + 1.0 for text in states]
-    assert on_state.penalty == pytest.approx(prices, nan_ok=True), "equalities stay hard, inequalities have a price"
-    assert np.isnan(on_input.penalty).all(), "inputs are the controller's own: their limits are never softened"
+    penalties = [np.nan if "==" in text else list(GOOD).index(text) + 1.0 for text in states]
+    assert on_state.penalty == pytest.approx(penalties, nan_ok=True), (
+        "equalities stay hard, inequalities have a penalty"
+    )
+    assert np.isnan(on_input.penalty).all(), "limits of the controller's own inputs are never softened"
 
 
 def test_no_constraints() -> None:
     """Without texts there are no values and no slopes, in the shapes the rest counts on."""
     x, u = at_a_point()
-    on_state, on_input = compile_constraints((), paper_setup().model)
-    assert on_state.at(x).slope.shape == (0, len(x))
-    assert on_input.at(u).slope.shape == (0, len(u))
-    assert on_state.at(x).value.shape == (0,)
+    on_state, on_input = compile_constraints((), paper_setup().system)
+    assert on_state.expressions.at(x).slope.shape == (0, len(x))
+    assert on_input.expressions.at(u).slope.shape == (0, len(u))
+    assert on_state.expressions.at(x).value.shape == (0,)
 
 
 BAD = {
@@ -179,7 +182,7 @@ def test_bad_text_is_refused(text: str) -> None:
 
 
 def test_unknown_name_lists_every_known_one() -> None:
-    """Whoever misspells a name reads which ones there are, for the number of UAVs at hand."""
+    """The error for a misspelt name lists the known names, for the given number of UAVs."""
     with pytest.raises(SettingsError) as refused:
         read("r9[0] <= 1", Symbols.of(1))
     known = str(refused.value).split("known: ")[1].split(", ")
@@ -200,6 +203,6 @@ def test_arithmetic_that_fails_is_refused(text: str) -> None:
 
 @pytest.mark.parametrize("text", ["r0[2] <= 1e400", "sqrt(-1) <= r0[0]", "r0[True] <= 1"])
 def test_meaningless_text_is_refused(text: str) -> None:
-    """A limit that is no number, or an index that is a truth value, is a slip of the writer: refused, not flown."""
+    """A limit that is not finite, or a boolean as an index, is refused."""
     with pytest.raises(SettingsError):
         read(text, SYMBOLS)

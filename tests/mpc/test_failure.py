@@ -35,7 +35,7 @@ GAIN_TOLERANCE = 1e-3
 
 
 def found(system: System, off: AbstractSet[int], released: AbstractSet[int]) -> Regulator:
-    """The regulator of what is left of a team."""
+    """Return the regulator of the remaining team."""
     at = failed_hover(system, off, released)
     cost = Cost(Weights(), at, off, released)
     return regulator(failed_model(system, off, released), at, cost, PERIOD_S, off=off, released=released)
@@ -75,7 +75,7 @@ def test_three_stabilise_the_payload_without_the_fourth() -> None:
 def test_what_can_be_stabilised(uavs: int, released: bool) -> None:
     """Four without the dead UAV, five and more with it balanced on its rod."""
     system = table_1() if uavs == 4 else larger(uavs)
-    closed = found(system, {DEAD}, {DEAD} if released else set()).closed
+    closed = found(system, {DEAD}, {DEAD} if released else set()).A_closed
     assert np.abs(np.linalg.eigvals(closed)).max() < 1.0 + MARGINAL
 
 
@@ -135,7 +135,7 @@ def test_where_nothing_helps_the_control_law_stays(released: set[int]) -> None:
 
 
 def test_uavs_on_the_fail_safe_keep_their_thrust() -> None:
-    """Of six, UAV 3 cut loose and agent 2 dead: its UAV keeps the whole team's hover thrust, the others hold the rest.
+    """With UAV 3 of six cut loose and agent 2 dead, its UAV keeps its hover thrust and the others hold the rest.
 
     docs/equations.md (31), (51).
     """

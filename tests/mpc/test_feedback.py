@@ -61,7 +61,7 @@ def test_gain_is_the_regulators() -> None:
 
 
 def test_gain_stabilises() -> None:
-    """All modes of A + B K decay but the ones nobody prices or can move: headings, rod lengths and their rates."""
+    """All modes of A + B K decay except those without cost or input: headings, rod lengths and their rates."""
     A, B, _ = hover_model()
     moduli = np.sort(np.abs(np.linalg.eigvals(A + B @ gain())))
     unmoved = 3 * paper_setup().system.N
@@ -97,10 +97,10 @@ def test_prediction_is_the_team_under_the_law(owned: tuple[int, ...]) -> None:
 def test_owning_all_the_law_changes_nothing() -> None:
     """One agent that owns all solves the centralized problem, in these coordinates as in the others."""
     setup = paper_setup()
-    everyone = tuple(range(setup.system.N))
+    all_uavs = tuple(range(setup.system.N))
     at = situation(setup, CLOSED, seed=5)
-    plain = Controller(setup.model, setup.hover, ControllerSettings(), everyone)
-    shared = Controller(setup.model, setup.hover, CLOSED, everyone)
+    plain = Controller(setup.model, setup.hover, ControllerSettings(), all_uavs)
+    shared = Controller(setup.model, setup.hover, CLOSED, all_uavs)
     found = shared.step(at.x, at.u, at.U, at.y_ref, law_at(shared, at))
     expected = plain.step(at.x, at.u, at.U, at.y_ref)
     assert found.solution.status == expected.solution.status == "solved"
@@ -152,7 +152,7 @@ def law_at(controller: Controller, at: Situation) -> FeedbackLaw | None:
 
 
 def test_a_start_is_not_relaxed_towards_nothing() -> None:
-    """The first plan is the optimum itself, the next ones the mean of what was found, until that is the relaxation."""
+    """The first plan is the optimum itself, the next ones the mean of all optima, until that is the relaxation."""
     setup = paper_setup()
     at = situation(setup, CLOSED, seed=9)
     full = Controller(setup.model, setup.hover, CLOSED, (1,))

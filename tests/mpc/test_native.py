@@ -46,7 +46,7 @@ def test_responses_are_their_twin(size: tuple[int, int, int, int]) -> None:
 
 
 def test_work_space_stays() -> None:
-    """However many sizes a process meets, none computes in memory that is somebody else's by then."""
+    """Work space of one size is not freed or reused when other sizes follow."""
     rng = np.random.default_rng(0)
 
     def problem(n: int) -> tuple[Array, Array, Array]:
@@ -107,7 +107,7 @@ def test_bounded_programs_have_their_solution(seed: int) -> None:
 
 
 def test_a_program_without_curvature_is_given_up() -> None:
-    """Not positive definite, or no number: no guess is said to be an answer."""
+    """A matrix that is not positive definite, or nan, is reported as a failure."""
     for H in (-np.eye(3), np.zeros((3, 3)), np.full((3, 3), np.nan)):
         for solve in (bounded.solve, bounded._solve):
             assert solve(H, np.ones(3), np.full(3, -np.inf), np.full(3, np.inf))[2] == 0

@@ -16,7 +16,7 @@ OWNED = [(0,), (1, 3), (0, 1, 2, 3)]
 
 
 def limits_kept(settings: ControllerSettings, owned: tuple[int, ...], u: Array, plan: Array) -> bool:
-    """Whether a plan keeps bounds and rates, the first rate against the inputs in force."""
+    """Return whether a plan keeps bounds and rates, the first rate against the inputs in force."""
     uavs = len(owned)
     own = [4 * i + j for i in owned for j in range(4)]
     low, high = settings.limits.lower(uavs), settings.limits.upper(uavs)
@@ -59,9 +59,9 @@ def test_any_team_size_and_horizon(N: int, horizon: int) -> None:
     """Teams of 1, 2 and 8 hold hover exactly and answer a disturbance within limits, at horizons 1 to 40."""
     setup = ring_setup(N)
     settings = ControllerSettings(horizon=horizon, separation=Separation(minimum_m=0.2))
-    everyone = tuple(range(N))
+    all_uavs = tuple(range(N))
     # All eight over 40 steps is a program of 1280 unknowns: seconds, and nothing the others do not show.
-    for owned in [(0,)] if N == 8 and horizon == 40 else [(0,), everyone]:
+    for owned in [(0,)] if N == 8 and horizon == 40 else [(0,), all_uavs]:
         one = controller(setup, settings, owned)
         y_ref = np.tile(setup.model.outputs(setup.x), (horizon + 1, 1))
         still = Situation(x=setup.x, u=setup.hover.u, U=np.tile(setup.hover.u, (horizon, 1)), y_ref=y_ref)

@@ -23,9 +23,9 @@ from mpc.settings import ControllerSettings, CostTerm, Weights
 from tests.support import naive
 from tests.support.linear_model import PERIOD_S, Difference, difference, reference_states, small_state
 
-# Of the largest value: two solutions of one linear problem whose Hessian has a condition of around 1e5.
+# Relative to the largest value: two solutions of one linear problem whose Hessian has a condition of around 1e5.
 AGREEMENT = 1e-8
-# Of the largest value: positions of a hundred metres carry the rounding of 1e-14 m into the drift.
+# Relative to the largest value: positions of a hundred metres carry the rounding of 1e-14 m into the drift.
 FAR = 1e-9
 # N and N m, and per unit of state: rounding of products of the entries of P, which reach 1e3.
 ROUNDING = 1e-10
@@ -42,7 +42,7 @@ class Problem:
 
     Attributes:
         model: Difference equation with the feedback of the UAVs without agents in it.
-        led: Inputs of those that have agents.
+        controlled: Inputs of those that have agents.
         X_ref: Reference states, (K, n).
         pull: Half the gradient of the stage cost at zero deviation, (K, n).
     """
@@ -52,7 +52,7 @@ class Problem:
     cost: Cost
     law: Regulator
     model: Difference
-    led: npt.NDArray[np.intp]
+    controlled: npt.NDArray[np.intp]
     X_ref: Array
     pull: Array
 
@@ -67,7 +67,7 @@ def problem(profile: Profile, pulled: str, gone: tuple[int, ...] = (), weights: 
     K = np.zeros((len(at.u), len(at.x)))
     for uav, gain in uncontrolled.items():
         K[state.input_slice(uav), state.uav_slice(uav)] = gain
-    led = np.setdiff1d(np.arange(len(at.u)), input_indices(gone))
+    controlled = np.setdiff1d(np.arange(len(at.u)), input_indices(gone))
     X_ref = reference_states(system, at, profile, INSTANTS)
     pull = np.zeros_like(X_ref)
     if pulled != "none":
@@ -80,16 +80,16 @@ def problem(profile: Profile, pulled: str, gone: tuple[int, ...] = (), weights: 
         at=at,
         cost=cost,
         law=regulator(Model(system), at, cost, PERIOD_S, uncontrolled),
-        model=Difference(model.A + model.B @ K, model.B[:, led], model.C),
-        led=led,
+        model=Difference(model.A + model.B @ K, model.B[:, controlled], model.C),
+        controlled=controlled,
         X_ref=X_ref,
         pull=pull,
     )
 
 
 def slope_at_the_end(of: Problem) -> Array:
-    """What the last pull, lasting for ever, adds to half the slope of the cost-to-go: summed step by step, (n,)."""
-    closed = of.model.A + of.model.B @ of.law.K[of.led]
+    """Return the part of the cost-to-go's half slope from the last pull, held for ever, summed step by step, (n,)."""
+    closed = of.model.A + of.model.B @ of.law.K[of.controlled]
     p = np.zeros(len(of.at.x))
     for _ in range(STEPS_TO_REST):
         p = closed.T @ p + of.pull[-1]
@@ -102,7 +102,7 @@ def dense(of: Problem, xi0: Array) -> tuple[Array, Array, Array]:
     min over du of sum_{k<K} (xi' C'QC xi + 2 pull' xi + du' R du) + xi(K)' P xi(K) + 2 p(K)' xi(K) subject to
     xi(k+1) = A xi(k) + B du(k) + A x_ref(k) - x_ref(k+1), the deviations of the reference from hover.
 
-    Returns: du (K, m_led), xi (K + 1, n), and half the derivative of the optimal cost with respect to xi0, (n,).
+    Returns: du (K, m_c), xi (K + 1, n), and half the derivative of the optimal cost with respect to xi0, (n,).
     """
     steps, n = len(of.X_ref), len(of.at.x)
     A, B, C = of.model.A, of.model.B, of.model.C
@@ -116,7 +116,7 @@ def dense(of: Problem, xi0: Array) -> tuple[Array, Array, Array]:
         weight[k * n : (k + 1) * n, k * n : (k + 1) * n] = stage
     weight[-n:, -n:] = of.law.T @ of.law.P @ of.law.T.T
     linear = np.concatenate([of.pull.reshape(-1), slope_at_the_end(of)])
-    H = Gamma.T @ weight @ Gamma + np.diag(np.tile(of.cost.R[of.led], steps))
+    H = Gamma.T @ weight @ Gamma + np.diag(np.tile(of.cost.R[of.controlled], steps))
     du = -np.linalg.solve(H, Gamma.T @ (weight @ free + linear))
     xi = free + Gamma @ du
     # At the optimum the inputs' own part of the derivative vanishes.
@@ -140,11 +140,11 @@ def test_preview_is_the_optimum_of_the_tracking_problem(case: tuple[Profile, str
     found = preview(of.law, of.X_ref, of.pull)
     for size in (0.0, 0.1):
         du, xi, _ = dense(of, small_state(of.at, np.random.default_rng(3), size))
-        by_law = xi[:-1] @ of.law.K[of.led].T + found.feedforward[:, of.led]
+        by_law = xi[:-1] @ of.law.K[of.controlled].T + found.feedforward[:, of.controlled]
         assert np.abs(by_law - du).max() < AGREEMENT * np.abs(du).max()
-    others = np.setdiff1d(np.arange(len(of.at.u)), of.led)
+    others = np.setdiff1d(np.arange(len(of.at.u)), of.controlled)
     assert not found.feedforward[:, others].any()
-    assert np.abs(found.feedforward).max() > 0.01, "nothing to see ahead: the comparison shows nothing"
+    assert np.abs(found.feedforward).max() > 0.01, "a zero feedforward would compare nothing"
 
 
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
@@ -216,5 +216,5 @@ def test_a_lasting_pull_is_summed() -> None:
     p = at_rest(of.law, pulls)
     total, carried = np.zeros_like(p), pulls
     for _ in range(STEPS_TO_REST):
-        total, carried = total + carried, of.law.closed.T @ carried
+        total, carried = total + carried, of.law.A_closed.T @ carried
     assert np.abs(p - total).max() < AGREEMENT * np.abs(total).max()

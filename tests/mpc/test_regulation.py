@@ -32,8 +32,8 @@ from tests.support.linear_model import (
 )
 from tests.support.systems import INTEGRATION_STEPS
 
-# Of the largest deviation of the inputs from hover: two solutions of one linear problem with condition around 1e5,
-# one by the Riccati recursion, one by condensing and a solver.
+# Relative to the largest deviation of the inputs from hover: two solutions of one linear problem with condition around
+# 1e5, one by the Riccati recursion, one by condensing and a solver.
 NO_CORRECTION = 1e-8
 # Share of the same deviation: above any rounding; a program with another cost has larger corrections.
 A_CORRECTION = 1e-2
@@ -57,7 +57,7 @@ TERMS = (CostTerm(expression="v0[0]", weight=0.3), CostTerm(expression="e1[0] - 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
-    """A team and what its controllers are told.
+    """A team and the settings of its controllers.
 
     Attributes:
         owned: UAVs of the agent whose program is solved, 0-based.
@@ -154,7 +154,7 @@ def test_others_effort_is_part_of_the_program() -> None:
     for answering in (True, False):
         one = Controller(LinearModel(case.system, at), at, LQ, case.owned, X_ref)
         if not answering:
-            one._answering = np.zeros(0, dtype=np.intp)
+            one._objective._responding = np.zeros(0, dtype=np.intp)
         x = X_ref[15] + small_state(at, np.random.default_rng(1), 0.05)
         found.append(np.abs(optimum(one, X_ref, 15, x, at.u, None).c).max())
     assert found[0] < NO_CORRECTION
@@ -247,7 +247,7 @@ def test_no_gain_is_better(gone: list[int]) -> None:
         others = np.delete(law.K[state.input_slice(uav)], np.arange(len(at.x))[state.uav_slice(uav)], axis=1)
         assert not others.any()
     push = np.zeros((40, len(at.u)))
-    push[:, law.led] = rng.standard_normal((40, len(law.led)))
+    push[:, law.controlled] = rng.standard_normal((40, len(law.controlled)))
 
     def costs(size: float) -> float:
         """Cost over 2000 steps with a push besides the law."""
@@ -255,7 +255,7 @@ def test_no_gain_is_better(gone: list[int]) -> None:
         for k in range(2000):
             u = law.K @ x + (size * push[k] if k < len(push) else 0.0)
             y = model.C @ x
-            total += float(y @ (cost.Q * y) + u[law.led] @ (cost.R[law.led] * u[law.led]))
+            total += float(y @ (cost.Q * y) + u[law.controlled] @ (cost.R[law.controlled] * u[law.controlled]))
             x = model.A @ x + model.B @ u
         return total
 
@@ -278,7 +278,7 @@ def test_equal_uavs_without_agents(gone: list[int]) -> None:
     regulation.form(gone, (), ())
     found = regulation.regulator
     assert found is not None
-    assert np.abs(np.linalg.eigvals(found.closed)).max() < 1.0 + MODE_TOLERANCE
+    assert np.abs(np.linalg.eigvals(found.A_closed)).max() < 1.0 + MODE_TOLERANCE
     for uav in gone:
         fail_safe = FailSafe(system, at.u).gain(uav)
         np.testing.assert_array_equal(found.K[input_slice(uav), uav_slice(uav)], fail_safe)

@@ -91,7 +91,7 @@ def test_limits_per_uav() -> None:
 
 
 def test_settings_are_frozen() -> None:
-    """Settings are data that several processes must agree on: nobody changes them on the way."""
+    """Settings are data that several processes must agree on: they are immutable."""
     with pytest.raises(AttributeError):
         ControllerSettings().horizon = 3  # type: ignore[misc]  # the point of the test
     assert not np.shares_memory(Weights().Q(4), Weights().Q(4))

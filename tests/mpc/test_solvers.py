@@ -22,7 +22,7 @@ AGREEMENT = 1e-6
 AGREEMENT_WITH_SLACK = 6e-4
 # SLSQP stops on its own objective tolerance and knows no residuals; its objective is good to about this.
 THIRD_OPINION = 1e-6
-# Of the objective, relative: quadratic around the optimum, so far below the answers' own agreement.
+# Relative to the objective: quadratic around the optimum, so far below the answers' own agreement.
 OBJECTIVE_AGREEMENT = 1e-8
 
 EACH: dict[str, Callable[[QP], Solution]] = {"daqp": solve_daqp, "clarabel": solve_clarabel}

@@ -1,4 +1,4 @@
-"""Where the team is to rest under external forces, and that the controller rests there."""
+"""The steady state under external forces, and that the controller stays there."""
 
 from functools import lru_cache
 
@@ -102,7 +102,7 @@ def test_wind_on_the_payload() -> None:
 
 
 def test_wind_on_a_uav() -> None:
-    """A UAV pushed sideways leans into the wind by F / f, and nobody else has to do anything."""
+    """A UAV pushed sideways leans into the wind by F / f, and no other input changes."""
     setup, at = paper_setup(), found("paper")
     lean = at.M_x[:, 3].copy()
     block = lean[state.uav_slice(0)]
@@ -115,7 +115,7 @@ def test_wind_on_a_uav() -> None:
 @pytest.mark.parametrize("prediction", ["open_loop", "closed_loop"])
 @pytest.mark.parametrize("owned", [(0,), (0, 1, 2, 3)])
 def test_the_controller_rests_at_the_target(prediction: PredictionName, owned: tuple[int, ...]) -> None:
-    """At the target, with everybody's input there, the plan is to stay: there is no offset to trade for effort."""
+    """At the target, with all inputs there, the plan is to stay: there is no offset to trade for effort."""
     setup = paper_setup()
     settings = ControllerSettings(prediction=prediction)
     one = controller(setup, settings, owned)
@@ -131,8 +131,8 @@ def test_the_controller_rests_at_the_target(prediction: PredictionName, owned: t
     assert np.abs(ignorant.U - u[one.own]).max() > 0.1
 
 
-def test_inputs_priced_absolutely_stay_so() -> None:
-    """Where the input itself is priced, a force changes the prediction but not what costs nothing."""
+def test_absolutely_penalised_inputs_stay_so() -> None:
+    """With the input itself penalised, a force changes the prediction but not the input without cost."""
     setup = paper_setup()
     one = controller(setup, ControllerSettings(weights=Weights(penalised_input="absolute")), (0,))
     assert not one.linearise(setup.x, setup.hover.u, np.full(15, 3.0)).u_target.any()

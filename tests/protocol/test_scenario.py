@@ -319,7 +319,7 @@ def test_references_reach_as_far_as_any_horizon() -> None:
     run = setup(SHORT)
     instants = run.ticks + run.settings.horizon + 2
     assert run.X_ref.shape == (instants, run.system.n)
-    assert run.Y_ref.shape == (instants, 4 * run.system.N + 9)
+    assert run.Y_ref.shape == (instants, run.system.p)
     np.testing.assert_array_equal(run.X_ref[0], run.initial_state())
     # Outputs of states that move with a level payload: only sums and products by one.
     for k in (0, run.ticks // 2, instants - 1):

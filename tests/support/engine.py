@@ -1,4 +1,4 @@
-"""The same system in MuJoCo, physics nobody here wrote.
+"""The same system in MuJoCo, as independent physics.
 
 Rods are bodies on ball joints. MuJoCo's compiler refuses bodies without mass, so each rod is compiled with some
 and emptied afterwards, down to a moment of inertia about its own axis: a rod with e . Omega = 0 has no angular
@@ -23,7 +23,7 @@ _ROD_SPIN_INERTIA = 1.0  # kg m^2; any value gives the same motion, this one kee
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Accelerations:
-    """What the engine computed.
+    """The engine's results.
 
     Attributes:
         payload_I: Of the payload's centre of mass, (3,), inertial frame, m/s^2.

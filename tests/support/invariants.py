@@ -1,4 +1,4 @@
-"""What Newton's laws conserve: energy, linear and angular momentum of the whole system, by sums over the bodies."""
+"""Energy, linear and angular momentum of the whole system, by sums over the bodies."""
 
 import numpy as np
 
@@ -32,7 +32,7 @@ def energy(system: System, x: Array) -> float:
 
 
 def linear_momentum(system: System, x: Array) -> Array:
-    """Of all bodies, (3,), inertial frame, kg m/s."""
+    """Return the linear momentum of all bodies, (3,), inertial frame, kg m/s."""
     view = StateView(x)
     _, v = vehicle_motion(system, x)
     masses = np.array([uav.mass for uav in system.uavs])
@@ -40,7 +40,7 @@ def linear_momentum(system: System, x: Array) -> Array:
 
 
 def angular_momentum(system: System, x: Array) -> Array:
-    """Of all bodies about the inertial origin, without the spin of the UAVs, (3,), inertial frame, kg m^2/s."""
+    """Return the angular momentum about the inertial origin, without the UAVs' spin, (3,), inertial frame, kg m^2/s."""
     view = StateView(x)
     r, v = vehicle_motion(system, x)
     R0, payload = attitude(view.Theta0), system.payload

@@ -68,10 +68,10 @@ def collected(minimum_m: float) -> list[QP]:
             Constraint(expression="tau3[2] == 0"),
         ),
     )
-    everyone = team(setup, settings, [(0, 1, 2, 3)])
+    centralized = team(setup, settings, [(0, 1, 2, 3)])
     programs = []
-    for at in situations(setup, everyone, start_s=5.0, steps=8):
-        for one in [*everyone, *team(setup, settings, [(0,), (1, 2)])]:
+    for at in situations(setup, centralized, start_s=5.0, steps=8):
+        for one in [*centralized, *team(setup, settings, [(0,), (1, 2)])]:
             linear = one.linearise(at.x, at.u)
             programs.append(
                 one.condense(linear, one.predict(linear, one.discretise(linear), at.U, None), at.U, at.y_ref)

@@ -10,7 +10,7 @@ from model import state
 from model.arrays import Array
 from model.hover import Hover, hover
 from model.linearisation import Model
-from model.maneuver import Maneuver, Reference, paper_maneuver
+from model.maneuver import Maneuver, Phase, Reference
 from model.parameters import Payload, System, Uav, table_1
 from mpc.controller import Controller, StepResult
 from mpc.settings import ControllerSettings
@@ -102,7 +102,7 @@ def situation(setup: Setup, settings: ControllerSettings, seed: int, size: float
     x = disturbed(setup, rng, size)
     u = u_hover + size * half * rng.standard_normal(setup.system.m)
     U = u_hover + size * half * rng.standard_normal((steps, setup.system.m))
-    y_ref = setup.model.outputs(setup.x) + size * rng.standard_normal((steps + 1, 4 * setup.system.N + 9))
+    y_ref = setup.model.outputs(setup.x) + size * rng.standard_normal((steps + 1, setup.system.p))
     return Situation(x=x, u=u, U=U, y_ref=y_ref)
 
 
@@ -123,7 +123,7 @@ def step(owner: Controller, at: Situation) -> StepResult:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Flight:
-    """What a closed loop did.
+    """The result of a closed loop.
 
     Attributes:
         X: States, (steps + 1, n).
@@ -176,9 +176,19 @@ def _loop(
             announced[:, owner.own] = optimum.U
         u = announced[0]
         x, _ = setup.model.integrate(x, u, period, INTEGRATION_STEPS)
-        # The paper's shift: everyone's plan moves on by one, its end is held.
+        # The paper's shift: every plan moves on by one step, its end is held.
         U = np.vstack([announced[1:], announced[-1:]])
         yield at, optima, x
+
+
+def paper_maneuver() -> Maneuver:
+    """Hover, climb 2.5 m, translate 2.5 m in +x, descend 2.5 m, hover: 5 s each. Source: paper, section V."""
+    legs = {"hover": (0, 0, 0), "climb": (0, 0, -2.5), "translate": (2.5, 0, 0), "descend": (0, 0, 2.5)}
+    order = ["hover", "climb", "translate", "descend", "hover"]
+    return Maneuver(
+        start_I=[0.0, 0.0, -10.0],
+        phases=[Phase(name=name, duration_s=5.0, displacement_I=legs[name]) for name in order],
+    )
 
 
 def _from_start(maneuver: Maneuver) -> Maneuver:

@@ -64,7 +64,7 @@ class RunProgress:
         t_s = plant_state.tick * self._setup.settings.sampling_period_s
         now_s = time.monotonic()
         if self._bar is not None:
-            phase = self._phase(t_s)
+            phase = self._setup.maneuver.phase_at(t_s).name
             self._bar.update(
                 self._task, completed=t_s, description=phase, status=self._status(plant_state, t_s, now_s - started_s)
             )
@@ -85,11 +85,3 @@ class RunProgress:
             f"{t_s:5.1f} of {self._duration_s:.1f} s   {factor:5.1f}x real time   "
             f"cost {cost:.5f}   attitude {attitude_deg:.2f} deg"
         )
-
-    def _phase(self, t_s: float) -> str:
-        begin = 0.0
-        for phase in self._setup.maneuver.phases:
-            begin += phase.duration_s
-            if t_s < begin:
-                return phase.name
-        return self._setup.maneuver.phases[-1].name

@@ -148,7 +148,7 @@ class Scenes:
         return Scene(
             tick=tick,
             time_s=time_s,
-            phase=self.phase(time_s),
+            phase=self.setup.maneuver.phase_at(time_s).name,
             payload_I=view.r0_I.copy(),
             payload_reference_I=setup.maneuver.path(np.array([time_s]))[0][0],
             R_payload=R_payload,
@@ -181,15 +181,6 @@ class Scenes:
         chosen += [tick] if chosen[-1:] != [tick] else []
         places = np.array([self._place(k) for k in chosen])
         return places[:, 0], places[:, 1:]
-
-    def phase(self, time_s: float) -> str:
-        """Name of the maneuver's phase at a time."""
-        begin = 0.0
-        for phase in self.setup.maneuver.phases:
-            begin += phase.duration_s
-            if time_s < begin:
-                return phase.name
-        return self.setup.maneuver.phases[-1].name
 
     def _place(self, tick: int) -> Array:
         """Payload and UAVs at a tick, (1 + N, 3)."""

@@ -1,0 +1,112 @@
+"""The announced plan: relaxation of a solution, fallback to the previous plan, and plans made under another law."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from model.arrays import Array
+from model.discretisation import Discrete
+from mpc.decision import Decision
+from mpc.feedback import FeedbackLaw
+from mpc.prediction import Prediction, free_response
+from mpc.qp import Solution
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StepResult:
+    """Plan of one step.
+
+    Attributes:
+        U: Absolute inputs of the owned UAVs to announce and apply, (N_p, 4 owned); after a failed solve
+            the previous plan, shifted.
+        c: Their corrections to the shared control law, (N_p, 4 owned); (0, 4 owned) without that law.
+        solution: Of the QP, solved or not.
+    """
+
+    U: Array
+    c: Array
+    solution: Solution
+
+
+def relaxed(
+    decision: Decision, solution: Solution, prediction: Prediction, U: Array, law: FeedbackLaw | None, w: float
+) -> StepResult:
+    """Return the plan w U* + (1 - w) U_previous; with a shared law only the corrections are mixed.
+
+    Then the stabilising feedback acts in full, and the inputs follow from law and mixed corrections. Without a
+    solution, the previous plan or its corrections are taken as they are.
+
+    Args: as those of `Controller.conclude`, with the relaxation weight w in (0, 1].
+    Source: docs/equations.md (30a), (36a).
+    """
+    solved = solution.status == "solved"
+    # The solver meets the bounds to its tolerance; the plant's actuators have them exactly.
+    v = decision.inputs(solution.z) if solved else np.zeros(decision.shape)
+    best = decision.clip(prediction.U_free + v)
+    if law is None:
+        previous = U[:, decision.own]
+        inputs = decision.clip(w * best + (1.0 - w) * previous) if solved else previous.copy()
+        return StepResult(U=inputs, c=np.zeros((0, len(decision.own))), solution=solution)
+    K, at_x0 = law.K[decision.own], law.uncorrected(decision.own)
+    c_best, w = np.zeros(decision.shape), w if solved else 0.0
+    if solved:
+        dX = free_response(prediction.A, prediction.W + (best - prediction.U_free) @ prediction.B.T)
+        c_best = best - at_x0 - dX[:-1] @ K.T
+    if w == 1.0:
+        return StepResult(U=best, c=c_best, solution=solution)
+    c = w * c_best + (1.0 - w) * law.c[:, decision.own]
+    return StepResult(U=_inputs_of(decision, prediction, K, at_x0 + c), c=c, solution=solution)
+
+
+def fallback(decision: Decision, solution: Solution, U: Array, law: FeedbackLaw | None) -> StepResult:
+    """Return the previous plan within bounds; arguments as those of `relaxed`."""
+    c = np.zeros((0, len(decision.own))) if law is None else law.c[:, decision.own]
+    return StepResult(U=decision.clip(U[:, decision.own]), c=c, solution=solution)
+
+
+def foreseen(decision: Decision, prediction: Prediction, law: FeedbackLaw, inputs: Array) -> Array:
+    """Return the inputs of all UAVs over the horizon as one controller expects them, within bounds, (N_p, m).
+
+    The owned inputs are given, (N_p, m_own). Source: docs/equations.md (35), (36).
+    """
+    dX = free_response(prediction.A, prediction.W + (inputs - prediction.U_free) @ prediction.B.T)
+    U = np.empty_like(law.c)
+    U[:, decision.own] = inputs
+    U[:, decision.others] = law.inputs(decision.others) + dX[:-1] @ law.K[decision.others].T
+    N, limits = decision.system.N, decision.settings.limits
+    return np.clip(U, limits.lower(N), limits.upper(N))
+
+
+def adapted(law: FeedbackLaw, discrete: Discrete, u0: Array, U: Array, columns: npt.NDArray[np.intp]) -> FeedbackLaw:
+    """Return the law with the corrections, in some columns, that reproduce inputs announced under another law.
+
+    Args:
+        law: The shared control law over the horizon.
+        discrete: Zero-order hold about (x0, u0).
+        u0: Input of the linearisation, (m,).
+        U: Announced inputs of all UAVs over the horizon, (N_p, m).
+        columns: Positions in u.
+    Source: docs/equations.md (46).
+    """
+    dX = free_response(discrete.A, discrete.f_d + (U - u0) @ discrete.B.T)
+    c = law.c.copy()
+    c[:, columns] = U[:, columns] - law.uncorrected(columns) - dX[:-1] @ law.K[columns].T
+    return replace(law, c=c)
+
+
+def _inputs_of(decision: Decision, prediction: Prediction, K: Array, drive: Array) -> Array:
+    """Return the owned inputs K dx + drive within bounds and rates, (N_p, m_own); K (m_own, n), drive (N_p, m_own)."""
+    closed = prediction.A + prediction.B @ K
+    dX = free_response(closed, prediction.W + (drive - prediction.U_free) @ prediction.B.T)
+    inputs = drive + dX[:-1] @ K.T
+    changes = np.diff(inputs, axis=0, prepend=prediction.U_free[:1])
+    if ((decision.lower <= inputs) & (inputs <= decision.upper) & (np.abs(changes) <= decision.rate)).all():
+        return inputs
+    dx, before = np.zeros(len(prediction.A)), prediction.U_free[0]
+    for k, free in enumerate(prediction.U_free):
+        # The corrections may come from a plan of another team: the rates hold all the same.
+        wanted = np.clip(drive[k] + K @ dx, before - decision.rate, before + decision.rate)
+        inputs[k] = before = decision.clip(wanted)
+        dx = prediction.A @ dx + prediction.W[k] + prediction.B @ (inputs[k] - free)
+    return inputs

@@ -1,0 +1,70 @@
+"""Separation: the smallest distance of any two UAVs."""
+
+from itertools import combinations
+
+import numpy as np
+import numpy.typing as npt
+
+from model.arrays import Array
+from mpc import condensing
+from mpc.decision import Decision
+from mpc.rows.interface import Block, StepData
+
+
+class SeparationRows:
+    """Smallest distance of all pairs with an owned UAV, softened by one slack. Source: docs/equations.md (29)."""
+
+    def __init__(self, decision: Decision) -> None:
+        separation, self._pairs = decision.settings.separation, pairs_of(decision.system.N, decision.uavs)
+        if separation is None:
+            self._pairs = self._pairs[:0]
+        self._minimum_m = 0.0 if separation is None else separation.minimum_m
+        self.penalties = np.array([separation.penalty] if separation is not None and len(self._pairs) else [])
+        self._positions = 3 * decision.system.N
+        self._steps, self._decisions = decision.settings.horizon, decision.size
+
+    def template(self) -> Array:
+        """Return the slack's column."""
+        rows = np.zeros((self._steps * len(self._pairs), self._decisions + len(self.penalties)))
+        rows[:, self._decisions :] = 1.0
+        return rows
+
+    def fill(self, step: StepData, to: Block) -> None:
+        """Write the distances' dependence on the decision, and how much of the minimum is missing."""
+        positions, C = step.linear.model.y[: self._positions], step.linear.model.C[: self._positions]
+        _, direction = separation_rows(positions, self._pairs)
+        distance = (positions + step.prediction.dX_free[1:] @ C.T) @ direction.T
+        condensing.fill(direction @ step.position_impulse, to.A)
+        to.lower[:] = self._minimum_m - distance.reshape(-1)
+
+
+def pairs_of(N: int, owned: tuple[int, ...]) -> npt.NDArray[np.intp]:
+    """Return the pairs of UAVs, 0-based, with at least one owned UAV, (pairs, 2); the others' agents keep the rest."""
+    pairs = [pair for pair in combinations(range(N), 2) if pair[0] in owned or pair[1] in owned]
+    return np.array(pairs, dtype=np.intp).reshape(-1, 2)
+
+
+def separation_rows(positions: Array, pairs: npt.NDArray[np.intp]) -> tuple[Array, Array]:
+    """Return pairwise distances of the UAVs as linear functions of their positions.
+
+    |r_i - r_j| is replaced by d' (r_i - r_j), d the present direction: a lower bound, so that keeping it
+    above the limit keeps the actual distance above it too.
+
+    Args:
+        positions: Of the UAVs at the linearisation point, (3 N,), m.
+        pairs: UAVs, 0-based, (pairs, 2).
+    Returns: Distances now, (pairs,), m; rows with distance = row . positions, (pairs, 3 N).
+    Source: docs/equations.md (29).
+    """
+    r = positions.reshape(-1, 3)
+    apart = r[pairs[:, 0]] - r[pairs[:, 1]]
+    distances = np.sqrt((apart * apart).sum(axis=1))
+    # Two UAVs in one point have no direction; any direction separates them.
+    together = distances == 0.0
+    d = apart / np.where(together, 1.0, distances)[:, None]
+    d[together] = [1.0, 0.0, 0.0]
+    rows = np.zeros((len(pairs), len(positions)))
+    for row, (i, j), direction in zip(rows, pairs.tolist(), d, strict=True):
+        row[3 * i : 3 * i + 3] = direction
+        row[3 * j : 3 * j + 3] = -direction
+    return distances, rows
