@@ -1,4 +1,4 @@
-"""An agent as a process."""
+"""Process of an agent."""
 
 import time
 
@@ -15,8 +15,8 @@ def run(setup: Setup, place: Place, agent: int) -> int:
 
     Args:
         setup: The run.
-        place: Where this process is.
-        agent: Which agent, 1-based.
+        place: Where this process runs.
+        agent: 1-based.
     Returns: Exit code.
     Raises: BusError: see `protocol.network.process.run_node`.
     """

@@ -113,7 +113,7 @@ def test_of_an_agent_that_is_gone_the_age_counts(alignment: Alignment) -> None:
     """What the actuators of an agent without process do is known: its last plan, then hover."""
     plan = labelled(1, 7)
     inputs = announced(plan, alignment=alignment)
-    inputs.gone = {1}
+    inputs.off_roster = {1}
     U = rows(1, inputs.sequence(10, STEPS, before=11))
     np.testing.assert_array_equal(U, np.vstack([plan.inputs[3:], np.tile(U_HOVER[COLUMNS[1]], (3, 1))]))
 
@@ -272,7 +272,7 @@ def test_the_gone_follow_no_law() -> None:
     """The last plan of an agent that is gone is played as announced, without the law, (32a)."""
     plan = labelled(1, 7)
     inputs = under_law(plan)
-    inputs.gone = {1}
+    inputs.off_roster = {1}
     for age in range(STEPS):
         np.testing.assert_array_equal(rows(1, inputs.at(7 + age, before=20, x=X)), plan.inputs[age])
 
@@ -282,7 +282,7 @@ def test_plans_under_another_law_are_played_as_announced() -> None:
     older, newer = labelled(1, 7), labelled(2, 9)
     inputs = under_law(older, newer)
     inputs.law_since = 9
-    assert inputs.of_another_law(before=12) == [1]
+    assert inputs.under_previous_law(before=12) == [1]
     u = inputs.at(10, before=12, x=X)
     np.testing.assert_array_equal(rows(1, u), older.inputs[3])
     np.testing.assert_array_equal(rows(2, u), by_law(10, X)[COLUMNS[2]] + newer.corrections[1])
@@ -291,15 +291,15 @@ def test_plans_under_another_law_are_played_as_announced() -> None:
 def test_who_follows_another_law() -> None:
     """Agents whose newest usable plan is older than the law; not those without plan, nor those that are gone."""
     inputs = under_law(labelled(1, 3), labelled(1, 8), labelled(2, 3))
-    assert inputs.of_another_law(before=10) == []
+    assert inputs.under_previous_law(before=10) == []
     inputs.law_since = 5
-    assert inputs.of_another_law(before=10) == [2]
-    assert inputs.of_another_law(before=8) == [1, 2]  # that of tick 8 is not usable yet
-    assert inputs.of_another_law(before=3) == []
-    inputs.gone = {2}
-    assert inputs.of_another_law(before=8) == [1]
+    assert inputs.under_previous_law(before=10) == [2]
+    assert inputs.under_previous_law(before=8) == [1, 2]  # that of tick 8 is not usable yet
+    assert inputs.under_previous_law(before=3) == []
+    inputs.off_roster = {2}
+    assert inputs.under_previous_law(before=8) == [1]
     inputs.forget(1)
-    assert inputs.of_another_law(before=8) == []
+    assert inputs.under_previous_law(before=8) == []
 
 
 def test_without_a_state_there_is_no_law() -> None:
