@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
-from deploy.lab import EXIT_UNAVAILABLE, Cut, unavailable
 from protocol.network.process import process_names
 from protocol.scenario.file import find_scenario, read_scenario
 from tests.support.commands import PATIENCE_S, settings, wait_for
+from tests.support.lab import EXIT_UNAVAILABLE, Cut, unavailable
 from transport.log.run_log import read_log
 
 NAMES = [*process_names(read_scenario(find_scenario("resilient"))), "recorder"]
@@ -33,7 +33,7 @@ def lab(folder: Path, *cuts: str, duration_s: float) -> subprocess.Popen[str]:
     words = [part for cut in cuts for part in ("--cut", cut)]
     return subprocess.Popen(
         [
-            *(sys.executable, "-m", "deploy.lab", "--out", str(folder), *words),
+            *(sys.executable, "-m", "tests.support.lab", "--out", str(folder), *words),
             *settings(*REAL_TIME, climb(duration_s)),
         ],
         stdout=subprocess.PIPE,
@@ -96,7 +96,9 @@ def test_nothing_stays(tmp_path: Path) -> None:
             assert wait_for(logs.exists)
             assert len(belonging_to(folder)) > 5
             # The terminal sends Ctrl-C to everybody in the foreground: the lab itself, inside, is one of them.
-            inside = [pid for pid in belonging_to(folder) if b"deploy.lab" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+            inside = [
+                pid for pid in belonging_to(folder) if b"tests.support.lab" in Path(f"/proc/{pid}/cmdline").read_bytes()
+            ]
             (process.send_signal(number) if number is signal.SIGKILL else _send(max(inside), number))
             process.communicate(timeout=PATIENCE_S)
         assert process.returncode != 0
@@ -114,7 +116,7 @@ def test_cuts_are_read() -> None:
     assert Cut.of("agent2:8:1") == Cut("agent2", 8.0, 1.0)
     assert Cut.of("plant:0.5") == Cut("plant", 0.5, None)
     done = subprocess.run(
-        [sys.executable, "-m", "deploy.lab", "--out", "x", "--cut", "plant"],
+        [sys.executable, "-m", "tests.support.lab", "--out", "x", "--cut", "plant"],
         capture_output=True,
         text=True,
         check=False,
@@ -125,7 +127,7 @@ def test_cuts_are_read() -> None:
 
 def test_a_strange_host_is_refused(tmp_path: Path) -> None:
     """A cable of no host is named before anything is built; without the tools the exit code says so."""
-    words = [sys.executable, "-m", "deploy.lab", "--out", str(tmp_path / "x"), "--cut", "agent9:1"]
+    words = [sys.executable, "-m", "tests.support.lab", "--out", str(tmp_path / "x"), "--cut", "agent9:1"]
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert "--cut: expected a host of coordinator, plant, agent1" in done.stderr
