@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from deploy.hosts import Inventory, InventoryError, postings, read_inventory
+from deploy.hosts import Inventory, InventoryError, placements, read_inventory
 from deploy.keys import KeysError
 from deploy.render import RenderError, command, render
 from protocol.network.process import process_names
@@ -48,12 +48,12 @@ def inventory(text: str, folder: Path) -> Inventory:
 def places(text: str, folder: Path) -> dict[str, tuple[str, list[str], list[str]]]:
     """Mode, where it listens, and whom it calls, by host and process."""
     return {
-        f"{posting.host.name}/{posting.process}": (
-            posting.endpoints.mode,
-            list(posting.endpoints.listen),
-            list(posting.endpoints.connect),
+        f"{placement.host.name}/{placement.process}": (
+            placement.endpoints.mode,
+            list(placement.endpoints.listen),
+            list(placement.endpoints.connect),
         )
-        for posting in postings(inventory(text, folder), PROCESSES, "tls")
+        for placement in placements(inventory(text, folder), PROCESSES, "tls")
     }
 
 
@@ -191,11 +191,11 @@ def test_compose_does_what_units_do(tmp_path: Path) -> None:
     folder = Path(__file__).resolve().parents[2] / "deploy"
     ready = read_inventory(folder / "hosts-compose.toml", PROCESSES)
     services = (folder / "compose.yaml").read_text()
-    for posting in postings(ready, PROCESSES, "tls"):
-        _, *words = command(posting, ready)
-        words += ["--out", "/record/run"] if posting.process == "recorder" else []
-        assert f"    command: {json.dumps(words)}\n" in services, posting.process
-        assert f"/{posting.host.name}:/etc/transport:ro" in services
+    for placement in placements(ready, PROCESSES, "tls"):
+        _, *words = command(placement, ready)
+        words += ["--out", "/record/run"] if placement.process == "recorder" else []
+        assert f"    command: {json.dumps(words)}\n" in services, placement.process
+        assert f"/{placement.host.name}:/etc/transport:ro" in services
 
 
 def test_the_example_is_one(tmp_path: Path) -> None:
