@@ -182,7 +182,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if reason:
             sys.stderr.write(f"lab: {reason}\n")
             return EXIT_UNAVAILABLE
-        command = [*_enter(), *python("tests.support.lab"), *(sys.argv[1:] if arguments is None else arguments)]
+        command = [
+            *_enter(),
+            sys.executable,
+            "-m",
+            "tests.support.lab",
+            *(sys.argv[1:] if arguments is None else arguments),
+        ]
         os.execvpe(command[0], command, {**os.environ, _INSIDE: "1"})  # noqa: S606
     signal.signal(signal.SIGTERM, _interrupted)
     out: Path = options.out

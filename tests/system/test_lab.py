@@ -95,7 +95,7 @@ def test_nothing_stays(tmp_path: Path) -> None:
             logs = folder / "logs" / "recorder.log"
             assert wait_for(logs.exists)
             assert len(belonging_to(folder)) > 5
-            # The terminal sends Ctrl-C to everybody in the foreground: the lab itself, inside, is one of them.
+            # The terminal sends Ctrl-C to all processes in the foreground, the lab inside the namespaces among them.
             inside = [
                 pid for pid in belonging_to(folder) if b"tests.support.lab" in Path(f"/proc/{pid}/cmdline").read_bytes()
             ]

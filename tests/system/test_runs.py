@@ -1,4 +1,4 @@
-"""Whole runs with keys: under attack, through routers, and what a process tells of itself meanwhile."""
+"""Whole runs with keys: under attack, through routers, and their health meanwhile."""
 
 import json
 import subprocess
@@ -41,15 +41,15 @@ FLIGHT = (
     "controller.horizon=5",
     "clock.speed=1.0",
 )
-# As fast as it goes.
+# As fast as possible.
 BRIEF = ("maneuver.phase=[{name='climb',duration_s=2.0,displacement_m=[0.0,0.0,-0.5]}]", "controller.horizon=5")
 FORGED, RATE_HZ = 1000, 10_000
-# Of the flood, what comes to each process at the least: the burst that is free, however slow the host.
+# Fewest flood messages at each process: the free burst, on any host.
 FLOODED = 500
 
 
 def calm(folder: Path, *changes: str) -> list[dict[str, str]]:
-    """Steps of the same flight with no network at all."""
+    """Return the steps of the same run in memory."""
     flown(Setup.of(read_scenario(find_scenario("paper"), changes), "paper"), folder)
     write_report(folder, figures=False)
     return table(folder)
@@ -58,10 +58,10 @@ def calm(folder: Path, *changes: str) -> list[dict[str, str]]:
 @pytest.mark.slow
 @pytest.mark.parametrize("sort", ["replayed", "renumbered"])
 def test_a_run_under_attack(sort: str, tmp_path: Path) -> None:
-    """Strangers, forgers and a flood of 10,000 messages a second on agent 1's own key change no bit of a lockstep run.
+    """Wrong keys, forgery and a flood of 10,000 messages a second on agent 1's key change no bit of a lockstep run.
 
-    Forged messages come to nobody; the flood does, and is counted. That its numbers are above those of agent 1 itself
-    keeps nobody from hearing agent 1.
+    Forged messages reach no process. The flood does and is counted; its higher sequence numbers do not prevent agent 1's
+    own messages from being accepted.
     """
     base, keys = free_base(), Keys("out")
     secure = (f"network.base_port={base}", f"network.keys={keyring('one')}")
@@ -93,7 +93,7 @@ def test_a_run_under_attack(sort: str, tmp_path: Path) -> None:
     assert table(tmp_path / "out") == calm(tmp_path / "calm", *FLIGHT)
 
     counts = summary["rejections"]
-    assert {entry["sender"] for entry in counts} == {"agent1"}  # the forger's own are not among them
+    assert {entry["sender"] for entry in counts} == {"agent1"}  # without the forged ones
     assert {entry["reason"] for entry in counts} <= {"replayed", "past", "wrong_sender"}
     for name in process_names(scenario):
         came = sum(entry["count"] for entry in counts if entry["by"] == name)
@@ -192,7 +192,7 @@ def test_routers_on_both_sides(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "expected"),
+    ("options", "expected"),
     [
         (["--set", "network.host=0.0.0.0"], "network.host: expected a loopback address, or network.keys, or "),
         (["--set", "network.keys=nowhere"], "network.keys: expected a folder with ca.pem or passwords"),
@@ -200,19 +200,19 @@ def test_routers_on_both_sides(tmp_path: Path) -> None:
         (["--set", "network.keys=KEYS", "--set", "network.router=tcp/127.0.0.1:1"], "network.router: expected tls/..."),
     ],
 )
-def test_refused_before_anything_starts(words: list[str], expected: str, tmp_path: Path) -> None:
-    """Open to everybody, without keys that are asked for, or with half of them: one line, exit code 3, no folder."""
-    given = [word.replace("KEYS", str(keyring("one"))) for word in words]
-    for what in (["run", "paper", "--out", "out"], ["plant"]):
-        result = transport(*what, *given, cwd=tmp_path)
+def test_refused_before_anything_starts(options: list[str], expected: str, tmp_path: Path) -> None:
+    """Open addresses and missing or incomplete keys are refused: one line, exit code 3, no folder."""
+    given = [word.replace("KEYS", str(keyring("one"))) for word in options]
+    for command_line in (["run", "paper", "--out", "out"], ["plant"]):
+        result = transport(*command_line, *given, cwd=tmp_path)
         assert result.returncode == 3, result.stderr
         assert expected in result.stderr
         assert result.stderr.count("\n") == 1
     assert not (tmp_path / "out").exists()
 
 
-def test_insecure_is_said(tmp_path: Path) -> None:
-    """Whoever insists may listen for everybody, and the log warns of it."""
+def test_insecure_is_logged(tmp_path: Path) -> None:
+    """With `network.insecure` a process listens on an open address and logs a warning."""
     base = free_base()
     changes = settings("network.host=0.0.0.0", "network.insecure=true", f"network.base_port={base}")
     done = subprocess.run(
@@ -223,6 +223,6 @@ def test_insecure_is_said(tmp_path: Path) -> None:
         timeout=PATIENCE_S,
         check=False,
     )
-    assert done.returncode == 4  # nobody came
+    assert done.returncode == 4  # no other process joined
     first = json.loads(done.stderr.splitlines()[0])
     assert (first["event"], first["at"]) == ("insecure", f"tcp/0.0.0.0:{base + 1}")
