@@ -22,7 +22,7 @@ Law = Callable[[int, Array], Array | None]
 # Present estimate of the state at a past tick, (n,); None where it is not known.
 Past = Callable[[int], Array | None]
 
-# Plans kept per agent: enough for the past inputs over any delay that can be flown with.
+# Plans kept per agent: enough for the past inputs over any usable delay.
 KEPT_PLANS = 256
 
 
@@ -96,12 +96,6 @@ class AnnouncedInputs:
         Source: docs/equations.md (32b).
         """
         self._assumed[agent] = start, inputs[:, self._columns[agent]]
-
-    def has(self, agent: int, tick: int) -> bool:
-        """Return whether the plan that an agent made at a tick is here."""
-        plans = self._plans[agent]
-        at = bisect_left(plans, tick, key=attrgetter("tick"))
-        return at < len(plans) and plans[at].tick == tick
 
     def newest(self, agent: int, before: int) -> Plan | None:
         """Return the newest plan that an agent made before a tick."""

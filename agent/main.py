@@ -11,7 +11,7 @@ from protocol.wire.messages import agent_name
 
 
 def run(setup: Setup, place: Place, agent: int) -> int:
-    """Fly the owned UAVs until the run ends.
+    """Control the owned UAVs until the run ends.
 
     Args:
         setup: The run.

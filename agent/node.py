@@ -163,7 +163,7 @@ class AgentNode:
         elif measurement.roster <= self._membership.version:
             raise MessageError("past", f"measurement of tick {measurement.tick}, without this start on the roster")
         if self._waits and self._measurement is not None:
-            last = newest  # nothing comes before that is answered
+            last = newest  # wait for its answer first
         check_moment(measurement, newest + 1, last)
         self._measurement = measurement
         self._measurements.put(measurement, now_ns)

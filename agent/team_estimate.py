@@ -178,7 +178,7 @@ class TeamEstimate:
     def _law_inputs(self, tick: int, x: Array) -> Array | None:
         """Return inputs of all UAVs by the shared control law, without corrections, (m,); None for open loop.
 
-        Cached by tick: the inputs are needed for each of the others, and for one past instant again at each tick.
+        Cached by tick: the inputs are needed for each of the others, and those of a past tick again at later ticks.
         """
         forces, regulation = self.forces, self._controller.regulation
         cached = self._law_cache.get(tick)

@@ -114,10 +114,10 @@ def processes_of(run: int) -> dict[str, str]:
         return {}
     found = {}
     for pid in [str(run), *children]:
-        words = command_of(pid)
-        if "transport" in words:
-            role = words[words.index("transport") + 1]
-            name = RECORDER if role == "run" else f"agent{words[words.index('--id') + 1]}" if role == "agent" else role
+        line = command_of(pid)
+        if "transport" in line:
+            role = line[line.index("transport") + 1]
+            name = RECORDER if role == "run" else f"agent{line[line.index('--id') + 1]}" if role == "agent" else role
             found[name] = pid
     return found
 

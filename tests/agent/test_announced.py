@@ -3,6 +3,7 @@
 Past inputs of the others: the first step of a plan as announced, then the shared control law with its corrections.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -199,21 +200,26 @@ def test_in_force_with_next_tick() -> None:
     np.testing.assert_array_equal(rows(1, inputs.at(2, before=100)), plans[1].inputs[0])
 
 
-def test_has() -> None:
-    """A plan is here if one of exactly that agent and tick arrived."""
+def kept(inputs: AnnouncedInputs, agent: int, ticks: Sequence[int]) -> list[int]:
+    """Return the ticks whose plan of an agent is kept."""
+    newest = {k: inputs.newest(agent, before=k + 1) for k in ticks}
+    return [k for k, plan in newest.items() if plan is not None and plan.tick == k]
+
+
+def test_newest() -> None:
+    """A plan is kept for exactly its agent and tick."""
     inputs = announced(labelled(1, 4))
-    assert inputs.has(1, 4)
-    assert not inputs.has(1, 3)
-    assert not inputs.has(2, 4)
+    assert kept(inputs, 1, range(8)) == [4]
+    assert kept(inputs, 2, range(8)) == []
 
 
 def test_the_oldest_are_forgotten() -> None:
     """A fixed number of newest plans is kept, for any order of arrival; older ones change nothing."""
     ticks = range(KEPT_PLANS + 10)
     inputs = announced(*[labelled(1, k) for k in ticks], labelled(1, 2))
-    assert [k for k in ticks if inputs.has(1, k)] == list(ticks)[10:]
+    assert kept(inputs, 1, ticks) == list(ticks)[10:]
     backwards = announced(*[labelled(1, k) for k in reversed(ticks)])
-    assert [k for k in ticks if backwards.has(1, k)] == list(ticks)[10:]
+    assert kept(backwards, 1, ticks) == list(ticks)[10:]
 
 
 def test_results_are_the_callers() -> None:

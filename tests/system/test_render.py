@@ -69,7 +69,7 @@ def test_a_mesh(tmp_path: Path) -> None:
 
 
 def test_routers(tmp_path: Path) -> None:
-    """With a router all processes are its clients; with one on each side, of their own, and the second connects to the first."""
+    """Processes are clients of the router of their side; a second router connects to the first."""
     at, there = "tls/192.0.2.10:7447", "tls/[2001:db8::7]:7447"
     star = places(STAR, tmp_path)
     assert star.pop("ground/router") == ("router", [at], [])

@@ -60,8 +60,8 @@ def calm(folder: Path, *changes: str) -> list[dict[str, str]]:
 def test_a_run_under_attack(sort: str, tmp_path: Path) -> None:
     """Wrong keys, forgery and a flood of 10,000 messages a second on agent 1's key change no bit of a lockstep run.
 
-    Forged messages reach no process. The flood does and is counted; its higher sequence numbers do not prevent agent 1's
-    own messages from being accepted.
+    Forged messages reach no process. The flood does and is counted; agent 1's own messages are still accepted, although
+    the flood has higher sequence numbers.
     """
     base, keys = free_base(), Keys("out")
     secure = (f"network.base_port={base}", f"network.keys={keyring('one')}")
@@ -70,12 +70,12 @@ def test_a_run_under_attack(sort: str, tmp_path: Path) -> None:
     endpoints = [f"tls/127.0.0.1:{base + i}" for i in range(count)]
     changes = settings(*FLIGHT, *secure)
     run = start("run", "paper", *changes, "--out", "out", "--no-figures", "--format", "json", cwd=tmp_path)
-    words = [sys.executable, "-m", "tests.support.attack", "out", "1", str(RATE_HZ), sort, str(keyring("one"))]
-    with subprocess.Popen([*words, *endpoints], stdout=subprocess.PIPE, text=True) as flood:
+    attacker = [sys.executable, "-m", "tests.support.attack", "out", "1", str(RATE_HZ), sort, str(keyring("one"))]
+    with subprocess.Popen([*attacker, *endpoints], stdout=subprocess.PIPE, text=True) as flood:
         assert wait_for(is_flying(tmp_path / "out", process_names(scenario)))
         refused: list[str] = []
-        knocking = threading.Thread(target=_knock, args=(endpoints[0], refused))
-        knocking.start()
+        attempts = threading.Thread(target=_connect_without_keys, args=(endpoints[0], refused))
+        attempts.start()
         with attack.session(endpoints, attack.tls(keyring("one"), "agent1")) as forger:
             for key in ("plan/2", "tick", "control", "plant_state", "measurement/3", "rejected/agent2"):
                 for _ in range(FORGED):
@@ -85,7 +85,7 @@ def test_a_run_under_attack(sort: str, tmp_path: Path) -> None:
             other = transport("status", "--run", "out", "--process", "agent7", cwd=tmp_path)
         printed, errors = run.communicate(timeout=PATIENCE_S)
         sent = int(flood.communicate(timeout=PATIENCE_S)[0])
-        knocking.join()
+        attempts.join()
     assert run.returncode == 0, errors
     assert refused == ["no certificate", "another authority", "no TLS"]
     summary: dict[str, Any] = json.loads(printed)
@@ -101,7 +101,7 @@ def test_a_run_under_attack(sort: str, tmp_path: Path) -> None:
 
     health = json.loads(asked.stdout)
     assert (health["name"], health["incarnation"]) == ("agent2", 0)
-    assert abs(health["clock_offset_s"]) <= health["clock_uncertainty_s"] + 1e-3  # one clock: there is no offset
+    assert abs(health["clock_offset_s"]) <= health["clock_uncertainty_s"] + 1e-3  # one clock
     assert health["memory_bytes"] > 1e7
     up = {sample.labels["process"]: sample.value for sample in families["transport_up"].samples}
     assert up == dict.fromkeys(process_names(scenario), 1.0)
@@ -111,10 +111,10 @@ def test_a_run_under_attack(sort: str, tmp_path: Path) -> None:
     assert "expected one of coordinator, plant, agent1" in other.stderr
 
 
-def _knock(endpoint: str, refused: list[str]) -> None:
-    """Try to get in without the right keys; notes what did not."""
+def _connect_without_keys(endpoint: str, refused: list[str]) -> None:
+    """Try to connect without the right keys, and list the attempts refused."""
     one, other = keyring("one"), keyring("other")
-    for what, at, secure in (
+    for attempt, at, secure in (
         ("no certificate", endpoint, attack.tls(None, "", one / "ca.pem")),
         ("another authority", endpoint, attack.tls(other, "agent1", one / "ca.pem")),
         ("no TLS", endpoint.replace("tls/", "tcp/"), None),
@@ -123,12 +123,12 @@ def _knock(endpoint: str, refused: list[str]) -> None:
             with attack.session([at], secure, 0.7):
                 pass
         except zenoh.ZError:
-            refused.append(what)
+            refused.append(attempt)
 
 
 @contextmanager
 def routers(folder: Path, *each: Sequence[str]) -> Iterator[None]:
-    """`transport router` with arguments, one after the other; each has to end in order."""
+    """Run `transport router` with each list of arguments; each has to end with exit code 0."""
     started: list[subprocess.Popen[str]] = []
     try:
         for arguments in each:
@@ -147,7 +147,7 @@ def routers(folder: Path, *each: Sequence[str]) -> Iterator[None]:
 
 @pytest.mark.slow
 def test_passwords_through_a_router(tmp_path: Path) -> None:
-    """Clients of a router who prove their names by passwords fly the same flight; with a wrong one nobody gets in."""
+    """Clients of a router with passwords run the same flight; a wrong password is refused."""
     make_passwords(tmp_path / "keys", NAMES)
     at = f"tcp/127.0.0.1:{free_base()}"
     changes = settings(*BRIEF, f"network.router={at}", "network.keys=keys")
