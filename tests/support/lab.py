@@ -19,7 +19,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 
 from deploy.hosts import Host, Inventory, Placement, placements
 from deploy.keys import LOOPBACK, OTHERS, KeysError, make_certificates
@@ -190,7 +189,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             *(sys.argv[1:] if arguments is None else arguments),
         ]
         os.execvpe(command[0], command, {**os.environ, _INSIDE: "1"})  # noqa: S606
-    signal.signal(signal.SIGTERM, _interrupted)
+    for number in (signal.SIGINT, signal.SIGTERM):  # also when started in the background
+        signal.signal(number, signal.default_int_handler)
     out: Path = options.out
     try:
         path = find_scenario(options.scenario)
@@ -280,10 +280,6 @@ def _apply(
             made.append({"at_s": round(now_s, 3), "did": change, "host": host})
         time.sleep(_POLL_S)
     return made
-
-
-def _interrupted(_: int, __: FrameType | None) -> None:
-    raise KeyboardInterrupt
 
 
 if __name__ == "__main__":
