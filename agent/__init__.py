@@ -1,1 +1,1 @@
-"""An agent: estimates the state, plans for the UAVs it owns, tells the others."""
+"""Agent: estimates the state, plans the inputs of the UAVs it owns, sends the plan to the others."""

@@ -1,7 +1,8 @@
-"""What everybody has announced to do: received plans, shifted to any instant and held at their end."""
+"""Inputs announced by all agents: received plans, shifted to any tick and held at their end."""
 
 from bisect import bisect_left
 from collections.abc import Callable, Sequence
+from operator import attrgetter
 from typing import Literal
 
 import numpy as np
@@ -12,37 +13,37 @@ from mpc.fail_safe import FailSafe
 from mpc.settings import Limits
 from protocol.wire.messages import Plan
 
-# How a plan is laid along the horizon: shifted by its true age; by one tick, however old it is, as the paper has it; or
-# its input for now, held.
+# Alignment of a plan with the horizon: shifted by its true age; by one tick whatever its age, as in the paper; or its
+# input for the present tick, held.
 Alignment = Literal["by_age", "by_one", "held"]
 
-# Inputs of all UAVs by the shared control law, without corrections, at a tick and a state; None without such a law.
+# Inputs of all UAVs by the shared control law, without corrections, from tick and state; None without such a law.
 Law = Callable[[int, Array], Array | None]
-# State at a tick of the past as it is estimated now, (n,); None where it is not known.
+# Present estimate of the state at a past tick, (n,); None where it is not known.
 Past = Callable[[int], Array | None]
 
-# Plans kept per agent: enough to know the inputs of the past over any delay worth flying with.
+# Plans kept per agent: enough for the past inputs over any usable delay.
 KEPT_PLANS = 256
 
 
 class AnnouncedInputs:
-    """The plans of all agents as one agent knows them.
+    """Plans of all agents as one agent knows them.
 
     Args:
         owned: 0-based UAVs of agent 1, agent 2, ...
-        u_hover: What a UAV is taken to do before its first plan arrives, (4 N,).
-        fail_safe: What a UAV does after the last plan of an agent that is gone.
-        alignment: How the others' plans are laid along the horizon.
-        own: Agent whose plans are its own, so always laid by their age, 1-based; 0 for none.
-        law: What the others do after the first step of a plan, besides its corrections.
-        past: Estimates, for what that law gave at the first step of a plan.
-        limits: Bounds of the actuators, which that law keeps to.
+        u_hover: Inputs assumed before an agent's first plan arrives, (4 N,).
+        fail_safe: Control law after the last plan of an agent off the roster.
+        alignment: Alignment of the others' plans with the horizon.
+        own: The agent itself, 1-based, whose plans are always aligned by age; 0 for none.
+        law: Shared control law, followed after the first step of a plan.
+        past: State estimates, to evaluate that law at the first step of a plan.
+        limits: Bounds of the actuators, applied to that law.
 
     Attributes:
-        gone: Agents that make no more plans.
-        law_since: Tick from which on the shared control law is the present team's.
-        failed_since: Tick at which a UAV last failed: every agent knows and follows the control law of the UAVs that
-            are left from then on, and what was announced before counts up to then.
+        off_roster: Agents that make no more plans.
+        law_since: Tick from which on the shared control law is that of the present team.
+        failed_since: Tick of the newest failure of a UAV: from then on every agent follows the control law of the UAVs
+            that are left; plans made before count up to then.
     """
 
     def __init__(
@@ -56,7 +57,7 @@ class AnnouncedInputs:
         past: Past = lambda _tick: None,
         limits: Limits | None = None,
     ) -> None:
-        self.gone: set[int] = set()
+        self.off_roster: set[int] = set()
         self.law_since = 0
         self.failed_since = 0
         self._law, self._past = law, past
@@ -66,87 +67,82 @@ class AnnouncedInputs:
         self._u_hover = u_hover
         self._owned, self._fail_safe = owned, fail_safe
         self._columns = {agent: input_indices(uavs) for agent, uavs in enumerate(owned, start=1)}
-        # By agent, ascending in the tick they were made at; the end is what is asked for.
+        # By agent, ascending in the tick they were made at.
         self._plans: dict[int, list[Plan]] = {agent: [] for agent in self._columns}
-        # Of agents that left without the others having their last plan: its start, and the inputs it is taken to hold.
-        self._played_on: dict[int, tuple[int, Array]] = {}
+        # Start and inputs assumed for the last plan of agents that left, where that plan is not here.
+        self._assumed: dict[int, tuple[int, Array]] = {}
 
     def add(self, plan: Plan) -> None:
-        """Keep a plan, whatever order it arrives in; a second plan of the same tick is ignored."""
+        """Keep a plan, in any order of arrival; a second plan of the same tick is ignored."""
         plans = self._plans[plan.agent]
-        at = bisect_left(plans, plan.tick, key=_made_at)
+        at = bisect_left(plans, plan.tick, key=attrgetter("tick"))
         if at == len(plans) or plans[at].tick != plan.tick:
             plans.insert(at, plan)
         if len(plans) > KEPT_PLANS:
             del plans[0]
 
     def forget(self, agent: int) -> None:
-        """An agent starts anew: what it planned before does not count any more."""
+        """Discard the plans of an agent that starts anew."""
         self._plans[agent].clear()
-        self._played_on.pop(agent, None)
+        self._assumed.pop(agent, None)
 
-    def leave(self, agent: int, start: int, inputs: Array) -> None:
-        """An agent has left, and its last plan is not here: what its actuators are taken to play on.
+    def assume(self, agent: int, start: int, inputs: Array) -> None:
+        """Assume the inputs of an agent that has left and whose last plan is not here.
 
         Args:
             agent: 1-based.
-            start: First instant of the inputs.
-            inputs: Of all UAVs, (N_p, 4 N).
+            start: First tick of the inputs.
+            inputs: Inputs of all UAVs, (N_p, 4 N).
         Source: docs/equations.md (32b).
         """
-        self._played_on[agent] = start, inputs[:, self._columns[agent]]
-
-    def has(self, agent: int, tick: int) -> bool:
-        """Whether the plan an agent made at a tick is here."""
-        plans = self._plans[agent]
-        at = bisect_left(plans, tick, key=_made_at)
-        return at < len(plans) and plans[at].tick == tick
+        self._assumed[agent] = start, inputs[:, self._columns[agent]]
 
     def newest(self, agent: int, before: int) -> Plan | None:
-        """The newest plan of an agent made before a tick."""
+        """Return the newest plan that an agent made before a tick."""
         return next((plan for plan in reversed(self._plans[agent]) if plan.tick < before), None)
 
     def sequence(self, start: int, steps: int, before: int) -> Array:
-        """Announced inputs of all UAVs from a tick on, each newest plan laid along the horizon, held at its end.
+        """Return the announced inputs of all UAVs over the horizon: the newest plans, held at their ends.
 
-        Of an agent that is gone, hover follows the end.
+        Hover follows the last plan of an agent off the roster.
 
         Args:
-            start: First instant.
+            start: First tick.
             steps: N_p.
-            before: Only plans made before this tick count: what arrived early must not be used early.
+            before: Only plans made before this tick count, even if later ones are here already.
         Returns: (N_p, 4 N).
         Source: docs/equations.md (32); paper, section IV-A.
         """
         U = np.repeat(self._u_hover[None], steps, axis=0)
         for agent, columns in self._columns.items():
-            played_on = self._played_on.get(agent)
-            if played_on is not None:
-                entries = played_on[1][max(start - played_on[0], 0) :][:steps]
+            assumed = self._assumed.get(agent)
+            if assumed is not None:
+                entries = assumed[1][max(start - assumed[0], 0) :][:steps]
                 U[: len(entries), columns] = entries
                 continue
             plan = self.newest(agent, before)
             if plan is not None:
                 entries = self._entries(plan.inputs, plan, start, steps)
                 U[: len(entries), columns] = entries
-                if agent not in self.gone:  # after its end the actuators of those hold hover thrust
+                if agent not in self.off_roster:
                     U[len(entries) :, columns] = plan.inputs[-1]
         return U
 
-    def of_another_law(self, before: int) -> list[int]:
-        """Agents whose newest plan is from before the shared law last changed, and who still follow it."""
-        newest = {agent: self.newest(agent, before) for agent in self._columns if agent not in self.gone}
+    def under_previous_law(self, before: int) -> list[int]:
+        """Return the agents whose newest plan made before a tick follows the control law before its last change."""
         return [
             agent
-            for agent, plan in newest.items()
-            if plan is not None and self.failed_since <= plan.tick < self.law_since
+            for agent in self._columns
+            if agent not in self.off_roster
+            and (plan := self.newest(agent, before)) is not None
+            and self.failed_since <= plan.tick < self.law_since
         ]
 
     def corrections(self, start: int, steps: int, before: int) -> Array:
-        """Announced corrections to the shared law from a tick on, shifted, zero after their end.
+        """Return the announced corrections to the shared control law over the horizon, zero after their end.
 
         Args:
-            start: First instant.
+            start: First tick.
             steps: N_p.
             before: Only plans made before this tick count.
         Returns: (N_p, 4 N); zero where none were announced.
@@ -155,23 +151,22 @@ class AnnouncedInputs:
         c = np.zeros((steps, len(self._u_hover)))
         for agent, columns in self._columns.items():
             plan = self.newest(agent, before)
-            if plan is not None and agent not in self.gone and plan.tick >= self.failed_since:
+            if plan is not None and agent not in self.off_roster and plan.tick >= self.failed_since:
                 entries = self._entries(plan.corrections, plan, start, steps)
                 c[: len(entries), columns] = entries
         return c
 
     def at(self, tick: int, before: int, x: Array | None = None) -> Array:
-        """Inputs taken to be in force over [t_k, t_{k+1}): of each agent's plans that had started, the newest.
+        """Return the inputs assumed in force over [t_k, t_{k+1}): from each agent's newest plan that had started.
 
-        That plan's first input was applied as announced. Later ones have been replaced by plans that are not here:
-        with a shared control law, the first one changed by what that law makes of the way of the state since, and of
-        the corrections announced. What the sender takes for external forces cancels out of the difference.
+        That plan's first input was applied as announced. Later ones have been replaced by plans that are not here. With
+        a shared control law they are the first one plus the change of that law since then, with the state and the
+        announced corrections; the sender's estimate of external forces cancels out of the difference.
 
         Args:
             tick: k.
             before: Only plans made before this tick count.
-            x: State at t_k, (n,), if the law of the others and the fail-safe of those that are gone are to be part of
-                it.
+            x: State at t_k, (n,), to evaluate control law and fail-safe; None to leave both out.
         Returns: (4 N,).
         Source: docs/equations.md (32), (32a).
         """
@@ -182,15 +177,15 @@ class AnnouncedInputs:
             if plan is None:
                 continue
             begun, inputs = plan.start_tick, plan.inputs
-            if agent in self._played_on and tick >= self._played_on[agent][0]:
-                begun, inputs = self._played_on[agent]
+            if agent in self._assumed and tick >= self._assumed[agent][0]:
+                begun, inputs = self._assumed[agent]
             step = tick - begun
-            if agent in self.gone and step >= len(inputs):
+            if agent in self.off_roster and step >= len(inputs):
                 if x is not None and self._fail_safe is not None:
                     u[columns] = np.concatenate([self._fail_safe.inputs(uav, x) for uav in self._owned[agent - 1]])
                 continue
             u[columns] = inputs[min(step, len(inputs) - 1)]
-            replaced = step > 0 and agent != self._own and agent not in self.gone
+            replaced = step > 0 and agent != self._own and agent not in self.off_roster
             if plan.tick < self.failed_since:
                 replaced = replaced and tick >= self.failed_since
             else:
@@ -202,13 +197,13 @@ class AnnouncedInputs:
         return u if self._bounds is None else np.clip(u, *self._bounds)
 
     def _by_law(self, plan: Plan, tick: int, x: Array) -> Array | None:
-        """Inputs of an agent by the shared control law some steps after the first one of a plan of its.
+        """Return an agent's inputs by the shared control law after the first step of its plan.
 
         Args:
-            plan: Of the agent.
-            tick: Now.
-            x: State now, (n,).
-        Returns: (4 N,), of which the plan's columns have a meaning; None where there is no such law.
+            plan: The agent's.
+            tick: The present one.
+            x: State at it, (n,).
+        Returns: (4 N,), valid in the agent's columns only; None where there is no such law.
         Source: docs/equations.md (32a).
         """
         u = self._law(tick, x)
@@ -220,19 +215,15 @@ class AnnouncedInputs:
         began = self._past(plan.start_tick)
         then = None if began is None else self._law(plan.start_tick, began)
         if then is not None:
-            # What the sender knew otherwise, such as external forces, shows at the first step.
+            # Differences in the sender's knowledge, such as external forces, show at the first step.
             u[columns] += plan.inputs[0] - then[columns] - plan.corrections[0]
         return u
 
     def _entries(self, sequence: Array, plan: Plan, start: int, steps: int) -> Array:
-        """What of a plan's inputs or corrections is taken for the steps of the horizon, as far as it goes."""
+        """Return a plan's inputs or corrections aligned with the horizon, as far as they reach."""
         skipped = start - plan.start_tick
-        if self._alignment == "by_age" or plan.agent == self._own or plan.agent in self.gone:
+        if self._alignment == "by_age" or plan.agent == self._own or plan.agent in self.off_roster:
             return sequence[max(skipped, 0) :][:steps]
         if self._alignment == "held":
             return np.repeat(sequence[max(skipped, 0) :][:1], steps, axis=0)
         return sequence[max(min(skipped, 1), 0) :][:steps]
-
-
-def _made_at(plan: Plan) -> int:
-    return plan.tick

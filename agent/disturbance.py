@@ -1,10 +1,9 @@
-"""Estimate of constant forces from outside: what the model did not foresee of the velocities, filtered.
+"""Estimate of constant external forces: low-pass filtered prediction errors of the velocities.
 
-A payload heavier than the controller knows and wind look alike to it: as a force on the payload. Wind pushes the
-UAVs as well; sideways that shows in their own motion, and is taken to be the same for all of them. What pushes them
-up or down cannot be told from what pushes the payload, to which stiff rods hand it on, and is counted there. The
-forces enter the prediction, so that what is left to explain vanishes once they are right (the disturbance model of
-offset-free MPC: Pannocchia, Rawlings 2003; Maeder, Borrelli, Morari 2009).
+Unmodelled payload mass and wind both act as a force on the payload. Wind acts on the UAVs, too: its horizontal force
+shows in their own motion and is assumed equal for all of them. A vertical force on a UAV passes through the stiff rod
+and is counted as one on the payload. The forces enter the prediction, so that the error vanishes once they are right
+(disturbance model of offset-free MPC: Pannocchia, Rawlings 2003; Maeder, Borrelli, Morari 2009).
 """
 
 import math
@@ -24,14 +23,14 @@ _UNKNOWNS = 5
 
 
 class DisturbanceEstimator:
-    """The estimate of one agent.
+    """Disturbance estimate of one agent.
 
     Args:
         model: The system as the controller knows it.
         hover: Its equilibrium.
         owned: UAVs whose motion the agent measures, 0-based.
         period_s: Sampling period, s.
-        time_constant_s: Of the first-order low-pass filter, s.
+        time_constant_s: Time constant of the first-order low-pass filter, s.
 
     Attributes:
         forces: The estimate, (3 + 3 N,), inertial frame, N; zero at first.
@@ -45,7 +44,7 @@ class DisturbanceEstimator:
         self.rebuild(model, hover, owned)
 
     def rebuild(self, model: Model, hover: Hover, owned: Sequence[int]) -> None:
-        """Go on with another model of the team, and the forces found so far.
+        """Take another model of the team and keep the estimated forces.
 
         Args:
             model: The system as the controller knows it now.
@@ -56,31 +55,31 @@ class DisturbanceEstimator:
         N = model.system.N
         spread = np.vstack([np.eye(3, _UNKNOWNS), np.tile(np.eye(3, _UNKNOWNS, k=3), (N, 1))])
         linear = model.linearise(hover.x, hover.u)
-        # At rest, velocities follow the state as positions follow what they are the derivative of.
+        # At rest, velocities depend on the state as the positions' derivatives do.
         velocities = np.vstack([linear.A_c[state.R0], linear.C[: 3 * N] @ linear.A_c]).reshape(1 + N, 3, -1)
-        # The hold that turns inputs into states turns constant forces into them as well.
+        # The zero-order hold of inputs applies to constant forces as well.
         effect = zero_order_hold(replace(linear, B_c=model.force_effect(hover.x, hover.u) @ spread), period_s).B
-        self._cause = np.linalg.inv(self._seen(velocities @ effect))
+        self._inverse = np.linalg.inv(self._observed(velocities @ effect))
         self._gain = (1.0 - math.exp(-period_s / self._time_constant_s)) * spread
         self._weight = model.system.total_mass * model.system.gravity
 
     def learn(self, predicted: Array, measured: Array) -> None:
-        """Take in the state after a period for which this estimate was part of the prediction.
+        """Correct the estimate by the prediction error of a period.
 
-        What would take a force larger than the weight of the whole team was no force, but a wrong prediction.
+        An error that implies a force above the team's weight is ignored: the prediction was wrong.
 
         Args:
-            predicted: State at the end of the period, (n,).
-            measured: The same with what was measured in its place, (n,).
+            predicted: State at the end of the period, predicted with the estimate, (n,).
+            measured: The same state with the measured entries replaced, (n,).
         Source: docs/equations.md (41).
         """
-        missed = self._model.velocities(measured) - self._model.velocities(predicted)
-        cause = self._cause @ self._seen(missed)
-        if np.abs(cause).max() <= self._weight:
-            self.forces = self.forces + self._gain @ cause
+        error = self._model.velocities(measured) - self._model.velocities(predicted)
+        force = self._inverse @ self._observed(error)
+        if np.abs(force).max() <= self._weight:
+            self.forces = self.forces + self._gain @ force
 
-    def _seen(self, velocities: Array) -> Array:
-        """Of the velocities of payload and UAVs, what is explained by a force: the payload's, sideways the own UAVs'.
+    def _observed(self, velocities: Array) -> Array:
+        """Return the payload's velocity and the mean horizontal velocity of the own UAVs.
 
         Args:
             velocities: (1 + N, 3, ...), inertial frame.

@@ -1,9 +1,9 @@
-"""State estimate of one agent: its own measurement, the others' states from their messages, the model between.
+"""State estimate of one agent from its measurements, the others' received states, and the model.
 
-The measurement of tick k holds the payload and the owned UAVs. The others' states are received with their
-plans, at least one tick late; the estimator keeps its past estimates, puts each received state in at the
-tick it belongs to, and predicts forward from there with the inputs now known for that time. Without
-disturbance the result is the true state, whatever the delay.
+The measurement of tick k holds the payload and the owned UAVs. The others' states are received with their plans, at
+least one tick late. The estimator keeps its past estimates, inserts each received state at its tick, and predicts
+forward from there with the inputs now known for that time. Without disturbance the result is the plant state,
+independent of the delay.
 """
 
 from collections.abc import Callable
@@ -17,7 +17,7 @@ from model.arrays import Array
 from model.linearisation import Model
 from protocol.wire.messages import Measurement, Plan
 
-# Ticks of the past that can still be corrected; an older state is no better than the prediction.
+# Past ticks that can still be corrected; an older state is no better than the prediction.
 WINDOW = 64
 
 # Integration steps per sampling period: local error below 1e-8 at 50 ms, far below any sensor.
@@ -25,27 +25,27 @@ _STEPS = 2
 
 
 class StateEstimator:
-    """Estimate of the whole state at the present tick.
+    """Estimator of the whole state at the present tick.
 
     Args:
         model: The system as the controller knows it.
-        planned: State the maneuver plans for a tick, (n,): the first guess of a process that joins then.
+        reference: Reference state at a tick, (n,): the initial estimate of a process that joins then.
         period_s: Sampling period, s.
-        disturbance: Estimate of the forces to predict with, to be told what the prediction missed; None for no forces.
+        disturbance: Estimator of the external forces, fed with the prediction errors; None for no forces.
     """
 
     def __init__(
         self,
         model: Model,
-        planned: Callable[[int], Array],
+        reference: Callable[[int], Array],
         period_s: float,
         disturbance: DisturbanceEstimator | None = None,
     ) -> None:
         self._model = model
-        self._planned = planned
+        self._reference = reference
         self._period_s = period_s
         self._disturbance = disturbance
-        self._learned = -1  # newest tick whose measurement the disturbance's estimate has been told
+        self._learned = -1  # newest tick whose measurement the disturbance estimator has
         self._first = 0  # tick of the oldest estimate kept
         self._estimates: list[Array] = []
         self._received: dict[int, dict[int, Plan]] = {}  # plans whose states are known, by tick and agent
@@ -55,7 +55,7 @@ class StateEstimator:
         self._breaks: list[tuple[int, Model, Callable[[Array], Array]]] = []  # see `change`, ascending in the tick
 
     def take(self, plan: Plan) -> None:
-        """Take in another agent's state at a tick before the next measurement's, and what it did from then on."""
+        """Take in another agent's state at a tick before the next measurement's."""
         if plan.tick < self._first:
             return
         self._received.setdefault(plan.tick, {})[plan.agent] = plan
@@ -63,34 +63,34 @@ class StateEstimator:
         self._changed(plan.tick)
 
     def measure(self, measurement: Measurement) -> None:
-        """Take in what the sensors saw at a tick not later than the one to be estimated."""
+        """Take in a measurement of a tick not later than the one to be estimated."""
         if measurement.tick >= self._first:
             self._measured[measurement.tick] = measurement
-            # The disturbance shows in the period before: that is predicted again, too.
+            # The disturbance acts in the period before, which is therefore predicted again.
             self._changed(measurement.tick - (self._disturbance is not None))
 
     def change(self, tick: int, model: Model, moved: Callable[[Array], Array]) -> None:
-        """From a tick on the system is another, and its state there is another, too.
+        """Change the system from a tick on, and its state at that tick.
 
         Args:
-            tick: From which on; not before that of the change before.
-            model: Of the system from then on.
-            moved: From the state before the change to the one after it, (n,) to (n,).
+            tick: Not before that of the previous change.
+            model: Model from then on.
+            moved: Map from the state before the change to the state after it, (n,) to (n,).
         """
         self._breaks.append((tick, model, moved))
         self._changed(tick - 1)
 
     def estimate(self, k: int, announced: AnnouncedInputs) -> Array:
-        """Estimate at a tick.
+        """Return the estimate at a tick.
 
         Args:
-            k: The tick; ticks come in order, gaps are predicted over.
+            k: The tick; ticks come in order, gaps are bridged by prediction.
             announced: Inputs in force between the ticks, as known now.
         Returns: x at tick k, (n,), read-only.
         """
         if not self._estimates:
             self._first = k
-            self._estimates = [self._overwritten(self._guessed(k), k)]
+            self._estimates = [self._overwritten(self._reference_at(k), k)]
         begin = self._first + len(self._estimates) - 1
         if self._stale_from is not None:
             begin = min(begin, max(self._stale_from, self._first))
@@ -108,12 +108,12 @@ class StateEstimator:
         return self._estimates[-1]
 
     def known(self, tick: int) -> Array | None:
-        """Estimate at a tick of the past, (n,), read-only; None where it is not kept."""
+        """Return the estimate at a past tick, (n,), read-only; None where it is not kept."""
         at = tick - self._first
         return self._estimates[at] if 0 <= at < len(self._estimates) else None
 
     def age(self, agent: int, tick: int) -> int:
-        """Ticks since the newest state received of another agent, -1 for none."""
+        """Return the ticks since the newest state received from another agent, -1 for none."""
         return tick - self._newest[agent] if agent in self._newest else -1
 
     @property
@@ -122,7 +122,7 @@ class StateEstimator:
         return max(self._measured, default=-1)
 
     def reported_inputs(self, tick: int) -> Array | None:
-        """What the own actuators did until a tick, (owned, 4), N and N m, if the measurement of that tick is here."""
+        """Return the inputs that the own actuators report at a tick, (owned, 4), N and N m, if measured."""
         measurement = self._measured.get(tick)
         return None if measurement is None else measurement.inputs
 
@@ -130,13 +130,13 @@ class StateEstimator:
         self._stale_from = tick if self._stale_from is None else min(self._stale_from, tick)
 
     def _disturbed(self, tick: int, u: Array, disturbance: DisturbanceEstimator) -> Array:
-        """Estimate at the tick after one, under the disturbance, which is told what the prediction missed.
+        """Return the estimate at the next tick under the disturbance, and correct the disturbance estimate.
 
-        It is told once for each period that has a measurement at either end.
+        The correction is made once for each period with measurements at both ends.
         """
         end = self._measured.get(tick + 1)
         if end is not None:
-            # A wrong input would look like a force: what the actuators report counts, not what was announced.
+            # A wrong input would look like a force: use the reported inputs, not the announced ones.
             for uav, inputs in zip(end.uavs, end.inputs, strict=True):
                 u[state.input_slice(uav - 1)] = inputs
         forces = disturbance.forces
@@ -148,29 +148,29 @@ class StateEstimator:
         return found
 
     def _predicted(self, tick: int, u: Array, forces: Array | None = None) -> Array:
-        """State at the tick after one, from the estimate there.
+        """Predict the next state from the newest estimate.
 
-        What somebody says of itself may be a state from which there is no going on: then what was planned.
+        If integration from a received state diverges, use the reference state.
         """
         model = next((model for since, model, _ in reversed(self._breaks) if since <= tick), self._model)
         ahead, _ = model.integrate(self._estimates[-1], u, self._period_s, _STEPS, forces=forces)
         if np.abs(ahead).max() > state.LARGEST:
-            return self._guessed(tick + 1)
+            return self._reference_at(tick + 1)
         for since, _, moved in self._breaks:
             if since == tick + 1:
                 ahead = moved(ahead)
         return ahead
 
-    def _guessed(self, tick: int) -> Array:
-        """State the maneuver plans for a tick, with what has failed by then, (n,)."""
-        x = self._planned(tick)
+    def _reference_at(self, tick: int) -> Array:
+        """Return the reference state at a tick, with the failures so far, (n,)."""
+        x = self._reference(tick)
         for since, _, moved in self._breaks:
             if since <= tick:
                 x = moved(x)
         return x
 
     def _overwritten(self, x: Array, tick: int) -> Array:
-        """Replace predicted states by what was measured or received for that tick."""
+        """Replace predicted states by those measured or received for that tick."""
         measurement = self._measured.get(tick)
         if measurement is not None:
             x[: state.PAYLOAD] = measurement.payload

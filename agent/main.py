@@ -1,4 +1,4 @@
-"""An agent as a process."""
+"""Process of an agent."""
 
 import time
 
@@ -11,12 +11,12 @@ from protocol.wire.messages import agent_name
 
 
 def run(setup: Setup, place: Place, agent: int) -> int:
-    """Fly the owned UAVs until the run ends.
+    """Control the owned UAVs until the run ends.
 
     Args:
         setup: The run.
-        place: Where this process is.
-        agent: Which agent, 1-based.
+        place: Where this process runs.
+        agent: 1-based.
     Returns: Exit code.
     Raises: BusError: see `protocol.network.process.run_node`.
     """

@@ -1,7 +1,7 @@
-"""When an agent sends its plan to the other agents: always, or when they would believe something wrong for long.
+"""Decision to send a plan to the other agents: always, or when they would otherwise assume a wrong one for long.
 
-With closed-loop prediction the others know the shared law. What they cannot know are the agent's corrections to it, so
-these decide: the last shared ones, shifted to now and zero after their end, are what the others believe.
+With closed-loop prediction the others know the shared control law, but not the agent's corrections to it. They assume
+the last shared corrections, shifted to the present tick and zero after their end.
 """
 
 import math
@@ -13,10 +13,10 @@ from protocol.scenario.schema import ControllerSection
 
 
 class Sharing:
-    """Decides, plan by plan, whether the other agents get it.
+    """Event-triggered sharing of plans.
 
     Args:
-        settings: Whether to share always; otherwise the threshold and the heartbeat.
+        settings: Rule, threshold and heartbeat.
         lower: Smallest inputs of the agent's UAVs, (4 owned,).
         upper: Largest inputs, (4 owned,).
     """
@@ -24,7 +24,7 @@ class Sharing:
     def __init__(self, settings: ControllerSection, lower: Array, upper: Array) -> None:
         self._always = settings.share == "always"
         self._threshold = settings.share_threshold
-        # At least one tick; a heartbeat that is a whole number of periods must not lose one by rounding.
+        # At least one tick; rounding must not take one from a whole number of periods.
         self._heartbeat = max(1, math.floor(settings.share_heartbeat_s / settings.sampling_period_s + 1e-9))
         self._span = upper - lower
         self._tick = -1  # of the last shared plan, -1 before the first
@@ -32,17 +32,16 @@ class Sharing:
         self._c = np.zeros((0, len(self._span)))
 
     def decide(self, tick: int, start: int, c: Array, roster: int) -> bool:
-        """Whether to share the plan of a tick; what is shared is from then on what the others believe.
+        """Decide whether to share a plan; the others assume a shared plan from then on.
 
-        Shared are the first plan, the first one under each roster (the law may be another, or a receiver may be
-        new), one that is a heartbeat younger than the last, and one whose corrections have changed by more than
-        the threshold.
+        Shared are the first plan, the first one under each roster (law or receivers may be new), one that is a
+        heartbeat newer than the last shared one, and one whose corrections have changed by more than the threshold.
 
         Args:
-            tick: Of the plan.
-            start: First instant the corrections are for.
+            tick: Tick of the plan.
+            start: First tick of the corrections.
             c: Corrections to the shared law, (N_p, 4 owned).
-            roster: Version in force at the tick.
+            roster: Version in force.
         Source: docs/equations.md (49).
         """
         shared = (
@@ -57,13 +56,13 @@ class Sharing:
         return shared
 
     def change(self, start: int, c: Array) -> float:
-        """Largest difference of corrections from what the others believe, as a share of the input's range.
+        """Return the largest difference of corrections from those the others assume, as a share of the input's range.
 
         Args:
-            start: First instant the corrections are for.
+            start: First tick of the corrections.
             c: Corrections, (N_p, 4 owned).
         """
-        believed = np.zeros_like(c)
+        assumed = np.zeros_like(c)
         left = self._c[start - self._start :][: len(c)]
-        believed[: len(left)] = left
-        return float(np.max(np.abs(c - believed) / self._span, initial=0.0))
+        assumed[: len(left)] = left
+        return float(np.max(np.abs(c - assumed) / self._span, initial=0.0))

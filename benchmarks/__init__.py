@@ -1,1 +1,1 @@
-"""What computing, coding and flying take on a machine: `make bench` writes the tables of docs/performance.md."""
+"""Benchmarks of computation, codec and whole runs: `make bench` writes the tables of docs/performance.md."""

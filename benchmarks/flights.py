@@ -1,4 +1,4 @@
-"""Flights in memory, and what can be had from them: times of steps, situations, programs, messages."""
+"""Runs in memory, and the times of steps, situations, programs and messages taken from them."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, TypeVar
+from unittest.mock import patch
 
 import numpy as np
 
@@ -27,7 +28,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Situation:
-    """The arguments of `Controller.step` at one instant of a flight without a shared law."""
+    """Arguments of `Controller.step` at one tick of a run with open-loop prediction."""
 
     controller: Controller
     x0: Array
@@ -38,44 +39,44 @@ class Situation:
 
 @lru_cache
 def setup(name: str, *settings: str, uavs: int | None = None) -> Setup:
-    """A ready scenario with some settings, or a team of another size made of it with one UAV per agent."""
+    """Return a scenario with some settings, or a team of another size made from it with one UAV per agent."""
     path = find_scenario(name)
     scenario = read_scenario(path, settings)
     if uavs is not None:
         scenario = resized(scenario, path.parent, uavs, group=1, name=None, source=path.name)
     run = Setup.of(scenario, path.name)
-    compile_functions(run.system.N)  # as whoever starts a run does
+    compile_functions(run.system.N)  # as at the start of a run
     return run
 
 
 def messages(run: Setup) -> list[Message]:
-    """All messages of a flight, in the order sent; the times in step reports are processor time.
+    """Return all messages of a run in the order sent; times in step reports are processor time.
 
-    Raises: BenchmarkError: the flight does not come to its end.
+    Raises: BenchmarkError: the run is not completed.
     """
     sent: list[Message] = []
     with quiet():
         control = memory.simulate(run, sent.append, time.thread_time_ns)
     if control.outcome != "completed":
-        raise BenchmarkError(f"flight of {run.scenario.name}: expected to be completed, got {control.reason}")
+        raise BenchmarkError(f"run of {run.scenario.name}: expected to be completed, got {control.reason}")
     return sent
 
 
 def step_times(run: Setup) -> Array:
-    """Processor time of the stages of all steps of a flight but the first few, ms, (steps, stages)."""
+    """Return the processor time of the stages of all steps of a run but the first few, ms, (steps, stages)."""
     return np.array([m.times_ms for m in messages(run) if isinstance(m, StepReport) and m.tick >= WARM_UP])
 
 
 def programs(run: Setup, most: int) -> list[QP]:
-    """Programs that the agents solve on a flight, evenly spaced over it."""
+    """Return programs that the agents solve in a run, evenly spaced over it."""
     found: list[QP] = []
-    with _overheard("solve", lambda _, qp: found.append(qp)):
+    with _observed("solve", lambda _, qp: found.append(qp)):
         messages(run)
     return _spaced(found, most)
 
 
 def situations(run: Setup, most: int) -> list[Situation]:
-    """Situations that the agents meet on a flight, evenly spaced over it."""
+    """Return situations of the agents in a run, evenly spaced over it."""
     found: list[Situation] = []
     newest: dict[Controller, Array] = {}
 
@@ -86,7 +87,7 @@ def situations(run: Setup, most: int) -> list[Situation]:
         x0 = newest[controller]
         found.append(Situation(controller=controller, x0=x0, u0=linear.u0, U=U.copy(), y_ref=y_ref))
 
-    with _overheard("linearise", linearise), _overheard("condense", condense):
+    with _observed("linearise", linearise), _observed("condense", condense):
         messages(run)
     return _spaced(found, most)
 
@@ -96,16 +97,13 @@ def _spaced(found: list[T], most: int) -> list[T]:
 
 
 @contextmanager
-def _overheard(method: str, hear: Callable[..., None]) -> Iterator[None]:
-    """While the context is open, a function is told the arguments of a method of every controller."""
+def _observed(method: str, observe: Callable[..., None]) -> Iterator[None]:
+    """Pass the arguments of a method of every controller to a function, too."""
     original = getattr(Controller, method)
 
-    def heard(*arguments: Any) -> Any:
-        hear(*arguments)
+    def wrapper(*arguments: Any) -> Any:
+        observe(*arguments)
         return original(*arguments)
 
-    setattr(Controller, method, heard)
-    try:
+    with patch.object(Controller, method, wrapper):
         yield
-    finally:
-        setattr(Controller, method, original)

@@ -1,7 +1,7 @@
-"""The controller as one would write it down from the paper: stacked matrices, multiplied out, and Clarabel.
+"""The controller's step in the paper's stacked matrices, solved by Clarabel.
 
-What (16) and (24)-(27) print is formed block by block as dense matrices and multiplied; nothing is made of their
-structure but that powers of A are computed once. For open-loop prediction without constraints of the user's own.
+The matrices of (16) and (24)-(27) are formed block by block, dense, and multiplied; of their structure only the powers
+of A are used, computed once. For open-loop prediction without user constraints.
 """
 
 import numpy as np
@@ -18,13 +18,12 @@ from mpc.solvers import solve
 
 
 def step(at: Situation, solver: SolverName = "clarabel") -> Array:
-    """One step of the controller, as `Controller.step` takes it.
+    """Return the inputs of the owned UAVs, as `Controller.step` does, (N_p, m_own).
 
     Args:
-        at: Where the step is taken.
-        solver: Who solves the program.
-    Returns: Inputs of the owned UAVs, (N_p, m_own).
-    Raises: BenchmarkError: nobody solves it.
+        at: Arguments of the step.
+        solver: Solver of the program.
+    Raises: BenchmarkError: the program is not solved.
     Source: docs/equations.md (22)-(30); paper (13)-(27).
     """
     controller = at.controller
@@ -35,21 +34,19 @@ def step(at: Situation, solver: SolverName = "clarabel") -> Array:
     C, y = linear.model.C, linear.model.y
 
     # X = F + H dU (16), the owned inputs split off (24); y = y_0 + C-bar X.
-    powers = [np.eye(system.n)]
-    for _ in range(steps):
-        powers.append(discrete.A @ powers[-1])
+    powers = powers_of(discrete.A, steps)
     drift = np.zeros((steps + 1, system.n))
     for k in range(steps):
         drift[k + 1] = discrete.A @ drift[k] + discrete.f_d
     others = np.setdiff1d(np.arange(system.m), own)
     X_free = drift.reshape(-1)
     if len(others):
-        X_free = X_free + _stacked(powers, discrete.B[:, others]) @ (at.U - at.u0)[:, others].reshape(-1)
+        X_free = X_free + stacked_input(powers, discrete.B[:, others]) @ (at.U - at.u0)[:, others].reshape(-1)
     C_bar = block_diag(*[C] * (steps + 1))
-    G = C_bar @ _stacked(powers, discrete.B[:, own])
+    G = C_bar @ stacked_input(powers, discrete.B[:, own])
     Y_free = np.tile(y, steps + 1) + C_bar @ X_free
 
-    # The cost (25): Q-bar with Q_f as its last block; decisions in units of half their range, a slack behind them.
+    # The cost (25): Q-bar with Q_f as its last block; decisions in units of half their range, then a slack.
     Q, R = controller.cost.Q, np.tile(controller.cost.R[own], steps)
     Q_bar = np.diag(np.concatenate([np.tile(Q, steps), settings.weights.terminal * Q]))
     lower, upper = settings.limits.lower(uavs), settings.limits.upper(uavs)
@@ -64,7 +61,7 @@ def step(at: Situation, solver: SolverName = "clarabel") -> Array:
     from_target = np.tile(at.u0[own] - linear.u_target[own], steps)
     g[:decisions] = 2.0 * S @ (G.T @ Q_bar @ (Y_free - at.y_ref.reshape(-1)) + R * from_target)
 
-    # Bounds, rates from the input in force on, and distances (26)-(27).
+    # Bounds, rates beginning at the input in force, and distances (26)-(27).
     change = settings.limits.step(uavs, settings.sampling_period_s)
     rates = np.zeros((decisions, decisions + slacks))
     rates[:m, :m] = np.eye(m)
@@ -90,13 +87,21 @@ def step(at: Situation, solver: SolverName = "clarabel") -> Array:
     )
     solution = solve(qp, solver)
     if solution.status != "solved":
-        raise BenchmarkError(f"naive step: expected its program solved, got {solution.status}")
+        raise BenchmarkError(f"naive step: expected a solved program, got {solution.status}")
     inputs = u_free + scale * solution.z[:decisions]
     return np.clip(inputs.reshape(steps, m), lower, upper)
 
 
-def _stacked(powers: list[Array], B: Array) -> Array:
-    """H of (16), and H_i of (24) for the columns B_i: block (k, j) is A^(k-1-j) B below the diagonal."""
+def powers_of(A: Array, steps: int) -> list[Array]:
+    """Return A^0, A^1, ... A^steps."""
+    powers = [np.eye(len(A))]
+    for _ in range(steps):
+        powers.append(A @ powers[-1])
+    return powers
+
+
+def stacked_input(powers: list[Array], B: Array) -> Array:
+    """Return H of (16), or H_i of (24) for the columns B_i: block (k, j) is A^(k-1-j) B below the diagonal."""
     n, m = B.shape
     steps = len(powers) - 1
     H = np.zeros(((steps + 1) * n, steps * m))

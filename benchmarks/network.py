@@ -1,8 +1,7 @@
-"""What keys and floods cost: the same flight plain, with keys, and flooded, in turns. `python -m benchmarks.network`.
+"""Cost of keys and floods: a run plain, with keys, and flooded, in turns. `python -m benchmarks.network`.
 
-In lockstep as fast as it goes. Every round flies each of them once, so that what else the host does hits all alike;
-what counts is the median over the rounds. The flood is a session with the keys of agent 1 that repeats what agent 1
-has said, on its own key, to everybody, and is a process on the same host: what it takes itself is in the cost.
+In lockstep as fast as possible, compared by the median over the turns. The flood is a process on the same host with the
+keys of agent 1, which repeats agent 1's messages on its own key to all processes; its own work is part of the cost.
 """
 
 import argparse
@@ -11,111 +10,95 @@ import socket
 import statistics
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
+from benchmarks.flights import setup
 from benchmarks.page import BenchmarkError, Table
+from benchmarks.processes import recorded
 from deploy.keys import LOOPBACK, OTHERS, make_certificates
 from protocol.network.endpoints import process_names
-from protocol.scenario.file import find_scenario, read_scenario
+from protocol.scenario.file import ScenarioError
 from transport.flight.run import machine
 
-# A secured run may cost a quarter of the plain one's pace, a flood half of it.
+# Smallest speed of a secured run over a plain one, and of a flooded one over a secured one.
 KEYS_SHARE, FLOOD_SHARE = 0.75, 0.5
 RATE_HZ = 10_000
-SORTS = {"plain": "", "keys": "", "flood, replayed": "replayed", "flood, renumbered": "renumbered"}
+VARIANTS = {"plain": "", "keys": "", "flood, replayed": "replayed", "flood, renumbered": "renumbered"}
 
 
-def measure(rounds: int, say: Sequence[str] = ()) -> tuple[Table, list[str]]:
-    """Fly in turns.
+def measure(turns: int, settings: Sequence[str] = ()) -> tuple[Table, list[str]]:
+    """Run each variant in turns.
 
     Args:
-        rounds: How often each.
-        say: Further settings of the scenario.
-    Returns: The table, and what missed its aim.
-    Raises: BenchmarkError: a run fails, or does not give the same flight.
+        turns: Runs of each.
+        settings: Further settings of the scenario.
+    Returns: The table, and the variants that miss their aim.
+    Raises: BenchmarkError: a run fails, or its cost differs from the others'.
     """
-    factors: dict[str, list[float]] = {name: [] for name in SORTS}
+    factors: dict[str, list[float]] = {name: [] for name in VARIANTS}
     costs: set[str] = set()
-    with TemporaryDirectory() as folder:
-        keys = Path(folder) / "keys"
-        names = process_names(read_scenario(find_scenario("paper")))
+    with TemporaryDirectory() as temporary:
+        keys, names = Path(temporary) / "keys", process_names(setup("paper").scenario)
         make_certificates(keys, dict.fromkeys([*names, *OTHERS], LOOPBACK), days=1)
-        for number in range(rounds):
-            for name in SORTS:
-                summary = _fly(Path(folder) / f"{name.replace(', ', '-')}-{number}", name, keys, len(names), say)
-                factors[name].append(float(summary["real_time_factor"]))
-                costs.add(json.dumps(summary["cost"]))
+        for turn in range(turns):
+            for number, (name, flood) in enumerate(VARIANTS.items()):
+                folder, base = Path(temporary) / f"run-{turn}-{number}", _free_base(len(names))
+                secured = [] if name == "plain" else [f"network.keys={keys}"]
+                with _flooded(flood, folder.name, keys, [f"tls/127.0.0.1:{base + i}" for i in range(len(names))]):
+                    run = recorded(setup("paper", *settings, f"network.base_port={base}", *secured), folder)
+                factors[name].append(float(run.summary["real_time_factor"]))
+                costs.add(json.dumps(run.summary["cost"]))
                 sys.stderr.write(f"{name}: {factors[name][-1]:.2f} x real time\n")
     if len(costs) != 1:
         raise BenchmarkError(f"expected the same flight every time, got costs {sorted(costs)}")
     medians = {name: statistics.median(values) for name, values in factors.items()}
     rows = [
-        [name, f"{medians[name]:.2f}", " ".join(f"{value:.2f}" for value in factors[name]), f"{share:.2f}"]
-        for name, share in ((name, medians[name] / medians["plain"]) for name in SORTS)
+        [name, f"{medians[name]:.2f}", " ".join(f"{value:.2f}" for value in values), f"{share:.2f}"]
+        for name, values in factors.items()
+        for share in [medians[name] / medians["plain"]]
     ]
-    aims = {"keys": KEYS_SHARE * medians["plain"], **dict.fromkeys(list(SORTS)[2:], FLOOD_SHARE * medians["keys"])}
+    aims = {"keys": KEYS_SHARE * medians["plain"], **dict.fromkeys(list(VARIANTS)[2:], FLOOD_SHARE * medians["keys"])}
     missed = [f"{name}: {medians[name]:.2f}, expected {aim:.2f}" for name, aim in aims.items() if medians[name] < aim]
     columns = ["run", "x real time, median", "each", "of plain"]
     return Table(text=f"`paper` in lockstep, in turns; {machine()}.", columns=columns, rows=rows), missed
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command; returns its exit code."""
+    """Run the command and return its exit code."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.network", description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--turns", type=int, default=5, help="runs of each")
     parser.add_argument("--set", dest="settings", action="append", default=[], metavar="KEY=VALUE")
-    asked = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     try:
-        table, missed = measure(asked.rounds, asked.settings)
-    except BenchmarkError as error:
+        table, missed = measure(options.turns, options.settings)
+    except (BenchmarkError, ScenarioError) as error:
         sys.stderr.write(f"network: {error}\n")
         return 1
     sys.stdout.write(f"{table}\n")
     for line in missed:
-        sys.stderr.write(f"network: slower than it should be: {line}\n")
+        sys.stderr.write(f"network: too slow: {line}\n")
     return 1 if missed else 0
 
 
-def _fly(folder: Path, name: str, keys: Path, count: int, settings: Sequence[str]) -> dict[str, Any]:
-    base = _free_base(count)
-    changes = [*settings, f"network.base_port={base}", *([] if name == "plain" else [f"network.keys={keys}"])]
-    words = [
-        sys.executable,
-        "-m",
-        "transport",
-        "run",
-        "paper",
-        "--out",
-        str(folder),
-        "--no-figures",
-        "--format",
-        "json",
-    ]
-    words += [part for setting in changes for part in ("--set", setting)]
-    flood: subprocess.Popen[bytes] | None = None
-    if SORTS[name]:
-        at = [f"tls/127.0.0.1:{base + i}" for i in range(count)]
-        own = [folder.name, "1", str(RATE_HZ), SORTS[name], str(keys), *at]
-        flood = subprocess.Popen([sys.executable, "-m", "tests.support.attack", *own], stdout=subprocess.PIPE)
-    try:
-        done = subprocess.run(words, capture_output=True, text=True, check=False)
-    finally:
-        if flood is not None:
-            flood.kill()
-            flood.wait()
-    if done.returncode != 0:
-        raise BenchmarkError(
-            f"{name}: transport run: expected exit code 0, got {done.returncode}: {done.stderr[-500:]}"
-        )
-    summary: dict[str, Any] = json.loads(done.stdout)
-    return summary
+@contextmanager
+def _flooded(flood: str, run: str, keys: Path, endpoints: Sequence[str]) -> Iterator[None]:
+    """Run the flood beside a run; nothing for an empty kind of flood."""
+    if not flood:
+        yield
+        return
+    command = [sys.executable, "-m", "tests.support.attack", run, "1", str(RATE_HZ), flood, str(keys), *endpoints]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
+        try:
+            yield
+        finally:
+            process.kill()
 
 
 def _free_base(count: int) -> int:
-    """A base port with room for a run above it, where nobody listens."""
+    """Return a base port with as many free ports in a row."""
     for base in range(21_000, 29_000, count + 1):
         try:
             for i in range(count):

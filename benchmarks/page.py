@@ -1,4 +1,4 @@
-"""Tables, and their places in a document."""
+"""Tables, and their sections in a document."""
 
 import os
 import re
@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 class BenchmarkError(RuntimeError):
-    """Something that could not be measured or written down; one line for the user."""
+    """A measurement or its document failed; one line for the user."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -16,7 +16,7 @@ class Table:
     """A table of results.
 
     Attributes:
-        text: What is in it, and how it was measured.
+        text: Content and method of measurement.
         columns: Headings.
         rows: Cells.
     """
@@ -36,43 +36,35 @@ class Table:
 
 
 def write(document: Path, sections: Mapping[str, str]) -> None:
-    """Replace sections of a document, all or none.
+    """Replace sections of a Markdown document by their new content, all or none.
 
-    Args:
-        document: Markdown.
-        sections: What is to stand between the markers of each.
-    Raises: BenchmarkError: no such markers, or no such file.
+    Raises: BenchmarkError: as `check`.
     """
-    text = _read(document)
+    text = check(document, list(sections))
     for name, content in sections.items():
-        text = _place(document, text, name).sub(lambda found, new=content: f"{found[1]}\n{new}\n{found[2]}", text)  # type: ignore[misc]
+        text = _section(name).sub(lambda found, new=content: f"{found[1]}\n{new}\n{found[2]}", text)  # type: ignore[misc]
     partial = document.with_name(f"{document.name}.partial")
     partial.write_text(text, encoding="utf-8")
     os.replace(partial, document)
 
 
-def check(document: Path, names: Sequence[str]) -> None:
-    """Refuse a document that lacks a section, before minutes are spent on it.
+def check(document: Path, names: Sequence[str]) -> str:
+    """Return the text of a document that has all sections.
 
-    Raises: BenchmarkError: naming the first.
+    Raises: BenchmarkError: the document cannot be read, or lacks a section.
     """
-    text = _read(document)
-    for name in names:
-        _place(document, text, name)
-
-
-def _read(document: Path) -> str:
     try:
-        return document.read_text(encoding="utf-8")
+        text = document.read_text(encoding="utf-8")
     except OSError as error:
         raise BenchmarkError(f"{document}: cannot be read ({error.strerror})") from error
+    for name in names:
+        count = len(_section(name).findall(text))
+        if count != 1:
+            raise BenchmarkError(
+                f"{document}: expected <!-- bench: {name} --> ... <!-- end of bench --> once, got {count}"
+            )
+    return text
 
 
-def _place(document: Path, text: str, name: str) -> re.Pattern[str]:
-    pattern = re.compile(rf"(<!-- bench: {re.escape(name)} -->)\n.*?(<!-- end of bench -->)", re.DOTALL)
-    found = pattern.findall(text)
-    if len(found) != 1:
-        raise BenchmarkError(
-            f"{document}: expected <!-- bench: {name} --> ... <!-- end of bench --> once, got {len(found)}"
-        )
-    return pattern
+def _section(name: str) -> re.Pattern[str]:
+    return re.compile(rf"(<!-- bench: {re.escape(name)} -->)\n.*?(<!-- end of bench -->)", re.DOTALL)

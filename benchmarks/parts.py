@@ -1,14 +1,12 @@
-"""What else a tick takes: the physics, and messages to bytes and back."""
+"""Processor time of plant and codec."""
 
 from collections.abc import Callable
 from functools import partial
 
-import numpy as np
-
 from benchmarks.effort import Effort
 from benchmarks.flights import messages, setup
 from benchmarks.page import BenchmarkError, Table
-from benchmarks.timing import WARM_UP, Times, digits, in_turns
+from benchmarks.timing import WARM_UP, Times, in_turns, joined
 from plant.node import PlantNode
 from protocol.admission.admission import Admission
 from protocol.scenario.setup import Setup
@@ -23,59 +21,50 @@ TEXT = (
 )
 
 
-def measure(effort: Effort, say: Callable[[str], None]) -> list[Table]:
-    """Integrate, encode, decode what was flown and sent on a short flight."""
+def measure(effort: Effort, log: Callable[[str], None]) -> list[Table]:
+    """Integrate the states and encode and decode the plans of short runs."""
     rows = []
     for uavs in effort.teams:
-        say(f"plant of {uavs} UAVs")
+        log(f"plant of {uavs} UAVs")
         run = setup("resilient", effort.climb, uavs=uavs)
-        times = integration(run, messages(run), effort.repetitions)
-        rows.append((f"plant, one period, {uavs} UAVs", digits(times.median), digits(times.p99)))
-    say("codec")
+        rows.append((f"plant, one period, {uavs} UAVs", *integration(run, messages(run), effort.repetitions).cells))
+    log("codec")
     run = setup("resilient", effort.climb)
     plans = [message for message in messages(run) if isinstance(message, Plan) and message.agent == 1]
-    for name, times in coding(run, plans, effort.repetitions).items():
-        rows.append((name, digits(times.median), digits(times.p99)))
+    rows += [(name, *times.cells) for name, times in coding(run, plans, effort.repetitions).items()]
     text = TEXT.format(horizon=run.settings.horizon, size=len(encode(plans[-1])))
     return [Table(text=text, columns=("", "median", "p99"), rows=rows)]
 
 
 def integration(run: Setup, sent: list[Message], repetitions: int) -> Times:
-    """One sampling period of the plant from every state of a flight."""
+    """Time one sampling period of the plant from every state of a run."""
     plant, period_s = PlantNode(run), run.settings.sampling_period_s
-    model, steps = plant.environment.model, plant.steps
+    integrate = plant.environment.model.integrate
     tasks = {
-        str(plant_state.tick): partial(model.integrate, plant_state.x, plant_state.u, period_s, steps)
-        for plant_state in sent
-        if isinstance(plant_state, PlantState)
+        str(m.tick): partial(integrate, m.x, m.u, period_s, plant.steps) for m in sent if isinstance(m, PlantState)
     }
-    return Times(np.concatenate([times.ms for times in in_turns(tasks, repetitions).values()]))
+    return joined(in_turns(tasks, repetitions).values())
 
 
 def coding(run: Setup, plans: list[Plan], repetitions: int) -> dict[str, Times]:
-    """Plans to bytes, back, and back through the gate of a process of the run."""
+    """Time plans to bytes, back, and back with all checks of a process of the run.
+
+    Raises: BenchmarkError: a plan is refused.
+    """
     keys = Keys(run.scenario.name)
     data, key = [encode(plan) for plan in plans], keys.of(plans[0])
     turns = []
     for _ in range(repetitions):
-        # Nothing gets in twice: a new gate each time round, through which plan after plan goes in its order.
-        admission = Admission("plant", keys, run, Rejections())
+        # An admission refuses repeated messages: a new one takes all plans in their order.
+        rejections = Rejections()
+        admission = Admission("plant", keys, run, rejections)
         admission.announce(plans[0].sender, plans[0].incarnation)
-        turns.append(in_turns(_one_after_the_other(admission, key, plans, data), len(plans) - WARM_UP))
-    return {name: Times(np.concatenate([turn[name].ms for turn in turns])) for name in turns[0]}
-
-
-def _one_after_the_other(
-    admission: Admission, key: str, plans: list[Plan], data: list[bytes]
-) -> dict[str, Callable[[], object]]:
-    encoded, decoded, let_in = iter(plans), iter(data), iter(data)
-
-    def read() -> None:
-        if admission.read(key, next(let_in)) is None:
-            raise BenchmarkError("codec: expected the gate to let a plan in, got a refusal")
-
-    return {
-        "plan to bytes": lambda: encode(next(encoded)),
-        "bytes to plan": lambda: decode(next(decoded)),
-        "bytes to plan, all checks": read,
-    }
+        calls: dict[str, Callable[[], object]] = {
+            "plan to bytes": partial(next, map(encode, plans)),
+            "bytes to plan": partial(next, map(decode, data)),
+            "bytes to plan, all checks": partial(next, map(partial(admission.read, key), data)),
+        }
+        turns.append(in_turns(calls, len(plans) - WARM_UP))
+        if rejections.total:
+            raise BenchmarkError(f"codec: expected all plans to be admitted, got {rejections.total} refusals")
+    return {name: joined(turn[name] for turn in turns) for name in turns[0]}

@@ -1,10 +1,9 @@
-"""Runs with processes: started as people start them, watched for their memory."""
+"""Runs with processes, and the memory that they use."""
 
 import json
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,9 +14,10 @@ from benchmarks.page import BenchmarkError
 from protocol.network.endpoints import mesh, process_names
 from protocol.network.health import command_of
 from protocol.scenario.setup import Setup
+from protocol.wire.keys import RECORDER
 from transport.flight.harness import Harness, free_ports
 
-# A run may take so long besides what it flies: sixteen agents need half a minute to start on two busy cores.
+# Time allowed besides the simulated time: sixteen agents need half a minute to start on two busy cores.
 _PATIENCE_S = 600.0
 _LEAVE_S = 20.0
 _LOOK_EVERY_S = 0.2
@@ -25,12 +25,12 @@ _LOOK_EVERY_S = 0.2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Run:
-    """What a recorded run came to.
+    """Result of a recorded run.
 
     Attributes:
         summary: Its summary.json.
         tick_ms: Wall-clock time of a tick, mean.
-        memory_MB: Most memory by process, of what several share its share; the recorder's process under "recorder".
+        memory_MB: Peak memory by process, shared memory by its share.
     """
 
     summary: dict[str, Any]
@@ -38,20 +38,19 @@ class Run:
     memory_MB: dict[str, float]
 
 
-def recorded(setup: Setup, folder: Path, *, given_up: Callable[[], bool] = lambda: False) -> Run:
-    """Fly with `transport run`.
+def recorded(setup: Setup, folder: Path) -> Run:
+    """Run a scenario by `transport run`.
 
     Args:
         setup: The run.
         folder: Run folder to create.
-        given_up: Asked now and then whether the flight is for nothing.
-    Raises: BenchmarkError: the command fails or does not end, or the flight was given up.
+    Raises: BenchmarkError: the command fails or does not end.
     """
     scenario = _written(setup, folder)
     command = [sys.executable, "-m", "transport", "run", str(scenario), "--out", str(folder), "--no-figures"]
     memory_MB: dict[str, float] = {}
     with (folder.parent / f"{folder.name}.err").open("w+", encoding="utf-8") as errors:
-        # A session of its own: Ctrl-C reaches this process, which ends the run in order.
+        # In a session of its own, so that Ctrl-C reaches this process only, which ends the run in order.
         with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=errors, start_new_session=True) as run:
             try:
                 patience_s = _PATIENCE_S + setup.maneuver.duration_s
@@ -59,40 +58,21 @@ def recorded(setup: Setup, folder: Path, *, given_up: Callable[[], bool] = lambd
                 while run.poll() is None:
                     if time.monotonic() > deadline:
                         raise BenchmarkError(f"{' '.join(command)}: expected to end in {patience_s:g} s, it did not")
-                    if given_up():
-                        raise BenchmarkError(f"{' '.join(command)}: given up")
-                    for name, share in _memory_MB(run.pid).items():
-                        memory_MB[name] = max(share, memory_MB.get(name, 0.0))
+                    for name, pid in processes_of(run.pid).items():
+                        memory_MB[name] = max(_memory_MB(pid), memory_MB.get(name, 0.0))
                     time.sleep(_LOOK_EVERY_S)
             finally:
-                if run.poll() is None:
-                    _end(run)
+                _end(run)
         if run.returncode != 0:
             errors.seek(0)
-            said = errors.read().strip().splitlines() or [""]
-            raise BenchmarkError(f"{' '.join(command)}: exit code {run.returncode}: {said[-1]}")
+            lines = errors.read().strip().splitlines() or [""]
+            raise BenchmarkError(f"{' '.join(command)}: exit code {run.returncode}: {lines[-1]}")
     summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     return Run(summary=summary, tick_ms=1e3 * float(summary["wall_time_s"]) / setup.ticks, memory_MB=memory_MB)
 
 
-def duration_s(logs: Path) -> float:
-    """Wall-clock time of a flight as its processes' logs have it: the coordinator has seen all, the plant is done.
-
-    Raises: BenchmarkError: the logs do not say so.
-    """
-    times = {
-        (name, entry.get("event")): float(entry["time"])
-        for name in ("coordinator", "plant")
-        for entry in map(json.loads, (logs / f"{name}.log").read_text(encoding="utf-8").splitlines())
-    }
-    try:
-        return times["plant", "finished"] - times["coordinator", "joined"]
-    except KeyError as error:
-        raise BenchmarkError(f"{logs}: expected a run from joined to finished, got no {error}") from error
-
-
 def unrecorded(setup: Setup, folder: Path) -> None:
-    """Fly with the processes of a run and nobody to record it; its logs are in `folder / "logs"`.
+    """Run a scenario without recorder; its logs are in `folder / "logs"`.
 
     Raises: BenchmarkError: a process fails or does not end.
     """
@@ -110,41 +90,58 @@ def unrecorded(setup: Setup, folder: Path) -> None:
                 raise BenchmarkError(f"{child.name}: exit code {child.process.returncode}: {child.last_words()}")
 
 
+def duration_s(logs: Path) -> float:
+    """Return the wall-clock time from the coordinator's meeting all processes to the plant's end, by their logs.
+
+    Raises: BenchmarkError: one of the two is not in the logs.
+    """
+    times = {
+        (name, entry.get("event")): float(entry["time"])
+        for name in ("coordinator", "plant")
+        for entry in map(json.loads, (logs / f"{name}.log").read_text(encoding="utf-8").splitlines())
+    }
+    try:
+        return times["plant", "finished"] - times["coordinator", "joined"]
+    except KeyError as error:
+        raise BenchmarkError(f"{logs}: expected a run from joined to finished, got no {error}") from error
+
+
+def processes_of(run: int) -> dict[str, str]:
+    """Return the process ids of `transport run` and its children by process name; none where there is no /proc."""
+    try:
+        children = Path(f"/proc/{run}/task/{run}/children").read_text(encoding="utf-8").split()
+    except OSError:
+        return {}
+    found = {}
+    for pid in [str(run), *children]:
+        line = command_of(pid)
+        if "transport" in line:
+            role = line[line.index("transport") + 1]
+            name = RECORDER if role == "run" else f"agent{line[line.index('--id') + 1]}" if role == "agent" else role
+            found[name] = pid
+    return found
+
+
+def _memory_MB(pid: str) -> float:
+    """Return the memory of a process, shared memory by its share; 0 if it has ended."""
+    try:
+        shares = Path(f"/proc/{pid}/smaps_rollup").read_text(encoding="utf-8")
+    except OSError:
+        return 0.0
+    return sum(float(line.split()[1]) for line in shares.splitlines() if line.startswith("Pss:")) * 1024 / 1e6
+
+
 def _written(setup: Setup, folder: Path) -> Path:
-    """The scenario as a file beside the run folder."""
+    """Write the scenario to a file beside the run folder and return its path."""
     path = folder.parent / f"{folder.name}.toml"
     path.write_text(tomli_w.dumps(setup.scenario.tree()), encoding="utf-8")
     return path
 
 
 def _end(run: subprocess.Popen[bytes]) -> None:
-    run.terminate()
-    try:
-        run.wait(_LEAVE_S)
-    except subprocess.TimeoutExpired:
-        run.kill()
-
-
-def _memory_MB(parent: int) -> dict[str, float]:
-    """Memory of a run's processes by name, of what several share its share; nothing where the system does not tell."""
-    found = {}
-    try:
-        children = Path(f"/proc/{parent}/task/{parent}/children").read_text(encoding="utf-8").split()
-    except OSError:
-        return {}
-    for pid in [str(parent), *children]:
+    if run.poll() is None:
+        run.terminate()
         try:
-            shares = Path(f"/proc/{pid}/smaps_rollup").read_text(encoding="utf-8")
-        except OSError:
-            continue  # it has ended
-        share = [line.split()[1] for line in shares.splitlines() if line.startswith("Pss:")]
-        words = command_of(pid)
-        if share and "transport" in words:
-            found[_name(words)] = float(share[0]) * 1024 / 1e6
-    return found
-
-
-def _name(words: Sequence[str]) -> str:
-    """Which process a command line is."""
-    role = words[words.index("transport") + 1]
-    return "recorder" if role == "run" else f"agent{words[words.index('--id') + 1]}" if role == "agent" else role
+            run.wait(_LEAVE_S)
+        except subprocess.TimeoutExpired:
+            run.kill()

@@ -1,7 +1,7 @@
-"""Solvers side by side on the programs of real flights: how fast, and how far from each other's answers.
+"""Solvers compared on the programs of simulated flights: time, and differences of the solutions.
 
-Each is given a program as the controller has it, dense, and anew: between two steps all matrices change, so that there
-is nothing to prepare ahead. Putting it into the form a solver takes is part of what the solver costs.
+Each solver is given a dense program as the controller forms it and starts anew: between two steps all matrices change.
+The time includes the conversion to the solver's form.
 """
 
 import importlib
@@ -17,60 +17,60 @@ from scipy import sparse
 from benchmarks.effort import Effort
 from benchmarks.flights import programs, setup
 from benchmarks.page import Table
-from benchmarks.timing import Times, in_turns
+from benchmarks.timing import Times, in_turns, joined
 from model.arrays import Array
-from mpc.qp import QP
+from mpc.qp import QP, Solution
 from mpc.solvers import solve, solve_clarabel
 
 # Limits that bind at every step of the same climb: thrust a tenth above that of hover, and a tenth of its rate.
 TIGHT = ("controller.limits.thrust_N=[0.0,25.0]", "controller.limits.thrust_rate_N_s=10.0")
 
-# How far answers may be from Clarabel's, in units of half an actuator's range. The programs are flat in some
-# directions: there Clarabel's own gap of 1e-11 is some 1e-6, and what others leave at 1e-8 a hundred times that. Active
+# Largest differences from Clarabel's solutions, in units of half an actuator's range. The programs are flat in some
+# directions: there Clarabel's gap of 1e-11 amounts to some 1e-6, and the 1e-8 of others to a hundred times that. Active
 # sets are exact, and agree among themselves to `SAME`.
 EXACT, APPROXIMATE, SAME = 5e-5, 2e-3, 1e-9
 
 _INFINITY = 1e30  # DAQP's own
 
 TEXT = (
-    "Programs of flights of `paper` and `centralized`, {sizes}. Processor time of one answer, ms, median (99th "
-    "percentile): first under the scenario's limits, of which few bind, then under limits so tight that many do. "
+    "Programs of runs of `paper` and `centralized`, {sizes}. Processor time of one solution, ms, median (99th "
+    "percentile): under the scenario's limits, of which few bind, and under limits so tight that many bind. "
     "Differences: the largest of a decision, in units of half an actuator's range; active sets are exact, so that "
-    "theirs from Clarabel's answer is Clarabel's own. Each starts anew with every program; Clarabel stops at 1e-11, "
-    "whoever else approaches the answer at 1e-8, OSQP with polishing."
+    "their difference from Clarabel is Clarabel's error. Each solver starts anew with every program; Clarabel stops at "
+    "1e-11, the other iterative solvers at 1e-8, OSQP with polishing."
 )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Solver:
-    """Somebody who answers programs.
+    """A solver of the table.
 
     Attributes:
         name: As in the table.
-        package: What has to be installed.
-        answer: The decision, or None for a program it says it did not solve.
-        agrees: How far its answers may be from Clarabel's.
+        package: Package that has to be installed.
+        solve: Returns the decision, or None for a program reported as not solved.
+        tolerance: Largest difference of its decisions from Clarabel's.
     """
 
     name: str
     package: str
-    answer: Callable[[QP], Array | None]
-    agrees: float
+    solve: Callable[[QP], Array | None]
+    tolerance: float
 
     @property
     def installed(self) -> bool:
-        """Whether it can be asked."""
+        """Return whether the package is installed."""
         return importlib.util.find_spec(self.package) is not None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """What a solver made of some programs.
+    """Results of a solver on some programs.
 
     Attributes:
-        times: Of all answers.
-        from_clarabel, from_daqp: Largest difference of a decision from their answers.
-        unsolved: Programs it gave no answer to.
+        times: Times of all calls.
+        from_clarabel, from_daqp: Largest difference of a decision from theirs.
+        unsolved: Number of programs not solved.
     """
 
     times: Times
@@ -79,37 +79,37 @@ class Outcome:
     unsolved: int
 
 
-def compare(asked: Sequence[Solver], qps: Sequence[QP], repetitions: int) -> dict[str, Outcome]:
-    """Ask all of them in turns, program by program, by name."""
-    taken: dict[str, list[Array]] = {solver.name: [] for solver in asked}
+def compare(compared: Sequence[Solver], qps: Sequence[QP], repetitions: int) -> dict[str, Outcome]:
+    """Call all solvers in turns, program by program; return the outcomes by name."""
+    taken: dict[str, list[Times]] = {solver.name: [] for solver in compared}
     differences = {name: np.zeros(2) for name in taken}
     unsolved = dict.fromkeys(taken, 0)
     for qp in qps:
         references = np.array([solve_clarabel(qp).z, _daqp(qp)])
-        for solver in asked:
-            z = solver.answer(qp)
+        for solver in compared:
+            z = solver.solve(qp)
             if z is None:
                 unsolved[solver.name] += 1
             else:
                 largest = np.abs(z - references).max(axis=1)
                 differences[solver.name] = np.maximum(differences[solver.name], largest)
-        tasks = {solver.name: partial(solver.answer, qp) for solver in asked}
+        tasks = {solver.name: partial(solver.solve, qp) for solver in compared}
         for name, times in in_turns(tasks, repetitions).items():
-            taken[name].append(times.ms)
+            taken[name].append(times)
     return {
         name: Outcome(
-            times=Times(np.concatenate(ms)),
+            times=joined(times),
             from_clarabel=float(differences[name][0]),
             from_daqp=float(differences[name][1]),
             unsolved=unsolved[name],
         )
-        for name, ms in taken.items()
+        for name, times in taken.items()
     }
 
 
-def measure(effort: Effort, say: Callable[[str], None]) -> list[Table]:
-    """Fly, collect, ask."""
-    asked = [solver for solver in SOLVERS if solver.installed]
+def measure(effort: Effort, log: Callable[[str], None]) -> list[Table]:
+    """Compare all installed solvers on programs of short runs."""
+    compared = [solver for solver in SOLVERS if solver.installed]
     rows: list[tuple[str, ...]] = []
     sizes = []
     for name, count in (("paper", effort.programs), ("centralized", effort.large_programs)):
@@ -118,8 +118,8 @@ def measure(effort: Effort, say: Callable[[str], None]) -> list[Table]:
         outcomes = []
         for settings in ((), TIGHT):
             qps = programs(setup(name, effort.climb, *settings), count)
-            say(f"{name}{', tight limits' * bool(settings)}: {len(qps)} programs, {len(asked)} solvers")
-            outcomes.append(compare(asked, qps, min(effort.repetitions, count)))
+            log(f"{name}{', tight limits' * bool(settings)}: {len(qps)} programs, {len(compared)} solvers")
+            outcomes.append(compare(compared, qps, min(effort.repetitions, count)))
         sizes.append(f"{len(qps[0].g)} variables and {len(qps[0].A)} rows")
         for solver in SOLVERS:
             if not solver.installed:
@@ -133,14 +133,8 @@ def measure(effort: Effort, say: Callable[[str], None]) -> list[Table]:
     return [Table(text=TEXT.format(sizes=" and ".join(sizes)), columns=columns, rows=rows)]
 
 
-def _default(qp: QP) -> Array | None:
-    found = solve(qp, "daqp")
-    return found.z if found.status == "solved" else None
-
-
-def _clarabel(qp: QP) -> Array | None:
-    found = solve_clarabel(qp)
-    return found.z if found.status == "solved" else None
+def _decision(solution: Solution) -> Array | None:
+    return solution.z if solution.status == "solved" else None
 
 
 def _daqp(qp: QP) -> Array | None:
@@ -165,7 +159,7 @@ def _quadprog(qp: QP) -> Array | None:
     C, b = np.concatenate([rows[below], -rows[above]]), np.concatenate([lower[below], -upper[above]])
     try:
         z: Array = _module("quadprog").solve_qp(qp.H, -qp.g, C.T, b)[0]
-    except ValueError:  # constraints that contradict each other, a matrix that is not positive definite
+    except ValueError:  # infeasible constraints, or a matrix that is not positive definite
         return None
     return z
 
@@ -209,21 +203,21 @@ def _proxqp(qp: QP) -> Array | None:
 
 
 def _all_bounds(qp: QP) -> tuple[Array, Array]:
-    """Bounds of decisions and rows."""
+    """Return the bounds of decisions and rows."""
     return np.concatenate([qp.lower, qp.row_lower]), np.concatenate([qp.upper, qp.row_upper])
 
 
 def _module(name: str) -> Any:
-    """A package that need not be there."""
+    """Return an optional package."""
     return importlib.import_module(name)
 
 
 SOLVERS = (
-    Solver(name="this project's", package="daqp", answer=_default, agrees=EXACT),
-    Solver(name="DAQP alone", package="daqp", answer=_daqp, agrees=EXACT),
-    Solver(name="Clarabel", package="clarabel", answer=_clarabel, agrees=EXACT),
-    Solver(name="quadprog", package="quadprog", answer=_quadprog, agrees=EXACT),
-    Solver(name="OSQP", package="osqp", answer=_osqp, agrees=APPROXIMATE),
-    Solver(name="PIQP", package="piqp", answer=_piqp, agrees=APPROXIMATE),
-    Solver(name="ProxQP", package="proxsuite", answer=_proxqp, agrees=APPROXIMATE),
+    Solver(name="this project's", package="daqp", solve=lambda qp: _decision(solve(qp, "daqp")), tolerance=EXACT),
+    Solver(name="DAQP alone", package="daqp", solve=_daqp, tolerance=EXACT),
+    Solver(name="Clarabel", package="clarabel", solve=lambda qp: _decision(solve_clarabel(qp)), tolerance=EXACT),
+    Solver(name="quadprog", package="quadprog", solve=_quadprog, tolerance=EXACT),
+    Solver(name="OSQP", package="osqp", solve=_osqp, tolerance=APPROXIMATE),
+    Solver(name="PIQP", package="piqp", solve=_piqp, tolerance=APPROXIMATE),
+    Solver(name="ProxQP", package="proxsuite", solve=_proxqp, tolerance=APPROXIMATE),
 )

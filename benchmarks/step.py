@@ -1,4 +1,4 @@
-"""The step of an agent taken apart, over teams and horizons."""
+"""Stages of an agent's step, over teams and horizons."""
 
 from collections.abc import Callable
 
@@ -14,30 +14,27 @@ from protocol.wire.messages import STAGES
 SHOWN = ("estimate", "linearise", "discretise", "condense", "solve")
 
 TEXT = (
-    "Processor time of a step and its stages, ms, medians; of the step the 99th percentile, too. `resilient` made "
-    "into teams of N, one UAV per agent, and `paper` and `centralized` as they are. Flown in memory, in turns, until "
-    "each has {steps} steps."
+    "Processor time of a step and its stages, ms, medians, and the 99th percentile of the step. `resilient` resized to "
+    "N UAVs, one per agent; `paper` and `centralized` as they are. Runs in memory, in turns, until each case has "
+    "{steps} steps."
 )
 
 
-def measure(effort: Effort, say: Callable[[str], None]) -> list[Table]:
-    """Fly every team at every horizon until each has enough steps."""
+def measure(effort: Effort, log: Callable[[str], None]) -> list[Table]:
+    """Run every team at every horizon until each has enough steps."""
     cases = [("resilient", uavs, horizon) for uavs in effort.teams for horizon in effort.horizons]
     cases += [("paper", 4, 20), ("centralized", 4, 20)]
     taken: dict[tuple[str, int, int], list[Array]] = {case: [] for case in cases}
-    turn = 0
-    while waiting := [case for case, flights in taken.items() if sum(map(len, flights)) < effort.steps]:
-        turn += 1
+    while waiting := [case for case, runs in taken.items() if sum(map(len, runs)) < effort.steps]:
         for name, uavs, horizon in waiting:
-            say(f"turn {turn}: {name}, {uavs} UAVs, N_p = {horizon}")
+            log(f"{name}, {uavs} UAVs, N_p = {horizon}")
             size = uavs if name == "resilient" else None
             run = setup(name, effort.climb, f"controller.horizon={horizon}", uavs=size)
             taken[name, uavs, horizon].append(step_times(run))
     rows = []
-    for (name, uavs, horizon), flights in taken.items():
-        ms = np.concatenate(flights)
+    for (name, uavs, horizon), runs in taken.items():
+        ms = np.concatenate(runs)
         stages = [digits(float(np.median(ms[:, STAGES.index(stage)]))) for stage in SHOWN]
-        total = Times(ms[:, STAGES.index("total")])
-        rows.append((f"`{name}`", str(uavs), str(horizon), *stages, digits(total.median), digits(total.p99)))
+        rows.append((f"`{name}`", str(uavs), str(horizon), *stages, *Times(ms[:, STAGES.index("total")]).cells))
     columns = ("scenario", "UAVs", "N_p", *SHOWN, "step", "p99")
     return [Table(text=TEXT.format(steps=effort.steps), columns=columns, rows=rows)]

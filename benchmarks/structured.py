@@ -1,4 +1,4 @@
-"""Condensing against a solve that keeps the states: from which horizon on the structure pays."""
+"""Condensed solution against a Riccati recursion over the states, for horizons of any length."""
 
 from collections.abc import Callable
 from functools import partial
@@ -14,30 +14,27 @@ from mpc import bounded, condensing
 from mpc.prediction import Prediction, open_loop
 
 TEXT = (
-    "Processor time in ms, medians, from a discrete model to the decision that is best without limits: condensed "
-    "(responses, Hessian, gradient, factorisation) and by a Riccati recursion over the states, which is linear in the "
-    "horizon. `paper`, four UAVs: 60 states, and 4 decisions a step for an agent, 16 for one that has them all."
+    "Processor time in ms, medians, from a discrete model to the optimum without limits: condensed (responses, "
+    "Hessian, gradient, factorisation) and by a Riccati recursion over the states, whose time is linear in the "
+    "horizon. Four UAVs: 60 states, and 4 decisions per step for an agent of `paper`, 16 for that of `centralized`."
 )
 
 
-def measure(effort: Effort, say: Callable[[str], None]) -> list[Table]:
-    """Both ways over horizons."""
+def measure(effort: Effort, log: Callable[[str], None]) -> list[Table]:
+    """Compare both solutions over horizons."""
     rows = []
     for name in ("paper", "centralized"):
         at = situations(setup(name, effort.climb), 1)[0]
         for steps in effort.structured:
-            say(f"{name}, N_p = {steps}")
+            log(f"{name}, N_p = {steps}")
             tasks = {"condensed": partial(condensed, at, steps), "riccati": partial(riccati, at, steps)}
-            times = in_turns(tasks, effort.repetitions)
-            ratio = times["riccati"].median / times["condensed"].median
-            rows.append(
-                (name, str(steps), *(digits(times[way].median) for way in ("condensed", "riccati")), digits(ratio))
-            )
+            medians = [times.median for times in in_turns(tasks, effort.repetitions).values()]
+            rows.append((name, str(steps), *map(digits, [*medians, medians[1] / medians[0]])))
     return [Table(text=TEXT, columns=("scenario", "N_p", "condensed", "Riccati", "ratio"), rows=rows)]
 
 
 def condensed(at: Situation, steps: int) -> Array:
-    """Deviations of the owned inputs from those in force, best without limits, (N_p, m_own)."""
+    """Return the optimal deviations of the owned inputs from those in force, without limits, (N_p, m_own)."""
     prediction, C, errors, Q, R, target = _problem(at, steps)
     S = C @ prediction.impulse
     m = S.shape[2]
@@ -53,7 +50,7 @@ def condensed(at: Situation, steps: int) -> Array:
 
 
 def riccati(at: Situation, steps: int) -> Array:
-    """The same decision, by dynamic programming over the states, (N_p, m_own)."""
+    """Return the same deviations by dynamic programming over the states."""
     prediction, C, errors, Q, R, target = _problem(at, steps, condensed=False)
     A, B, W = prediction.A, prediction.B, prediction.W
     CQ = C.T * Q
@@ -80,15 +77,14 @@ def riccati(at: Situation, steps: int) -> Array:
 def _problem(
     at: Situation, steps: int, *, condensed: bool = True
 ) -> tuple[Prediction, Array, Array, Array, Array, Array]:
-    """Prediction over a horizon of any length, C, errors at steps 0..N_p, weights and target of the owned inputs."""
+    """Return prediction, C, errors at steps 0..N_p, weights, and target of the owned inputs for a horizon."""
     controller = at.controller
     linear = controller.linearise(at.x0, at.u0)
     discrete = controller.discretise(linear)
     own = controller.own
-    others = np.setdiff1d(np.arange(len(at.u0)), own)
-    U = np.repeat(at.u0[None], steps, axis=0)
     errors = linear.model.y - np.repeat(at.y_ref[-1:], steps + 1, axis=0)
     if condensed:
+        others, U = np.setdiff1d(np.arange(len(at.u0)), own), np.repeat(at.u0[None], steps, axis=0)
         prediction = open_loop(discrete, at.u0, own, others, U)
     else:
         none = np.zeros((0, 0))

@@ -1,8 +1,10 @@
-"""Stopwatches: what is compared is timed in turns, so that a slow minute of the machine hits all of it alike."""
+"""Timing in turns, so that a slow minute of the machine affects all that is compared alike."""
 
 import gc
+import subprocess
+import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -11,36 +13,44 @@ import threadpoolctl
 
 from model.arrays import Array
 
-# Calls before those that count: caches fill, modules load.
+# Calls that are not counted, while caches fill and modules load.
 WARM_UP = 3
+
+# The other process of a round trip, with the least work possible in Python.
+_ECHO = "import os\nwhile data := os.read(0, {size}):\n    os.write(1, data)\n"
 
 
 @dataclass(frozen=True, slots=True)
 class Times:
-    """Durations of one kind of thing, ms.
+    """Durations of one kind.
 
     Attributes:
-        ms: (count,).
+        ms: (count,), ms.
     """
 
     ms: Array
 
     @property
     def median(self) -> float:
-        """Of all."""
+        """Median, ms."""
         return float(np.median(self.ms))
 
     @property
-    def p99(self) -> float:
-        """99th percentile."""
-        return float(np.percentile(self.ms, 99))
+    def cells(self) -> tuple[str, str]:
+        """Median and 99th percentile, ms."""
+        return digits(self.median), digits(float(np.percentile(self.ms, 99)))
 
     def __str__(self) -> str:
-        return f"{digits(self.median)} ({digits(self.p99)})"
+        return "{} ({})".format(*self.cells)
+
+
+def joined(times: Iterable[Times]) -> Times:
+    """Return all durations in one."""
+    return Times(np.concatenate([one.ms for one in times]))
 
 
 def digits(value: float) -> str:
-    """A number with three digits that count, more than a machine repeats; a dash for one that is not known."""
+    """Return a number with three significant digits, more than a machine repeats; a dash for an unknown one."""
     if not np.isfinite(value):
         return "-"
     rounded = f"{value:#.3g}".removesuffix(".")
@@ -49,10 +59,7 @@ def digits(value: float) -> str:
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Nothing of this process's own gets in between: no garbage collection, one thread for linear algebra.
-
-    That is how the processes of a run are set up, too.
-    """
+    """Suspend garbage collection and use one thread for linear algebra, as the processes of a run do."""
     gc.collect()
     gc.disable()
     try:
@@ -62,23 +69,39 @@ def quiet() -> Iterator[None]:
         gc.enable()
 
 
-def in_turns(
-    tasks: Mapping[str, Callable[[], object]], repetitions: int, clock: Callable[[], int] = time.thread_time_ns
-) -> dict[str, Times]:
-    """Do each task once, then each again, and so on; what each call took.
+def in_turns(tasks: Mapping[str, Callable[[], object]], repetitions: int) -> dict[str, Times]:
+    """Call each task once, then each again, and so on; return the processor time of this thread by task.
 
     Args:
         tasks: By name.
-        repetitions: Of each, after `WARM_UP` that do not count.
-        clock: Nanoseconds; processor time of this thread, so that other programs matter little.
+        repetitions: Calls of each, after `WARM_UP` that are not counted.
     """
     taken: dict[str, list[int]] = {name: [] for name in tasks}
     with quiet():
-        for turn in range(-WARM_UP, repetitions):
+        for _ in range(WARM_UP + repetitions):
             for name, task in tasks.items():
-                start = clock()
+                start_ns = time.thread_time_ns()
                 task()
-                end = clock()
-                if turn >= 0:
-                    taken[name].append(end - start)
-    return {name: Times(np.array(ns) / 1e6) for name, ns in taken.items()}
+                taken[name].append(time.thread_time_ns() - start_ns)
+    return {name: Times(np.array(ns[WARM_UP:]) / 1e6) for name, ns in taken.items()}
+
+
+def round_trips(count: int, size: int) -> Times:
+    """Measure the wall-clock time of messages to another process and back over pipes: the floor of any exchange.
+
+    Args:
+        count: Messages, one after the other.
+        size: Bytes of each, at most what a pipe takes at once (4096).
+    """
+    command = [sys.executable, "-S", "-c", _ECHO.format(size=size)]
+    taken: list[int] = []
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0) as echo:
+        if echo.stdin is None or echo.stdout is None:
+            raise RuntimeError("expected pipes, got none")
+        for _ in range(WARM_UP + count):
+            start_ns = time.perf_counter_ns()
+            echo.stdin.write(bytes(size))
+            echo.stdout.read(size)
+            taken.append(time.perf_counter_ns() - start_ns)
+        echo.stdin.close()
+    return Times(np.array(taken[WARM_UP:]) / 1e6)

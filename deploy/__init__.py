@@ -1,1 +1,1 @@
-"""From one host to several: keys, folders for each host, services, and a lab of network namespaces."""
+"""Deployment to several hosts: inventory, keys, and a folder with services for each host."""

@@ -1,4 +1,4 @@
-"""The inventory: which host runs what, and from that where every process of a run listens and whom it calls."""
+"""Inventory of hosts and their processes, and from it the endpoints of every process of a run."""
 
 import difflib
 import tomllib
@@ -14,7 +14,7 @@ from protocol.wire.keys import RECORDER, ROUTER
 
 
 class InventoryError(ValueError):
-    """An inventory that describes no deployment: `file: field: expected ..., got ...`."""
+    """An invalid inventory: `file: field: expected ..., got ...`."""
 
 
 class _Section(BaseModel):
@@ -29,13 +29,13 @@ class Host(_Section):
     """One host.
 
     Attributes:
-        name: Of its folder.
-        address: By which the others reach it.
+        name: Name of its folder.
+        address: Address that the other hosts connect to.
         runs: Names of processes: coordinator, plant, agent1, ..., recorder, router.
-        listen: Address to listen on, where it is another one than the others call (in a container 0.0.0.0).
-        router: Name of the host whose router its processes call.
-        cpus: Processors of each process, by its name.
-        priority: SCHED_FIFO priority of all of them, 0 for none.
+        listen: Address to listen on, if it is not `address` (in a container 0.0.0.0).
+        router: Name of the host whose router its processes connect to.
+        cpus: Processors by process name.
+        priority: SCHED_FIFO priority of its processes, 0 for none.
     """
 
     name: Name
@@ -48,7 +48,7 @@ class Host(_Section):
 
 
 class Inventory(_Section):
-    """A whole deployment; docs/deploy.md describes each key for people."""
+    """A deployment; docs/deploy.md describes each key."""
 
     run: Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,80}$")]
     base_port: Annotated[int, Field(ge=1024, le=65_000)] = DEFAULT_BASE_PORT
@@ -56,29 +56,29 @@ class Inventory(_Section):
     host: Annotated[list[Host], Field(min_length=1)]
 
     def of(self, process: str) -> Host:
-        """The host that runs a process."""
+        """Return the host that runs a process."""
         return next(host for host in self.host if process in host.runs)
 
     @property
     def routers(self) -> list[Host]:
-        """Hosts that run a router, in their order."""
+        """Hosts that run a router, in order."""
         return [host for host in self.host if ROUTER in host.runs]
 
     def router_of(self, host: Host) -> Host | None:
-        """The host whose router the processes of a host call: the one named, its own, or the first; None in a mesh."""
+        """Return the host whose router a host uses: the one named, its own, or the first; None in a mesh."""
         if host.router is not None:
             return next(other for other in self.host if other.name == host.router)
         return host if host in self.routers else next(iter(self.routers), None)
 
 
 @dataclass(frozen=True, slots=True)
-class Posting:
-    """Where a process is.
+class Placement:
+    """Placement of a process.
 
     Attributes:
-        process: Its name.
-        host: Where it runs.
-        endpoints: Where it listens and whom it calls.
+        process: Name of the process.
+        host: Host that runs it.
+        endpoints: Endpoints to listen on and to connect to.
     """
 
     process: str
@@ -91,7 +91,7 @@ def read_inventory(path: Path, processes: Sequence[str]) -> Inventory:
 
     Args:
         path: TOML file.
-        processes: Names of the run's processes: each has to run somewhere, once.
+        processes: Names of the run's processes; each has to run on one host.
     Raises: InventoryError: naming file, field, expected and got.
     """
     try:
@@ -109,40 +109,42 @@ def read_inventory(path: Path, processes: Sequence[str]) -> Inventory:
     return inventory
 
 
-def postings(inventory: Inventory, processes: Sequence[str], scheme: str) -> list[Posting]:
-    """Where every process of a run is, the recorder's and routers' included.
+def placements(inventory: Inventory, processes: Sequence[str], scheme: str) -> list[Placement]:
+    """Return the placement of every process of a run, recorder and routers included.
 
     Args:
         inventory: Read for these processes.
         processes: Names in the order of the mesh.
         scheme: tls or tcp.
     """
+
+    def endpoint(address: str, port: int) -> str:
+        return f"{scheme}/[{address}]:{port}" if address.count(":") > 1 else f"{scheme}/{address}:{port}"
+
     found = []
     ports = {name: inventory.base_port + place for place, name in enumerate([*processes, RECORDER])}
-    calls: list[str] = []  # of those listed before
+    earlier: list[str] = []  # endpoints of the processes before
     for position, host in enumerate(inventory.routers):
-        at = f"{scheme}/{_bracketed(host.listen or host.address)}:{inventory.base_port}"
-        others = [
-            f"{scheme}/{_bracketed(other.address)}:{inventory.base_port}" for other in inventory.routers[:position]
-        ]
-        found.append(Posting(ROUTER, host, Endpoints(listen=[at], connect=others, mode="router")))
+        at = endpoint(host.listen or host.address, inventory.base_port)
+        others = [endpoint(other.address, inventory.base_port) for other in inventory.routers[:position]]
+        found.append(Placement(ROUTER, host, Endpoints(listen=[at], connect=others, mode="router")))
     for name in [*processes, RECORDER]:
         if not any(name in host.runs for host in inventory.host):
-            continue  # the recorder is nobody's duty
+            continue  # the recorder is optional
         host = inventory.of(name)
         router = inventory.router_of(host)
         if router is not None:
-            at = f"{scheme}/{_bracketed(router.address)}:{inventory.base_port}"
-            found.append(Posting(name, host, Endpoints(listen=[], connect=[at], mode="client")))
+            at = endpoint(router.address, inventory.base_port)
+            found.append(Placement(name, host, Endpoints(listen=[], connect=[at], mode="client")))
             continue
-        own = f"{scheme}/{_bracketed(host.listen or host.address)}:{ports[name]}"
-        listen = [] if name == RECORDER else [own]
-        found.append(Posting(name, host, Endpoints(listen=listen, connect=list(calls))))
-        calls.append(f"{scheme}/{_bracketed(host.address)}:{ports[name]}")
+        listen = [] if name == RECORDER else [endpoint(host.listen or host.address, ports[name])]
+        found.append(Placement(name, host, Endpoints(listen=listen, connect=list(earlier))))
+        earlier.append(endpoint(host.address, ports[name]))
     return found
 
 
 def _check(inventory: Inventory, source: str, processes: Sequence[str]) -> None:
+    """Check the relations between hosts and processes."""
     known = [*processes, RECORDER, ROUTER]
     seen: dict[str, str] = {}
     names = [host.name for host in inventory.host]
@@ -157,9 +159,9 @@ def _check(inventory: Inventory, source: str, processes: Sequence[str]) -> None:
             if process in seen and process != ROUTER:
                 raise InventoryError(f"{source}: host.{i}.runs: {process} runs on {seen[process]} already")
             seen[process] = host.name
-        strange = sorted(set(host.cpus) - set(host.runs))
-        if strange:
-            raise InventoryError(f"{source}: host.{i}.cpus: expected of {', '.join(host.runs)}, got {strange[0]!r}")
+        unknown = sorted(set(host.cpus) - set(host.runs))
+        if unknown:
+            raise InventoryError(f"{source}: host.{i}.cpus: expected of {', '.join(host.runs)}, got {unknown[0]!r}")
         routers = [other.name for other in inventory.routers]
         if host.router is not None and host.router not in routers:
             expected = f"expected a host that runs a router ({', '.join(routers) or 'none does'})"
@@ -167,8 +169,3 @@ def _check(inventory: Inventory, source: str, processes: Sequence[str]) -> None:
     missing = [process for process in processes if process not in seen]
     if missing:
         raise InventoryError(f"{source}: host: expected a host that runs {missing[0]}, got none")
-
-
-def _bracketed(address: str) -> str:
-    """An address as it stands before a port."""
-    return f"[{address}]" if address.count(":") > 1 else address

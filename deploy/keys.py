@@ -1,6 +1,6 @@
-"""Keys of a deployment: an authority with a certificate for each name, or passwords.
+"""Keys of a deployment: an authority and a certificate for each name, or passwords.
 
-The folder holds everything and stays where it was made; `transport deploy render` gives each host its own part.
+The folder holds all keys and is not copied to hosts; `transport deploy render` gives each host its own part.
 """
 
 import ipaddress
@@ -19,33 +19,33 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from protocol.network.security import AUTHORITY, USERS
 from protocol.wire.keys import OPERATOR, RECORDER, ROUTER, WATCHER
 
-# The authority's own key: needed to sign more, and by no host.
+# The authority's own key, needed to sign further certificates; no host has it.
 AUTHORITY_KEY = "ca.key"
 
-# Who has keys besides the processes of a run.
+# Names with keys besides the processes of a run.
 OTHERS = (RECORDER, WATCHER, OPERATOR, ROUTER)
 
-# Addresses a certificate is good for when nobody says more.
+# Addresses of a certificate by default.
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 
-# Clocks of hosts may differ: a certificate is good from some time before it was made.
+# Clocks of hosts may differ: a certificate is valid from some time before it was made.
 _BEFORE = timedelta(days=2)
 _PASSWORD_BYTES = 24
 
 
 class KeysError(ValueError):
-    """Keys that cannot be made: the text says what was expected and what came."""
+    """Keys that cannot be made; the text has expected and got."""
 
 
 def make_certificates(folder: Path, addresses: Mapping[str, Sequence[str]], days: int) -> None:
-    """An authority, if there is none yet, and a certificate of it for each name that has none.
+    """Make an authority, unless there is one, and a certificate for each name that has none.
 
-    ECDSA on P-256 throughout: what every TLS library accepts.
+    Keys are ECDSA on P-256, which every TLS library accepts.
 
     Args:
-        folder: Where to; what is there already stays.
-        addresses: For each name the addresses and host names it can be reached at.
-        days: How long the new certificates are good for.
+        folder: Folder to write to; existing files are kept.
+        addresses: Addresses and host names, by name.
+        days: Validity of the new certificates.
     Raises: KeysError: the folder cannot be written to, or holds half of a pair.
     """
     with _writing(folder):
@@ -70,11 +70,11 @@ def make_certificates(folder: Path, addresses: Mapping[str, Sequence[str]], days
 
 
 def make_passwords(folder: Path, names: Iterable[str]) -> None:
-    """A password for each name that has none, and the list of them for the router.
+    """Make a password for each name that has none, and the list of passwords for the router.
 
     Args:
-        folder: Where to; what is there already stays.
-        names: Who gets one.
+        folder: Folder to write to; existing passwords are kept.
+        names: Names of processes.
     Raises: KeysError: the folder cannot be written to.
     """
     with _writing(folder):
@@ -82,17 +82,16 @@ def make_passwords(folder: Path, names: Iterable[str]) -> None:
             file = folder / f"{name}.password"
             if not file.exists():
                 _write_private(file, f"{secrets.token_urlsafe(_PASSWORD_BYTES)}\n".encode())
-        lines = []
-        for file in sorted(folder.glob("*.password")):
-            lines.append(f"{file.stem}:{file.read_text(encoding='utf-8').strip()}\n")
+        files = sorted(folder.glob("*.password"))
+        lines = [f"{file.stem}:{file.read_text(encoding='utf-8').strip()}\n" for file in files]
         (folder / USERS).unlink(missing_ok=True)
         _write_private(folder / USERS, "".join(lines).encode())
 
 
 def files_of(folder: Path, name: str) -> list[Path]:
-    """What of a folder of keys a host needs on which a name runs.
+    """Return the files of a folder of keys that the host of a name needs.
 
-    Raises: KeysError: some of it is not there.
+    Raises: KeysError: a file is missing.
     """
     if (folder / AUTHORITY).exists():
         wanted = [folder / AUTHORITY, folder / f"{name}.pem", folder / f"{name}.key"]
@@ -106,7 +105,7 @@ def files_of(folder: Path, name: str) -> list[Path]:
 
 @contextmanager
 def _writing(folder: Path) -> Iterator[None]:
-    """Say which folder when writing to it fails."""
+    """Make the folder, and name it in errors of writing to it."""
     try:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         yield
@@ -117,8 +116,8 @@ def _writing(folder: Path) -> Iterator[None]:
 def _authority(folder: Path, days: int) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]:
     file, key_file = folder / AUTHORITY, folder / AUTHORITY_KEY
     if file.exists() != key_file.exists():
-        there, missing = (file, key_file) if file.exists() else (key_file, file)
-        raise KeysError(f"--out: expected {missing.name} beside {there}, got {there.name} alone")
+        present, missing = (file, key_file) if file.exists() else (key_file, file)
+        raise KeysError(f"--out: expected {missing.name} beside {present}, got {present.name} alone")
     if file.exists():
         try:
             known = x509.load_pem_x509_certificate(file.read_bytes())
@@ -185,6 +184,6 @@ def _write_key(file: Path, key: ec.EllipticCurvePrivateKey) -> None:
 
 
 def _write_private(file: Path, content: bytes) -> None:
-    """Write a file that nobody else may read, from its first byte on."""
+    """Write a file that only its owner can read, from the first byte on."""
     with os.fdopen(os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as stream:
         stream.write(content)

@@ -1,1 +1,1 @@
-"""The plant: the truth, integrated between sampling instants, and the actuators that play the plans."""
+"""Plant: integrates the ground truth between sampling instants; its actuators follow the plans."""

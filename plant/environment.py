@@ -1,7 +1,7 @@
-"""What the truth does that nobody models: other masses than the controller knows, wind, sensors that err.
+"""Effects that the controller does not model: mass errors, wind, measurement noise.
 
-All chance is drawn from counters (Philox) keyed by the seed and a purpose, the counter being the tick: what
-happens at a tick does not depend on what was asked before, or by whom.
+Random numbers are drawn from counters (Philox) keyed by seed and purpose, with the tick as counter: those of a tick do
+not depend on the order of calls.
 """
 
 import math
@@ -17,19 +17,19 @@ from model.state import StateView
 from protocol.scenario.draws import draw_key, generator
 from protocol.scenario.setup import Setup
 
-# Gusts are drawn at these intervals, whatever the sampling period: the same wind blows at any rate of the controller.
+# Gusts are drawn at these intervals, so that the wind is the same at any sampling period.
 GUST_STEP_S = 0.05
-_SAME = 1e-9  # of an interval
+_SAME = 1e-9  # tolerance, in intervals
 
 
 class Environment:
-    """The physics of the truth.
+    """Physics of the plant.
 
     Args:
         setup: The run.
 
     Attributes:
-        model: Equations of motion of the system as it really is.
+        model: Equations of motion with the actual masses.
     """
 
     def __init__(self, setup: Setup) -> None:
@@ -56,14 +56,14 @@ class Environment:
         self._is_noisy = bool(self._payload_noise.any() or self._uav_noise.any())
 
     def release(self, uavs: Collection[int]) -> None:
-        """Replace UAVs, 0-based, by bobs of negligible mass, on which no air acts. Source: docs/equations.md (50)."""
+        """Replace UAVs, 0-based, by bobs of negligible mass and drag. Source: docs/equations.md (50)."""
         self.model = Model(with_released(self.model.system, uavs))
         self._drag[[1 + uav for uav in uavs]] = 0.0
 
     def wind(self, tick: int) -> Array:
-        """Velocity of the air, (3,), inertial frame, m/s. Source: docs/equations.md (43)."""
+        """Return the velocity of the air, (3,), inertial frame, m/s. Source: docs/equations.md (43)."""
         at = tick * self._gusts_per_tick
-        # Rounding must not make the beginning of an interval the end of the one before.
+        # Rounding must not put the beginning of an interval into the one before.
         before = round(at) if abs(at - round(at)) < _SAME else math.floor(at)
         share = max(0.0, at - before)
         gust = self._gust(before)
@@ -72,7 +72,7 @@ class Environment:
         return self._mean_I + self._gust_I * gust
 
     def _gust(self, interval: int) -> Array:
-        """Gust at the beginning of an interval, (3,), in units of its standard deviation."""
+        """Return the gust at the beginning of an interval, (3,), in units of its standard deviation."""
         while len(self._gusts) <= interval:
             gust = self._normal("wind", len(self._gusts), 3)
             if self._gusts:
@@ -81,12 +81,12 @@ class Environment:
         return self._gusts[interval]
 
     def forces(self, tick: int, x: Array) -> Array | None:
-        """External forces over [t_k, t_{k+1}): drag of the bodies in the wind, None while there is no wind.
+        """Return the drag of the bodies over [t_k, t_{k+1}), None without wind.
 
         Args:
             tick: k.
             x: State at t_k, (n,).
-        Returns: On payload and UAVs, (3 + 3 N,), inertial frame, N.
+        Returns: Forces on payload and UAVs, (3 + 3 N,), inertial frame, N.
         Source: docs/equations.md (42).
         """
         if not self._is_windy:
@@ -95,11 +95,11 @@ class Environment:
         return forces
 
     def measured(self, tick: int, agent: int, x: Array) -> Array:
-        """What an agent's sensors see of a state: every one errs by a normal number of its own.
+        """Return a state as measured by an agent's sensors, with independent normal errors.
 
         Args:
             tick: k.
-            agent: Whose sensors, 1-based.
+            agent: 1-based.
             x: State at t_k, (n,).
         Returns: (n,), with |e| = 1 and e . Omega = 0; x itself without noise.
         Source: docs/equations.md (44).
@@ -108,21 +108,21 @@ class Environment:
             return x
         deviations = np.concatenate([self._payload_noise, np.tile(self._uav_noise, self.model.system.N)])
         noise = deviations * self._normal(f"noise/{agent}", tick, len(x))
-        seen = x + noise
-        true, error, rods = StateView(x), StateView(noise), StateView(seen)
-        # A rod direction can only turn: by a small angle about each axis, the one along the rod without effect.
+        measured = x + noise
+        true, error, rods = StateView(x), StateView(noise), StateView(measured)
+        # A rod direction errs by a small rotation about each axis; the one along the rod has no effect.
         turned = true.e_P + np.cross(error.e_P, true.e_P)
         rods.e_P[:] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
         rods.Omega_P[:] -= rods.e_P * (rods.e_P * rods.Omega_P).sum(axis=1, keepdims=True)
-        return seen
+        return measured
 
     def _normal(self, purpose: str, tick: int, count: int) -> Array:
-        """Standard normal numbers that belong to a purpose and a tick, (count,)."""
+        """Return standard normal numbers for a purpose and a tick, (count,)."""
         return generator(draw_key(self._seed, "plant", purpose), tick).standard_normal(count)
 
 
 def _scaled(system: System, payload: float, uavs: float) -> System:
-    """The system with masses and inertias of payload and UAVs multiplied."""
+    """Return the system with masses and inertias of payload and UAVs multiplied by factors."""
     return System(
         payload=Payload(mass=payload * system.payload.mass, inertia=payload * system.payload.inertia),
         uavs=[

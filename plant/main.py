@@ -1,4 +1,4 @@
-"""The plant as a process."""
+"""Process of the plant."""
 
 from plant.node import PlantNode
 from protocol.network.process import Place, run_node
@@ -7,15 +7,15 @@ from protocol.wire.messages import agent_name
 
 
 def run(setup: Setup, place: Place) -> int:
-    """Be the truth of a run until it ends.
+    """Simulate the plant until the run ends.
 
     Args:
         setup: The run.
-        place: Where this process is.
+        place: Where this process runs.
     Returns: Exit code.
     Raises: BusError: see `protocol.network.process.run_node`.
     """
     node = PlantNode(setup, place.incarnation)
-    # The first integration compiles the chain of steps; the first tick should not wait for it.
+    # The first integration compiles the chain of steps: do that before the first tick.
     node.environment.model.integrate(setup.initial_state(), setup.hover.u, setup.settings.sampling_period_s, node.steps)
     return run_node(node, place, setup, ["coordinator", *[agent_name(agent) for agent in setup.agents]])

@@ -1,8 +1,8 @@
 """The plant as a state machine: measures at each tick, integrates to the next.
 
-At tick k it publishes the measurements of x_k. Once the inputs of [t_k, t_{k+1}) are decided it integrates
-that interval, which the next tick then finds done: with actuation "immediate" that takes the plans of tick
-k, with "next_tick" those of k - 1, so that the plant works while the agents do.
+At tick k it publishes the measurements of x_k. Once the inputs of [t_k, t_{k+1}) are decided it integrates that
+interval: with actuation "immediate" from the plans of tick k, with "next_tick" from those of k - 1, so that plant and
+agents compute at the same time.
 """
 
 import math
@@ -42,11 +42,11 @@ from protocol.wire.outbox import Outbox, lost
 
 
 class PlantNode:
-    """The truth of one run.
+    """Plant of one run.
 
     Args:
         setup: The run.
-        incarnation: Which start of this process.
+        incarnation: Number of the start of this process.
     """
 
     name = "plant"
@@ -99,7 +99,7 @@ class PlantNode:
         return self._work(now_ns) if self.finished is None else ()
 
     def poll(self, now_ns: int) -> Sequence[Message]:  # noqa: ARG002
-        """Nothing happens to the plant by time alone: its time is the tick."""
+        """Return nothing: the plant acts on messages only."""
         return ()
 
     def _handle(self, message: Message, now_ns: int) -> None:
@@ -118,7 +118,7 @@ class PlantNode:
                 self._take(message, now_ns)
 
     def _open(self, tick: Tick) -> None:
-        # In real time the next tick opens whether or not this one could be measured: then they are made up for.
+        # In real time the next tick opens even if this one is not measured yet; the plant catches up.
         newest = self._pending[-1].tick if self._pending else self._measured_tick
         check_moment(tick, newest + 1, self._measured_tick + 1 if self._waits else newest + 1)
         self._pending.append(tick)
@@ -132,7 +132,7 @@ class PlantNode:
             self._arrived.setdefault(plan.tick, set()).add(plan.agent)
 
     def _work(self, now_ns: int) -> list[Message]:
-        """Do whatever has become possible, in the order of time."""
+        """Measure and integrate in turn as far as the messages received allow."""
         out: list[Message] = []
         while True:
             if self._can_measure():
@@ -149,25 +149,25 @@ class PlantNode:
         return tick.tick == self._state_tick and tick.roster <= self._membership.version
 
     def _can_integrate(self) -> bool:
-        """Whether the inputs from t_k on are decided: tick k is measured, and the plans it takes are in."""
+        """Return whether the inputs from t_k on are decided: tick k is measured, and its plans are here."""
         k = self._state_tick
         if self._measured_tick != k or self._diverged:
             return False
         decisive = k - self._delay
         if decisive < 0 or not self._waits:
             return True
-        arrived = self._arrived.get(decisive, set())
-        # The tick after the decisive one says for whom the clock waited; before it comes, wait for all.
+        senders = self._membership.took_part(decisive)
+        # The next tick names the agents that the clock waited for; before it comes, wait for all.
         if self._pending and self._pending[0].tick == decisive + 1:
-            return set(self._pending[0].answered) & self._membership.took_part(decisive) <= arrived
-        return self._membership.took_part(decisive) <= arrived
+            senders &= set(self._pending[0].answered)
+        return senders <= self._arrived.get(decisive, set())
 
     def _measure(self) -> list[Message]:
         tick = self._pending.popleft()
         self._measured_tick = tick.tick
         self._fail_uavs(tick.tick)
-        seen = {a: self.environment.measured(tick.tick, a, self._x) for a in self._membership.agents}
         u = self._u.reshape(-1, state.INPUTS)
+        measured = {a: self.environment.measured(tick.tick, a, self._x) for a in self._membership.agents}
         return [
             self._out.stamp(
                 Measurement,
@@ -176,21 +176,21 @@ class PlantNode:
                 answered=tick.answered,
                 shared=tick.shared,
                 roster=tick.roster,
-                payload=seen[agent][: state.PAYLOAD],
+                payload=measured[agent][: state.PAYLOAD],
                 uavs=tuple(i + 1 for i in owned),
-                uav_states=state.StateView(seen[agent]).uavs[list(owned)],
+                uav_states=state.StateView(measured[agent]).uavs[list(owned)],
                 inputs=u[list(owned)],
             )
             for agent, owned in enumerate(self._setup.owned, start=1)
-            if agent in self._membership.agents
+            if agent in measured
         ]
 
     def _fail_uavs(self, tick: int) -> None:
-        """Do what the scenario does to UAVs at a tick, before it is measured."""
+        """Apply the scenario's failures of UAVs due at a tick, before it is measured."""
         while self._uav_faults and self._uav_faults[0][0] <= tick:
-            _, what, uav = self._uav_faults.popleft()
+            _, fault, uav = self._uav_faults.popleft()
             self._off.add(uav)
-            if what == "release":
+            if fault == "release":
                 self.environment.release([uav])
                 self._x = released_state(self._x, uav)
             else:
@@ -221,7 +221,7 @@ class PlantNode:
         )
 
     def _divergence(self, tick: int, x: Array) -> str:
-        """Why the flight is over, or nothing."""
+        """Return why the run has diverged, empty if it has not."""
         if not np.isfinite(x).all():
             return "the state is no longer finite"
         limits = self._setup.scenario.plant
@@ -229,9 +229,8 @@ class PlantNode:
         attitudes = np.degrees(np.abs(np.vstack([view.Theta0[None], view.Theta])[:, :2]))
         worst = np.unravel_index(int(np.argmax(attitudes)), attitudes.shape)
         if attitudes[worst] > limits.max_attitude_deg:
-            who = "payload" if worst[0] == 0 else f"UAV{worst[0]}"
-            angle = ("roll", "pitch")[worst[1]]
-            return f"{who} {angle} of {attitudes[worst]:.0f} deg exceeds {limits.max_attitude_deg:g} deg"
+            body, angle = "payload" if worst[0] == 0 else f"UAV{worst[0]}", ("roll", "pitch")[worst[1]]
+            return f"{body} {angle} of {attitudes[worst]:.0f} deg exceeds {limits.max_attitude_deg:g} deg"
         error = float(np.linalg.norm(view.r0_I - self._path[tick]))
         if error > limits.max_error_m:
             return f"payload position error of {error:.1f} m exceeds {limits.max_error_m:g} m"

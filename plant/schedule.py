@@ -1,4 +1,4 @@
-"""Actuator schedule: each UAV plays the newest plan that covers the instant, and a fail-safe after its end."""
+"""Actuator schedule: each UAV follows the newest plan that has started, and a fail-safe after its end."""
 
 import numpy as np
 
@@ -8,16 +8,16 @@ from mpc.fail_safe import FailSafe
 from mpc.settings import Limits
 from protocol.wire.messages import Plan
 
-# Sources of an input that is not from a plan (`Truth.plan_ticks`).
+# Sources of an input that is not from a plan (`PlantState.plan_ticks`).
 BEFORE_ANY_PLAN, FAIL_SAFE, MOTOR_OFF = -1, -2, -3
 
 
 class ActuatorSchedule:
-    """What each UAV's actuators do, tick by tick.
+    """Inputs of all actuators, tick by tick.
 
     Args:
         u_hover: Inputs before any plan, (4 N,).
-        fail_safe: What follows the end of a plan.
+        fail_safe: Control law after the end of a plan.
         limits: Bounds of the actuators.
         period_s: Sampling period, s.
     """
@@ -30,20 +30,20 @@ class ActuatorSchedule:
         self._plans: list[list[Plan]] = [[] for _ in range(len(u_hover) // state.INPUTS)]
 
     def add(self, plan: Plan) -> None:
-        """Put a plan on the schedule of the UAVs it is for; plans that arrive out of order find their place."""
+        """Add a plan to the schedule of its UAVs, in any order of arrival."""
         for uav in plan.uavs:
             plans = self._plans[uav - 1]
             plans.append(plan)
             plans.sort(key=lambda p: (p.start_tick, p.tick))
 
     def inputs(self, tick: int, x: Array, u_before: Array) -> tuple[Array, tuple[int, ...]]:
-        """Inputs over [t_k, t_{k+1}) and where they come from.
+        """Return the inputs over [t_k, t_{k+1}) and their sources.
 
         Args:
-            tick: k; plans that only cover earlier instants are forgotten.
+            tick: k; earlier plans are forgotten.
             x: State at t_k, (n,), for the fail-safe.
-            u_before: Inputs until t_k, (4 N,), from which the fail-safe departs no faster than the actuators may.
-        Returns: u (4 N,); per UAV the tick of the plan it follows, or `BEFORE_ANY_PLAN`, `FAIL_SAFE`.
+            u_before: Inputs until t_k, (4 N,), from which the fail-safe changes at the actuators' rate at most.
+        Returns: u (4 N,); the tick of the plan of each UAV, or `BEFORE_ANY_PLAN`, `FAIL_SAFE`.
         """
         u = self._u_hover.copy()
         sources = []
@@ -65,6 +65,6 @@ class ActuatorSchedule:
         return u, tuple(sources)
 
     def _limited(self, inputs: Array, before: Array) -> Array:
-        """Inputs as far as the actuators can follow."""
+        """Return the inputs within the limits of the actuators."""
         np.clip(inputs, before - self._step, before + self._step, out=inputs)
         return np.clip(inputs, self._lower, self._upper, out=inputs)

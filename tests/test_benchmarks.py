@@ -1,4 +1,4 @@
-"""The benchmarks without processes measure what they say: same plans, same answers, all rows. No time is judged."""
+"""Benchmarks without processes: equal plans, equal solutions, all rows. No time is judged."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -26,18 +26,18 @@ ACTIVE_SETS = ("this project's", "quadprog")
 
 @lru_cache
 def met() -> list[Situation]:
-    """Situations of a flight, the first of them with limits that bind."""
+    """Return situations of a run, the first of them with limits that bind."""
     return situations(setup("paper", QUICK.climb), QUICK.programs)
 
 
 @lru_cache
 def asked() -> list[QP]:
-    """Programs of two flights, few limits binding on one of them, many on the other."""
+    """Return programs of two runs, with few limits binding in one and many in the other."""
     return [qp for settings in ((), TIGHT) for qp in programs(setup("paper", QUICK.climb, *settings), QUICK.programs)]
 
 
 def test_the_naive_step_makes_the_same_plans() -> None:
-    """Stacked matrices multiplied out are the controller's program: to 1e-9, with Clarabel to what that leaves."""
+    """The naive step forms the controller's program: equal plans to 1e-9, and with Clarabel to its own error."""
     assert len(met()) == QUICK.programs
     assert max(aims.plan_difference(at) for at in met()) < aims.SAME_PLAN
     assert max(aims.plan_difference(at, "daqp") for at in met()) < aims.SAME_PROGRAM
@@ -45,12 +45,12 @@ def test_the_naive_step_makes_the_same_plans() -> None:
 
 @pytest.mark.parametrize("solver", SOLVERS, ids=lambda solver: solver.name)
 def test_solvers_agree(solver: Solver) -> None:
-    """Every solver that is installed answers all programs, as near to Clarabel as a solver of its kind comes."""
+    """Every installed solver solves all programs, within the tolerance of its kind from Clarabel."""
     if not solver.installed:
         pytest.skip(f"{solver.package} is not installed")
     outcome = solvers.compare([solver], asked(), 1)[solver.name]
     assert outcome.unsolved == 0
-    assert outcome.from_clarabel < solver.agrees
+    assert outcome.from_clarabel < solver.tolerance
     if solver.name in ACTIVE_SETS:
         assert outcome.from_daqp < solvers.SAME
     assert outcome.times.median > 0.0
@@ -58,7 +58,7 @@ def test_solvers_agree(solver: Solver) -> None:
 
 @pytest.mark.parametrize("name", ["paper", "centralized"])
 def test_both_ways_find_the_same_decision(name: str) -> None:
-    """What is compared is the same problem: the condensed program and the recursion have one optimum."""
+    """Both solve the same problem: the condensed program and the recursion have one optimum."""
     at = situations(setup(name, QUICK.climb), 1)[0]
     for steps in (1, 2, 7):
         one, other = structured.condensed(at, steps), structured.riccati(at, steps)
@@ -67,7 +67,7 @@ def test_both_ways_find_the_same_decision(name: str) -> None:
 
 
 def test_aims_have_their_rows() -> None:
-    """Steps, naive step and ratios, each with what was wanted beside it."""
+    """The table has steps, naive step and ratios, each with its aim."""
     (table,) = aims.measure(QUICK, silent)
     assert first_cells(table) == [
         "agent, `paper`", "agent, `resilient`", "agent, `centralized`", f"agent, `{aims.PLAIN}`",
@@ -78,7 +78,7 @@ def test_aims_have_their_rows() -> None:
 
 
 def test_steps_have_their_rows() -> None:
-    """Every team at every horizon, and the scenarios with four UAVs."""
+    """The table has every team at every horizon, and the scenarios with four UAVs."""
     (table,) = step.measure(QUICK, silent)
     teams = [("`resilient`", str(uavs), str(horizon)) for uavs in QUICK.teams for horizon in QUICK.horizons]
     assert [tuple(row[:3]) for row in table.rows] == [*teams, ("`paper`", "4", "20"), ("`centralized`", "4", "20")]
@@ -86,17 +86,17 @@ def test_steps_have_their_rows() -> None:
 
 
 def test_solvers_have_their_rows(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A solver that is not installed is named as missing; all others have numbers."""
-    missing = Solver(name="nobody", package="no_such_solver", answer=lambda _: None, agrees=0.0)
+    """A solver that is not installed is listed as such; all others have numbers."""
+    missing = Solver(name="missing", package="no_such_solver", solve=lambda _: None, tolerance=0.0)
     monkeypatch.setattr(solvers, "SOLVERS", (*SOLVERS[:2], missing))
     (table,) = solvers.measure(replace(QUICK, programs=2), silent)
-    assert [row[1] for row in table.rows] == [*(solver.name for solver in SOLVERS[:2]), "nobody"]
+    assert [row[1] for row in table.rows] == [*(solver.name for solver in SOLVERS[:2]), "missing"]
     assert table.rows[-1][2] == "not installed"
     assert all(row[2] != "not installed" for row in table.rows[:-1])
 
 
 def test_parts_have_their_rows() -> None:
-    """The plant of every team, and a plan's way to bytes and back."""
+    """The table has the plant of every team, and encoding and decoding of a plan."""
     (table,) = parts.measure(QUICK, silent)
     plants = [f"plant, one period, {uavs} UAVs" for uavs in QUICK.teams]
     assert first_cells(table) == [*plants, "plan to bytes", "bytes to plan", "bytes to plan, all checks"]
@@ -104,7 +104,7 @@ def test_parts_have_their_rows() -> None:
 
 
 def test_only_what_was_measured_is_written(tmp_path: Path) -> None:
-    """A section is replaced between its own markers, twice with the same result; the rest of the document stays."""
+    """A section is replaced between its markers, twice with the same result; the rest of the document stays."""
     document = tmp_path / "page.md"
     document.write_text(DOCUMENT)
     for _ in range(2):
@@ -115,7 +115,7 @@ def test_only_what_was_measured_is_written(tmp_path: Path) -> None:
 
 
 def test_a_document_without_the_section_is_refused(tmp_path: Path) -> None:
-    """Before anything is measured, naming document and section; the document of the project has them all."""
+    """The error names document and section; the project's own document has all sections."""
     document = tmp_path / "page.md"
     document.write_text(DOCUMENT)
     with pytest.raises(BenchmarkError, match=r"page\.md: expected <!-- bench: loop -->"):
@@ -126,7 +126,7 @@ def test_a_document_without_the_section_is_refused(tmp_path: Path) -> None:
 
 
 def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """It writes when all is measured, with the machine; interrupted or failed it leaves the document as it was."""
+    """The command writes after all measurements; interrupted or failed it leaves the document unchanged."""
     document = tmp_path / "page.md"
     document.write_text(DOCUMENT)
     efforts = []

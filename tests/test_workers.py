@@ -11,7 +11,7 @@ from tests.support import workers
 ROOT = Path(__file__).resolve().parent.parent
 FILES = sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "tests").rglob("test_*.py"))
 # Modules that start processes with ports and deadlines, or open sockets.
-OUTSIDE = frozenset({"benchmarks.loop", "benchmarks.soak", "distributed", "selenium", "socket", "zenoh"})
+OUTSIDE = frozenset({"benchmarks.loop", "tests.support.soak", "distributed", "selenium", "socket", "zenoh"})
 # A command of the project in a separate process.
 STARTS = re.compile(r'"-m",\s*"(transport|benchmarks|deploy|tests)')
 

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Puts this folder where the services of host $host look for it. The software itself is in $program (docs/deploy.md).
+# Installs this folder for the services of host $host. The software itself is in $program (docs/deploy.md).
 set -eu
 cd "$$(dirname "$$0")"
 [ "$$(id -u)" = 0 ] || { echo "install.sh: expected root, got $$(id -un): sudo ./install.sh" >&2; exit 1; }

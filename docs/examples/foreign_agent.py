@@ -1,6 +1,6 @@
-"""An agent that shares no code with the others: Zenoh, msgpack, numpy and docs/protocol.md are all it takes.
+"""An agent that shares no code with the others, made from Zenoh, msgpack, numpy and docs/protocol.md.
 
-It does not know the maneuver. It keeps its rod parallel to the others', of which it hears in their plans, its corner
+It does not know the maneuver. It keeps its rod parallel to the others', whose states are in their plans, and its corner
 of the payload as high as the middle, and carries its share. Start all but agent 3 as in README ("By hand"), with
 `--scenario resilient`, and this in its place; `transport validate resilient` prints the digest:
 
@@ -18,26 +18,26 @@ import numpy as np
 import zenoh
 
 AGENTS, VERSION, STEPS = 4, 5, 20
-# What UAV 3 is, what it carries at hover, and its corner of the payload.
+# Mass, inertia and hover thrust of UAV 3, and its corner of the payload.
 MASS, INERTIA, THRUST, RHO = 1.5, np.array([0.029, 0.029, 0.055]), 22.0725, (-0.25, -0.25)
 
 
 def pack(value):
-    """An array as the protocol's extension type 1."""
+    """Return an array as the protocol's extension type 1."""
     header = struct.pack("<4I", value.ndim, *value.shape, *[0] * (3 - value.ndim))
     return msgpack.ExtType(1, header + value.astype("<f8").tobytes())
 
 
 def unpack(_, data):
-    """And back."""
+    """Return the array of an extension type 1."""
     axes, *shape = struct.unpack_from("<4I", data)
     return np.frombuffer(data, "<f8", offset=16).reshape(shape[:axes])
 
 
 def control(payload, uav, team):
-    """Inputs: where the rods of the others are, at the tilt they have, by two loops one inside the other."""
+    """Return the inputs that follow rods and tilt of the others, by two cascaded loops."""
     (roll, pitch, _), (p, q, _) = payload[6:9], payload[9:12]
-    low = RHO[1] * (roll + 0.3 * p) - RHO[0] * (pitch + 0.3 * q)  # the corner, and where it will be in 0.3 s
+    low = RHO[1] * (roll + 0.3 * p) - RHO[0] * (pitch + 0.3 * q)  # height of the corner in 0.3 s
     (e, rod_rate, attitude, rate), (e_team, rod_rate_team, attitude_team, _) = uav.reshape(4, 3), team.reshape(4, 3)
     behind = 40.0 * (e - e_team) + 20.0 * (np.cross(rod_rate, e) - np.cross(rod_rate_team, e_team))
     tilt = attitude_team[:2] + MASS / THRUST * np.array([behind[1], -behind[0]])
@@ -49,7 +49,7 @@ def control(payload, uav, team):
 def main(run, digest, agent, port):
     """Take part until the run ends."""
     me, prefix, inbox, alive, plans = int(agent), f"transport/{run}", queue.SimpleQueue(), set(), {}
-    ports = [f"tcp/127.0.0.1:{int(port) + i}" for i in range(2 + me)]  # those before this one's are called
+    ports = [f"tcp/127.0.0.1:{int(port) + i}" for i in range(2 + me)]  # it connects to those before its own
     config = {"mode": "peer", "listen": {"endpoints": ports[-1:]}, "connect": {"endpoints": ports[:-1]}}
     config["scouting"] = {"multicast": {"enabled": False}, "gossip": {"enabled": False}}
 

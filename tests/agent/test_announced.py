@@ -1,8 +1,9 @@
-"""Announced inputs: plans shifted by their true age and held at their end, whatever order they arrive in.
+"""Announced inputs: plans shifted by their true age and held at their end, for any order of arrival.
 
 Past inputs of the others: the first step of a plan as announced, then the shared control law with its corrections.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +22,7 @@ STEPS = 5
 
 
 def labelled(agent: int, k: int, *, steps: int = STEPS, delay: int = 0) -> Plan:
-    """A plan whose every number tells agent, tick, step and input."""
+    """Return a plan whose numbers encode agent, tick, step and input."""
     uavs = tuple(uav + 1 for uav in OWNED[agent - 1])
     columns = np.arange(4 * len(uavs))
     return Plan(
@@ -42,7 +43,7 @@ def labelled(agent: int, k: int, *, steps: int = STEPS, delay: int = 0) -> Plan:
 
 
 def announced(*plans: Plan, alignment: Alignment = "by_age", own: int = 0) -> AnnouncedInputs:
-    """What an agent knows after some plans."""
+    """Return announced inputs after some plans."""
     inputs = AnnouncedInputs(OWNED, U_HOVER, alignment=alignment, own=own)
     for plan in plans:
         inputs.add(plan)
@@ -50,12 +51,12 @@ def announced(*plans: Plan, alignment: Alignment = "by_age", own: int = 0) -> An
 
 
 def rows(agent: int, U: Array) -> Array:
-    """One agent's part of the inputs."""
+    """Return one agent's part of the inputs."""
     return U[..., COLUMNS[agent]]
 
 
 def test_hover_before_any_plan() -> None:
-    """Who has announced nothing is taken to hover."""
+    """An agent without plan is assumed to hover."""
     inputs = announced(labelled(1, 0))
     U = inputs.sequence(1, STEPS, before=1)
     np.testing.assert_array_equal(rows(2, U), np.tile(U_HOVER[4:8], (STEPS, 1)))
@@ -85,7 +86,7 @@ def test_one_step_old_is_the_papers_shift() -> None:
 @pytest.mark.parametrize("age", range(1, STEPS + 3))
 @pytest.mark.parametrize("delay", [0, 1])
 def test_taken_to_be_one_tick_old(age: int, delay: int) -> None:
-    """As printed in the paper a plan loses one step however old it is; the own one is known to be as old as it is."""
+    """As published, a plan loses one step whatever its age; the own plan is shifted by its age."""
     plan, own = labelled(1, 7, delay=delay), labelled(2, 7, delay=delay)
     start = plan.start_tick + age
     inputs = announced(plan, own, alignment="by_one", own=2)
@@ -98,7 +99,7 @@ def test_taken_to_be_one_tick_old(age: int, delay: int) -> None:
 
 @pytest.mark.parametrize("age", range(STEPS + 3))
 def test_held(age: int) -> None:
-    """Of a plan that is held, only its input for now counts; a correction that has ended is none."""
+    """A held plan counts by its input for the present tick only; a correction that has ended is zero."""
     plan = labelled(1, 7)
     inputs = announced(plan, alignment="held")
     U = inputs.sequence(7 + age, STEPS, before=8 + age)
@@ -110,17 +111,17 @@ def test_held(age: int) -> None:
 
 @pytest.mark.parametrize("alignment", ["by_age", "by_one", "held"])
 def test_of_an_agent_that_is_gone_the_age_counts(alignment: Alignment) -> None:
-    """What the actuators of an agent without process do is known: its last plan, then hover."""
+    """The actuators of an agent without process follow its last plan, then hover."""
     plan = labelled(1, 7)
     inputs = announced(plan, alignment=alignment)
-    inputs.gone = {1}
+    inputs.off_roster = {1}
     U = rows(1, inputs.sequence(10, STEPS, before=11))
     np.testing.assert_array_equal(U, np.vstack([plan.inputs[3:], np.tile(U_HOVER[COLUMNS[1]], (3, 1))]))
 
 
 @pytest.mark.parametrize("length", [1, 3, STEPS + 4])
 def test_other_lengths(length: int) -> None:
-    """Shorter plans are held, longer ones cut: the horizon asked for is what comes."""
+    """Shorter plans are held, longer ones cut to the horizon."""
     plan = labelled(1, 0, steps=length)
     U = announced(plan).sequence(2, STEPS, before=2)
     assert U.shape == (STEPS, len(U_HOVER))
@@ -140,13 +141,13 @@ def test_corrections_end(age: int, delay: int) -> None:
 
 
 def test_plans_without_corrections() -> None:
-    """With open-loop prediction nobody sends corrections, and none are taken to be in force."""
+    """With open-loop prediction plans have no corrections, and none are assumed."""
     plan = replace(labelled(1, 0), corrections=np.zeros((0, 8)))
     assert not announced(plan).corrections(1, STEPS, before=1).any()
 
 
 def test_early_plans_wait() -> None:
-    """A plan of tick k that is here before tick k + 1 is not used before: the network's speed must not show."""
+    """A plan of tick k that is here before tick k + 1 is not used before: the network's speed has no effect."""
     early, older = labelled(1, 5), labelled(1, 4)
     inputs = announced(older, early)
     assert inputs.newest(1, before=5) is older
@@ -158,7 +159,7 @@ def test_early_plans_wait() -> None:
 
 
 def test_only_early_plans() -> None:
-    """While all there is came early, an agent is taken to hover."""
+    """An agent whose only plans are early is assumed to hover."""
     inputs = announced(labelled(1, 5))
     assert inputs.newest(1, before=5) is None
     np.testing.assert_array_equal(inputs.sequence(5, 1, before=5), U_HOVER[None])
@@ -181,7 +182,7 @@ def test_order_of_arrival_does_not_matter() -> None:
 
 
 def test_in_force_is_the_newest_that_had_started() -> None:
-    """Over [t_k, t_{k+1}) the newest plan started by t_k acts, played on where no newer one came, held at its end."""
+    """Over [t_k, t_{k+1}) the newest plan started by t_k acts; it is held at its end."""
     plans = [labelled(1, 0), labelled(1, 3)]
     inputs = announced(*plans)
     expected = [plans[0].inputs[0], plans[0].inputs[1], plans[0].inputs[2]]
@@ -199,25 +200,30 @@ def test_in_force_with_next_tick() -> None:
     np.testing.assert_array_equal(rows(1, inputs.at(2, before=100)), plans[1].inputs[0])
 
 
-def test_has() -> None:
-    """A plan is here if one of exactly that agent and tick arrived."""
+def kept(inputs: AnnouncedInputs, agent: int, ticks: Sequence[int]) -> list[int]:
+    """Return the ticks whose plan of an agent is kept."""
+    newest = {k: inputs.newest(agent, before=k + 1) for k in ticks}
+    return [k for k, plan in newest.items() if plan is not None and plan.tick == k]
+
+
+def test_newest() -> None:
+    """A plan is kept for exactly its agent and tick."""
     inputs = announced(labelled(1, 4))
-    assert inputs.has(1, 4)
-    assert not inputs.has(1, 3)
-    assert not inputs.has(2, 4)
+    assert kept(inputs, 1, range(8)) == [4]
+    assert kept(inputs, 2, range(8)) == []
 
 
 def test_the_oldest_are_forgotten() -> None:
-    """The newest plans are kept, a fixed number of them, whatever order they came in; too old ones change nothing."""
+    """A fixed number of newest plans is kept, for any order of arrival; older ones change nothing."""
     ticks = range(KEPT_PLANS + 10)
     inputs = announced(*[labelled(1, k) for k in ticks], labelled(1, 2))
-    assert [k for k in ticks if inputs.has(1, k)] == list(ticks)[10:]
+    assert kept(inputs, 1, ticks) == list(ticks)[10:]
     backwards = announced(*[labelled(1, k) for k in reversed(ticks)])
-    assert [k for k in ticks if backwards.has(1, k)] == list(ticks)[10:]
+    assert kept(backwards, 1, ticks) == list(ticks)[10:]
 
 
 def test_results_are_the_callers() -> None:
-    """Changing a result changes nothing for the next call, and never the hover inputs."""
+    """Changing a result changes neither the next one nor the hover inputs."""
     hover = U_HOVER.copy()
     inputs = announced(labelled(1, 0))
     inputs.sequence(1, STEPS, before=1)[:] = 0.0
@@ -230,13 +236,13 @@ X = np.linspace(-1.0, 1.0, 48)
 
 
 def by_law(tick: int, x: Array) -> Array:
-    """Control law whose every number tells tick, state and input."""
+    """Return inputs of a control law that encode tick, state and input."""
     inputs: Array = 100.0 * tick + 7.0 * x[:12] + np.arange(12.0)
     return inputs
 
 
 def under_law(*plans: Plan, own: int = 0, law: Law = by_law, limits: Limits | None = None) -> AnnouncedInputs:
-    """What an agent that shares a control law knows after some plans."""
+    """Return announced inputs under a shared control law after some plans."""
     inputs = AnnouncedInputs(OWNED, U_HOVER, own=own, law=law, limits=limits)
     for plan in plans:
         inputs.add(plan)
@@ -258,7 +264,7 @@ def test_later_inputs_follow_the_law(age: int, delay: int) -> None:
 
 
 def test_own_inputs_are_known() -> None:
-    """The own plan is played on as announced, not by the control law: so does the plant's schedule, (32a)."""
+    """The own plan counts as announced, not by the control law, as in the plant's schedule, (32a)."""
     plan = labelled(1, 7)
     inputs = under_law(plan, labelled(2, 7), own=1)
     for age in range(STEPS + 2):
@@ -269,41 +275,41 @@ def test_own_inputs_are_known() -> None:
 
 
 def test_the_gone_follow_no_law() -> None:
-    """The last plan of an agent that is gone is played as announced, without the law, (32a)."""
+    """The last plan of an agent off the roster counts as announced, without the control law, (32a)."""
     plan = labelled(1, 7)
     inputs = under_law(plan)
-    inputs.gone = {1}
+    inputs.off_roster = {1}
     for age in range(STEPS):
         np.testing.assert_array_equal(rows(1, inputs.at(7 + age, before=20, x=X)), plan.inputs[age])
 
 
 def test_plans_under_another_law_are_played_as_announced() -> None:
-    """Corrections belong to the law they were made under: older plans count by their inputs, (46)."""
+    """Corrections belong to the control law of their time: older plans count by their inputs, (46)."""
     older, newer = labelled(1, 7), labelled(2, 9)
     inputs = under_law(older, newer)
     inputs.law_since = 9
-    assert inputs.of_another_law(before=12) == [1]
+    assert inputs.under_previous_law(before=12) == [1]
     u = inputs.at(10, before=12, x=X)
     np.testing.assert_array_equal(rows(1, u), older.inputs[3])
     np.testing.assert_array_equal(rows(2, u), by_law(10, X)[COLUMNS[2]] + newer.corrections[1])
 
 
 def test_who_follows_another_law() -> None:
-    """Agents whose newest usable plan is older than the law; not those without plan, nor those that are gone."""
+    """Listed are agents whose newest usable plan is older than the law; none without plan, none off the roster."""
     inputs = under_law(labelled(1, 3), labelled(1, 8), labelled(2, 3))
-    assert inputs.of_another_law(before=10) == []
+    assert inputs.under_previous_law(before=10) == []
     inputs.law_since = 5
-    assert inputs.of_another_law(before=10) == [2]
-    assert inputs.of_another_law(before=8) == [1, 2]  # that of tick 8 is not usable yet
-    assert inputs.of_another_law(before=3) == []
-    inputs.gone = {2}
-    assert inputs.of_another_law(before=8) == [1]
+    assert inputs.under_previous_law(before=10) == [2]
+    assert inputs.under_previous_law(before=8) == [1, 2]  # that of tick 8 is not usable yet
+    assert inputs.under_previous_law(before=3) == []
+    inputs.off_roster = {2}
+    assert inputs.under_previous_law(before=8) == [1]
     inputs.forget(1)
-    assert inputs.of_another_law(before=8) == []
+    assert inputs.under_previous_law(before=8) == []
 
 
 def test_without_a_state_there_is_no_law() -> None:
-    """Without a state, or with a law that says nothing (open-loop prediction), plans are played on and held."""
+    """Without a state or a shared control law (open-loop prediction), plans are continued and held."""
     plan = labelled(1, 7)
     expected = [plan.inputs[min(age, STEPS - 1)] for age in range(STEPS + 2)]
     for inputs, x in ((under_law(plan), None), (under_law(plan, law=lambda _tick, _x: None), X)):
@@ -312,7 +318,7 @@ def test_without_a_state_there_is_no_law() -> None:
 
 
 def test_inputs_taken_to_be_in_force_are_within_limits() -> None:
-    """Actuators keep to their limits, so no input in force is taken to be beyond them: by plan, law or hover, (32a)."""
+    """No input in force is assumed beyond the limits of the actuators: by plan, law or hover, (32a)."""
     limits = Limits(thrust_N=(0.0, 30.0), moments_Nm=(1.0, 2.0, 3.0))
     low, high = limits.lower(3), limits.upper(3)
     rng = np.random.default_rng(0)

@@ -1,4 +1,4 @@
-"""Estimate of forces from outside: it finds them, at the pace of its filter, whatever is late or lost."""
+"""Estimate of external forces: it converges at the rate of its filter, under any delay and packet loss."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -31,26 +31,26 @@ NOTHING = np.zeros(15)
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """What really happens: states at ticks 0..TICKS, and the inputs between them."""
+    """Ground truth: states at ticks 0..TICKS, and the inputs between them."""
 
     run: Setup
     X: Array
     U: Array
 
     def plan(self, agent: int, k: int, steps: int = 1) -> Plan:
-        """An agent's plan of tick k: its true state, and its true inputs for that many steps."""
+        """Return an agent's plan of tick k: its true state, and its true inputs for that many steps."""
         own = state.input_indices(self.run.owned[agent - 1])
         return plan(self.run, agent, k, x=self.X[k], inputs=self.U[k : k + steps][:, own])
 
     def measurement(self, k: int) -> Measurement:
-        """What agent 1 measures at tick k, with what its actuators did until then."""
+        """Return agent 1's measurement at tick k, with the inputs of its actuators until then."""
         seen = measurement(self.run, 1, k, x=self.X[k])
         return seen if k == 0 else replace(seen, inputs=self.U[k - 1].reshape(4, 4)[list(self.run.owned[0])])
 
 
 @lru_cache
 def flight(forces: tuple[float, ...], *settings: str, size: float = 1.0) -> Flight:
-    """Random inputs of some size about hover, under constant forces."""
+    """Simulate random inputs of some size about hover, under constant forces."""
     run = setup(*settings)
     rng = np.random.default_rng(21)
     U = run.hover.u + size * np.tile([1.0, 0.02, 0.02, 0.02], 4) * rng.uniform(-1.0, 1.0, (TICKS, run.system.m))
@@ -66,7 +66,7 @@ def estimates(
     measured_at: Callable[[int], int | None] = lambda k: k,
     steps: int = 1,
 ) -> Array:
-    """Agent 1's estimates of the forces at every tick, (TICKS + 1, 15).
+    """Return agent 1's estimates of the forces at every tick, (TICKS + 1, 15).
 
     Args:
         plant_state: What happens.
@@ -97,7 +97,7 @@ def estimates(
 
 @pytest.mark.parametrize("owned", ["agents.owned=[[1],[2],[3],[4]]", "agents.owned=[[1,2],[3,4]]"])
 def test_forces_are_found_at_the_filters_pace(owned: str) -> None:
-    """What is missing decays as exp(-t / time constant), docs/equations.md (41)."""
+    """The error decays as exp(-t / time constant), docs/equations.md (41)."""
     found = estimates(flight(tuple(HEAVY_IN_WIND), owned))
     times_s = PERIOD_S * np.arange(TICKS + 1)
     expected = (1.0 - np.exp(-times_s / TIME_CONSTANT_S))[:, None] * HEAVY_IN_WIND
@@ -106,7 +106,7 @@ def test_forces_are_found_at_the_filters_pace(owned: str) -> None:
 
 @pytest.mark.parametrize("delay", [1, 4])
 def test_what_happens_as_predicted_is_no_force(delay: int) -> None:
-    """However late the others' plans are: they say what will happen. What was wrong before the first is forgotten."""
+    """The estimate converges for any delay of the others' plans; errors before the first plan are forgotten."""
     found = estimates(flight(tuple(NOTHING)), lambda k: k + delay, steps=delay)
     forgotten = np.exp(-PERIOD_S / TIME_CONSTANT_S) * found[:-1]
     learned = np.abs(found[1:] - forgotten).max(axis=1)
@@ -116,7 +116,7 @@ def test_what_happens_as_predicted_is_no_force(delay: int) -> None:
 
 
 def test_what_pushes_uavs_up_or_down_is_the_payloads() -> None:
-    """Rods hand it on: the estimate has the sum of all vertical forces, as a force on the payload."""
+    """Vertical forces on UAVs pass through the rods: the estimate has the sum of all, as a force on the payload."""
     forces = np.array([0.0, 0.0, 2.0, *[0.0, 0.0, 0.5] * 4])
     last = estimates(flight(tuple(forces), size=0.0))[-1]
     assert last[2] == pytest.approx(4.0, rel=GAIN_ERROR)
@@ -125,7 +125,7 @@ def test_what_pushes_uavs_up_or_down_is_the_payloads() -> None:
 
 @pytest.mark.parametrize("delay", [1, 3])
 def test_late_measurements(delay: int) -> None:
-    """A measurement that comes late tells the same about the period before it."""
+    """A delayed measurement gives the same estimate for the period before it."""
     plant_state = flight(tuple(HEAVY_IN_WIND))
     on_time, late = estimates(plant_state), estimates(plant_state, lambda k: k + 1, lambda k: k + delay)
     shifted = late[delay:] - on_time[:-delay]
@@ -134,7 +134,7 @@ def test_late_measurements(delay: int) -> None:
 
 @pytest.mark.parametrize(("kept", "found"), [(lambda k: k % 3 != 0, True), (lambda k: k % 2 == 0, False)])
 def test_lost_measurements(kept: Callable[[int], bool], found: bool) -> None:
-    """Only a period with a measurement at either end says anything; the rest is waited for."""
+    """Only a period with measurements at both ends changes the estimate."""
     last = estimates(flight(tuple(HEAVY_IN_WIND)), lambda k: k + 1, lambda k: k if kept(k) else None)[-1]
     # One period of three counts: 3 s are 2.5 time constants.
     expected = (1.0 - np.exp(-TICKS / 3 * PERIOD_S / TIME_CONSTANT_S)) * HEAVY_IN_WIND if found else NOTHING
@@ -143,7 +143,7 @@ def test_lost_measurements(kept: Callable[[int], bool], found: bool) -> None:
 
 
 def test_lost_plans_make_it_noisier() -> None:
-    """With two of three plans lost the estimate errs by what the others' thrusts are taken wrong by, filtered."""
+    """With two of three plans lost the estimate errs by the filtered error of the others' assumed thrusts."""
     plant_state = flight(tuple(HEAVY_IN_WIND))
     error = estimates(plant_state, lambda k: k + 1 if k % 3 == 0 else TICKS + 1) - estimates(plant_state)
     # Three thrusts each up to 2 N from the one held for them; in the mean over 8 ticks much less.
@@ -152,7 +152,7 @@ def test_lost_plans_make_it_noisier() -> None:
 
 @pytest.mark.parametrize("wrong", [1e3, 1e150, np.nan])
 def test_wrong_predictions_are_no_forces(wrong: float) -> None:
-    """A prediction that nothing but garbage explains moves the estimate by not one bit; a plausible one does."""
+    """An implausible prediction error changes no bit of the estimate; a plausible one changes it."""
     run = setup()
     disturbance = DisturbanceEstimator(run.model, run.hover, (0,), PERIOD_S, TIME_CONSTANT_S)
     predicted = run.initial_state()
@@ -166,7 +166,7 @@ def test_wrong_predictions_are_no_forces(wrong: float) -> None:
 
 
 def test_actuators_are_believed() -> None:
-    """An actuator that does something else than announced is reported, and is no force from outside."""
+    """Inputs that differ from the announced ones are reported and do not count as an external force."""
     plant_state = flight(tuple(NOTHING))
     run = plant_state.run
     found = []

@@ -1,4 +1,4 @@
-"""State estimate: exact without disturbance, whatever the delay and order of what arrives."""
+"""State estimate: exact without disturbance, for any delay and order of arrival."""
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
@@ -33,21 +33,21 @@ Arrivals = dict[int, list[Plan]]
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """What really happens: states at ticks 0..TICKS and the inputs between them."""
+    """Ground truth: states at ticks 0..TICKS and the inputs between them."""
 
     run: Setup
     X: Array
     U: Array
 
     def plan(self, agent: int, k: int, steps: int = 1) -> Plan:
-        """An agent's plan of tick k: its true state, and its true inputs for that many steps."""
+        """Return an agent's plan of tick k: its true state, and its true inputs for that many steps."""
         own = state.input_indices(self.run.owned[agent - 1])
         return plan(self.run, agent, k, x=self.X[k], inputs=self.U[k : k + steps][:, own])
 
 
 @lru_cache
 def flight(ownership: str, start_error: float = 0.0) -> Flight:
-    """Random inputs about hover from the initial state, moved by `start_error` where others than agent 1 decide."""
+    """Simulate random inputs about hover; the initial states of UAVs not owned by agent 1 err by `start_error`."""
     run = setup(ownership)
     rng = np.random.default_rng(11)
     U = run.hover.u + NOISE * rng.uniform(-1.0, 1.0, (TICKS, run.system.m))
@@ -61,7 +61,7 @@ def flight(ownership: str, start_error: float = 0.0) -> Flight:
 
 
 def estimated(estimator: StateEstimator, seen: Measurement, announced: AnnouncedInputs) -> Array:
-    """Measure, and estimate at once."""
+    """Take in a measurement and return the estimate."""
     estimator.measure(seen)
     return estimator.estimate(seen.tick, announced)
 
@@ -72,7 +72,7 @@ def estimates(
     missed: Collection[int] = (),
     law: Law = lambda _tick, _x: None,
 ) -> dict[int, Array]:
-    """Agent 1's estimates over the flight, by tick.
+    """Return agent 1's estimates over the flight, by tick.
 
     Args:
         plant_state: What happens.
@@ -96,7 +96,7 @@ def estimates(
 
 
 def arriving(plant_state: Flight, when: Callable[[int], int], steps: int = 1) -> Arrivals:
-    """Everybody's plans: that of tick k arrives before the estimate of tick when(k)."""
+    """Return the plans of all agents; that of tick k arrives before the estimate of tick when(k)."""
     arrivals: Arrivals = {}
     for k in range(TICKS):
         for agent in plant_state.run.agents[1:]:
@@ -105,14 +105,14 @@ def arriving(plant_state: Flight, when: Callable[[int], int], steps: int = 1) ->
 
 
 def assert_close(found: dict[int, Array], plant_state: Flight, ticks: Sequence[int], tolerance: float) -> None:
-    """Estimates equal the truth at some ticks."""
+    """Check that estimates equal the true state at some ticks."""
     for k in ticks:
         np.testing.assert_allclose(found[k], plant_state.X[k], rtol=0.0, atol=tolerance, err_msg=f"tick {k}")
 
 
 @pytest.mark.parametrize("ownership", [FOUR, PAIRS])
 def test_perfect_network(ownership: str) -> None:
-    """With plans one tick late the estimate is the true state: the paper's perfect information."""
+    """With plans one tick old the estimate is the true state: the paper's perfect information."""
     plant_state = flight(ownership)
     found = estimates(plant_state, arriving(plant_state, lambda k: k + 1))
     assert_close(found, plant_state, range(TICKS + 1), ONE_PERIOD)
@@ -120,7 +120,7 @@ def test_perfect_network(ownership: str) -> None:
 
 
 def test_own_measurement_is_taken_as_it_is() -> None:
-    """Payload and owned UAVs are estimated exactly as measured, whatever is known of the others."""
+    """Payload and owned UAVs are estimated exactly as measured, independent of the others."""
     plant_state = flight(PAIRS)
     for found in (estimates(plant_state, {}), estimates(plant_state, arriving(plant_state, lambda k: k + 3))):
         for k, x in found.items():
@@ -129,7 +129,7 @@ def test_own_measurement_is_taken_as_it_is() -> None:
 
 
 def test_wrong_first_guess() -> None:
-    """Others that do not start as planned are known from the first plans received on."""
+    """Wrong initial states of the others are corrected by the first plans received."""
     plant_state = flight(FOUR, 0.05)
     found = estimates(plant_state, arriving(plant_state, lambda k: k + 1))
     assert np.abs(found[0] - plant_state.X[0]).max() > 0.04
@@ -138,7 +138,7 @@ def test_wrong_first_guess() -> None:
 
 @pytest.mark.parametrize("delay", [2, 5, 10])
 def test_delay_without_disturbance(delay: int) -> None:
-    """Announced inputs that come true make the estimate the true state however late they are."""
+    """With correct announced inputs the estimate is the true state for any delay."""
     plant_state = flight(FOUR)
     found = estimates(plant_state, arriving(plant_state, lambda k: k + delay, steps=delay))
     assert_close(found, plant_state, range(delay, TICKS + 1), TEN_PERIODS)
@@ -156,7 +156,7 @@ def test_loss_without_disturbance() -> None:
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("delay", [2, 7, TICKS])
 def test_order_of_arrival_does_not_matter(seed: int, delay: int) -> None:
-    """Once all is there, the estimate is bit for bit the one of plans that came in order and at once."""
+    """After all plans have arrived, the estimate equals bit for bit that of plans in order and without delay."""
     plant_state = flight(FOUR, 0.02)
     in_order = estimates(plant_state, arriving(plant_state, lambda k: k + 1))
     rng = np.random.default_rng(seed)
@@ -174,7 +174,7 @@ def test_order_of_arrival_does_not_matter(seed: int, delay: int) -> None:
 
 
 def test_late_news_corrects_the_past() -> None:
-    """A state received late is put in at its own tick and carried forward: the next estimate has it."""
+    """A delayed state is inserted at its own tick and predicted forward into the next estimate."""
     plant_state = flight(FOUR, 0.05)
     arrivals = arriving(plant_state, lambda k: TICKS, steps=TICKS)
     first = {agent: plant_state.plan(agent, 0, TICKS) for agent in (2, 3, 4)}
@@ -184,7 +184,7 @@ def test_late_news_corrects_the_past() -> None:
 
 
 def test_missed_measurements() -> None:
-    """Ticks without a measurement are predicted over."""
+    """Ticks without a measurement are bridged by prediction."""
     plant_state = flight(FOUR)
     missed = range(10, 15)
     found = estimates(plant_state, arriving(plant_state, lambda k: k + 1, steps=10), missed)
@@ -193,7 +193,7 @@ def test_missed_measurements() -> None:
 
 
 def test_states_received_over_a_gap() -> None:
-    """States of ticks whose own measurement never came are used like any others."""
+    """States of ticks without own measurement are used like any others."""
     run = setup(FOUR)
     estimator = StateEstimator(run.model, lambda k: run.initial_state(), PERIOD_S)
     announced = AnnouncedInputs(run.owned, run.hover.u)
@@ -242,7 +242,7 @@ def test_age() -> None:
 
 
 def test_estimates_are_read_only() -> None:
-    """An estimate cannot be changed by whoever gets it: it is the past of the next one."""
+    """An estimate is read-only: the next one is predicted from it."""
     run = setup(FOUR)
     estimator = StateEstimator(run.model, lambda k: run.initial_state(), PERIOD_S)
     found = estimated(estimator, measurement(run, 1, 0), AnnouncedInputs(run.owned, run.hover.u))
@@ -251,7 +251,7 @@ def test_estimates_are_read_only() -> None:
 
 
 def test_joining_late() -> None:
-    """A process that joins at a later tick starts from what the maneuver plans for that tick."""
+    """A process that joins at a later tick starts from the reference state of that tick."""
     run = setup(FOUR)
     asked: list[int] = []
 
@@ -287,7 +287,7 @@ class LedFlight:
     c: Array
 
     def late(self) -> Arrivals:
-        """Plans of all agents with a delay of LATE ticks: the true first input, held, and the true corrections."""
+        """Return all plans with a delay of LATE ticks: the true first input, held, and the true corrections."""
         arrivals = arriving(self.flight, lambda k: k + LATE)
         owned = self.flight.run.owned
 
@@ -301,7 +301,7 @@ class LedFlight:
 
 @lru_cache
 def led_flight(force_N: float = 0.0) -> LedFlight:
-    """All agents follow the control law on a climb, from a start off the plan, under an unknown payload force."""
+    """All agents follow the control law on a climb, from an initial error, under an unknown payload force."""
     closed = ("controller.prediction=closed_loop", "controller.terminal=riccati", "controller.preview=true")
     run = setup(SHORT, *closed)
     regulation = Regulation(run.model, run.hover, run.settings, run.X_ref)
@@ -340,7 +340,7 @@ def test_the_law_makes_late_states_exact() -> None:
 
 
 def test_the_law_is_better_than_held_plans_under_an_unknown_force() -> None:
-    """Under an unknown force the estimate by the control law is not exact, but closer than that by held plans."""
+    """Under an unknown force the estimate by the control law is not exact, but closer than with held plans."""
     led = led_flight(3.0)
     plant_state = led.flight
     errors = []

@@ -1,4 +1,4 @@
-"""What links do to an agent: plans are used when they would have arrived, never waited for longer."""
+"""Links of an agent: plans are used at their arrival by the link, and are not waited for."""
 
 import pytest
 
@@ -13,7 +13,7 @@ TICKS = 7
 
 
 def reports(run: Setup) -> list[StepReport]:
-    """Agent 1's reports of a flight in which every plan is physically here before the next measurement."""
+    """Return agent 1's reports of a run in which every plan is physically here before the next measurement."""
     node = AgentNode(run, 1)
     sent = list(node.receive(roster(), 0))
     for k in range(TICKS):
@@ -21,7 +21,7 @@ def reports(run: Setup) -> list[StepReport]:
             sent += node.receive(plan(run, agent, k - 1), 0)
         sent += node.receive(measurement(run, 1, k), 0)
     found = [message for message in sent if isinstance(message, StepReport)]
-    assert [report.tick for report in found] == list(range(TICKS))  # nothing is waited for
+    assert [report.tick for report in found] == list(range(TICKS))  # without waiting
     return found
 
 
@@ -63,7 +63,7 @@ def test_partition() -> None:
 
 
 def change(number: int, k: int, settings: str) -> LinkChange:
-    """The coordinator changes all links from a tick on."""
+    """Return the coordinator's change of all links from a tick on."""
     return LinkChange(
         sender="coordinator",
         incarnation=0,
@@ -77,7 +77,7 @@ def change(number: int, k: int, settings: str) -> LinkChange:
 
 
 def test_a_change_in_flight() -> None:
-    """From its tick on what is sent is treated by the change, what was sent before is not."""
+    """A change applies to messages sent from its tick on, not to those sent before."""
     run = setup("controller.horizon=5")
     node = AgentNode(run, 1)
     list(node.receive(roster(), 0))
@@ -93,8 +93,8 @@ def test_a_change_in_flight() -> None:
 
 
 @pytest.mark.parametrize("settings", ["", "[]", '{"los": 1}', '{"loss": 7}', '{"distribution": "empirical"}'])
-def test_what_is_no_change_is_counted(settings: str) -> None:
-    """A change that is none is refused, counted, and leaves the links as they were."""
+def test_an_invalid_change_is_counted(settings: str) -> None:
+    """An invalid change is refused and counted, and leaves the links unchanged."""
     for node in (AgentNode(setup("controller.horizon=5"), 1), PlantNode(setup("controller.horizon=5"))):
         assert list(node.receive(roster(), 0)) == []
         assert list(node.receive(change(1, 0, settings), 0)) == []
@@ -105,7 +105,7 @@ def test_what_is_no_change_is_counted(settings: str) -> None:
 
 
 def test_duplicates() -> None:
-    """A plan that comes twice is delivered twice and used like one."""
+    """A duplicated plan is delivered twice and used like one."""
     found = reports(setup("controller.horizon=5", "links.duplicate=1"))
     assert [report.delivered for report in found] == [0] + [6] * (TICKS - 1)
     assert found[-1].plan_ages == (1, 1, 1)

@@ -1,4 +1,4 @@
-"""The agent as a state machine: what it waits for, what it answers, what it refuses."""
+"""The agent as a state machine: waiting, answers, refusals."""
 
 from dataclasses import replace
 
@@ -28,25 +28,25 @@ TWO_UAVS = {
 
 @pytest.fixture
 def run() -> Setup:
-    """The paper's four agents with a short horizon."""
+    """Return the paper's four agents with a short horizon."""
     return setup(SHORT_HORIZON)
 
 
 @pytest.fixture
 def node(run: Setup) -> AgentNode:
-    """Agent 1, told who takes part."""
+    """Return agent 1 with a roster."""
     node = AgentNode(run, 1)
     assert tell(node, roster()) == []
     return node
 
 
 def tell(node: AgentNode, *events: Message | Presence) -> list[Message]:
-    """Hand events over and return all that comes back."""
+    """Pass events to the agent and return all its messages."""
     return [message for event in events for message in node.receive(event, 0)]
 
 
 def answer(messages: list[Message]) -> tuple[Plan, StepReport]:
-    """The one plan and one report of an answer."""
+    """Return the one plan and one report of an answer."""
     made, report = messages
     assert isinstance(made, Plan)
     assert isinstance(report, StepReport)
@@ -54,7 +54,7 @@ def answer(messages: list[Message]) -> tuple[Plan, StepReport]:
 
 
 def step(run: Setup, node: AgentNode, k: int) -> tuple[Plan, StepReport]:
-    """A tick as it should be: the others' plans of the tick before, then the measurement."""
+    """Run a regular tick: the others' plans of the tick before, then the measurement."""
     plans = [plan(run, agent, k - 1) for agent in OTHERS] if k else []
     assert tell(node, *plans) == []
     return answer(tell(node, measurement(run, 1, k)))
@@ -88,7 +88,7 @@ def test_waits_for_measurement_and_plans(run: Setup, node: AgentNode, last: int,
 
 
 def test_waits_only_for_whom_the_clock_waited(run: Setup, node: AgentNode) -> None:
-    """Who did not answer tick k - 1 in time is not waited for at tick k."""
+    """An agent that did not answer tick k - 1 in time is not waited for at tick k."""
     step(run, node, 0)
     tell(node, plan(run, 2, 0), plan(run, 4, 0))
     made, report = answer(tell(node, measurement(run, 1, 1, answered=(1, 2, 4))))
@@ -99,7 +99,7 @@ def test_waits_only_for_whom_the_clock_waited(run: Setup, node: AgentNode) -> No
 
 
 def test_roster_releases_the_wait(run: Setup, node: AgentNode) -> None:
-    """An agent that has left is waited for until what it said before is here, or its connection is closed."""
+    """An agent that has left is waited for until its earlier plans are here, or its connection is closed."""
     step(run, node, 0)
     assert tell(node, measurement(run, 1, 1), plan(run, 2, 0), plan(run, 3, 0)) == []
     assert tell(node, roster({1: 1, 2: 1, 3: 1}, k=1, version=2)) == []
@@ -139,7 +139,7 @@ def test_early_plans_are_for_the_next_tick(run: Setup) -> None:
     ],
 )
 def test_refused_plans(run: Setup, node: AgentNode, changes: dict[str, object], reason: str) -> None:
-    """A plan nobody of the run could have made now is refused, counted, and does not end the wait."""
+    """An implausible plan is refused and counted, and does not end the wait."""
     step(run, node, 0)
     forged = replace(plan(run, 2, 0), **changes)  # type: ignore[arg-type]  # fields of several types
     assert tell(node, forged) == []
@@ -168,7 +168,7 @@ def test_measurement_waits_for_its_roster(run: Setup) -> None:
 
 @pytest.mark.parametrize("place", range(5))
 def test_roster_is_overtaken(run: Setup, place: int) -> None:
-    """The roster comes from another process than plans and measurements: that they overtake it changes nothing."""
+    """Plans and measurements may overtake the roster, which comes from another process, without effect on the plan."""
     shove = np.tile(run.hover.u[:4] + 0.1, (5, 1))
     events: list[Message] = [
         measurement(run, 1, 0),
@@ -184,7 +184,7 @@ def test_roster_is_overtaken(run: Setup, place: int) -> None:
 
 
 def test_new_incarnation_is_believed(run: Setup, node: AgentNode) -> None:
-    """With a new roster the restarted agent's plans count and the dead one's no longer do."""
+    """With a new roster the restarted agent's plans count, and those of its earlier incarnation do not."""
     step(run, node, 0)
     tell(node, roster({1: 1, 2: 2, 3: 1, 4: 1}, version=2), plan(run, 3, 0), plan(run, 4, 0), measurement(run, 1, 1))
     assert tell(node, plan(run, 2, 0)) == []
@@ -224,7 +224,7 @@ def test_refused_measurements(run: Setup, node: AgentNode, changes: dict[str, ob
 @pytest.mark.parametrize("size", [1e1, 1e2, 1e4, 1e6])
 @pytest.mark.parametrize("law", [(), (CLOSED_LOOP, "controller.relaxation=0.5")], ids=["open-loop", "closed-loop"])
 def test_a_peer_that_lies_is_survived(size: float, law: tuple[str, ...]) -> None:
-    """Whatever another agent may say of itself, each tick is answered by a plan within the limits; then all is well."""
+    """With false states from the others every plan keeps the limits; afterwards the solves succeed again."""
     run = setup(SHORT_HORIZON, *law)
     low, high = run.settings.limits.lower(1), run.settings.limits.upper(1)
     rng = np.random.default_rng(SEED)
@@ -242,7 +242,7 @@ def test_a_peer_that_lies_is_survived(size: float, law: tuple[str, ...]) -> None
 
 
 def lie(run: Setup, agent: int, k: int, size: float, rng: np.random.Generator) -> Plan:
-    """A plan from a state that is none, as far from one as it may be without being refused."""
+    """Return a plan with a false state, as large as is not refused."""
     honest = plan(run, agent, k)
     states = rng.uniform(-size, size, (1, state.PER_UAV))
     states[:, state.E] = rng.choice(np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.15], [0.6, 0.0, -0.8]]))
@@ -260,7 +260,7 @@ def lie(run: Setup, agent: int, k: int, size: float, rng: np.random.Generator) -
 
 
 def test_the_next_measurement_waits_its_turn(run: Setup, node: AgentNode) -> None:
-    """Nothing takes the place of a measurement that waits for plans: neither itself again nor one to come."""
+    """A measurement that waits for plans is replaced neither by itself again nor by a later one."""
     step(run, node, 0)
     assert tell(node, measurement(run, 1, 1), measurement(run, 1, 1), measurement(run, 1, 2)) == []
     assert refused(node) == [("plant", "past", 1), ("plant", "future", 1)]
@@ -278,7 +278,7 @@ def test_the_next_measurement_waits_its_turn(run: Setup, node: AgentNode) -> Non
     ],
 )
 def test_the_coordinators_words_are_weighed(run: Setup, node: AgentNode, wrong: Message, reason: str) -> None:
-    """An end or a roster of another time, or of other agents, changes nothing and is counted."""
+    """An end or a roster of another time, or of other agents, is refused and counted."""
     for k in range(2):
         step(run, node, k)
     assert tell(node, wrong) == []
@@ -288,7 +288,7 @@ def test_the_coordinators_words_are_weighed(run: Setup, node: AgentNode, wrong: 
 
 
 def test_old_words_of_the_coordinator(run: Setup, node: AgentNode) -> None:
-    """An end that was said ticks ago is not believed."""
+    """An end sent many ticks ago is refused."""
     for k in range(4):
         step(run, node, k)
     assert tell(node, end(1)) == []
@@ -297,7 +297,7 @@ def test_old_words_of_the_coordinator(run: Setup, node: AgentNode) -> None:
 
 
 def test_report(run: Setup, node: AgentNode) -> None:
-    """The report tells ages of plans and states, how many plans came and how many of them late."""
+    """The report has the ages of plans and states, and counts plans and delayed plans."""
     _, first = step(run, node, 0)
     assert first.plan_ages == first.state_ages == (-1, -1, -1)
     assert (first.delivered, first.late) == (0, 0)
@@ -317,18 +317,18 @@ def test_report(run: Setup, node: AgentNode) -> None:
 
 
 def test_stopwatch(run: Setup) -> None:
-    """Times per stage come from the stopwatch alone, in ms; the last is the work's: neither waiting nor publishing."""
+    """Times per stage come from the stopwatch, in ms; the total has neither waiting nor publishing."""
     now = iter(range(0, 10**9, 2_000_000))
     node = AgentNode(run, 1, stopwatch=lambda: next(now))
     _, report = answer(tell(node, roster(), measurement(run, 1, 0)))
     np.testing.assert_array_equal(report.times_ms, [2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 0.0, 10.0])
-    node.publish_ns = 500_000  # told by whoever sends, of this step in the report of the next
+    node.publish_ns = 500_000  # set by the process loop; reported with the next step
     _, report = answer(tell(node, *[plan(run, agent, 0) for agent in OTHERS], measurement(run, 1, 1)))
     assert report.times_ms[STAGES.index("publish")] == 0.5
 
 
 def test_plan_is_the_controllers(run: Setup, node: AgentNode) -> None:
-    """The plan is what the controller finds at the estimate, inputs in force and announced plans of the others."""
+    """The plan is the controller's at the estimate, the inputs in force and the announced plans of the others."""
     first, _ = step(run, node, 0)
     shove: Array = np.tile(run.hover.u[:4], (5, 1)) + np.array([2.0, 0.01, 0.0, 0.0])
     made, _ = answer(
@@ -361,7 +361,7 @@ def test_start_of_plans(actuation: str, delay: int) -> None:
 
 @pytest.mark.parametrize("received", ["predicted", "as_received"])
 def test_states_as_received(received: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The others' states are predicted from their tick to the present one, or taken as they came."""
+    """The others' states are predicted from their tick to the present one, or used as received."""
     run, seen = setup("controller.horizon=5", f"controller.received_states={received}"), []
     linearise = Controller.linearise
 
@@ -385,7 +385,7 @@ def test_states_as_received(received: str, monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_end_of_the_run(run: Setup, node: AgentNode) -> None:
-    """The coordinator's word ends the run for an agent, as it is said."""
+    """The coordinator's control message ends the run for an agent."""
     assert tell(node, end()) == []
     assert node.finished == end()
 
@@ -403,7 +403,7 @@ def test_coordinator_is_gone(run: Setup, node: AgentNode, steps: int) -> None:
 
 
 def test_other_events_change_nothing(run: Setup, node: AgentNode) -> None:
-    """Presences of others, messages for others and time itself are no news to an agent."""
+    """Presences of others, messages for others and time alone have no effect on an agent."""
     events: list[Message | Presence] = [
         Presence("coordinator", 0, alive=True),
         Presence("agent2", 0, alive=False),

@@ -1,4 +1,4 @@
-"""An agent in real time: it waits for nobody, works on the newest, and holds back what links delay by its own clock."""
+"""An agent in real time: it does not wait, uses the newest measurement, and applies delays by its own clock."""
 
 from collections.abc import Sequence
 
@@ -16,7 +16,7 @@ OTHERS = (2, 3, 4)
 
 
 def realtime(*settings: str, speed: float = 1.0) -> tuple[Setup, AgentNode]:
-    """A run in real time and its agent 1, told who takes part."""
+    """Return a run in real time and its agent 1 with a roster."""
     run = setup(*REALTIME, f"clock.speed={speed}", *settings)
     node = AgentNode(run, 1)
     assert list(node.receive(roster(), START_NS)) == []
@@ -24,13 +24,13 @@ def realtime(*settings: str, speed: float = 1.0) -> tuple[Setup, AgentNode]:
 
 
 def tell(node: AgentNode, events: Sequence[Message], now_ns: int) -> None:
-    """Hand events over at one time: nothing is said before they are all taken in."""
+    """Pass events to the agent at one time; it answers only after all are taken in."""
     for event in events:
         assert list(node.receive(event, now_ns)) == []
 
 
 def answer(node: AgentNode, now_ns: int) -> tuple[Plan, StepReport]:
-    """The one plan and one report of an answer, which is due."""
+    """Return the one plan and one report of an answer, which is due."""
     assert node.wake_ns == 0
     made, report = node.poll(now_ns)
     assert isinstance(made, Plan)
@@ -41,7 +41,7 @@ def answer(node: AgentNode, now_ns: int) -> tuple[Plan, StepReport]:
     return made, report
 
 
-def test_waits_for_nobody() -> None:
+def test_does_not_wait() -> None:
     """A measurement is answered although no other plan is here, for the next tick."""
     run, node = realtime()
     assert node.wake_ns is None
@@ -55,7 +55,7 @@ def test_waits_for_nobody() -> None:
 
 
 def test_the_newest_measurement_wins() -> None:
-    """Of several measurements that have come while it was busy the newest is answered, and only that."""
+    """Only the newest of several measurements received while it was busy is answered."""
     run, node = realtime()
     tell(node, [measurement(run, 1, 0)], START_NS)
     answer(node, START_NS)
@@ -65,7 +65,7 @@ def test_the_newest_measurement_wins() -> None:
 
 
 def test_everything_that_is_here_counts() -> None:
-    """A plan that comes after the measurement but before the agent gets round to it is used."""
+    """A plan received after the measurement but before the agent is free is used."""
     run, node = realtime()
     tell(node, [measurement(run, 1, 4), *[plan(run, agent, 3, delay=1) for agent in OTHERS]], START_NS)
     _, report = answer(node, START_NS + MS)
@@ -74,7 +74,7 @@ def test_everything_that_is_here_counts() -> None:
 
 
 def test_others_may_be_ahead() -> None:
-    """Plans of ticks this agent has not come to yet are kept until it has."""
+    """Plans of later ticks are kept until the agent reaches them."""
     run, node = realtime()
     ahead = [plan(run, 2, 7, delay=1), plan(run, 3, 5, delay=1), plan(run, 4, 3, delay=1)]
     tell(node, [measurement(run, 1, 4), *ahead], START_NS)
@@ -111,7 +111,7 @@ def test_a_delayed_plan_is_held_back(speed: float, held_ms: int) -> None:
 
 
 def test_a_delayed_measurement_is_held_back() -> None:
-    """A measurement opens its tick when it comes, but what is in it is known only when its link says."""
+    """A measurement opens its tick when received, but its content counts only after the delay of its link."""
     run, node = realtime("links.measurement.delay_s=0.08")
     ages = []
     for k in range(5):
@@ -136,14 +136,14 @@ def test_a_lost_plan() -> None:
 
 
 def test_an_agent_off_the_roster_begins_anew() -> None:
-    """Taken for dead, an agent that still lives forgets what it knows and has a higher incarnation from then on."""
+    """A live agent taken off the roster starts anew with a higher incarnation."""
     run, node = realtime("clock.on_agent_loss=continue")
     node = AgentNode(run, 1, incarnation=1)
     tell(node, [roster(), measurement(run, 1, 0)], START_NS)
     answer(node, START_NS)
     tell(node, [measurement(run, 1, 1), roster({2: 1, 3: 1, 4: 1}, k=1, version=2)], START_NS + 50 * MS)
     assert node.incarnation == 2
-    assert list(node.poll(START_NS + 50 * MS)) == []  # it does not take part
+    assert list(node.poll(START_NS + 50 * MS)) == []  # it is off the roster
     tell(node, [roster({1: 2, 2: 1, 3: 1, 4: 1}, k=2, version=3)], START_NS + 100 * MS)
     tell(node, [measurement(run, 1, 2, version=3)], START_NS + 100 * MS)
     made, report = answer(node, START_NS + 100 * MS)

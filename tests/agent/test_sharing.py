@@ -1,4 +1,4 @@
-"""When an agent shares its plan: the first, on change, at the heartbeat, under a new roster."""
+"""Sharing of plans: the first, on change, at the heartbeat, under a new roster."""
 
 from dataclasses import replace
 
@@ -22,7 +22,7 @@ NEVER_BY_CHANGE = "controller.share_threshold=1e6"
 
 
 def rule(threshold: float = 0.1, heartbeat_s: float = 1.0, share: str = "on_change") -> Sharing:
-    """One UAV whose inputs all have the same range, at 20 Hz."""
+    """Return the rule of one UAV whose inputs all have the same range, at 20 Hz."""
     section = ControllerSection.model_validate(
         {"share": share, "share_threshold": threshold, "share_heartbeat_s": heartbeat_s}
     )
@@ -30,20 +30,20 @@ def rule(threshold: float = 0.1, heartbeat_s: float = 1.0, share: str = "on_chan
 
 
 def corrections(*thrusts: float) -> np.ndarray:
-    """Corrections of the first input, step by step; the rest zero."""
+    """Return corrections of the first input by step; the others are zero."""
     c = np.zeros((STEPS, 4))
     c[: len(thrusts), 0] = thrusts
     return c
 
 
 def test_always() -> None:
-    """By default every plan is shared, whatever it says."""
+    """By default every plan is shared."""
     sharing = rule(share="always", threshold=1e6)
     assert all(sharing.decide(k, k, corrections(), 1) for k in range(5))
 
 
-def test_what_the_others_expect_is_not_shared() -> None:
-    """Equation (49): corrections equal to the shared ones, shifted to now and zero after their end, are no news."""
+def test_expected_corrections_are_not_shared() -> None:
+    """Equation (49): corrections equal to the shared ones, shifted to now and zero after their end, are not shared."""
     sharing = rule(threshold=0.0)
     assert sharing.decide(0, 0, corrections(1.0, 2.0, 3.0, 4.0), 1)
     assert not sharing.decide(1, 1, corrections(2.0, 3.0, 4.0), 1)
@@ -61,15 +61,15 @@ def test_threshold() -> None:
 
 
 def test_small_changes_add_up() -> None:
-    """The change counts from what was shared last, not from the plan before: no drift goes untold."""
+    """The change counts from the last shared plan, not from the plan before, so that a drift is shared."""
     sharing = rule(threshold=0.1)
-    # What is planned for instant 3 grows from plan to plan by a twentieth of the range.
+    # The input for tick 3 grows from plan to plan by a twentieth of the range.
     plans = [corrections(*[0.0] * (3 - k), 0.05 * RANGE * k) for k in range(4)]
     assert [sharing.decide(k, k, c, 1) for k, c in enumerate(plans)] == [True, False, False, True]
 
 
 def test_each_input_has_its_own_range() -> None:
-    """A hundredth of a newton metre may be more than one of a newton."""
+    """Changes are relative to each input's own range."""
     section = ControllerSection(share="on_change", share_threshold=0.1)
     sharing = Sharing(section, np.array([0.0, -1.0, -1.0, -0.5]), np.array([45.0, 1.0, 1.0, 0.5]))
     sharing.decide(0, 0, np.zeros((STEPS, 4)), 1)
@@ -85,7 +85,7 @@ def test_heartbeat(heartbeat_s: float, ticks: int) -> None:
 
 
 def test_a_new_roster() -> None:
-    """Under each roster the first plan is shared: the law may be another, and a receiver may know nothing yet."""
+    """The first plan under each roster is shared: control law or receivers may be new."""
     sharing = rule()
     shared = [sharing.decide(k, k, corrections(), version) for k, version in enumerate([1, 1, 2, 2, 4, 4])]
     assert shared == [True, False, True, False, True, False]
@@ -100,12 +100,12 @@ def test_ticks_that_were_skipped() -> None:
 
 
 def answered(node: AgentNode, *events: Message) -> list[Plan]:
-    """Plans that an agent makes of what it is told."""
-    return [said for event in events for said in node.receive(event, 0) if isinstance(said, Plan)]
+    """Return the plans of an agent after some messages."""
+    return [message for event in events for message in node.receive(event, 0) if isinstance(message, Plan)]
 
 
 def test_a_tick_waits_for_shared_plans_alone() -> None:
-    """Tick k is answered when the plans of k - 1 that were shared are in; of who kept it for itself nothing comes."""
+    """Tick k is answered when the shared plans of k - 1 are here; unshared ones are not waited for."""
     run = setup(*ON_CHANGE, NEVER_BY_CHANGE)
     node = AgentNode(run, 1)
     first = answered(node, roster(), measurement(run, 1, 0))
@@ -118,7 +118,7 @@ def test_a_tick_waits_for_shared_plans_alone() -> None:
 
 
 def test_a_new_start_shares_its_first_plan() -> None:
-    """An agent that was taken off the roster and comes back shares its first plan, as any new process does."""
+    """An agent that returns to the roster shares its first plan, as any new process does."""
     run = setup(*ON_CHANGE, NEVER_BY_CHANGE)
     node = AgentNode(run, 1, INCARNATION)
     made = answered(node, roster(), measurement(run, 1, 0), measurement(run, 1, 1, shared=()))
@@ -129,7 +129,7 @@ def test_a_new_start_shares_its_first_plan() -> None:
     assert [(m.incarnation, m.shared) for m in again] == [(2, True)]
 
 
-def test_only_the_last_plan_of_a_tick_is_kept_back() -> None:
+def test_proposals_are_always_shared() -> None:
     """Plans of a negotiation are always shared: the others wait for them."""
     run = setup("controller.horizon=5", "controller.negotiation_iterations=2")
     node = AgentNode(run, 1)

@@ -1,4 +1,4 @@
-"""Keys: who signs what, who may read it, and what is refused."""
+"""Keys: signatures, permissions, refusals."""
 
 import ssl
 import stat
@@ -14,12 +14,12 @@ from protocol.network.security import AUTHORITY, USERS, Security, SecurityError,
 
 
 def certificate(file: Path) -> x509.Certificate:
-    """A certificate as its text has it."""
+    """Return a certificate read from its file."""
     return x509.load_pem_x509_certificate(file.read_bytes())
 
 
-def test_a_certificate_says_who_and_where(tmp_path: Path) -> None:
-    """It is signed by the authority, names the process and its addresses, serves both ends, and no authority."""
+def test_a_certificate_has_name_and_addresses(tmp_path: Path) -> None:
+    """A certificate is signed by the authority, names process and addresses, serves both ends, and cannot sign."""
     make_certificates(tmp_path, {"agent1": [*LOOPBACK, "192.0.2.7", "uav.example"]}, days=3)
     own, authority = certificate(tmp_path / "agent1.pem"), certificate(tmp_path / AUTHORITY)
     own.verify_directly_issued_by(authority)
@@ -35,8 +35,8 @@ def test_a_certificate_says_who_and_where(tmp_path: Path) -> None:
     assert isinstance(own.public_key(), ec.EllipticCurvePublicKey)
 
 
-def test_secrets_are_nobody_elses(tmp_path: Path) -> None:
-    """Keys and passwords are readable by their owner alone."""
+def test_secrets_are_private(tmp_path: Path) -> None:
+    """Keys and passwords are readable by their owner only."""
     make_certificates(tmp_path / "c", {"plant": LOOPBACK}, days=1)
     make_passwords(tmp_path / "p", ["plant"])
     secret = [*tmp_path.glob("c/*.key"), *tmp_path.glob("p/*")]
@@ -46,7 +46,7 @@ def test_secrets_are_nobody_elses(tmp_path: Path) -> None:
 
 
 def test_more_keys_later(tmp_path: Path) -> None:
-    """What is there stays as it is; what is new is signed by the same authority."""
+    """Existing keys are kept; new certificates are signed by the same authority."""
     make_certificates(tmp_path, {"agent1": LOOPBACK}, days=1)
     before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
     make_certificates(tmp_path, {"agent1": LOOPBACK, "agent2": LOOPBACK}, days=1)
@@ -60,7 +60,7 @@ def test_more_keys_later(tmp_path: Path) -> None:
 
 
 def test_half_an_authority_is_refused(tmp_path: Path) -> None:
-    """Without the key of the authority, or with another file in its place, nothing is made."""
+    """Without the authority's key, or with another file in its place, no certificate is made."""
     make_certificates(tmp_path, {"agent1": LOOPBACK}, days=1)
     (tmp_path / AUTHORITY_KEY).unlink()
     with pytest.raises(KeysError, match=r"expected ca\.key beside"):
@@ -75,7 +75,7 @@ def test_half_an_authority_is_refused(tmp_path: Path) -> None:
 
 
 def test_keys_that_cannot_be_used(tmp_path: Path) -> None:
-    """A folder that is none, a certificate that is missing, and another's key are each named before anything starts."""
+    """A missing folder or certificate and a wrong key are each reported before any process starts."""
     names = ("coordinator", "plant", "agent1")
     with pytest.raises(SecurityError, match=r"expected a folder with ca\.pem or passwords"):
         Security(tmp_path, names).check("plant", mode="peer")
@@ -96,12 +96,12 @@ def test_keys_that_cannot_be_used(tmp_path: Path) -> None:
     (tmp_path / "plant.key").write_bytes((tmp_path / "agent1.key").read_bytes())
     with pytest.raises(SecurityError, match="and its key"):
         Security(tmp_path, names).check("plant", mode="peer")
-    with pytest.raises(ssl.SSLError):  # as TLS itself has it
+    with pytest.raises(ssl.SSLError):  # TLS agrees
         ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT).load_cert_chain(tmp_path / "plant.pem", tmp_path / "plant.key")
 
 
 def test_passwords_need_a_router(tmp_path: Path) -> None:
-    """In a mesh nobody would know who is who: passwords are refused there, and a router needs the whole list."""
+    """Passwords are refused in a mesh, which cannot check them, and a router needs the whole list."""
     make_passwords(tmp_path, ["plant", "router"])
     security = Security(tmp_path, ("plant",))
     security.check("plant", mode="client")
@@ -132,6 +132,6 @@ def test_passwords_need_a_router(tmp_path: Path) -> None:
         ("tcp/plant:7447", True),
     ],
 )
-def test_what_is_exposed(endpoint: str, is_exposed: bool) -> None:
-    """Whatever others can reach without TLS; a name counts as reachable unless it is this host's own."""
+def test_exposed_endpoints(endpoint: str, is_exposed: bool) -> None:
+    """An endpoint without TLS is exposed unless it is this host's own address or name."""
     assert exposed([endpoint]) == (endpoint if is_exposed else None)

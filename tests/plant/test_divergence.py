@@ -1,4 +1,4 @@
-"""When the plant says that a flight is lost, and that nothing follows."""
+"""Divergence: the plant reports it with a reason and stops."""
 
 import numpy as np
 import pytest
@@ -11,8 +11,8 @@ from tests.support.runs import EVERYBODY, plan, roster, setup, tick
 HOVER = np.array([22.0725, 0.0, 0.0, 0.0])  # N: 1.5 kg and a quarter of the payload's 3 kg, under 9.81 m/s^2
 
 
-def last_truth(settings: tuple[str, ...], shoves: dict[int, Array], ticks: int = 1) -> PlantState:
-    """The truth after some ticks at hover in which some UAVs do something else."""
+def last_state(settings: tuple[str, ...], shoves: dict[int, Array], ticks: int = 1) -> PlantState:
+    """Return the plant state after some ticks at hover in which some UAVs have other inputs."""
     run = setup(*settings)
     node = PlantNode(run)
     messages = list(node.receive(roster(), 0))
@@ -30,8 +30,8 @@ def last_truth(settings: tuple[str, ...], shoves: dict[int, Array], ticks: int =
 
 
 def test_hover_is_no_divergence() -> None:
-    """An undisturbed flight is not lost, however tight the limits."""
-    found = last_truth(("plant.max_attitude_deg=1e-6", "plant.max_error_m=1e-9"), {}, ticks=20)
+    """An undisturbed flight does not diverge, even with tight limits."""
+    found = last_state(("plant.max_attitude_deg=1e-6", "plant.max_error_m=1e-9"), {}, ticks=20)
     assert (found.tick, found.diverged) == (19, "")
 
 
@@ -45,42 +45,42 @@ def test_hover_is_no_divergence() -> None:
 )
 def test_attitude(moments: list[float], reason: str) -> None:
     """A UAV that tilts beyond the limit, either way, is named with its angle: 1 N m turns it by 2.5 deg in 50 ms."""
-    found = last_truth(("plant.max_attitude_deg=1",), {2: np.array([HOVER[0], *moments])})
+    found = last_state(("plant.max_attitude_deg=1",), {2: np.array([HOVER[0], *moments])})
     assert found.diverged == reason
 
 
 def test_yaw_is_free() -> None:
     """Heading is no reason to end a flight."""
-    found = last_truth(("plant.max_attitude_deg=0.1",), {2: np.array([HOVER[0], 0.0, 0.0, 0.5])}, ticks=2)
+    found = last_state(("plant.max_attitude_deg=0.1",), {2: np.array([HOVER[0], 0.0, 0.0, 0.5])}, ticks=2)
     assert found.diverged == ""
 
 
 def test_payload_attitude() -> None:
     """A payload that tilts beyond the limit is named: UAVs 1 and 2 lift its front."""
     more = HOVER + np.array([8.0, 0.0, 0.0, 0.0])
-    found = last_truth(("plant.max_attitude_deg=0.2",), {1: more, 2: more}, ticks=2)
+    found = last_state(("plant.max_attitude_deg=0.2",), {1: more, 2: more}, ticks=2)
     assert found.diverged.startswith("payload pitch of 0 deg exceeds 0.2 deg")
 
 
 def test_position() -> None:
-    """A payload too far from its reference ends the flight; the distance is told."""
+    """A payload too far from its reference ends the flight; the reason has the distance."""
     more = HOVER + np.array([10.0, 0.0, 0.0, 0.0])
-    found = last_truth(("plant.max_error_m=0.5",), dict.fromkeys(EVERYBODY, more), ticks=10)
+    found = last_state(("plant.max_error_m=0.5",), dict.fromkeys(EVERYBODY, more), ticks=10)
     # 40 N more on 9 kg: 0.5 m after 0.47 s, in the tenth interval of 50 ms.
     assert (found.tick, found.diverged) == (9, "payload position error of 0.6 m exceeds 0.5 m")
 
 
 def test_the_reference_moves() -> None:
-    """The error is against the moving reference: standing still while it goes away is an error as well."""
+    """The error is against the moving reference: a payload at rest diverges from it, too."""
     away = "maneuver.phase=[{name='go',duration_s=1,displacement_m=[10,0,0]}]"
-    found = last_truth(("plant.max_error_m=0.9", away), {}, ticks=2)
+    found = last_state(("plant.max_error_m=0.9", away), {}, ticks=2)
     assert (found.tick, found.diverged) == (1, "payload position error of 1.0 m exceeds 0.9 m")
 
 
 @pytest.mark.filterwarnings("ignore:overflow")  # that is what is tested
 def test_not_finite() -> None:
-    """A state that is no longer finite ends the flight, and is not sent: the record holds the last finite one."""
-    found = last_truth(("controller.limits.thrust_N=[0,1e308]",), {3: np.array([1e308, 0.0, 0.0, 0.0])})
+    """A state that is no longer finite ends the flight, and is not sent: the log ends with the last finite one."""
+    found = last_state(("controller.limits.thrust_N=[0,1e308]",), {3: np.array([1e308, 0.0, 0.0, 0.0])})
     assert found.diverged == "the state is no longer finite"
     assert np.isfinite(found.x).all()
     assert found.local_error == -1.0

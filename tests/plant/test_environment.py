@@ -1,4 +1,4 @@
-"""What the truth does that nobody models: masses, wind, noise, each a function of the scenario and the tick alone."""
+"""Unmodelled effects: masses, wind, noise, each a function of scenario and tick only."""
 
 from dataclasses import replace
 
@@ -32,7 +32,7 @@ ROUNDING = 1e-12
 
 
 def state_in_motion(run: Setup) -> Array:
-    """The initial state with every velocity and rate of some size, the rods kept at e . Omega = 0."""
+    """Return the initial state with every velocity and rate of some size and e . Omega = 0."""
     x = run.initial_state() + 0.1 * np.random.default_rng(3).standard_normal(run.system.n)
     view = StateView(x)
     view.e_P[:] /= np.linalg.norm(view.e_P, axis=1, keepdims=True)
@@ -41,7 +41,7 @@ def state_in_motion(run: Setup) -> Array:
 
 
 def flown(run: Setup, ticks: int) -> list[Message]:
-    """What the plant says while everybody asks for hover."""
+    """Return the plant's messages while all agents plan hover."""
     node = PlantNode(run)
     messages = list(node.receive(roster(), 0))
     for k in range(ticks):
@@ -52,7 +52,7 @@ def flown(run: Setup, ticks: int) -> list[Message]:
 
 
 def test_by_default_the_truth_is_what_the_controller_knows() -> None:
-    """No forces, the same model, and measurements that are the state itself: not one bit differs."""
+    """By default there are no forces, the nominal model, and exact measurements, bit for bit."""
     run = setup()
     environment = Environment(run)
     x = state_in_motion(run)
@@ -62,14 +62,14 @@ def test_by_default_the_truth_is_what_the_controller_knows() -> None:
 
 
 def test_drag_alone_is_no_wind() -> None:
-    """Without mean wind and gusts there is no air, whatever the drag coefficients."""
+    """Without mean wind and gusts there is no drag, for any coefficients."""
     environment = Environment(setup("plant.wind.drag_payload_kgps=5.0", "plant.wind.drag_uav_kgps=3.0"))
     assert environment.forces(0, state_in_motion(setup())) is None
 
 
 @pytest.mark.parametrize(("payload", "uavs"), [(1.15, 1.0), (1.0, 0.9), (2.0, 3.0)])
 def test_masses(payload: float, uavs: float) -> None:
-    """Mass and inertia of payload and UAVs are multiplied in the truth, and nothing else, nor anywhere else."""
+    """Only mass and inertia of payload and UAVs are multiplied, and only in the plant."""
     run = setup(f"plant.payload_mass_factor={payload}", f"plant.uav_mass_factor={uavs}")
     true, known = Environment(run).model.system, run.system
     assert known.payload.mass == 3.0
@@ -83,7 +83,7 @@ def test_masses(payload: float, uavs: float) -> None:
 
 
 def test_drag_is_that_of_the_air_past_each_body() -> None:
-    """F_j = c_j (W - velocity), docs/equations.md (42): none on a body that moves with the air, any body."""
+    """F_j = c_j (W - velocity), docs/equations.md (42): zero on any body that moves with the air."""
     run = setup(MEAN, "plant.wind.drag_payload_kgps=0.7", "plant.wind.drag_uav_kgps=0.3")
     environment = Environment(run)
     wind = np.array([3.0, -1.0, 0.5])
@@ -117,7 +117,7 @@ def test_gusts_are_a_gauss_markov_process() -> None:
 
 
 def test_gusts_blow_from_the_start() -> None:
-    """The first gust is as strong as any: no run begins in a lull."""
+    """The first gust has the standard deviation of all others."""
     run = setup(GUSTS)
     first = [
         Environment(replace(run, scenario=run.scenario.model_copy(update={"seed": seed}))).wind(0) for seed in range(20)
@@ -127,7 +127,7 @@ def test_gusts_blow_from_the_start() -> None:
 
 @pytest.mark.parametrize("period_s", [0.1, 0.025, 0.02, 0.0125, 0.012, 0.01])
 def test_the_same_wind_at_any_rate(period_s: float) -> None:
-    """A seed's gusts are a function of time: whatever the sampling period, linear between the same values."""
+    """Gusts are a function of seed and time, linear between the same values at any sampling period."""
     usual = Environment(setup(MEAN, GUSTS))
     every_50_ms = np.array([usual.wind(k) for k in range(41)])
     other = Environment(setup(MEAN, GUSTS, f"controller.sampling_period_s={period_s}"))
@@ -138,7 +138,7 @@ def test_the_same_wind_at_any_rate(period_s: float) -> None:
 
 
 def test_gusts_do_not_depend_on_what_was_asked_before() -> None:
-    """The wind of a tick is a function of seed and tick: in any order, bit for bit; another seed is other wind."""
+    """The wind of a tick is a function of seed and tick: in any order, bit for bit; another seed gives another wind."""
     run = setup(MEAN, GUSTS)
     forwards, backwards = Environment(run), Environment(run)
     found = [forwards.wind(k) for k in range(30)]
@@ -148,7 +148,7 @@ def test_gusts_do_not_depend_on_what_was_asked_before() -> None:
 
 
 def test_noise_has_the_standard_deviations_asked_for() -> None:
-    """Each kind of measurement errs by its own level, every axis and every agent for itself."""
+    """Each kind of measurement errs by its own level, independently for every axis and agent."""
     run = setup(*NOISE)
     environment = Environment(run)
     x = state_in_motion(run)
@@ -180,7 +180,7 @@ def test_noisy_rods_are_rods() -> None:
 
 
 def test_noise_is_of_seed_agent_and_tick() -> None:
-    """The same again whenever asked, and something else for another tick, agent or seed."""
+    """Noise is reproducible, and differs for another tick, agent or seed."""
     run = setup(*NOISE)
     x = run.initial_state()
     first = Environment(run).measured(4, 1, x)
@@ -192,7 +192,7 @@ def test_noise_is_of_seed_agent_and_tick() -> None:
 
 
 def test_the_plant_lives_in_it() -> None:
-    """A payload 10 % too heavy under hover thrusts falls as it must, and is measured as the sensors have it."""
+    """A payload 10 % too heavy under hover thrusts falls as expected, and is measured with noise."""
     run = setup("plant.payload_mass_factor=1.1", "plant.noise.position_m=0.01")
     seen = [m for m in flown(run, 4) if isinstance(m, Measurement)]
     last = [m for m in seen if m.tick == 4]
@@ -204,7 +204,7 @@ def test_the_plant_lives_in_it() -> None:
 
 
 def test_wind_moves_the_plant() -> None:
-    """A wind pushes from the first interval on: v = c W / m_0 t for the payload on its rods."""
+    """Wind acts from the first interval on: v = c W / m_0 t for the payload on its rods."""
     run = setup("plant.wind.speed_mps=[5.0,0.0,0.0]", "plant.wind.drag_uav_kgps=0.0")
     last = next(m for m in flown(run, 1) if isinstance(m, Measurement) and m.tick == 1)
     assert last.payload[state.V0][0] == pytest.approx(0.4 * 5.0 / 3.0 * 0.05, rel=1e-2)

@@ -1,4 +1,4 @@
-"""The plant's motors off and rods released, by script: from the tick on, whatever the plans say."""
+"""Scripted failures in the plant: motors off and rods released from their tick on, independent of the plans."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ AT = 2  # tick of both
 
 
 def flown(run: Setup) -> list[Message]:
-    """What the plant says while every agent asks for hover."""
+    """Return the plant's messages while every agent plans hover."""
     node = PlantNode(run)
     messages = list(node.receive(roster(), 0))
     for k in range(TICKS):
@@ -29,13 +29,13 @@ def flown(run: Setup) -> list[Message]:
 
 
 def plant_states(messages: list[Message]) -> list[PlantState]:
-    """The record, tick by tick."""
+    """Return the plant states, tick by tick."""
     return [message for message in messages if isinstance(message, PlantState)]
 
 
 @pytest.mark.parametrize("run", [MOTORS_OFF, RELEASED], ids=["motor_off", "release"])
 def test_no_wrench_from_the_tick_on(run: Setup) -> None:
-    """Thrust and moments are exactly zero from the tick on, and the record says that no plan was followed."""
+    """Thrust and moments are exactly zero from the tick on, and the plant state says that no plan was followed."""
     record = plant_states(flown(run))
     assert len(record) == TICKS
     for k, plant_state in enumerate(record):
@@ -46,14 +46,14 @@ def test_no_wrench_from_the_tick_on(run: Setup) -> None:
 
 
 def test_measurements_tell_the_motors_are_off() -> None:
-    """What the actuators did until a tick is part of the measurement: zero in the tick after, as is the rotation."""
+    """The measurement has the inputs until its tick: zero at the tick after the failure."""
     found = [m for m in flown(MOTORS_OFF) if isinstance(m, Measurement) and m.agent == UAV + 1]
     assert [bool(m.inputs.any()) for m in found] == [True, True, True, False, False, False]
     assert not any(m.uav_states[:, state.OMEGA].any() for m in found[AT:])
 
 
 def test_a_released_rod_hangs_down() -> None:
-    """At the tick of the release the bob is at rest below its corner; until then the flight is that without a fault."""
+    """At its tick the released bob is at rest below its corner; until then it follows the flight without fault."""
     record, before = plant_states(flown(RELEASED)), plant_states(flown(setup()))
     for k in range(AT):
         np.testing.assert_array_equal(record[k].x, before[k].x)
@@ -67,7 +67,7 @@ def test_a_released_rod_hangs_down() -> None:
 
 
 def test_no_wind_blows_on_what_is_gone() -> None:
-    """Drag acts on payload and UAVs that are on their rods: a millionth of a kilogram would not survive it."""
+    """Drag acts on payload and attached UAVs only, not on a bob of a millionth of a kilogram."""
     run = setup("faults.event=[{at_s=0.1,do='release',target='uav3'}]", "plant.wind.speed_mps=[5.0,0.0,0.0]")
     node = PlantNode(run)
     node.environment.release([UAV])
@@ -77,7 +77,7 @@ def test_no_wind_blows_on_what_is_gone() -> None:
 
 
 def test_the_roster_is_no_source_of_the_plants() -> None:
-    """Motors stop by the scenario, not by what a roster claims."""
+    """Motors stop by the scenario, not by a roster."""
     node = PlantNode(setup())
     said = roster()
     claim = {field: getattr(said, field) for field in ("sender", "incarnation", "sequence", "tick", "version")}

@@ -16,29 +16,29 @@ IMMEDIATE, NEXT_TICK = "clock.actuation=immediate", "clock.actuation=next_tick"
 
 
 def ready(run: Setup) -> PlantNode:
-    """A plant that knows who takes part."""
+    """Return a plant with a roster."""
     node = PlantNode(run)
     assert tell(node, roster()) == []
     return node
 
 
 def tell(node: PlantNode, *events: Message | Presence) -> list[Message]:
-    """Hand events over and return all that comes back."""
+    """Pass events to the plant and return all its messages."""
     return [message for event in events for message in node.receive(event, 0)]
 
 
 def kinds(messages: list[Message]) -> list[str]:
-    """What the messages are, in order."""
+    """Return kinds and ticks of messages, in order."""
     return [f"{message.kind} {message.tick}" for message in messages]
 
 
 def measured(k: int, agents: int = 4) -> list[str]:
-    """The measurements of one tick, by kind."""
+    """Return the measurements among messages."""
     return [f"measurement {k}"] * agents
 
 
 def test_measures_a_tick_once() -> None:
-    """An open tick is measured once for every agent: its own UAVs, the payload, and what its actuators do."""
+    """An open tick is measured once for every agent: its own UAVs, the payload, and its inputs."""
     run = setup("agents.owned=[[1],[2,4],[3]]")
     node = PlantNode(run)
     tell(node, roster({1: 1, 2: 1, 3: 1}))
@@ -54,7 +54,7 @@ def test_measures_a_tick_once() -> None:
 
 
 def test_forwards_who_answered() -> None:
-    """Whose plans count and which roster is in force is forwarded with the measurements."""
+    """The agents that answered and the roster in force are forwarded with the measurements."""
     node = ready(setup())
     run = setup()
     tell(node, tick(0), *[plan(run, agent, 0) for agent in EVERYBODY])
@@ -77,7 +77,7 @@ def test_immediate_integrates_with_all_plans(last: int) -> None:
 
 
 def test_immediate_integrates_before_the_next_tick_opens() -> None:
-    """The truth of tick k needs no tick k + 1: the last one has none."""
+    """The plant state of tick k needs no tick k + 1: the last tick has none."""
     run = setup(IMMEDIATE)
     node = ready(run)
     tell(node, tick(0))
@@ -108,7 +108,7 @@ def test_next_tick_waits_for_plans_on_their_way() -> None:
 
 @pytest.mark.parametrize("actuation", [IMMEDIATE, NEXT_TICK])
 def test_who_left_is_not_waited_for(actuation: str) -> None:
-    """A roster without the missing agent lets the interval be integrated; its UAV goes on with what it has."""
+    """A roster without the missing agent lets the interval be integrated; its UAV continues its last plan."""
     run = setup(actuation)
     delay = int(actuation == NEXT_TICK)
     node = ready(run)
@@ -174,7 +174,7 @@ def test_integration_steps(step_s: float, steps: int) -> None:
 
 
 def test_lost_agents_uav_plays_on() -> None:
-    """The UAV of an agent that left plays its last plan to the end, then the fail-safe."""
+    """The UAV of an agent that left follows its last plan to the end, then the fail-safe."""
     run = setup(IMMEDIATE, "controller.horizon=3")
     node = ready(run)
     tell(node, tick(0), *[plan(run, agent, 0) for agent in EVERYBODY])
@@ -205,7 +205,7 @@ def test_lost_agents_uav_plays_on() -> None:
     ],
 )
 def test_refused_plans(actuation: str, changes: dict[str, object], reason: str) -> None:
-    """What nobody of the run may ask for now is not played, is counted, and does not end the wait."""
+    """An implausible plan is not followed, is counted, and does not end the wait."""
     run = setup(actuation)
     delay = int(actuation == NEXT_TICK)
     node = ready(run)
@@ -220,7 +220,7 @@ def test_refused_plans(actuation: str, changes: dict[str, object], reason: str) 
 
 
 def test_limits_themselves_are_played() -> None:
-    """Inputs at the limits are played as they are."""
+    """Inputs at the limits are applied unchanged."""
     run = setup()
     node = ready(run)
     tell(node, tick(0))
@@ -232,7 +232,7 @@ def test_limits_themselves_are_played() -> None:
 
 
 def test_end_of_the_run() -> None:
-    """The coordinator's word ends the run for the plant; without a coordinator it ends with exit code 4."""
+    """The coordinator's control message ends the run for the plant; without a coordinator it ends with exit code 4."""
     node = ready(setup())
     assert tell(node, end()) == []
     assert node.finished == end()
@@ -244,7 +244,7 @@ def test_end_of_the_run() -> None:
 
 
 def test_other_events_change_nothing() -> None:
-    """Ticks out of order, presences of others, others' messages and time itself are no news to the plant."""
+    """Ticks out of order, presences of others, others' messages and time alone have no effect on the plant."""
     run = setup()
     node = ready(run)
     assert tell(node, tick(1), tick(7), Presence("agent1", 1, alive=False), measurement(run, 1, 0)) == []

@@ -1,4 +1,4 @@
-"""The plant in real time: a tick opens and is flown at once, with whatever plans have come by then."""
+"""The plant in real time: a tick is measured and integrated at once, with the plans received by then."""
 
 from collections.abc import Sequence
 
@@ -15,7 +15,7 @@ START_NS = 3 * S
 
 
 def realtime(*settings: str, speed: float = 1.0) -> tuple[Setup, PlantNode]:
-    """A run in real time and its plant, told who takes part."""
+    """Return a run in real time and its plant with a roster."""
     run = setup("controller.horizon=5", "clock.mode=realtime", f"clock.speed={speed}", *settings)
     node = PlantNode(run)
     assert list(node.receive(roster(), START_NS)) == []
@@ -23,7 +23,7 @@ def realtime(*settings: str, speed: float = 1.0) -> tuple[Setup, PlantNode]:
 
 
 def flown(node: PlantNode, k: int, now_ns: int) -> PlantState:
-    """Tick k opens: everybody gets a measurement and the interval after it is flown."""
+    """Open tick k: all agents get a measurement, and the next interval is integrated."""
     *measured, plant_state = node.receive(tick(k), now_ns)
     assert [message.agent for message in measured if isinstance(message, Measurement)] == list(EVERYBODY)
     assert isinstance(plant_state, PlantState)
@@ -32,13 +32,13 @@ def flown(node: PlantNode, k: int, now_ns: int) -> PlantState:
 
 
 def tell(node: PlantNode, events: Sequence[Message], now_ns: int) -> None:
-    """Plans come: nothing is said of them."""
+    """Pass plans to the plant, which does not answer them."""
     for event in events:
         assert list(node.receive(event, now_ns)) == []
 
 
 def test_a_tick_is_flown_at_once() -> None:
-    """Without a single plan each tick is measured and flown when it opens: the plant waits for nobody."""
+    """Each tick is measured and integrated when it opens, without waiting for plans."""
     _, node = realtime()
     assert [flown(node, k, START_NS).plan_ticks for k in range(3)] == [(-1,) * 4] * 3
 
@@ -58,7 +58,7 @@ def test_late_plans() -> None:
 
 
 def test_fail_safe_after_the_end_of_a_plan() -> None:
-    """When nothing newer comes the plan is played to its end, then the fail-safe; a newcomer's plan takes over."""
+    """Without a newer plan a plan is followed to its end, then the fail-safe, until the next plan."""
     run, node = realtime()
     flown(node, 0, START_NS)
     tell(node, [plan(run, 1, 0, delay=1)], START_NS)
@@ -80,7 +80,7 @@ def test_a_delayed_plan_is_held_back(speed: float, held_ms: int) -> None:
 
 
 def test_ticks_that_come_in_a_burst() -> None:
-    """A coordinator that catches up opens several ticks at once: each is flown, in order."""
+    """A coordinator that catches up opens several ticks at once: each is integrated, in order."""
     _, node = realtime()
     plant_states = [flown(node, k, START_NS) for k in range(20)]
     assert [plant_state.tick for plant_state in plant_states] == list(range(20))

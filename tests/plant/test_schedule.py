@@ -1,4 +1,4 @@
-"""Actuator schedule: the newest plan that covers the instant, played on to its end, then the fail-safe."""
+"""Actuator schedule: the newest plan that has started, to its end, then the fail-safe."""
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ RATE_SLACK = 1e-12  # N and N m: rounding of a sum and a difference
 
 
 def schedule(*plans: Plan, limits: Limits = LIMITS) -> ActuatorSchedule:
-    """A schedule with some plans on it."""
+    """Return a schedule with some plans."""
     found = ActuatorSchedule(U_HOVER, FailSafe(SYSTEM, U_HOVER), limits, PERIOD_S)
     for plan in plans:
         found.add(plan)
@@ -40,7 +40,7 @@ def schedule(*plans: Plan, limits: Limits = LIMITS) -> ActuatorSchedule:
 
 
 def labelled(agent: int, k: int, delay: int = 0) -> Plan:
-    """A plan whose every number tells UAV, tick and step."""
+    """Return a plan whose numbers encode UAV, tick and step."""
     uavs = OWNED[agent]
     columns = np.concatenate([100.0 * uav + np.arange(4.0) / 10.0 for uav in uavs])
     return Plan(
@@ -61,13 +61,13 @@ def labelled(agent: int, k: int, delay: int = 0) -> Plan:
 
 
 def played(plans: ActuatorSchedule, k: int, x: Array = X) -> tuple[list[float], tuple[int, ...]]:
-    """Thrust of each UAV at a tick, and where its inputs come from."""
+    """Return the thrust of each UAV at a tick, and the sources of the inputs."""
     u, sources = plans.inputs(k, x, U_HOVER)
     return u[::4].tolist(), sources
 
 
 def test_hover_before_any_plan() -> None:
-    """Until its first plan starts a UAV does what it does in hover."""
+    """Until its first plan starts a UAV has its hover inputs."""
     plans = schedule(labelled(2, 0, delay=1))
     u, sources = plans.inputs(0, X, U_HOVER)
     np.testing.assert_array_equal(u, U_HOVER)
@@ -96,7 +96,7 @@ def test_newest_plan_wins() -> None:
 
 
 def test_order_of_arrival_does_not_matter() -> None:
-    """Plans added in any order are played alike."""
+    """The order of adding plans has no effect."""
     rng = np.random.default_rng(5)
     plans = [labelled(agent, k, delay=1) for agent in OWNED for k in (0, 1, 3, 4)]
     in_order = [played(schedule(*plans), k) for k in range(10)]
@@ -106,7 +106,7 @@ def test_order_of_arrival_does_not_matter() -> None:
 
 
 def test_plays_on_while_nothing_newer_comes() -> None:
-    """Without news the newest plan is played to its last step, then the fail-safe takes over: UAV by UAV."""
+    """Without a newer plan a UAV follows its plan to the last step, then the fail-safe."""
     plans = schedule(labelled(1, 0), labelled(2, 0), labelled(2, 1))
     sources = [played(plans, k)[1] for k in range(1, STEPS + 2)]
     assert sources == [(0, 1, 0)] * (STEPS - 1) + [(FAIL_SAFE, 1, FAIL_SAFE), (FAIL_SAFE,) * N]
@@ -115,7 +115,7 @@ def test_plays_on_while_nothing_newer_comes() -> None:
 
 
 def test_fail_safe_hovers() -> None:
-    """A level UAV at rest is left at hover thrust without moments, whatever its yaw."""
+    """A level UAV at rest has hover thrust without moments, for any yaw."""
     x = X.copy()
     x[state.uav_slice(1)][state.THETA] = [0.0, 0.0, 2.0]
     u, sources = schedule(labelled(1, 0), labelled(2, 0)).inputs(STEPS, x, U_HOVER)
@@ -163,7 +163,7 @@ def attitude_after(Theta: Array, omega: Array, tau: Array) -> tuple[Array, Array
 
 @pytest.mark.parametrize("seed", range(5))
 def test_fail_safe_keeps_the_limits(seed: int) -> None:
-    """However it tumbles, the fail-safe asks the actuators for nothing they cannot do: bounds and rates."""
+    """The fail-safe keeps the bounds and rates of the actuators at any attitude and rate."""
     rng = np.random.default_rng(seed)
     low, high, step = LIMITS.lower(N), LIMITS.upper(N), LIMITS.step(N, PERIOD_S)
     plans = schedule(labelled(1, 0), labelled(2, 0))
@@ -177,7 +177,7 @@ def test_fail_safe_keeps_the_limits(seed: int) -> None:
 
 
 def test_fail_safe_goes_over_at_the_actuators_rate() -> None:
-    """From the inputs a plan ended with, the fail-safe goes to its own at the fastest rate allowed, and stays there."""
+    """From the inputs a plan ended with, the fail-safe changes to its own at the largest rate, and stays there."""
     plans = schedule(labelled(2, 0))
     before = U_HOVER + np.tile([12.0, 0.9, 0.0, 0.0], N)
     thrusts, moments = [], []

@@ -1,4 +1,4 @@
-"""Attackers with keys of their own choice: sessions that claim to be somebody, and a flood on one's own key."""
+"""Attackers: sessions with chosen certificates, and a flood on the attacker's own key."""
 
 import json
 import queue
@@ -20,12 +20,12 @@ _REMOTE, _BLOCK = zenoh.Locality.REMOTE, zenoh.CongestionControl.BLOCK
 
 
 def tls(folder: Path | None, name: str, authority: Path | None = None) -> dict[str, Any]:
-    """Zenoh's TLS section of somebody with the certificate of a name from a folder, or of nobody.
+    """Return Zenoh's TLS section with the certificate of a name, or without certificate.
 
     Args:
-        folder: Of keys; None for no certificate at all.
-        name: Whose.
-        authority: Whom he believes, by default the folder's own.
+        folder: Folder of keys; None for no certificate.
+        name: Name of the certificate.
+        authority: Trusted authority, by default the folder's own.
     """
     if folder is None:
         return {"root_ca_certificate": str(authority)}
@@ -42,13 +42,13 @@ def tls(folder: Path | None, name: str, authority: Path | None = None) -> dict[s
 def session(
     endpoints: Sequence[str], secure: dict[str, Any] | None, timeout_s: float = 10.0
 ) -> Iterator[zenoh.Session]:
-    """A session that calls all of the endpoints, or fails.
+    """Open a session connected to all endpoints.
 
     Args:
-        endpoints: Of the processes of a run.
+        endpoints: Endpoints of the processes of a run.
         secure: Zenoh's TLS section, or None.
-        timeout_s: How long it tries.
-    Raises: zenoh.ZError: one of them does not let it in.
+        timeout_s: Timeout of the connections, s.
+    Raises: zenoh.ZError: one of them refuses it.
     """
     configuration: dict[str, Any] = {
         "mode": "peer",
@@ -63,33 +63,33 @@ def session(
 
 
 def say(opened: zenoh.Session, key: str, data: bytes) -> None:
-    """Say something to whoever else listens, and wait rather than lose it."""
+    """Send data to all other sessions; wait rather than lose it."""
     opened.put(key, data, congestion_control=_BLOCK, allowed_destination=_REMOTE)
 
 
 def flood(opened: zenoh.Session, keys: Keys, agent: int, rate_hz: float, sort: str) -> int:
-    """Send what an agent has said, again and again, until the run's end has been heard; how often.
+    """Repeat an agent's newest plan until the end of the run, and return the number of messages sent.
 
     Args:
-        opened: With the keys of that agent.
-        keys: Of the run.
-        agent: Which agent.
+        opened: Session with the keys of that agent.
+        keys: Keys of the run's messages.
+        agent: 1-based.
         rate_hz: Messages per second.
-        sort: replayed: the newest plan as it was; renumbered: with a new number; future: of the tick to come, too.
+        sort: replayed: unchanged; renumbered: with a new sequence number; future: of the next tick, too.
     """
-    heard: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    received: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     over: queue.SimpleQueue[object] = queue.SimpleQueue()
     key = f"{keys.prefix}/{Plan.kind}/{agent}"
     kept = [
-        opened.declare_subscriber(f"{keys.prefix}/{Plan.kind}/*", lambda sample: _own(sample, key, heard)),
+        opened.declare_subscriber(f"{keys.prefix}/{Plan.kind}/*", lambda sample: _own(sample, key, received)),
         opened.declare_subscriber(f"{keys.prefix}/control", over.put),
     ]
     publisher = opened.declare_publisher(key, congestion_control=_BLOCK, allowed_destination=_REMOTE)
-    data, sent, number = heard.get(timeout=60.0), 0, 10**6
+    data, sent, number = received.get(timeout=60.0), 0, 10**6
     begun_s = time.monotonic()
     while over.empty():
-        while not heard.empty():
-            data = heard.get()
+        while not received.empty():
+            data = received.get()
             if sort != "replayed":
                 plan = decode(data)
                 assert isinstance(plan, Plan)
@@ -108,13 +108,13 @@ def flood(opened: zenoh.Session, keys: Keys, agent: int, rate_hz: float, sort: s
     return sent
 
 
-def _own(sample: zenoh.Sample, key: str, heard: queue.SimpleQueue[bytes]) -> None:
+def _own(sample: zenoh.Sample, key: str, received: queue.SimpleQueue[bytes]) -> None:
     if str(sample.key_expr) == key:
-        heard.put(sample.payload.to_bytes())
+        received.put(sample.payload.to_bytes())
 
 
 def main() -> None:
-    """A flood as a process: RUN, AGENT, RATE, SORT, FOLDER of keys or `-`, ENDPOINT ..."""
+    """Flood in a separate process: RUN, AGENT, RATE, SORT, FOLDER of keys or `-`, ENDPOINT ..."""
     run, agent, rate, sort, folder, *endpoints = sys.argv[1:]
     secure = None if folder == "-" else tls(Path(folder), f"agent{agent}")
     with session(endpoints, secure, 60.0) as opened:

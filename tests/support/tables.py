@@ -8,11 +8,11 @@ def silent(_: str) -> None:
 
 
 def first_cells(table: Table) -> list[str]:
-    """What the rows are about."""
+    """Return the first cell of every row."""
     return [row[0] for row in table.rows]
 
 
 def numbers(table: Table, column: str) -> list[float]:
-    """A column of medians, whatever stands in brackets behind them."""
+    """Return a column of medians, without the spread in brackets."""
     at = list(table.columns).index(column)
     return [float(row[at].partition(" ")[0]) for row in table.rows]

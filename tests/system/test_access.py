@@ -1,4 +1,4 @@
-"""A process with keys against those who have others, or none: what gets in, and what does not."""
+"""Access control: sessions with right, wrong or no keys against a process with keys."""
 
 import time
 from collections.abc import Iterator
@@ -28,18 +28,18 @@ DIGEST = "0123456789ab"
 TEAM = ("coordinator", "plant", "agent1", "agent2", "agent3", "agent4", "recorder")
 SHOTS = 1000
 
-# For what takes milliseconds, on a busy machine.
+# Time for actions of milliseconds on a busy machine.
 PATIENCE_S = 20.0
-# How long a session without the right keys tries.
+# Timeout of a session without the right keys.
 REFUSED_S = 1.0
 
 
 class Guarded:
-    """The bus of a process with keys, and what it has refused.
+    """Bus of a process with keys, and its refusals.
 
     Args:
-        name: The process's.
-        port: Where it listens.
+        name: Process name.
+        port: Port to listen on.
     """
 
     def __init__(self, name: str, port: int) -> None:
@@ -57,8 +57,8 @@ class Guarded:
             serves=name == "coordinator",
         )
 
-    def heard(self, timeout_s: float) -> list[Message]:
-        """Messages that are believed, until so long after the last of them."""
+    def accepted(self, timeout_s: float) -> list[Message]:
+        """Return accepted messages until a timeout after the last one."""
         found = []
         while isinstance(event := self.bus.next(timeout_s), Message):
             found.append(event)
@@ -66,14 +66,14 @@ class Guarded:
 
     @property
     def reached(self) -> int:
-        """Messages that came to it: refused, or kept for a token to come."""
+        """Number of messages that reached it: refused, or kept for a token to come."""
         self.admission.count_unread()
         return self.rejections.total + self.admission.kept
 
 
 @pytest.fixture(scope="module", name="plant")
 def guarded_plant() -> Iterator[Guarded]:
-    """A plant that listens with TLS."""
+    """Run a plant that listens with TLS."""
     plant = Guarded("plant", free_base())
     try:
         yield plant
@@ -82,46 +82,46 @@ def guarded_plant() -> Iterator[Guarded]:
 
 
 @contextmanager
-def someone(plant: Guarded, folder: Path, name: str) -> Iterator[zenoh.Session]:
-    """A session with the certificate of a name."""
+def session_of(plant: Guarded, folder: Path, name: str) -> Iterator[zenoh.Session]:
+    """Open a session with the certificate of a name."""
     with attack.session([plant.at], attack.tls(folder, name)) as session:
         yield session
 
 
 def reaches(plant: Guarded, session: zenoh.Session, key: str) -> bool:
-    """Whether what a session says under a key comes to the plant."""
+    """Return whether messages of a session under a key reach the plant."""
     before, deadline = plant.reached, time.monotonic() + PATIENCE_S
     while plant.reached == before and time.monotonic() < deadline:
         attack.say(session, key, b"?")
-        plant.heard(0.05)
+        plant.accepted(0.05)
     return plant.reached > before
 
 
-def test_nobody_without_keys_gets_in(plant: Guarded) -> None:
-    """No certificate, one of another authority, and no TLS: the session is refused; with the right one it is not."""
+def test_sessions_without_keys_are_refused(plant: Guarded) -> None:
+    """A session without certificate, with one of another authority, or without TLS is refused."""
     one, other = keyring("one"), keyring("other")
-    strangers = {
+    wrong = {
         "none": (plant.at, attack.tls(None, "", one / "ca.pem")),
         "another's": (plant.at, attack.tls(other, "agent1", one / "ca.pem")),
         "no TLS": (plant.at.replace("tls/", "tcp/"), None),
     }
-    for what, (at, secure) in strangers.items():
+    for case, (at, secure) in wrong.items():
         with pytest.raises(zenoh.ZError), attack.session([at], secure, REFUSED_S):
-            pytest.fail(f"{what}: got in")
+            pytest.fail(f"{case}: got in")
     with attack.session([plant.at], attack.tls(one, "agent1"), PATIENCE_S) as session:
         assert reaches(plant, session, f"{KEYS.prefix}/plan/1")
 
 
 @pytest.mark.parametrize("impostor", ["agent1", "recorder", WATCHER, OPERATOR])
-def test_nobody_speaks_for_another(plant: Guarded, impostor: str) -> None:
-    """0 of 1000 messages and no token of agent 2 and the coordinator come from another's certificate."""
+def test_impostors_are_refused(plant: Guarded, impostor: str) -> None:
+    """With another certificate none of 1000 messages and no token of agent 2 or the coordinator is accepted."""
     forged = {f"{KEYS.prefix}/plan/2": b"?", f"{KEYS.prefix}/tick": b"?", f"{KEYS.prefix}/control": b"?"}
-    with someone(plant, keyring("one"), impostor) as session:
+    with session_of(plant, keyring("one"), impostor) as session:
         if impostor == "agent1":
-            assert reaches(plant, session, f"{KEYS.prefix}/plan/1")  # it is connected: what it may say comes
+            assert reaches(plant, session, f"{KEYS.prefix}/plan/1")  # it is connected: its own messages arrive
         else:
             time.sleep(0.3)
-        plant.heard(0.1)
+        plant.accepted(0.1)
         before = plant.reached
         tokens = [
             session.liveliness().declare_token(KEYS.alive(name, 5, DIGEST, VERSION))
@@ -131,39 +131,39 @@ def test_nobody_speaks_for_another(plant: Guarded, impostor: str) -> None:
             for _ in range(SHOTS):
                 attack.say(session, key, data)
             session.delete(key)
-        if impostor == "agent1":  # everything it had said before has come by the time that this has
+        if impostor == "agent1":  # all its earlier messages have arrived before this one
             assert reaches(plant, session, f"{KEYS.prefix}/plan/1")
             before += 1
-        assert plant.heard(0.3) == []
+        assert plant.accepted(0.3) == []
         extra = plant.reached - before
-        assert 0 <= extra <= (5 if impostor == "agent1" else 0)  # its own calls, repeated until one was heard
+        assert 0 <= extra <= (5 if impostor == "agent1" else 0)  # its own messages, repeated until one arrived
         assert {entry.sender for entry in plant.rejections} <= {"plan/1"}
         assert all(plant.bus._peers.alive.get(name) is None for name in ("coordinator", "agent2"))
         del tokens
 
 
-def test_the_same_words_from_the_right_one(plant: Guarded) -> None:
-    """What nobody else could say is believed from who has the certificate: a tick, the end, and a token."""
-    with someone(plant, keyring("one"), "coordinator") as session:
+def test_the_same_messages_from_the_owner(plant: Guarded) -> None:
+    """The same messages are accepted from the owner of the certificate: a tick, the end, and a token."""
+    with session_of(plant, keyring("one"), "coordinator") as session:
         token = session.liveliness().declare_token(KEYS.alive("coordinator", 0, DIGEST, VERSION))
         assert reaches(plant, session, f"{KEYS.prefix}/tick")
-        said = [runs.tick(0), replace(runs.end(), sequence=10)]
-        for message in said:
+        sent = [runs.tick(0), replace(runs.end(), sequence=10)]
+        for message in sent:
             attack.say(session, KEYS.of(message), encode(message))
-        assert plant.heard(1.0) == said
+        assert plant.accepted(1.0) == sent
         token.undeclare()  # type: ignore[no-untyped-call]
 
 
-def test_who_may_ask_for_what() -> None:
-    """Anybody who is known may ask how a process is; only an operator asks the coordinator to change links."""
+def test_rights_to_request() -> None:
+    """All with keys may ask a process for its health; only an operator may ask for a change of links."""
     port = free_base()
     coordinator = Guarded("coordinator", port)
 
-    def answered(name: str, what: str) -> bool:
+    def answered(name: str, request: str) -> bool:
         with attack.session([coordinator.at], attack.tls(keyring("one"), name)) as session:
-            deadline = time.monotonic() + (PATIENCE_S if what == "health" else 1.0)
+            deadline = time.monotonic() + (PATIENCE_S if request == "health" else 1.0)
             while time.monotonic() < deadline:
-                handler = session.get(KEYS.request("coordinator", what), payload="{}", timeout=1.0)
+                handler = session.get(KEYS.request("coordinator", request), payload="{}", timeout=1.0)
                 event = coordinator.bus.next(0.1)
                 if event is not None:
                     event.reply({"fine": True})  # type: ignore[union-attr]
@@ -180,8 +180,8 @@ def test_who_may_ask_for_what() -> None:
         coordinator.bus.close()
 
 
-def test_rights_are_those_of_the_keys() -> None:
-    """The rules say of every kind of message what the table of keys says: who owns it may put it, and nobody else."""
+def test_rights_to_put() -> None:
+    """By the access rules only the owner of a key may put a message on it."""
     rules = access_control(TEAM, KEYS.prefix, "cert_common_names")
     assert (rules["enabled"], rules["default_permission"]) == (True, "deny")
     assert all(rule["permission"] == "allow" for rule in rules["rules"])
@@ -193,13 +193,13 @@ def test_rights_are_those_of_the_keys() -> None:
         may_put[name] = {key for rule in own if "put" in rule["messages"] for key in rule["key_exprs"]}
         asks = {key for rule in own if "query" in rule["messages"] for key in rule["key_exprs"]}
         if name not in (OPERATOR, ROUTER):
-            assert not asks & {KEYS.request("*", what) for what in ACTING}
+            assert not asks & {KEYS.request("*", request) for request in ACTING}
     assert may_put.pop(ROUTER) == {f"{KEYS.prefix}/**"}
     assert [name for name, keys in may_put.items() if not keys] == ["recorder", WATCHER, OPERATOR]
     for kind in KINDS.values():
         message = sample(kind)
         if message.sender == "recorder":
-            continue  # written into the log, said to nobody
+            continue  # written into the log only
         key = KEYS.of(message)
         owners = [name for name, keys in may_put.items() if key in keys or f"{key.rpartition('/')[0]}/*" in keys]
         assert owners == [message.sender], kind

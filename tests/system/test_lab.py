@@ -1,4 +1,4 @@
-"""The deployment in a lab of network namespaces: cables are cut, and nothing is left of it afterwards."""
+"""Deployment in a lab of network namespaces: cables are cut, and the lab leaves nothing behind."""
 
 import json
 import signal
@@ -10,30 +10,30 @@ from typing import Any
 
 import pytest
 
-from deploy.lab import EXIT_UNAVAILABLE, Cut, unavailable
 from protocol.network.endpoints import process_names
 from protocol.scenario.file import find_scenario, read_scenario
 from tests.support.commands import PATIENCE_S, settings, wait_for
+from tests.support.lab import EXIT_UNAVAILABLE, Cut, unavailable
 from transport.log.run_log import read_log
 
 NAMES = [*process_names(read_scenario(find_scenario("resilient"))), "recorder"]
-# A tick is held for who is late: fourteen processes that start at once on few cores would lose the flight otherwise.
+# Late agents are waited for: with fourteen processes starting at once on few cores the run would diverge otherwise.
 REAL_TIME = ("clock.mode=realtime", "clock.speed=1", "clock.on_overrun=hold")
 
 pytestmark = pytest.mark.skipif(bool(unavailable()), reason=f"no lab: {unavailable()}")
 
 
 def climb(duration_s: float) -> str:
-    """A slow climb."""
+    """Return the setting of a slow climb."""
     return f"maneuver.phase=[{{name='climb',duration_s={duration_s},displacement_m=[0.0,0.0,-1.0]}}]"
 
 
 def lab(folder: Path, *cuts: str, duration_s: float) -> subprocess.Popen[str]:
-    """A lab that flies in real time while cables are cut."""
-    words = [part for cut in cuts for part in ("--cut", cut)]
+    """Start a lab that runs in real time while cables are cut."""
+    options = [part for cut in cuts for part in ("--cut", cut)]
     return subprocess.Popen(
         [
-            *(sys.executable, "-m", "deploy.lab", "--out", str(folder), *words),
+            *(sys.executable, "-m", "tests.support.lab", "--out", str(folder), *options),
             *settings(*REAL_TIME, climb(duration_s)),
         ],
         stdout=subprocess.PIPE,
@@ -43,7 +43,7 @@ def lab(folder: Path, *cuts: str, duration_s: float) -> subprocess.Popen[str]:
 
 
 def ended(process: subprocess.Popen[str]) -> dict[str, Any]:
-    """What a lab says of itself at its end."""
+    """Return the result that a lab prints at its end."""
     printed, errors = process.communicate(timeout=2 * PATIENCE_S)
     assert process.returncode == 0, errors
     found: dict[str, Any] = json.loads(printed)
@@ -51,7 +51,7 @@ def ended(process: subprocess.Popen[str]) -> dict[str, Any]:
 
 
 def belonging_to(folder: Path) -> list[int]:
-    """Processes that have something to do with a folder."""
+    """Return the processes with a folder in their command line."""
     found = []
     for entry in Path("/proc").iterdir():
         try:
@@ -64,8 +64,8 @@ def belonging_to(folder: Path) -> list[int]:
 
 @pytest.mark.slow
 def test_cables(tmp_path: Path) -> None:
-    """One second without cable is flown through and on record; without the coordinator everybody ends, log and all."""
-    # Both at once: what takes longest in the second is waiting for a connection to be given up.
+    """A run survives and records a second without cable; without coordinator all processes end, with a whole log."""
+    # Both at once: the second one mostly waits for the timeout of a connection.
     with lab(tmp_path / "b", "coordinator:2", duration_s=30.0) as second:
         with lab(tmp_path / "a", "agent2:8:1", duration_s=12.0) as first:
             briefly = ended(first)
@@ -75,7 +75,7 @@ def test_cables(tmp_path: Path) -> None:
     assert [(cut["did"], cut["host"]) for cut in briefly["cuts"]] == [("cut", "agent2"), ("mend", "agent2")]
     summary = json.loads((tmp_path / "a" / "run" / "summary.json").read_text())
     assert summary["outcome"] == "completed"
-    assert summary["deadline"]["tick_late_ms"]["max"] > 800.0  # a tick was held for as long as the cable was out
+    assert summary["deadline"]["tick_late_ms"]["max"] > 800.0  # a tick was held while the cable was cut
 
     assert for_good["exits"] == dict.fromkeys(NAMES, 4)
     log = read_log(tmp_path / "b" / "run" / "run.mcap")
@@ -87,7 +87,7 @@ def test_cables(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_nothing_stays(tmp_path: Path) -> None:
-    """Killed in mid-flight, or told to end by Ctrl-C, a lab takes its processes and its network with it."""
+    """A lab that is killed, or ended by Ctrl-C, takes its processes and its network with it."""
     links = subprocess.run(["ip", "-o", "link"], capture_output=True, text=True, check=True).stdout
     for number in (signal.SIGKILL, signal.SIGINT):
         folder = tmp_path / number.name
@@ -95,8 +95,10 @@ def test_nothing_stays(tmp_path: Path) -> None:
             logs = folder / "logs" / "recorder.log"
             assert wait_for(logs.exists)
             assert len(belonging_to(folder)) > 5
-            # The terminal sends Ctrl-C to everybody in the foreground: the lab itself, inside, is one of them.
-            inside = [pid for pid in belonging_to(folder) if b"deploy.lab" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+            # The terminal sends Ctrl-C to all processes in the foreground, the lab inside the namespaces among them.
+            inside = [
+                pid for pid in belonging_to(folder) if b"tests.support.lab" in Path(f"/proc/{pid}/cmdline").read_bytes()
+            ]
             (process.send_signal(number) if number is signal.SIGKILL else _send(max(inside), number))
             process.communicate(timeout=PATIENCE_S)
         assert process.returncode != 0
@@ -110,11 +112,11 @@ def _send(pid: int, number: int) -> None:
 
 
 def test_cuts_are_read() -> None:
-    """HOST:AT for good, HOST:AT:FOR for a while, and nothing else."""
+    """A cut is HOST:AT for good or HOST:AT:FOR for a while."""
     assert Cut.of("agent2:8:1") == Cut("agent2", 8.0, 1.0)
     assert Cut.of("plant:0.5") == Cut("plant", 0.5, None)
     done = subprocess.run(
-        [sys.executable, "-m", "deploy.lab", "--out", "x", "--cut", "plant"],
+        [sys.executable, "-m", "tests.support.lab", "--out", "x", "--cut", "plant"],
         capture_output=True,
         text=True,
         check=False,
@@ -123,9 +125,9 @@ def test_cuts_are_read() -> None:
     assert "expected HOST:AT or HOST:AT:FOR in seconds, got 'plant'" in done.stderr
 
 
-def test_a_strange_host_is_refused(tmp_path: Path) -> None:
-    """A cable of no host is named before anything is built; without the tools the exit code says so."""
-    words = [sys.executable, "-m", "deploy.lab", "--out", str(tmp_path / "x"), "--cut", "agent9:1"]
+def test_an_unknown_host_is_refused(tmp_path: Path) -> None:
+    """A cut of an unknown host is refused before the lab is built; missing tools have their own exit code."""
+    words = [sys.executable, "-m", "tests.support.lab", "--out", str(tmp_path / "x"), "--cut", "agent9:1"]
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert "--cut: expected a host of coordinator, plant, agent1" in done.stderr

@@ -1,4 +1,4 @@
-"""Inventories, and the folders that are made of them."""
+"""Inventories and the folders rendered from them."""
 
 import json
 import shutil
@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from deploy.hosts import Inventory, InventoryError, postings, read_inventory
+from deploy.hosts import Inventory, InventoryError, placements, read_inventory
 from deploy.keys import KeysError
 from deploy.render import RenderError, command, render
 from protocol.network.endpoints import process_names
@@ -39,37 +39,37 @@ SIDES = STAR.replace('"agent4"]', '"agent4", "router"]')
 
 
 def inventory(text: str, folder: Path) -> Inventory:
-    """An inventory as its file has it."""
+    """Return an inventory read from a file."""
     folder.mkdir(exist_ok=True, parents=True)
     (folder / "hosts.toml").write_text(text)
     return read_inventory(folder / "hosts.toml", PROCESSES)
 
 
 def places(text: str, folder: Path) -> dict[str, tuple[str, list[str], list[str]]]:
-    """Mode, where it listens, and whom it calls, by host and process."""
+    """Return mode, listen and connect endpoints, by host and process."""
     return {
-        f"{posting.host.name}/{posting.process}": (
-            posting.endpoints.mode,
-            list(posting.endpoints.listen),
-            list(posting.endpoints.connect),
+        f"{placement.host.name}/{placement.process}": (
+            placement.endpoints.mode,
+            list(placement.endpoints.listen),
+            list(placement.endpoints.connect),
         )
-        for posting in postings(inventory(text, folder), PROCESSES, "tls")
+        for placement in placements(inventory(text, folder), PROCESSES, "tls")
     }
 
 
 def test_a_mesh(tmp_path: Path) -> None:
-    """Everybody listens on the port of its place in the list, calls all before it, and the recorder calls all."""
+    """A process listens on the port of its place in the list and connects to all before it, the recorder to all."""
     found = places(MESH, tmp_path)
     assert found["ground/coordinator"] == ("peer", ["tls/192.0.2.10:7447"], [])
     called = [f"tls/192.0.2.10:{port}" for port in (7447, 7448, 7449, 7450)]
     assert found["remote/agent3"] == ("peer", ["tls/[::]:7451"], called)
     assert found["remote/agent4"] == ("peer", ["tls/[::]:7452"], [*called, "tls/[2001:db8::7]:7451"])
-    everybody = [*called, "tls/[2001:db8::7]:7451", "tls/[2001:db8::7]:7452"]
-    assert found["ground/recorder"] == ("peer", [], everybody)
+    every = [*called, "tls/[2001:db8::7]:7451", "tls/[2001:db8::7]:7452"]
+    assert found["ground/recorder"] == ("peer", [], every)
 
 
 def test_routers(tmp_path: Path) -> None:
-    """With a router all are its clients; with one on each side, of their own, and the second calls the first."""
+    """Processes are clients of the router of their side; a second router connects to the first."""
     at, there = "tls/192.0.2.10:7447", "tls/[2001:db8::7]:7447"
     star = places(STAR, tmp_path)
     assert star.pop("ground/router") == ("router", [at], [])
@@ -97,7 +97,7 @@ def test_routers(tmp_path: Path) -> None:
     ],
 )
 def test_bad_inventories(change: tuple[str, str], expected: str, tmp_path: Path) -> None:
-    """File, field, expected and got, before anything is written."""
+    """The error has file, field, expected and got."""
     old, new = change
     text = MESH.replace(old, new, 1) if old else new
     with pytest.raises(InventoryError) as caught:
@@ -107,7 +107,7 @@ def test_bad_inventories(change: tuple[str, str], expected: str, tmp_path: Path)
 
 
 def test_each_host_gets_its_own(tmp_path: Path) -> None:
-    """Its units, its keys and no other's, and the same scenario: the digest does not depend on the host."""
+    """A host gets its own units and keys only, and the same scenario: the digest does not depend on the host."""
     ground, remote = render(RUN, inventory(MESH, tmp_path), keyring("one"), tmp_path / "out")
     keys = {file.name for file in (remote / "keys").iterdir()}
     assert keys == {"ca.pem", "agent3.pem", "agent3.key", "agent4.pem", "agent4.key"}
@@ -137,7 +137,7 @@ def test_each_host_gets_its_own(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd-analyze (systemd)")
 def test_units_are_units(tmp_path: Path) -> None:
-    """systemd finds nothing to complain of, and calls the hardening at least OK (exposure below 3 of 10)."""
+    """systemd accepts the units and rates their hardening at least OK (exposure below 3 of 10)."""
     folder, _ = render(RUN, inventory(STAR, tmp_path), keyring("one"), tmp_path / "out")
     units = sorted((folder / "systemd").iterdir())
     assert len(units) == 6
@@ -145,12 +145,12 @@ def test_units_are_units(tmp_path: Path) -> None:
         unit.write_text(unit.read_text().replace("/opt/transport/bin/transport", "/bin/true"))
     checked = subprocess.run(["systemd-analyze", "verify", *units], capture_output=True, text=True, check=False)
     assert (checked.returncode, checked.stderr) == (0, "")
-    words = ["systemd-analyze", "security", "--offline=true", "--threshold=30", str(units[0])]
-    assert subprocess.run(words, capture_output=True, check=False).returncode == 0
+    command_line = ["systemd-analyze", "security", "--offline=true", "--threshold=30", str(units[0])]
+    assert subprocess.run(command_line, capture_output=True, check=False).returncode == 0
 
 
-def test_what_is_not_rendered(tmp_path: Path) -> None:
-    """Without keys only who says so; never over a folder that is there; never with a key missing."""
+def test_refused_renderings(tmp_path: Path) -> None:
+    """Rendering needs keys or `insecure`, a new folder, and every key."""
     mesh = inventory(MESH, tmp_path)
     with pytest.raises(RenderError, match="expected a folder of keys, or insecure = true"):
         render(RUN, mesh, None, tmp_path / "out")
@@ -166,8 +166,8 @@ def test_what_is_not_rendered(tmp_path: Path) -> None:
         render(RUN, open_to_all, None, tmp_path / "out")
 
 
-def test_from_nothing_to_folders(tmp_path: Path) -> None:
-    """The two commands of docs/deploy.md, and what they refuse."""
+def test_commands(tmp_path: Path) -> None:
+    """The two commands of docs/deploy.md make keys and folders, and refuse a missing inventory."""
     (tmp_path / "hosts.toml").write_text(MESH)
     made = transport("deploy", "keys", "--hosts", "hosts.toml", "--out", "keys", cwd=tmp_path)
     assert made.returncode == 0, made.stderr
@@ -186,19 +186,19 @@ def test_from_nothing_to_folders(tmp_path: Path) -> None:
     assert (again.returncode, again.stderr) == (2, "transport: none.toml: cannot be read (No such file or directory)\n")
 
 
-def test_compose_does_what_units_do(tmp_path: Path) -> None:
-    """Commands of compose.yaml are those of the folders rendered for its services, line for line."""
+def test_compose_equals_units(tmp_path: Path) -> None:
+    """The commands of compose.yaml equal those of the rendered units."""
     folder = Path(__file__).resolve().parents[2] / "deploy"
     ready = read_inventory(folder / "hosts-compose.toml", PROCESSES)
     services = (folder / "compose.yaml").read_text()
-    for posting in postings(ready, PROCESSES, "tls"):
-        _, *words = command(posting, ready)
-        words += ["--out", "/record/run"] if posting.process == "recorder" else []
-        assert f"    command: {json.dumps(words)}\n" in services, posting.process
-        assert f"/{posting.host.name}:/etc/transport:ro" in services
+    for placement in placements(ready, PROCESSES, "tls"):
+        _, *arguments = command(placement, ready)
+        arguments += ["--out", "/record/run"] if placement.process == "recorder" else []
+        assert f"    command: {json.dumps(arguments)}\n" in services, placement.process
+        assert f"/{placement.host.name}:/etc/transport:ro" in services
 
 
-def test_the_example_is_one(tmp_path: Path) -> None:
+def test_the_example_inventory(tmp_path: Path) -> None:
     """deploy/hosts.toml describes a deployment of the ready scenarios."""
     example = read_inventory(Path(__file__).resolve().parents[2] / "deploy" / "hosts.toml", PROCESSES)
     assert len(render(RUN, example, keyring("one"), tmp_path / "out")) == 2

@@ -1,4 +1,4 @@
-"""The soak, shorter than it is meant to be, and its judgement."""
+"""The soak test, shortened to two minutes, and its judgement."""
 
 import os
 import subprocess
@@ -8,28 +8,26 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import soak
 from benchmarks.page import BenchmarkError
-from benchmarks.soak import GROWTH_BYTES, Record, judge
+from tests.support import soak
+from tests.support.soak import GROWTH_BYTES, Record, judge
 
-# Two minutes in real time. A late process is waited for: on a host that is busy with other tests the flight would be
-# lost otherwise. And as the load of a host is not the run's, deadlines may be missed more often in one third than in
-# another, and what waits for a process that stands still may take twice the room it may in thirty minutes: what is
-# found in two is a loss of 3 kB a tick.
+# A late process is waited for: on a host busy with other tests the run would diverge otherwise. Bounds are wider than
+# for thirty minutes, because the host's load may differ between the thirds; a leak of 3 kB a tick is still found.
 MINUTES = 2
 SOAK = ("--minutes", str(MINUTES), "--misses", "0.25", "--growth", "4", "--set", "clock.on_overrun=hold")
 
-# In addition to the flight: its start and its report, and a host that cannot keep up with the clock.
+# Time for start and report, on a host that cannot keep up with the clock.
 PATIENCE_S = 240
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(60 * MINUTES + PATIENCE_S)
 def test_nothing_grows() -> None:
-    """Two minutes in real time: no memory, no thread and no file is lost."""
-    words = [sys.executable, "-m", "benchmarks.soak", *SOAK]
+    """In two minutes of real time memory, threads and open files do not grow."""
+    command = [sys.executable, "-m", "tests.support.soak", *SOAK]
     with subprocess.Popen(
-        words,
+        command,
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -39,13 +37,13 @@ def test_nothing_grows() -> None:
         try:
             table, errors = process.communicate()
         finally:
-            process.terminate()  # if the test is interrupted: it ends its run first
+            process.terminate()  # when interrupted; it ends its run first
     assert process.returncode == 0, errors
     assert all(f"| {name} |" in table for name in ("recorder", "coordinator", "plant", "agent1", "agent4"))
 
 
 def test_judgement() -> None:
-    """What grows is named: memory by more than an allocator wavers, one thread, one file, deadlines."""
+    """Growth is reported: memory beyond an allocator's fluctuation, threads, files, deadline misses."""
 
     def flat() -> Record:
         return Record(memory=[1e8] * 30, threads=[10.0] * 30, files=[20.0] * 30)
@@ -68,25 +66,25 @@ def test_judgement() -> None:
     assert "0.000 in the first third, 1.000 in the last" in judge({"a": flat()}, [0] * 60 + [1] * 30)[1][0]
     assert judge({"a": flat()}, [0] * 60 + [1] * 30, 1.0)[1] == []
     assert judge({"a": flat()}, [1] * 60 + [0] * 30)[1] == []
-    assert judge({"a": flat()}, [0] * 61 + [None] * 29)[1] == []  # nobody's fault
-    with pytest.raises(BenchmarkError, match="expected at least 4 looks"):
+    assert judge({"a": flat()}, [0] * 61 + [None] * 29)[1] == []  # left out
+    with pytest.raises(BenchmarkError, match="expected at least 4 samples"):
         judge({"a": Record(memory=[1.0], threads=[1.0], files=[1.0])}, [0] * 90)
 
 
 def test_stolen_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Seconds in which the host was away are known, with the second after each, and no others."""
+    """Stolen seconds are covered with the second after each, and no others."""
     now, path, hz = [100.0], tmp_path / "stat", os.sysconf("SC_CLK_TCK")
     monkeypatch.setattr(time, "time", lambda: now[0])
 
-    def look(at_s: float, stolen_s: float) -> None:
+    def sample(at_s: float, stolen_s: float) -> None:
         now[0] = at_s
         path.write_text(f"cpu  1 2 3 4 5 6 7 {round(stolen_s * hz)} 0 0\ncpu0 0\n")
-        stolen.look()
+        stolen.sample()
 
     path.write_text("cpu  1 2 3 4 5 6 7 0 0 0\n")
     stolen = soak.Stolen(path)
     for at_s, stolen_s in ((101.0, 0.0), (102.0, 0.5), (103.0, 0.51), (104.0, 0.51), (105.0, 1.5), (106.0, 2.5)):
-        look(at_s, stolen_s)
+        sample(at_s, stolen_s)
     at = [100.5, 101.0, 101.9, 102.9, 103.0, 103.9, 104.0, 105.5, 106.9, 107.0]
     assert [stolen.covers(at_s) for at_s in at] == [False, True, True, True, False, False, True, True, True, False]
     assert not soak.Stolen(tmp_path / "missing").covers(100.0)

@@ -1,10 +1,10 @@
-"""A lab of several hosts on one machine: network namespaces on a switch, cables that are cut and mended.
+"""A laboratory of several hosts on one machine: network namespaces on a switch, with cables that can be cut.
 
-    python -m deploy.lab --scenario resilient --set clock.mode=realtime --set clock.speed=1 --cut agent2:8:1 --out lab
+    python -m tests.support.lab --set clock.mode=realtime --set clock.speed=1 --cut agent2:8:1 --out lab
 
-Every process of the run has a host of its own, so has the recorder, and all run from the folders that `transport deploy
-render` writes. The whole lab is a network, process and mount namespace of its own: when its first process ends, of
-Ctrl-C or however, the kernel ends all that is left in it and takes the network back. Nothing has to be cleaned up.
+Each process of the run, recorder included, has its own host and runs from the folders that `transport deploy render`
+writes. The lab is in its own network, process and mount namespace: when its first process ends, for any reason, the
+kernel ends all other processes in it and removes the network.
 """
 
 import argparse
@@ -19,9 +19,8 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 
-from deploy.hosts import Host, Inventory, Posting, postings
+from deploy.hosts import Host, Inventory, Placement, placements
 from deploy.keys import LOOPBACK, OTHERS, KeysError, make_certificates
 from deploy.render import RenderError, command, render
 from protocol.network.endpoints import process_names
@@ -33,10 +32,10 @@ from protocol.wire.keys import RECORDER
 
 EXIT_UNAVAILABLE, EXIT_TIMEOUT = 69, 70
 
-# In the environment of the process that is already inside.
+# Set in the environment of the process inside the namespaces.
 _INSIDE = "PAYLOAD_TRANSPORT_LAB"
 _TOOLS = ("unshare", "nsenter", "ip")
-_WORLD = ("--net", "--pid", "--fork", "--kill-child", "--mount-proc")
+_NAMESPACES = ("--net", "--pid", "--fork", "--kill-child", "--mount-proc")
 _SWITCH = "switch"
 _POLL_S = 0.02
 
@@ -47,12 +46,12 @@ class LabError(RuntimeError):
 
 @dataclass(frozen=True, slots=True)
 class Cut:
-    """A cable that is taken out.
+    """A cut of a host's cable.
 
     Attributes:
-        host: Whose.
-        at_s: When, of the flight.
-        for_s: For how long, or None for good.
+        host: Name of the host.
+        at_s: Time since the first tick, s.
+        for_s: Duration, s; None for good.
     """
 
     host: str
@@ -61,9 +60,9 @@ class Cut:
 
     @staticmethod
     def of(text: str) -> "Cut":
-        """From `HOST:AT` or `HOST:AT:FOR`.
+        """Return the cut of `HOST:AT` or `HOST:AT:FOR`.
 
-        Raises: argparse.ArgumentTypeError: it is neither.
+        Raises: argparse.ArgumentTypeError: the text is neither.
         """
         try:
             host, at_s, for_s = [*text.split(":"), ""][:3] if text.count(":") < 3 else []
@@ -73,7 +72,7 @@ class Cut:
 
 
 class Lab:
-    """Hosts on a switch, within the namespaces of this process; they end with it.
+    """Hosts on a switch, in the namespaces of this process; they end with it.
 
     Args:
         hosts: Addresses by name, all of one /24 network.
@@ -84,34 +83,27 @@ class Lab:
         _ip("link", "add", _SWITCH, "type", "bridge")
         _ip("link", "set", _SWITCH, "up")
         for number, (name, address) in enumerate(hosts.items()):
-            # It holds the host's namespace until the lab ends.
-            held = ["unshare", "--net", "sh", "-c", "echo there; exec sleep infinity"]
-            holder = subprocess.Popen(held, stdout=subprocess.PIPE)
+            # The holder keeps the host's namespace until the lab ends.
+            command = ["unshare", "--net", "sh", "-c", "echo there; exec sleep infinity"]
+            holder = subprocess.Popen(command, stdout=subprocess.PIPE)
             if holder.stdout is None or not holder.stdout.readline():
                 raise LabError(f"host {name}: no network namespace")
             self._hosts[name] = holder
             cable = self._cable(name)
             _ip("link", "add", cable, "type", "veth", "peer", "name", f"eth{number}", "netns", str(holder.pid))
             _ip("link", "set", cable, "master", _SWITCH, "up")
-            for words in (
+            for arguments in (
                 ("addr", "add", f"{address}/24", "dev", f"eth{number}"),
                 ("link", "set", f"eth{number}", "up"),
                 ("link", "set", "lo", "up"),
             ):
-                subprocess.run([*self._at(name), "ip", *words], check=True)
+                subprocess.run([*self._at(name), "ip", *arguments], check=True)
 
-    def start(self, host: str, words: Sequence[str], log: Path, cwd: Path) -> subprocess.Popen[bytes]:
-        """Start a command on a host.
-
-        Args:
-            host: Its name.
-            words: The command.
-            log: File for what it writes.
-            cwd: Folder it works in.
-        """
+    def start(self, host: str, command: Sequence[str], log: Path, cwd: Path) -> subprocess.Popen[bytes]:
+        """Start a command on a host, in a folder, with its output in a file."""
         with log.open("wb") as output:
             return subprocess.Popen(
-                [*self._at(host), *words],
+                [*self._at(host), *command],
                 cwd=cwd,
                 stdin=subprocess.DEVNULL,
                 stdout=output,
@@ -119,13 +111,9 @@ class Lab:
                 env={**os.environ, **ENVIRONMENT},
             )
 
-    def cut(self, host: str) -> None:
-        """Take out a host's cable, at the switch."""
-        _ip("link", "set", self._cable(host), "down")
-
-    def mend(self, host: str) -> None:
-        """Put it back."""
-        _ip("link", "set", self._cable(host), "up")
+    def connect(self, host: str, *, on: bool) -> None:
+        """Connect a host's cable to the switch, or cut it."""
+        _ip("link", "set", self._cable(host), "up" if on else "down")
 
     def _cable(self, host: str) -> str:
         return f"port{list(self._hosts).index(host)}"
@@ -135,17 +123,17 @@ class Lab:
 
 
 def unavailable() -> str:
-    """Why there can be no lab on this machine, or nothing."""
+    """Return the reason why this machine cannot have a lab, empty if it can."""
     missing = [tool for tool in _TOOLS if shutil.which(tool) is None]
     if missing:
         return f"no {missing[0]} (util-linux, iproute2)"
-    tried = subprocess.run([*_world(), "ip", "link", "add", "x", "type", "bridge"], capture_output=True, check=False)
-    words = tried.stderr.decode(errors="replace").strip()
-    return "" if tried.returncode == 0 else f"no namespaces here: {words or tried.returncode}"
+    tried = subprocess.run([*_enter(), "ip", "link", "add", "x", "type", "bridge"], capture_output=True, check=False)
+    error = tried.stderr.decode(errors="replace").strip()
+    return "" if tried.returncode == 0 else f"no namespaces here: {error or tried.returncode}"
 
 
 def one_host_each(processes: Sequence[str], run: str) -> Inventory:
-    """An inventory in which every process has a host of its own, and so has the recorder."""
+    """Return an inventory with a separate host for each process and the recorder."""
     hosts = [
         Host(name=name, address=f"10.99.0.{number}", runs=[name])
         for number, name in enumerate([*processes, RECORDER], start=1)
@@ -154,15 +142,15 @@ def one_host_each(processes: Sequence[str], run: str) -> Inventory:
 
 
 def simulate(setup: Setup, out: Path, cuts: Sequence[Cut], timeout_s: float) -> dict[str, object]:
-    """Build the lab, deploy, fly; this process has to be inside already.
+    """Build the lab, deploy and run; to be called inside the namespaces.
 
     Args:
         setup: The run.
-        out: Folder to create: keys, a folder for each host, logs, and what was recorded in `run`.
-        cuts: What is done to cables.
-        timeout_s: How long the whole may take from the first tick on.
-    Returns: Exit codes by process (None of what had to be ended), and the cuts that were made.
-    Raises: LabError: the lab cannot be built, or nobody flies in it.
+        out: Folder to create: keys, a folder for each host, logs, and the recorded run in `run`.
+        cuts: Cuts of cables.
+        timeout_s: Time allowed from the first tick on, s.
+    Returns: Exit codes by process (None for those that had to be ended), and the changes of cables.
+    Raises: LabError: the lab cannot be built, or the run does not begin.
     """
     processes = process_names(setup.scenario)
     inventory = one_host_each(processes, setup.scenario.name)
@@ -171,44 +159,51 @@ def simulate(setup: Setup, out: Path, cuts: Sequence[Cut], timeout_s: float) -> 
     render(setup, inventory, out / "keys", out / "hosts", in_place=True)
     lab = Lab({host.name: host.address for host in inventory.host})
     (out / "logs").mkdir()
+    running = {}
     with ExitStack() as stack:
-        running = {}
-        for posting in postings(inventory, processes, "tls"):
-            words = _words(posting, inventory, out)
-            started = lab.start(posting.host.name, words, out / "logs" / f"{posting.process}.log", out)
+        for placement in placements(inventory, processes, "tls"):
+            started = lab.start(
+                placement.host.name, _command(placement, inventory, out), out / "logs" / f"{placement.process}.log", out
+            )
             stack.callback(started.kill)
-            running[posting.process] = started
-        begun_s = _wait_for_flight(out / "logs" / "coordinator.log", running)
-        made = _work(lab, cuts, begun_s, running, timeout_s)
+            running[placement.process] = started
+        begun_s = _wait_for_start(out / "logs" / "coordinator.log", running)
+        made = _apply(lab, cuts, begun_s, running, timeout_s)
         exits = {name: started.poll() for name, started in running.items()}
     return {"exits": exits, "cuts": made, "took_s": round(time.monotonic() - begun_s, 3)}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command; returns its exit code."""
-    asked = _options().parse_args(arguments)
+    """Run the command and return its exit code."""
+    options = _options().parse_args(arguments)
     if not os.environ.get(_INSIDE):
         reason = unavailable()
         if reason:
             sys.stderr.write(f"lab: {reason}\n")
             return EXIT_UNAVAILABLE
-        own = list(sys.argv[1:] if arguments is None else arguments)
-        words = [*_world(), *python("deploy.lab"), *own]
-        os.execvpe(words[0], words, {**os.environ, _INSIDE: "1"})  # noqa: S606
-    signal.signal(signal.SIGTERM, _interrupted)
-    out: Path = asked.out
+        command = [
+            *_enter(),
+            sys.executable,
+            "-m",
+            "tests.support.lab",
+            *(sys.argv[1:] if arguments is None else arguments),
+        ]
+        os.execvpe(command[0], command, {**os.environ, _INSIDE: "1"})  # noqa: S606
+    for number in (signal.SIGINT, signal.SIGTERM):  # also when started in the background
+        signal.signal(number, signal.default_int_handler)
+    out: Path = options.out
     try:
-        path = find_scenario(asked.scenario)
-        setup = Setup.of(read_scenario(path, asked.settings), str(path))
+        path = find_scenario(options.scenario)
+        setup = Setup.of(read_scenario(path, options.settings), str(path))
         if out.exists():
             raise LabError(f"--out: expected a folder that does not exist yet, got {out}")
         known = [*process_names(setup.scenario), RECORDER]
-        strange = [cut.host for cut in asked.cut if cut.host not in known]
-        if strange:
-            raise LabError(f"--cut: expected a host of {', '.join(known)}, got {strange[0]!r}")
-        found = simulate(setup, out.resolve(), asked.cut, asked.timeout)
+        for cut in options.cut:
+            if cut.host not in known:
+                raise LabError(f"--cut: expected a host of {', '.join(known)}, got {cut.host!r}")
+        found = simulate(setup, out.resolve(), options.cut, options.timeout)
     except ScenarioError as error:
-        sys.stderr.write(f"lab: {error.blaming(asked.settings)}\n")
+        sys.stderr.write(f"lab: {error.blaming(options.settings)}\n")
         return EXIT_SCENARIO
     except (LabError, KeysError, RenderError, subprocess.CalledProcessError) as error:
         sys.stderr.write(f"lab: {error}\n")
@@ -224,7 +219,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _options() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m deploy.lab", description=(__doc__ or "").split("\n")[0])
+    parser = argparse.ArgumentParser(prog="python -m tests.support.lab", description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--scenario", default="resilient", help="scenario file or name")
     parser.add_argument("--set", dest="settings", action="append", default=[], metavar="KEY=VALUE")
     parser.add_argument("--cut", type=Cut.of, action="append", default=[], metavar="HOST:AT[:FOR]", help="seconds")
@@ -233,23 +228,23 @@ def _options() -> argparse.ArgumentParser:
     return parser
 
 
-def _world() -> list[str]:
-    """The command that begins a lab; who is not root is root in it alone."""
-    return ["unshare", *(() if os.geteuid() == 0 else ("--map-root-user",)), *_WORLD]
+def _enter() -> list[str]:
+    """Return the command that enters new namespaces, as root in them only."""
+    return ["unshare", *(() if os.geteuid() == 0 else ("--map-root-user",)), *_NAMESPACES]
 
 
-def _ip(*words: str) -> None:
-    subprocess.run(["ip", *words], check=True)  # noqa: S607
+def _ip(*arguments: str) -> None:
+    subprocess.run(["ip", *arguments], check=True)
 
 
-def _words(posting: Posting, inventory: Inventory, out: Path) -> list[str]:
-    """The command of a rendered unit, from this environment instead of /opt."""
-    _, *rest = command(posting, inventory, etc=out / "hosts" / posting.host.name)
-    return [*python("transport"), *rest, *(["--out", "run"] if posting.process == RECORDER else [])]
+def _command(placement: Placement, inventory: Inventory, out: Path) -> list[str]:
+    """Return the command of a rendered unit, with this environment in place of /opt."""
+    _, *rest = command(placement, inventory, etc=out / "hosts" / placement.host.name)
+    return [*python("transport"), *rest, *(["--out", "run"] if placement.process == RECORDER else [])]
 
 
-def _wait_for_flight(log: Path, running: Mapping[str, subprocess.Popen[bytes]]) -> float:
-    """Steady-clock time at which the coordinator has seen everybody, s.
+def _wait_for_start(log: Path, running: Mapping[str, subprocess.Popen[bytes]]) -> float:
+    """Wait until the coordinator has met all processes and return the steady-clock time, s.
 
     Raises: LabError: a process ends before that.
     """
@@ -263,14 +258,14 @@ def _wait_for_flight(log: Path, running: Mapping[str, subprocess.Popen[bytes]]) 
     return time.monotonic()
 
 
-def _work(
+def _apply(
     lab: Lab,
     cuts: Sequence[Cut],
     begun_s: float,
     running: Mapping[str, subprocess.Popen[bytes]],
     timeout_s: float,
 ) -> list[dict[str, object]]:
-    """Do what is due, until everybody has ended or the time is over; what was done, with its time of the flight."""
+    """Cut and mend cables until all processes have ended or the time is over; return the changes with their times."""
     due = [(cut.at_s, "cut", cut.host) for cut in cuts]
     due += [(cut.at_s + cut.for_s, "mend", cut.host) for cut in cuts if cut.for_s is not None]
     due.sort(reverse=True)
@@ -280,15 +275,11 @@ def _work(
         if now_s > timeout_s:
             return made
         if due and now_s >= due[-1][0]:
-            _, what, host = due.pop()
-            (lab.cut if what == "cut" else lab.mend)(host)
-            made.append({"at_s": round(now_s, 3), "did": what, "host": host})
+            _, change, host = due.pop()
+            lab.connect(host, on=change == "mend")
+            made.append({"at_s": round(now_s, 3), "did": change, "host": host})
         time.sleep(_POLL_S)
     return made
-
-
-def _interrupted(_: int, __: FrameType | None) -> None:
-    raise KeyboardInterrupt
 
 
 if __name__ == "__main__":

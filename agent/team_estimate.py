@@ -1,0 +1,203 @@
+"""State and inputs of the whole team as one agent estimates them, through changes of the roster and failures."""
+
+from collections.abc import Sequence, Set
+from dataclasses import dataclass
+
+from agent.announced import AnnouncedInputs
+from agent.disturbance import DisturbanceEstimator
+from agent.estimator import WINDOW, StateEstimator
+from model import state
+from model.arrays import Array
+from model.failure import motor_off_state, released_state
+from model.state import input_indices
+from mpc.controller import Controller
+from mpc.fail_safe import FailSafe
+from mpc.feedback import FeedbackLaw, Regulator
+from mpc.prediction import Prediction
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import Measurement, Plan
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Known:
+    """Information of an agent at a tick.
+
+    Attributes:
+        measurement: The tick's own.
+        measurements: Those that have become usable since the last step, in order.
+        plans: Plans of the others that have become usable since the last step, in order.
+        lost: Plans known since then to be lost on their links.
+        agents: Agents on the roster, 1-based.
+        off: UAVs whose motors are off, 0-based.
+        released: Those of them that are released.
+        failed_since: Tick of the newest failure of a UAV.
+        ticks_since_start: Ticks since this process joined.
+        started_ns: Begin of the step on the stopwatch.
+    """
+
+    measurement: Measurement
+    measurements: Sequence[Measurement]
+    plans: Sequence[Plan]
+    lost: int
+    agents: Set[int]
+    off: frozenset[int]
+    released: frozenset[int]
+    failed_since: int
+    ticks_since_start: int
+    started_ns: int
+
+
+class TeamEstimate:
+    """Estimate of one agent; the controller is kept up to date with the team.
+
+    Args:
+        setup: The run.
+        agent: 1-based.
+        controller: Of this agent.
+
+    Attributes:
+        announced: Inputs announced by all agents.
+        estimator: Estimated states, by tick.
+    """
+
+    def __init__(self, setup: Setup, agent: int, controller: Controller) -> None:
+        self._setup, self._agent, self._controller = setup, agent, controller
+        self._owned = setup.owned[agent - 1]
+        self.peers = tuple(other for other in setup.agents if other != agent)
+        self._off_roster: set[int] = set()  # agents that the controller leaves out
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the flight so far; the controller stays as it is, and with it the agents that it leaves out."""
+        setup, section = self._setup, self._setup.scenario.controller
+        period_s = setup.settings.sampling_period_s
+        self._disturbance: DisturbanceEstimator | None = None
+        if section.disturbance.estimate:
+            self._disturbance = DisturbanceEstimator(
+                setup.model, setup.hover, self._owned, period_s, section.disturbance.time_constant_s
+            )
+        self.estimator = StateEstimator(setup.model, self._reference, period_s, self._disturbance)
+        self.announced = AnnouncedInputs(
+            setup.owned,
+            setup.hover.u,
+            FailSafe(setup.system, setup.hover.u),
+            section.received_plans,
+            own=self._agent,
+            law=self._law_inputs,
+            past=self.estimator.known,
+            limits=setup.settings.limits,
+        )
+        self._failed: tuple[frozenset[int], frozenset[int]] = frozenset(), frozenset()  # UAVs off, and released
+        # Start, prediction, control law and own inputs of the last step.
+        self._expected: tuple[int, Prediction, FeedbackLaw, Array] | None = None
+        # Arguments and result of `_law_inputs` by tick.
+        self._law_cache: dict[int, tuple[Array, Array | None, Regulator | None, Array | None]] = {}
+
+    @property
+    def forces(self) -> Array | None:
+        """Estimated external forces, (3 + 3 N,), inertial frame, N; None where they are not estimated."""
+        return None if self._disturbance is None else self._disturbance.forces
+
+    def update(self, known: Known) -> Array:
+        """Take in what is known at a tick and return the estimated state, (n,)."""
+        k = known.measurement.tick
+        self._update_roster(known)
+        for plan in known.plans:
+            self.announced.add(plan)
+            self.estimator.take(plan)
+        for measurement in known.measurements:
+            self.estimator.measure(measurement)
+        x = self.estimator.estimate(k, self.announced)
+        if self._setup.scenario.controller.received_states == "as_received":
+            x = self._with_states_as_received(x, k)
+        return x
+
+    def inputs_until(self, k: int) -> Array:
+        """Return the inputs in force until a tick: own ones as the actuators report them, the others as announced."""
+        u = self._setup.hover.u.copy()
+        if k > 0:
+            u = self.announced.at(k - 1, before=k, x=self.estimator.known(k - 1))
+        reported = self.estimator.reported_inputs(k)
+        if reported is not None:
+            u[input_indices(self._owned)] = reported.reshape(-1)
+        return u
+
+    def expect(self, start: int, prediction: Prediction, law: FeedbackLaw, inputs: Array) -> None:
+        """Keep a step's prediction from tick `start` on, from which the inputs of an agent that leaves are taken."""
+        self._expected = start, prediction, law, inputs
+
+    def _update_roster(self, known: Known) -> None:
+        """Take in the roster of a tick; all agents do that at the same tick."""
+        tick = known.measurement.tick
+        off_roster = set(self._setup.agents) - known.agents
+        self.announced.off_roster = off_roster
+        self._update_failures(known)
+        if off_roster == self._off_roster:
+            return
+        for agent in self._off_roster - off_roster:
+            self.announced.forget(agent)
+        for agent in off_roster - self._off_roster:
+            self._assume_last_plan(agent, tick)
+        self._off_roster, self.announced.law_since = off_roster, tick
+        self._controller.without([uav for agent in sorted(off_roster) for uav in self._setup.owned[agent - 1]])
+
+    def _assume_last_plan(self, agent: int, tick: int) -> None:
+        """Use the inputs expected of an agent that leaves the roster at a tick, if its last plan is not here.
+
+        Source: docs/equations.md (32b).
+        """
+        newest = self.announced.newest(agent, before=tick)
+        if self._expected is not None and newest is not None and newest.tick < tick - 1:
+            start, prediction, law, inputs = self._expected
+            self.announced.assume(agent, start, self._controller.foreseen(prediction, law, inputs))
+
+    def _update_failures(self, known: Known) -> None:
+        """Go on with model and control law of the UAVs that are left, if further UAVs have failed."""
+        off, released = known.off, known.released
+        known_off, known_released = self._failed
+        if (off, released) == self._failed:
+            return
+        self._failed = off, released
+        stopped, cut = sorted(off - known_off - released), sorted(released - known_released)
+
+        def moved(x: Array) -> Array:
+            for uav in stopped:
+                x = motor_off_state(x, uav)
+            for uav in cut:
+                x = released_state(x, uav)
+            return x
+
+        controller, since = self._controller, min(known.measurement.tick, known.failed_since)
+        controller.fail(off, released)
+        self.estimator.change(since, controller.model, moved)
+        self.announced.failed_since = since
+        left = [uav for uav in self._owned if uav not in off]
+        if self._disturbance is not None and left:
+            self._disturbance.rebuild(controller.model, controller.regulation.hover, left)
+
+    def _law_inputs(self, tick: int, x: Array) -> Array | None:
+        """Return inputs of all UAVs by the shared control law, without corrections, (m,); None for open loop.
+
+        Cached by tick: the inputs are needed for each of the others, and those of a past tick again at later ticks.
+        """
+        forces, regulation = self.forces, self._controller.regulation
+        cached = self._law_cache.get(tick)
+        if cached is None or cached[0] is not x or cached[1] is not forces or cached[2] is not regulation.regulator:
+            inputs = regulation.inputs(x, self._setup.X_ref[tick], forces, tick)
+            cached = self._law_cache[tick] = x, forces, regulation.regulator, inputs
+            if len(self._law_cache) > 2 * WINDOW:
+                del self._law_cache[min(self._law_cache)]
+        return cached[3]
+
+    def _reference(self, tick: int) -> Array:
+        """Return the reference state at a tick, (n,)."""
+        reference: Array = self._setup.X_ref[tick].copy()
+        return reference
+
+    def _with_states_as_received(self, x: Array, k: int) -> Array:
+        """Return the estimate with the others' states as last received, not predicted to the tick."""
+        x = x.copy()
+        for plan in filter(None, (self.announced.newest(agent, before=k) for agent in self.peers)):
+            for uav, block in zip(plan.uavs, plan.uav_states, strict=True):
+                x[state.uav_slice(uav - 1)] = block
+        return x
