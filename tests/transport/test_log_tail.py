@@ -1,7 +1,8 @@
-"""A log read while it is written."""
+"""A log read while it is written, piece by piece, damaged or replaced."""
 
 from collections.abc import Sequence
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 
 import pytest
@@ -16,7 +17,7 @@ from tests.support.logs import flown
 from transport.log import tail as log_tail
 from transport.log.json_messages import to_json
 from transport.log.run_log import read_log
-from transport.log.salvage import content_of, frames
+from transport.log.salvage import chunk_content, frames
 from transport.log.tail import Chunks, LogTail, Unread
 from transport.scene.record import KINDS, LATER, Record
 
@@ -54,12 +55,19 @@ def test_it_reads_what_is_whole(log: Path, tmp_path: Path, piece: int) -> None:
 def test_damage_costs_what_is_damaged(log: Path, tmp_path: Path) -> None:
     """A chunk that cannot be read is left out, and what comes behind it is read."""
     data = bytearray(log.read_bytes())
-    first = next(body for opcode, body in frames(bytes(data), len(MCAP0_MAGIC)) if opcode == Opcode.CHUNK)
+    first = next(body for opcode, _, body in frames(behind_magic(data)) if opcode == Opcode.CHUNK)
     data[data.index(first) + len(first) // 2] ^= 0xFF
     (tmp_path / "run.mcap").write_bytes(data)
     messages, whole = LogTail(tmp_path / "run.mcap").read(), read_log(log).messages
     assert 0 < len(messages) < len(whole)
     assert messages[-1].kind == "control"
+
+
+def behind_magic(data: bytes | bytearray) -> BytesIO:
+    """Return a file at its first record."""
+    file = BytesIO(data)
+    file.seek(len(MCAP0_MAGIC))
+    return file
 
 
 def test_what_is_read_later_says_the_same(log: Path) -> None:
@@ -101,8 +109,8 @@ def test_what_is_damaged_is_not_there(log: Path, tmp_path: Path, kind: str, othe
     assert said(replace(one, chunks=Chunks(tmp_path / "none.mcap"))) is None
     not_it = next(message for message in taken if message.kind == other and message.chunk == one.chunk)
     later = next(message for message in taken if message.kind == kind and message.tick > one.tick)
-    assert said(replace(one, inside=not_it.inside)) is None
-    assert said(replace(one, chunk=later.chunk, inside=later.inside)) is None
+    assert said(replace(one, span=not_it.span)) is None
+    assert said(replace(one, chunk=later.chunk, span=later.span)) is None
 
 
 def said(message: Unread) -> int | None:
@@ -130,7 +138,7 @@ def test_one_bad_message_costs_itself(log: Path, tmp_path: Path) -> None:
         file.write(chunk_of(inside + bytes([Opcode.MESSAGE]) + (4).to_bytes(8, "little") + b"\1\0\0\0"))
     found = [message.tick for message in LogTail(path).read()]
     assert found == [0, 1] * 3
-    assert [entry.message.tick for entry in read_log(path).messages] == [0, 1] * 2  # a chunk that is not right is none
+    assert [entry.message.tick for entry in read_log(path).messages] == [0, 1] * 3
 
 
 def chunk_of(data: bytes) -> bytes:
@@ -153,11 +161,11 @@ def test_what_is_looked_back_at_is_read_once(log: Path, monkeypatch: pytest.Monk
 
     def unpacked(body: bytes) -> bytes:
         read.append(body)
-        return content_of(body)
+        return chunk_content(body)
 
     taken = [message for message in LogTail(log, KINDS, LATER).read() if isinstance(message, Unread)]
-    monkeypatch.setattr(log_tail, "content_of", unpacked)
-    monkeypatch.setattr(log_tail, "_CHUNKS", 1)
+    monkeypatch.setattr(log_tail, "chunk_content", unpacked)
+    monkeypatch.setattr(log_tail, "_CACHED_CHUNKS", 1)
     for _ in range(2):
         assert all(message.message() is not None for message in taken)
     chunks = {message.chunk for message in taken}
