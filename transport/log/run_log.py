@@ -24,7 +24,7 @@ from transport.log.salvage import NotMcapError, Salvage
 # A chunk ends at this size, before compression (about three ticks of four agents), or at this age. A kill loses at most
 # one chunk; live readers wait for it. Larger chunks hardly compress better.
 CHUNK_BYTES = 64 * 1024
-CHUNK_S = 0.1
+CHUNK_S = 0.05
 _CHUNK_NS = round(CHUNK_S * 1e9)
 
 _METADATA = "run"
