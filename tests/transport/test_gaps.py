@@ -11,7 +11,7 @@ from protocol.wire.messages import FaultNote, Message, Plan, PlantState, Rejecte
 from tests.support import runs
 from tests.support.logs import log_of
 from tests.support.troubles import FAULTS, RESILIENT
-from transport.log.gaps import UNHEARD, missing
+from transport.log.gaps import END_NOT_RECORDED, missing
 from transport.log.run_log import LogWriter, read_log
 from transport.report.report import write_report
 
@@ -75,7 +75,7 @@ def test_a_plant_that_is_not_heard_of_any_more(flight: list[Message]) -> None:
 
 def test_an_end_that_was_not_heard(flight: list[Message]) -> None:
     """Of a run whose end the recorder knows of by nothing but the coordinator's exit code, the rest is missing."""
-    for reason, said in (("coordinator is gone", ""), (UNHEARD, "the rest of the run after tick 11")):
+    for reason, said in (("coordinator is gone", ""), (END_NOT_RECORDED, "the rest of the run after tick 11")):
         control = replace(runs.end(11), sender="recorder", outcome="aborted", reason=reason, exit_code=4)
         log = log_of([*(message for message in flight if message.tick < 12), control])
         assert missing(log) == (f"{said} did not reach the recorder" if said else "")

@@ -1,1 +1,1 @@
-"""analysis."""
+"""Metrics, tables and replay of a recorded run."""

@@ -1,1 +1,1 @@
-"""log."""
+"""Recording and reading the log of a run."""
