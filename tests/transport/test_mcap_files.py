@@ -2,12 +2,12 @@
 
 import tracemalloc
 from collections.abc import Iterator
-from contextlib import closing
 from dataclasses import replace
 from io import BytesIO
 from itertools import cycle, islice
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryFile
+from typing import IO, Any
 
 import numpy as np
 import pytest
@@ -46,7 +46,7 @@ def entries() -> Iterator[Entry]:
         number += 1
 
 
-def started(file: BytesIO) -> Writer:
+def started(file: IO[bytes]) -> Writer:
     """Return a writer with all channels registered."""
     writer = Writer(file, chunk_size=CHUNK_BYTES, enable_data_crcs=True)
     writer.start(library="tests")
@@ -69,18 +69,15 @@ def written(count: int, indexes: ChunkIndexes | None = None) -> bytes:
 
 
 @pytest.mark.parametrize("count", [0, 1, 40, 3000])
-def test_indexes_in_a_file_change_no_byte(tmp_path: Path, count: int) -> None:
+def test_indexes_in_a_file_change_no_byte(count: int) -> None:
     """A file written with chunk indexes in a file equals one written by the mcap package alone."""
-    with closing(ChunkIndexes(tmp_path)) as indexes:
-        assert written(count, indexes) == written(count)
-    assert list(tmp_path.iterdir()) == []
+    assert written(count, ChunkIndexes(BytesIO())) == written(count)
 
 
-def test_other_readers_seek_by_the_indexes(tmp_path: Path) -> None:
+def test_other_readers_seek_by_the_indexes() -> None:
     """The reader of the mcap package finds messages by time and topic."""
     first_ns, last_ns, topics = 50 * 10**9, 90 * 10**9, ["/topic/2", "/topic/5"]
-    with closing(ChunkIndexes(tmp_path)) as indexes:
-        reader = make_reader(BytesIO(written(3000, indexes)))
+    reader = make_reader(BytesIO(written(3000, ChunkIndexes(BytesIO()))))
     assert isinstance(reader, SeekingReader)
     found = [
         message.data
@@ -100,9 +97,9 @@ def test_other_readers_seek_by_the_indexes(tmp_path: Path) -> None:
 def test_memory_does_not_grow(tmp_path: Path) -> None:
     """A hundred thousand messages in ten thousand chunks take no more memory than ten thousand messages."""
     messages = cycle(list(islice(entries(), 1000)))
-    with (tmp_path / "long.mcap").open("wb") as file, closing(ChunkIndexes(tmp_path)) as indexes:
-        writer = started(file)  # type: ignore[arg-type]
-        indexes.attach(writer)
+    with (tmp_path / "long.mcap").open("wb") as file, TemporaryFile(dir=tmp_path) as indexes:
+        writer = started(file)
+        ChunkIndexes(indexes).attach(writer)
 
         def held(count: int) -> int:
             for entry in islice(messages, count):
@@ -150,7 +147,7 @@ def test_flushed_messages_are_in_the_file() -> None:
     writer = started(file)
     for entry in islice(entries(), count):
         writer.add_message(**entry)
-    writer.flush()
+    writer.flush()  # type: ignore[no-untyped-call]
     data, expected = file.getvalue(), [entry["data"] for entry in islice(entries(), count)]
     sizes = []
     for end in range(0, len(data) + 1, 97):

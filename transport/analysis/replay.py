@@ -85,7 +85,7 @@ class Replay:
     setup: Setup
     log: RunLog
     agent: int
-    before_measurement: Callable[[AgentNode, Measurement], None] = lambda node, measurement: None
+    before_measurement: Callable[[AgentNode, Measurement], None] = lambda _node, _measurement: None
     notes: list[str] = field(default_factory=list)
     refused: list[str] = field(default_factory=list)
 

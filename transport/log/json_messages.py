@@ -1,7 +1,7 @@
 """Messages as JSON and the JSON Schema of each kind, both from the fields of the message classes.
 
-A matrix is written row by row with its shape in a second field (`inputs`, `inputs_shape`): viewers can plot `inputs[0]`,
-but few can plot a list of lists. A float64 is written with the fewest digits that read back as the same bits.
+A matrix is written row by row with its shape in a second field (`inputs`, `inputs_shape`): viewers plot `inputs[0]`,
+but few plot a list of lists. A float64 is written with the fewest digits that read back as the same bits.
 """
 
 import dataclasses

@@ -6,9 +6,10 @@ all messages, describes the run.
 """
 
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, closing, contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryFile
 from types import TracebackType
 from typing import TypeVar
 
@@ -100,14 +101,15 @@ class LogWriter:
         self._pending_since_ns = 0  # arrival of its first message
         self._closed = False
         self._opened = ExitStack()
-        with self._guarded():
-            file = self._opened.enter_context(path.open("wb"))
-            indexes = self._opened.enter_context(closing(ChunkIndexes(path.parent)))
+        with self._guarded(), ExitStack() as opened:
+            file = opened.enter_context(path.open("wb"))
+            indexes = opened.enter_context(TemporaryFile(dir=path.parent))
             self._writer = Writer(file, chunk_size=2 * CHUNK_BYTES, enable_data_crcs=True)
-            indexes.attach(self._writer)
+            ChunkIndexes(indexes).attach(self._writer)
             self._writer.start(library="payload-transport")
             self._writer.add_metadata(_METADATA, dict(header))
-            self._writer.flush()
+            self._finish_chunk()
+            self._opened = opened.pop_all()
 
     def __enter__(self) -> "LogWriter":
         return self
@@ -172,7 +174,7 @@ class LogWriter:
             self._opened.close()
 
     def _finish_chunk(self) -> None:
-        self._writer.flush()
+        self._writer.flush()  # type: ignore[no-untyped-call]
         self._pending_bytes = 0
 
     def _channel(self, message: Message) -> int:
@@ -187,7 +189,10 @@ class LogWriter:
 
     @contextmanager
     def _guarded(self) -> Iterator[None]:
-        """Turn a failed write into a LogError and leave the file as it is: no reader would find records behind a cut one."""
+        """Turn a failed write into a LogError and close the file as it is.
+
+        Nothing may follow a record that was written in part: no reader would find it.
+        """
         try:
             yield
         except OSError as error:
