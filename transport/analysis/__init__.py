@@ -1,1 +1,1 @@
-"""Metrics, tables and replay of a recorded run."""
+"""Numbers of a recorded run: time series, metrics, settling, replay of the agents."""

@@ -1,1 +1,1 @@
-"""Recording and reading the log of a run."""
+"""Logs: writing and reading run.mcap, salvage of cut files, tables, gaps."""
