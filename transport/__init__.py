@@ -1,4 +1,4 @@
-"""What a person touches: command line, local harness, recording, metrics, figures."""
+"""Running, recording, analysing and showing runs of the project. Import fails if another file hides a package."""
 
 from importlib.util import find_spec
 from pathlib import Path
@@ -8,7 +8,7 @@ _PACKAGES = ("model", "mpc", "protocol", "agent", "plant", "coordinator", "deplo
 
 
 def _hidden() -> str:
-    """Return a text that names the first package of this project that another file or folder hides; empty if none."""
+    """Return an error text about the first package of this project that another file hides; empty if none."""
     for name in _PACKAGES:
         spec = find_spec(name)
         if spec is None:

@@ -1,4 +1,4 @@
-"""Logs made by hand and from flights, for the tests of metrics, report and figures."""
+"""Logs composed of single messages and of simulated runs, for the tests of metrics, report and figures."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -36,7 +36,7 @@ ALONE = (
 
 
 def log_of(messages: Sequence[Message], received_ms: Sequence[float] = (), *, cut: str = "") -> RunLog:
-    """A log of the messages; each received one millisecond after the one before unless said otherwise."""
+    """Return a log of messages, received 1 ms apart unless `received_ms` is given."""
     times = list(received_ms) or [float(number) for number in range(len(messages))]
     entries = [
         Recorded(message=message, received_ns=round(at * MILLISECOND_NS))
@@ -46,7 +46,7 @@ def log_of(messages: Sequence[Message], received_ms: Sequence[float] = (), *, cu
 
 
 def report(run: Setup, agent: int, tick: int, **fields: Any) -> StepReport:
-    """An agent's report of a step that went well."""
+    """Return an agent's report of a successful step."""
     peers = tuple(other for other in run.agents if other != agent)
     usual: dict[str, Any] = {
         "status": "solved",
@@ -70,7 +70,7 @@ def report(run: Setup, agent: int, tick: int, **fields: Any) -> StepReport:
 
 
 def plan(run: Setup, agent: int, k: int) -> Plan:
-    """An agent's plan of tick k: two steps of hover."""
+    """Return an agent's plan of tick k: two steps of hover."""
     owned = run.owned[agent - 1]
     return Plan(
         sender=agent_name(agent),
@@ -90,7 +90,7 @@ def plan(run: Setup, agent: int, k: int) -> Plan:
 
 
 def plant_state(run: Setup, k: int, change: Callable[[Array, Array], None] = lambda x, u: None) -> PlantState:
-    """The plant at the reference of tick k with hover inputs, after a change to copies of x and u."""
+    """Return the plant state at the reference of tick k with hover inputs, after `change` of copies of x and u."""
     times_s = np.array([k * run.settings.sampling_period_s])
     x = run.hover.x.copy()
     x[state.R0] += run.maneuver.path(times_s)[0][0]
@@ -100,7 +100,7 @@ def plant_state(run: Setup, k: int, change: Callable[[Array, Array], None] = lam
 
 
 def flown(run: Setup, folder: Path) -> list[Message]:
-    """Fly a run in this process and leave the run folder that `transport run` would."""
+    """Simulate a run in this process, write its run folder as `transport run` does, and return all messages."""
     folder.mkdir(parents=True, exist_ok=True)
     text = tomli_w.dumps(run.scenario.tree())
     (folder / "scenario.toml").write_text(text, encoding="utf-8")

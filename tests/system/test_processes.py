@@ -16,7 +16,7 @@ from tests.support.commands import SHORT, command, free_base, processes_of, sett
 from transport.flight.memory import simulate
 from transport.log.run_log import read_log
 
-SCHEMA = json.loads((Path(__file__).parents[2] / "transport" / "summary.schema.json").read_text())
+SCHEMA = json.loads((Path(__file__).parents[2] / "transport" / "analysis" / "summary.schema.json").read_text())
 
 # DAQP and Clarabel meet the same optimality conditions to 1e-6; the cost of a whole flight then agrees to this.
 SOLVER_TOLERANCE = 1e-3

@@ -111,7 +111,7 @@ def test_a_replay_hears_what_the_agent_heard() -> None:
     assert len(steps) == 30
     assert replay.notes == replay.refused == []
     for step in steps:
-        for now, then in zip(step.said, step.recorded, strict=True):
+        for now, then in zip(step.answers, step.recorded, strict=True):
             assert then is not None
             assert encode(reproducible(now)) == encode(reproducible(then))
 

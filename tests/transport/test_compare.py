@@ -1,4 +1,4 @@
-"""`transport compare`: numbers side by side, differences from the first, and what is said of what does not compare."""
+"""`transport compare`: numbers side by side, differences from the first run, and notes about unequal runs."""
 
 import csv
 import json
@@ -17,7 +17,7 @@ from transport.report.compare import Compared, doubts, rows
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Run folders: as printed, with late plans, with another maneuver and weight."""
+    """Run folders: as published, with late plans, with another maneuver and weight."""
     parent = tmp_path_factory.mktemp("compare")
     for name, settings in (
         ("usual", (runs.SHORT,)),
@@ -29,12 +29,12 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 def ask(*arguments: str | Path) -> Result:
-    """The command in this process."""
+    """Run the command in this process."""
     return CliRunner().invoke(app, ["compare", *map(str, arguments)])
 
 
 def test_numbers_and_differences(folders: dict[str, Path]) -> None:
-    """Values are those of the summaries; percentages are of the first; what is no number has none."""
+    """Values are those of the summaries; percentages refer to the first run; text has none."""
     usual, late = (Compared.of(name, open_run(folders[name])) for name in ("usual", "late"))
     table = {row.name: row for row in rows([usual, late])}
     costs = tuple(one.summary["cost"]["mean"] for one in (usual, late))
@@ -63,11 +63,11 @@ def test_numbers_and_differences(folders: dict[str, Path]) -> None:
     assert (decays.values, decays.percent) == ((None, "yes"), (None, None))
     assert table["outcome"].values == ("completed", "completed")
     assert table["outcome"].percent == (None, None)
-    assert table["plans lost"].percent == (None, None)  # of nothing there is no share
+    assert table["plans lost"].percent == (None, None)  # no share of 0
     assert list(doubts([usual, late])) == []
 
 
-def test_what_is_hard_to_compare_is_said(folders: dict[str, Path], tmp_path: Path) -> None:
+def test_unequal_runs_are_noted(folders: dict[str, Path], tmp_path: Path) -> None:
     """Another maneuver and other weights are notes, not errors; the figure is drawn all the same."""
     result = ask(f"first={folders['usual']}", folders["other"], "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output

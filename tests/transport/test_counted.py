@@ -1,4 +1,4 @@
-"""What counts of a log: messages of those who took part in the tick they are about."""
+"""Messages of a log that count: those of agents that took part in the tick of the message."""
 
 from dataclasses import replace
 
@@ -9,18 +9,18 @@ from tests.support.logs import log_of, plan, report
 from transport.analysis.counted import counted
 
 HOVER = runs.ticks(10)
-EVERYBODY = {1: 0, 2: 0, 3: 0, 4: 0}
+ALL = {1: 0, 2: 0, 3: 0, 4: 0}
 LEFT = {1: 0, 3: 0, 4: 0}
 BACK = {1: 0, 2: 1, 3: 0, 4: 0}
 
 
-def flown(run: Setup) -> list[Message]:
-    """Four ticks: agent 2 answers the first, freezes in the second, and is back in the fourth as a new start."""
-    messages: list[Message] = [runs.roster(EVERYBODY)]
-    for k, (members, version) in enumerate([(EVERYBODY, 1), (EVERYBODY, 1), (LEFT, 2), (BACK, 3)]):
+def messages_of(run: Setup) -> list[Message]:
+    """Four ticks: agent 2 answers the first, stops in the second, and is back in the fourth as a new incarnation."""
+    messages: list[Message] = [runs.roster(ALL)]
+    for k, (members, version) in enumerate([(ALL, 1), (ALL, 1), (LEFT, 2), (BACK, 3)]):
         if k == 3:
             messages.append(runs.roster(BACK, k=3, version=3))
-        answered = {0: (), 1: tuple(EVERYBODY), 2: tuple(LEFT), 3: tuple(LEFT)}[k]
+        answered = {0: (), 1: tuple(ALL), 2: tuple(LEFT), 3: tuple(LEFT)}[k]
         messages.append(runs.tick(k, answered=answered, members=tuple(members), version=version))
         for agent, incarnation in members.items():
             if not (agent == 2 and k == 1):
@@ -31,41 +31,41 @@ def flown(run: Setup) -> list[Message]:
 
 
 def kept(run: Setup, messages: list[Message]) -> list[int]:
-    """Places of the messages that count."""
+    """Return the indices of the messages that count."""
     places = {id(message): place for place, message in enumerate(messages)}
     return [places[id(entry.message)] for entry in counted(run, log_of(messages)).messages]
 
 
 def stale(run: Setup, k: int, incarnation: int = 0) -> list[Message]:
-    """What agent 2 had begun to say of a tick before it froze."""
+    """Return the outdated messages that agent 2 sends of a tick when it continues."""
     return [replace(message, incarnation=incarnation) for message in (plan(run, 2, k), report(run, 2, k))]
 
 
 def test_a_whole_flight_counts() -> None:
-    """Where everybody is who they should be nothing is left out, whatever the kind."""
+    """If all agents are on the roster, every message counts."""
     run = runs.setup(HOVER)
-    messages = [*flown(run), runs.plant_state(run, 0), runs.end()]
+    messages = [*messages_of(run), runs.plant_state(run, 0), runs.end()]
     assert kept(run, messages) == list(range(len(messages)))
 
 
-def test_what_a_thawed_process_says_does_not_count() -> None:
-    """Plans and reports of the tick it froze at, which nobody waited for, and later ones of its old start."""
+def test_messages_of_a_continued_process_do_not_count() -> None:
+    """Plans and reports of the tick in which it stopped, and later ones of its old incarnation, do not count."""
     run = runs.setup(HOVER)
-    flight = flown(run)
+    flight = messages_of(run)
     for late in (stale(run, 1), stale(run, 2), stale(run, 3), stale(run, 3, incarnation=2)):
         assert kept(run, [*flight, *late]) == list(range(len(flight)))
 
 
-def test_in_real_time_late_is_no_reason() -> None:
-    """There a plan that missed its deadline is as good as any: only the start it is of decides."""
+def test_in_real_time_late_plans_count() -> None:
+    """In real time a plan that missed its deadline counts; only its incarnation decides."""
     run = runs.setup(HOVER, "clock.mode=realtime", "clock.speed=1")
-    flight = flown(run)
+    flight = messages_of(run)
     assert kept(run, [*flight, *stale(run, 1)]) == list(range(len(flight) + 2))
     assert kept(run, [*flight, *stale(run, 3)]) == list(range(len(flight)))
 
 
 def test_a_cut_log_counts_as_far_as_it_goes() -> None:
-    """Without the ticks or rosters that would say who took part everything counts."""
+    """Every message counts if the ticks and rosters that name the agents are missing."""
     run = runs.setup(HOVER)
-    messages = [message for message in flown(run) if isinstance(message, Plan | StepReport)]
+    messages = [message for message in messages_of(run) if isinstance(message, Plan | StepReport)]
     assert kept(run, [*messages, *stale(run, 7)]) == list(range(len(messages) + 2))

@@ -1,4 +1,4 @@
-"""The log: equal bits back, readable after any accident, open to other programs."""
+"""The log: messages read back bit for bit, after any cut or damage, also by other programs."""
 
 import os
 import resource
@@ -33,7 +33,7 @@ FULL_BYTES = 40_000  # one chunk fits, or a few
 
 
 def write(path: Path, messages: Sequence[Message], period_ns: int = 50_000_000) -> Path:
-    """A finished log of the messages, one received every microsecond."""
+    """Write a finished log of messages received 1 us apart."""
     with LogWriter(path, HEADER, period_ns=period_ns) as writer:
         for number, message in enumerate(messages):
             writer.write(message, RECEIVED_NS + 1000 * number)
@@ -41,43 +41,43 @@ def write(path: Path, messages: Sequence[Message], period_ns: int = 50_000_000) 
 
 
 def bits(messages: Sequence[Message]) -> list[bytes]:
-    """The messages as the wire carries them."""
+    """Return the messages as encoded for the network."""
     return [encode(message) for message in messages]
 
 
 def read_bits(log: RunLog) -> list[bytes]:
-    """The log's messages as the wire carries them."""
+    """Return the messages of a log as encoded for the network."""
     return bits([entry.message for entry in log.messages])
 
 
 @pytest.fixture(scope="module")
 def flight() -> list[Message]:
-    """All messages of eight ticks of the paper's scenario with a step in the reference."""
+    """Every message of eight ticks of the paper's scenario with a step in the reference."""
     phase = "{name='climb',duration_s=0.4,displacement_m=[0.1,0.0,-0.2]}"
     return runs.recorded(runs.setup(f"maneuver.phase=[{phase}]", "maneuver.profile=step"))
 
 
 @pytest.fixture(scope="module")
 def whole(flight: list[Message], tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """Bytes of the finished log of that flight: several chunks."""
+    """Bytes of the finished log of that run: several chunks."""
     return write(tmp_path_factory.mktemp("log") / "run.mcap", flight).read_bytes()
 
 
 @given(any_message)
 def test_json_keeps_every_bit(message: Message) -> None:
-    """decode(encode(m)) = m in JSON as on the wire, for any message, down to signed zeros and empty arrays."""
+    """decode(encode(m)) = m in JSON as in the network encoding, including signed zeros and empty arrays."""
     assert encode(from_json(message.kind, to_json(message))) == encode(message)
 
 
 @given(any_message)
 def test_messages_match_their_schema(message: Message) -> None:
-    """What is written is what the channel's JSON Schema says, so that viewers find the fields."""
+    """Every JSON message is valid by the schema of its channel, so that viewers find the fields."""
     Draft202012Validator(json_schema(message.kind)).validate(orjson.loads(to_json(message)))
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
 def test_schemas_have_no_lists_of_lists(kind: str) -> None:
-    """Every field is a number, a text or a plain list: viewers cannot plot deeper ones."""
+    """Every field is a number, a text or a flat list: viewers cannot plot nested lists."""
     schema = json_schema(kind)
     Draft202012Validator.check_schema(schema)
     for field in schema["properties"].values():
@@ -86,7 +86,7 @@ def test_schemas_have_no_lists_of_lists(kind: str) -> None:
 
 
 def test_a_flight_comes_back_bit_for_bit(tmp_path: Path, flight: list[Message]) -> None:
-    """A written run reads back in order, equal to the bit, with header and times of arrival, and whole."""
+    """A written run reads back in order, bit for bit, with header and arrival times, and as whole."""
     log = read_log(write(tmp_path / "run.mcap", flight))
     assert read_bits(log) == bits(flight)
     assert [entry.received_ns for entry in log.messages] == [RECEIVED_NS + 1000 * n for n in range(len(flight))]
@@ -95,7 +95,7 @@ def test_a_flight_comes_back_bit_for_bit(tmp_path: Path, flight: list[Message]) 
 
 
 def test_plans_can_be_read_without_their_horizon(tmp_path: Path, flight: list[Message]) -> None:
-    """They have their first step alone, everything else is as it is, and a long log takes a small part of its size."""
+    """Without horizons, plans have their first step only, the rest is unchanged, and a long log takes less memory."""
     log = read_log(write(tmp_path / "run.mcap", flight), horizons=False)
     for message, entry in zip(flight, log.messages, strict=True):
         if not isinstance(message, Plan):
@@ -123,7 +123,7 @@ def test_plans_can_be_read_without_their_horizon(tmp_path: Path, flight: list[Me
 def test_any_message_can_be_logged(
     tmp_path_factory: pytest.TempPathFactory, messages: list[Message], received_ns: int
 ) -> None:
-    """A message within the protocol's limits never stops the recorder, however large its numbers are."""
+    """Any valid message can be logged, however large its numbers are."""
     path = tmp_path_factory.mktemp("log") / "run.mcap"
     with LogWriter(path, {}, period_ns=10**9) as writer:
         for message in messages:
@@ -132,7 +132,7 @@ def test_any_message_can_be_logged(
 
 
 def test_other_programs_read_it(tmp_path: Path, flight: list[Message]) -> None:
-    """The mcap package's own reader finds the channels, the schemas, scenario time and the sequence numbers."""
+    """The reader of the mcap package finds channels, schemas, scenario time and sequence numbers."""
     path = write(tmp_path / "run.mcap", flight)
     with path.open("rb") as stream:
         reader = make_reader(stream)
@@ -140,7 +140,7 @@ def test_other_programs_read_it(tmp_path: Path, flight: list[Message]) -> None:
         assert summary is not None
         assert summary.statistics is not None
         assert summary.statistics.message_count == len(flight)
-        per_agent = {f"/{kind}/{agent}" for kind in ("measurement", "plan", "report") for agent in runs.EVERYBODY}
+        per_agent = {f"/{kind}/{agent}" for kind in ("measurement", "plan", "report") for agent in runs.setup().agents}
         topics = {channel.topic for channel in summary.channels.values()}
         assert topics == {"/tick", "/roster", "/control", "/plant_state"} | per_agent
         assert {schema.encoding for schema in summary.schemas.values()} == {"jsonschema"}
@@ -152,7 +152,7 @@ def test_other_programs_read_it(tmp_path: Path, flight: list[Message]) -> None:
 
 
 def test_a_cut_log_gives_what_is_whole(tmp_path: Path, whole: bytes, flight: list[Message]) -> None:
-    """Cut at any byte, the log reads as a beginning of the run with a notice, and never raises."""
+    """A log cut at any byte reads as a beginning of the run with a notice, and never raises."""
     expected, path = bits(flight), tmp_path / "cut.mcap"
     offsets = {0, 1, 7, 8, 9, 40, len(whole) - 1, len(whole) - 8}
     offsets |= set(np.random.default_rng(1).integers(0, len(whole), 150).tolist())
@@ -183,7 +183,7 @@ def test_a_cut_log_says_how_far_it_goes(tmp_path: Path, whole: bytes, flight: li
 
 
 def test_damage_never_invents_a_message(tmp_path: Path, whole: bytes, flight: list[Message]) -> None:
-    """With any byte changed, every message that is read was written, in its order, and missing ones are announced."""
+    """With any byte changed, every message read was written, in order, and missing ones are reported."""
     rng, path, expected = np.random.default_rng(2), tmp_path / "damaged.mcap", bits(flight)
     for offset in rng.integers(8, len(whole), 120).tolist():
         data = bytearray(whole)
@@ -196,7 +196,7 @@ def test_damage_never_invents_a_message(tmp_path: Path, whole: bytes, flight: li
 
 
 def test_damage_costs_one_chunk(tmp_path: Path, whole: bytes, flight: list[Message]) -> None:
-    """Behind a damaged chunk, even the first with its channels, the rest of a finished log is still read."""
+    """The messages behind a damaged chunk are read, even if it is the first, which has the channels."""
     path = tmp_path / "damaged.mcap"
     data = bytearray(whole)
     data[4000] ^= 0xFF  # in the middle of the first chunk
@@ -209,14 +209,14 @@ def test_damage_costs_one_chunk(tmp_path: Path, whole: bytes, flight: list[Messa
 
 
 def test_zeros_at_the_end_are_no_records(tmp_path: Path, whole: bytes) -> None:
-    """What a file system leaves behind an unfinished file does no harm."""
+    """Zeros that a file system leaves behind an unfinished file are ignored."""
     path = tmp_path / "zeros.mcap"
     path.write_bytes(whole[: len(whole) // 2] + bytes(100_000))
     assert read_log(path).messages
 
 
 def test_a_killed_recorder_loses_a_chunk_at_most(tmp_path: Path, flight: list[Message]) -> None:
-    """After SIGKILL in the middle of a run the file holds everything but the last, unfinished chunk."""
+    """After SIGKILL in the middle of a run the file lacks at most the unfinished chunk."""
     path, list_path = tmp_path / "run.mcap", tmp_path / "messages"
     list_path.write_bytes(b"".join(len(data).to_bytes(4, "little") + data for data in bits(flight)))
     program = """
@@ -251,7 +251,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 
 
 def test_the_end_of_a_run_is_on_disk_at_once(tmp_path: Path, flight: list[Message]) -> None:
-    """How the run ended can be read before the log is closed."""
+    """The outcome of the run can be read before the log is closed."""
     path = tmp_path / "run.mcap"
     writer = LogWriter(path, HEADER, period_ns=50_000_000)
     for message in flight:
@@ -264,7 +264,7 @@ def test_the_end_of_a_run_is_on_disk_at_once(tmp_path: Path, flight: list[Messag
 
 
 def test_what_is_done_to_a_process_is_on_disk_at_once(tmp_path: Path, flight: list[Message]) -> None:
-    """A note of a fault, and all before it, can be read before the log is closed."""
+    """The note of a fault, and all messages before it, can be read before the log is closed."""
     path = tmp_path / "run.mcap"
     with LogWriter(path, HEADER, period_ns=50_000_000) as writer:
         writer.write(flight[0], 0)
@@ -275,7 +275,7 @@ def test_what_is_done_to_a_process_is_on_disk_at_once(tmp_path: Path, flight: li
 
 
 def test_nothing_waits_for_long(tmp_path: Path, flight: list[Message]) -> None:
-    """Messages are in the file once one comes that is younger by more than the time of a chunk, and when asked for."""
+    """A chunk is written with the first message that arrives more than CHUNK_S after its first one, and on flush."""
     path, age_ns = tmp_path / "run.mcap", round(CHUNK_S * 1e9)
     with LogWriter(path, HEADER, period_ns=50_000_000) as writer:
         for number, received_ns in enumerate((0, 1, age_ns, age_ns + 1, 2 * age_ns + 2)):
@@ -287,7 +287,7 @@ def test_nothing_waits_for_long(tmp_path: Path, flight: list[Message]) -> None:
 
 
 def test_a_full_disk_leaves_what_fits(tmp_path: Path, flight: list[Message]) -> None:
-    """A write that fails is a LogError; the file stays as it is then, and is read like a cut one."""
+    """A failed write raises LogError; the file stays as it is and reads like a cut one."""
     path = tmp_path / "run.mcap"
     writer = LogWriter(path, HEADER, period_ns=50_000_000)
 
@@ -314,7 +314,7 @@ def test_a_full_disk_leaves_what_fits(tmp_path: Path, flight: list[Message]) -> 
 
 
 def test_other_files_are_refused(tmp_path: Path) -> None:
-    """No file, another kind of file and another program's MCAP raise a LogError that names file and reason."""
+    """A missing file, another kind of file and another program's MCAP raise a LogError with file and reason."""
     path = tmp_path / "run.mcap"
     with pytest.raises(LogError, match=r"run\.mcap: .*No such file"):
         read_log(path)
@@ -332,7 +332,7 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
 
 
 def test_entries_of_another_version_are_announced(tmp_path: Path) -> None:
-    """What this version does not understand is left out and named, the rest is read."""
+    """Entries of another version are left out and reported, the others are read."""
     path = tmp_path / "run.mcap"
     with path.open("wb") as stream:
         writer = Writer(stream)
@@ -347,5 +347,5 @@ def test_entries_of_another_version_are_announced(tmp_path: Path) -> None:
 
 
 def tick() -> Tick:
-    """Some tick."""
+    """Return a tick message."""
     return runs.tick(3)

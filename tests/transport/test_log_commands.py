@@ -1,4 +1,4 @@
-"""`transport log`: what is said of a log, whole or cut, and tables that read back as the same bits."""
+"""`transport log`: description of whole and cut logs, and tables that read back bit for bit."""
 
 import csv
 import json
@@ -23,18 +23,18 @@ KILL = (
 
 @pytest.fixture(scope="module")
 def flight(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Message]]:
-    """A run folder, and what was said in it."""
+    """A run folder and its messages."""
     folder = tmp_path_factory.mktemp("log") / "run"
     return folder, logs.flown(runs.setup(runs.SHORT, *KILL), folder)
 
 
 def ask(*arguments: str | Path) -> Result:
-    """The command in this process."""
+    """Run the command in this process."""
     return CliRunner().invoke(app, ["log", *map(str, arguments)])
 
 
 def info(path: Path) -> dict[str, object]:
-    """What is said of a log, as JSON."""
+    """Return the JSON description of a log."""
     result = ask("info", path, "--format", "json")
     assert result.exit_code == 0, result.output
     content: dict[str, object] = json.loads(result.stdout)
@@ -42,13 +42,13 @@ def info(path: Path) -> dict[str, object]:
 
 
 def rows(path: Path) -> list[dict[str, str]]:
-    """A table as text."""
+    """Return the rows of a CSV table."""
     with path.open(newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))
 
 
 def test_whole_log(flight: tuple[Path, list[Message]]) -> None:
-    """Nothing is said to be lost of a whole log; channels, counts and ticks are those of the messages."""
+    """A whole log has nothing lost; channels, counts and ticks are those of the messages."""
     folder, messages = flight
     content = info(folder)
     assert content["complete"] is True
@@ -62,7 +62,7 @@ def test_whole_log(flight: tuple[Path, list[Message]]) -> None:
 
 
 def test_log_cut_at_sixty_percent(flight: tuple[Path, list[Message]], tmp_path: Path) -> None:
-    """Of a log cut at 60 % it is said up to which tick it goes and which are lost; what is left can be exported."""
+    """For a log cut at 60 %, the last tick and the lost ticks are reported; the rest can be exported and plotted."""
     folder, _ = flight
     data = (folder / "run.mcap").read_bytes()
     cut = tmp_path / "run.mcap"
@@ -88,7 +88,7 @@ def test_log_cut_at_sixty_percent(flight: tuple[Path, list[Message]], tmp_path: 
 
 
 def test_beginning_alone(flight: tuple[Path, list[Message]], tmp_path: Path) -> None:
-    """Of a file that is cut within its header everything is lost, and that is what is said."""
+    """For a file cut within its header, everything is reported as lost."""
     stump = tmp_path / "stump.mcap"
     stump.write_bytes((flight[0] / "run.mcap").read_bytes()[:60])
     content = info(stump)
@@ -98,7 +98,7 @@ def test_beginning_alone(flight: tuple[Path, list[Message]], tmp_path: Path) -> 
 
 
 def test_message_that_never_came(flight: tuple[Path, list[Message]], tmp_path: Path) -> None:
-    """A file that is whole may lack what did not reach the recorder: the numbers of the messages tell the tick."""
+    """A message that did not reach the recorder is reported with its tick, although the file is whole."""
     _, messages = flight
     path = tmp_path / "run.mcap"
     with LogWriter(path, logs.HEADER, period_ns=50_000_000) as writer:
@@ -112,7 +112,7 @@ def test_message_that_never_came(flight: tuple[Path, list[Message]], tmp_path: P
 
 
 def test_tables_hold_the_bits(flight: tuple[Path, list[Message]], tmp_path: Path) -> None:
-    """CSV and Parquet have a table for each kind that was said, and in them the numbers of the messages, to the bit."""
+    """CSV and Parquet have a table for each kind of message, with the numbers of the messages bit for bit."""
     folder, messages = flight
     for form in ("--csv", "--parquet"):
         result = ask("export", folder, form, "--out", tmp_path)
@@ -152,7 +152,7 @@ def test_tables_hold_the_bits(flight: tuple[Path, list[Message]], tmp_path: Path
     ],
 )
 def test_refusals(arguments: tuple[str, ...], text: str) -> None:
-    """What cannot be read or written is refused with exit code 2 and one line."""
+    """Unreadable input is refused with exit code 2 and one line."""
     result = ask(*arguments)
     assert result.exit_code == 2
     assert text in result.output

@@ -1,7 +1,8 @@
-"""A log read while it is written."""
+"""A log read while it is written, piece by piece, damaged or replaced."""
 
 from collections.abc import Sequence
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 
 import pytest
@@ -16,27 +17,27 @@ from tests.support.logs import flown
 from transport.log import tail as log_tail
 from transport.log.json_messages import to_json
 from transport.log.run_log import read_log
-from transport.log.salvage import content_of, frames
+from transport.log.salvage import chunk_content, frames
 from transport.log.tail import Chunks, LogTail, Unread
 from transport.scene.record import KINDS, LATER, Record
 
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The log of a short flight."""
+    """The log of a short run."""
     folder = tmp_path_factory.mktemp("tail")
     flown(runs.setup(runs.ticks(8)), folder)
     return folder / "run.mcap"
 
 
 def same(messages: Sequence[protocol.Message | Unread], log: Path) -> bool:
-    """Whether these are the messages of a log, bit for bit."""
+    """Return whether these are the messages of a log, bit for bit."""
     return list(map(repr, messages)) == [repr(entry.message) for entry in read_log(log).messages]
 
 
 @pytest.mark.parametrize("piece", [997, 20_011])
 def test_it_reads_what_is_whole(log: Path, tmp_path: Path, piece: int) -> None:
-    """Grown by pieces of any size, a log gives each message once, in order, as a reader of the whole sees them."""
+    """A log that grows by pieces of any size yields each message once, in order, as a reader of the whole file does."""
     growing, data = tmp_path / "run.mcap", log.read_bytes()
     tail, messages = LogTail(growing), []
     assert tail.read() == []
@@ -52,9 +53,9 @@ def test_it_reads_what_is_whole(log: Path, tmp_path: Path, piece: int) -> None:
 
 
 def test_damage_costs_what_is_damaged(log: Path, tmp_path: Path) -> None:
-    """A chunk that cannot be read is left out, and what comes behind it is read."""
+    """A damaged chunk is skipped, and the messages behind it are read."""
     data = bytearray(log.read_bytes())
-    first = next(body for opcode, body in frames(bytes(data), len(MCAP0_MAGIC)) if opcode == Opcode.CHUNK)
+    first = next(body for opcode, _, body in frames(behind_magic(data)) if opcode == Opcode.CHUNK)
     data[data.index(first) + len(first) // 2] ^= 0xFF
     (tmp_path / "run.mcap").write_bytes(data)
     messages, whole = LogTail(tmp_path / "run.mcap").read(), read_log(log).messages
@@ -62,8 +63,15 @@ def test_damage_costs_what_is_damaged(log: Path, tmp_path: Path) -> None:
     assert messages[-1].kind == "control"
 
 
-def test_what_is_read_later_says_the_same(log: Path) -> None:
-    """A viewer's record is the same, given all messages or those of its kinds, most of them left for later."""
+def behind_magic(data: bytes | bytearray) -> BytesIO:
+    """Return a file at its first record."""
+    file = BytesIO(data)
+    file.seek(len(MCAP0_MAGIC))
+    return file
+
+
+def test_unread_messages_give_the_same_record(log: Path) -> None:
+    """A viewer's record is the same with all messages as with those of its kinds, most of them unread."""
     taken = LogTail(log, KINDS, LATER).read()
     everything = [entry.message for entry in read_log(log).messages]
     assert {message.kind for message in everything} - {message.kind for message in taken} == {"tick", "measurement"}
@@ -71,7 +79,7 @@ def test_what_is_read_later_says_the_same(log: Path) -> None:
     records = [Record(runs.setup(runs.ticks(8))) for _ in range(2)]
     records[0].add(taken)
     records[1].add(everything)
-    said = [
+    contents = [
         [
             repr(found(agent, tick))
             for found in (record.plan, record.report)
@@ -80,33 +88,33 @@ def test_what_is_read_later_says_the_same(log: Path) -> None:
         ]
         for record in records
     ]
-    assert said[0] == said[1]
-    assert len(set(said[0])) == 1 + 4 * 8 * 2  # four agents, eight ticks; nothing of a fifth or a ninth
+    assert contents[0] == contents[1]
+    assert len(set(contents[0])) == 1 + 4 * 8 * 2  # four agents, eight ticks; None for a fifth and a ninth
     assert repr(records[0].plant_states) == repr(records[1].plant_states)
 
 
 @pytest.mark.parametrize(("kind", "other"), [("plan", "report"), ("report", "plan")])
-def test_what_is_damaged_is_not_there(log: Path, tmp_path: Path, kind: str, other: str) -> None:
-    """What cannot be read when it is asked for was never said: damaged or cut since, gone, or another message."""
+def test_unreadable_messages_are_missing(log: Path, tmp_path: Path, kind: str, other: str) -> None:
+    """A record lacks a message that became unreadable: damaged, cut, deleted, or replaced by another."""
     path, whole = tmp_path / "run.mcap", log.read_bytes()
     taken = [message for message in LogTail(log, KINDS, LATER).read() if isinstance(message, Unread)]
     one = next(message for message in taken if message.kind == kind)
-    assert said(one) == one.tick
+    assert tick_found(one) == one.tick
     at, size = one.chunk
     flipped = bytearray(whole)
     flipped[at + size // 2] ^= 0xFF
     for damaged in (whole[: at + size // 2], flipped):
         path.write_bytes(damaged)
-        assert said(replace(one, chunks=Chunks(path))) is None
-    assert said(replace(one, chunks=Chunks(tmp_path / "none.mcap"))) is None
+        assert tick_found(replace(one, chunks=Chunks(path))) is None
+    assert tick_found(replace(one, chunks=Chunks(tmp_path / "none.mcap"))) is None
     not_it = next(message for message in taken if message.kind == other and message.chunk == one.chunk)
     later = next(message for message in taken if message.kind == kind and message.tick > one.tick)
-    assert said(replace(one, inside=not_it.inside)) is None
-    assert said(replace(one, chunk=later.chunk, inside=later.inside)) is None
+    assert tick_found(replace(one, span=not_it.span)) is None
+    assert tick_found(replace(one, chunk=later.chunk, span=later.span)) is None
 
 
-def said(message: Unread) -> int | None:
-    """Tick of a plan or report that a record has, given that alone."""
+def tick_found(message: Unread) -> int | None:
+    """Return the tick of the plan or report in a record of that message alone; None if it is missing."""
     record = Record(runs.setup(runs.ticks(8)))
     record.add([message])
     found = (record.plan if message.kind == "plan" else record.report)(message.agent, message.tick)
@@ -114,7 +122,7 @@ def said(message: Unread) -> int | None:
 
 
 def test_one_bad_message_costs_itself(log: Path, tmp_path: Path) -> None:
-    """Between good ones, in a chunk or by itself; so does one that is shorter than its head, and a chunk in a chunk."""
+    """A bad message is skipped, in a chunk or outside; so is one shorter than its header, and a chunk in a chunk."""
     messages = [entry.message for entry in read_log(log).messages if entry.message.kind == "plant_state"][:3]
     path = tmp_path / "run.mcap"
     with path.open("wb") as file:
@@ -130,11 +138,11 @@ def test_one_bad_message_costs_itself(log: Path, tmp_path: Path) -> None:
         file.write(chunk_of(inside + bytes([Opcode.MESSAGE]) + (4).to_bytes(8, "little") + b"\1\0\0\0"))
     found = [message.tick for message in LogTail(path).read()]
     assert found == [0, 1] * 3
-    assert [entry.message.tick for entry in read_log(path).messages] == [0, 1] * 2  # a chunk that is not right is none
+    assert [entry.message.tick for entry in read_log(path).messages] == [0, 1] * 3
 
 
 def chunk_of(data: bytes) -> bytes:
-    """A chunk that holds that."""
+    """Return a chunk with this content."""
     builder = RecordBuilder()
     Chunk(
         compression="",
@@ -147,17 +155,17 @@ def chunk_of(data: bytes) -> bytes:
     return bytes(builder.end())  # type: ignore[no-untyped-call]
 
 
-def test_what_is_looked_back_at_is_read_once(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Messages of one chunk cost one look into the file, and what is kept is not the whole log."""
+def test_each_chunk_is_read_once(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Messages of one chunk cost one read of the file, and only a limited number of chunks is cached."""
     read = []
 
     def unpacked(body: bytes) -> bytes:
         read.append(body)
-        return content_of(body)
+        return chunk_content(body)
 
     taken = [message for message in LogTail(log, KINDS, LATER).read() if isinstance(message, Unread)]
-    monkeypatch.setattr(log_tail, "content_of", unpacked)
-    monkeypatch.setattr(log_tail, "_CHUNKS", 1)
+    monkeypatch.setattr(log_tail, "chunk_content", unpacked)
+    monkeypatch.setattr(log_tail, "_CACHED_CHUNKS", 1)
     for _ in range(2):
         assert all(message.message() is not None for message in taken)
     chunks = {message.chunk for message in taken}

@@ -1,4 +1,4 @@
-"""Metrics: cases small enough to compute by hand, and what they say of whole runs."""
+"""Metrics: cases small enough to compute by hand."""
 
 from dataclasses import replace
 from typing import Any
@@ -22,12 +22,12 @@ HOVER = runs.ticks(10)
 
 
 def control(k: int, outcome: Outcome = "completed", reason: str = "") -> Control:
-    """The end of a run at tick k."""
+    """Return the end of a run at tick k."""
     return replace(runs.end(), tick=k, outcome=outcome, reason=reason, exit_code=6 if reason else 0)
 
 
 def perfect(ticks: int) -> list[Message]:
-    """All messages of a run of the paper's team at hover over a perfect network, without the measurements."""
+    """Return all messages but measurements of a run of the paper's team at hover over a perfect network."""
     run = runs.setup(HOVER)
     messages: list[Message] = [runs.roster()]
     for k in range(ticks):
@@ -68,7 +68,7 @@ def test_cost_of_a_displaced_team() -> None:
     assert series.uav_errors_I == pytest.approx(np.tile([0.0, 0.2, 0.0], (1, 4, 1)), abs=ROUNDING)
 
 
-def test_uav_and_payload_errors_are_told_apart() -> None:
+def test_uav_and_payload_errors_are_separate() -> None:
     """A rod that leans moves its UAV and not the payload: one UAV of four is off, at one tick of two."""
     run = runs.setup(HOVER)
 
@@ -111,7 +111,7 @@ def test_the_first_phase_does_not_count_after_hover() -> None:
 
 
 def test_separation_is_the_closest_pair() -> None:
-    """The UAVs of Table I hover 0.5 m apart; one of them alone has no distance to anybody."""
+    """The UAVs of Table I hover 0.5 m apart; a single UAV has no separation."""
     run = runs.setup(HOVER)
     assert summarise(run, log_of([plant_state(run, 0)]))["separation_min_m"] == pytest.approx(0.5, rel=ROUNDING)
     alone = runs.setup(HOVER, *ALONE)
@@ -177,7 +177,7 @@ def test_unshared_plans_are_not_messages_between_agents() -> None:
 
 
 def test_lost_and_late_plans_are_counted() -> None:
-    """What never became usable to an agent that flew on is lost; late, fallbacks and failures add up."""
+    """Lost and late plans, fallbacks and failures of all reports are added up."""
     run = runs.setup(HOVER)
     changed: dict[tuple[int, int], dict[str, Any]] = {
         (1, 1): {"delivered": 2, "lost": 1, "plan_ages": (1, -1, 1)},
@@ -207,7 +207,7 @@ def test_lost_and_late_plans_are_counted() -> None:
 
 
 def rejected(by: str, offender: str, reason: Reason, count: int, sequence: int = 0) -> Rejected:
-    """A process tells what it has refused."""
+    """Return a notice of rejected messages."""
     return Rejected(
         sender=by,
         incarnation=0,
@@ -221,7 +221,7 @@ def rejected(by: str, offender: str, reason: Reason, count: int, sequence: int =
 
 
 def test_rejections_add_up() -> None:
-    """What each process has refused is summed by sender and reason over all that it says, the most of it first."""
+    """Rejections of each process are added up by sender and reason, largest count first."""
     notices = [
         rejected("agent2", "agent1", "past", 2),
         rejected("agent2", "plan/3", "malformed", 7, 1),
@@ -239,7 +239,7 @@ def test_rejections_add_up() -> None:
 
 
 def test_a_cut_tick_loses_nothing() -> None:
-    """Reports that the end of the log cut off are not taken for lost plans."""
+    """Reports missing at the end of a cut log do not count as lost plans."""
     messages = [m for m in perfect(5) if not (m.kind in ("report", "control") and m.tick == 4)]
     summary = summarise(runs.setup(HOVER), log_of(messages, cut="the log is not whole"))
     assert summary["messages"] == {
@@ -256,7 +256,7 @@ def test_a_cut_tick_loses_nothing() -> None:
 
 
 def test_agents_that_left_receive_nothing() -> None:
-    """Plans to an agent that does not live to its next step are not lost; who left is a fault with its reason."""
+    """Plans to an agent that takes no further step are not lost; its leaving is an event with its reason."""
     run = runs.setup(HOVER)
     left = [1, 2, 3]
     messages: list[Message] = [runs.roster()]
@@ -277,20 +277,20 @@ REALTIME = ("clock.mode=realtime", "clock.speed=1", "clock.actuation=next_tick")
 
 
 def test_real_time_delivers_no_more_than_was_sent() -> None:
-    """In real time steps are skipped: a plan is sent to whoever takes a step at its tick or later, having joined."""
+    """In real time a plan counts as sent to each agent on the roster that takes a step at its tick or later."""
     run = runs.setup(HOVER, *REALTIME, "agents.owned=[[1,2],[3,4]]")
-    # Agent 2 takes one step of four; the plans that came meanwhile, that of its own tick among them, are used at once.
+    # Agent 2 takes one step in four ticks and then uses all plans received meanwhile, also that of its own tick.
     messages: list[Message] = [replace(runs.roster({1: 0, 2: 0}), agents=(1, 2), incarnations=(0, 0))]
     messages += [runs.tick(k, members=(1, 2), answered=(1,)) for k in range(6)]
     messages += [plan(run, 1, k) for k in range(6)] + [report(run, 1, k, delivered=int(k == 5)) for k in range(6)]
     messages += [plan(run, 2, 4), report(run, 2, 0, delivered=1), report(run, 2, 4, delivered=4)]
     summary = summarise(run, log_of(messages))
-    # Of agent 1 those of ticks 0 to 4; that of tick 5 came after agent 2's last step.
+    # Agent 1 sends those of ticks 0 to 4; that of tick 5 came after the last step of agent 2.
     assert (summary["messages"]["sent"], summary["messages"]["delivered"]) == (5 + 1, 5 + 1)
 
 
 def test_a_newcomer_is_sent_nothing_of_the_past() -> None:
-    """In real time plans count as sent to a start of an agent from the tick on at which it is on the roster."""
+    """In real time plans count as sent to an incarnation from the tick on at which it is on the roster."""
     run = runs.setup(HOVER, *REALTIME, "agents.owned=[[1,2],[3,4]]")
     messages: list[Message] = [runs.roster({1: 0}), runs.roster({1: 0, 2: 1}, k=3, version=2)]
     messages += [runs.tick(k, members=(1,), version=1 + (k >= 3)) for k in range(6)]
@@ -305,7 +305,7 @@ def test_a_newcomer_is_sent_nothing_of_the_past() -> None:
     ids=["none-missed", "never-came", "came-late"],
 )
 def test_how_late_plans_were(answered: tuple[int, ...], overrun_ns: int, worst_ms: float | None) -> None:
-    """A plan that missed its deadline and never came is late by nobody knows how much; not by nothing."""
+    """The delay of a plan that never came is unknown, not 0."""
     run = runs.setup(HOVER, *REALTIME)
     messages: list[Message] = [runs.tick(0), replace(runs.tick(1, answered=answered), overrun_ns=overrun_ns)]
     summary = summarise(run, log_of(messages))
@@ -314,7 +314,7 @@ def test_how_late_plans_were(answered: tuple[int, ...], overrun_ns: int, worst_m
 
 
 def test_times_by_hand() -> None:
-    """Wall time from first tick to control; network is the tick's length minus its slowest step, at least 0."""
+    """Wall time is from first tick to control; the rest of a tick is its length minus its slowest step, at least 0."""
     run = runs.setup(HOVER)
     slow = report(run, 2, 1, times_ms=np.array([2.0, 1.0, 1.0, 1.0, 1.0, 4.0, 0.5, 8.0]))
     messages = [runs.tick(0), report(run, 1, 0), runs.tick(1), report(run, 1, 1), slow, runs.tick(2), control(2)]
@@ -332,7 +332,7 @@ def test_times_by_hand() -> None:
     assert summarise(paced, log)["rest_of_tick_ms"] == {"p50": None, "p99": None, "max": None}
 
 
-def test_an_empty_log_says_nothing() -> None:
+def test_an_empty_log_has_no_numbers() -> None:
     """Without any message every measured number is null and every count 0."""
     summary = summarise(runs.setup(HOVER), log_of([]))
     assert summary["outcome"] == "unknown"
@@ -357,7 +357,7 @@ def test_one_row_for_each_agent_and_tick() -> None:
     assert [(row["tick"], row["agent"]) for row in rows] == [(0, 1), (1, 1), (1, 2)]
     assert [list(row) for row in rows] == [steps_columns(run)] * 3
     assert (rows[0]["plan_age_max"], rows[1]["plan_age_max"], rows[2]["plan_age_max"]) == (-1, 1, 3)
-    assert rows[0]["cost"] is None  # the log has no truth of tick 0
+    assert rows[0]["cost"] is None  # the log has no plant state of tick 0
     first, second = rows[1], rows[2]
     assert (first["thrust1_N"], first["moment3_z_Nm"], first["thrust2_N"]) == (0.0, 11.0, None)
     assert (second["thrust2_N"], second["moment4_z_Nm"], second["thrust3_N"]) == (4.0, 15.0, None)
@@ -367,6 +367,6 @@ def test_one_row_for_each_agent_and_tick() -> None:
 
 
 def test_a_log_of_another_team_has_no_flight() -> None:
-    """Truths of another number of UAVs than the scenario's are not mixed in."""
+    """Plant states of another number of UAVs than the scenario's are left out."""
     run, alone = runs.setup(HOVER), runs.setup(HOVER, *ALONE)
     assert summarise(run, log_of([plant_state(alone, 0)]))["ticks"] == 0

@@ -1,4 +1,4 @@
-"""`transport replay`: the same bits from the same messages, and the first difference where there is one."""
+"""`transport replay`: equal bits from equal messages, and the first difference otherwise."""
 
 import json
 from collections.abc import Sequence
@@ -24,17 +24,17 @@ TROUBLE = (
     "{at_s=0.6,do='stop',target='agent2'},{at_s=0.9,do='continue',target='agent2'}]",
     "links.change=[{at_s=0.7,from='agent1',to='agent2',loss=0.9}]",
 )
-# What the reports of a real-time flight cannot be compared in: when a loss was noticed was recorded nowhere.
+# Not recorded in real time: when an agent noticed a lost plan.
 UNKNOWN_IN_REAL_TIME = ("report.lost",)
 
 
 def flight(*settings: str) -> RunLog:
-    """The log of a flight in this process."""
+    """Return the log of a simulated run."""
     return logs.log_of(runs.recorded(runs.setup(runs.SHORT, *settings)))
 
 
 def compared(log: RunLog, agent: int, *settings: str, ignored: Sequence[str] = ()) -> tuple[Replay, Comparison]:
-    """A replay to its end, as flown with some settings."""
+    """Return a complete replay and its comparison, with the settings of the run or others."""
     again, comparison = Replay(runs.setup(runs.SHORT, *settings), log, agent), Comparison()
     for step in again.steps():
         comparison.add(step, ignored=ignored)
@@ -42,7 +42,7 @@ def compared(log: RunLog, agent: int, *settings: str, ignored: Sequence[str] = (
 
 
 def plans(log: RunLog, agent: int) -> list[Plan]:
-    """An agent's plans."""
+    """Return the plans of an agent."""
     return [plan for plan in log.of(Plan) if plan.agent == agent]
 
 
@@ -53,12 +53,12 @@ def plans(log: RunLog, agent: int) -> list[Plan]:
         (*CLOSED_LOOP, *POOR_LINKS, *TROUBLE),
         (*CLOSED_LOOP, "controller.negotiation_iterations=2", "links.loss=0.3"),
     ],
-    ids=["as printed", "poor links, killed, frozen", "negotiation_iterations"],
+    ids=["as published", "poor links, killed, stopped", "negotiation_iterations"],
 )
-def test_what_was_flown_is_flown_again(settings: tuple[str, ...]) -> None:
-    """In lockstep an agent that hears what it heard says what it said, plans and reports, to the last bit."""
+def test_a_lockstep_run_is_reproduced(settings: tuple[str, ...]) -> None:
+    """In lockstep an agent that gets the recorded messages sends the recorded plans and reports, bit for bit."""
     log = flight(*settings)
-    for agent in runs.EVERYBODY:
+    for agent in runs.setup().agents:
         again, comparison = compared(log, agent, *settings)
         assert comparison.tallies == {}
         assert comparison.plans == comparison.identical == len(plans(log, agent))
@@ -66,7 +66,7 @@ def test_what_was_flown_is_flown_again(settings: tuple[str, ...]) -> None:
 
 
 def test_order_of_the_log_does_not_matter() -> None:
-    """The recorder hears senders in another order than the agent: within a tick any will do, as in lockstep itself."""
+    """Within a tick the order in which the recorder received messages does not matter."""
     settings = (*CLOSED_LOOP, *POOR_LINKS, *TROUBLE)
     log = flight(*settings)
     backwards = sorted(enumerate(log.messages), key=lambda e: (e[1].message.tick, e[1].message.sender, e[0]))
@@ -75,11 +75,11 @@ def test_order_of_the_log_does_not_matter() -> None:
         assert compared(shuffled, agent, *settings)[1].tallies == {}
 
 
-def test_real_time_is_flown_again_from_what_reports_say() -> None:
-    """In real time the reports tell which plans an agent had, whenever those reached the recorder."""
+def test_a_real_time_run_is_reproduced() -> None:
+    """In real time the reports tell which plans an agent had, in whatever order they reached the recorder."""
     settings = ("clock.mode='realtime'", "clock.speed=1.0", "clock.actuation='next_tick'", "links.loss=0.2")
     log = flight(*settings)
-    # To the recorder all plans come a moment before everything else that is of their tick.
+    # The recorder receives all plans of a tick before the other messages of the tick.
     ordered = sorted(log.messages, key=lambda entry: (entry.message.tick, not isinstance(entry.message, Plan)))
     for agent in (1, 3):
         log = replace(log, messages=tuple(ordered))
@@ -89,7 +89,7 @@ def test_real_time_is_flown_again_from_what_reports_say() -> None:
 
 
 def test_one_bit_is_found() -> None:
-    """A recorded number that is off by its last bit is named with tick, field, entry, both values and the size."""
+    """A number that differs in its last bit is reported with tick, field, entry, both values and the size."""
     log = flight()
     victim = next(plan for plan in plans(log, 2) if plan.tick == 7)
     inputs = victim.inputs.copy()
@@ -107,27 +107,27 @@ def test_one_bit_is_found() -> None:
 
 
 def test_zero_and_minus_zero_differ() -> None:
-    """Bit for bit means that 0 and -0 are two numbers, although nothing lies between them."""
+    """0 and -0 differ, by size 0."""
     run = runs.setup(runs.SHORT)
     one = runs.plan(run, 1, 3, inputs=np.zeros((2, 4)))
     found = list(differences(replace(one, inputs=-one.inputs), one))
     assert [(entry.name, entry.size) for entry in found] == [("inputs", 0.0)]
 
 
-def test_another_weight_shows_when_there_is_something_to_weigh() -> None:
-    """With a weight changed all plans differ by rounding, and by more from where that weight has an error to act on."""
+def test_another_weight_differs_once_its_error_is_not_zero() -> None:
+    """With another weight all plans differ by rounding, and by more as soon as the weighted error is not zero."""
     log = flight()
     _, comparison = compared(log, 2, "controller.weights.position=1.5")
     assert comparison.first is not None
     beyond = comparison.first_beyond(1e-6)
     assert beyond is not None
-    # 0.5 s of hover at rest, seen a horizon of 1 s ahead: the climb shows at once; the sizes grow with it.
+    # After 0.5 s of hover, with a horizon of 1 s, the climb is in the first prediction; differences grow with it.
     assert comparison.first.tick <= beyond < 20
     assert comparison.tallies["plan.inputs"].largest.size is not None
 
 
-def test_what_cannot_be_fed_ends_the_replay() -> None:
-    """Where a plan is missing that the agent waited for, the replay stops there and says so; what was before counts."""
+def test_a_missing_plan_ends_the_replay() -> None:
+    """A missing plan that the agent waited for ends the replay with a note; earlier ticks are compared."""
     log = flight()
     messages = [entry.message for entry in log.messages]
     lost = next(plan for plan in plans(log, 3) if plan.tick == 9)
@@ -139,8 +139,8 @@ def test_what_cannot_be_fed_ends_the_replay() -> None:
     assert "tick 10 cannot be replayed" in again.notes[0]
 
 
-def test_thawed_agent_is_the_same_process() -> None:
-    """A log that notes an agent as continued has it go on as the process it was, one that is restarted as a new one."""
+def test_continued_agent_is_the_same_process() -> None:
+    """An agent noted as continued keeps its node; one noted as restarted gets a new one."""
     settings = (*CLOSED_LOOP, *TROUBLE)
     log = flight(*settings)
     nodes: list[object] = []
@@ -169,19 +169,19 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def ask(*arguments: str | Path) -> Result:
-    """The command in this process."""
+    """Run the command in this process."""
     return CliRunner().invoke(app, ["replay", *map(str, arguments)])
 
 
-def test_command_says_identical(folder: Path) -> None:
-    """An untouched run: exit code 0, and the sentence people look for."""
+def test_command_reports_identical_plans(folder: Path) -> None:
+    """The replay of an unchanged run exits with 0 and reports identical plans."""
     result = ask(folder, "--agent", "2")
     assert result.exit_code == 0, result.output
     assert "all 30 plans of ticks 0 to 29 are identical, bit for bit" in result.output
 
 
 def test_command_names_the_first_tick(folder: Path, tmp_path: Path) -> None:
-    """With one weight changed: exit code 8, the first tick, a table, a figure, and the same as JSON."""
+    """With one weight changed it exits with 8 and gives the first tick, a table, a figure, and the same as JSON."""
     what_if = (folder, "--agent", "2", "--set", "controller.weights.attitude=6.0")
     result = ask(*what_if, "--from", "3", "--out", tmp_path)
     assert result.exit_code == 8
@@ -195,7 +195,7 @@ def test_command_names_the_first_tick(folder: Path, tmp_path: Path) -> None:
 
 
 def test_command_takes_another_controller(folder: Path) -> None:
-    """--against asks the controller of another scenario what it would have done: here one with corrections."""
+    """--against takes the controller of another scenario, here one with corrections."""
     result = ask(folder, "--agent", "1", "--against", "resilient", "--to", "5", "--format", "json")
     assert result.exit_code == 8, result.output
     assert "plan.corrections" in json.loads(result.stdout)["fields"]
@@ -212,14 +212,14 @@ def test_command_takes_another_controller(folder: Path) -> None:
     ],
 )
 def test_command_refuses(folder: Path, arguments: tuple[str, ...], code: int, text: str) -> None:
-    """What cannot be asked is refused in one line, with what was expected and what came."""
+    """Wrong arguments are refused in one line with expected and got."""
     result = ask(folder, *arguments)
     assert result.exit_code == code
     assert text in result.output
 
 
 def test_step_reports_have_wall_clocks_that_do_not_count() -> None:
-    """Two reports that differ in their times alone are the same."""
+    """Two reports that differ only in their times are equal."""
     report = logs.report(runs.setup(), 1, 4)
     assert list(differences(replace(report, times_ms=report.times_ms * 2.0), report)) == []
     found = list(differences(replace(report, iterations=9), report))

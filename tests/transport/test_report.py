@@ -18,7 +18,7 @@ from transport.analysis.steps import WALL_CLOCK
 from transport.log.run_log import LogError
 from transport.report.report import summary_table, write_report
 
-SCHEMA = json.loads(files("transport").joinpath("summary.schema.json").read_text(encoding="utf-8"))
+SCHEMA = json.loads(files("transport.analysis").joinpath("summary.schema.json").read_text(encoding="utf-8"))
 
 # What fits a terminal without scrolling.
 MOST_LINES = 18

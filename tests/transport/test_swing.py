@@ -115,7 +115,7 @@ def test_a_small_swing_is_at_rest() -> None:
 
 
 def test_runs_that_do_not_tell() -> None:
-    """Without 4 s of hold at the end, or with a gap in them, there is no answer; the error is known all the same."""
+    """Without 4 s of hold at the end, or with a gap in them, `decays` is None; the error is measured all the same."""
     run = runs.setup(HOLD)
     short = runs.setup(HOLD.replace("duration_s=5.0", "duration_s=3.95"))
     moving = runs.setup(HOLD.replace("[0,0,0]", "[0,0,0.1]"))
@@ -142,7 +142,7 @@ def test_only_the_end_of_the_run_counts() -> None:
 
 
 def test_holds_in_a_row_are_one() -> None:
-    """Two holds of 2.5 s at the end are as good as one of 5 s."""
+    """Two holds of 2.5 s at the end count as one of 5 s."""
     half = "{name='hover',duration_s=2.5,displacement_m=[0,0,0]}"
     run = runs.setup(HOLD.replace("{name='hover',duration_s=5.0,displacement_m=[0,0,0]}", f"{half},{half}"))
     assert swinging(run).decays is False

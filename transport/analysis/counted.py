@@ -1,6 +1,6 @@
-"""Which messages of a log count: those of processes that took part in the tick they are about.
+"""Messages of a log that count: those of agents that took part in the tick of the message.
 
-A process that was frozen may still say, once it runs again, what it had begun; nobody believes it by then.
+An agent that was stopped may send an outdated plan when it continues; no other process accepts it.
 """
 
 from dataclasses import replace
@@ -11,13 +11,13 @@ from transport.log.run_log import Recorded, RunLog
 
 
 def counted(setup: Setup, log: RunLog) -> RunLog:
-    """A log without the plans and reports that nobody believed: of starts of an agent that were not on the roster.
+    """Return a log without plans and reports from incarnations of an agent that were not on the roster.
 
-    In lockstep the coordinator says who has answered a tick; whoever did not is not heard later, either.
+    In lockstep each tick also names the agents that answered the one before; later answers do not count.
 
     Args:
         setup: The run.
-        log: Its log; what a log that is not whole cannot tell counts.
+        log: Its log; messages whose tick or roster is missing count.
     """
     rosters = {roster.version: dict(zip(roster.agents, roster.incarnations, strict=True)) for roster in log.of(Roster)}
     ticks = {tick.tick: tick for tick in log.of(Tick)}

@@ -1,4 +1,4 @@
-"""The numbers of a run: from its log to the summary that docs/summary.md and summary.schema.json describe."""
+"""The numbers of a run: from its log to summary.json, described in docs/summary.md and summary.schema.json."""
 
 from collections import Counter
 from collections.abc import Collection, Iterable
@@ -8,33 +8,22 @@ import numpy as np
 
 from model.arrays import Array
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import (
-    STAGES,
-    Control,
-    FaultNote,
-    Message,
-    Plan,
-    Rejected,
-    Roster,
-    StepReport,
-    Tick,
-    agent_name,
-)
+from protocol.wire.messages import STAGES, Control, Plan, Rejected, Roster, StepReport, Tick
+from transport.analysis.events import events
 from transport.analysis.series import Series, series_of
 from transport.analysis.swing import swing_of
 from transport.log.run_log import RunLog
 
 
 def summarise(setup: Setup, log: RunLog) -> dict[str, Any]:
-    """The summary of a run, as plain data that JSON can hold.
+    """Return the summary of a run as JSON data with the fields of summary.schema.json.
 
     Args:
-        setup: The run as it was flown.
-        log: Its log; whatever a log that is not whole cannot tell is None.
-    Returns: The fields of transport/summary.schema.json.
+        setup: The run.
+        log: Its log; None stands for what an incomplete log does not tell.
     """
     series = series_of(setup, log)
-    control = next(iter(log.of(Control)), None)
+    control = next(log.of(Control), None)
     reports = list(log.of(StepReport))
     processes = log.header.get("processes", "")
     return {
@@ -48,17 +37,18 @@ def summarise(setup: Setup, log: RunLog) -> dict[str, Any]:
         **_durations(setup, log, series),
         **_flight(setup, series),
         "agent_step_ms": _step_times(reports),
-        "rest_of_tick_ms": _spread(rest_of_tick_ms(setup, log).values()),
+        "rest_of_tick_ms": _percentiles(rest_of_tick_ms(setup, log).values()),
         "deadline": _deadline(setup, log),
-        "plan_age_ticks": _ages(reports),
+        "plan_age_ticks": _plan_ages(reports),
         "messages": _messages(setup, log, reports),
         "rejections": _rejections(log),
         "solver": {
             "fallbacks": sum(report.fallback for report in reports),
             "failures": sum(report.status != "solved" for report in reports),
         },
-        "faults": _faults(setup, log, control),
-        "versions": _versions(log.header.get("versions", "")),
+        "faults": events(setup, log, control),
+        # From "python 3.12.1, numpy 2.0.0" to names and versions.
+        "versions": dict(v.rsplit(" ", 1) for v in log.header.get("versions", "").split(", ") if " " in v),
         "machine": log.header.get("machine", ""),
         "seed": setup.scenario.seed,
         "log_cut": log.cut or None,
@@ -66,11 +56,11 @@ def summarise(setup: Setup, log: RunLog) -> dict[str, Any]:
 
 
 def rest_of_tick_ms(setup: Setup, log: RunLog) -> dict[int, float]:
-    """What each tick took besides the slowest agent's step, by tick, ms.
+    """Return the time of each tick without its slowest agent's step, by tick, ms.
 
-    From the recorder's receiving tick k to its receiving tick k + 1, minus the slowest step of tick k, at least
-    0: all ways of the messages there and back, coding, the plant's and the coordinator's work, and waiting for
-    a processor. Empty for a paced run (speed > 0), whose ticks wait for the clock.
+    It runs from the recorder's receiving tick k to its receiving tick k + 1, minus the slowest step of tick k, at
+    least 0: message transport, coding, the work of plant and coordinator, and waiting for a processor. Empty for a
+    paced run (speed > 0), whose ticks wait for the clock.
     """
     if setup.scenario.clock.speed > 0.0:
         return {}
@@ -103,7 +93,7 @@ def _durations(setup: Setup, log: RunLog, series: Series) -> dict[str, Any]:
     begin_ns = min(log.received_ns(Tick).values(), default=None)
     end_ns = min(log.received_ns(Control).values(), default=None)
     if end_ns is None and log.messages:
-        end_ns = log.messages[-1].received_ns
+        end_ns = log.messages[-1].received_ns  # the end is not recorded
     wall_time_s = None if begin_ns is None or end_ns is None else (end_ns - begin_ns) / 1e9
     started = log.header.get("command_started_ns", "")
     return {
@@ -111,7 +101,6 @@ def _durations(setup: Setup, log: RunLog, series: Series) -> dict[str, Any]:
         "sim_time_s": sim_time_s,
         "wall_time_s": wall_time_s,
         "startup_s": (begin_ns - int(started)) / 1e9 if begin_ns is not None and started.isdecimal() else None,
-        # A run cut off by a crash has no end; how fast it was until then is its last message's to say.
         "real_time_factor": sim_time_s / wall_time_s if wall_time_s else None,
     }
 
@@ -139,7 +128,7 @@ def _flight(setup: Setup, series: Series) -> dict[str, Any]:
 
 
 def _tracking(errors_I: Array) -> dict[str, float | None]:
-    """RMS and maximum of the lengths of position errors, (..., 3), m."""
+    """Return RMS and maximum of the lengths of position errors, (..., 3), m."""
     errors_m = np.linalg.norm(errors_I, axis=-1).ravel()
     return {
         "rms_m": _number(np.sqrt(np.mean(errors_m**2))) if len(errors_m) else None,
@@ -149,57 +138,70 @@ def _tracking(errors_I: Array) -> dict[str, float | None]:
 
 def _step_times(reports: Iterable[StepReport]) -> dict[str, Any]:
     times_ms = np.array([report.times_ms for report in reports]).reshape(-1, len(STAGES))
-    medians = {stage: _spread(times_ms[:, i])["p50"] for i, stage in enumerate(STAGES[:-1])}
-    return {**_spread(times_ms[:, -1]), "by_stage": medians}
+    medians = {stage: _percentiles(times_ms[:, i])["p50"] for i, stage in enumerate(STAGES[:-1])}
+    return {**_percentiles(times_ms[:, -1]), "by_stage": medians}
 
 
-def _ages(reports: Iterable[StepReport]) -> dict[str, float | int | None]:
+def _plan_ages(reports: Iterable[StepReport]) -> dict[str, float | int | None]:
     ages = [age for report in reports for age in report.plan_ages if age >= 0]
     return {"mean": sum(ages) / len(ages) if ages else None, "max": max(ages, default=None)}
 
 
-def _messages(setup: Setup, log: RunLog, reports: Iterable[StepReport]) -> dict[str, int]:
-    """Plans between agents: a shared one counts as sent to every other agent that takes a step it could be used at.
+def _deadline(setup: Setup, log: RunLog) -> dict[str, Any]:
+    """Count plans that missed their deadline, and measure how late ticks were opened."""
+    if setup.scenario.clock.mode != "realtime":
+        # The lockstep clock waits: there is no deadline to miss.
+        return {"plans": 0, "missed": 0, "share": None, "worst_ms": None, "tick_late_ms": _percentiles([])}
+    ticks = {tick.tick: tick for tick in log.of(Tick)}
+    pairs = [(tick, ticks[k + 1]) for k, tick in sorted(ticks.items()) if k + 1 in ticks]
+    missed = sum(len(set(tick.members) - set(after.answered)) for tick, after in pairs)
+    plans = sum(len(tick.members) for tick, _ in pairs)
+    worst_ms = max((tick.overrun_ns / 1e6 for tick in ticks.values()), default=None)
+    return {
+        "plans": plans,
+        "missed": missed,
+        "share": missed / plans if plans else None,
+        # The delay of a plan that never came is unknown, not 0.
+        "worst_ms": None if missed and not worst_ms else worst_ms,
+        "tick_late_ms": _percentiles(tick.late_ns / 1e6 for tick in ticks.values()),
+    }
 
-    What is neither delivered nor lost was on its way when the run, or its receiver, ended.
+
+def _messages(setup: Setup, log: RunLog, reports: Iterable[StepReport]) -> dict[str, int]:
+    """Count plans between agents: a shared one is sent to every other agent that takes a step able to use it.
+
+    Plans neither delivered nor lost were on their way when the run, or their receiver, ended.
     """
-    steps: dict[tuple[int, int], set[int]] = {}  # taken by each start of an agent
+    steps: dict[tuple[int, int], set[int]] = {}  # ticks of the steps of each agent and incarnation
     for report in reports:
         steps.setdefault((report.agent, report.incarnation), set()).add(report.tick)
-    joined, realtime = _joined(log), setup.scenario.clock.mode == "realtime"
-    uses: dict[tuple[int, int], Collection[int]] = {}  # ticks whose plans they could be
+    joined: dict[tuple[int, int], int] = {}  # first tick on the roster of each agent and incarnation
+    for roster in log.of(Roster):
+        for start in zip(roster.agents, roster.incarnations, strict=True):
+            joined.setdefault(start, roster.tick)
+    realtime = setup.scenario.clock.mode == "realtime"
+    usable: dict[tuple[int, int], Collection[int]] = {}  # ticks whose plans each agent and incarnation could use
     for start, taken in steps.items():
-        # In real time steps are skipped: what comes meanwhile is used at the next one, perhaps the plan's own.
+        # In real time steps are skipped: the next step uses all plans received meanwhile, also of its own tick.
         first = joined.get(start, min(taken))
-        uses[start] = range(first, max(taken) + 1) if realtime else {tick - 1 for tick in taken}
+        usable[start] = range(first, max(taken) + 1) if realtime else {tick - 1 for tick in taken}
     plans = [plan for plan in log.of(Plan) if not plan.negotiation]
     shared = [plan for plan in plans if plan.shared]
-    sent = sum(
-        plan.tick in usable for plan in shared for (receiver, _), usable in uses.items() if receiver != plan.agent
-    )
-    delivered = sum(report.delivered for report in reports)
     return {
         "planned": len(plans),
         "shared": len(shared),
-        "sent": sent,
-        "delivered": delivered,
+        "sent": sum(
+            plan.tick in ticks for plan in shared for (receiver, _), ticks in usable.items() if receiver != plan.agent
+        ),
+        "delivered": sum(report.delivered for report in reports),
         "lost": sum(report.lost for report in reports),
         "late": sum(report.late for report in reports),
         "rejected": sum(notice.count for notice in log.of(Rejected)),
     }
 
 
-def _joined(log: RunLog) -> dict[tuple[int, int], int]:
-    """The tick from which on each start of an agent is on the roster."""
-    joined: dict[tuple[int, int], int] = {}
-    for roster in log.of(Roster):
-        for start in zip(roster.agents, roster.incarnations, strict=True):
-            joined.setdefault(start, roster.tick)
-    return joined
-
-
 def _rejections(log: RunLog) -> list[dict[str, Any]]:
-    """Messages refused, by who refused them, who sent them and why; most of them first."""
+    """Return rejected messages by receiver, sender and reason, largest count first."""
     counts: Counter[tuple[str, str, str]] = Counter()
     for notice in log.of(Rejected):
         counts[notice.sender, notice.offender, notice.reason] += notice.count
@@ -209,73 +211,7 @@ def _rejections(log: RunLog) -> list[dict[str, Any]]:
     ]
 
 
-def _deadline(setup: Setup, log: RunLog) -> dict[str, Any]:
-    """How well real time was kept: plans that came after their deadline, and ticks that were opened late."""
-    if setup.scenario.clock.mode != "realtime":
-        # The lockstep clock waits: there is no deadline to miss.
-        return {"plans": 0, "missed": 0, "share": None, "worst_ms": None, "tick_late_ms": _spread([])}
-    ticks = {tick.tick: tick for tick in log.of(Tick)}
-    followed = [(tick, ticks[k + 1]) for k, tick in sorted(ticks.items()) if k + 1 in ticks]
-    missed = sum(len(set(tick.members) - set(after.answered)) for tick, after in followed)
-    plans = sum(len(tick.members) for tick, _ in followed)
-    worst_ms = max((tick.overrun_ns / 1e6 for tick in ticks.values()), default=None)
-    return {
-        "plans": plans,
-        "missed": missed,
-        "share": missed / plans if plans else None,
-        # Of plans that never came nobody knows how late they are.
-        "worst_ms": None if missed and not worst_ms else worst_ms,
-        "tick_late_ms": _spread(tick.late_ns / 1e6 for tick in ticks.values()),
-    }
-
-
-def _faults(setup: Setup, log: RunLog, control: Control | None) -> list[dict[str, Any]]:
-    """What was done to processes, every change of the roster after the first, and why the run ended if it failed."""
-    began_ns = min(log.received_ns(Tick).values(), default=None)
-    events: list[dict[str, Any]] = []
-    members: set[int] | None = None
-    failed: tuple[set[int], set[int]] = (set(), set())  # UAVs off, and released
-
-    def note(message: Message, received_ns: int | None, kind: str, what: str, who: Iterable[str]) -> None:
-        events.append(
-            {
-                "tick": message.tick,
-                "time_s": message.tick * setup.settings.sampling_period_s,
-                "wall_s": None if began_ns is None or received_ns is None else (received_ns - began_ns) / 1e9,
-                "kind": kind,
-                "processes": list(who),
-                "what": what,
-            }
-        )
-
-    for entry in log.messages:
-        message = entry.message
-        if isinstance(message, FaultNote):
-            by = {"script": " by script", "person": " by hand", "unknown": ""}[message.origin]
-            note(message, entry.received_ns, "fault", f"{message.target} {message.what}{by}", [message.target])
-        elif isinstance(message, Roster):
-            now, health = set(message.agents), (set(message.off), set(message.released))
-            if health != failed:
-                uavs = sorted((health[0] - failed[0]) | (health[1] - failed[1]))
-                note(message, entry.received_ns, "fault", f"{message.reason} by script", [f"uav{uav}" for uav in uavs])
-                members, failed = now, health
-                continue
-            if members is not None:
-                left, joined = (sorted(map(agent_name, names)) for names in (members - now, now - members))
-                kind = "detected" if left else "rejoined" if joined else "notice"
-                note(message, entry.received_ns, kind, message.reason, left or joined)
-            members = now
-    if control is not None and control.reason:
-        note(control, log.received_ns(Control).get(control.tick), "end", control.reason, [])
-    return events
-
-
-def _versions(text: str) -> dict[str, str]:
-    """From "python 3.12.1, numpy 2.0.0" to names and versions."""
-    return dict(part.rsplit(" ", 1) for part in text.split(", ") if " " in part)
-
-
-def _spread(values: Iterable[float] | Array) -> dict[str, float | None]:
+def _percentiles(values: Iterable[float] | Array) -> dict[str, float | None]:
     values = np.fromiter(values, dtype=np.float64)
     if not len(values):
         return {"p50": None, "p99": None, "max": None}
@@ -288,5 +224,5 @@ def _largest(values: Array) -> float | None:
 
 
 def _number(value: Any) -> float | None:
-    """A number as JSON can hold it: a diverged run may overflow, and that is no number."""
+    """Return a finite number; None for one that overflowed in a diverged run, which JSON cannot hold."""
     return float(value) if np.isfinite(value) else None

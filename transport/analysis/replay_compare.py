@@ -1,4 +1,4 @@
-"""What an agent says now beside what it said then: the first difference, the largest, and how many there are."""
+"""Comparison of replayed with recorded messages: the first difference, the largest, and how many there are."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, fields
@@ -12,7 +12,7 @@ from protocol.wire.messages import Plan, StepReport
 from transport.analysis.replay import Answer, Step
 from transport.log.units import INPUT_NAMES, UAV_STATE_NAMES, split_unit
 
-# What says who and when, and what is of the wall clock: not what was decided.
+# Fields that identify a message or depend on the wall clock.
 _NOT_COMPARED = ("sender", "incarnation", "sequence", "tick", "agent", "negotiation", "times_ms")
 
 
@@ -21,14 +21,14 @@ class Difference:
     """A field in which a message differs from the recorded one, at the entry that differs most.
 
     Attributes:
-        tick: Of the message.
-        kind: Plan or report.
-        negotiation: Of the plan: 0 for the one a tick ends with.
+        tick: Tick of the message.
+        kind: Kind of the message, plan or report.
+        negotiation: Iterations of negotiation that follow the plan; 0 for a report.
         name: The field.
-        where: Which entry of it, for people; empty where it has one only.
-        got: Now.
-        expected: As recorded.
-        size: How far apart, in the field's unit; None where it is no number.
+        where: Description of the entry; empty for a scalar field.
+        got: Replayed value.
+        expected: Recorded value.
+        size: Absolute difference in the field's unit; None if the field is no number.
         unit: SI unit, empty for none.
     """
 
@@ -44,7 +44,7 @@ class Difference:
 
     @property
     def field(self) -> str:
-        """The field with its kind of message: plan.inputs."""
+        """The field with its kind of message, e.g. plan.inputs."""
         return f"{self.kind}.{self.name}"
 
 
@@ -53,9 +53,9 @@ class Tally:
     """The differences of one field over a run.
 
     Attributes:
-        first: The first of them.
-        largest: The largest of them.
-        ticks: How many ticks have one.
+        first: First difference.
+        largest: Largest difference.
+        ticks: Number of ticks with a difference.
     """
 
     first: Difference
@@ -65,16 +65,16 @@ class Tally:
 
 @dataclass(slots=True)
 class Comparison:
-    """A replay compared with its run.
+    """Comparison of a replay with its run.
 
     Attributes:
-        ticks: Compared, in order.
-        plans: Plans compared.
-        identical: How many of them are the same, bit for bit.
-        unrecorded: Ticks the node answers now and the log has no answer of.
+        ticks: Ticks compared, in order.
+        plans: Number of plans compared.
+        identical: Number of plans that are equal bit for bit.
+        unrecorded: Ticks with an answer of the node but not in the log.
         tallies: By field, in the order they first differ.
-        rows: By compared tick: largest difference of thrust (N) and moment (N m) of the plan's first step and of all
-            its steps, and whether anything in the plan differs.
+        rows: For each tick compared: tick, largest difference of thrust (N) and moment (N m) of the plan's first step
+            and of all its steps, and whether any field of the plan differs.
     """
 
     ticks: list[int] = field(default_factory=list)
@@ -86,31 +86,31 @@ class Comparison:
 
     @property
     def first(self) -> Difference | None:
-        """The first difference in a plan; None when all plans are the same."""
+        """The first difference in a plan; None if all plans are equal."""
         plans = [tally.first for tally in self.tallies.values() if tally.first.kind == Plan.kind]
         return min(plans, key=lambda d: (d.tick, -d.negotiation), default=None)
 
     def first_beyond(self, size: float) -> int | None:
-        """First tick at which an input of the plan differs by more than that, N or N m; None for none."""
+        """Return the first tick at which an input of the plan differs by more than `size`, N or N m; None for none."""
         return next((tick for tick, *apart, _ in self.rows if max(apart) > size), None)
 
     def add(self, step: Step, *, ignored: Iterable[str] = ()) -> None:
         """Compare one tick.
 
         Args:
-            step: What was said, and recorded.
-            ignored: Fields of reports that cannot be known.
+            step: Replayed and recorded messages.
+            ignored: Fields not to compare, e.g. report.lost.
         """
         if None in step.recorded:
             self.unrecorded.append(step.tick)
             return
         self.ticks.append(step.tick)
         seen: set[str] = set()
-        for said, recorded in zip(step.said, step.recorded, strict=True):
+        for answer, recorded in zip(step.answers, step.recorded, strict=True):
             if recorded is None:
                 continue
-            found = [d for d in differences(said, recorded) if d.field not in ignored]
-            if isinstance(said, Plan):
+            found = [d for d in differences(answer, recorded) if d.field not in ignored]
+            if isinstance(answer, Plan):
                 self.plans += 1
                 self.identical += not found
             for difference in found:
@@ -118,20 +118,20 @@ class Comparison:
                 tally.largest = max(tally.largest, difference, key=lambda d: d.size or 0.0)
                 tally.ticks += difference.field not in seen
                 seen.add(difference.field)
-            if isinstance(said, Plan) and isinstance(recorded, Plan) and said.negotiation == 0:
-                self.rows.append((step.tick, *_inputs_apart(said, recorded), bool(found)))
+            if isinstance(answer, Plan) and isinstance(recorded, Plan) and answer.negotiation == 0:
+                self.rows.append((step.tick, *_inputs_apart(answer, recorded), bool(found)))
 
 
-def differences(said: Answer, recorded: Answer) -> Iterator[Difference]:
-    """The fields in which two messages of one kind differ by at least a bit."""
-    for name in (entry.name for entry in fields(said) if entry.name not in _NOT_COMPARED):
-        got, expected = getattr(said, name), getattr(recorded, name)
+def differences(answer: Answer, recorded: Answer) -> Iterator[Difference]:
+    """Yield the fields in which two messages of one kind differ by at least a bit."""
+    for name in (entry.name for entry in fields(answer) if entry.name not in _NOT_COMPARED):
+        got, expected = getattr(answer, name), getattr(recorded, name)
         if _same(got, expected):
             continue
         where, unit, size, texts = "", "", None, (_text(got), _text(expected))
         if isinstance(got, np.ndarray) and got.shape == expected.shape:
             at = _worst(got, expected)
-            where, unit = _entry(said, name, at)
+            where, unit = _entry(answer, name, at)
             size = float(abs(got[at] - expected[at]))
             texts = repr(float(got[at])), repr(float(expected[at]))
         elif isinstance(got, int | float) and not isinstance(got, bool):
@@ -141,9 +141,9 @@ def differences(said: Answer, recorded: Answer) -> Iterator[Difference]:
         elif isinstance(got, np.ndarray):
             texts = f"{got.shape[0]} rows", f"{expected.shape[0]} rows"
         yield Difference(
-            tick=said.tick,
-            kind=said.kind,
-            negotiation=said.negotiation if isinstance(said, Plan) else 0,
+            tick=answer.tick,
+            kind=answer.kind,
+            negotiation=answer.negotiation if isinstance(answer, Plan) else 0,
             name=name,
             where=where,
             got=texts[0],
@@ -154,7 +154,7 @@ def differences(said: Answer, recorded: Answer) -> Iterator[Difference]:
 
 
 def _same(got: Any, expected: Any) -> bool:
-    """Whether two values have the same bits: 0 and -0 do not."""
+    """Return whether two values have the same bits; 0 and -0 differ."""
     if isinstance(got, np.ndarray):
         return bool(got.shape == expected.shape and got.tobytes() == expected.tobytes())
     if isinstance(got, float):
@@ -163,7 +163,7 @@ def _same(got: Any, expected: Any) -> bool:
 
 
 def _worst(got: Array, expected: Array) -> tuple[int, ...]:
-    """The entry that differs most; the first that differs at all where it is by no size, as 0 and -0."""
+    """Return the index of the largest difference, or of the first 0 against -0 if there is no other."""
     apart = np.abs(got - expected)
     if not apart.any():
         apart = (np.signbit(got) != np.signbit(expected)).astype(np.float64)
@@ -171,7 +171,7 @@ def _worst(got: Array, expected: Array) -> tuple[int, ...]:
 
 
 def _entry(message: Answer, name: str, at: tuple[int, ...]) -> tuple[str, str]:
-    """What an entry of an array is, for people, and its unit."""
+    """Return a description of an array entry and its unit."""
     if isinstance(message, Plan) and name in ("inputs", "corrections"):
         quantity, unit = split_unit(INPUT_NAMES[at[1] % INPUTS])
         uav = message.uavs[at[1] // INPUTS]
@@ -182,10 +182,10 @@ def _entry(message: Answer, name: str, at: tuple[int, ...]) -> tuple[str, str]:
     return f"[{', '.join(map(str, at))}]", "N" if isinstance(message, StepReport) and name == "force" else ""
 
 
-def _inputs_apart(said: Plan, recorded: Plan) -> tuple[float, float, float, float]:
-    """Largest difference of thrust and of moments: at the first step, N and N m, and over the common horizon."""
-    steps = min(len(said.inputs), len(recorded.inputs))
-    apart = np.abs(said.inputs[:steps] - recorded.inputs[:steps]).reshape(steps, -1, INPUTS)
+def _inputs_apart(plan: Plan, recorded: Plan) -> tuple[float, float, float, float]:
+    """Return the largest difference of thrust and moments, N and N m: at the first step, then over the horizon."""
+    steps = min(len(plan.inputs), len(recorded.inputs))
+    apart = np.abs(plan.inputs[:steps] - recorded.inputs[:steps]).reshape(steps, -1, INPUTS)
     thrust, moments = apart[:, :, 0].max(axis=1), apart[:, :, 1:].max(axis=(1, 2))
     return float(thrust[0]), float(moments[0]), float(thrust.max()), float(moments.max())
 

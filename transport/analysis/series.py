@@ -1,4 +1,4 @@
-"""What happened at each tick of a run, as arrays over time: the basis of every metric and figure."""
+"""Time series of a run, the basis of every metric and figure."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,17 +20,17 @@ from transport.log.run_log import RunLog
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Series:
-    """The truth of a run against its reference; T recorded ticks of N UAVs, ascending, perhaps with gaps.
+    """Plant states and references of N UAVs at T recorded ticks, ascending, perhaps with gaps.
 
     Attributes:
         ticks: (T,).
         times_s: t_k, (T,), s.
         x: States, (T, 12 + 12 N), SI.
-        u: Inputs in force from t_k on, (T, 4 N), N and N m.
+        u: Inputs applied from t_k on, (T, 4 N), N and N m.
         uavs_I: UAV positions, (T, N, 3), inertial frame (z down), m.
-        payload_reference_I: Reference of the payload's position, (T, 3), inertial frame, m.
-        uav_references_I: References of the UAVs' positions, (T, N, 3), inertial frame, m.
-        cost: Stage cost, docs/equations.md (21), (T,); after a UAV has failed that of the team that is left.
+        payload_reference_I: Reference position of the payload, (T, 3), inertial frame, m.
+        uav_references_I: Reference positions of the UAVs, (T, N, 3), inertial frame, m.
+        cost: Stage cost, docs/equations.md (21), (T,); of the remaining team after a UAV failure.
         attitude_deg: Payload roll, pitch, yaw, (T, 3), deg.
         separation_m: Smallest distance between two UAVs on their rods, (T,), m; infinite for one UAV.
         violation: Largest constraint violation relative to the constraint's range, (T,); see `_violation`.
@@ -71,17 +71,8 @@ class Series:
 
 
 def series_of(setup: Setup, log: RunLog) -> Series:
-    """Series of a run from the plant's truth.
-
-    Args:
-        setup: The run as it was flown.
-        log: Its log, whole or not.
-    """
-    plant_states = {
-        plant_state.tick: plant_state
-        for plant_state in log.of(PlantState)
-        if plant_state.x.shape == setup.hover.x.shape
-    }
+    """Return the series of a run from its recorded plant states; those of another number of UAVs are left out."""
+    plant_states = {entry.tick: entry for entry in log.of(PlantState) if entry.x.shape == setup.hover.x.shape}
     ticks = np.array(sorted(plant_states), dtype=np.int64)
     times_s: Array = ticks.astype(np.float64) * setup.settings.sampling_period_s
     N = setup.system.N
@@ -110,7 +101,10 @@ def series_of(setup: Setup, log: RunLog) -> Series:
 def _stage_costs(
     setup: Setup, ticks: npt.NDArray[np.int64], failures: Sequence[UavFault], y: Array, y_ref: Array, u: Array
 ) -> Array:
-    """Stage costs, (T,): inputs against the hover of the UAVs that have motors, outputs of those on their rods."""
+    """Return the stage costs, (T,).
+
+    After a failure, inputs count against the hover of the UAVs with running motors, outputs for those on their rods.
+    """
     costs = np.zeros(len(ticks))
     begins = sorted({0, *(tick for tick, _, _ in failures)})
     for begin, end in zip(begins, [*begins[1:], None], strict=True):
@@ -119,7 +113,7 @@ def _stage_costs(
         try:
             equilibrium = failed_hover(setup.system, off, released) if off else setup.hover
         except ParameterError:
-            equilibrium = setup.hover  # there is none: the control law holds on to this one as well
+            equilibrium = setup.hover  # the rest cannot hover; the control law keeps this one, too
         cost = Cost(setup.settings.weights, equilibrium, off, released)
         for row in np.flatnonzero((ticks >= begin) & (True if end is None else ticks < end)):
             costs[row] = cost.stage(y[row], y_ref[row], u[row])
@@ -127,7 +121,7 @@ def _stage_costs(
 
 
 def _separation(uavs_I: Array, ticks: npt.NDArray[np.int64], failures: Sequence[UavFault]) -> Array:
-    """Smallest distance between any two UAVs on their rods, (T,), m."""
+    """Return the smallest distance between any two UAVs on their rods, (T,), m."""
     smallest = np.full(len(uavs_I), np.inf)
     present = np.ones(uavs_I.shape[:2], dtype=bool)
     for tick, what, uav in failures:
@@ -140,11 +134,11 @@ def _separation(uavs_I: Array, ticks: npt.NDArray[np.int64], failures: Sequence[
 
 
 def _violation(setup: Setup, ticks: npt.NDArray[np.int64], u: Array, separation_m: Array) -> Array:
-    """How far the worst constraint is exceeded at each tick, as a share of its range, (T,); 0 when all hold.
+    """Return the largest constraint violation at each tick as a share of the constraint's range, (T,); 0 if all hold.
 
-    Ranges: largest minus smallest value of an input; twice the largest change of an input per period (it may
-    rise and fall); the minimum separation itself. Before tick 0 the inputs are those of hover; a change across
-    a gap in the record is not judged. The user's own constraints are not included.
+    Ranges: largest minus smallest value of an input; twice the largest change of an input per period (it may rise and
+    fall); the minimum separation itself. Hover inputs precede tick 0; changes across a gap in the record do not count.
+    User-defined constraints are not included.
     """
     limits, N = setup.settings.limits, setup.system.N
     lower, upper = limits.lower(N), limits.upper(N)
@@ -154,7 +148,7 @@ def _violation(setup: Setup, ticks: npt.NDArray[np.int64], u: Array, separation_
     consecutive = np.diff(ticks, prepend=-1) == 1
     change = (np.abs(u - before) - step) / (2.0 * step)
     for tick, _, uav in uav_faults(setup.faults):
-        change[ticks == tick, state.input_slice(uav)] = 0.0  # motors that stop are no limit exceeded
+        change[ticks == tick, state.input_slice(uav)] = 0.0  # stopping motors violates no limit
     change = change.max(axis=1, initial=0.0)
     worst = np.maximum(worst, np.where(consecutive, change, 0.0))
     if setup.settings.separation is not None:

@@ -1,4 +1,4 @@
-"""The steps of a run as a table: one row for each agent and tick."""
+"""Step table of a run: one row per agent and tick."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -11,7 +11,7 @@ from protocol.wire.messages import STAGES, StepReport
 from transport.analysis.series import series_of
 from transport.log.run_log import RunLog
 
-# Columns whose names end in this are wall-clock times; all others are equal, bit for bit, in equal runs.
+# Columns with this ending are wall-clock times; all others are equal bit for bit in equal runs.
 WALL_CLOCK = "_ms"
 
 _REPORT = ("status", "solver", "fallback", "iterations", "residual")
@@ -21,7 +21,7 @@ _INPUTS = ("thrust{}_N", "moment{}_x_Nm", "moment{}_y_Nm", "moment{}_z_Nm")
 
 
 def steps_columns(setup: Setup) -> list[str]:
-    """Names of the columns: the same for every run of as many UAVs."""
+    """Return the names of the columns, which depend on the number of UAVs only."""
     return [
         *("tick", "t_s", "agent"),
         *_REPORT,
@@ -34,14 +34,11 @@ def steps_columns(setup: Setup) -> list[str]:
 
 
 def steps_rows(setup: Setup, log: RunLog) -> Iterator[dict[str, Any]]:
-    """One row for each agent and tick, sorted by tick, then agent.
+    """Yield one row per agent and tick, values by column, sorted by tick, then agent.
 
-    Args:
-        setup: The run as it was flown.
-        log: Its log, whole or not.
-    Yields: Values by column. `cost`, `attitude_deg`, `payload_error_m`, `separation_min_m` and
-        `constraint_violation` are of the whole team and the same for every agent of a tick; `uav_error_m` and
-        the inputs are of the UAVs the agent owns, other UAVs' inputs are None. None where the log does not say.
+    `cost`, `attitude_deg`, `payload_error_m`, `separation_min_m` and `constraint_violation` refer to the whole team and
+    are equal for all agents of a tick; `uav_error_m` and the inputs refer to the UAVs of the agent. Inputs of other
+    UAVs, and values missing in the log, are None.
     """
     series = series_of(setup, log)
     at = {int(tick): row for row, tick in enumerate(series.ticks)}
@@ -75,7 +72,7 @@ def steps_rows(setup: Setup, log: RunLog) -> Iterator[dict[str, Any]]:
 
 
 def _oldest(ages: tuple[int, ...]) -> int | None:
-    """The largest age; -1 as long as anything was never received; None without other agents."""
+    """Return the largest age; -1 if anything was never received yet; None without other agents."""
     if not ages:
         return None
     return -1 if min(ages) < 0 else max(ages)

@@ -42,8 +42,8 @@ def swing_of(setup: Setup, series: Series) -> Swing:
     """Measure the payload swing at the end of a run.
 
     Args:
-        setup: The run as it was flown.
-        series: Its ground truth and reference.
+        setup: The run.
+        series: Its plant states and references.
     """
     if not len(series.ticks):
         return Swing(largest_m=None, decays=None)
@@ -76,12 +76,12 @@ def _decays(setup: Setup, series: Series) -> bool | None:
 
 
 def _periods(setup: Setup, duration_s: float) -> int:
-    """Sampling periods that cover a duration."""
+    """Return the number of sampling periods that cover a duration."""
     return math.ceil(duration_s / setup.settings.sampling_period_s - _ROUNDING)
 
 
 def _hold_begin_s(maneuver: Maneuver) -> float:
-    """Time from which on the reference is at rest until the end of the maneuver, s."""
+    """Return the time from which on the reference is at rest until the end of the maneuver, s."""
     begin_s = maneuver.duration_s
     for phase in reversed(maneuver.phases):
         if not _is_hold(phase):
@@ -91,5 +91,5 @@ def _hold_begin_s(maneuver: Maneuver) -> float:
 
 
 def _is_hold(phase: Phase) -> bool:
-    """Whether the reference does not move during a phase."""
+    """Return whether the reference does not move during a phase."""
     return not phase.displacement_I.any() and (phase.way is None or not phase.way[:, 1:].any())

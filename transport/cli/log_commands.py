@@ -148,7 +148,7 @@ def _show(what: dict[str, Any]) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    from transport.log.info import ranges
+    from transport.log.gaps import ranges
 
     console = Console()
     whole = Text("whole", "bold green") if what["complete"] else Text("not whole", "bold red")

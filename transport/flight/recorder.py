@@ -32,7 +32,7 @@ from protocol.wire.messages import (
     Tick,
 )
 from protocol.wire.outbox import Outbox
-from transport.log.gaps import UNHEARD
+from transport.log.gaps import END_NOT_RECORDED
 from transport.log.run_log import LogError, LogWriter
 
 # Why a run is over that nobody is left to end: what the recorder says of it.
@@ -200,7 +200,7 @@ class Recorder:
                 deadline = time.monotonic() + _TRAIL_S
         if self.control is None:
             # An end that was declared while this process stood still was never heard here.
-            self._end(UNHEARD if self._has_ended() else _GONE)
+            self._end(END_NOT_RECORDED if self._has_ended() else _GONE)
 
     def _next(self, timeout_s: float | None) -> BusEvent | None:
         """The next event, or None after the timeout; in flight a pause is used to write what waits for more."""

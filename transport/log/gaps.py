@@ -1,6 +1,6 @@
-"""What a log lacks that was said: messages that did not reach the recorder, told by the numbers of those that did."""
+"""Messages missing from a log, found by gaps in the sequence numbers of each sender."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from itertools import pairwise
 
 from protocol.wire.keys import RECORDER
@@ -8,64 +8,61 @@ from protocol.wire.messages import Control, Measurement, Message, Plan, PlantSta
 from transport.log.run_log import RunLog
 
 # Reason of a run whose end was not recorded.
-UNHEARD = "how the run ended did not reach the recorder"
+END_NOT_RECORDED = "how the run ended did not reach the recorder"
 
 
 def missing(log: RunLog) -> str:
-    """Of which ticks messages are missing between those there are, in a sentence; empty when none is.
+    """Return a sentence with the ticks whose messages are missing; empty if none is.
 
-    Every process numbers what it says, so whatever is missing in between shows; the last words of one that was killed
-    do not, and need not have been said. That the plant flew on shows in what agents and coordinator say of it.
-
-    Args:
-        log: All of it.
+    Every process numbers its messages, so a gap shows a missing one. The last messages of a killed process leave no
+    gap. Ticks simulated after the last recorded plant state are known from messages of agents and coordinator.
     """
     merged: list[tuple[int, int]] = []
-    for first, last in sorted([*_holes(log), *_unrecorded_end(log)]):
+    for first, last in sorted([*_gaps(log), *_unrecorded_end(log)]):
         if merged and first <= merged[-1][1] + 1:
             merged[-1] = merged[-1][0], max(last, merged[-1][1])
         else:
             merged.append((first, last))
-    lacking = []
-    if merged:
-        ticks = ", ".join(str(first) if first == last else f"{first} to {last}" for first, last in merged)
-        lacking.append(f"some messages of ticks {ticks}")
-    if any(control.reason == UNHEARD for control in log.of(Control)):
-        lacking.append(f"the rest of the run after tick {max(entry.message.tick for entry in log.messages)}")
-    return f"{' and '.join(lacking)} did not reach the recorder" if lacking else ""
+    parts = [f"some messages of ticks {ranges(merged)}"] if merged else []
+    if any(control.reason == END_NOT_RECORDED for control in log.of(Control)):
+        parts.append(f"the rest of the run after tick {max(entry.message.tick for entry in log.messages)}")
+    return f"{' and '.join(parts)} did not reach the recorder" if parts else ""
 
 
-def _holes(log: RunLog) -> Iterator[tuple[int, int]]:
-    """First and last tick of what is missing between two messages of a process, or before its first."""
-    said: dict[tuple[str, int], dict[int, int]] = {}  # ticks by number, of each start of a process
+def ranges(spans: Iterable[tuple[int, int]]) -> str:
+    """Format spans of ticks: "3, 7 to 9"."""
+    return ", ".join(str(first) if first == last else f"{first} to {last}" for first, last in spans)
+
+
+def _gaps(log: RunLog) -> Iterator[tuple[int, int]]:
+    """Yield the ticks around each gap in the numbers of one process, and before its first number if that is not 0."""
+    ticks: dict[tuple[str, int], dict[int, int]] = {}  # by sender and incarnation, then by number
     for message in (entry.message for entry in log.messages):
-        # What a recorder notes reaches itself; refusals have numbers of their own.
+        # The recorder's own notes cannot get lost; rejections have numbers of their own.
         if message.sender != RECORDER and not isinstance(message, Rejected):
-            said.setdefault((message.sender, message.incarnation), {})[message.sequence] = message.tick
-    for ticks in said.values():
-        numbers = sorted(ticks)
+            ticks.setdefault((message.sender, message.incarnation), {})[message.sequence] = message.tick
+    for tick_of in ticks.values():
+        numbers = sorted(tick_of)
         if numbers[0] > 0:
-            yield 0, ticks[numbers[0]]
+            yield 0, tick_of[numbers[0]]
         for before, after in pairwise(numbers):
             if after > before + 1:
-                yield min(ticks[before], ticks[after]), max(ticks[before], ticks[after])
+                yield min(tick_of[before], tick_of[after]), max(tick_of[before], tick_of[after])
 
 
 def _unrecorded_end(log: RunLog) -> Iterator[tuple[int, int]]:
-    """First and last tick that the plant has flown after the last one it is heard of, if there are any."""
+    """Yield first and last tick simulated after the last recorded plant state, if there are any."""
     recorded = max((plant_state.tick for plant_state in log.of(PlantState)), default=-1)
-    flown = -1
-    for message in (entry.message for entry in log.messages):
-        flown = max(flown, _flown(message))
-    if flown > recorded:
-        yield recorded + 1, flown
+    simulated = max((_simulated(entry.message) for entry in log.messages), default=-1)
+    if simulated > recorded:
+        yield recorded + 1, simulated
 
 
-def _flown(message: Message) -> int:
-    """The last tick whose truth has been said before a message, -1 for none."""
+def _simulated(message: Message) -> int:
+    """Return the last tick that the plant had simulated before a message, -1 for none."""
     match message:
         case Measurement() | Plan() | StepReport():
-            return message.tick - 1  # the plant measures at a tick when it has flown the one before
+            return message.tick - 1  # the plant measures at a tick after simulating the one before
         case Control(outcome="completed", sender="coordinator"):
             return message.tick
     return -1

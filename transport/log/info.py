@@ -1,8 +1,8 @@
-"""What a log holds: channels, ticks, span, and of a log that is not whole what is lost."""
+"""Content of a log: channels, ticks, time span, and what is missing."""
 
 import tomllib
 from collections import Counter
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -10,19 +10,22 @@ from typing import Any
 
 from protocol.scenario.file import ScenarioError, validate
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import Control, PlantState, Tick
+from protocol.wire.messages import Control, Measurement, Plan, PlantState, StepReport, Tick
 from transport.log.gaps import missing
-from transport.log.run_log import RunLog, read_log, topic_of
+from transport.log.run_log import RunLog, kind_of, read_log, topic_of
+
+# Kinds of messages sent at every tick.
+_REGULAR = (Tick.kind, PlantState.kind, Measurement.kind, Plan.kind, StepReport.kind)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LogFile:
-    """A log by itself.
+    """A log without its run folder.
 
     Attributes:
         path: The file.
-        log: What can be read of it.
-        setup: The run, from the scenario the log carries; None where that is lost or not of this version.
+        log: Its readable content.
+        setup: The run, from the scenario in the log; None if that is missing or of another version.
     """
 
     path: Path
@@ -36,37 +39,36 @@ class Channel:
 
     Attributes:
         topic: Its name.
-        messages: How many.
+        messages: Number of messages.
         first, last: Ticks of its first and last message.
-        without: Ticks in between that have no message, as ranges.
+        ticks_without: First and last tick of each span in between that has no message.
     """
 
     topic: str
     messages: int
     first: int
     last: int
-    without: tuple[tuple[int, int], ...]
+    ticks_without: tuple[tuple[int, int], ...]
 
 
 def open_log(path: Path) -> LogFile:
-    """Read a log: a file, or the one of a run folder.
+    """Read a log from a file or a run folder.
 
-    Raises: LogError: it cannot be read, or is none.
+    Raises: LogError: it cannot be read, or is not a log.
     """
     file = path / "run.mcap" if path.is_dir() else path
     log = read_log(file)
-    setup: Setup | None = None
     try:
-        # Files that the scenario names lie beside the log, in its run folder.
+        # Files named in the scenario lie beside the log, in its run folder.
         source = str(file.parent / "scenario.toml")
-        setup = Setup.of(validate(tomllib.loads(log.header.get("scenario", "")), source), source)
+        setup: Setup | None = Setup.of(validate(tomllib.loads(log.header.get("scenario", "")), source), source)
     except (ScenarioError, tomllib.TOMLDecodeError):
         setup = None
     return LogFile(path=file, log=log, setup=setup)
 
 
 def channels(log: RunLog) -> list[Channel]:
-    """Its channels, by name."""
+    """Return the channels, sorted by name."""
     ticks: dict[str, list[int]] = {}
     for entry in log.messages:
         ticks.setdefault(topic_of(entry.message), []).append(entry.message.tick)
@@ -76,20 +78,19 @@ def channels(log: RunLog) -> list[Channel]:
             messages=len(found),
             first=min(found),
             last=max(found),
-            # What happens now and then has no ticks it is missing at.
-            without=_holes(found) if _is_regular(topic) else (),
+            # Only channels with a message at every tick can have gaps.
+            ticks_without=_gaps(found) if kind_of(topic) in _REGULAR else (),
         )
         for topic, found in sorted(ticks.items(), key=lambda item: _natural(item[0]))
     ]
 
 
 def describe(file: LogFile) -> dict[str, Any]:
-    """All there is to say about a log, as plain data that JSON can hold."""
+    """Return a description of a log as JSON data."""
     log, setup = file.log, file.setup
     ticks = [entry.message.tick for entry in log.messages]
     received = [entry.received_ns for entry in log.messages]
     control = next(log.of(Control), None)
-    flown = {plant_state.tick for plant_state in log.of(PlantState)}
     return {
         "file": str(file.path),
         "bytes": file.path.stat().st_size,
@@ -102,7 +103,7 @@ def describe(file: LogFile) -> dict[str, Any]:
         "first_tick": min(ticks, default=None),
         "last_tick": max(ticks, default=None),
         "ticks_of_the_run": None if setup is None else setup.ticks,
-        "ticks_flown": len(flown),
+        "ticks_flown": len({plant_state.tick for plant_state in log.of(PlantState)}),
         "sampling_period_s": None if setup is None else setup.settings.sampling_period_s,
         "wall_time_s": (max(received) - min(received)) / 1e9 if received else None,
         "outcome": "unknown" if control is None else control.outcome,
@@ -116,7 +117,7 @@ def describe(file: LogFile) -> dict[str, Any]:
                 "messages": channel.messages,
                 "first_tick": channel.first,
                 "last_tick": channel.last,
-                "ticks_without": [list(hole) for hole in channel.without],
+                "ticks_without": [list(gap) for gap in channel.ticks_without],
             }
             for channel in channels(log)
         ],
@@ -124,12 +125,12 @@ def describe(file: LogFile) -> dict[str, Any]:
 
 
 def lost(file: LogFile) -> list[str]:
-    """What the log lacks that was said, a sentence each; empty when it is whole."""
+    """Return what is missing from the log, a sentence each; empty if it is whole."""
     log, setup = file.log, file.setup
     found = []
     if log.cut:
         if not log.header:
-            found.append("what belongs to the run as a whole: its name, scenario, versions, machine")
+            found.append("the metadata of the run: its name, scenario, versions, machine")
         if log.messages and next(log.of(Control), None) is None:
             last = max(entry.message.tick for entry in log.messages)
             rest = "everything after it, and how the run ended"
@@ -147,23 +148,12 @@ def lost(file: LogFile) -> list[str]:
     return found
 
 
-def ranges(holes: Iterable[tuple[int, int]]) -> str:
-    """Ranges for people: "3, 7 to 9"."""
-    return ", ".join(str(first) if first == last else f"{first} to {last}" for first, last in holes)
-
-
-def _holes(ticks: Collection[int]) -> tuple[tuple[int, int], ...]:
-    """Ranges of what is missing between the smallest and the largest."""
-    there = sorted(set(ticks))
-    return tuple((a + 1, b - 1) for a, b in pairwise(there) if b > a + 1)
-
-
-def _is_regular(topic: str) -> bool:
-    """Whether a channel has something to say at every tick."""
-    return topic.strip("/").split("/")[0] in (Tick.kind, PlantState.kind, "measurement", "plan", "report")
+def _gaps(ticks: Iterable[int]) -> tuple[tuple[int, int], ...]:
+    """Return the spans missing between the smallest and the largest tick."""
+    return tuple((a + 1, b - 1) for a, b in pairwise(sorted(set(ticks))) if b > a + 1)
 
 
 def _natural(topic: str) -> tuple[str, int]:
-    """Order of channels: agent 10 after agent 9."""
+    """Return the sorting key of a channel: agent 10 after agent 9."""
     head, _, last = topic.rpartition("/")
     return (head, int(last)) if last.isdecimal() else (topic, 0)

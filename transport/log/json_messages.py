@@ -1,8 +1,7 @@
-"""Messages as JSON, and the schema of each kind, both from the fields of the message classes.
+"""Messages as JSON and the JSON Schema of each kind, both from the fields of the message classes.
 
-An array of two axes is written row by row with its lengths beside it (`inputs`, `inputs_shape`): viewers
-plot `inputs[0]`, but few can follow a list of lists. A float64 is written with the fewest digits that read
-back as the same bits.
+A matrix is written row by row with its shape in a second field (`inputs`, `inputs_shape`): viewers plot `inputs[0]`,
+but few plot a list of lists. A float64 is written with the fewest digits that read back as the same bits.
 """
 
 import dataclasses
@@ -14,7 +13,7 @@ import orjson
 from model.arrays import Array
 from protocol.wire.messages import KINDS, Message
 
-# Fields of two axes; everything else that is an array has one.
+# Array fields with two axes; all others have one.
 _MATRICES = ("uav_states", "inputs", "corrections")
 
 _FIELDS: dict[str, dict[str, Any]] = {
@@ -26,7 +25,7 @@ _SCALARS = {str: "string", int: "integer", float: "number", bool: "boolean"}
 
 
 def to_json(message: Message) -> bytes:
-    """A message as a JSON object."""
+    """Return a message as a JSON object."""
     content: dict[str, Any] = {}
     for name in _FIELDS[message.kind]:
         value = getattr(message, name)
@@ -38,12 +37,12 @@ def to_json(message: Message) -> bytes:
 
 
 def from_json(kind: str, data: bytes) -> Message:
-    """The message in a JSON object.
+    """Return the message in a JSON object of `to_json`.
 
     Args:
-        kind: Which message, a key of `protocol.wire.messages.KINDS`.
-        data: As `to_json` wrote it.
-    Raises: ValueError, TypeError: it is not one.
+        kind: Key of `protocol.wire.messages.KINDS`.
+        data: The JSON object.
+    Raises: ValueError, TypeError: it is not a message of that kind.
     """
     content = orjson.loads(data)
     values: dict[str, Any] = {}
@@ -60,7 +59,7 @@ def from_json(kind: str, data: bytes) -> Message:
 
 
 def json_schema(kind: str) -> dict[str, Any]:
-    """JSON Schema of a kind of message, for viewers."""
+    """Return the JSON Schema of a kind of message, for viewers."""
     properties: dict[str, Any] = {}
     for name, hint in _FIELDS[kind].items():
         properties[name] = _type(hint)

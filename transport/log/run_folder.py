@@ -1,4 +1,4 @@
-"""A run folder as it is read: the scenario as flown and the log, with all that is known to be lost of it."""
+"""Reading a run folder: its scenario, its log, and what is known to be missing from it."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,9 +14,9 @@ class RecordedRun:
     """A recorded run.
 
     Attributes:
-        folder: Where it is.
-        setup: As flown.
-        log: Every message; `cut` names what the file does not hold and what did not reach the recorder.
+        folder: The run folder.
+        setup: The run.
+        log: Its messages; `cut` names what the file lacks and what did not reach the recorder.
     """
 
     folder: Path
@@ -25,7 +25,7 @@ class RecordedRun:
 
     @property
     def scenario_file(self) -> Path:
-        """The scenario as flown, every default spelled out."""
+        """Path of the scenario of the run, with every default."""
         return self.folder / "scenario.toml"
 
 
@@ -33,10 +33,10 @@ def open_run(folder: Path, *, horizons: bool = True, setup: Setup | None = None)
     """Read a run folder.
 
     Args:
-        folder: With run.mcap and scenario.toml.
-        horizons: Whether plans are wanted as they are, and not their first step alone (`read_log`).
-        setup: The run, where it is known; otherwise the folder says.
-    Raises: LogError: it has no log, or none that can be read; ScenarioError: its scenario cannot be read.
+        folder: Contains run.mcap and scenario.toml.
+        horizons: As in `read_log`.
+        setup: The run, if known; read from the folder otherwise.
+    Raises: LogError: the log cannot be read; ScenarioError: the scenario cannot be read.
     """
     log = read_log(folder / "run.mcap", horizons=horizons)
     cut = "; ".join(filter(None, (log.cut, missing(log))))
@@ -44,9 +44,9 @@ def open_run(folder: Path, *, horizons: bool = True, setup: Setup | None = None)
 
 
 def setup_of(folder: Path) -> Setup:
-    """What a run folder says is flown, without its log, which a run in flight is still writing.
+    """Return the run of a folder without reading its log, which an active run is still writing.
 
-    Raises: ScenarioError: its scenario cannot be read.
+    Raises: ScenarioError: the scenario cannot be read.
     """
     path = folder / "scenario.toml"
     return Setup.of(read_scenario(path), str(path))

@@ -1,42 +1,45 @@
 """The log of a run: every message in one MCAP file that viewers open and that survives a kill.
 
-Messages are JSON, one channel for each key with a schema of its own; `log_time` is scenario time, so that
-viewers show the flight and not the host, `publish_time` is when the recorder received the message. What
-belongs to the run as a whole is in the metadata record "run", ahead of all messages.
+Messages are JSON, one channel per key and one schema per kind. `log_time` is scenario time, so that viewers show the
+flight and not the host; `publish_time` is when the recorder received the message. The metadata record "run", ahead of
+all messages, describes the run.
 """
 
 from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryFile
 from types import TracebackType
 from typing import TypeVar
 
 import orjson
+from mcap.writer import Writer
 
 from protocol.wire.keys import Keys
 from protocol.wire.messages import KINDS, Control, FaultNote, LinkChange, Message, Plan
+from transport.log.chunk_indexes import ChunkIndexes
 from transport.log.json_messages import from_json, json_schema, to_json
-from transport.log.mcap_stream import McapStream
 from transport.log.salvage import NotMcapError, Salvage
 
-# What a kill costs at most: so much before compression, about three ticks of four agents, or so long, whatever is less.
-# Larger chunks would hardly be smaller together; later ones would keep who watches a run in real time waiting.
+# A chunk ends at this size, before compression (about three ticks of four agents), or at this age. A kill loses at most
+# one chunk; live readers wait for it. Larger chunks hardly compress better.
 CHUNK_BYTES = 64 * 1024
-CHUNK_S = 0.03
+CHUNK_S = 0.05
 _CHUNK_NS = round(CHUNK_S * 1e9)
 
 _METADATA = "run"
-# The metadata record of a copy that names the channels it has more than the log: made from its messages, none of them.
+# Metadata record of a copy for other viewers: names the channels that were derived from the messages of the log.
 DERIVED = "derived channels"
 _KEYS = Keys("log")
 _LAST_TIME_NS = 2**63 - 1
-_SEQUENCES = 2**32  # the format counts with 32 bits; the message itself has all of them
+_SEQUENCES = 2**32  # MCAP numbers have 32 bits; the JSON holds the full number
 
 M = TypeVar("M", bound=Message)
 
 
 class LogError(RuntimeError):
-    """A log that cannot be written or is none; the text names the file and the reason."""
+    """A log that cannot be read or written; the text names the file and the reason."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,12 +57,12 @@ class Recorded:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunLog:
-    """What a log holds.
+    """Content of a log.
 
     Attributes:
-        header: The run as a whole: run_id, scenario (TOML), versions, machine, ...
+        header: Metadata of the run: run_id, scenario (TOML), versions, machine, ...
         messages: In the order they were received.
-        cut: Empty for a log that is complete; otherwise a sentence about what is lost.
+        cut: Sentence about what is missing; empty for a complete log.
     """
 
     header: dict[str, str]
@@ -67,11 +70,11 @@ class RunLog:
     cut: str
 
     def of(self, kind: type[M]) -> Iterator[M]:
-        """The messages of one kind, in order."""
+        """Yield the messages of one kind, in order."""
         return (entry.message for entry in self.messages if isinstance(entry.message, kind))
 
     def received_ns(self, kind: type[Message]) -> dict[int, int]:
-        """When the message of one kind was received, by tick; the first one where a tick has several."""
+        """Return when the first message of one kind was received at each tick, ns since 1970."""
         times: dict[int, int] = {}
         for entry in self.messages:
             if isinstance(entry.message, kind):
@@ -80,12 +83,12 @@ class RunLog:
 
 
 class LogWriter:
-    """Writes the log of one run. At any moment the file can be read; a kill costs the last chunk at most.
+    """Writes the log of one run. The file can be read at any moment; a kill loses at most the unfinished chunk.
 
     Args:
         path: File to create.
-        header: What belongs to the run as a whole; keys and values are for `read_log` to give back.
-        period_ns: Sampling period, ns: turns ticks into time.
+        header: Metadata of the run, as `read_log` returns it.
+        period_ns: Sampling period, ns: converts ticks to log times.
     Raises: LogError: the file cannot be written.
     """
 
@@ -94,16 +97,19 @@ class LogWriter:
         self._period_ns = period_ns
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
-        self._oldest_ns = 0  # when the first message came that is not in the file yet
+        self._pending_bytes = 0  # JSON in the unfinished chunk
+        self._pending_since_ns = 0  # arrival of its first message
         self._closed = False
-        try:
-            self._stream = McapStream(path, library="payload-transport", chunk_bytes=CHUNK_BYTES)
-        except OSError as error:
-            raise self._failed(error) from error
-        try:
-            self._stream.metadata(_METADATA, header)
-        except OSError as error:
-            raise self._abandoned(error) from error
+        self._opened = ExitStack()
+        with self._guarded(), ExitStack() as opened:
+            file = opened.enter_context(path.open("wb"))
+            indexes = opened.enter_context(TemporaryFile(dir=path.parent))
+            self._writer = Writer(file, chunk_size=2 * CHUNK_BYTES, enable_data_crcs=True)
+            ChunkIndexes(indexes).attach(self._writer)
+            self._writer.start(library="payload-transport")
+            self._writer.add_metadata(_METADATA, dict(header))
+            self._finish_chunk()
+            self._opened = opened.pop_all()
 
     def __enter__(self) -> "LogWriter":
         return self
@@ -112,6 +118,11 @@ class LogWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+    @property
+    def is_up_to_date(self) -> bool:
+        """Whether all messages are in the file."""
+        return self._closed or not self._pending_bytes
 
     def write(self, message: Message, received_ns: int) -> None:
         """Append a message.
@@ -124,39 +135,31 @@ class LogWriter:
         if self._closed:
             raise LogError(f"{self._path}: the log is closed, got a {message.kind}")
         data = to_json(message)
-        try:
-            if received_ns - self._oldest_ns > _CHUNK_NS:
-                self._stream.flush()
-            if self._stream.is_up_to_date:
-                self._oldest_ns = received_ns
-            self._stream.message(
+        with self._guarded():
+            if self._pending_bytes and received_ns - self._pending_since_ns > _CHUNK_NS:
+                self._finish_chunk()
+            if not self._pending_bytes:
+                self._pending_since_ns = received_ns
+            self._pending_bytes += len(data)
+            self._writer.add_message(
                 self._channel(message),
                 log_time=min(message.tick * self._period_ns, _LAST_TIME_NS),
                 publish_time=min(max(received_ns, 0), _LAST_TIME_NS),
                 sequence=message.sequence % _SEQUENCES,
                 data=data,
             )
-            if isinstance(message, Control | FaultNote):
-                self._stream.flush()  # how the run ended, and what was done to it, is not left to the closing
-        except OSError as error:
-            raise self._abandoned(error) from error
+            # The end of the run and its faults must not wait for the closing of the log.
+            if self._pending_bytes > CHUNK_BYTES or isinstance(message, Control | FaultNote):
+                self._finish_chunk()
 
     def flush(self) -> None:
-        """Have all messages in the file: for who reads it meanwhile, and against kills.
+        """Write all messages to the file, for live readers and against kills.
 
         Raises: LogError: the file cannot be written.
         """
-        if self._closed:
-            return
-        try:
-            self._stream.flush()
-        except OSError as error:
-            raise self._abandoned(error) from error
-
-    @property
-    def is_up_to_date(self) -> bool:
-        """Whether all messages are in the file."""
-        return self._closed or self._stream.is_up_to_date
+        if not self.is_up_to_date:
+            with self._guarded():
+                self._finish_chunk()
 
     def close(self) -> None:
         """Write the index and close the file; a second time, or after a failure, does nothing.
@@ -165,101 +168,106 @@ class LogWriter:
         """
         if self._closed:
             return
-        self._closed = True
-        try:
-            self._stream.finish()
-        except OSError as error:
-            raise self._abandoned(error) from error
+        with self._guarded():
+            self._writer.finish()  # type: ignore[no-untyped-call]
+            self._closed = True
+            self._opened.close()
+
+    def _finish_chunk(self) -> None:
+        self._writer.flush()  # type: ignore[no-untyped-call]
+        self._pending_bytes = 0
 
     def _channel(self, message: Message) -> int:
         topic = topic_of(message)
-        channel = self._channels.get(topic)
-        if channel is None:
+        if topic not in self._channels:
             if message.kind not in self._schemas:
-                data = orjson.dumps(json_schema(message.kind))
-                self._schemas[message.kind] = self._stream.schema(
-                    f"transport.{type(message).__name__}", "jsonschema", data
-                )
-            channel = self._stream.channel(topic, "json", self._schemas[message.kind])
-            self._channels[topic] = channel
-        return channel
+                schema = orjson.dumps(json_schema(message.kind))
+                name = f"transport.{type(message).__name__}"
+                self._schemas[message.kind] = self._writer.register_schema(name, "jsonschema", schema)
+            self._channels[topic] = self._writer.register_channel(topic, "json", self._schemas[message.kind])
+        return self._channels[topic]
 
-    def _abandoned(self, error: OSError) -> LogError:
-        """Leave the file as it is: behind half a record nobody would find another."""
-        self._closed = True
-        self._stream.abandon()
-        return self._failed(error)
+    @contextmanager
+    def _guarded(self) -> Iterator[None]:
+        """Turn a failed write into a LogError and close the file as it is.
 
-    def _failed(self, error: OSError) -> LogError:
-        return LogError(f"{self._path}: cannot write the log ({error.strerror or error})")
+        Nothing may follow a record that was written in part: no reader would find it.
+        """
+        try:
+            yield
+        except OSError as error:
+            self._closed = True
+            with suppress(OSError):
+                self._opened.close()
+            raise LogError(f"{self._path}: cannot write the log ({error.strerror or error})") from error
 
 
 def topic_of(message: Message) -> str:
-    """The channel of a message: each kind has its own, whatever keys it travels under."""
+    """Return the channel of a message; each kind has its own, also where kinds share a network key."""
     match message:
-        case LinkChange():  # under the key of the rosters
+        case LinkChange():  # shares the key of the rosters
             return f"/{message.kind}"
-        case Plan(agent=agent):  # under one of two keys
+        case Plan(agent=agent):  # has two keys
             return f"/{message.kind}/{agent}"
     return _KEYS.of(message).removeprefix(_KEYS.prefix)
 
 
-def read_log(path: Path, *, horizons: bool = True) -> RunLog:
-    """Read a log, as much of it as there is.
+def kind_of(topic: str) -> str:
+    """Return the message kind of a channel of `topic_of`; another program's channel gives an unknown kind."""
+    return topic.lstrip("/").split("/", 1)[0]
 
-    A file cut at any byte, or damaged behind its first bytes, gives the messages of every intact chunk and a
-    sentence in `cut`. Messages equal the written ones bit for bit.
+
+def read_log(path: Path, *, horizons: bool = True) -> RunLog:
+    """Read all that can be read of a log.
+
+    A file cut or damaged anywhere behind its first bytes gives the messages of every intact chunk and a sentence in
+    `cut`. Messages equal the written ones bit for bit.
 
     Args:
         path: The file.
-        horizons: Whether plans are wanted as they are. Otherwise they have their first step alone, without corrections:
-            the rest is most of what is in a log.
+        horizons: Keep whole plans. Otherwise plans have their first step only and no corrections, which saves most of
+            the memory.
     Raises: LogError: no such file, not an MCAP file, or not the log of a run.
     """
     messages: list[Recorded] = []
-    foreign: list[tuple[str, str]] = []
+    unknown: list[tuple[str, str]] = []  # channel and description
     try:
         with path.open("rb") as file:
-            found = Salvage(file)
-            for topic, entry in found.entries():
-                kind = topic.lstrip("/").split("/", 1)[0]
+            salvage = Salvage(file)
+            for topic, entry in salvage.entries():
+                kind = kind_of(topic)
                 if kind not in KINDS:
-                    foreign.append((topic, f"a channel {topic!r}"))
+                    unknown.append((topic, f"a channel {topic!r}"))
                     continue
                 try:
                     message = from_json(kind, entry.data)
-                    if not horizons and isinstance(message, Plan):
-                        message = _first_step(message)
                 except (ValueError, TypeError) as error:
-                    foreign.append((topic, f"{kind}: {error}"))
+                    unknown.append((topic, f"{kind}: {error}"))
                     continue
+                if not horizons and isinstance(message, Plan):
+                    message = replace(message, inputs=message.inputs[:1].copy(), corrections=message.corrections[:0])
                 messages.append(Recorded(message=message, received_ns=entry.publish_time))
     except OSError as error:
         raise LogError(f"{path}: cannot read the log ({error.strerror or error})") from error
     except NotMcapError as error:
         raise LogError(f"{path}: {error}") from error
-    header = found.metadata.get(_METADATA)
-    if header is None and found.ended and not found.damaged:
+    header = salvage.metadata.get(_METADATA)
+    if header is None and salvage.ended and not salvage.damaged:
         raise LogError(f'{path}: an MCAP file, but not the log of a run (no metadata record "{_METADATA}")')
-    derived = found.metadata.get(DERIVED, {})
-    unknown = [text for topic, text in foreign if topic not in derived]
-    return RunLog(header=header or {}, messages=tuple(messages), cut=_cut(messages, unknown, found))
+    derived = salvage.metadata.get(DERIVED, {})
+    cut = _cut(messages, [text for topic, text in unknown if topic not in derived], salvage)
+    return RunLog(header=header or {}, messages=tuple(messages), cut=cut)
 
 
-def _first_step(plan: Plan) -> Plan:
-    """A plan of one step."""
-    return replace(plan, inputs=plan.inputs[:1].copy(), corrections=plan.corrections[:0].copy())
-
-
-def _cut(messages: list[Recorded], foreign: list[str], found: Salvage) -> str:
-    """What is missing, in a sentence; empty for a whole log."""
+def _cut(messages: list[Recorded], unknown: list[str], salvage: Salvage) -> str:
+    """Return a sentence about what is missing; empty for a whole log."""
     problems = []
-    if not found.ended:
-        problems.append("only its index is missing" if found.data_ended else "it stops before its end")
-    if found.damaged:
-        problems.append(f"{found.damaged} damaged part{'s' if found.damaged > 1 else ''} left out")
-    if foreign:
-        problems.append(f"{len(foreign)} entries are not of this version, the first {foreign[0]}")
+    if not salvage.ended:
+        problems.append("only its index is missing" if salvage.data_ended else "it stops before its end")
+    if salvage.damaged:
+        problems.append(f"{salvage.damaged} damaged part{'s' if salvage.damaged > 1 else ''} left out")
+    if unknown:
+        problems.append(f"{len(unknown)} entries are not of this version, the first {unknown[0]}")
     if not problems:
         return ""
     last = max((entry.message.tick for entry in messages), default=None)

@@ -1,4 +1,4 @@
-"""Messages as tables: one for each kind, arrays flattened into columns whose names end in their units."""
+"""Messages as one table per kind, with arrays flattened into columns whose names end in their units."""
 
 from collections.abc import Iterator
 from dataclasses import fields
@@ -12,7 +12,7 @@ from transport.log.units import INPUT_NAMES, PAYLOAD_NAMES, UAV_STATE_NAMES
 
 Row = dict[str, Any]
 
-# Fields that are spread over columns, or over rows, instead of being one.
+# Array fields, spread over several columns or rows.
 _SPREAD = {
     Measurement.kind: ("payload", "uavs", "uav_states", "inputs"),
     Plan.kind: ("uavs", "uav_states", "inputs", "corrections"),
@@ -22,14 +22,14 @@ _SPREAD = {
 
 
 def tables(log: RunLog, period_s: float | None) -> dict[str, list[Row]]:
-    """The messages of a log by kind; each row has its values by column.
+    """Return the messages of a log by kind, each row as values by column (docs/log.md).
 
-    Measurements and plans have a row for each UAV they speak of, everything else one for each message. Lists of
-    numbers are texts, with blanks in between. See docs/log.md for the columns.
+    Measurements and plans have one row per UAV, other messages one row. Tuples of numbers become text with blanks in
+    between.
 
     Args:
         log: Whole or not.
-        period_s: Sampling period; None when it is not known, then nor is the scenario time of a tick.
+        period_s: Sampling period, s; None if unknown, which leaves `t_s` empty.
     """
     found: dict[str, list[Row]] = {kind: [] for kind in KINDS}
     for entry in log.messages:
@@ -42,9 +42,8 @@ def tables(log: RunLog, period_s: float | None) -> dict[str, list[Row]]:
             "incarnation": message.incarnation,
             "sequence": message.sequence,
         }
-        for name in (
-            f.name for f in fields(message) if f.name not in row and f.name not in _SPREAD.get(message.kind, ())
-        ):
+        spread_fields = _SPREAD.get(message.kind, ())
+        for name in (field.name for field in fields(message) if field.name not in (*row, *spread_fields)):
             value = getattr(message, name)
             row[name] = " ".join(map(str, value)) if isinstance(value, tuple) else value
         found[message.kind] += [row | spread for spread in _spread(message)]
@@ -52,12 +51,12 @@ def tables(log: RunLog, period_s: float | None) -> dict[str, list[Row]]:
 
 
 def columns(rows: list[Row]) -> list[str]:
-    """Columns of a table, in the order they first appear."""
+    """Return the columns of a table in the order of their first appearance."""
     return list(dict.fromkeys(name for row in rows for name in row))
 
 
 def _spread(message: Message) -> Iterator[Row]:
-    """What a message holds in arrays: one row, or one for each of its UAVs."""
+    """Yield the columns of the array fields: once, or once per UAV of the message."""
     match message:
         case Measurement():
             payload = _named("payload_", PAYLOAD_NAMES, message.payload)
@@ -100,7 +99,7 @@ def _named(prefix: str, names: tuple[str, ...], values: Array) -> Row:
 
 
 def _over_horizon(prefix: str, sequence: Array) -> Row:
-    """A sequence of inputs of one UAV, (steps, 4), quantity by quantity: thrust_N[0], thrust_N[1], ..."""
+    """Return the inputs of one UAV over the horizon, (steps, 4), by quantity: thrust_N[0], thrust_N[1], ..."""
     return {
         f"{prefix}{name}[{step}]": float(value)
         for name, values in zip(INPUT_NAMES, sequence.T, strict=True)

@@ -1,80 +1,75 @@
-"""A log read while it is written: what has been added since the last look.
-
-This is how people watch a run without taking part in it: neither its processes nor its recorder know of them.
-"""
+"""A log read while it is written, by readers that take no part in the run."""
 
 import re
 from collections import OrderedDict
 from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 
+from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel
 from mcap.writer import MCAP0_MAGIC
 
 from protocol.wire.messages import KINDS, Message
 from transport.log.json_messages import from_json
-from transport.log.run_log import LogError
-from transport.log.salvage import DAMAGE, MESSAGE_HEAD, content_of, contents, frames, records_of
+from transport.log.run_log import LogError, kind_of
+from transport.log.salvage import DAMAGE, MESSAGE_HEADER, chunk_content, frames, records
 
-_FRAME_BYTES = 9  # opcode and length
+# The JSON of a plan or report begins with the fields it is looked up by; only plans have a negotiation.
+_LOOKUP_FIELDS = re.compile(rb'"tick":(\d+),"agent":(\d+),(?:"start_tick":\d+,"negotiation":(\d+),)?')
+_LOOKUP_BYTES = 200
 
-# How a plan or report begins, up to what it is looked up by; negotiation is a plan's alone.
-_HEAD = re.compile(rb'"tick":(\d+),"agent":(\d+),(?:"start_tick":\d+,"negotiation":(\d+),)?')
-_HEAD_BYTES = 200
-
-
-# What is looked back at lies close together: contents of so many chunks are kept.
-_CHUNKS = 8
+# Decompressed chunks kept in memory: messages that are looked up together lie close together.
+_CACHED_CHUNKS = 8
 
 
 class Chunks:
-    """What is packed in the chunks of a log, taken from the file when somebody asks for it.
+    """Decompressed chunks of one log, read from the file on demand.
 
     Args:
-        path: Of the file.
+        path: The file.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._kept: OrderedDict[tuple[int, int], bytes] = OrderedDict()
+        self._cache: OrderedDict[tuple[int, int], bytes] = OrderedDict()
 
-    def content(self, at: int, size: int) -> bytes | None:
-        """What is packed in one; None if it cannot be read any more.
+    def content(self, offset: int, size: int) -> bytes | None:
+        """Return the content of a chunk; None if it cannot be read any more.
 
         Args:
-            at: Where the body of its record is in the file, bytes.
-            size: Of that, bytes.
+            offset: Where the body of its record begins in the file, bytes.
+            size: Size of the body, bytes.
         """
-        if (at, size) in self._kept:
-            self._kept.move_to_end((at, size))
-            return self._kept[at, size]
-        try:
-            with self._path.open("rb") as file:
-                file.seek(at)
-                data = content_of(file.read(size))
-        except (OSError, *DAMAGE):
-            return None
-        self._kept[at, size] = data
-        if len(self._kept) > _CHUNKS:
-            self._kept.popitem(last=False)
+        data = self._cache.pop((offset, size), None)
+        if data is None:
+            try:
+                with self._path.open("rb") as file:
+                    file.seek(offset)
+                    data = chunk_content(file.read(size))
+            except (OSError, *DAMAGE):
+                return None
+        self._cache[offset, size] = data
+        if len(self._cache) > _CACHED_CHUNKS:
+            self._cache.popitem(last=False)
         return data
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Unread:
-    """A message that stays in the file until somebody asks for it.
+    """A message that stays in the file until it is needed.
 
     Attributes:
         kind: Key of `protocol.wire.messages.KINDS`.
         tick: k.
         agent: 1-based.
-        negotiation: Round of a plan; 0 for other messages.
-        chunks: Of the log it is in.
+        negotiation: Iterations still to come, for a plan; 0 for other messages.
+        chunks: Chunks of its log.
         chunk: Offset and size of its chunk, bytes.
-        inside: From where to where it is in the chunk's content, bytes.
+        span: Where it begins and ends in the content of the chunk, bytes.
     """
 
     kind: str
@@ -83,115 +78,96 @@ class Unread:
     negotiation: int
     chunks: Chunks
     chunk: tuple[int, int]
-    inside: tuple[int, int]
+    span: tuple[int, int]
 
     def message(self) -> Message | None:
-        """What it says; None if it is damaged, or gone with its file."""
+        """Return the message; None if it is damaged, or the file is gone or replaced."""
         data = self.chunks.content(*self.chunk)
         if data is None:
             return None
         try:
-            message = from_json(self.kind, data[slice(*self.inside)])
+            message = from_json(self.kind, data[slice(*self.span)])
         except (ValueError, TypeError):
             return None
-        return message if message.tick == self.tick else None  # else it is another file by now
+        return message if message.tick == self.tick else None
 
 
 class LogTail:
-    """Follows one log.
+    """Reader that follows one log.
 
     Args:
-        path: Of the file, which need not be there yet.
-        kinds: Of messages that are wanted: what nobody asks for is not taken apart.
-        later: Those of them that are left in their chunks until they are asked for, which is most of a log.
+        path: The file, which need not exist yet.
+        kinds: Kinds of messages to read; others are skipped without decoding.
+        later: Those of them that are left in the file as `Unread`, which saves most of the memory.
 
     Attributes:
-        ended: Whether the part with the messages has come to its proper end.
+        ended: Whether the data section has come to its proper end.
     """
 
     def __init__(self, path: Path, kinds: Collection[str] = KINDS, later: Collection[str] = ()) -> None:
         self._path, self._wanted, self._later = path, frozenset(kinds), frozenset(later)
         self._chunks = Chunks(path)
-        self._at = len(MCAP0_MAGIC)
+        self._offset = len(MCAP0_MAGIC)  # of the next record
         self._kinds: dict[int, str] = {}  # by channel
         self.ended = False
 
     def read(self) -> list[Message | Unread]:
-        """The messages wanted that have come since, in order; what is written only in part waits for the next time.
+        """Return the new messages, in order; a record written only in part waits for the next call.
+
+        Damage is skipped silently: `read_log` reports it.
 
         Raises: LogError: the file cannot be read.
         """
+        found: list[Message | Unread] = []
+        if self.ended:
+            return found
         try:
             with self._path.open("rb") as file:
-                file.seek(self._at)
-                data = file.read()
+                file.seek(self._offset)
+                for opcode, offset, body in frames(file):
+                    self._offset = offset + len(body)
+                    with suppress(*DAMAGE):
+                        self._read_record(opcode, offset, body, found)
+                    if opcode == Opcode.DATA_END:
+                        self.ended = True
+                        break
         except FileNotFoundError:
-            return []
+            pass
         except OSError as error:
             raise LogError(f"{self._path}: cannot read the log ({error.strerror or error})") from error
-        found: list[Message | Unread] = []
-        for opcode, body in frames(data, 0):
-            if self.ended:
-                break
-            where = (self._at + _FRAME_BYTES, len(body))
-            self._at = sum(where)
-            self.ended = opcode == Opcode.DATA_END
-            try:
-                if opcode == Opcode.CHUNK:
-                    content = content_of(body)
-                    for code, begin, end in contents(content):
-                        self._take(code, content, (begin, end), where, found)
-                else:
-                    self._take(opcode, body, (0, len(body)), None, found)
-            except DAMAGE:
-                continue  # `read_log` says what a damaged log lacks
         return found
 
-    def _take(
-        self,
-        opcode: int,
-        data: bytes,
-        inside: tuple[int, int],
-        chunk: tuple[int, int] | None,
-        found: list[Message | Unread],
-    ) -> None:
-        """Take in one record.
+    def _read_record(self, opcode: int, offset: int, body: bytes, found: list[Message | Unread]) -> None:
+        """Append the messages in a record of the file.
 
-        Args:
-            opcode: Of the record.
-            data: What it is in: a chunk's content, or its body alone.
-            inside: From where to where its body is in that, bytes.
-            chunk: Offset and size of its chunk in the file, bytes; None for a record outside of chunks.
-            found: Where messages are put that are wanted.
-        Raises: one of `DAMAGE`: it cannot be read.
+        Raises: one of `DAMAGE`: it cannot be decoded.
         """
-        begin, end = inside
-        if opcode == Opcode.CHANNEL:
-            for record in records_of(opcode, data[begin:end]):
-                if isinstance(record, Channel):
-                    self._kinds[record.id] = record.topic.lstrip("/").split("/", 1)[0]
-        if opcode != Opcode.MESSAGE:
-            return
-        kind = self._kinds.get(MESSAGE_HEAD.unpack(data[begin : min(begin + MESSAGE_HEAD.size, end)])[0])
-        if kind is None or kind not in self._wanted:
-            return
-        said = begin + MESSAGE_HEAD.size
-        head = None
-        if chunk is not None and kind in self._later:
-            head = _HEAD.search(data, said, min(said + _HEAD_BYTES, end))
-        if chunk is not None and head is not None:
-            tick, agent, negotiation = (int(number or 0) for number in head.groups())
-            found.append(
-                Unread(
-                    kind=kind,
-                    tick=tick,
-                    agent=agent,
-                    negotiation=negotiation,
-                    chunks=self._chunks,
-                    chunk=chunk,
-                    inside=(said, end),
+        for code, data, begin, end in records(opcode, body):
+            if code == Opcode.CHANNEL:
+                channel = Channel.read(ReadDataStream(BytesIO(data[begin:end])))
+                self._kinds[channel.id] = kind_of(channel.topic)
+            elif code == Opcode.MESSAGE:
+                number = MESSAGE_HEADER.unpack(data[begin : min(begin + MESSAGE_HEADER.size, end)])[0]
+                kind = self._kinds.get(number, "")
+                begin += MESSAGE_HEADER.size
+                if kind not in self._wanted:
+                    continue
+                lookup = None
+                if opcode == Opcode.CHUNK and kind in self._later:
+                    lookup = _LOOKUP_FIELDS.search(data, begin, min(begin + _LOOKUP_BYTES, end))
+                if lookup is None:
+                    with suppress(ValueError, TypeError):
+                        found.append(from_json(kind, data[begin:end]))
+                    continue
+                tick, agent, negotiation = (int(number or 0) for number in lookup.groups())
+                found.append(
+                    Unread(
+                        kind=kind,
+                        tick=tick,
+                        agent=agent,
+                        negotiation=negotiation,
+                        chunks=self._chunks,
+                        chunk=(offset, len(body)),
+                        span=(begin, end),
+                    )
                 )
-            )
-            return
-        with suppress(ValueError, TypeError):
-            found.append(from_json(kind, data[said:end]))

@@ -1,4 +1,4 @@
-"""Names of the entries of states and inputs, each with its unit at its end, in the order of `model.state`."""
+"""Names of the entries of states and inputs, each ending in its unit, in the order of `model.state`."""
 
 # Payload: position in the inertial frame (z down), velocity in the payload frame, attitude, angular velocity.
 PAYLOAD_NAMES = (
@@ -21,7 +21,7 @@ _UNITS = {"_rad_s": "rad/s", "_m_s": "m/s", "_Nm": "N m", "_rad": "rad", "_N": "
 
 
 def split_unit(name: str) -> tuple[str, str]:
-    """A name for people and its unit, empty for none: "moment x" and "N m" from "moment_x_Nm"."""
+    """Return a readable name and its unit, empty for none: "moment x" and "N m" for "moment_x_Nm"."""
     for ending, unit in _UNITS.items():
         if name.endswith(ending):
             return name.removesuffix(ending).replace("_", " "), unit
