@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from protocol.wire.exit_codes import EXIT_CASE_FAILED, EXIT_SCENARIO, EXIT_USAGE
+from protocol.wire.exit_codes import EXIT_CASE_FAILED, EXIT_SCENARIO
 from transport.experiments.errors import ExperimentError, refused
 
 if TYPE_CHECKING:
@@ -432,34 +432,6 @@ def scaling(
         return catalogue.scaling("resilient", usual if largest is None else largest, sizes)
 
     _conduct(lambda: _fly(build(), options))
-
-
-@experiment_app.command()
-def faults(
-    runs: Annotated[int, typer.Option("--runs", min=1, help="Up to which number, without it.")] = 200,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Of what happens to whom and when.")] = 0,
-    first: Annotated[int, typer.Option("--first", min=0, help="Number of the first run, to go on or to repeat.")] = 0,
-    jobs: Annotated[int, typer.Option("--jobs", min=1, help="Runs at a time; each has seven processes.")] = 2,
-    out: Annotated[Path | None, typer.Option("--out", help="Where the folders of failing runs are kept.")] = None,
-) -> None:
-    """Whether a crash leaves anything behind.
-
-    Processes of short real flights are killed, frozen and interrupted at random. Exit code 1 if anything is wrong.
-
-    Example: transport experiment faults --runs 200 --seed 0
-    """
-    from transport.experiments.faults import conduct
-
-    if first >= runs:
-        typer.echo(f"transport: {refused('--first', f'less than --runs {runs}', first)}", err=True)
-        raise typer.Exit(EXIT_USAGE)
-    code = _INTERRUPTED
-    try:
-        with _terminated_like_interrupted():
-            code = conduct(runs, seed, first, jobs, out or Path("runs") / f"faults-{seed}")
-    except KeyboardInterrupt:
-        typer.echo("transport: interrupted", err=True)
-    raise typer.Exit(code)
 
 
 def _seeds(given: int | None, usual: int, *, quick: bool) -> int:
