@@ -1,4 +1,4 @@
-"""What a person sees while an experiment flies: how many flights are done, and what came of the last one."""
+"""Progress of an experiment on the console: the number of finished runs and the last result."""
 
 import time
 from types import TracebackType
@@ -6,18 +6,18 @@ from types import TracebackType
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-# Without a terminal a line is written this often, in seconds of wall time.
+# Period of the lines without a terminal, wall time, s.
 _LINE_EVERY_S = 10.0
 
 
 class SweepProgress:
-    """A progress bar on a terminal, a line now and then elsewhere.
+    """A progress bar on a terminal, a line every 10 s elsewhere.
 
     Args:
-        name: Of the experiment.
-        done: Flights that need not be flown.
-        total: All flights.
-        console: Where to draw; standard error, so that results alone are on standard output.
+        name: Name of the experiment.
+        done: Number of runs finished before.
+        total: Number of all runs.
+        console: Standard error, as standard output is for results.
     """
 
     def __init__(self, name: str, done: int, total: int, console: Console) -> None:
@@ -42,15 +42,15 @@ class SweepProgress:
             self._bar.stop()
 
     def advance(self, last: str) -> None:
-        """One flight more is done.
+        """Count one more finished run.
 
         Args:
-            last: Which one, and what came of it.
+            last: The run and its outcome.
         """
         self._done += 1
         if self._bar is not None:
             self._bar.update(self._task, completed=self._done, last=last)
         elif time.monotonic() >= self._next_line_s or self._done == self._total:
             self._next_line_s = time.monotonic() + _LINE_EVERY_S
-            line = f"{self._done} of {self._total} flights done, the last {last}"
+            line = f"{self._done} of {self._total} runs done, the last {last}"
             self._console.print(line, highlight=False, soft_wrap=True)
