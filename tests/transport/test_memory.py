@@ -230,7 +230,7 @@ def test_timeouts_cost_nothing() -> None:
 def test_a_standstill_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nodes that wait for each other for ever are a bug, said with the tick, not an endless loop."""
     monkeypatch.setattr(CoordinatorNode, "wake_ns", None)
-    with pytest.raises(RuntimeError, match="stands still at tick 1"):
+    with pytest.raises(RuntimeError, match="deadlock at tick 1"):
         memory.simulate(setup(SHORT))
 
 

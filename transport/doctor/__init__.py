@@ -1,1 +1,1 @@
-"""doctor."""
+"""Checks of the machine for `transport doctor`."""

@@ -1,4 +1,4 @@
-"""What a person sees while a run flies: simulated time, real-time factor, cost, attitude."""
+"""Progress of a run on the console: simulated time, real-time factor, cost, attitude."""
 
 import time
 from types import TracebackType
@@ -12,16 +12,16 @@ from mpc.cost import Cost
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import PlantState
 
-# Without a terminal a line is written this often, in seconds of wall time.
+# Period of the lines without a terminal, wall time, s.
 _LINE_EVERY_S = 10.0
 
 
 class RunProgress:
-    """A progress bar on a terminal, a line now and then elsewhere.
+    """A progress bar on a terminal, a line every 10 s elsewhere.
 
     Args:
         setup: The run.
-        console: Where to draw; standard error, so that results alone are on standard output.
+        console: Standard error, as standard output is for results.
     """
 
     def __init__(self, setup: Setup, console: Console) -> None:
@@ -56,18 +56,16 @@ class RunProgress:
         """Draw the newest state.
 
         Args:
-            plant_state: Newest state of the plant, or None before the first.
-            started_s: Steady-clock time of the first one.
+            plant_state: Newest state, or None before the first.
+            started_s: Steady-clock time of the first state, s.
         """
         if plant_state is None or started_s is None:
             return
         t_s = plant_state.tick * self._setup.settings.sampling_period_s
         now_s = time.monotonic()
         if self._bar is not None:
-            phase = self._phase(t_s)
-            self._bar.update(
-                self._task, completed=t_s, description=phase, status=self._status(plant_state, t_s, now_s - started_s)
-            )
+            status = self._status(plant_state, t_s, now_s - started_s)
+            self._bar.update(self._task, completed=t_s, description=self._phase(t_s), status=status)
         elif now_s >= self._next_line_s:
             self._next_line_s = now_s + _LINE_EVERY_S
             self._console.print(self._status(plant_state, t_s, now_s - started_s), highlight=False)

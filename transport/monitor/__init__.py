@@ -1,1 +1,1 @@
-"""monitor."""
+"""Monitoring of an active run."""
