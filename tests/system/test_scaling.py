@@ -167,7 +167,7 @@ def test_exponent_of_a_power_law(power: float) -> None:
 
 
 def test_exponent_is_the_least_squares_slope() -> None:
-    """Of values off a power law it is the slope numpy finds; noise of 5 % changes it by far less than 0.1."""
+    """For noisy values it equals numpy's slope; noise of 5 % changes it by far less than 0.1."""
     uavs = np.array([4, 6, 8, 10, 12])
     values = 2.0 * uavs**1.5 * np.exp(np.random.default_rng(1).normal(0.0, 0.05, len(uavs)))
     found = exponent(uavs.tolist(), values.tolist())
@@ -185,7 +185,7 @@ SCALING = scaling.scaling("resilient", 16, scaling.SIZES)
 
 
 def made(results: Callable[[Point], list[Result]]) -> list[PointStatistics]:
-    """What the points say, with invented results."""
+    """Return the statistics of the points, with invented results."""
     return statistics_of(SCALING.points, [results(point) for point in SCALING.points], (*NUMBERS, *RESOURCES)[1:])
 
 

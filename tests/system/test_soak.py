@@ -68,7 +68,7 @@ def test_judgement() -> None:
     assert "0.000 in the first third, 1.000 in the last" in judge({"a": flat()}, [0] * 60 + [1] * 30)[1][0]
     assert judge({"a": flat()}, [0] * 60 + [1] * 30, 1.0)[1] == []
     assert judge({"a": flat()}, [1] * 60 + [0] * 30)[1] == []
-    assert judge({"a": flat()}, [0] * 61 + [None] * 29)[1] == []  # nobody's fault
+    assert judge({"a": flat()}, [0] * 61 + [None] * 29)[1] == []  # unknown
     with pytest.raises(BenchmarkError, match="expected at least 4 looks"):
         judge({"a": Record(memory=[1.0], threads=[1.0], files=[1.0])}, [0] * 90)
 

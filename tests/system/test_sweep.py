@@ -43,7 +43,7 @@ def members(session: int) -> list[int]:
 
 
 def gone(process: subprocess.Popen[str]) -> bool:
-    """Whether nothing is left of a command and what it started."""
+    """Return whether all processes of a command have ended."""
     return wait_for(lambda: not members(process.pid), timeout_s=20.0)
 
 

@@ -186,7 +186,7 @@ def paper_curve(outcome: Callable[[Case], str] = lambda _: "completed", seeds: i
 
 
 def at(case: Case, controller: str, period_s: float) -> bool:
-    """Whether a case is of a controller at a period."""
+    """Return whether a case is of a controller at a period."""
     scenario = case.scenario
     return scenario.name == comparison.SCENARIOS[controller] and scenario.controller.sampling_period_s == period_s
 

@@ -12,7 +12,7 @@ from transport.experiments.simulation import ERROR, NUMBERS, Result
 
 
 def result(key: str, outcome: str = "completed", cost: float = 0.1 + 0.2) -> Result:
-    """What came of a flight."""
+    """Return the result of a run."""
     numbers: dict[str, float | None] = dict.fromkeys(NUMBERS)
     return Result(key=key, outcome=outcome, reason="", numbers=numbers | {"cost_mean": cost})
 

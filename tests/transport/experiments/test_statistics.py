@@ -17,7 +17,7 @@ OTHER = Point(scenario="b", labels={"delay_s": 0.1}, text="100 ms")
 
 
 def result(outcome: str = "completed", cost: float = 1.0, lost_s: float | None = None) -> Result:
-    """What came of a flight."""
+    """Return the result of a run."""
     numbers: dict[str, float | None] = dict.fromkeys(NUMBERS)
     numbers |= {"cost_mean": cost, "lost_s": lost_s}
     return Result(key="k", outcome=outcome, reason="", numbers={} if outcome == ERROR else numbers)
@@ -45,7 +45,7 @@ def test_interval_is_students(n: int) -> None:
 
 
 def test_interval_covers() -> None:
-    """Of 2000 intervals from three normally distributed values each, 95 % hold the true mean."""
+    """95 % of 2000 intervals from three normally distributed values each contain the true mean."""
     rng = np.random.default_rng(0)
     draws = rng.normal(3.0, 2.0, size=(2000, 3))
     found = [estimate(list(row)) for row in draws]
