@@ -58,7 +58,7 @@ def put(root: Path, path: str, text: str) -> Path:
     ],
 )
 def test_host(
-    check: Callable[[Path], doctor_host.Finding],
+    check: Callable[[Path], Finding],
     path: str,
     good: str,
     bad: str,

@@ -49,7 +49,7 @@ def test_unshared_plans_reach_no_other_agent(monkeypatch: pytest.MonkeyPatch) ->
 
     def noting(flight: memory.InMemoryRun, message: Message) -> None:
         if isinstance(message, Plan):
-            for name in flight._heard_by(message):
+            for name in flight._receivers(message):
                 heard.setdefault(name, set()).add((message.agent, message.tick, message.shared))
         deliver(flight, message)
 

@@ -59,6 +59,7 @@ class Cell:
 
 
 Curves = Mapping[tuple[str, str], Sequence[Cell]]
+Loads = Mapping[Cell, Load]
 
 
 def curves_of(period_s: float, horizon: int, *, quick: bool = False) -> Curves:
@@ -119,8 +120,8 @@ def at_rate(cell: Cell) -> tuple[str, ...]:
 
 def processor_times(
     folder: Path, settings: Sequence[str], cells: Sequence[Cell], *, quick: bool, notify: Callable[[str], None]
-) -> list[Load]:
-    """Return the processor time of every cell, in the same order; measured once for each folder.
+) -> Loads:
+    """Return the processor time of every cell, measured once for each folder.
 
     Args:
         folder: Folder of the experiment.
@@ -142,10 +143,10 @@ def processor_times(
 
     loads = measure_in_turns(reference, candidates, repeats, finished)
     write_whole(path, orjson.dumps({"settings": begun_with, "loads": [asdict(load) for load in loads]}) + b"\n")
-    return loads
+    return dict(zip(cells, loads, strict=True))
 
 
-def _measured(path: Path, settings: Sequence[str], cells: Sequence[Cell]) -> list[Load]:
+def _measured(path: Path, settings: Sequence[str], cells: Sequence[Cell]) -> Loads:
     content = orjson.loads(path.read_bytes())
     if content["settings"] != settings:
         raise refused("--set", f"the settings {path.parent} was begun with, {content['settings']}", settings)
@@ -153,11 +154,10 @@ def _measured(path: Path, settings: Sequence[str], cells: Sequence[Cell]) -> lis
         loads = [Load(**entry) for entry in content["loads"]]
     except TypeError:
         loads = []
-    if [(load.controller, load.period_s, load.horizon) for load in loads] != [
-        (cell.controller, cell.period_s, cell.horizon) for cell in cells
-    ]:
+    found = {Cell(controller=load.controller, period_s=load.period_s, horizon=load.horizon): load for load in loads}
+    if list(found) != list(cells):
         raise refused("--out", "a folder of this version of the experiment", f"{path.parent}, begun with other periods")
-    return loads
+    return found
 
 
 def experiment(cells: Sequence[Cell], reference: Cell, gust_mps: float) -> Experiment:

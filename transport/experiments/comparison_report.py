@@ -2,7 +2,7 @@
 
 import math
 import statistics
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from rich.table import Table
 from protocol.scenario.setup import Setup
 from transport.experiments import comparison
 from transport.experiments.cases import Case, Point, cases_of
-from transport.experiments.comparison import Cell
+from transport.experiments.comparison import Cell, Loads
 from transport.experiments.comparison_verdict import SAME_RATE, Verdict, lines, statements, verdicts
 from transport.experiments.cost_curves import Curve, Node, cost_curves
 from transport.experiments.cost_figure import draw_costs
@@ -39,8 +39,6 @@ _COLUMNS = (
     ("attitude\n(deg)", "attitude_max_deg", 1.0, 2, False),
     ("swing\n(m)", "swing_m", 1.0, 3, False),
 )
-
-Loads = Mapping[tuple[str, float, int], Load]
 
 
 def compare(
@@ -80,16 +78,15 @@ def compare(
     with Results(folder, comparison.NAME, machine()) as results:
         for notice in results.notices:
             notify(notice)
-        measured = comparison.processor_times(folder, settings, cells, quick=quick, notify=notify)
+        loads = comparison.processor_times(folder, settings, cells, quick=quick, notify=notify)
         found = sweep(experiment, cases, simulate, results, console)
-    loads = {(load.controller, load.period_s, load.horizon): load for load in measured}
     costs = cost_curves(curves, experiment.points, cases, found)
-    judged = verdicts(costs, measured, reference)
+    judged = verdicts(costs, loads, reference)
     text = [*lines(judged), "", *statements(judged)]
     written = {
         "curves.csv": csv_bytes([_curve_row(curve, node, loads) for curve in costs for node in curve.nodes]),
         "verdict.csv": csv_bytes([_verdict_row(verdict) for verdict in judged]),
-        "computation.csv": csv_bytes(list(_computation_rows(measured))),
+        "computation.csv": csv_bytes(list(_computation_rows(loads.values()))),
         "cases.csv": cases_csv(experiment.points, cases, found),
         "verdict.txt": "\n".join([*text, "", f"machine: {machine()}", ""]).encode(),
     }
@@ -153,7 +150,7 @@ def table_of(costs: Sequence[Curve], loads: Loads) -> Table:
     for curve in costs:
         for node in curve.nodes:
             cell = node.cell
-            load = loads[cell.controller, cell.period_s, cell.horizon]
+            load = loads[cell]
             named = (curve.weather, curve.controller, curve.kept)
             table.add_row(
                 *(("",) * 3 if named == before else named),
@@ -186,7 +183,7 @@ def _curve_row(curve: Curve, node: Node, loads: Loads) -> dict[str, Any]:
     for name in NUMBERS[1:]:
         for value, column in ((node.numbers.get(name), name), (node.ratio(name), f"{name}_ratio")):
             row |= {column: value and value.mean, f"{column}_ci95": value and value.half_width}
-    load = loads[cell.controller, cell.period_s, cell.horizon]
+    load = loads[cell]
     for column, values in (
         ("cpu_step_ms", load.step_ms),
         ("cpu_agent_s_per_s", load.seconds_per_second(AGENT)),
@@ -216,7 +213,7 @@ def _verdict_row(verdict: Verdict) -> dict[str, Any]:
     }
 
 
-def _computation_rows(loads: Sequence[Load]) -> Iterator[dict[str, Any]]:
+def _computation_rows(loads: Iterable[Load]) -> Iterator[dict[str, Any]]:
     for load in loads:
         named = {name: value for name, value in asdict(load).items() if not name.endswith("step_ms")}
         ratios = zip(load.ratios(TEAM), load.ratios(AGENT), strict=True)

@@ -4,9 +4,9 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from transport.experiments.comparison import CENTRALIZED, PAPER, STEPS, Cell
+from transport.experiments.comparison import CENTRALIZED, PAPER, STEPS, Cell, Loads
 from transport.experiments.cost_curves import Curve
-from transport.experiments.processor_time import AGENT, TEAM, Load, PeriodRange, equal_periods
+from transport.experiments.processor_time import AGENT, TEAM, PeriodRange, equal_periods
 
 SAME_RATE = "same rate"
 BUDGETS = {
@@ -80,7 +80,7 @@ def grade(ratio: float) -> str:
     return how + ("worse" if ratio > 1.0 else "better")
 
 
-def verdicts(curves: Sequence[Curve], loads: Sequence[Load], reference: Cell) -> list[Verdict]:
+def verdicts(curves: Sequence[Curve], loads: Loads, reference: Cell) -> list[Verdict]:
     """Return the verdicts on every distributed curve, at the same rate and at the same computation.
 
     Args:
@@ -88,15 +88,13 @@ def verdicts(curves: Sequence[Curve], loads: Sequence[Load], reference: Cell) ->
         loads: Processor time of every cell.
         reference: The centralized cell.
     """
-    by_cell = {(load.controller, load.period_s, load.horizon): load for load in loads}
     found: list[Verdict] = []
     compared = set()
     for curve in curves:
         if curve.controller == CENTRALIZED:
             continue
         # The processor time of diverging runs is not representative.
-        cells = [node.cell for node in curve.nodes if node.runs and not node.diverged_s]
-        own = [by_cell[cell.controller, cell.period_s, cell.horizon] for cell in cells]
+        own = [loads[node.cell] for node in curve.nodes if node.runs and not node.diverged_s]
         ranges = {SAME_RATE: PeriodRange(reference.period_s, reference.period_s)}
         if (curve.controller, curve.weather) in compared:
             del ranges[SAME_RATE]  # both horizons are equal there

@@ -1,7 +1,7 @@
 """Cost figure of the comparison: mean cost over processor time, a curve for each controller and horizon."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -10,9 +10,9 @@ import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from transport.experiments.comparison import CENTRALIZED, CLOSED_LOOP, PAPER, STEPS, Cell
+from transport.experiments.comparison import CENTRALIZED, CLOSED_LOOP, PAPER, STEPS, Cell, Loads
 from transport.experiments.cost_curves import COST, Curve
-from transport.experiments.processor_time import AGENT, TEAM, Load
+from transport.experiments.processor_time import AGENT, TEAM
 from transport.report.style import RC, REFERENCE, WIDTH_IN, label_decades, save
 
 # Colour (Okabe and Ito 2008) and marker of each controller; solid lines keep the steps of the horizon, dashed lines
@@ -24,14 +24,12 @@ _ROW_IN, _AROUND_IN = 2.1, 1.0
 _HIGHEST = 3.0
 
 
-def draw_costs(
-    curves: Sequence[Curve], loads: Mapping[tuple[str, float, int], Load], reference: Cell, folder: Path
-) -> list[Path]:
+def draw_costs(curves: Sequence[Curve], loads: Loads, reference: Cell, folder: Path) -> list[Path]:
     """Draw a row of panels for each weather: cost over the computation of the team and of one agent.
 
     Args:
         curves: Cost curves.
-        loads: Processor time by controller, period and horizon.
+        loads: Processor time of every cell.
         reference: The centralized cell; a vertical line marks its computation.
         folder: Output folder.
     Returns: figure.png and figure.svg.
@@ -45,8 +43,9 @@ def draw_costs(
             for axes, budget in zip(row, (TEAM, AGENT), strict=True):
                 for curve in own:
                     _draw(axes, curve, loads, budget)
-                first = loads[reference.controller, reference.period_s, reference.horizon]
-                axes.axvline(median(first.seconds_per_second(budget)), color=REFERENCE, linewidth=0.8, zorder=0)
+                axes.axvline(
+                    median(loads[reference].seconds_per_second(budget)), color=REFERENCE, linewidth=0.8, zorder=0
+                )
                 axes.set_xscale("log")
                 label_decades(axes.xaxis)
             row[0].set_ylabel(f"{weather}\nmean cost over centralized")
@@ -57,13 +56,12 @@ def draw_costs(
         return [save(figure, folder / f"figure.{kind}") for kind in ("png", "svg")]
 
 
-def _draw(axes: Axes, curve: Curve, loads: Mapping[tuple[str, float, int], Load], budget: str) -> None:
+def _draw(axes: Axes, curve: Curve, loads: Loads, budget: str) -> None:
     colour, marker = _STYLES[curve.controller]
     style: dict[str, Any] = {"color": colour, "linestyle": "-" if curve.kept == STEPS else "--"}
     x, y = [], []
     for node in curve.nodes:
-        cell = node.cell
-        times = loads[cell.controller, cell.period_s, cell.horizon].seconds_per_second(budget)
+        times = loads[node.cell].seconds_per_second(budget)
         ratio = node.ratio(COST)
         beyond = bool(node.diverged_s) or (ratio is not None and ratio.mean > _HIGHEST)
         x.append(median(times))

@@ -145,10 +145,10 @@ def curve(controller: str, kept: str, costs: dict[float, float]) -> Curve:
 REFERENCE = Cell(controller=CENTRALIZED, period_s=0.05, horizon=20)
 
 
-def measured(*periods_s: float) -> list[Load]:
+def measured(*periods_s: float) -> dict[Cell, Load]:
     """Two repetitions of the processor time of both controllers: 8 ms a step, and 4 or 5 ms for each agent."""
-    return [
-        Load(
+    return {
+        Cell(controller=controller, period_s=period_s, horizon=20): Load(
             controller=controller,
             period_s=period_s,
             horizon=20,
@@ -159,7 +159,7 @@ def measured(*periods_s: float) -> list[Load]:
         )
         for controller in (CENTRALIZED, PAPER)
         for period_s in periods_s
-    ]
+    }
 
 
 def test_verdicts_follow_from_curves_and_loads() -> None:
