@@ -87,7 +87,7 @@ def unrecorded(setup: Setup, folder: Path) -> None:
             raise BenchmarkError(f"{folder}: expected the processes to end in {_PATIENCE_S:g} s, they did not")
         for child in harness.children:
             if child.process.returncode != 0:
-                raise BenchmarkError(f"{child.name}: exit code {child.process.returncode}: {child.last_words()}")
+                raise BenchmarkError(f"{child.name}: exit code {child.process.returncode}: {child.last_line()}")
 
 
 def duration_s(logs: Path) -> float:

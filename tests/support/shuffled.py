@@ -21,7 +21,7 @@ _PRESENCE = "alive"
 _SLOWEST = 1e-9
 
 
-class _Shuffled(memory._Flight):
+class _Shuffled(memory.InMemoryRun):
     """A flight whose messages arrive in random order; one sender's under one key in that of sending, as with Zenoh."""
 
     def __init__(self, setup: Setup, record: Callable[[Message], None], seed: int) -> None:
@@ -35,7 +35,7 @@ class _Shuffled(memory._Flight):
             if message.sender == self._coordinator.name and self._fails(message.sender, message):
                 return
             self._record(message)
-            for name in self._heard_by(message):
+            for name in self._receivers(message):
                 self._put(message.sender, name, message)
 
     def _tell(self, event: Presence) -> None:

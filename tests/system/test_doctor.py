@@ -1,4 +1,4 @@
-"""`transport doctor`: what is wrong with a machine is found, named, and comes with what to do."""
+"""`transport doctor`: problems of a machine are found, named, and come with advice."""
 
 import json
 import socket
@@ -14,12 +14,14 @@ from tests.support.commands import free_base
 from transport.cli.main import app
 from transport.doctor import checks as doctor
 from transport.doctor import host as doctor_host
+from transport.doctor import run_checks
+from transport.doctor.finding import Finding
 
 STAT = "cpu  {user} 0 0 {idle} 0 0 0 {stolen} 0 0\n"
 
 
 def put(root: Path, path: str, text: str) -> Path:
-    """A file below a root."""
+    """Write a file below a root and return the root."""
     file = root / path
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text(text)
@@ -56,7 +58,7 @@ def put(root: Path, path: str, text: str) -> Path:
     ],
 )
 def test_host(
-    check: Callable[[Path], doctor_host.Finding],
+    check: Callable[[Path], Finding],
     path: str,
     good: str,
     bad: str,
@@ -64,18 +66,18 @@ def test_host(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A host that is as it should be is ok; one that is not gets a warning with what to do; one that hides it is ok."""
-    monkeypatch.setattr(doctor_host, "_WATCHED_S", 0.0)
+    """A suitable host is ok, an unsuitable one gets a warning with advice, one without the file is ok."""
+    monkeypatch.setattr(doctor_host, "_STEAL_S", 0.0)
     assert check(tmp_path / "nothing")[0] == "ok"
     status, found, nothing = check(put(tmp_path / "good", path, good))
     assert (status, nothing) == ("ok", ""), found
-    status, found, what_to_do = check(put(tmp_path / "bad", path, bad))
+    status, found, advised = check(put(tmp_path / "bad", path, bad))
     assert status == "warn", found
-    assert advice in what_to_do
+    assert advice in advised
 
 
-def test_priority_without_a_brake(tmp_path: Path) -> None:
-    """Real-time priority without the kernel's brake is warned of, or not being allowed any."""
+def test_unlimited_real_time_priority(tmp_path: Path) -> None:
+    """Real-time priority without the kernel's limit, or without permission, gives a warning."""
     status, found, advice = doctor_host.priority(put(tmp_path, "proc/sys/kernel/sched_rt_runtime_us", "-1"))
     assert status == "warn"
     assert "sched_rt_runtime_us -1" in found
@@ -83,7 +85,7 @@ def test_priority_without_a_brake(tmp_path: Path) -> None:
 
 
 def test_too_few_cores(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A run of six processes and a recorder wants seven cores."""
+    """A run of six processes and a recorder needs seven cores."""
     for mine, status in ((7, "ok"), (6, "warn")):
         monkeypatch.setattr("os.sched_getaffinity", lambda _, n=mine: set(range(n)), raising=False)
         found = doctor_host.cores(runs.setup())
@@ -92,7 +94,7 @@ def test_too_few_cores(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_packages(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A package that is missing or too old fails the check and is named; one of an extra does not."""
+    """A missing or outdated package fails the check and is named; one of an extra does not fail."""
     assert [check.status for check in doctor.packages()] == ["ok", "ok"]
     required = ["numpy>=999", "no-such-package>=2", "scipy", 'another-one; extra == "test"']
     monkeypatch.setattr(metadata, "requires", lambda _: required)
@@ -106,18 +108,18 @@ def test_packages(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_ports() -> None:
-    """A port that is taken fails a scenario that names it, and does not matter much to one that does not."""
+    """A taken port fails a scenario that names it, and is no failure otherwise."""
     base = free_base()
     run = runs.setup(f"network.base_port={base}")
-    assert doctor.ports(run).status == "ok"
+    assert run_checks.ports(run).status == "ok"
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", base + 2))
         taken.listen()
-        check = doctor.ports(run)
+        check = run_checks.ports(run)
     assert check.status == "fail"
     assert str(base + 2) in check.found
     assert "network.base_port" in check.advice
-    away = doctor.ports(runs.setup("network.host='192.0.2.1'"))  # an address kept for documentation
+    away = run_checks.ports(runs.setup("network.host='192.0.2.1'"))  # an address reserved for documentation
     assert away.status == "fail"
     assert "address of this machine" in away.advice
 
@@ -146,12 +148,12 @@ def test_command() -> None:
 
 
 def test_exit_code_of_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Something that fails is shown and makes the exit code 9; a check that breaks is one that fails."""
+    """A check that raises fails; a failed check is shown and gives exit code 9."""
 
-    def broken(setup: object) -> doctor.Check:
+    def broken(setup: object) -> Finding:
         raise OSError("no such luck")
 
-    monkeypatch.setattr(doctor, "network", broken)
+    monkeypatch.setattr(run_checks, "network", broken)
     monkeypatch.setattr(doctor, "host_checks", lambda _: iter(()))
     result = CliRunner().invoke(app, ["doctor"])
     assert result.exit_code == 9
@@ -160,6 +162,6 @@ def test_exit_code_of_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_scenario_is_checked() -> None:
-    """A scenario that is refused has its own exit code, as everywhere."""
+    """A refused scenario has its own exit code, as in all commands."""
     result = CliRunner().invoke(app, ["doctor", "--set", "controller.horizon=0"])
     assert result.exit_code == 3

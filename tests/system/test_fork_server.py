@@ -1,4 +1,4 @@
-"""Processes that are forked: they are what started ones would be."""
+"""Forked processes equal started ones."""
 
 import os
 import signal
@@ -19,7 +19,7 @@ from transport.flight.fork_server import Forked, ForkServer, Started
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
 
-# An agent that waits for others who do not come.
+# An agent that waits for agents that never join.
 LONELY = ("agent", "--id", "1", "--scenario", "paper", "--run", "lonely", "--listen", "tcp/127.0.0.1:0")
 
 _PIPES: list[IO[bytes]] = []  # to close at the end of a test: processes end with them
@@ -27,7 +27,7 @@ _PIPES: list[IO[bytes]] = []  # to close at the end of a test: processes end wit
 
 @pytest.fixture
 def server() -> Iterator[ForkServer]:
-    """A server of this test alone."""
+    """A separate server for each test."""
     found = ForkServer()
     yield found
     found.close()
@@ -45,12 +45,12 @@ def begin(server: ForkServer, output: Path, *arguments: str) -> Started:
 
 
 def waits(output: Path) -> bool:
-    """Whether an agent has got as far as waiting for the others."""
+    """Return whether an agent waits for the others."""
     return '"listening"' in output.read_text()
 
 
 def open_files(pid: int) -> set[str]:
-    """What a process has open."""
+    """Return the open files of a process."""
     return {str(link.readlink()) for link in Path(f"/proc/{pid}/fd").iterdir()}
 
 
@@ -66,7 +66,7 @@ def test_as_if_started(server: ForkServer, tmp_path: Path) -> None:
 
 
 def test_place_of_its_own(server: ForkServer, tmp_path: Path) -> None:
-    """A forked process has a session, a title, a parent and nothing open that is not its own."""
+    """A forked process has its own session, title and parent, and no other open files."""
     log = tmp_path / "agent.log"
     process = begin(server, log, *LONELY)
     assert isinstance(process, Forked)
@@ -76,7 +76,7 @@ def test_place_of_its_own(server: ForkServer, tmp_path: Path) -> None:
     stat = Path(f"/proc/{process.pid}/stat").read_text().rsplit(")", 1)[1].split()
     assert int(stat[1]) == os.getpid()
     assert server._process is not None
-    assert len(list(Path(f"/proc/{server._process.pid}/task").iterdir())) == 1  # who forks must have one thread
+    assert len(list(Path(f"/proc/{server._process.pid}/task").iterdir())) == 1  # required for fork
     own = open_files(process.pid)
     assert str(log) in own
     assert not [name for name in own & open_files(server._process.pid) if name.startswith(("socket", "pipe"))]
@@ -84,12 +84,12 @@ def test_place_of_its_own(server: ForkServer, tmp_path: Path) -> None:
         process.wait(0.05)
     process.terminate()
     assert process.wait(20.0) == 130
-    process.send_signal(signal.SIGTERM)  # nobody is there any more, and nobody else is hit
+    process.send_signal(signal.SIGTERM)  # must not hit another process
     assert process.poll() == 130
 
 
 def test_killed(server: ForkServer, tmp_path: Path) -> None:
-    """A signal that ends it is its exit code, for everybody who asks at once."""
+    """The signal that ends a process is its exit code, also for simultaneous calls."""
     log = tmp_path / "agent.log"
     process = begin(server, log, *LONELY)
     assert wait_for(lambda: waits(log))
@@ -104,7 +104,7 @@ def test_killed(server: ForkServer, tmp_path: Path) -> None:
 
 
 def test_orphans_end(server: ForkServer, tmp_path: Path) -> None:
-    """What a process has started ends with its pipe, also when the server is gone before."""
+    """Forked processes end with the pipe from their parent, also after the end of the server."""
     log = tmp_path / "agent.log"
     process = begin(server, log, *LONELY)
     assert wait_for(lambda: waits(log))
@@ -117,7 +117,7 @@ def test_orphans_end(server: ForkServer, tmp_path: Path) -> None:
 
 
 def test_server_ends_with_its_process(tmp_path: Path) -> None:
-    """A process that is killed leaves no server behind."""
+    """The server of a killed process ends."""
     code = (
         "import time\nfrom transport.flight.fork_server import fork_server\n"
         "print(fork_server()._process.pid, flush=True)\ntime.sleep(60)\n"
@@ -131,7 +131,7 @@ def test_server_ends_with_its_process(tmp_path: Path) -> None:
 
 
 def test_without_server(tmp_path: Path, server: ForkServer, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where nothing can be forked, processes are started: another system, a server that is gone, other variables."""
+    """Processes are started where fork is impossible: another system, a dead server, changed variables."""
     monkeypatch.setattr(sys, "platform", "darwin")
     elsewhere = ForkServer()
     monkeypatch.undo()
@@ -153,7 +153,7 @@ def test_without_server(tmp_path: Path, server: ForkServer, monkeypatch: pytest.
 
 
 def test_environment_and_folder_of_now(server: ForkServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Folder, variables and scenario are those of the moment, not those the server was started with."""
+    """Folder, variables and scenario are the current ones, not those at the start of the server."""
     scenario = tmp_path / "scenario.toml"
     ready = subprocess.run(command("validate", "paper"), capture_output=True, text=True, check=True).stdout
     monkeypatch.chdir(tmp_path)

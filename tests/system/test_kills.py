@@ -1,4 +1,4 @@
-"""Whatever dies, nothing is left behind: no process, no unreadable log, no wrong exit code."""
+"""Killed processes leave no process, no unreadable log and no wrong exit code."""
 
 import json
 import os
@@ -33,7 +33,7 @@ main()
 
 
 def take_off(tmp_path: Path, run: str, *changes: str) -> subprocess.Popen[str]:
-    """A run paced to real time, in the air."""
+    """Start a run paced to real time and wait until it simulates."""
     process = start("run", "paper", *settings(*ENDLESS, *changes), "--out", run, "--no-figures", cwd=tmp_path)
     assert wait_for(is_flying(tmp_path / run, TEAM)), process.communicate(timeout=10)
     log = tmp_path / run / "run.mcap"
@@ -43,7 +43,7 @@ def take_off(tmp_path: Path, run: str, *changes: str) -> subprocess.Popen[str]:
 
 @pytest.mark.parametrize("victim", ["coordinator", "plant", "agent1", "agent4"])
 def test_a_killed_process_ends_the_run_in_order(victim: str, tmp_path: Path) -> None:
-    """SIGKILL of any process: exit code 4, the victim named, the log complete up to then, nobody left."""
+    """SIGKILL of any process: exit code 4, the victim named, the log complete up to then, no process left."""
     run = f"kill-{victim}"
     process = take_off(tmp_path, run)
     os.kill(processes_of(run)[victim], signal.SIGKILL)
@@ -60,7 +60,7 @@ def test_a_killed_process_ends_the_run_in_order(victim: str, tmp_path: Path) -> 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_run_is_reported(number: signal.Signals, tmp_path: Path) -> None:
-    """Ctrl-C and SIGTERM end the run in order: exit code 130, a report of what was flown, nobody left."""
+    """Ctrl-C and SIGTERM end the run in order: exit code 130, a report of the simulated part, no process left."""
     process = take_off(tmp_path, "interrupted")
     process.send_signal(number)
     output, errors = process.communicate(timeout=PATIENCE_S)
@@ -85,7 +85,7 @@ def test_a_killed_harness_leaves_no_orphans(tmp_path: Path) -> None:
 
 
 def test_a_frozen_agent_is_noticed_by_the_barrier(tmp_path: Path) -> None:
-    """SIGSTOP leaves the token in place; the barrier timeout names the agent and the run ends, nobody left."""
+    """SIGSTOP leaves the token in place; the barrier timeout names the agent and the run ends, no process left."""
     process = take_off(tmp_path, "frozen")
     os.kill(processes_of("frozen")["agent2"], signal.SIGSTOP)
     _, errors = process.communicate(timeout=PATIENCE_S)
@@ -94,7 +94,7 @@ def test_a_frozen_agent_is_noticed_by_the_barrier(tmp_path: Path) -> None:
     assert processes_of("frozen") == {}
 
 
-def test_the_others_fly_on_when_told_to(tmp_path: Path) -> None:
+def test_the_others_continue_if_configured(tmp_path: Path) -> None:
     """With `on_agent_loss = "continue"` the clock goes on without the killed agent, and the record says so."""
     process = take_off(tmp_path, "continued", "clock.on_agent_loss=continue")
     os.kill(processes_of("continued")["agent3"], signal.SIGKILL)
@@ -109,7 +109,7 @@ def test_the_others_fly_on_when_told_to(tmp_path: Path) -> None:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize(("arguments", "code"), [(["--help"], 0), (["plot", "nowhere"], USAGE)])
 def test_a_signal_after_the_end_changes_nothing(number: signal.Signals, arguments: list[str], code: int) -> None:
-    """A command that has ended keeps its exit code, whatever it is sent while its process is still there."""
+    """A finished command keeps its exit code, even if signals arrive before its process ends."""
     program = SIGNALLED_AFTERWARDS.format(number=int(number), arguments=arguments)
     result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
     assert (result.returncode, "signalled" in result.stdout, "Traceback" in result.stderr) == (code, True, False)

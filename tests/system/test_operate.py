@@ -1,4 +1,4 @@
-"""A run in flight is acted on from outside: status, links, faults by hand; what cannot be is refused with text."""
+"""Requests to an active run: status, links, faults; impossible requests are refused with a text."""
 
 import json
 import signal
@@ -21,82 +21,82 @@ PERIOD_S = 0.05
 USAGE, INTERRUPTED = 2, 130
 
 
-def said(*arguments: str) -> tuple[int, str, str]:
-    """Exit code, output and error text of a command, run here."""
+def invoke(*arguments: str) -> tuple[int, str, str]:
+    """Return exit code, output and error text of a command."""
     result = CliRunner().invoke(app, list(arguments))
     return result.exit_code, result.stdout.strip(), result.stderr.strip()
 
 
-def told(*arguments: str) -> str:
-    """What a command that succeeds says."""
-    code, output, errors = said(*arguments)
+def succeed(*arguments: str) -> str:
+    """Return the output of a command that must succeed."""
+    code, output, errors = invoke(*arguments)
     assert code == 0, errors
     return output
 
 
 def members() -> list[int]:
-    """Who takes part in the newest run below runs/."""
-    found: list[int] = json.loads(told("status"))["members"]
+    """Return the agents on the roster of the most recent run in runs/."""
+    found: list[int] = json.loads(succeed("status"))["members"]
     return found
 
 
 @pytest.fixture(scope="module")
-def flown(
+def operated(
     tmp_path_factory: pytest.TempPathFactory,
 ) -> Iterator[tuple[dict[str, Any], Path, list[tuple[int, str, str]]]]:
-    """A run paced to real time that a person has acted on in every way, then ended: summary, folder, refusals."""
+    """A paced run after every kind of request, then ended: summary, folder, refusals."""
     home = tmp_path_factory.mktemp("operated")
     process = start("run", "resilient", *settings(*PACED), "--out", "runs/live", "--no-figures", cwd=home)
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(home)
         try:
             assert wait_for(is_flying(home / "runs" / "live", TEAM)), process.communicate(timeout=10)
-            assert wait_for(lambda: said("status")[0] == 0 and json.loads(told("status"))["tick"] > 5)
+            assert wait_for(lambda: invoke("status")[0] == 0 and json.loads(succeed("status"))["tick"] > 5)
             refusals = [
-                said("fault", "kill", "agent9"),
-                said("fault", "stab", "agent1"),
-                said("fault", "restart", "plant"),
-                said("fault", "continue", "recorder"),
-                said("link", "set", "--from", "9", "--loss", "0.1"),
-                said("link", "set", "--distribution", "gauss"),
-                said("link", "set"),
-                said("status", "--run", "nowhere"),
+                invoke("fault", "kill", "agent9"),
+                invoke("fault", "stab", "agent1"),
+                invoke("fault", "restart", "plant"),
+                invoke("fault", "continue", "recorder"),
+                invoke("link", "set", "--from", "9", "--loss", "0.1"),
+                invoke("link", "set", "--distribution", "gauss"),
+                invoke("link", "set"),
+                invoke("status", "--run", "nowhere"),
             ]
-            told("link", "set", "--from", "1", "--to", "2", "--delay", "0.2")
-            told("link", "set", "--from", "plant", "--to", "agent1", "--delay", "0.1", "--run", "live")
-            told("fault", "kill", "agent3")
+            succeed("link", "set", "--from", "1", "--to", "2", "--delay", "0.2")
+            succeed("link", "set", "--from", "plant", "--to", "agent1", "--delay", "0.1", "--run", "live")
+            succeed("fault", "kill", "agent3")
             assert wait_for(lambda: members() == [1, 2, 4])
-            refusals.append(said("fault", "stop", "agent3"))
-            told("fault", "restart", "agent3", "--run", "runs/live")
+            refusals.append(invoke("fault", "stop", "agent3"))
+            succeed("fault", "restart", "agent3", "--run", "runs/live")
             assert wait_for(lambda: members() == [1, 2, 3, 4])
-            told("fault", "stop", "agent4")
+            succeed("fault", "stop", "agent4")
             assert wait_for(lambda: members() == [1, 2, 3])
-            told("fault", "continue", "agent4")
+            succeed("fault", "continue", "agent4")
             assert wait_for(lambda: members() == [1, 2, 3, 4])
-            told("link", "clear")
-            tick = json.loads(told("status"))["tick"]
-            assert wait_for(lambda: json.loads(told("status"))["tick"] > tick + 10)
+            succeed("link", "clear")
+            tick = json.loads(succeed("status"))["tick"]
+            assert wait_for(lambda: json.loads(succeed("status"))["tick"] > tick + 10)
         finally:
             process.send_signal(signal.SIGINT)
             output, errors = process.communicate(timeout=PATIENCE_S)
         assert process.returncode == INTERRUPTED, errors
         assert "Traceback" not in output + errors
-        refusals.append(said("status"))
+        refusals.append(invoke("status"))
     summary = json.loads((home / "runs" / "live" / "summary.json").read_text())
     yield summary, home / "runs" / "live", refusals
     assert processes_of("live") == {}
 
 
 @pytest.fixture(scope="module")
-def log(flown: tuple[dict[str, Any], Path, list[tuple[int, str, str]]]) -> RunLog:
+def log(operated: tuple[dict[str, Any], Path, list[tuple[int, str, str]]]) -> RunLog:
     """The log of that run."""
-    found = read_log(flown[1] / "run.mcap")
+    found = read_log(operated[1] / "run.mcap")
     assert not found.cut
     return found
 
 
-def test_what_cannot_be_is_refused(flown: tuple[dict[str, Any], Path, list[tuple[int, str, str]]]) -> None:
-    """A process, action, link or run that is not there is refused on one line with what was expected, exit code 2."""
+def test_impossible_requests_are_refused(operated: tuple[dict[str, Any], Path, list[tuple[int, str, str]]]) -> None:
+    """A process, action, link or run that does not exist is refused in one line with expected and got, exit code 2."""
     expected = [
         "target: expected one of coordinator, plant, agent1, agent2, agent3, agent4, got 'agent9'",
         "do: expected one of kill, stop, continue, restart, got 'stab'",
@@ -109,7 +109,7 @@ def test_what_cannot_be_is_refused(flown: tuple[dict[str, Any], Path, list[tuple
         "agent3 is not running",
         "no run that flies below runs/",
     ]
-    for (code, output, errors), text in zip(flown[2], expected, strict=True):
+    for (code, output, errors), text in zip(operated[2], expected, strict=True):
         assert (code, output) == (USAGE, "")
         assert errors.startswith("transport: ")
         assert text in errors
@@ -117,7 +117,7 @@ def test_what_cannot_be_is_refused(flown: tuple[dict[str, Any], Path, list[tuple
 
 
 def test_links_by_hand(log: RunLog) -> None:
-    """Changes are in the log and hold from their tick on, for the links they name, until they are cleared."""
+    """Changes are in the log and apply to the named links from their tick on until they are cleared."""
     changes = list(log.of(LinkChange))
     first = {change.number: change for change in changes}
     assert list(first) == [1, 2, 3, 4, 5]
@@ -131,16 +131,16 @@ def test_links_by_hand(log: RunLog) -> None:
     measured = {report.tick: report.measurement_age for report in log.of(StepReport) if report.agent == 1}
     assert {measured[k] for k in range(seen + 2, seen_again)} == {2}
     assert {measured[k] for k in range(seen_again, seen_again + 5)} == {0}
-    # Who came back was told of the two there were by then.
+    # An agent that came back received the two active changes.
     assert [change.number for change in changes if change not in first.values()] == [1, 2] * 2
 
 
-def test_faults_by_hand(flown: tuple[dict[str, Any], Path, list[tuple[int, str, str]]], log: RunLog) -> None:
-    """Each fault is noted as done by a person, detected and made good, in this order; both agents fly to the end."""
+def test_faults_by_hand(operated: tuple[dict[str, Any], Path, list[tuple[int, str, str]]], log: RunLog) -> None:
+    """Each fault is noted as requested, detected and repaired, in this order; both agents take part to the end."""
     notes = [(note.target, note.what) for note in log.of(FaultNote) if note.origin == "person"]
     assert notes == [("agent3", "killed"), ("agent3", "restarted"), ("agent4", "stopped"), ("agent4", "continued")]
     for name, words in (("agent3", ["is gone", "joined"]), ("agent4", ["did not answer", "joined"])):
-        news = [event for event in flown[0]["faults"] if event["processes"] == [name] and event["kind"] != "fault"]
+        news = [event for event in operated[0]["faults"] if event["processes"] == [name] and event["kind"] != "fault"]
         assert [event["kind"] for event in news] == ["detected", "rejoined"]
         assert all(word in event["what"] for word, event in zip(words, news, strict=True))
     *_, last = log.of(Roster)
@@ -149,7 +149,7 @@ def test_faults_by_hand(flown: tuple[dict[str, Any], Path, list[tuple[int, str, 
     assert {report.agent for report in log.of(StepReport) if report.tick == end - 1} == {1, 2, 3, 4}
 
 
-def test_a_killed_agent_holds_nobody_up(log: RunLog) -> None:
+def test_a_killed_agent_delays_no_other(log: RunLog) -> None:
     """The tick at which an agent is killed lasts no longer than its detection and a sampling period.
 
     Both from the log; a slow machine may take for that tick what it takes for the slowest without a fault.
@@ -168,5 +168,5 @@ def test_a_killed_agent_holds_nobody_up(log: RunLog) -> None:
 
 
 def test_ticks_come_one_after_the_other(log: RunLog) -> None:
-    """Whatever happens to whom, no tick is left out or opened twice."""
+    """No tick is left out or opened twice, in spite of all faults."""
     assert all(after.tick == before.tick + 1 for before, after in pairwise(log.of(Tick)))

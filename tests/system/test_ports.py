@@ -1,4 +1,4 @@
-"""Ports of runs started at the same instant: no two get the same, and nobody else is given one."""
+"""Ports of simultaneous runs: all different, and given to no other process."""
 
 import socket
 import sys
@@ -10,16 +10,16 @@ from transport.flight.harness import HarnessError, free_ports
 
 HOST = "127.0.0.1"
 
-# Runs at once, ports of each, and how often others ask for any port meanwhile: of 28 000 there are on Linux.
+# Simultaneous runs, ports of each, and requests for any port meanwhile; Linux has 28 000 such ports.
 RUNS, PORTS, OTHERS = 20, 8, 10_000
 
 
-# Elsewhere a port that is kept would be kept from the processes of the run as well.
-linux = pytest.mark.skipif(sys.platform != "linux", reason="only Linux shares a port that nobody listens on")
+# Elsewhere a reserved port would be blocked for the processes of the run as well.
+linux = pytest.mark.skipif(sys.platform != "linux", reason="only Linux shares a port without a listener")
 
 
 def any_port(shares: bool) -> int:
-    """The port that somebody gets who asks for any."""
+    """Return the port given to a process that asks for any."""
     with closing(socket.socket()) as other:
         other.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, int(shares))
         other.bind((HOST, 0))
@@ -29,9 +29,9 @@ def any_port(shares: bool) -> int:
 
 @linux
 def test_ports_are_kept() -> None:
-    """While runs fly their ports are all different, and neither who asks for any port nor who calls gets one."""
-    with ExitStack() as flying, closing(socket.create_server((HOST, 0))) as server:
-        kept = [port for _ in range(RUNS) for port in flying.enter_context(free_ports(HOST, PORTS))]
+    """Reserved ports are all different; neither a request for any port nor an outgoing connection gets one."""
+    with ExitStack() as reserved, closing(socket.create_server((HOST, 0))) as server:
+        kept = [port for _ in range(RUNS) for port in reserved.enter_context(free_ports(HOST, PORTS))]
         assert len(set(kept)) == RUNS * PORTS
         assert not {any_port(number % 2 == 0) for number in range(OTHERS)} & set(kept)
         for _ in range(OTHERS // 10):
@@ -40,8 +40,8 @@ def test_ports_are_kept() -> None:
             server.accept()[0].close()
 
 
-def test_its_process_listens_again_and_again() -> None:
-    """A process can listen on its port while it is kept, and so can the one that is started in its place."""
+def test_a_process_listens_on_its_port_again() -> None:
+    """A process can listen on its reserved port, and so can its successor."""
     with free_ports(HOST, 1) as (port,):
         for _ in range(2):
             with closing(socket.create_server((HOST, port))) as server:
@@ -52,7 +52,7 @@ def test_its_process_listens_again_and_again() -> None:
 
 
 def test_an_address_of_another_machine() -> None:
-    """An address that is not this machine's is refused with the key it comes from."""
+    """An address of another machine is refused with its key."""
     stranger = "203.0.113.1"
     with pytest.raises(HarnessError, match=r"network\.host: cannot listen on 203"), free_ports(stranger, 1):
         pass

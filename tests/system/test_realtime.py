@@ -1,4 +1,4 @@
-"""Real time across real processes: the wall clock's pace, deadlines in the summary, and how a run ends that cannot."""
+"""Real time across processes: pace of the wall clock, deadlines in the summary, and overruns."""
 
 import csv
 import json
@@ -15,17 +15,17 @@ REALTIME = "clock.mode=realtime"
 PERIOD_S = 0.05
 OVERRUN, INTERRUPTED = 5, 130
 
-# What a slow or busy machine may take longer for a flight than it should, above all for the last truth to come.
+# Delay of a slow or busy machine, above all of the last plant state.
 SLACK_S = 2.0
 
 
 def hover(duration_s: float) -> str:
-    """Setting: a maneuver of so many seconds of hover."""
+    """Return the setting of a maneuver that hovers for a time."""
     return f"maneuver.phase=[{{name='hover',duration_s={duration_s},displacement_m=[0,0,0]}}]"
 
 
 def flown(folder: Path, *changes: str) -> dict[str, Any]:
-    """The summary of a completed flight of the shared law, which stands plans that come late."""
+    """Return the summary of a completed run with the shared control law, which tolerates late plans."""
     result = transport("run", "resilient", *settings(*changes), "--out", "run", "--no-figures", cwd=folder)
     assert result.returncode == 0, result.stderr
     assert processes_of("run") == {}
@@ -34,7 +34,7 @@ def flown(folder: Path, *changes: str) -> dict[str, Any]:
 
 
 def test_twice_as_fast(tmp_path: Path) -> None:
-    """At speed 2 a flight of 3 s takes 1.5 s of wall time, and the summary says how well deadlines were met."""
+    """At speed 2 a run of 3 s takes 1.5 s of wall time, and the summary counts missed deadlines."""
     summary = flown(tmp_path, hover(3.0), REALTIME, "clock.speed=2")
     assert (summary["outcome"], summary["ticks"]) == ("completed", 60)
     # It ends a period after its last tick was opened, or with the last truth if that comes later.
@@ -63,7 +63,7 @@ def test_delayed_plans_are_late(tmp_path: Path) -> None:
     assert summary["messages"]["late"] > 0.5 * summary["messages"]["delivered"]
 
 
-def test_a_speed_nobody_can_fly_at(tmp_path: Path) -> None:
+def test_an_impossible_speed(tmp_path: Path) -> None:
     """With "abort" a sampling period of a millisecond, less than a step takes, ends the run with exit code 5."""
     changes = settings(hover(5.0), REALTIME, "clock.speed=50", "clock.on_overrun=abort", "clock.overrun_limit=2")
     result = transport("run", "resilient", *changes, "--out", "run", "--no-figures", cwd=tmp_path)
@@ -77,7 +77,7 @@ def test_a_speed_nobody_can_fly_at(tmp_path: Path) -> None:
 
 
 def test_interrupted(tmp_path: Path) -> None:
-    """Ctrl-C ends a run in real time like any other: exit code 130, a whole log, nobody left."""
+    """Ctrl-C ends a run in real time like any other: exit code 130, a complete log, no process left."""
     changes = settings(hover(60.0), REALTIME, "clock.speed=1")
     process = start("run", "resilient", *changes, "--out", "run", "--no-figures", cwd=tmp_path)
     log = tmp_path / "run" / "run.mcap"

@@ -1,4 +1,4 @@
-"""Teams of more and more UAVs: what is flown, what a flight takes, how growth is found, and the whole command."""
+"""Teams of increasing size: the sweep, resource use of a run, fitted growth, and the whole command."""
 
 import csv
 import io
@@ -16,13 +16,13 @@ from protocol.wire.messages import STAGES, Control, Message, StepReport, Tick
 from tests.support.commands import transport
 from tests.support.results import here, kept, tables
 from tests.support.runs import ticks
-from transport.experiments import catalogue
+from transport.experiments import scaling
 from transport.experiments.cases import Point, cases_of
-from transport.experiments.effort import CPU, EFFORT, MESSAGES, effort
 from transport.experiments.figures import draw
-from transport.experiments.flight import ERROR, NUMBERS, Result, simulate_in_memory
-from transport.experiments.growth import exponent, growth_findings
-from transport.experiments.statistics import Measured, measure
+from transport.experiments.resource_use import CPU, MESSAGES, RESOURCES, resource_use
+from transport.experiments.scaling import exponent, scaling_conclusions
+from transport.experiments.simulation import ERROR, NUMBERS, Result, simulate_in_memory
+from transport.experiments.statistics import PointStatistics, statistics_of
 from transport.experiments.table import WIDTH, table_of
 from transport.flight.memory import simulate
 from transport.log.run_log import Recorded, RunLog
@@ -37,9 +37,9 @@ FLIGHTS = 5  # 2 and 4 UAVs distributed and centralized, 4 in pairs
 ROUNDING = 1e-12
 
 
-def flown(uavs: int, ownership: str) -> tuple[Setup, list[Message]]:
-    """A short flight of a team, and all its messages."""
-    experiment = catalogue.scaling("resilient", uavs, [])
+def simulated(uavs: int, ownership: str) -> tuple[Setup, list[Message]]:
+    """Return a short run of a team, and all its messages."""
+    experiment = scaling.scaling("resilient", uavs, [])
     (case,) = (
         case
         for case in cases_of(experiment.points, [ticks(TICKS)], 1)
@@ -57,11 +57,11 @@ def logged(messages: list[Message], received_ns: Callable[[Message], int] = lamb
 
 
 def test_sizes_and_ownerships() -> None:
-    """Up to the largest team asked for, whether usual or not; pairs where there are several and nobody is left over."""
-    points = catalogue.scaling("resilient", 9, catalogue.SIZES).points
+    """Up to the largest team asked for, also an unusual size; pairs only for even numbers above two."""
+    points = scaling.scaling("resilient", 9, scaling.SIZES).points
     sizes = {
         name: [point.labels["uavs"] for point in points if point.labels["ownership"] == name]
-        for name in catalogue.OWNERSHIPS
+        for name in scaling.OWNERSHIPS
     }
     every = [2, 3, 4, 6, 8, 9]
     assert sizes == {"distributed": every, "pairs": [4, 6, 8], "centralized": every}
@@ -71,9 +71,9 @@ def test_sizes_and_ownerships() -> None:
         assert case.timed
 
 
-def test_repetitions_are_flown_though_nothing_is_random() -> None:
-    """Timing differs from flight to flight: every seed is flown, unlike where only the numbers of a flight count."""
-    points = catalogue.scaling("resilient", 2, []).points
+def test_deterministic_runs_are_repeated() -> None:
+    """Timing differs from run to run: every seed is simulated, unlike in experiments without timing."""
+    points = scaling.scaling("resilient", 2, []).points
     assert len(cases_of(points, [], 3, timed=True)) == 3 * len(cases_of(points, [], 3))
 
 
@@ -100,8 +100,8 @@ def bytes_of_plan(owned: int) -> int:
 )
 def test_bytes_are_those_of_the_protocol(uavs: int, ownership: str, owned: int) -> None:
     """Each agent's plan goes to each other agent once a tick; its bytes are those of the documented layout."""
-    setup, messages = flown(uavs, ownership)
-    found = effort(setup, logged(messages))
+    setup, messages = simulated(uavs, ownership)
+    found = resource_use(setup, logged(messages))
     agents = uavs // owned
     assert found["plan_bytes"] == bytes_of_plan(owned)
     assert found["plans_per_tick"] == agents * (agents - 1)
@@ -109,8 +109,8 @@ def test_bytes_are_those_of_the_protocol(uavs: int, ownership: str, owned: int) 
 
 
 def test_computation_is_summed_over_the_team() -> None:
-    """Median and tail over all steps of all agents, sums over those of a tick, and the flight from its first tick."""
-    setup, messages = flown(3, "distributed")
+    """Median and tail over all steps of all agents, sums over those of a tick, and the run from its first tick."""
+    setup, messages = simulated(3, "distributed")
     # Agent i takes i ms of solving and as much in all; the last tick of agent 3 takes a second.
     slow_ms, per_message_ns = 1_000.0, 1_000_000
 
@@ -124,7 +124,7 @@ def test_computation_is_summed_over_the_team() -> None:
 
     messages = [timed(message) for message in messages]
     at = {id(message): per_message_ns * i for i, message in enumerate(messages)}
-    found = effort(setup, logged(messages, lambda message: at[id(message)]))
+    found = resource_use(setup, logged(messages, lambda message: at[id(message)]))
     steps_ms = [1.0] * TICKS + [2.0] * TICKS + [3.0] * (TICKS - 1) + [slow_ms]
     assert found["cpu_step_p50_ms"] == found["cpu_solve_p50_ms"] == 2.0
     assert found["cpu_step_p99_ms"] == pytest.approx(np.percentile(steps_ms, 99.0))
@@ -136,12 +136,12 @@ def test_computation_is_summed_over_the_team() -> None:
 
 
 def test_the_stopwatch_is_the_processor(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Waiting is not work: a flight whose process is held up takes no more than one that is not."""
+    """Waiting is not counted: a delayed process uses no more processor time."""
     waited_ms = 50.0
-    case = cases_of(catalogue.scaling("resilient", 2, []).points, [ticks(TICKS)], 1, timed=True)[0]
+    case = cases_of(scaling.scaling("resilient", 2, []).points, [ticks(TICKS)], 1, timed=True)[0]
     monkeypatch.setattr("mpc.controller.Controller.solve", _held_up(waited_ms / 1e3))
     numbers = simulate_in_memory(case).numbers
-    assert set(numbers) == {*NUMBERS, *EFFORT}
+    assert set(numbers) == {*NUMBERS, *RESOURCES}
     assert 0.0 < (numbers["cpu_solve_p50_ms"] or 0.0) < waited_ms / 2.0
 
 
@@ -167,7 +167,7 @@ def test_exponent_of_a_power_law(power: float) -> None:
 
 
 def test_exponent_is_the_least_squares_slope() -> None:
-    """Of values off a power law it is the slope numpy finds; noise of 5 % changes it by far less than 0.1."""
+    """For noisy values it equals numpy's slope; noise of 5 % changes it by far less than 0.1."""
     uavs = np.array([4, 6, 8, 10, 12])
     values = 2.0 * uavs**1.5 * np.exp(np.random.default_rng(1).normal(0.0, 0.05, len(uavs)))
     found = exponent(uavs.tolist(), values.tolist())
@@ -181,19 +181,19 @@ def test_one_size_has_no_exponent() -> None:
     assert exponent([4, 4], [1.0, 2.0]) is None
 
 
-SCALING = catalogue.scaling("resilient", 16, catalogue.SIZES)
+SCALING = scaling.scaling("resilient", 16, scaling.SIZES)
 
 
-def made(results: Callable[[Point], list[Result]]) -> list[Measured]:
-    """What the points say, with invented results."""
-    return measure(SCALING.points, [results(point) for point in SCALING.points], (*NUMBERS, *EFFORT)[1:])
+def made(results: Callable[[Point], list[Result]]) -> list[PointStatistics]:
+    """Return the statistics of the points, with invented results."""
+    return statistics_of(SCALING.points, [results(point) for point in SCALING.points], (*NUMBERS, *RESOURCES)[1:])
 
 
 def invented(point: Point) -> list[Result]:
-    """A flight with growth of known powers, off it where none is fitted."""
+    """A run with growth of known powers, except at team sizes that are not fitted."""
     uavs, is_central = int(point.labels["uavs"]), point.labels["ownership"] == "centralized"
     outside = 1.0 if 4 <= uavs <= 12 else 7.0
-    numbers: dict[str, float | None] = dict.fromkeys((*NUMBERS, *EFFORT), 0.5)
+    numbers: dict[str, float | None] = dict.fromkeys((*NUMBERS, *RESOURCES), 0.5)
     numbers |= {"lost_s": None, "cost_mean": uavs * (1.0 if is_central else 1.5)}
     numbers |= {"cpu_step_p50_ms": outside * uavs ** (3.0 if is_central else 1.25)}
     numbers |= {"cpu_team_tick_ms": outside * uavs ** (3.0 if is_central else 2.25)}
@@ -201,17 +201,17 @@ def invented(point: Point) -> list[Result]:
     return [Result(key="k", outcome="completed", reason="", numbers=numbers)]
 
 
-def test_findings_name_the_growth() -> None:
+def test_conclusions_name_the_growth() -> None:
     """Exponents from 4 to 12 UAVs with the values there, none of what is not there; the largest team compared."""
-    lines = growth_findings(made(invented))
+    lines = scaling_conclusions(made(invented))
     assert lines[0] == (
-        "distributed: completes all 8 points (8 of 8 flights); "
+        "distributed: completes all 8 points (8 of 8 runs); "
         "CPU of an agent's step grows as N^1.25 from 4 to 12 UAVs (5.66 to 22.3 ms); "
         "CPU of the team per tick grows as N^2.25 from 4 to 12 UAVs (22.6 to 268 ms); "
         "volume of plans grows as N^2.00 from 4 to 12 UAVs (16 to 144 kB/s)"
     )
     assert lines[2] == (
-        "centralized: completes all 8 points (8 of 8 flights); "
+        "centralized: completes all 8 points (8 of 8 runs); "
         "CPU of an agent's step grows as N^3.00 from 4 to 12 UAVs (64 to 1730 ms); "
         "CPU of the team per tick grows as N^3.00 from 4 to 12 UAVs (64 to 1730 ms)"
     )
@@ -225,8 +225,8 @@ def test_costs_are_compared_within_teams_of_a_size() -> None:
     assert ratios == {"distributed": 1.5, "pairs": 1.5, "centralized": 1.0}
 
 
-def _lost(point: Point) -> list[Result]:
-    numbers: dict[str, float | None] = dict.fromkeys((*NUMBERS, *EFFORT), 0.5)
+def _diverged(point: Point) -> list[Result]:
+    numbers: dict[str, float | None] = dict.fromkeys((*NUMBERS, *RESOURCES), 0.5)
     return [Result(key="k", outcome="diverged", reason="", numbers=numbers)]
 
 
@@ -242,17 +242,17 @@ MIXES: dict[str, Callable[[Point], list[Result]]] = {
     "completed": invented,
     "repeated": lambda point: 3 * invented(point),
     "unsure": lambda point: [*invented(point), *_times(3.0, invented(point))],
-    "some lost": lambda point: _lost(point) if point.labels["uavs"] == 16 else invented(point),
-    "all lost": _lost,
+    "some diverged": lambda point: _diverged(point) if point.labels["uavs"] == 16 else invented(point),
+    "all diverged": _diverged,
     "errors": lambda _: [Result(key="k", outcome=ERROR, reason="why", numbers={})],
 }
 
 
 @pytest.mark.parametrize("mix", MIXES)
 def test_anything_can_be_reported(mix: str, tmp_path: Path) -> None:
-    """Whatever the flights came to there are sentences, a figure, and a table that fits its width."""
+    """Every mix of outcomes gives sentences, a figure, and a table that fits its width."""
     measured = made(MIXES[mix])
-    assert len(growth_findings(measured)) == 5
+    assert len(scaling_conclusions(measured)) == 5
     files = [path.read_bytes() for path in draw(SCALING, measured, tmp_path)]
     assert files[0].startswith(b"\x89PNG\r\n\x1a\n")
     assert [path.read_bytes() for path in draw(SCALING, measured, tmp_path)] == files
@@ -291,7 +291,7 @@ REFUSED = [
 def test_what_cannot_be_is_refused(
     arguments: tuple[str, ...], code: int, expected: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A bad option ends with its exit code, expected and got; nothing is flown and nothing appears."""
+    """A bad option ends with its exit code, expected and got; no run starts and no folder appears."""
     monkeypatch.chdir(tmp_path)
     result = here("experiment", "scaling", *arguments)
     assert result.exit_code == code, result.output
@@ -302,7 +302,7 @@ def test_what_cannot_be_is_refused(
 
 @pytest.fixture(scope="module")
 def trial(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """A trial, flown one by one, and what it printed."""
+    """A trial with one run at a time, and its output."""
     folder = tmp_path_factory.mktemp("scaling") / "one"
     result = here(*SMALL, "--out", folder)
     assert result.exit_code == DONE, result.output
@@ -318,7 +318,7 @@ def rows_of(path: Path) -> list[dict[str, str]]:
 
 
 def test_a_trial_is_whole(trial: tuple[Path, str]) -> None:
-    """Files, rows, table and sentences of a trial; the caption says what was flown."""
+    """Files, rows, table and sentences of a trial; the caption names the maneuver."""
     folder, printed = trial
     names = {"experiment.json", "results.jsonl", "points.csv", "cases.csv", "figure.png", "figure.svg"}
     assert {path.name for path in folder.iterdir()} == names
@@ -337,18 +337,18 @@ def test_a_trial_is_whole(trial: tuple[Path, str]) -> None:
     assert "(trial, no measurement)" in table
     assert "0.2 s of hover" in table
     assert max(len(line.rstrip()) for line in table.splitlines()) <= WIDTH
-    assert "pairs: completes all 1 points (1 of 1 flights)" in rest
+    assert "pairs: completes all 1 points (1 of 1 runs)" in rest
     assert "distributed against centralized, 4 UAVs: CPU of an agent's step x" in rest
     assert "machine: " in rest
 
 
-def test_gone_on_with_nothing_is_flown_again(trial: tuple[Path, str], monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same command with the same folder reports the same numbers, timing included, without a flight."""
+def test_resuming_repeats_no_run(trial: tuple[Path, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same command with the same folder reports the same numbers, timing included, without a run."""
     folder, printed = trial
     before = tables(folder)
 
     def simulate(*_: object) -> None:
-        raise AssertionError("flown again")
+        raise AssertionError("simulated again")
 
     monkeypatch.setattr("transport.flight.memory.simulate", simulate)
     result = here(*SMALL, "--out", folder)
@@ -360,7 +360,7 @@ def test_gone_on_with_nothing_is_flown_again(trial: tuple[Path, str], monkeypatc
 
 
 def test_costs_and_messages_do_not_depend_on_jobs(trial: tuple[Path, str]) -> None:
-    """Two flights at a time give the same numbers, bit for bit, but for the timing."""
+    """Two runs at a time give the same numbers, bit for bit, but for the timing."""
     folder, _ = trial
     result = transport(*SMALL, "--jobs", "2", "--out", "two", cwd=folder.parent)
     assert result.returncode == DONE, result.stderr

@@ -45,15 +45,15 @@ def of(kind: type[Message], messages: Sequence[Message]) -> list[bytes]:
 def test_unshared_plans_reach_no_other_agent(monkeypatch: pytest.MonkeyPatch) -> None:
     """An agent hears exactly the shared plans of the others; plant and coordinator hear all; ticks say which."""
     heard: dict[str, set[tuple[int, int, bool]]] = {}
-    deliver = memory._Flight._deliver
+    deliver = memory.InMemoryRun._deliver
 
-    def noting(flight: memory._Flight, message: Message) -> None:
+    def noting(flight: memory.InMemoryRun, message: Message) -> None:
         if isinstance(message, Plan):
-            for name in flight._heard_by(message):
+            for name in flight._receivers(message):
                 heard.setdefault(name, set()).add((message.agent, message.tick, message.shared))
         deliver(flight, message)
 
-    monkeypatch.setattr(memory._Flight, "_deliver", noting)
+    monkeypatch.setattr(memory.InMemoryRun, "_deliver", noting)
     messages = recorded(run_of())
     plans = {(m.agent, m.tick, m.shared) for m in messages if isinstance(m, Plan)}
     shared = {entry for entry in plans if entry[2]}

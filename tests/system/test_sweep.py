@@ -43,12 +43,12 @@ def members(session: int) -> list[int]:
 
 
 def gone(process: subprocess.Popen[str]) -> bool:
-    """Whether nothing is left of a command and what it started."""
+    """Return whether all processes of a command have ended."""
     return wait_for(lambda: not members(process.pid), timeout_s=20.0)
 
 
 def test_the_output_is_whole(reference: Path) -> None:
-    """Tables, figures and kept results; the second table has a row for each flight, none with a wall-clock time."""
+    """Tables, figures and kept results; cases.csv has a row for each run, without wall-clock times."""
     names = {"experiment.json", "results.jsonl", "points.csv", "cases.csv", "figure.png", "figure.svg"}
     assert {path.name for path in reference.iterdir()} == names
     with (reference / "cases.csv").open() as file:
@@ -73,8 +73,8 @@ def test_jobs_do_not_matter(reference: Path) -> None:
     assert tables(reference.parent / "two") == tables(reference)
 
 
-def test_a_killed_experiment_is_gone_on_with(reference: Path) -> None:
-    """SIGKILL in the middle, even of a line: what was done is not flown again, the tables are the same."""
+def test_a_killed_experiment_is_resumed(reference: Path) -> None:
+    """After SIGKILL, even in the middle of a line, finished runs are not repeated and the tables are the same."""
     folder = reference.parent / "killed"
     process = start(*SMALL, "--jobs", "1", "--out", "killed", cwd=reference.parent)
     assert wait_for(lambda: kept(folder) >= 2)
@@ -85,7 +85,7 @@ def test_a_killed_experiment_is_gone_on_with(reference: Path) -> None:
         file.write(b'{"key": "0123')
     result = here(*SMALL, "--jobs", "1", "--out", folder)
     assert result.exit_code == DONE, result.output
-    assert "the last line is not whole" in result.stderr
+    assert "the last line is incomplete" in result.stderr
     assert f"{done} of {FLIGHTS} flights are done already" in result.stderr
     assert kept(folder) == FLIGHTS
     assert tables(folder) == tables(reference)
@@ -101,14 +101,14 @@ def cluster() -> Iterator[str]:
 
 
 def test_a_cluster_gives_the_same(reference: Path, cluster: str) -> None:
-    """Flown on the workers of a Dask cluster: the same tables, byte for byte."""
+    """The workers of a Dask cluster give the same tables, byte for byte."""
     result = transport(*SMALL, "--dask", cluster, "--out", "cluster", cwd=reference.parent)
     assert result.returncode == DONE, result.stderr
     assert tables(reference.parent / "cluster") == tables(reference)
 
 
 def test_processes_give_the_same(tmp_path: Path) -> None:
-    """Flown by real processes over a real network, recorded into a run folder: the same tables, byte for byte."""
+    """Processes over a network, recorded into a run folder, give the same tables, byte for byte."""
     one = ("experiment", "latency", "--scenario", "resilient", "--delay", "0", "--set", "links.loss=0.5")
     for name, how in (("memory", ("--jobs", "1")), ("processes", ("--processes",))):
         result = here(*one, "--set", ticks(10), *how, "--out", tmp_path / name)
@@ -120,7 +120,7 @@ def test_processes_give_the_same(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("number", "jobs"), [(signal.SIGINT, "2"), (signal.SIGTERM, "1")])
 def test_an_interrupted_experiment_leaves_nothing_running(number: signal.Signals, jobs: str, tmp_path: Path) -> None:
-    """Ctrl-C, which in a terminal reaches all processes, and SIGTERM: exit code 130, flights kept, nobody left."""
+    """Ctrl-C, which in a terminal reaches all processes, and SIGTERM: exit code 130, results kept, no process left."""
     process = start(*LONG, "--jobs", jobs, "--out", "out", cwd=tmp_path)
     assert wait_for(lambda: kept(tmp_path / "out") >= 1)
     if number == signal.SIGINT:
@@ -129,7 +129,7 @@ def test_an_interrupted_experiment_leaves_nothing_running(number: signal.Signals
         process.send_signal(number)
     _, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == INTERRUPTED, errors
-    assert "go on with: --out out" in errors
+    assert "resume with: --out out" in errors
     assert "Traceback" not in errors
     assert gone(process)
 
@@ -143,8 +143,8 @@ def test_a_killed_experiment_leaves_nothing_running(tmp_path: Path) -> None:
     assert gone(process)
 
 
-def test_a_dead_worker_is_told(tmp_path: Path) -> None:
-    """A worker that is killed ends the experiment with a line and exit code 4; nobody is left."""
+def test_a_dead_worker_is_reported(tmp_path: Path) -> None:
+    """A killed worker ends the experiment with a line and exit code 4; no process is left."""
     process = start(*LONG, "--jobs", "2", "--out", "out", cwd=tmp_path)
     assert wait_for(lambda: kept(tmp_path / "out") >= 1)
     workers = [pid for pid in members(process.pid) if b"loky" in Path(f"/proc/{pid}/cmdline").read_bytes()]

@@ -1,4 +1,4 @@
-"""`transport top`: what is shown is what the messages say, and a run that is watched is the same to the last bit."""
+"""`transport top`: the table follows from the messages, and a watched run is the same to the last bit."""
 
 import json
 import signal
@@ -18,7 +18,7 @@ from transport.log.run_log import read_log
 from transport.monitor.watch import Watch
 
 MILLISECOND_NS = 1_000_000
-# As long as anybody needs to look at it, on any machine; ended by hand.
+# Long enough on any machine; ended by the test.
 LONG = (
     "maneuver.phase=[{name='hover',duration_s=0.5,displacement_m=[0,0,0]},"
     "{name='climb',duration_s=9.5,displacement_m=[0,0,-2]}]",
@@ -28,7 +28,7 @@ REALTIME = ("clock.mode='realtime'", "clock.speed=0.5", "clock.actuation='next_t
 
 
 def watched(*settings_: str) -> Watch:
-    """A watch of the paper's run with some settings, before anything has come."""
+    """Return a watch of the paper's run with some settings, before the first message."""
     return Watch(runs.setup(*settings_))
 
 
@@ -51,14 +51,14 @@ def test_reports_are_added_up() -> None:
 
 
 def test_slack_and_deadlines() -> None:
-    """Slack is what is left of the period, here 100 ms of wall time, when the report comes, late ticks included.
+    """Slack is the rest of the period, here 100 ms of wall time, at the arrival of the report, with late ticks.
 
-    A plan that is not there when the next tick opens has missed its deadline.
+    A plan that has not arrived when the next tick opens has missed its deadline.
     """
     watch = watched(*REALTIME)
     watch.take(replace(runs.tick(7), late_ns=10 * MILLISECOND_NS), 1000 * MILLISECOND_NS)
     watch.take(logs.report(watch.setup, 1, 7), 1030 * MILLISECOND_NS)
-    watch.take(logs.report(watch.setup, 2, 6), 1031 * MILLISECOND_NS)  # of a tick that is over: no longer told
+    watch.take(logs.report(watch.setup, 2, 6), 1031 * MILLISECOND_NS)  # of a past tick: not shown
     watch.take(runs.tick(8, answered=(1, 2, 4)), 1090 * MILLISECOND_NS)
     agents = watch.content()["agents"]
     assert [agent["slack_ms"] for agent in agents] == [pytest.approx(60.0), None, None, None]
@@ -66,8 +66,8 @@ def test_slack_and_deadlines() -> None:
     assert watch.real_time_factor == pytest.approx(0.05 / 0.09)
 
 
-def test_troubles() -> None:
-    """An agent off the roster is shown so and why; one whose UAV follows the fail-safe too; refusals by who refused."""
+def test_faults_are_shown() -> None:
+    """Agents off the roster are shown with the reason, fail-safes too; rejections are counted by receiver."""
     watch = watched()
     watch.take(runs.roster(), 0)
     watch.take(replace(runs.roster({1: 1, 2: 1, 4: 1}, k=5, version=2), reason="agent3 is gone"), 0)
@@ -88,7 +88,7 @@ def test_troubles() -> None:
 
 
 def test_strangers_are_not_shown() -> None:
-    """A report of an agent the run does not have, whoever sends it, changes nothing and raises nothing."""
+    """A report of an unknown agent changes nothing and raises nothing, regardless of its sender."""
     watch = watched()
     stranger = replace(logs.report(watch.setup, 1, 3), peers=(2, 3, 77))
     watch.take(stranger, 0)
@@ -101,7 +101,7 @@ def test_strangers_are_not_shown() -> None:
 
 
 def test_no_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without a run that flies, or with options that do not fit, one line says what was expected; exit code 2."""
+    """Without an active run, or with conflicting options, one line says what was expected; exit code 2."""
     monkeypatch.chdir(tmp_path)
     for arguments, text in (
         ((), "no run that flies below runs/"),
@@ -115,7 +115,7 @@ def test_no_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_run_that_is_watched(tmp_path: Path) -> None:
-    """Three watch a paced run: once, until Ctrl-C, and to its end. It gives the bits of the flight nobody watches."""
+    """Three commands watch a paced run: once, until Ctrl-C, and to its end; the bits are those of an unwatched run."""
     folder = tmp_path / "runs" / "seen"
     run = start("run", "paper", *settings(*LONG), "--out", folder, "--no-figures", cwd=tmp_path)
     try:
@@ -150,5 +150,5 @@ def test_a_run_that_is_watched(tmp_path: Path) -> None:
 
 
 def bits(messages: Sequence[Message]) -> list[bytes]:
-    """The states flown through, in the order of time, as the wire carries them."""
+    """Return the plant states in the order of time, as encoded on the network."""
     return [encode(plant_state) for plant_state in runs.plant_states(messages)]

@@ -20,7 +20,7 @@ LOST = 4
 
 
 def messages(log: RunLog) -> list[Message]:
-    """What was recorded, in order."""
+    """Return the recorded messages, in order."""
     return [entry.message for entry in log.messages]
 
 
@@ -33,7 +33,7 @@ def steps(folder: Path) -> list[list[str]]:
 
 @pytest.fixture(scope="module")
 def troubled(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The run folder of a flight with everything at once: bad links of all kinds, two rounds, a kill and a freeze."""
+    """Run folder with all faults at once: bad links of all kinds, two iterations, a kill and a freeze."""
     folder = tmp_path_factory.mktemp("troubled")
     changes = settings(SHORT, HEAVY, ROUNDS, NEXT_TICK, *FAULTS)
     result = transport("run", "resilient", *changes, "--out", "run", "--no-figures", cwd=folder)
@@ -42,8 +42,8 @@ def troubled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "run"
 
 
-def test_a_troubled_flight_equals_the_one_in_memory(troubled: Path, tmp_path: Path) -> None:
-    """With everything at once the step table is that of the in-memory flight, bit for bit, but for wall-clock times."""
+def test_a_troubled_run_equals_the_one_in_memory(troubled: Path, tmp_path: Path) -> None:
+    """With all faults at once the step table equals that of the in-memory run, bit for bit, except wall-clock times."""
     scenario = tmp_path / "scenario.toml"
     shutil.copy(troubled / "scenario.toml", scenario)
     run = Setup.of(read_scenario(scenario), str(scenario))
@@ -57,7 +57,7 @@ def test_a_troubled_flight_equals_the_one_in_memory(troubled: Path, tmp_path: Pa
 
 
 def test_faults_are_in_the_summary(troubled: Path) -> None:
-    """Fault, detection and return of each agent, with who, when in the flight and when on the clock on the wall."""
+    """The summary has fault, detection and return of each agent, with scenario time and wall-clock time."""
     summary = json.loads((troubled / "summary.json").read_text())
     assert (summary["outcome"], summary["exit_code"], summary["log_cut"]) == ("completed", 0, None)
 
@@ -65,7 +65,7 @@ def test_faults_are_in_the_summary(troubled: Path) -> None:
         return [event for event in summary["faults"] if event["processes"] == [name]]
 
     frozen, killed = events("agent2"), events("agent4")
-    # The parent notes what the script does by looking now and then, on a busy machine after others have noticed.
+    # The parent polls for scripted faults, on a busy machine after the others have detected them.
     assert {(event["kind"], event["what"]) for event in frozen} == {
         ("fault", "agent2 stopped by script"),
         ("detected", "agent2 did not answer tick 6 in time at t = 0.30 s"),
@@ -86,7 +86,7 @@ def test_faults_are_in_the_summary(troubled: Path) -> None:
 
 
 def test_a_return_is_a_new_start(troubled: Path) -> None:
-    """Who comes back has a higher incarnation, which rosters name from then on; the old one no longer counts."""
+    """A restarted agent has a higher incarnation, which rosters name from then on; the old one is ignored."""
     found = messages(read_log(troubled / "run.mcap"))
     rosters = [message for message in found if isinstance(message, Roster)]
     assert [roster.agents for roster in rosters] == [(1, 2, 3, 4), (1, 3, 4), (1, 3), (1, 2, 3), (1, 2, 3, 4)]
@@ -94,7 +94,7 @@ def test_a_return_is_a_new_start(troubled: Path) -> None:
     for agent, (left, back) in {2: (6, 14), 4: (10, 18)}.items():
         plans = {(plan.incarnation, plan.tick) for plan in found if isinstance(plan, Plan) and plan.agent == agent}
         assert {tick for incarnation, tick in plans if incarnation == 1} == set(range(back, 30))
-        # A thawed process may still say what it had begun at the tick it froze at: nobody counts it as an answer.
+        # A continued process may still send the plan of the tick at which it was stopped; that is no answer.
         assert {tick for incarnation, tick in plans if incarnation == 0} - {left} == set(range(left))
     answered = {tick.tick: tick.answered for tick in found if isinstance(tick, Tick)}
     assert [k for k in range(1, 30) if 2 not in answered[k]] == list(range(7, 15))
@@ -104,11 +104,11 @@ def test_a_return_is_a_new_start(troubled: Path) -> None:
 
 
 def test_old_starts_are_refused(troubled: Path) -> None:
-    """What a thawed process says under its old incarnation is refused by whoever hears it, and counted by reason."""
+    """Messages of a continued process with its old incarnation are rejected, and counted by reason."""
     summary = json.loads((troubled / "summary.json").read_text())
     strangers = {entry["sender"] for entry in summary["rejections"] if entry["reason"] == "wrong_incarnation"}
     assert strangers <= {"agent2", "agent4"}
-    # Whatever else is refused is late news to the one who was away.
+    # All other rejections are late messages to the agent that was away.
     assert {entry["by"] for entry in summary["rejections"] if entry["reason"] != "wrong_incarnation"} <= {
         "agent2",
         "agent4",
@@ -116,7 +116,7 @@ def test_old_starts_are_refused(troubled: Path) -> None:
 
 
 def aborted(folder: Path, victim: str, do: str, *changes: str) -> dict[str, Any]:
-    """The summary of a flight that a fault of one process at t = 0.5 s ends; its log is whole, and nobody is left."""
+    """Return the summary of a run that a fault at t = 0.5 s ends; its log is complete and no process is left."""
     event = f"faults.event=[{{at_s=0.5,do='{do}',target='{victim}'}}]"
     options = ["--out", victim, "--no-figures", "--format", "json"]
     process = start("run", "resilient", *settings(SHORT, event, *changes), *options, cwd=folder)
@@ -130,8 +130,8 @@ def aborted(folder: Path, victim: str, do: str, *changes: str) -> dict[str, Any]
 
 
 @pytest.mark.parametrize("victim", ["plant", "coordinator"])
-def test_nobody_flies_without(victim: str, tmp_path: Path) -> None:
-    """A run whose plant or coordinator is killed by script at a tick ends there, whatever is said of agents."""
+def test_a_run_needs_plant_and_coordinator(victim: str, tmp_path: Path) -> None:
+    """A run whose plant or coordinator is killed by script at a tick ends there, regardless of `on_agent_loss`."""
     summary = aborted(tmp_path, victim, "kill", "clock.on_agent_loss=continue")
     assert summary["reason"] == f"{victim} is gone"
     (noted,) = (event for event in summary["faults"] if event["kind"] == "fault")
@@ -145,13 +145,13 @@ def test_nobody_flies_without(victim: str, tmp_path: Path) -> None:
 
 
 def test_a_frozen_plant(tmp_path: Path) -> None:
-    """A plant that is stopped for good is noticed by the barrier, as nobody can answer without it."""
+    """A plant stopped for good is noticed by the barrier, as no agent can answer without it."""
     summary = aborted(tmp_path, "plant", "stop")
     assert summary["reason"] == "no agent answered tick 10 in time: is the plant alive?"
 
 
 def test_a_frozen_coordinator(tmp_path: Path) -> None:
-    """A coordinator that is stopped for good is given up when the network's lease of ten seconds ends."""
+    """A coordinator stopped for good is given up at the end of the network's lease of 10 s."""
     summary = aborted(tmp_path, "coordinator", "stop")
     assert summary["reason"] == "coordinator is gone"
     assert summary["ticks"] == 10
@@ -159,7 +159,7 @@ def test_a_frozen_coordinator(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("mode", ["lockstep", "realtime"])
 def test_a_coordinator_that_wakes_up(mode: str, tmp_path: Path) -> None:
-    """Frozen for longer than the barrier, the coordinator blames nobody for its own absence: the flight goes on."""
+    """A coordinator frozen for longer than the barrier drops no agent for its own absence: the run goes on."""
     hover = "maneuver.phase=[{name='hover',duration_s=3.5,displacement_m=[0,0,0]}]"
     pace = (f"clock.mode={mode}", "clock.speed=1.0", "clock.barrier_timeout_s=2.0")
     event = "faults.event=[{at_s=0.3,do='stop',target='coordinator'},{at_s=3.0,do='continue',target='coordinator'}]"

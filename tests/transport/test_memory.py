@@ -1,4 +1,4 @@
-"""The in-memory runtime: whole runs, their reproducibility, and what they must be equal to."""
+"""The in-memory runtime: complete runs, their reproducibility, and their references."""
 
 import time
 from collections.abc import Iterator, Sequence
@@ -26,7 +26,7 @@ TICKS = 30
 FOUR, PAIRS, ALL = "agents.owned=[[1],[2],[3],[4]]", "agents.owned=[[1,2],[3,4]]", "agents.owned=[[1,2,3,4]]"
 NEXT_TICK, CLOSED_LOOP = "clock.actuation=next_tick", "controller.prediction=closed_loop"
 
-# A network that does everything to plans that it can; only the shared law flies over it.
+# A network with every impairment; only the shared control law tolerates it.
 BAD_NETWORK = (
     "links={delay_s=0.08,jitter_s=0.1,loss=0.2,duplicate=0.2,reorder=0.2,reorder_s=0.1}",
     CLOSED_LOOP,
@@ -39,13 +39,13 @@ DISTRIBUTED_TOLERANCE = 1e-8
 
 
 @lru_cache
-def flight(*settings: str) -> tuple[Message, ...]:
-    """Every message of a short flight."""
+def run_messages(*settings: str) -> tuple[Message, ...]:
+    """Return every message of a short run."""
     return tuple(recorded(setup(SHORT, *settings)))
 
 
 def contents(messages: Sequence[Message]) -> dict[tuple[str, int], bytes]:
-    """What everybody said, by sender and number, but for wall-clock times."""
+    """Return all messages by sender and number, without wall-clock times."""
     return {(message.sender, message.sequence): encode(reproducible(message)) for message in messages}
 
 
@@ -58,8 +58,8 @@ def states(messages: Sequence[Message]) -> Array:
     "settings", [(FOUR,), (PAIRS,), (ALL,), (NEXT_TICK,), (CLOSED_LOOP,), (CLOSED_LOOP, NEXT_TICK), BAD_NETWORK]
 )
 def test_a_run_completes(settings: tuple[str, ...]) -> None:
-    """A short maneuver is flown to its end: one truth, one plan and one report per agent and tick, all solved."""
-    messages = flight(*settings)
+    """A short maneuver is completed: one plant state, one plan and one report per agent and tick, all solved."""
+    messages = run_messages(*settings)
     agents = setup(SHORT, *settings).agents
     assert [plant_state.tick for plant_state in plant_states(messages)] == list(range(TICKS))
     for kind in (Plan, StepReport):
@@ -78,12 +78,12 @@ def test_a_run_completes(settings: tuple[str, ...]) -> None:
 def test_two_runs_are_equal(settings: tuple[str, ...]) -> None:
     """Two runs of one scenario send the same bytes in the same order, but for the wall-clock times in reports."""
     again = recorded(setup(SHORT, *settings))
-    assert [encode(reproducible(m)) for m in again] == [encode(reproducible(m)) for m in flight(*settings)]
+    assert [encode(reproducible(m)) for m in again] == [encode(reproducible(m)) for m in run_messages(*settings)]
 
 
 def test_plans_of_a_tick_are_used_at_the_next() -> None:
     """On a perfect network every plan and state used is one tick old."""
-    for message in flight(FOUR):
+    for message in run_messages(FOUR):
         if isinstance(message, StepReport):
             expected = (-1,) * 3 if message.tick == 0 else (1,) * 3
             assert message.plan_ages == message.state_ages == expected
@@ -92,8 +92,10 @@ def test_plans_of_a_tick_are_used_at_the_next() -> None:
 
 def test_actuation() -> None:
     """The plant follows the plan of the same tick with "immediate", of the tick before with "next_tick"."""
-    assert [plant_state.plan_ticks for plant_state in plant_states(flight(FOUR))] == [(k,) * 4 for k in range(TICKS)]
-    assert [plant_state.plan_ticks for plant_state in plant_states(flight(NEXT_TICK))] == [
+    assert [plant_state.plan_ticks for plant_state in plant_states(run_messages(FOUR))] == [
+        (k,) * 4 for k in range(TICKS)
+    ]
+    assert [plant_state.plan_ticks for plant_state in plant_states(run_messages(NEXT_TICK))] == [
         (k - 1,) * 4 for k in range(TICKS)
     ]
 
@@ -101,7 +103,7 @@ def test_actuation() -> None:
 def test_every_message_could_travel() -> None:
     """Everything sent decodes to the same bytes, under a key its sender owns, numbered without a gap."""
     keys = Keys("paper")
-    messages = flight(FOUR)
+    messages = run_messages(FOUR)
     for message in messages:
         data = encode(message)
         assert encode(decode(data)) == data
@@ -109,15 +111,15 @@ def test_every_message_could_travel() -> None:
     for sender in {message.sender for message in messages}:
         numbers = [message.sequence for message in messages if message.sender == sender]
         assert numbers == list(range(len(numbers)))
-    # Nothing was changed, nothing happened to anybody, and nobody said anything wrong.
+    # No link change, no fault, no rejection.
     assert {message.kind for message in messages} == set(KINDS) - {"link", "fault", "rejected"}
 
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("settings", [(FOUR,), (PAIRS,), (NEXT_TICK,), (CLOSED_LOOP,), BAD_NETWORK])
 def test_order_of_delivery_does_not_matter(settings: tuple[str, ...], seed: int) -> None:
-    """Whichever connection is faster, everybody says the same bit for bit: lockstep does not depend on the network."""
-    in_order = flight(*settings)
+    """All messages are equal bit for bit in any order of delivery: lockstep does not depend on the network."""
+    in_order = run_messages(*settings)
     shuffled = recorded(setup(SHORT, *settings), lambda run, record: fly_shuffled(run, record, seed))
     assert [encode(m) for m in shuffled if m.kind != "tick"] != [encode(m) for m in in_order if m.kind != "tick"]
     np.testing.assert_array_equal(states(shuffled), states(in_order))
@@ -125,7 +127,7 @@ def test_order_of_delivery_does_not_matter(settings: tuple[str, ...], seed: int)
 
 
 def plain_loop(run: Setup) -> Iterator[tuple[Array, Array]]:
-    """States and inputs of the loop anybody would write: everybody plans at once from the plans of the last tick."""
+    """Yield states and inputs of the plain loop: all agents plan at once from the plans of the last tick."""
     team = [Controller(run.model, run.hover, run.settings, owned) for owned in run.owned]
     x, u = run.initial_state(), run.hover.u
     U = np.tile(u, (run.settings.horizon, 1))
@@ -148,7 +150,9 @@ def plain_loop(run: Setup) -> Iterator[tuple[Array, Array]]:
 @pytest.mark.parametrize("settings", [(ALL,), (ALL, CLOSED_LOOP)])
 def test_one_agent_is_the_plain_controller(settings: tuple[str, ...]) -> None:
     """With one agent owning all, the run is the plain loop of controller and model, bit for bit."""
-    for plant_state, (x, u) in zip(plant_states(flight(*settings)), plain_loop(setup(SHORT, *settings)), strict=True):
+    for plant_state, (x, u) in zip(
+        plant_states(run_messages(*settings)), plain_loop(setup(SHORT, *settings)), strict=True
+    ):
         np.testing.assert_array_equal(plant_state.x, x)
         np.testing.assert_array_equal(plant_state.u, u)
 
@@ -156,15 +160,17 @@ def test_one_agent_is_the_plain_controller(settings: tuple[str, ...]) -> None:
 @pytest.mark.parametrize("settings", [(FOUR,), (PAIRS,), (FOUR, CLOSED_LOOP, "controller.relaxation=0.5")])
 def test_a_team_is_the_papers_iteration(settings: tuple[str, ...]) -> None:
     """On a perfect network several agents are the paper's update: all plan at once, from the plans of the last tick."""
-    for plant_state, (x, u) in zip(plant_states(flight(*settings)), plain_loop(setup(SHORT, *settings)), strict=True):
+    for plant_state, (x, u) in zip(
+        plant_states(run_messages(*settings)), plain_loop(setup(SHORT, *settings)), strict=True
+    ):
         np.testing.assert_allclose(plant_state.x, x, rtol=0.0, atol=DISTRIBUTED_TOLERANCE)
         np.testing.assert_allclose(plant_state.u, u, rtol=0.0, atol=DISTRIBUTED_TOLERANCE)
 
 
 def test_inputs_keep_the_rate_limits() -> None:
-    """What the plant applies changes from tick to tick by no more than the rate limits allow."""
+    """Applied inputs change from tick to tick within the rate limits."""
     run = setup(SHORT)
-    U = np.array([run.hover.u, *[plant_state.u for plant_state in plant_states(flight(FOUR))]])
+    U = np.array([run.hover.u, *[plant_state.u for plant_state in plant_states(run_messages(FOUR))]])
     slack = 1e-6  # N and N m: the solver's tolerance on its rows
     assert (np.abs(np.diff(U, axis=0)) <= run.settings.limits.step(4, PERIOD_S) + slack).all()
 
@@ -172,12 +178,12 @@ def test_inputs_keep_the_rate_limits() -> None:
 def test_truth_is_a_trajectory_of_the_model() -> None:
     """Each true state is the one before, integrated under the recorded inputs: the record explains itself."""
     run = setup(SHORT)
-    for before, after in pairwise(plant_states(flight(FOUR))):
+    for before, after in pairwise(plant_states(run_messages(FOUR))):
         np.testing.assert_array_equal(integrated(run, before.x, before.u), after.x)
 
 
 def test_divergence_ends_a_run() -> None:
-    """A flight that leaves its limits ends at once, with the reason and exit code 6, in any order of delivery."""
+    """A run that leaves its limits ends at once, with the reason and exit code 6, in any order of delivery."""
     run = setup(SHORT, "plant.max_error_m=0.02")
     messages: list[Message] = []
     control = memory.simulate(run, messages.append)
@@ -195,7 +201,7 @@ def test_divergence_ends_a_run() -> None:
 
 @pytest.mark.parametrize("actuation", ["clock.actuation=immediate", NEXT_TICK])
 def test_a_diverged_record_is_reproducible(actuation: str) -> None:
-    """Also of a flight that diverges everything said is the same bit for bit in any order of delivery."""
+    """All messages of a diverging run are equal bit for bit in any order of delivery."""
     run = setup(SHORT, "plant.max_error_m=0.02", actuation)
     records = []
     for seed in range(6):
@@ -207,7 +213,7 @@ def test_a_diverged_record_is_reproducible(actuation: str) -> None:
 
 @pytest.fixture
 def deaf_plant(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A plant that hears no plans, and so never comes to the second tick."""
+    """A plant that receives no plans, and so never reaches the second tick."""
     receive = PlantNode.receive
 
     def deaf(self: PlantNode, event: Message | Presence, now_ns: int) -> Sequence[Message]:
@@ -218,7 +224,7 @@ def deaf_plant(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("deaf_plant")
 def test_timeouts_cost_nothing() -> None:
-    """A run that a timeout ends, here of 1000 hours, is over at once: the clock jumps to what the nodes wait for."""
+    """A run that a timeout ends, here of 1000 hours, is over at once: virtual time jumps to the next wake-up."""
     began_s = time.monotonic()
     end = memory.simulate(setup(SHORT, "clock.barrier_timeout_s=3.6e6"))
     assert (end.outcome, end.exit_code, end.tick) == ("aborted", 4, 1)
@@ -228,14 +234,14 @@ def test_timeouts_cost_nothing() -> None:
 
 @pytest.mark.usefixtures("deaf_plant")
 def test_a_standstill_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nodes that wait for each other for ever are a bug, said with the tick, not an endless loop."""
+    """A deadlock of the nodes raises an error with the tick."""
     monkeypatch.setattr(CoordinatorNode, "wake_ns", None)
-    with pytest.raises(RuntimeError, match="stands still at tick 1"):
+    with pytest.raises(RuntimeError, match="deadlock at tick 1"):
         memory.simulate(setup(SHORT))
 
 
 def test_wrong_plans_do_not_stop_a_node() -> None:
-    """A plan nobody believes is counted by plant and agents alike and leaves a run's nodes as they were."""
+    """An implausible plan is counted by plant and agents alike and leaves a run's nodes as they were."""
     run = setup(SHORT)
     forged = plan(run, 1, 0, incarnation=5)
     for node in (PlantNode(run), AgentNode(run, 2)):
@@ -246,7 +252,7 @@ def test_stopwatch_is_only_for_reports() -> None:
     """A stopwatch that runs fast changes the times in the reports and nothing else."""
     now = iter(range(0, 10**15, 10**9))
     messages = recorded(setup(SHORT), lambda run, record: memory.simulate(run, record, stopwatch=lambda: next(now)))
-    assert contents(messages) == contents(flight(FOUR))
+    assert contents(messages) == contents(run_messages(FOUR))
     reports = [message for message in messages if isinstance(message, StepReport)]
     times_ms = dict(zip(STAGES, reports[0].times_ms, strict=True))
     assert times_ms.pop("wait") > 0.0

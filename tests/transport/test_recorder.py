@@ -41,7 +41,7 @@ class ScriptedBus:
             admission.announce(name, 0)
 
     def join(self, *_: object) -> None:
-        """Everybody is there."""
+        """All processes have joined."""
 
     def next(self, timeout_s: float | None) -> BusEvent | None:
         """The next event that gets through, or None when the time is up before."""
@@ -118,7 +118,7 @@ def test_who_was_only_out_of_reach(record: Record) -> None:
 
 
 def test_nothing_to_say(record: Record) -> None:
-    """A flight without nonsense is recorded as it is: nobody speaks of refusals."""
+    """A run without wrong messages is recorded without rejections."""
     said = flight(5)
     assert [encode(message) for message in record(*said)] == [encode(message) for message in said]
 
@@ -152,7 +152,7 @@ def test_refusals_are_on_record(record: Record) -> None:
     said = flight(30)
     wrong = [
         (f"{KEYS.prefix}/plan/2", b"nonsense"),
-        changed(runs.end(), tick=29),  # nobody knows of a tick near that
+        changed(runs.end(), tick=29),  # far from the newest tick
         changed(runs.plant_state(RUN, 9), x=RUN.initial_state()[:24], u=RUN.hover.u[:4], plan_ticks=(9,)),
         changed(sample(LinkChange), incarnation=0, tick=10, settings='{"loss": 7}'),
         said[3],

@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from protocol.wire.exit_codes import EXIT_CASE_FAILED, EXIT_SCENARIO, EXIT_USAGE
+from protocol.wire.exit_codes import EXIT_CASE_FAILED, EXIT_SCENARIO
 from transport.experiments.errors import ExperimentError, refused
 
 if TYPE_CHECKING:
     from protocol.scenario.schema import Scenario
-    from transport.experiments.catalogue import Experiment
-    from transport.experiments.flight import Result
-    from transport.experiments.sweep import Fly
+    from transport.experiments.experiment import Experiment
+    from transport.experiments.simulation import Result
+    from transport.experiments.sweep import Simulate
 
 _INTERRUPTED = 130
 
@@ -184,9 +184,11 @@ def latency(
 
     Example: transport experiment latency --delay 0.1 --delay 0.3 --scenario resilient
     """
-    from transport.experiments import catalogue
+    from transport.experiments import network_sweeps
 
-    return catalogue.latency(shared.named(), delays or ([0.0, 0.2] if shared.quick else [0.0, 0.05, 0.1, 0.2, 0.4]))
+    return network_sweeps.latency(
+        shared.named(), delays or ([0.0, 0.2] if shared.quick else [0.0, 0.05, 0.1, 0.2, 0.4])
+    )
 
 
 @_sweep(usual_seeds=5)
@@ -198,9 +200,9 @@ def loss(
     burst: Annotated[float, typer.Option("--burst", help="Mean length of a burst, ticks.")] = 5.0,
 ) -> "Experiment":
     """How many plans may be lost: on their own, as many in bursts."""
-    from transport.experiments import catalogue
+    from transport.experiments import network_sweeps
 
-    return catalogue.loss(shared.named(), shares or ([0.3] if shared.quick else [0.1, 0.3, 0.6]), burst)
+    return network_sweeps.loss(shared.named(), shares or ([0.3] if shared.quick else [0.1, 0.3, 0.6]), burst)
 
 
 @_sweep(usual_seeds=3)
@@ -220,10 +222,10 @@ def jitter(
 
     Several distributions of the same mean and standard deviation.
     """
-    from transport.experiments import catalogue
+    from transport.experiments import network_sweeps
 
-    chosen = distributions or (["uniform", "exponential"] if shared.quick else list(catalogue.JITTER))
-    return catalogue.jitter(
+    chosen = distributions or (["uniform", "exponential"] if shared.quick else list(network_sweeps.JITTER))
+    return network_sweeps.jitter(
         shared.named(), chosen, deviations or ([0.05] if shared.quick else [0.02, 0.05, 0.08]), mean
     )
 
@@ -240,12 +242,12 @@ def kill(
 
     Each in turn is killed, and started again or not; the others fly on.
     """
-    from transport.experiments import catalogue
+    from transport.experiments import agent_failures
 
     agents = {name: len(scenario.owned) for name, scenario in shared.read().items()}
     usual = (0.5, 1.0) if shared.quick else (8.0, 10.0)
     kill_s, restart_s = (then if given is None else given for given, then in zip((at, restart), usual, strict=True))
-    return catalogue.kill(agents, kill_s, restart_s)
+    return agent_failures.kill(agents, kill_s, restart_s)
 
 
 @_sweep(usual_seeds=1, usual_scenarios=("resilient",))
@@ -260,9 +262,9 @@ def deaths(
 
     Example: transport experiment deaths --processes
     """
-    from transport.experiments import deaths as random_deaths
+    from transport.experiments import agent_failures
 
-    return random_deaths.deaths(shared.read(), count or (2 if shared.quick else 20), draw)
+    return agent_failures.deaths(shared.read(), count or (2 if shared.quick else 20), draw)
 
 
 @_sweep(usual_seeds=3)
@@ -280,10 +282,12 @@ def matrix(
 
     Of cost and survival.
     """
-    from transport.experiments import catalogue
+    from transport.experiments import network_sweeps
 
     delays_s = delays or ([0.0, 0.2] if shared.quick else [0.0, 0.1, 0.2, 0.4])
-    return catalogue.matrix(shared.named(), delays_s, shares or ([0.0, 0.3] if shared.quick else [0.0, 0.1, 0.3, 0.6]))
+    return network_sweeps.matrix(
+        shared.named(), delays_s, shares or ([0.0, 0.3] if shared.quick else [0.0, 0.1, 0.3, 0.6])
+    )
 
 
 @_sweep(usual_seeds=3)
@@ -317,14 +321,14 @@ def horizon(
 
     Example: transport experiment horizon --horizon 10 --horizon 20 --scenario paper
     """
-    from transport.experiments import choices
+    from transport.experiments import tuning
 
     quick = shared.quick
     steps, weights = (
         horizons or ([10] if quick else [5, 10, 20, 30]),
         terminals or ([5.0] if quick else [1.0, 5.0, 20.0]),
     )
-    return choices.horizon(shared.read(), steps, weights, delay)
+    return tuning.horizon(shared.read(), steps, weights, delay)
 
 
 @_sweep(usual_seeds=1, usual_scenarios=_HOVERING, quick_maneuver=_QUICK_HOVER)
@@ -344,9 +348,9 @@ def hover(
 
     Example: transport experiment hover --duration 60 --scenario resilient
     """
-    from transport.experiments import choices
+    from transport.experiments import tuning
 
-    return choices.hover(shared.read(), durations or ([0.5, 1.0] if shared.quick else [5.0, 20.0, 65.0]))
+    return tuning.hover(shared.read(), durations or ([0.5, 1.0] if shared.quick else [5.0, 20.0, 65.0]))
 
 
 @_sweep(usual_seeds=5)
@@ -368,10 +372,10 @@ def sharing(
 
     Example: transport experiment sharing --threshold 0.01 --threshold 0.1
     """
-    from transport.experiments.sharing import sharing as built
+    from transport.experiments import network_sweeps
 
     usual = [0.01] if shared.quick else [0.002, 0.005, 0.01, 0.02, 0.05]
-    return built(shared.scenarios or ["resilient"], thresholds or usual, heartbeat)
+    return network_sweeps.sharing(shared.scenarios or ["resilient"], thresholds or usual, heartbeat)
 
 
 @experiment_app.command()
@@ -426,40 +430,12 @@ def scaling(
     options = _Options(settings=settings, seeds=seeds, out=out, jobs=jobs, quick=quick, maneuver=_SHORTENED)
 
     def build() -> "Experiment":
-        from transport.experiments import catalogue
+        from transport.experiments import scaling
 
-        sizes, usual = (catalogue.QUICK_SIZES, 6) if quick else (catalogue.SIZES, 12)
-        return catalogue.scaling("resilient", usual if largest is None else largest, sizes)
+        sizes, usual = (scaling.QUICK_SIZES, 6) if quick else (scaling.SIZES, 12)
+        return scaling.scaling("resilient", usual if largest is None else largest, sizes)
 
     _conduct(lambda: _fly(build(), options))
-
-
-@experiment_app.command()
-def faults(
-    runs: Annotated[int, typer.Option("--runs", min=1, help="Up to which number, without it.")] = 200,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Of what happens to whom and when.")] = 0,
-    first: Annotated[int, typer.Option("--first", min=0, help="Number of the first run, to go on or to repeat.")] = 0,
-    jobs: Annotated[int, typer.Option("--jobs", min=1, help="Runs at a time; each has seven processes.")] = 2,
-    out: Annotated[Path | None, typer.Option("--out", help="Where the folders of failing runs are kept.")] = None,
-) -> None:
-    """Whether a crash leaves anything behind.
-
-    Processes of short real flights are killed, frozen and interrupted at random. Exit code 1 if anything is wrong.
-
-    Example: transport experiment faults --runs 200 --seed 0
-    """
-    from transport.experiments.faults import conduct
-
-    if first >= runs:
-        typer.echo(f"transport: {refused('--first', f'less than --runs {runs}', first)}", err=True)
-        raise typer.Exit(EXIT_USAGE)
-    code = _INTERRUPTED
-    try:
-        with _terminated_like_interrupted():
-            code = conduct(runs, seed, first, jobs, out or Path("runs") / f"faults-{seed}")
-    except KeyboardInterrupt:
-        typer.echo("transport: interrupted", err=True)
-    raise typer.Exit(code)
 
 
 def _seeds(given: int | None, usual: int, *, quick: bool) -> int:
@@ -490,9 +466,9 @@ def _fly(experiment: "Experiment", options: _Options) -> None:
     from rich.console import Console
 
     from transport.experiments.cases import cases_of
-    from transport.experiments.findings import findings
-    from transport.experiments.growth import growth_findings
+    from transport.experiments.conclusions import conclusions
     from transport.experiments.results import Results
+    from transport.experiments.scaling import scaling_conclusions
     from transport.experiments.sweep import report, sweep
     from transport.experiments.table import WIDTH, WIDTH_OF_VARIANTS, table_of
     from transport.flight.run import machine
@@ -510,13 +486,7 @@ def _fly(experiment: "Experiment", options: _Options) -> None:
         done = sum(results.done(case.key) for case in cases)
         if done:
             console.print(f"{done} of {len(cases)} flights are done already", highlight=False)
-        try:
-            found = sweep(experiment, cases, _way(options, folder), results, console)
-        except (KeyboardInterrupt, ExperimentError):
-            done = sum(results.done(case.key) for case in cases)
-            hint = f"{done} of {len(cases)} flights are kept; go on with: --out {folder}"
-            console.print(hint, highlight=False, soft_wrap=True)
-            raise
+        found = sweep(experiment, cases, _way(options, folder), results, console)
         measured, files = report(experiment, cases, found, folder)
     title = f"{experiment.name}: means of completed flights, ± 95 % confidence" + (f" ({trial})" if trial else "")
     if experiment.timed:
@@ -525,8 +495,8 @@ def _fly(experiment: "Experiment", options: _Options) -> None:
     output = Console()
     output.width = max(output.width, WIDTH_OF_VARIANTS if experiment.drawn_as == "variants" else WIDTH)
     output.print(table_of(title, measured, timed=experiment.timed))
-    found_out = growth_findings(measured) if experiment.timed else findings(measured)
-    lines = ["", *found_out, "", f"machine: {machine()}", *(f" {path}" for path in files)]
+    sentences = scaling_conclusions(measured) if experiment.timed else conclusions(measured)
+    lines = ["", *sentences, "", f"machine: {machine()}", *(f" {path}" for path in files)]
     sys.stdout.write("\n".join(lines) + "\n")
     _check_flown(found)
 
@@ -535,20 +505,20 @@ def _compare(gust_mps: float, options: _Options) -> None:
     """The paper's comparison, which measures processor time besides."""
     from rich.console import Console
 
-    from transport.experiments import claim, claim_report
+    from transport.experiments import comparison, comparison_report
 
     if not 0.0 <= gust_mps < math.inf:
         raise refused("--gust", "a speed >= 0 m/s", f"{gust_mps:g}")
-    folder, console = _folder(options, claim.NAME), Console(stderr=True)
+    folder, console = _folder(options, comparison.NAME), Console(stderr=True)
     trial = "trial, no measurement" if options.quick else ""
     if trial:
         console.print(f"--quick: a {trial}", highlight=False)
     simulate = _way(options, folder)
-    lines, table, found = claim_report.conduct(
+    lines, table, found = comparison_report.compare(
         options.changes(), options.seeds, gust_mps, folder, simulate, console, quick=options.quick
     )
     output = Console()
-    output.width = max(output.width, claim_report.WIDTH)
+    output.width = max(output.width, comparison_report.WIDTH)
     output.print(table)
     sys.stdout.write("\n".join(lines) + "\n")
     _check_flown(found)
@@ -581,17 +551,17 @@ def _check(options: _Options) -> None:
         check_cluster(options.dask)
 
 
-def _way(options: _Options, folder: Path) -> "Fly":
+def _way(options: _Options, folder: Path) -> "Simulate":
     """How the cases are flown."""
     import joblib
 
-    from transport.experiments import flight, workers
+    from transport.experiments import simulation, workers
 
     if options.dask is not None:
         address = options.dask
         return lambda cases: workers.on_cluster(cases, address)
     if options.processes:
-        return lambda cases: (flight.simulate_in_processes(case, folder / "runs") for case in cases)
+        return lambda cases: (simulation.simulate_in_processes(case, folder / "runs") for case in cases)
     jobs = options.jobs or joblib.cpu_count()
     return lambda cases: workers.on_cores(cases, min(jobs, len(cases)))
 

@@ -1,1 +1,1 @@
-"""Checks of this machine for `transport doctor`."""
+"""Checks of the machine for `transport doctor`."""

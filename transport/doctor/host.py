@@ -1,34 +1,33 @@
-"""What a Linux host gives to a run: clock, cores, frequency, steal, limits. docs/realtime.md says why each matters."""
+"""Checks of a Linux host: clock, cores, frequency, steal, limits; docs/realtime.md says why each matters."""
 
 import os
+import resource
 import shutil
 import subprocess
 import time
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal
 
 from protocol.network.endpoints import process_names
 from protocol.scenario.setup import Setup
-
-Finding = tuple[Literal["ok", "warn", "fail"], str, str]  # status, what was found, what to do
+from transport.doctor.finding import Finding
 
 _COARSE_S = 1e-6
 _LATE_MS = 2.0
 _NAPS = 40
-_WATCHED_S = 0.4
+_STEAL_S = 0.4  # duration of the measurement
 _STOLEN = 0.02
-_PRIORITY = 10  # what docs/realtime.md proposes
+_PRIORITY = 10  # as in docs/realtime.md
 _SLOW_SOURCES = ("hpet", "acpi_pm", "jiffies", "refined-jiffies")
 
 
 def host_checks(setup: Setup, root: Path = Path("/")) -> Iterator[tuple[str, Finding]]:
-    """Every check of the host, by name.
+    """Yield every check of the host with its name.
 
     Args:
-        setup: The run that is to be flown.
-        root: Where /proc and /sys are.
+        setup: The run.
+        root: Folder of /proc and /sys.
     """
     yield "clock", clock(root)
     yield "wake-up", wake_up()
@@ -43,7 +42,7 @@ def host_checks(setup: Setup, root: Path = Path("/")) -> Iterator[tuple[str, Fin
 
 
 def clock(root: Path) -> Finding:
-    """The steady clock that deadlines are kept by: resolution, order, source."""
+    """Check the steady clock of all deadlines: resolution, order, source."""
     info = time.get_clock_info("monotonic")
     readings = [time.monotonic_ns() for _ in range(20_000)]
     steps = [b - a for a, b in pairwise(readings)]
@@ -52,150 +51,142 @@ def clock(root: Path) -> Finding:
     found = f"{info.implementation}, resolution {info.resolution * 1e9:g} ns, steps of {smallest_ns} ns"
     found += f", source {source}" if source else ""
     if min(steps) < 0 or not info.monotonic:
-        return "fail", f"{found}; it went backwards", "a defect of the host or its hypervisor: use another one"
+        return Finding(
+            "fail", f"{found}; it went backwards", "a defect of the host or its hypervisor: use another host"
+        )
     if info.resolution > _COARSE_S or smallest_ns > 1e9 * _COARSE_S or source in _SLOW_SOURCES:
-        return "warn", found, "real time suffers: see if the kernel offers tsc or kvm-clock as a clock source"
-    return "ok", found, ""
+        return Finding(
+            "warn",
+            found,
+            "too coarse for real time: check whether the kernel offers tsc or kvm-clock as a clock source",
+        )
+    return Finding("ok", found)
 
 
 def wake_up() -> Finding:
-    """How late this process wakes up from naps: what every deadline is late by."""
+    """Measure how late this process wakes up, as it does at every deadline."""
     late_ms = []
     for _ in range(_NAPS):
         begun = time.monotonic()
         time.sleep(1e-3)
         late_ms.append(1e3 * (time.monotonic() - begun) - 1.0)
     late_ms.sort()
-    found = f"from naps of 1 ms, late by {late_ms[_NAPS // 2]:.2f} ms (worst of {_NAPS}: {late_ms[-1]:.2f} ms)"
+    found = f"after 1 ms of sleep late by {late_ms[_NAPS // 2]:.2f} ms (longest of {_NAPS}: {late_ms[-1]:.2f} ms)"
     if late_ms[-1] > _LATE_MS:
-        return "warn", found, "the host is busy or asleep: see load, governor and priority"
-    return "ok", found, ""
+        return Finding("warn", found, "the host is busy or saves power: see load, governor and priority")
+    return Finding("ok", found)
 
 
 def time_of_day() -> Finding:
-    """Whether the wall clock is set by somebody: logs of several hosts are laid side by side by it, and no more."""
-    told = ""
+    """Check that the wall clock is synchronised; only logs of several hosts need it."""
+    answer = ""
     if shutil.which("timedatectl"):
         asked = ["timedatectl", "show", "--property=NTPSynchronized", "--value"]
         try:
-            told = subprocess.run(asked, capture_output=True, text=True, timeout=3.0, check=False).stdout.strip()
+            answer = subprocess.run(asked, capture_output=True, text=True, timeout=3.0, check=False).stdout.strip()
         except (OSError, subprocess.TimeoutExpired):
-            told = ""
-    if told == "yes":
-        return "ok", "synchronised", ""
-    if told == "no":
-        return "warn", "not synchronised", "only for logs of several hosts: timedatectl set-ntp true"
-    return "ok", "whether it is synchronised cannot be told here; nothing in a run depends on it", ""
+            answer = ""
+    if answer == "yes":
+        return Finding("ok", "synchronised")
+    if answer == "no":
+        return Finding("warn", "not synchronised", "only for logs of several hosts: timedatectl set-ntp true")
+    return Finding("ok", "unknown; no run depends on it")
 
 
 def cores(setup: Setup) -> Finding:
-    """Processors this process may use, beside the processes of a run and its recorder."""
-    mine = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    """Compare the cores this process may use with the processes of a run and its recorder."""
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     wanted = len(process_names(setup.scenario)) + 1
-    found = f"{mine} for {wanted} processes ({setup.scenario.name}), of {os.cpu_count()} in this machine"
-    if mine < wanted:
-        advice = "lockstep flies all the same, slower; for real time give each process one: more cores, or fewer agents"
-        return "warn", found, advice
-    return "ok", found, ""
+    found = f"{usable} for {wanted} processes ({setup.scenario.name}), of {os.cpu_count()} in this machine"
+    if usable < wanted:
+        advice = "lockstep works, but slower; real time needs a core for each process: more cores, or fewer agents"
+        return Finding("warn", found, advice)
+    return Finding("ok", found)
 
 
 def load(root: Path) -> Finding:
-    """What else the machine is doing."""
-    words = _text(root / "proc/loadavg").split()
-    if not words:
-        return "ok", "cannot be told here", ""
-    busy, all_cores = float(words[0]), os.cpu_count() or 1
+    """Check the load of the machine by other processes."""
+    fields = _text(root / "proc/loadavg").split()
+    if not fields:
+        return Finding("ok", "unknown")
+    busy, all_cores = float(fields[0]), os.cpu_count() or 1
     found = f"{busy:.2f} in the last minute, on {all_cores} cores"
     if busy > all_cores:
-        return "warn", found, "end what else is running (top), or give the run a priority: chrt -f 10 transport run"
-    return "ok", found, ""
+        return Finding("warn", found, "end other processes (top), or give the run a priority: chrt -f 10 transport run")
+    return Finding("ok", found)
 
 
 def steal(root: Path) -> Finding:
-    """What share of its processors a virtual machine does not get."""
+    """Measure the share of its processors that a virtual machine does not get."""
     before = _times(root)
-    time.sleep(_WATCHED_S)
+    time.sleep(_STEAL_S)
     after = _times(root)
     if before is None or after is None:
-        return "ok", "cannot be told here", ""
+        return Finding("ok", "unknown")
     total = after[0] - before[0]
     now = (after[1] - before[1]) / total if total > 0 else 0.0
     ever = after[1] / after[0] if after[0] else 0.0
     found = f"{now:.1%} now, {ever:.1%} since boot"
     if max(now, ever) > _STOLEN:
-        return "warn", found, "other guests of the host take it: a larger or dedicated machine, or lockstep"
-    return "ok", found, ""
+        return Finding("warn", found, "other guests of the host take it: a larger or dedicated machine, or lockstep")
+    return Finding("ok", found)
 
 
 def governor(root: Path) -> Finding:
-    """Whether processors are slowed down while there is little to do."""
+    """Check whether the processor frequency depends on the load."""
     files = (root / "sys/devices/system/cpu").glob("cpu[0-9]*/cpufreq/scaling_governor")
     found = sorted({_text(file) for file in files} - {""})
     if not found:
-        return "ok", "the host's to decide (a virtual machine, or no frequency scaling)", ""
+        return Finding("ok", "set by the host (a virtual machine, or no frequency scaling)")
     if found == ["performance"]:
-        return "ok", "performance", ""
-    return "warn", ", ".join(found), "for real time: sudo cpupower frequency-set -g performance"
+        return Finding("ok", "performance")
+    return Finding("warn", ", ".join(found), "for real time: sudo cpupower frequency-set -g performance")
 
 
 def quota(root: Path) -> Finding:
-    """Whether a container stops all of a run once it has used up its share of a period."""
-    words = _text(root / "sys/fs/cgroup/cpu.max").split()
-    if len(words) != 2 or words[0] == "max":
-        return "ok", "no limit on processor time", ""
-    share = float(words[0]) / float(words[1])
-    return (
-        "warn",
-        f"{share:g} cores' worth of time per {float(words[1]) / 1e3:g} ms",
-        ("give the container cores (cpuset-cpus) instead of a quota: it stops every process for the rest of a period"),
-    )
+    """Check whether a container limits processor time, and so stops a run for parts of a period."""
+    fields = _text(root / "sys/fs/cgroup/cpu.max").split()
+    if len(fields) != 2 or fields[0] == "max":
+        return Finding("ok", "no limit on processor time")
+    quota_us, period_us = map(float, fields)
+    advice = "give the container cores (cpuset-cpus) instead: a quota stops every process for the rest of a period"
+    return Finding("warn", f"{quota_us / period_us:g} cores per {period_us / 1e3:g} ms", advice)
 
 
 def priority(root: Path) -> Finding:
-    """Whether this user may give a run a real-time priority."""
-    try:
-        import resource
-
-        limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
-    except (ImportError, AttributeError):
-        return "ok", "cannot be told here", ""
+    """Check whether this user may give a run a real-time priority."""
+    if not hasattr(resource, "RLIMIT_RTPRIO"):
+        return Finding("ok", "unknown")
+    limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
     may = limit >= _PRIORITY or limit == resource.RLIM_INFINITY or os.geteuid() == 0
     runtime = _text(root / "proc/sys/kernel/sched_rt_runtime_us")
     found = f"rtprio {'unlimited' if limit == resource.RLIM_INFINITY else limit}, user {os.geteuid()}"
     found += f", sched_rt_runtime_us {runtime}" if runtime else ""
     if not may:
-        return (
-            "warn",
-            found,
-            "for chrt -f 10 transport run: '@group - rtprio 20' in /etc/security/limits.conf, log in again",
-        )
+        advice = "for chrt -f 10 transport run: '@group - rtprio 20' in /etc/security/limits.conf, log in again"
+        return Finding("warn", found, advice)
     if runtime == "-1":
-        return "warn", found, "a loop that runs wild could not be ended: sysctl kernel.sched_rt_runtime_us=950000"
-    return "ok", f"{found}: chrt -f {_PRIORITY} transport run is possible", ""
+        return Finding("warn", found, "an endless loop could not be ended: sysctl kernel.sched_rt_runtime_us=950000")
+    return Finding("ok", f"{found}: chrt -f {_PRIORITY} transport run is possible")
 
 
 def memory(root: Path) -> Finding:
-    """Whether processes can be swapped out: nothing here locks its memory."""
-    try:
-        import resource
-
-        limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
-        memlock = "unlimited" if limit == resource.RLIM_INFINITY else f"{limit / 1024:g} kB"
-    except (ImportError, AttributeError):
-        memlock = "unknown"
+    """Check for swap: no process of a run locks its memory."""
+    limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
+    memlock = "unlimited" if limit == resource.RLIM_INFINITY else f"{limit / 1024:g} kB"
     swaps = [line.split()[0] for line in _text(root / "proc/swaps").splitlines()[1:] if line.strip()]
     if swaps:
         found = f"swap on {', '.join(swaps)}; memlock {memlock}"
-        return "warn", found, "for real time: swapoff -a, or MemorySwapMax=0 for the unit"
-    return "ok", f"no swap; memlock {memlock} (nothing here locks memory)", ""
+        return Finding("warn", found, "for real time: swapoff -a, or MemorySwapMax=0 for the unit")
+    return Finding("ok", f"no swap; memlock {memlock}")
 
 
 def _times(root: Path) -> tuple[int, int] | None:
-    """Clock ticks of all processors since boot, and those stolen of them."""
-    words = _text(root / "proc/stat").split("\n", 1)[0].split()
-    if len(words) < 9 or words[0] != "cpu":
+    """Return the clock ticks of all processors since boot, and the stolen ones of them."""
+    fields = _text(root / "proc/stat").split("\n", 1)[0].split()
+    if len(fields) < 9 or fields[0] != "cpu":
         return None
-    ticks = [int(word) for word in words[1:9]]
+    ticks = [int(field) for field in fields[1:9]]
     return sum(ticks), ticks[7]
 
 

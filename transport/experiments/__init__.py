@@ -1,1 +1,1 @@
-"""Experiments: many flights with one thing changed from each to the next, and what that does."""
+"""Experiments: sweeps over variants of a scenario, with tables, confidence intervals and figures."""

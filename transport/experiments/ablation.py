@@ -1,16 +1,17 @@
-"""What each part of the algorithm is worth: one setting changed at a time, on a good and on a bad network."""
+"""Ablation: one setting of the algorithm changed at a time, on a good and on a bad network."""
 
 from collections.abc import Mapping
 from typing import Any
 
 from protocol.scenario.schema import Scenario
 from transport.experiments.cases import Point
-from transport.experiments.catalogue import Axis, Experiment
+from transport.experiments.experiment import Axis, Experiment
+from transport.experiments.network_sweeps import NETWORKS
 
 AS_IT_IS = "as it is"
 
-# Settings of each part, by what it is called. Those that a scenario has anyway, or that are refused with its other
-# settings, are left out there.
+# Settings of each part by its name. Those that a scenario has anyway, or that conflict with its other settings, are
+# left out.
 PARTS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "prediction": ("controller.prediction", ("open_loop", "closed_loop")),
     "terminal": ("controller.terminal", ("multiple", "riccati")),
@@ -23,42 +24,37 @@ PARTS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "discretisation": ("controller.discretisation", ("exact", "euler")),
 }
 
-NETWORKS: Mapping[str, tuple[str, ...]] = {
-    "perfect": ("links.delay_s=0.0", "links.loss=0.0"),
-    "200 ms delay, 30 % loss": ("links.delay_s=0.2", "links.loss=0.3"),
-}
-
 
 def ablation(scenarios: Mapping[str, Scenario]) -> Experiment:
-    """Every part of every scenario changed on its own, on every network.
+    """Return every part of every scenario changed on its own, on every network.
 
     Args:
-        scenarios: What is flown, by name or file.
+        scenarios: Scenarios by name or file.
     """
     points = []
     for name, scenario in scenarios.items():
-        for network, links in NETWORKS.items():
-            variants = [(AS_IT_IS, "", ())] + [
-                (part, value, (f"{key}={value}",))
-                for part, (key, values) in PARTS.items()
-                for value in values
-                if not _has(scenario, key, value) and _is_possible(scenario, key, value)
-            ]
-            points += [
-                Point(
-                    scenario=name,
-                    labels={"network": network, "part": part, "value": value},
-                    text=f"{part}{' ' if value else ''}{value}, {network}",
-                    settings=(*links, *settings),
-                    baseline=part == AS_IT_IS and network == "perfect",
-                )
-                for part, value, settings in variants
-            ]
+        variants = [(AS_IT_IS, "", "")] + [
+            (part, value, f"{key}={value}")
+            for part, (key, values) in PARTS.items()
+            for value in values
+            if not _has(scenario, key, value) and _is_possible(scenario, key, value)
+        ]
+        points += [
+            Point(
+                scenario=name,
+                labels={"network": network, "part": part, "value": value},
+                text=f"{part}{' ' if value else ''}{value}, {network}",
+                settings=(*links, setting) if setting else links,
+                baseline=part == AS_IT_IS and network == "perfect",
+            )
+            for network, links in NETWORKS.items()
+            for part, value, setting in variants
+        ]
     return Experiment(name="ablation", points=tuple(points), x=Axis("value", "variant"), drawn_as="variants")
 
 
 def _has(scenario: Scenario, key: str, value: str) -> bool:
-    """Whether a scenario has a value anyway."""
+    """Return whether a scenario has a value already."""
     if key == "clock.actuation":
         return value == ("next_tick" if scenario.clock.next_tick else "immediate")
     own: Any = scenario.tree()

@@ -1,4 +1,4 @@
-"""Mean cost over the sampling period, relative to the centralized controller, read between the periods of the grid."""
+"""Cost curves: mean cost over the sampling period, relative to the centralized controller and interpolated."""
 
 import bisect
 import itertools
@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from transport.experiments.cases import Case, Point
-from transport.experiments.claim import Cell, Curves
-from transport.experiments.computation import Span
-from transport.experiments.flight import ERROR, Result
+from transport.experiments.comparison import Cell, Curves
+from transport.experiments.processor_time import PeriodRange
+from transport.experiments.simulation import ERROR, Result
 from transport.experiments.statistics import Estimate, estimate
 
 COST = "cost_mean"
@@ -18,31 +18,31 @@ COST = "cost_mean"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Node:
-    """The runs of a cell in one weather.
+    """Runs of a cell in one weather.
 
     Attributes:
         cell: Controller, period and horizon.
         weather: Still air or gusts.
-        flights: Number of runs; those that could not be started are not among them.
-        lost_s: When those that diverged ended, ascending.
-        numbers: Means over the completed runs, by name (flight.NUMBERS).
-        ratios: Number of each seed over the reference's of the same seed, by name: the same wind blows in both.
+        runs: Number of runs, without those that could not be simulated.
+        diverged_s: Scenario times at which runs diverged, ascending, s.
+        numbers: Means over the completed runs, by name (simulation.NUMBERS).
+        ratios: Number of each seed over the reference's with the same seed (the same wind), by name.
     """
 
     cell: Cell
     weather: str
-    flights: int
-    lost_s: tuple[float, ...]
+    runs: int
+    diverged_s: tuple[float, ...]
     numbers: Mapping[str, Estimate | None]
     ratios: Mapping[str, Mapping[int, float]]
 
     @property
     def completed(self) -> int:
-        """Number of runs that came to the end of the maneuver."""
-        return self.flights - len(self.lost_s)
+        """Number of runs that reached the end of the maneuver."""
+        return self.runs - len(self.diverged_s)
 
     def ratio(self, name: str) -> Estimate | None:
-        """Mean of the ratios over the seeds."""
+        """Return the mean of the ratios over the seeds."""
         return estimate(list(self.ratios.get(name, {}).values()))
 
 
@@ -63,31 +63,31 @@ class Curve:
     nodes: tuple[Node, ...]
 
     def cost_ratios(self, period_s: float) -> list[float]:
-        """Mean cost over the reference's at a period within the grid, one for each seed.
+        """Return the mean cost over the reference's at a period within the grid, one for each seed.
 
-        Linear in the logarithms of both between two periods. Where a neighbour on the grid has a diverged run, all
-        are infinite; empty where a neighbour could not be run.
+        Interpolation is linear in the logarithms of cost and period. Infinite if a neighbour on the grid has a
+        diverged run; empty if a neighbour could not be simulated.
         """
         nodes = self.nodes[::-1]
         place = bisect.bisect_left([node.cell.period_s for node in nodes], period_s)
         above = nodes[min(place, len(nodes) - 1)]
         below = above if above.cell.period_s == period_s else nodes[max(place - 1, 0)]
-        if above.lost_s or below.lost_s:
+        if above.diverged_s or below.diverged_s:
             return [math.inf]
         first, second = below.ratios.get(COST, {}), above.ratios.get(COST, {})
         step = math.log(above.cell.period_s / below.cell.period_s)
         share = math.log(period_s / below.cell.period_s) / step if step else 0.0
         return [first[seed] ** (1.0 - share) * second[seed] ** share for seed in first if seed in second]
 
-    def cost_range(self, span: Span) -> tuple[float, float] | None:
-        """Lowest and highest cost ratio over an interval of periods, confidence intervals included.
+    def cost_range(self, periods: PeriodRange) -> tuple[float, float] | None:
+        """Return the lowest and highest cost ratio over a range of periods, confidence intervals included.
 
         Args:
-            span: The interval; what lies beyond the grid is left out.
-        Returns: None if no period of the grid lies in it, or one of those needed could not be run.
+            periods: The range; the part beyond the grid is left out.
+        Returns: None if the range is outside the grid, or a period needed could not be simulated.
         """
         shortest_s, longest_s = self.nodes[-1].cell.period_s, self.nodes[0].cell.period_s
-        low_s, high_s = max(span.low_s, shortest_s), min(span.high_s, longest_s)
+        low_s, high_s = max(periods.low_s, shortest_s), min(periods.high_s, longest_s)
         if low_s > high_s:
             return None
         inside = [node.cell.period_s for node in self.nodes if low_s < node.cell.period_s < high_s]
@@ -99,7 +99,7 @@ class Curve:
 
 
 def _interval(ratios: Sequence[float]) -> tuple[float, float] | None:
-    """A single ratio as it is; of several seeds the 95 % confidence interval of the mean."""
+    """Return the 95 % confidence interval of the mean; a single ratio is returned twice."""
     if math.inf in ratios:
         return math.inf, math.inf
     mean = estimate(ratios)
@@ -112,34 +112,34 @@ def _interval(ratios: Sequence[float]) -> tuple[float, float] | None:
 def cost_curves(
     curves: Curves, points: Sequence[Point], cases: Iterable[Case], results: Iterable[Result]
 ) -> list[Curve]:
-    """The curves in each weather, each run over the reference's with the same seed.
+    """Return the curves in each weather, each run relative to the reference's with the same seed.
 
     Args:
         curves: Cells by controller and kept horizon.
-        points: Of the experiment.
-        cases: Its runs.
-        results: Result of each run.
+        points: Points of the experiment.
+        cases: Its cases.
+        results: Result of each case.
     """
     completed: list[dict[int, Mapping[str, float | None]]] = [{} for _ in points]
-    lost: list[list[float]] = [[] for _ in points]
+    diverged: list[list[float]] = [[] for _ in points]
     for case, result in zip(cases, results, strict=True):
         if result.outcome == "completed":
             completed[case.point][case.scenario.seed] = result.numbers
         elif result.outcome != ERROR:
-            lost[case.point].append(result.numbers["lost_s"] or 0.0)
+            diverged[case.point].append(result.numbers["lost_s"] or 0.0)
     references = {
         point.labels["weather"]: found for point, found in zip(points, completed, strict=True) if point.baseline
     }
     nodes: dict[tuple[str, Cell], Node] = {}
-    for point, found, lost_s in zip(points, completed, lost, strict=True):
+    for point, found, diverged_s in zip(points, completed, diverged, strict=True):
         labels: dict[str, Any] = dict(point.labels)
         weather = labels.pop("weather")
         names = list(dict.fromkeys(itertools.chain.from_iterable(found.values())))
         nodes[weather, Cell(**labels)] = Node(
             cell=Cell(**labels),
             weather=weather,
-            flights=len(found) + len(lost_s),
-            lost_s=tuple(sorted(lost_s)),
+            runs=len(found) + len(diverged_s),
+            diverged_s=tuple(sorted(diverged_s)),
             numbers={name: _mean(numbers.get(name) for numbers in found.values()) for name in names},
             ratios={name: _ratios(name, found, references[weather]) for name in names},
         )

@@ -1,43 +1,39 @@
-"""The figure of the paper's comparison: mean cost over processor time, a curve for each controller and horizon."""
+"""Cost figure of the comparison: mean cost over processor time, a curve for each controller and horizon."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from transport.experiments.claim import CENTRALIZED, CLOSED_LOOP, PAPER, STEPS, Cell
-from transport.experiments.computation import AGENT, TEAM, Load
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from transport.experiments.comparison import CENTRALIZED, CLOSED_LOOP, PAPER, STEPS, Cell, Loads
 from transport.experiments.cost_curves import COST, Curve
+from transport.experiments.processor_time import AGENT, TEAM
 from transport.report.style import RC, REFERENCE, WIDTH_IN, label_decades, save
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-# Colour (Okabe and Ito 2008) and marker of each controller; solid lines keep the steps of the horizon, dashed ones
+# Colour (Okabe and Ito 2008) and marker of each controller; solid lines keep the steps of the horizon, dashed lines
 # with open markers its seconds.
 _STYLES = {CENTRALIZED: ("#000000", "s"), PAPER: ("#0072B2", "o"), CLOSED_LOOP: ("#D55E00", "^")}
 _ROW_IN, _AROUND_IN = 2.1, 1.0
 
-# Costs beyond this many times the reference's leave the panel, as diverged runs do: their place is its upper edge.
+# Larger cost ratios, and diverged runs, are drawn at the upper edge of the panel.
 _HIGHEST = 3.0
 
 
-def draw_costs(
-    curves: Sequence[Curve], loads: Mapping[tuple[str, float, int], Load], reference: Cell, folder: Path
-) -> list[Path]:
-    """Draw a row of panels for each weather: cost over the computation of the team and over that of one agent.
+def draw_costs(curves: Sequence[Curve], loads: Loads, reference: Cell, folder: Path) -> list[Path]:
+    """Draw a row of panels for each weather: cost over the computation of the team and of one agent.
 
     Args:
         curves: Cost curves.
-        loads: Processor time by controller, period and horizon.
-        reference: The centralized cell; a vertical line stands at its computation.
-        folder: Where to.
+        loads: Processor time of every cell.
+        reference: The centralized cell; a vertical line marks its computation.
+        folder: Output folder.
     Returns: figure.png and figure.svg.
     """
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
-
     weathers = list(dict.fromkeys(curve.weather for curve in curves))
     with mpl.rc_context({**RC, "svg.hashsalt": "costs"}):
         figure = Figure(figsize=(1.35 * WIDTH_IN, _AROUND_IN + _ROW_IN * len(weathers)), layout="constrained")
@@ -47,8 +43,9 @@ def draw_costs(
             for axes, budget in zip(row, (TEAM, AGENT), strict=True):
                 for curve in own:
                     _draw(axes, curve, loads, budget)
-                first = loads[reference.controller, reference.period_s, reference.horizon]
-                axes.axvline(median(first.seconds_per_second(budget)), color=REFERENCE, linewidth=0.8, zorder=0)
+                axes.axvline(
+                    median(loads[reference].seconds_per_second(budget)), color=REFERENCE, linewidth=0.8, zorder=0
+                )
                 axes.set_xscale("log")
                 label_decades(axes.xaxis)
             row[0].set_ylabel(f"{weather}\nmean cost over centralized")
@@ -59,19 +56,20 @@ def draw_costs(
         return [save(figure, folder / f"figure.{kind}") for kind in ("png", "svg")]
 
 
-def _draw(axes: "Axes", curve: Curve, loads: Mapping[tuple[str, float, int], Load], budget: str) -> None:
+def _draw(axes: Axes, curve: Curve, loads: Loads, budget: str) -> None:
     colour, marker = _STYLES[curve.controller]
     style: dict[str, Any] = {"color": colour, "linestyle": "-" if curve.kept == STEPS else "--"}
     x, y = [], []
     for node in curve.nodes:
-        cell = node.cell
-        times = loads[cell.controller, cell.period_s, cell.horizon].seconds_per_second(budget)
+        times = loads[node.cell].seconds_per_second(budget)
         ratio = node.ratio(COST)
-        beyond = bool(node.lost_s) or (ratio is not None and ratio.mean > _HIGHEST)
+        beyond = bool(node.diverged_s) or (ratio is not None and ratio.mean > _HIGHEST)
         x.append(median(times))
         y.append(math.nan if beyond or ratio is None else ratio.mean)
         if beyond:
-            axes.plot([x[-1]], [_HIGHEST], marker="x" if node.lost_s else "$\\uparrow$", color=colour, markersize=5.0)
+            axes.plot(
+                [x[-1]], [_HIGHEST], marker="x" if node.diverged_s else "$\\uparrow$", color=colour, markersize=5.0
+            )
         elif ratio is not None:
             spread = [[x[-1] - min(times)], [max(times) - x[-1]]]
             axes.errorbar(

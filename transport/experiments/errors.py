@@ -1,14 +1,14 @@
-"""What stops an experiment."""
+"""Errors that end an experiment."""
 
 from protocol.wire.exit_codes import EXIT_USAGE
 
 
 class ExperimentError(RuntimeError):
-    """An experiment that cannot be flown, or not to its end.
+    """An experiment that cannot be started or completed.
 
     Args:
         text: One line for the user.
-        exit_code: For the process (docs/command-line.md).
+        exit_code: Exit code of the process (docs/command-line.md).
     """
 
     def __init__(self, text: str, exit_code: int = EXIT_USAGE) -> None:
@@ -17,5 +17,5 @@ class ExperimentError(RuntimeError):
 
 
 def refused(option: str, expected: str, got: object) -> ExperimentError:
-    """An option that cannot be."""
+    """Return the error for a wrong option."""
     return ExperimentError(f"{option}: expected {expected}, got {got}")

@@ -1,34 +1,33 @@
-"""The figure of an experiment: figure.png to look at, figure.svg for a paper."""
+"""Figures of an experiment as PNG, and as SVG for papers."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
-from transport.experiments.catalogue import Experiment
-from transport.experiments.curves import draw_curves
-from transport.experiments.growth_figure import draw_growth
-from transport.experiments.maps import draw_maps
-from transport.experiments.statistics import Measured
+import matplotlib as mpl
+from matplotlib.figure import Figure
+
+from transport.experiments.curve_figure import draw_curves
+from transport.experiments.experiment import Experiment
+from transport.experiments.map_figure import draw_maps
+from transport.experiments.scaling_figure import draw_scaling
+from transport.experiments.statistics import PointStatistics
 from transport.experiments.tradeoff_figure import draw_tradeoff
 from transport.experiments.variants_figure import draw_variants
 from transport.report.style import RC, save
 
 
-def draw(experiment: Experiment, measured: Sequence[Measured], folder: Path) -> list[Path]:
-    """Draw an experiment.
+def draw(experiment: Experiment, measured: Sequence[PointStatistics], folder: Path) -> list[Path]:
+    """Draw an experiment to figure.png and figure.svg, and return these files.
 
     Args:
-        experiment: What was flown.
-        measured: What came of each point.
-        folder: Where to; older figures are replaced.
-    Returns: The files.
+        experiment: The experiment.
+        measured: Statistics of its points.
+        folder: Output folder; older figures are replaced.
     """
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
-
     with mpl.rc_context({**RC, "svg.hashsalt": experiment.name}):
         figure = Figure(layout="constrained")
-        if experiment.drawn_as == "growth":
-            draw_growth(figure, measured)
+        if experiment.drawn_as == "scaling":
+            draw_scaling(figure, measured)
         elif experiment.drawn_as == "variants":
             draw_variants(figure, measured)
         elif experiment.drawn_as == "tradeoff":

@@ -1,4 +1,4 @@
-"""What an experiment's folder keeps: which experiment it is, and one line for each flight that is done."""
+"""Results in an experiment's folder: the name of the experiment, and one line for each simulated case."""
 
 import fcntl
 import os
@@ -9,27 +9,32 @@ from types import TracebackType
 import orjson
 
 from transport.experiments.errors import ExperimentError, refused
-from transport.experiments.flight import ERROR, NUMBERS, Result
+from transport.experiments.simulation import ERROR, NUMBERS, Result
 from transport.report.report import write_whole
 
 _IDENTITY, _RESULTS = "experiment.json", "results.jsonl"
 
 
 class Results:
-    """The finished flights of an experiment, on disk as soon as they are known.
+    """Results of an experiment, written to disk at once.
+
+    Attributes:
+        folder: Folder of the experiment.
+        notices: Lines of the file that were ignored, with the reason.
 
     Args:
-        folder: Of the experiment; created unless it is there.
-        experiment: Its name.
-        machine: Where it was begun, for people.
-    Raises: ExperimentError: the folder is of something else, in use, or cannot be written.
+        folder: Created unless it exists.
+        experiment: Name of the experiment.
+        machine: Machine on which it is begun, for the reader.
+    Raises: ExperimentError: the folder contains something else, is in use, or cannot be written.
     """
 
     def __init__(self, folder: Path, experiment: str, machine: str) -> None:
+        self.folder = folder
         self.notices: list[str] = []
         self._by_key: dict[str, Result] = {}
         try:
-            _claim(folder, experiment, machine)
+            _identify(folder, experiment, machine)
             self._file = os.open(folder / _RESULTS, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
         except OSError as error:
             raise ExperimentError(f"--out: cannot write {folder} ({error.strerror})") from error
@@ -37,7 +42,7 @@ class Results:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             os.close(self._file)
-            raise refused("--out", "an experiment that nobody else is at", f"{folder}, which is in use") from error
+            raise refused("--out", "a folder that no other experiment uses", f"{folder}, which is in use") from error
         self._read(folder / _RESULTS)
 
     def __enter__(self) -> "Results":
@@ -49,15 +54,15 @@ class Results:
         os.close(self._file)
 
     def __getitem__(self, key: str) -> Result:
-        """What came of a flight that was flown."""
+        """Return the result of a simulated case."""
         return self._by_key[key]
 
     def done(self, key: str) -> bool:
-        """Whether a flight need not be flown again."""
+        """Return whether a case has a result other than an error."""
         return key in self._by_key and self._by_key[key].outcome != ERROR
 
     def add(self, result: Result) -> None:
-        """Keep a result: it survives whatever ends this process from here on."""
+        """Write a result to disk; it survives a crash of this process or host."""
         os.write(self._file, orjson.dumps(asdict(result)) + b"\n")
         os.fsync(self._file)
         self._by_key[result.key] = result
@@ -66,25 +71,25 @@ class Results:
         content = path.read_bytes()
         whole = content.rfind(b"\n") + 1
         if whole < len(content):
-            os.ftruncate(self._file, whole)  # or the next line would become part of it
-            self.notices.append(f"{path}: the last line is not whole; its flight is flown again")
+            os.ftruncate(self._file, whole)  # otherwise the next line would be appended to it
+            self.notices.append(f"{path}: the last line is incomplete; its case is simulated again")
         for number, line in enumerate(content[:whole].splitlines(), start=1):
             try:
                 result = Result(**orjson.loads(line))
             except (ValueError, TypeError):
-                self.notices.append(f"{path}: line {number} is no result; its flight is flown again")
+                self.notices.append(f"{path}: line {number} is no result; its case is simulated again")
                 continue
             missing = [name for name in NUMBERS if name not in result.numbers]
             if missing and result.outcome != ERROR:
-                self.notices.append(f"{path}: line {number} has no {missing[0]}; its flight is flown again")
+                self.notices.append(f"{path}: line {number} has no {missing[0]}; its case is simulated again")
                 continue
             self._by_key[result.key] = result
 
 
-def _claim(folder: Path, experiment: str, machine: str) -> None:
-    """Make the folder this experiment's, unless it is already."""
+def _identify(folder: Path, experiment: str, machine: str) -> None:
+    """Note the experiment in its folder, or check that the folder belongs to it."""
     identity = folder / _IDENTITY
-    expected = f"a folder that does not exist yet, or one of experiment {experiment}"
+    expected = f"a new folder, or one of experiment {experiment}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except FileExistsError as error:
@@ -95,10 +100,10 @@ def _claim(folder: Path, experiment: str, machine: str) -> None:
         except (ValueError, TypeError, KeyError) as error:
             raise refused("--out", expected, f"{folder}, whose {_IDENTITY} cannot be read") from error
         if found != experiment:
-            raise refused("--out", expected, f"{folder}, which is one of {found}")
+            raise refused("--out", expected, f"{folder}, which belongs to {found}")
         return
-    # What a kill can leave of the first moments does not count.
+    # A kill can leave a partial identity file.
     if any(path.name != f"{_IDENTITY}.partial" for path in folder.iterdir()):
-        raise refused("--out", expected, f"{folder}, which holds something else")
+        raise refused("--out", expected, f"{folder}, which contains other files")
     content = {"experiment": experiment, "machine": machine}
     write_whole(identity, orjson.dumps(content, option=orjson.OPT_INDENT_2) + b"\n")

@@ -1,4 +1,4 @@
-"""Repetitions into numbers: means with 95 % confidence intervals, and what became of each point of a sweep."""
+"""Statistics of repetitions: means with 95 % confidence intervals, for each point of a sweep."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -7,19 +7,19 @@ from dataclasses import dataclass
 from scipy.special import stdtrit
 
 from transport.experiments.cases import Point
-from transport.experiments.flight import ERROR, Result
+from transport.experiments.simulation import ERROR, Result
 
 CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A mean and how well it is known.
+    """A mean with its uncertainty.
 
     Attributes:
-        mean: Of the repetitions.
+        mean: Mean of the repetitions.
         half_width: Half the 95 % confidence interval of the mean; None for a single value.
-        n: Repetitions.
+        n: Number of repetitions.
     """
 
     mean: float
@@ -28,10 +28,10 @@ class Estimate:
 
 
 def estimate(values: Sequence[float]) -> Estimate | None:
-    """Mean and Student's 95 % confidence interval of independent repetitions; None without any.
+    """Return mean and Student's 95 % confidence interval of independent repetitions; None without any.
 
-    Half the interval is t s / sqrt(n), with the sample's standard deviation s (n - 1 degrees of freedom) and the
-    0.975 quantile t of Student's distribution with as many. It is exact for normally distributed values.
+    Half the interval is t s / sqrt(n), with the sample standard deviation s (n - 1 degrees of freedom) and the 0.975
+    quantile t of Student's distribution. It is exact for normally distributed values.
     """
     n = len(values)
     if n == 0:
@@ -45,75 +45,77 @@ def estimate(values: Sequence[float]) -> Estimate | None:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Measured:
-    """What the flights of a point say.
+class PointStatistics:
+    """Statistics of the runs of one point.
 
     Attributes:
         point: The point.
-        flights: How many were flown; those that could not be are not among them.
-        completed: How many came to the end of the maneuver.
-        errors: How many could not be flown.
-        lost_s: When the others ended, ascending, scenario time.
-        numbers: Estimates over the completed flights, by name (flight.NUMBERS).
-        cost_ratio: Mean cost over that of the scenario's flights without impairment (with teams: those of as many
-            UAVs; with groups: the group's baseline), if both are known.
+        runs: Number of simulated runs, without errors.
+        completed: Number of runs that reached the end of the maneuver.
+        errors: Number of runs that could not be simulated.
+        diverged_s: Scenario times at which the other runs ended, ascending, s.
+        numbers: Estimates over the completed runs, by name (simulation.NUMBERS).
+        cost_ratio: Mean cost over that of the baseline, if both are known. The baseline has the same scenario, group
+            and number of UAVs.
     """
 
     point: Point
-    flights: int
+    runs: int
     completed: int
     errors: int
-    lost_s: tuple[float, ...]
+    diverged_s: tuple[float, ...]
     numbers: Mapping[str, Estimate | None]
     cost_ratio: float | None
 
     @property
-    def first_lost_s(self) -> float | None:
-        """When the first flight was lost."""
-        return min(self.lost_s, default=None)
+    def first_diverged_s(self) -> float | None:
+        """Scenario time of the first divergence, s."""
+        return min(self.diverged_s, default=None)
 
 
-def measure(points: Sequence[Point], results: Sequence[Sequence[Result]], names: Sequence[str]) -> list[Measured]:
-    """What each point's flights say.
+def statistics_of(
+    points: Sequence[Point], results: Sequence[Sequence[Result]], names: Sequence[str]
+) -> list[PointStatistics]:
+    """Return the statistics of each point.
 
-    A flight that was lost has a cost only up to then, which is not comparable; it counts in `completed` and `lost_s`.
+    Costs of diverged runs are left out: they cover only part of the maneuver.
 
     Args:
-        points: Of the sweep.
-        results: Of each point, in the order of the seeds.
+        points: Points of the sweep.
+        results: Results of each point, in the order of the seeds.
         names: Numbers to estimate.
     """
-    costs: dict[tuple[str, str, int], float] = {}
+    baselines = {
+        _comparable(point): cost.mean
+        for point, found in zip(points, results, strict=True)
+        if point.baseline and (cost := estimate(_completed(found, "cost_mean"))) is not None
+    }
+    statistics = []
     for point, found in zip(points, results, strict=True):
-        cost = estimate(_completed(found, "cost_mean"))
-        if point.baseline and cost is not None:
-            costs[_compared(point)] = cost.mean
-    measured = []
-    for point, found in zip(points, results, strict=True):
-        flown = [result for result in found if result.outcome != ERROR]
+        simulated = [result for result in found if result.outcome != ERROR]
         numbers = {name: estimate(_completed(found, name)) for name in names}
-        cost, reference = numbers["cost_mean"], costs.get(_compared(point))
-        lost_s = [result.numbers["lost_s"] for result in flown]
-        measured.append(
-            Measured(
+        cost, baseline = numbers["cost_mean"], baselines.get(_comparable(point))
+        ends_s = [result.numbers["lost_s"] for result in simulated]
+        statistics.append(
+            PointStatistics(
                 point=point,
-                flights=len(flown),
-                completed=sum(result.outcome == "completed" for result in flown),
-                errors=len(found) - len(flown),
-                lost_s=tuple(sorted(at_s for at_s in lost_s if at_s is not None)),
+                runs=len(simulated),
+                completed=sum(result.outcome == "completed" for result in simulated),
+                errors=len(found) - len(simulated),
+                diverged_s=tuple(sorted(end_s for end_s in ends_s if end_s is not None)),
                 numbers=numbers,
-                cost_ratio=cost.mean / reference if cost is not None and reference else None,
+                cost_ratio=cost.mean / baseline if cost is not None and baseline else None,
             )
         )
-    return measured
+    return statistics
 
 
-def _compared(point: Point) -> tuple[str, str, int]:
-    """What a point has in common with those it is compared to: scenario, group and number of UAVs."""
+def _comparable(point: Point) -> tuple[str, str, int]:
+    """Return scenario, group and number of UAVs, which a point has in common with its baseline."""
     return point.scenario, point.group, 0 if point.team is None else point.team.uavs
 
 
 def _completed(results: Sequence[Result], name: str) -> list[float]:
-    """A number of the completed flights that have it."""
+    """Return a number of the completed runs that have it."""
     values = [result.numbers[name] for result in results if result.outcome == "completed"]
     return [value for value in values if value is not None]

@@ -1,4 +1,4 @@
-"""An experiment from its cases to its folder: fly what is missing, keep each result, write tables and figure."""
+"""A sweep from its cases to its folder: simulate the missing cases, keep each result, write tables and figure."""
 
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -6,62 +6,67 @@ from pathlib import Path
 from rich.console import Console
 
 from transport.experiments.cases import Case
-from transport.experiments.catalogue import Experiment
-from transport.experiments.effort import EFFORT
+from transport.experiments.errors import ExperimentError
+from transport.experiments.experiment import Experiment
 from transport.experiments.figures import draw
-from transport.experiments.flight import NUMBERS, Result
 from transport.experiments.progress import SweepProgress
+from transport.experiments.resource_use import RESOURCES
 from transport.experiments.results import Results
-from transport.experiments.statistics import Measured, measure
+from transport.experiments.simulation import NUMBERS, Result
+from transport.experiments.statistics import PointStatistics, statistics_of
 from transport.experiments.table import cases_csv, points_csv
 from transport.report.report import write_whole
 
-Fly = Callable[[Sequence[Case]], Iterable[Result]]
+Simulate = Callable[[Sequence[Case]], Iterable[Result]]
 
 
 def sweep(
-    experiment: Experiment, cases: Sequence[Case], simulate: Fly, results: Results, console: Console
+    experiment: Experiment, cases: Sequence[Case], simulate: Simulate, results: Results, console: Console
 ) -> list[Result]:
-    """Fly the cases that are not done yet; each result is kept as soon as it is there.
+    """Simulate the cases without a result and keep each result at once; return all in the order of the cases.
 
     Args:
-        experiment: What they belong to.
-        cases: All of its flights.
-        simulate: Gives the results of cases, in any order.
-        results: What is done already, and where to keep the rest.
-        console: Where progress is drawn.
-    Returns: The results in the order of the cases, whatever was flown where and when.
+        experiment: The experiment.
+        cases: All of its cases.
+        simulate: Returns the results of cases in any order.
+        results: Results so far, to which the others are added.
+        console: For progress, and for how to resume an interrupted sweep.
     """
     every = {case.key: case for case in cases}
     missing = [case for key, case in every.items() if not results.done(key)]
-    # Round by round: when the machine is slow for a while, timing suffers at every point and not at one.
+    # Seed by seed: a slow period of the machine affects the timing of all points alike.
     missing.sort(key=lambda case: case.scenario.seed)
-    with SweepProgress(experiment.name, len(every) - len(missing), len(every), console) as progress:
-        for result in simulate(missing) if missing else ():
-            results.add(result)
-            case = every[result.key]
-            point = experiment.points[case.point]
-            progress.advance(f"{point.scenario}, {point.text}, seed {case.scenario.seed}: {result.outcome}")
+    try:
+        with SweepProgress(experiment.name, len(every) - len(missing), len(every), console) as progress:
+            for result in simulate(missing) if missing else ():
+                results.add(result)
+                case = every[result.key]
+                point = experiment.points[case.point]
+                progress.advance(f"{point.scenario}, {point.text}, seed {case.scenario.seed}: {result.outcome}")
+    except (KeyboardInterrupt, ExperimentError):
+        done = sum(results.done(case.key) for case in cases)
+        hint = f"{done} of {len(cases)} runs are kept; resume with: --out {results.folder}"
+        console.print(hint, highlight=False, soft_wrap=True)
+        raise
     return [results[case.key] for case in cases]
 
 
 def report(
     experiment: Experiment, cases: Sequence[Case], found: Sequence[Result], folder: Path
-) -> tuple[list[Measured], list[Path]]:
-    """Write the tables and the figure of an experiment, anew if they are there.
+) -> tuple[list[PointStatistics], list[Path]]:
+    """Write the tables and the figure of an experiment; return the statistics of its points, and the files.
 
     Args:
-        experiment: What was flown.
-        cases: Its flights.
-        found: What came of each.
-        folder: Of the experiment.
-    Returns: What each point's flights say, and the files.
+        experiment: The experiment.
+        cases: Its cases.
+        found: Result of each case.
+        folder: Folder of the experiment; older files are replaced.
     """
     by_point: list[list[Result]] = [[] for _ in experiment.points]
     for case, result in zip(cases, found, strict=True):
         by_point[case.point].append(result)
-    numbers = (*NUMBERS, *(EFFORT if experiment.timed else ()))
-    measured = measure(experiment.points, by_point, numbers[1:])  # when flights were lost has a place of its own
+    numbers = (*NUMBERS, *(RESOURCES if experiment.timed else ()))
+    measured = statistics_of(experiment.points, by_point, numbers[1:])  # lost_s is in PointStatistics.diverged_s
     tables = [folder / "points.csv", folder / "cases.csv"]
     write_whole(tables[0], points_csv(measured))
     write_whole(tables[1], cases_csv(experiment.points, cases, found, numbers))

@@ -1,4 +1,4 @@
-"""The tables of an experiment: one of its flights, one of its points, and the one people read."""
+"""Tables of an experiment: its runs and its points as CSV, and the table on the console."""
 
 import csv
 import io
@@ -8,21 +8,21 @@ from typing import Any, NamedTuple
 from rich.table import Table
 
 from transport.experiments.cases import Case, Point
-from transport.experiments.flight import NUMBERS, Result
-from transport.experiments.statistics import Measured
+from transport.experiments.simulation import NUMBERS, Result
+from transport.experiments.statistics import PointStatistics
 
 WIDTH, WIDTH_OF_VARIANTS = 100, 140
 
-# From here on a number is shown without its decimals.
-_MANY = 100.0
+# Numbers from here on are shown without decimals.
+_LARGE = 100.0
 
-_LOST, _RATIO = "lost", "ratio"
+_DIVERGED, _RATIO = "diverged", "ratio"
 
 
-class _Shown(NamedTuple):
-    """A column that people read: heading, name of the number, factor, digits, whether there is room for intervals.
+class _Column(NamedTuple):
+    """A column of the console's table: heading, name of the number, factor, digits, whether intervals are shown.
 
-    "lost" and "ratio" are no means of flights and stand for `Measured.first_lost_s` and `cost_ratio`.
+    `_DIVERGED` and `_RATIO` stand for `PointStatistics.first_diverged_s` and `cost_ratio`.
     """
 
     heading: str
@@ -32,48 +32,48 @@ class _Shown(NamedTuple):
     interval: bool
 
 
-_SHOWN = [
-    _Shown("lost\n(s)", _LOST, 1.0, 1, False),
-    _Shown("cost mean\n(1e-3)", "cost_mean", 1e3, 2, True),
-    _Shown("cost\nratio", _RATIO, 1.0, 2, False),
-    _Shown("max\n(1e-3)", "cost_max", 1e3, 1, False),
-    _Shown("attitude\n(deg)", "attitude_max_deg", 1.0, 2, True),
-    _Shown("swing\n(m)", "swing_m", 1.0, 2, False),
-    _Shown("apart\n(m)", "separation_min_m", 1.0, 3, False),
-    _Shown("age\n(tick)", "plan_age_mean_ticks", 1.0, 2, False),
+_COLUMNS = [
+    _Column("div.\n(s)", _DIVERGED, 1.0, 1, False),
+    _Column("cost mean\n(1e-3)", "cost_mean", 1e3, 2, True),
+    _Column("cost\nratio", _RATIO, 1.0, 2, False),
+    _Column("max\n(1e-3)", "cost_max", 1e3, 1, False),
+    _Column("attitude\n(deg)", "attitude_max_deg", 1.0, 2, True),
+    _Column("swing\n(m)", "swing_m", 1.0, 2, False),
+    _Column("apart\n(m)", "separation_min_m", 1.0, 3, False),
+    _Column("age\n(tick)", "plan_age_mean_ticks", 1.0, 2, False),
 ]
 
-# What is read of flights in which agents do not send every plan.
-_SHOWN_SHARING = [
-    _Shown("plans\nsent (%)", "plans_shared_share", 100.0, 1, True),
-    *(shown for shown in _SHOWN if shown.name not in (_LOST, "cost_max", "swing_m", "separation_min_m")),
+# Columns of runs in which agents do not send every plan.
+_SHARING_COLUMNS = [
+    _Column("plans\nsent (%)", "plans_shared_share", 100.0, 1, True),
+    *(shown for shown in _COLUMNS if shown.name not in (_DIVERGED, "cost_max", "swing_m", "separation_min_m")),
 ]
 
-# What is read of flights whose computation was measured.
-_SHOWN_TIMED = [
-    _Shown("CPU step\np50 (ms)", "cpu_step_p50_ms", 1.0, 2, True),
-    _Shown("p99\n(ms)", "cpu_step_p99_ms", 1.0, 2, False),
-    _Shown("team\n(ms)", "cpu_team_tick_ms", 1.0, 1, False),
-    _Shown("run\n(s/s)", "cpu_flight_s_per_s", 1.0, 2, False),
-    _Shown("plans\n/tick", "plans_per_tick", 1.0, 0, False),
-    _Shown("\nkB/s", "plan_bytes_per_s", 1e-3, 1, False),
-    _Shown("cost\n(1e-3)", "cost_mean", 1e3, 2, False),
-    _Shown("cost\nratio", _RATIO, 1.0, 2, False),
-    _Shown("attitude\n(deg)", "attitude_max_deg", 1.0, 2, False),
-    _Shown("swing\n(m)", "swing_m", 1.0, 2, False),
+# Columns of timed runs.
+_TIMED_COLUMNS = [
+    _Column("CPU step\np50 (ms)", "cpu_step_p50_ms", 1.0, 2, True),
+    _Column("p99\n(ms)", "cpu_step_p99_ms", 1.0, 2, False),
+    _Column("team\n(ms)", "cpu_team_tick_ms", 1.0, 1, False),
+    _Column("run\n(s/s)", "cpu_flight_s_per_s", 1.0, 2, False),
+    _Column("plans\n/tick", "plans_per_tick", 1.0, 0, False),
+    _Column("\nkB/s", "plan_bytes_per_s", 1e-3, 1, False),
+    _Column("cost\n(1e-3)", "cost_mean", 1e3, 2, False),
+    _Column("cost\nratio", _RATIO, 1.0, 2, False),
+    _Column("attitude\n(deg)", "attitude_max_deg", 1.0, 2, False),
+    _Column("swing\n(m)", "swing_m", 1.0, 2, False),
 ]
 
 
 def cases_csv(
     points: Sequence[Point], cases: Iterable[Case], results: Iterable[Result], numbers: Sequence[str] = NUMBERS
 ) -> bytes:
-    """One row for each flight, in the order of the sweep. Floats are written so that they read back as the same bits.
+    """Return one row for each run, in the order of the sweep; floats are written without loss.
 
     Args:
-        points: Of the sweep.
-        cases: Its flights.
-        results: What came of them.
-        numbers: Of each flight.
+        points: Points of the sweep.
+        cases: Its cases.
+        results: Result of each case.
+        numbers: Names of the numbers.
     """
     rows: list[dict[str, Any]] = []
     for case, result in zip(cases, results, strict=True):
@@ -88,34 +88,32 @@ def cases_csv(
                 **result.numbers,
             }
         )
-    return _csv(["scenario", *points[0].labels, "seed", "outcome", "reason", *numbers], rows)
+    return csv_bytes(rows, ["scenario", *points[0].labels, "seed", "outcome", "reason", *numbers])
 
 
-def points_csv(measured: Sequence[Measured]) -> bytes:
-    """One row for each point: flights, and means over those that were completed with 95 % confidence intervals."""
+def points_csv(measured: Sequence[PointStatistics]) -> bytes:
+    """Return one row for each point: number of runs, and means of completed runs with 95 % confidence intervals."""
     rows = []
     for m in measured:
-        row: dict[str, Any] = {"scenario": m.point.scenario, **m.point.labels, "flights": m.flights}
-        row |= {"completed": m.completed, "errors": m.errors, "first_lost_s": m.first_lost_s}
-        row["cost_ratio"] = m.cost_ratio
+        row: dict[str, Any] = {"scenario": m.point.scenario, **m.point.labels, "flights": m.runs}
+        row |= {"completed": m.completed, "errors": m.errors}
+        row |= {"first_lost_s": m.first_diverged_s, "cost_ratio": m.cost_ratio}
         for name, value in m.numbers.items():
             row |= {name: value and value.mean, f"{name}_ci95": value and value.half_width}
         rows.append(row)
-    means = [column for name in measured[0].numbers for column in (name, f"{name}_ci95")]
-    counts = ["flights", "completed", "errors", "first_lost_s", "cost_ratio"]
-    return _csv(["scenario", *measured[0].point.labels, *counts, *means], rows)
+    return csv_bytes(rows)
 
 
-def table_of(title: str, measured: Sequence[Measured], *, timed: bool = False) -> Table:
-    """What a person reads, in `WIDTH` columns.
+def table_of(title: str, measured: Sequence[PointStatistics], *, timed: bool = False) -> Table:
+    """Return the table for the console, `WIDTH` characters wide.
 
     Args:
-        title: Above the table.
-        measured: The points, in the order of the sweep.
-        timed: Whether it is about computation and messages; then all points are of one scenario.
+        title: Title above the table.
+        measured: Points in the order of the sweep.
+        timed: Whether to show computation and messages; then all points have one scenario.
     """
     sharing = "share_threshold" in measured[0].point.labels
-    columns, named = (_SHOWN_TIMED, False) if timed else (_SHOWN_SHARING if sharing else _SHOWN, True)
+    columns, named = (_TIMED_COLUMNS, False) if timed else (_SHARING_COLUMNS if sharing else _COLUMNS, True)
     table = Table(box=None, title=title, title_justify="left", title_style="bold", padding=(0, 1, 0, 0))
     headings = [name.replace("_", "\n", 1) for name in measured[0].point.labels]
     for heading in [*["scenario"] * named, *headings]:
@@ -128,24 +126,24 @@ def table_of(title: str, measured: Sequence[Measured], *, timed: bool = False) -
     return table
 
 
-def _done(m: Measured) -> str:
+def _done(m: PointStatistics) -> str:
     errors = f" {m.errors}!" if m.errors else ""
-    return f"{m.completed}/{m.flights}{errors}"
+    return f"{m.completed}/{m.runs}{errors}"
 
 
 def _number(value: float | None, digits: int) -> str:
     if value is None:
         return "-"
-    return f"{value:.{digits}f}" if abs(value) < _MANY else f"{value:.0f}"
+    return f"{value:.{digits}f}" if abs(value) < _LARGE else f"{value:.0f}"
 
 
 def _label(value: str | float) -> str:
     return value if isinstance(value, str) else f"{value:g}"
 
 
-def _cell(m: Measured, shown: _Shown) -> str:
-    if shown.name in (_LOST, _RATIO):
-        return _number(m.first_lost_s if shown.name == _LOST else m.cost_ratio, shown.digits)
+def _cell(m: PointStatistics, shown: _Column) -> str:
+    if shown.name in (_DIVERGED, _RATIO):
+        return _number(m.first_diverged_s if shown.name == _DIVERGED else m.cost_ratio, shown.digits)
     value = m.numbers[shown.name]
     if value is None:
         return "-"
@@ -155,9 +153,10 @@ def _cell(m: Measured, shown: _Shown) -> str:
     return f"{text} ±{_number(shown.factor * value.half_width, shown.digits)}"
 
 
-def _csv(columns: Sequence[str], rows: Iterable[dict[str, Any]]) -> bytes:
+def csv_bytes(rows: Sequence[dict[str, Any]], columns: Sequence[str] | None = None) -> bytes:
+    """Return rows as CSV; the columns are those of the first row unless given."""
     text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, columns, lineterminator="\n")
+    writer = csv.DictWriter(text, columns or list(rows[0]), lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
     return text.getvalue().encode()

@@ -1,33 +1,31 @@
-"""The figure of variants of a scenario, of an ablation for one: a row for each, a colour for each network."""
+"""Variants figure: a row for each variant of a scenario, a colour for each network."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
-from transport.experiments.statistics import Measured
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator
+from matplotlib.transforms import blended_transform_factory
+
+from transport.experiments.curve_figure import draw_legend
+from transport.experiments.statistics import PointStatistics
 from transport.report.style import WIDTH_IN, label_decades
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 # Colour (Okabe and Ito 2008) and marker of each network.
 _STYLES = (("#0072B2", "o"), ("#D55E00", "s"), ("#009E73", "^"), ("#CC79A7", "D"))
 _ROW_IN, _FRAME_IN = 0.19, 1.1
-# Means beyond this are not worth a longer axis.
+# Larger ratios are drawn at this value.
 _HIGHEST = 100.0
-# Ratios that span less than this have ticks within 1, 2, 5.
+# Ratios that span less than this factor have finer ticks than 1, 2, 5.
 _NARROW, _FINE_TICKS = 3.0, (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.4, 1.6, 1.8, 2.0, 2.5, 3.0)
 
 
-def draw_variants(figure: "Figure", measured: Sequence[Measured]) -> None:
-    """Cost over that of the scenario as it is on the first network: a row for each variant, a panel for each scenario.
+def draw_variants(figure: Figure, measured: Sequence[PointStatistics]) -> None:
+    """Draw the cost over the baseline's: a panel for each scenario, a row for each variant.
 
     Args:
-        figure: To draw into; its size is set.
+        figure: Empty.
         measured: Points with the label "network", and others that name the variant.
     """
-    from matplotlib.ticker import FixedLocator
-    from matplotlib.transforms import blended_transform_factory
-
     scenarios = list(dict.fromkeys(m.point.scenario for m in measured))
     networks = list(dict.fromkeys(str(m.point.labels["network"]) for m in measured))
     rows = [list(dict.fromkeys(_name(m) for m in measured if m.point.scenario == name)) for name in scenarios]
@@ -51,12 +49,9 @@ def draw_variants(figure: "Figure", measured: Sequence[Measured]) -> None:
                     x = min(m.cost_ratio, _HIGHEST)
                     panel.plot([x], [y], marker, color=colour, markersize=4.0, label=label, linestyle="none")
                     label = None
-                if m.completed < m.flights:
-                    text = (
-                        f"{m.flights - m.completed} of {m.flights} diverged"
-                        if m.flights > 1
-                        else f"diverged at {m.lost_s[0]:.1f} s"
-                    )
+                if m.completed < m.runs:
+                    count, at = f"{m.runs - m.completed} of {m.runs} diverged", f"diverged at {m.diverged_s[0]:.1f} s"
+                    text = count if m.runs > 1 else at
                     panel.text(1.01, y, text, transform=across, va="center", fontsize=6.5, color=colour)
         panel.axvline(1.0, color="#8c8c8c", linewidth=0.8, zorder=0)
         panel.set_yticks(range(len(names)), names)
@@ -68,15 +63,10 @@ def draw_variants(figure: "Figure", measured: Sequence[Measured]) -> None:
             panel.xaxis.set_major_locator(FixedLocator(_FINE_TICKS))
         panel.set_title(scenario, loc="left")
     panels[-1].set_xlabel("mean cost over that as it is on a perfect network")
-    handles, labels = panels[-1].get_legend_handles_labels()
-    for panel in panels[:-1]:
-        more_handles, more_labels = panel.get_legend_handles_labels()
-        handles += [handle for handle, text in zip(more_handles, more_labels, strict=True) if text not in labels]
-        labels += [text for text in more_labels if text not in labels]
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+    draw_legend(figure, *panels[::-1])
 
 
-def _name(m: Measured) -> str:
+def _name(m: PointStatistics) -> str:
     labels = ((name, value) for name, value in m.point.labels.items() if name != "network")
-    words = (value if isinstance(value, str) else f"{name} {value:g}" for name, value in labels)
-    return " ".join(words).replace("_", " ").strip()
+    texts = (value if isinstance(value, str) else f"{name} {value:g}" for name, value in labels)
+    return " ".join(texts).replace("_", " ").strip()

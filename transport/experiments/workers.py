@@ -1,6 +1,6 @@
-"""Where the flights of an experiment are flown: on this machine's cores or on a cluster.
+"""Workers that simulate the cases of an experiment: processes of this machine, or a Dask cluster.
 
-Each way gives the results as they come, in any order, and ends what it has started however it is left.
+Results come in any order. Worker processes end with the generator, also after an error.
 """
 
 import importlib.util
@@ -15,34 +15,28 @@ from typing import TypeVar
 from protocol.wire.exit_codes import EXIT_UNREACHABLE
 from transport.experiments.cases import Case
 from transport.experiments.errors import ExperimentError, refused
-from transport.experiments.flight import ERROR, Result, simulate_in_memory
+from transport.experiments.simulation import ERROR, Result, simulate_in_memory
 
 T = TypeVar("T")
 
-# How long a cluster may take to answer, and how often a worker looks whether its command is still there, s.
-_ANSWER_S, _LOOK_S = 15.0, 0.5
+# Timeout of the cluster, and period at which a worker checks that its parent lives, s.
+_ANSWER_S, _CHECK_S = 15.0, 0.5
 
 _ADDRESS = re.compile(r"[a-z]+://\S+")
 
 
 def on_cores(cases: Sequence[Case], jobs: int) -> Iterator[Result]:
-    """Fly on this machine.
-
-    Args:
-        cases: What to fly.
-        jobs: How many at a time, in a process each; a single one in this process.
-    Raises: ExperimentError: a worker process has died.
-    """
+    """Simulate cases on this machine; see `each_on_cores`."""
     yield from each_on_cores(simulate_in_memory, cases, jobs)
 
 
 def each_on_cores(do: Callable[[Case], T], cases: Sequence[Case], jobs: int) -> Iterator[T]:
-    """Return what a function gives for each case, in any order, from processes of this machine.
+    """Apply a function to each case, in processes of this machine; yield the values in any order.
 
     Args:
         do: Called once for each case.
-        cases: What to fly.
-        jobs: How many at a time, in a process each; a single one in this process.
+        cases: The cases.
+        jobs: Number of processes; 1 for this process.
     Raises: ExperimentError: a worker process has died.
     """
     if jobs == 1:
@@ -69,9 +63,9 @@ def each_on_cores(do: Callable[[Case], T], cases: Sequence[Case], jobs: int) -> 
 
 
 def check_cluster(address: str) -> None:
-    """Refuse a cluster that cannot be, without asking it.
+    """Check the address of a cluster, without connecting.
 
-    Raises: ExperimentError: no address, or the package for clusters is missing.
+    Raises: ExperimentError: not an address, or the package distributed is missing.
     """
     if not _ADDRESS.fullmatch(address):
         raise refused("--dask", "an address such as tcp://host:8786", repr(address))
@@ -80,12 +74,12 @@ def check_cluster(address: str) -> None:
 
 
 def on_cluster(cases: Sequence[Case], address: str) -> Iterator[Result]:
-    """Fly on the workers of a Dask cluster; a worker that dies takes no flight with it, the others repeat it.
+    """Simulate cases on a Dask cluster; the cases of a worker that dies are repeated by the others.
 
     Args:
-        cases: What to fly.
-        address: Of the scheduler.
-    Raises: ExperimentError: no such cluster, or one that is of no use.
+        cases: The cases.
+        address: Address of the scheduler.
+    Raises: ExperimentError: no cluster, or one without suitable workers.
     """
     from distributed import Client, as_completed
 
@@ -121,12 +115,12 @@ def _check_workers(workers: dict[str, dict[str, object]], address: str) -> None:
 
 
 def _serve(parent: int) -> None:
-    """In a worker: leave Ctrl-C to the command, and end when it is gone, however that came."""
+    """Prepare a worker: ignore Ctrl-C, which the parent handles, and end when the parent has ended."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
-    def look() -> None:
+    def end_with_parent() -> None:
         while os.getppid() == parent:
-            time.sleep(_LOOK_S)
+            time.sleep(_CHECK_S)
         os._exit(EXIT_UNREACHABLE)
 
-    threading.Thread(target=look, daemon=True).start()
+    threading.Thread(target=end_with_parent, daemon=True).start()

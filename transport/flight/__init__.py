@@ -1,1 +1,1 @@
-"""Runs: starting the processes, recording them, injecting faults, acting on a run in progress."""
+"""Execution of a run: its processes, the recorder, scripted faults, or all nodes in memory."""

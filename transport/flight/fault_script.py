@@ -1,7 +1,6 @@
-"""What the parent of a run's processes does to them: by script, or because a person asks for it.
+"""Faults of local processes, applied by their parent: scripted, or requested by the operator; all are logged.
 
-Processes that are to be killed or stopped at a tick do that themselves (`protocol.scenario.faults`); bringing them back
-is left to their parent, and so is everything a person asks for. All of it goes into the log.
+Processes kill or stop themselves at a scripted tick (`protocol.scenario.faults`); the parent brings them back.
 """
 
 import signal
@@ -14,25 +13,19 @@ from protocol.wire.messages import FaultOrigin, Request
 from transport.flight.harness import Child, Harness
 from transport.flight.recorder import Recorder
 
-# How long what is recorded may be behind what happens, in a run as fast as it goes.
+# Largest delay of the recorder in an unpaced run, s.
 _BEHIND_S = 1.0
 
 
 class FaultScript:
-    """Faults of one run of local processes.
-
-    Args:
-        setup: The run.
-        harness: Its processes.
-        recorder: Where they are noted.
-    """
+    """Faults of the local processes of one run, noted by its recorder."""
 
     def __init__(self, setup: Setup, harness: Harness, recorder: Recorder) -> None:
         self._setup, self._harness, self._recorder = setup, harness, recorder
-        # What happens to UAVs the plant does, and the roster reports.
+        # The plant applies the failures of UAVs.
         self._faults = [fault for fault in setup.faults if fault.do not in ("motor_off", "release")]
-        self._dead: set[int] = set()  # children whose end is noted
-        self._seen_dead_s: dict[int, float] = {}  # when others were first seen to have ended
+        self._dead: set[int] = set()  # children whose end has been noted
+        self._seen_dead_s: dict[int, float] = {}  # when the end of others was first seen
         for target in {fault.target for fault in self._faults if fault.do == "start"}:
             harness.prepare(target)
         self._actions: Mapping[str, Callable[[str], bool]] = {
@@ -43,7 +36,7 @@ class FaultScript:
         }
 
     def work(self) -> None:
-        """Do what is due: to be called often."""
+        """Apply due faults, answer requests, and note ended processes; to be called often."""
         while self._faults and self._is_due(self._faults[0].tick - (self._faults[0].do in ("continue", "start"))):
             fault = self._faults.pop(0)
             if fault.do in ("kill", "stop"):
@@ -67,15 +60,15 @@ class FaultScript:
                 self._note(child.name, "kill", "script", kill.tick)
 
     def _kill_of(self, name: str) -> Fault | None:
-        """The script's, of a process that has ended before the tick of its end was heard of here.
+        """Return the scripted kill of a process whose last tick may not have reached the recorder yet.
 
-        The coordinator always does: it goes on what it was about to say.
+        The coordinator's never has: it ends on the message it was about to send.
         """
         expected = [fault for fault in self._faults if (fault.do, fault.target) == ("kill", name)]
         return next((fault for fault in expected if fault.tick <= self._recorder.tick + 1), None)
 
     def _may_be_behind(self, child: Child) -> bool:
-        """Whether the tick of a script's kill may yet be heard of here: its process is gone before others have read."""
+        """Return whether the recorder may yet receive the tick of a scripted kill of this process."""
         pid, now_s = child.process.pid, time.monotonic()
         awaited = any((fault.do, fault.target) == ("kill", child.name) for fault in self._faults)
         return awaited and self._recorder.running and now_s < self._seen_dead_s.setdefault(pid, now_s) + _BEHIND_S
@@ -83,7 +76,7 @@ class FaultScript:
     def _is_due(self, tick: int) -> bool:
         if self._recorder.tick >= tick:
             return True
-        # Without a clock that ticks there is still one on the wall.
+        # Without ticks, estimate the tick from the wall clock.
         speed, started_s = self._setup.scenario.clock.speed, self._recorder.started_s
         if speed == 0.0 or started_s is None:
             return False
@@ -110,8 +103,8 @@ class FaultScript:
         return done
 
     def _note(self, target: str, action: str, origin: FaultOrigin, tick: int | None = None) -> None:
-        words = {"kill": "killed", "stop": "stopped", "continue": "continued", "restart": "restarted"}
-        self._recorder.note(target, words[action], origin, tick)
+        done = {"kill": "killed", "stop": "stopped", "continue": "continued", "restart": "restarted"}
+        self._recorder.note(target, done[action], origin, tick)
         child = self._harness.child(target)
         if action == "kill" and child is not None:
             self._dead.add(child.process.pid)

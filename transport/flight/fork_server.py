@@ -1,11 +1,8 @@
-"""Starting processes of a run by fork: imports and the model are made once, and every process begins with them.
+"""Fork server: starts the processes of a run by fork, so that imports are done once and their memory is shared.
 
-Importing what an agent needs takes a good third of a second of processor time, and six processes of a run share two
-cores with it. Here one process imports, and copies of it become the others; what they share is in memory once. It has
-one thread and no network, as forking asks for. They are what `python -m transport agent ...` would be: a session, an
-output, a pipe from their parent, a title and an exit code of their own.
-
-Linux alone can do that (`prctl`); elsewhere, and when it fails, processes are started in the usual way.
+The imports of an agent take more than 0.3 s of processor time. The server has one thread and no network, as fork
+requires. A forked process equals `python -m transport agent ...`: it has its own session, output, pipe from its
+parent, title and exit code. On systems other than Linux (`prctl`), and after errors, processes are started by Popen.
 """
 
 import atexit
@@ -25,27 +22,23 @@ from typing import IO, Any
 
 from protocol.network.parent import ENVIRONMENT, python
 
-# The program of the server: it imports all commands, so it is above this room.
+# Program of the server; it imports all commands, so it cannot be imported here.
 _PROGRAM = "transport.cli.fork_server"
 REQUEST_BYTES = 128 * 1024
-# How long it may take to import everything, on a machine that has much else to do.
+# Timeout of the imports on a busy machine, s.
 _READY_S = 60.0
 _PR_SET_CHILD_SUBREAPER = 36  # <sys/prctl.h>
-# Variables that importing looks at: for others than the server was started with, processes are started anew.
+# Variables that affect imports: if they have changed since the start of the server, it is not used.
 _AT_IMPORT = ("PAYLOAD_TRANSPORT_", "PYTHON", "HOME", "XDG_", "PATH", "LD_", "OPENBLAS_", "OMP_", "MKL_")
 
 
 class Forked:
-    """A process that was started by fork; like `subprocess.Popen`, as far as the harness needs it.
+    """A forked process, with those parts of the interface of `subprocess.Popen` that the harness needs.
 
     Attributes:
-        pid: Its id.
-        stdin: The pipe it watches.
-        returncode: Exit code, negative for a signal; None while it runs.
-
-    Args:
-        pid: Of a child, which nobody else waits for.
-        stdin: The end of the pipe to write to.
+        pid: Process id of a child that no other code waits for.
+        stdin: Writing end of the pipe that the process watches.
+        returncode: Exit code, negative for a signal; None while the process runs.
     """
 
     def __init__(self, pid: int, stdin: IO[bytes]) -> None:
@@ -55,7 +48,7 @@ class Forked:
         self._reaping = threading.Lock()
 
     def poll(self) -> int | Any:
-        """The exit code, or None while it runs."""
+        """Return the exit code, or None while the process runs."""
         with self._reaping:
             if self.returncode is None:
                 pid, status = os.waitpid(self.pid, os.WNOHANG)
@@ -65,12 +58,11 @@ class Forked:
             return self.returncode
 
     def wait(self, timeout: float | None = None) -> int:
-        """Wait for its end.
+        """Wait for the end of the process and return its exit code.
 
         Args:
-            timeout: How long, s; None for ever.
-        Returns: The exit code.
-        Raises: subprocess.TimeoutExpired: it still runs.
+            timeout: Longest wait, s; None for no limit.
+        Raises: subprocess.TimeoutExpired: the process still runs.
         """
         code = self.poll()
         if code is not None:
@@ -84,17 +76,17 @@ class Forked:
         return code
 
     def send_signal(self, number: int) -> None:
-        """Send it a signal, unless it has ended."""
+        """Send a signal, unless the process has ended."""
         with self._reaping:
             if self.returncode is None:
                 signal.pidfd_send_signal(self._handle, number)
 
     def terminate(self) -> None:
-        """Ask it to end."""
+        """Send SIGTERM."""
         self.send_signal(signal.SIGTERM)
 
     def kill(self) -> None:
-        """End it."""
+        """Send SIGKILL."""
         self.send_signal(signal.SIGKILL)
 
 
@@ -103,14 +95,14 @@ Started = Forked | subprocess.Popen[bytes]
 
 @cache
 def fork_server() -> "ForkServer":
-    """The one of this process, started when it is first asked for."""
+    """Return the server of this process; the first call starts it."""
     server = ForkServer()
     atexit.register(server.close)
     return server
 
 
 class ForkServer:
-    """The server, as whoever starts processes sees it. It begins to import at once; what it has started outlives it."""
+    """Client of the server process, which starts to import at once; forked processes outlive the server."""
 
     def __init__(self) -> None:
         self._socket: socket.socket | None = None
@@ -118,18 +110,17 @@ class ForkServer:
         if sys.platform != "linux" or not _adopts_orphans():
             return
         self._imported = _at_import(os.environ)
-        own, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        with its:
+        own, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        with other:
             try:
                 self._process = subprocess.Popen(
-                    [*python(_PROGRAM), str(its.fileno())],
+                    [*python(_PROGRAM), str(other.fileno())],
                     stdin=subprocess.DEVNULL,
-                    # What is wrong with a request, the process that is asked for will say.
                     stdout=subprocess.DEVNULL,
                     stderr=subprocess.DEVNULL,
-                    pass_fds=[its.fileno()],
+                    pass_fds=[other.fileno()],
                     env={**ENVIRONMENT, **os.environ},
-                    start_new_session=True,  # Ctrl-C is for who asks, not for this one
+                    start_new_session=True,  # Ctrl-C is handled by this process
                 )
             except OSError:
                 own.close()
@@ -138,19 +129,19 @@ class ForkServer:
         self._socket = own
 
     def start(self, arguments: Sequence[str], output: IO[bytes], extra: Mapping[str, str]) -> Started:
-        """Start `transport` with some arguments, as a child of this process.
+        """Start `transport` as a child of this process.
 
         Args:
-            arguments: Of the command.
-            output: Where its standard output and error go.
-            extra: Environment beside that of this process.
+            arguments: Arguments of the command.
+            output: File for standard output and error.
+            extra: Additions to the environment of this process.
         """
         environment = {**ENVIRONMENT, **os.environ, **extra}
         if self._socket is not None and _at_import(os.environ) == self._imported:
             try:
                 return _fork(self._socket, arguments, output, environment)
             except (OSError, ValueError):
-                self.close()  # it is gone, or not well: what it was to save is time
+                self.close()  # the server only saves time: go on without it
         return subprocess.Popen(
             [*python("transport"), *arguments],
             stdin=subprocess.PIPE,
@@ -161,7 +152,7 @@ class ForkServer:
         )
 
     def close(self) -> None:
-        """End the server."""
+        """End the server process."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None
@@ -172,9 +163,9 @@ class ForkServer:
 
 
 def _fork(server: socket.socket, arguments: Sequence[str], output: IO[bytes], environment: dict[str, str]) -> Forked:
-    """Ask for a process.
+    """Request a process from the server.
 
-    Raises: OSError, ValueError: there is none.
+    Raises: OSError, ValueError: no process was started.
     """
     reads, writes = os.pipe()
     stdin = os.fdopen(writes, "wb")
@@ -194,9 +185,9 @@ def _at_import(environment: Mapping[str, str]) -> dict[str, str]:
 
 
 def _adopts_orphans() -> bool:
-    """Make this process the parent of processes whose own ends: those that the server starts for it."""
+    """Make this process the new parent of orphaned descendants, such as forked processes; return whether it is."""
     try:
-        os.close(os.pidfd_open(os.getpid()))  # older kernels, and some sandboxes, have none
+        os.close(os.pidfd_open(os.getpid()))  # missing in older kernels and some sandboxes
         return bool(ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0) == 0)
     except (OSError, AttributeError):
         return False

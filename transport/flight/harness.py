@@ -1,4 +1,4 @@
-"""The local harness: starts the processes of a run, watches them, and always cleans them up."""
+"""Local harness: starts the processes of a run, watches them, and always ends them."""
 
 import signal
 import socket
@@ -17,15 +17,15 @@ from protocol.network.parent import PARENT_PIPE, STANDBY
 from protocol.wire.exit_codes import EXIT_DIVERGED, EXIT_INTERRUPTED, EXIT_OVERRUN, EXIT_UNREACHABLE
 from transport.flight.fork_server import Started, fork_server
 
-# Exit codes of a process that has seen its run's end.
+# Exit codes of a process after the end of its run.
 _ENDS = {0, EXIT_UNREACHABLE, EXIT_OVERRUN, EXIT_DIVERGED, EXIT_INTERRUPTED}
 
-# What a process gets to end by itself before it is killed.
+# Time for a process to end before it is killed.
 _GRACE_S = 5.0
 
 
 class HarnessError(RuntimeError):
-    """A process of the run could not be started or ended before the run began."""
+    """The processes of a run could not be started."""
 
 
 @dataclass(slots=True)
@@ -35,8 +35,8 @@ class Child:
     Attributes:
         name: Process name.
         process: Its handle.
-        log: File that holds what it wrote.
-        incarnation: Which start of it.
+        log: File with its output.
+        incarnation: Number of this start.
     """
 
     name: str
@@ -45,7 +45,7 @@ class Child:
     incarnation: int = 0
 
     def go(self) -> bool:
-        """Let a process that stands by begin; whether it was still there."""
+        """Let a standby process begin; return whether it was running."""
         try:
             if self.process.poll() is None and self.process.stdin is not None:
                 self.process.stdin.write(b"\n")
@@ -55,8 +55,8 @@ class Child:
             pass
         return False
 
-    def last_words(self) -> str:
-        """The last line it wrote that is not empty."""
+    def last_line(self) -> str:
+        """Return the last line of output that is not empty."""
         try:
             lines = self.log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
         except OSError:
@@ -66,15 +66,15 @@ class Child:
 
 @dataclass(slots=True)
 class Harness:
-    """Processes of one run on this machine; leaving the context ends those that are left.
+    """Processes of one run on this machine; leaving the context ends them.
 
-    Every child watches a pipe from this process: if this one is killed, they end too.
+    Every child watches a pipe from this process and ends if this process is killed.
 
     Args:
         run: Name of the run.
-        scenario: Resolved scenario file all of them read.
+        scenario: Resolved scenario file.
         mesh: Endpoints by process name.
-        logs: Folder for what they write.
+        logs: Folder for their output.
     """
 
     run: str
@@ -82,7 +82,7 @@ class Harness:
     mesh: Mapping[str, Endpoints]
     logs: Path
     children: list[Child] = field(default_factory=list)
-    _spares: dict[str, Child] = field(default_factory=dict)  # by name, waiting for their turn
+    _spares: dict[str, Child] = field(default_factory=dict)  # standby processes by name
     _files: ExitStack = field(default_factory=ExitStack)
 
     def __enter__(self) -> "Harness":
@@ -100,24 +100,24 @@ class Harness:
             self.children.append(self._start(name, observers))
 
     def alive(self) -> list[Child]:
-        """Children that are running."""
+        """Return the children that are running."""
         return [child for child in self.children if child.process.poll() is None]
 
     def ended(self) -> list[Child]:
-        """Children that are not."""
+        """Return the children that have ended."""
         return [child for child in self.children if child.process.poll() is not None]
 
     def child(self, name: str) -> Child | None:
-        """The process of that name that was started last."""
+        """Return the last started process of a name."""
         return next((child for child in reversed(self.children) if child.name == name), None)
 
     def has_ended(self, name: str) -> bool:
-        """Whether a child has ended by itself, with an exit code that says how the run ended."""
+        """Return whether a child has ended with an exit code for the end of a run."""
         child = self.child(name)
         return child is not None and child.process.poll() in _ENDS
 
     def signal(self, name: str, number: int) -> bool:
-        """Send a signal to one child; whether it is running."""
+        """Send a signal to one child; return whether it is running."""
         child = self.child(name)
         if child is None or child.process.poll() is not None:
             return False
@@ -125,12 +125,12 @@ class Harness:
         return True
 
     def prepare(self, name: str) -> None:
-        """Start the successor of an agent of the mesh, which gets ready and waits for `restart`."""
+        """Start a standby successor of an agent, which waits for `restart`."""
         old = self.child(name)
         self._spares[name] = self._start(name, (), 0 if old is None else old.incarnation + 1, standby=True)
 
     def restart(self, name: str) -> None:
-        """Start a process of the mesh again, under a higher incarnation; one that is left over is killed first."""
+        """Kill a process if it still runs, and start it again with the next incarnation."""
         old, spare = self.child(name), self._spares.pop(name, None)
         if old is not None:
             old.process.kill()
@@ -145,7 +145,7 @@ class Harness:
         self.children.append(self._start(name, (), incarnation))
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait for all children to end; whether they did."""
+        """Wait for all children to end; return whether they did."""
         deadline = time.monotonic() + timeout_s
         for child in self.children:
             try:
@@ -155,12 +155,12 @@ class Harness:
         return True
 
     def end(self) -> None:
-        """Ask every child that is left to end, then make it."""
+        """End all running children: SIGTERM, and SIGKILL after a grace period."""
         self.children += self._spares.values()
         self._spares.clear()
         for child in self.alive():
             child.process.terminate()
-            child.process.send_signal(signal.SIGCONT)  # a stopped process cannot end in order
+            child.process.send_signal(signal.SIGCONT)  # a stopped process ignores SIGTERM
         if not self.wait(_GRACE_S):
             for child in self.alive():
                 child.process.kill()
@@ -180,26 +180,21 @@ class Harness:
     def _arguments(self, name: str, observers: Sequence[str], incarnation: int) -> list[str]:
         endpoints = self.mesh[name]
         role = ["agent", "--id", name.removeprefix("agent")] if name.startswith("agent") else [name]
-        arguments = [*role, "--scenario", str(self.scenario), "--run", self.run]
-        arguments += ["--incarnation", str(incarnation)]
-        for endpoint in endpoints.listen:
-            arguments += ["--listen", endpoint]
-        for endpoint in endpoints.connect:
-            arguments += ["--connect", endpoint]
+        options = [("--scenario", str(self.scenario)), ("--run", self.run), ("--incarnation", str(incarnation))]
+        options += [("--listen", endpoint) for endpoint in endpoints.listen]
+        options += [("--connect", endpoint) for endpoint in endpoints.connect]
         if name == "coordinator":
-            for observer in observers:
-                arguments += ["--observer", observer]
-        return arguments
+            options += [("--observer", observer) for observer in observers]
+        return [*role, *(text for option in options for text in option)]
 
 
 @contextmanager
 def free_ports(host: str, count: int) -> Iterator[list[int]]:
-    """Ports that nobody has, kept while the context is open from everybody who asks for any port.
+    """Reserve free ports while the context is open: no other process gets one as "any port".
 
-    Who asks for one by its number and shares addresses (SO_REUSEADDR), as Zenoh does, can listen on it all the
-    same, again and again: a process that is restarted finds its port free.
+    A process that names the port and sets SO_REUSEADDR, as Zenoh does, can listen on it, also after a restart.
 
-    Raises: HarnessError: the host's address is not one of this machine.
+    Raises: HarnessError: the host's address is not of this machine.
     """
     with ExitStack() as stack:
         sockets = []
@@ -213,14 +208,14 @@ def free_ports(host: str, count: int) -> Iterator[list[int]]:
             sockets.append(probe)
         ports = [probe.getsockname()[1] for probe in sockets]
         if sys.platform != "linux":
-            stack.close()  # elsewhere a socket that is bound keeps its port from everybody
+            stack.close()  # elsewhere a bound socket blocks its port
         yield ports
 
 
 def check_ports(host: str, ports: Sequence[int]) -> None:
-    """Refuse ports that somebody listens on.
+    """Check that no process listens on the ports.
 
-    Raises: HarnessError: naming the first.
+    Raises: HarnessError: naming the first taken port.
     """
     for port in ports:
         with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:

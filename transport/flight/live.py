@@ -1,4 +1,4 @@
-"""Where the runs are that fly now: a small file in the run folder, there as long as the run is."""
+"""Active runs on this machine: a file in the run folder that exists while the run is active."""
 
 import os
 from collections.abc import Mapping
@@ -12,14 +12,14 @@ _FILE = "live.json"
 
 @dataclass(frozen=True, slots=True)
 class LiveRun:
-    """A run that flies.
+    """An active run.
 
     Attributes:
-        run: Its name.
-        endpoints: Of its processes, by name.
-        pid: Of the process that started them.
-        keys: Folder of the keys they use, or nothing.
-        is_client: Whether the endpoints are those of a router.
+        run: Name of the run.
+        endpoints: Endpoints of its processes, by name.
+        pid: Process id of their parent.
+        keys: Folder of their keys; empty without keys.
+        is_client: Whether the endpoints belong to a router.
     """
 
     run: str
@@ -30,39 +30,33 @@ class LiveRun:
 
 
 def write(folder: Path, run: LiveRun) -> None:
-    """Say that a run flies."""
+    """Mark a run as active."""
     (folder / _FILE).write_bytes(orjson.dumps(asdict(run)))
 
 
 def remove(folder: Path) -> None:
-    """Say that it no longer does."""
+    """Mark the run of a folder as ended."""
     (folder / _FILE).unlink(missing_ok=True)
 
 
 def read(folder: Path) -> LiveRun | None:
-    """The run that flies in a folder, if one does; what a killed one has left behind does not count."""
+    """Return the active run of a folder, or None; the file of a killed run is ignored."""
     try:
         content = orjson.loads((folder / _FILE).read_bytes())
-        run = LiveRun(
-            run=content["run"],
-            endpoints=dict(content["endpoints"]),
-            pid=content["pid"],
-            keys=content["keys"],
-            is_client=content["is_client"],
-        )
+        run = LiveRun(**content)
         os.kill(run.pid, 0)
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, TypeError):
         return None
     return run
 
 
 def newest(parent: Path) -> LiveRun | None:
-    """The run started last of those that fly in the folders below one."""
+    """Return the most recent active run below a folder."""
     folder = newest_folder(parent)
     return None if folder is None else read(folder)
 
 
 def newest_folder(parent: Path) -> Path | None:
-    """Its folder."""
+    """Return the folder of the most recent active run below a folder."""
     folders = sorted(parent.glob(f"*/{_FILE}"), key=lambda path: path.stat().st_mtime, reverse=True)
     return next((path.parent for path in folders if read(path.parent) is not None), None)

@@ -1,7 +1,7 @@
-"""The in-memory runtime: all nodes of a run in one process, messages in one queue, a clock that nobody waits for.
+"""In-memory runtime: all nodes of a run in one process, with one message queue and virtual time.
 
-Time stands still while messages are under way and then jumps to whatever a node waits for, so timeouts cost
-nothing. Scripted faults happen here as they do to processes.
+Time stands still while messages are in the queue and then jumps to the next wake-up of a node, so timeouts take no
+wall time. Scripted faults apply as to processes.
 """
 
 import time
@@ -25,24 +25,23 @@ def simulate(
     record: Callable[[Message], None] = lambda _: None,
     stopwatch: Callable[[], int] = time.perf_counter_ns,
 ) -> Control:
-    """Fly a whole run in this process, as fast as it goes.
+    """Simulate a run in this process, unpaced, and return how it ended.
 
-    Messages are delivered in the order they are sent, each to everybody who would receive it on the network.
-    Lockstep makes the result independent of that order; the Zenoh runtime gives the same bits.
+    Messages are delivered in the order they are sent, to the same receivers as on the network. Lockstep makes the
+    result independent of that order, and equal to the Zenoh runtime's bit for bit.
 
     Args:
         setup: The run.
-        record: Called with every message, as the recorder would see it.
-        stopwatch: Nanoseconds of a steady clock, for the step reports.
-    Returns: How the run ended.
-    Raises: RuntimeError: the nodes wait for each other, which is a bug.
+        record: Called with every message, as the recorder would receive it.
+        stopwatch: Steady clock of the step reports, ns.
+    Raises: RuntimeError: deadlock of the nodes, which is a bug.
     """
     with threadpoolctl.threadpool_limits(1):
-        return _Flight(setup, record, stopwatch).run()
+        return InMemoryRun(setup, record, stopwatch).run()
 
 
-class _Flight:
-    """One flight: the nodes that are up, the messages under way, the time."""
+class InMemoryRun:
+    """State of one run: running nodes, messages in the queue, virtual time."""
 
     def __init__(self, setup: Setup, record: Callable[[Message], None], stopwatch: Callable[[], int]) -> None:
         self._setup, self._record, self._stopwatch = setup, record, stopwatch
@@ -52,7 +51,7 @@ class _Flight:
         nodes: list[Node] = [self._coordinator, PlantNode(setup), *agents]
         self._nodes = {node.name: node for node in nodes}
         self._subscriptions = {name: self._keys.subscriptions(name) for name in self._nodes}
-        self._listeners: dict[str, list[str]] = {}
+        self._receivers_of_key: dict[str, list[str]] = {}
         self._frozen: dict[str, Node] = {}
         self._queue: deque[Message] = deque()
         self._now_ns = 0
@@ -60,20 +59,20 @@ class _Flight:
         self._returns = [fault for fault in setup.faults if fault.do in ("continue", "start")]
 
     def run(self) -> Control:
-        """Fly to the end."""
+        """Simulate to the end."""
         for name in list(self._nodes):
             if name != self._coordinator.name:
-                self._tell(Presence(name, 0, alive=True))
+                self._announce(Presence(name, 0, alive=True))
         while True:
             while self._queue:
                 self._deliver(self._queue.popleft())
-            # The coordinator's end is news that the others may still have to hear; a dead one tells nobody.
+            # The other nodes receive the end of the run before it is returned; a killed coordinator sends none.
             if self._coordinator.finished is not None:
                 return self._coordinator.finished
             if self._coordinator.name not in self._nodes:
                 return self._without_coordinator()
             if not self._bring_back() and not self._wait():
-                raise RuntimeError(f"the run stands still at tick {self._coordinator.tick}: every node waits")
+                raise RuntimeError(f"deadlock at tick {self._coordinator.tick}: every node waits")
 
     def _send(self, messages: Sequence[Message]) -> None:
         for message in messages:
@@ -82,28 +81,28 @@ class _Flight:
             self._record(message)
             self._queue.append(message)
 
-    def _tell(self, event: Presence) -> None:
+    def _announce(self, event: Presence) -> None:
         self._send(self._coordinator.receive(event, self._now_ns))
 
-    def _heard_by(self, message: Message) -> list[str]:
-        """Names of the processes a message is for."""
+    def _receivers(self, message: Message) -> list[str]:
+        """Return the names of the processes that receive a message."""
         key = self._keys.of(message)
-        if key not in self._listeners:
-            self._listeners[key] = [
+        if key not in self._receivers_of_key:
+            self._receivers_of_key[key] = [
                 name
                 for name, expressions in self._subscriptions.items()
                 if name != message.sender and any(matches(expression, key) for expression in expressions)
             ]
-        return self._listeners[key]
+        return self._receivers_of_key[key]
 
     def _deliver(self, message: Message) -> None:
-        for name in self._heard_by(message):
+        for name in self._receivers(message):
             node = self._nodes.get(name)
             if node is not None and not self._fails(name, message):
                 self._send(node.receive(message, self._now_ns))
 
     def _fails(self, name: str, message: Message) -> bool:
-        """Whether a process ends or freezes on a message; then it is as if the message had never come."""
+        """Apply a scripted fault at a message; return whether the process ended or froze and so ignores the message."""
         fault = due(self._setup.faults, name, message)
         if fault is None or name not in self._nodes:
             return False
@@ -111,26 +110,26 @@ class _Flight:
         if fault == "stop":
             self._frozen[name] = node
         elif name != self._coordinator.name:
-            self._tell(Presence(name, node.incarnation, alive=False))
+            self._announce(Presence(name, node.incarnation, alive=False))
         return True
 
     def _bring_back(self) -> bool:
-        """Do what a script says brings an agent back at the next tick; whether anything was."""
+        """Bring back the agent that the script returns at the next tick; return whether there was one."""
         if not self._returns or self._returns[0].tick > self._coordinator.tick + 1:
             return False
         name = self._returns.pop(0).target
         old = self._frozen.pop(name, None)
-        # Frozen or killed: it knows nothing that is not out of date, and comes back as a new one.
+        # Its state is outdated in both cases, so it comes back as a new node.
         incarnation = self._incarnations.get(name, 0) + 1
         self._incarnations[name] = incarnation
         if old is None or isinstance(old, AgentNode):
             agent = int(name.removeprefix("agent"))
             self._nodes[name] = AgentNode(self._setup, agent, incarnation, self._stopwatch)
-            self._tell(Presence(name, incarnation, alive=True))
+            self._announce(Presence(name, incarnation, alive=True))
         return True
 
     def _wait(self) -> bool:
-        """Let time pass until some node wants to be woken; whether any does."""
+        """Advance time to the next wake-up of a node; return whether there is one."""
         wakes = [(node.wake_ns, node) for node in self._nodes.values()]
         waiting = [(wake_ns, node) for wake_ns, node in wakes if wake_ns is not None]
         if not waiting:
@@ -141,7 +140,7 @@ class _Flight:
         return True
 
     def _without_coordinator(self) -> Control:
-        """How the others end when the coordinator is gone."""
+        """Return how the others end without the coordinator."""
         for node in self._nodes.values():
             node.receive(Presence(self._coordinator.name, self._coordinator.incarnation, alive=False), self._now_ns)
         ends = [node.finished for node in self._nodes.values() if node.finished is not None]

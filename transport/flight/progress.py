@@ -1,47 +1,36 @@
-"""What a person sees while a run flies: simulated time, real-time factor, cost, attitude."""
+"""Progress of a run on the console: simulated time, real-time factor, cost, attitude."""
 
 import time
 from types import TracebackType
+from typing import Self
 
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
 
 from model.state import StateView
 from mpc.cost import Cost
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import PlantState
 
-# Without a terminal a line is written this often, in seconds of wall time.
+# Period of the lines without a terminal, wall time, s.
 _LINE_EVERY_S = 10.0
 
 
-class RunProgress:
-    """A progress bar on a terminal, a line now and then elsewhere.
+class ConsoleProgress:
+    """A progress bar on a terminal, a line every 10 s elsewhere.
 
     Args:
-        setup: The run.
-        console: Where to draw; standard error, so that results alone are on standard output.
+        console: Standard error, as standard output is for results.
+        columns: Columns of the bar.
     """
 
-    def __init__(self, setup: Setup, console: Console) -> None:
-        self._setup, self._console = setup, console
-        self._cost = Cost(setup.settings.weights, setup.hover)
-        self._duration_s = setup.ticks * setup.settings.sampling_period_s
+    def __init__(self, console: Console, *columns: ProgressColumn) -> None:
+        self._console = console
+        self._bar = Progress(*columns, console=console, transient=True) if console.is_terminal else None
         self._next_line_s = time.monotonic() + _LINE_EVERY_S
-        self._bar: Progress | None = None
-        if console.is_terminal:
-            self._bar = Progress(
-                TextColumn("{task.description:<9}"),
-                BarColumn(),
-                TextColumn("{task.fields[status]}"),
-                TimeRemainingColumn(),
-                console=console,
-                transient=True,
-            )
-            self._task = self._bar.add_task("starting", total=self._duration_s, status="waiting for the processes")
 
-    def __enter__(self) -> "RunProgress":
+    def __enter__(self) -> Self:
         if self._bar is not None:
             self._bar.start()
         return self
@@ -52,29 +41,48 @@ class RunProgress:
         if self._bar is not None:
             self._bar.stop()
 
+    def say(self, line: str) -> None:
+        """Write a line, above the bar."""
+        self._console.print(line, highlight=False, soft_wrap=True)
+
+    def _is_line_due(self) -> bool:
+        """Return whether a line is due without a terminal, and schedule the next."""
+        now_s = time.monotonic()
+        is_due = now_s >= self._next_line_s
+        if is_due:
+            self._next_line_s = now_s + _LINE_EVERY_S
+        return is_due
+
+
+class RunProgress(ConsoleProgress):
+    """Progress of a run."""
+
+    def __init__(self, setup: Setup, console: Console) -> None:
+        columns = (TextColumn("{task.description:<9}"), BarColumn(), TextColumn("{task.fields[status]}"))
+        super().__init__(console, *columns, TimeRemainingColumn())
+        self._setup = setup
+        self._cost = Cost(setup.settings.weights, setup.hover)
+        self._duration_s = setup.ticks * setup.settings.sampling_period_s
+        if self._bar is not None:
+            self._task = self._bar.add_task("starting", total=self._duration_s, status="waiting for the processes")
+
     def show(self, plant_state: PlantState | None, started_s: float | None) -> None:
         """Draw the newest state.
 
         Args:
-            plant_state: Newest state of the plant, or None before the first.
-            started_s: Steady-clock time of the first one.
+            plant_state: Newest state, or None before the first.
+            started_s: Steady-clock time of the first state, s.
         """
         if plant_state is None or started_s is None:
             return
         t_s = plant_state.tick * self._setup.settings.sampling_period_s
-        now_s = time.monotonic()
+        wall_s = time.monotonic() - started_s
         if self._bar is not None:
+            status = self._status(plant_state, t_s, wall_s)
             phase = self._setup.maneuver.phase_at(t_s).name
-            self._bar.update(
-                self._task, completed=t_s, description=phase, status=self._status(plant_state, t_s, now_s - started_s)
-            )
-        elif now_s >= self._next_line_s:
-            self._next_line_s = now_s + _LINE_EVERY_S
-            self._console.print(self._status(plant_state, t_s, now_s - started_s), highlight=False)
-
-    def say(self, line: str) -> None:
-        """Write a line above the bar."""
-        self._console.print(line, highlight=False)
+            self._bar.update(self._task, completed=t_s, description=phase, status=status)
+        elif self._is_line_due():
+            self.say(self._status(plant_state, t_s, wall_s))
 
     def _status(self, plant_state: PlantState, t_s: float, wall_s: float) -> str:
         y_ref = self._setup.reference.outputs(np.array([t_s]))[0]

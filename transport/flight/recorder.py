@@ -1,7 +1,4 @@
-"""The recorder: an observer on the network that writes every message to the run's log.
-
-It runs on a thread of its own and always drains its inbox; the loop never waits for the disk.
-"""
+"""The recorder: an observer on the network that writes every message to the run's log, in a separate thread."""
 
 import queue
 import threading
@@ -35,47 +32,46 @@ from protocol.wire.outbox import Outbox
 from transport.log.gaps import END_NOT_RECORDED
 from transport.log.run_log import LogError, LogWriter
 
-# Why a run is over that nobody is left to end: what the recorder says of it.
+# Reason of the end of a run whose coordinator has gone.
 _GONE = "coordinator is gone"
 
-# Nobody waits for the recorder, and every time it wakes up costs those that fly: the more the faster they go. At the
-# pace of the clock it wakes up in time for who watches to see a tick before the next.
+# Wake-ups cost the run processor time, so messages are gathered in batches; in a paced run for less than a tick.
 _GATHER_S, _GATHER_PACED_S = 0.03, 0.01
-# What comes is in the file, for who watches, when nothing more has come for so long: less than the period of most runs.
+# The log file is flushed after a pause this long, less than the period of most runs.
 _PAUSE_S = 0.02
-# What came while this process stood still took room, which is given back in such a pause, not more often than this.
+# Memory of messages that came during a standstill is given back in a pause, at most this often.
 _TIDY_S = 5.0
-# How long messages may trail the end of the run on their way here.
+# Time for messages that arrive after the end of the run.
 _TRAIL_S = 2.0
-# How long nothing must come before the record counts as complete, once everybody but the coordinator has left.
+# The log is complete after this time without messages, once all processes but the coordinator have left.
 _QUIET_S = 0.05
-# How long the news of the end may come after that of the coordinator's leaving.
+# The end of the run may arrive this long after the end of the coordinator's token.
 _OVERTAKEN_S = 0.5
 
 
 class Recorder:
-    """Records one run; what people watch meanwhile is in its attributes.
+    """Recorder of one run; its attributes show the progress.
 
     Attributes:
         plant_state: The newest state of the plant, or None.
-        started_s: Steady-clock time of the first truth, or None.
+        started_s: Steady-clock time of the first plant state, or None.
         control: How the run ended, once it has.
-        notices: Roster changes after the start, for people.
+        notices: Roster changes after the start, and faults.
         error: Why recording ended early, or None.
-        received: How many messages are in the log.
+        received: Number of messages in the log.
         tick: The newest open tick, -1 before the first.
-        requests: What people have asked of whoever runs this run's processes.
-        rejected: What was refused here.
-        admission: What is let in.
+        requests: Requests to the parent of the run's processes.
+        rejected: Rejected messages.
+        admission: Admission of messages.
 
     Args:
         setup: The run.
         run: Name of the run.
         writer: Open log.
-        endpoints: Whom to connect to.
-        join_timeout_s: How long to wait for the processes.
-        incarnation: Which start of the recorder.
-        has_ended: Whether the coordinator, once nothing more is heard of it, is known to have ended in order.
+        endpoints: Endpoints to connect to.
+        join_timeout_s: Time to wait for the processes, s.
+        incarnation: Number of this start of the recorder.
+        has_ended: Returns whether the coordinator is known to have ended in order.
     """
 
     def __init__(
@@ -126,23 +122,23 @@ class Recorder:
 
     @property
     def running(self) -> bool:
-        """Whether it still records."""
+        """Whether the recorder still records."""
         return self._thread.is_alive()
 
     def stop(self, reason: str) -> None:
-        """Ask it to end although the run has not."""
+        """End the recording before the end of the run."""
         self._bus.interrupt(reason)
 
     def join(self, timeout_s: float | None = None) -> None:
-        """Wait for it to end."""
+        """Wait for the end of the recording."""
         self._thread.join(timeout_s)
 
     def note(self, target: str, what: str, origin: FaultOrigin, tick: int | None = None) -> None:
-        """Put into the log what was done, or happened, to a process: at a tick, or at the newest there is."""
+        """Log a fault of a process at a tick, by default the newest."""
         tick = max(self.tick, 0) if tick is None else tick
         try:
             self._take(self._out.stamp(FaultNote, tick=tick, target=target, what=what, origin=origin))
-        except LogError as error:  # the run is about to end of it
+        except LogError as error:  # the recording is about to end with it
             self.error = self.error or str(error)
 
     def close(self) -> None:
@@ -165,12 +161,12 @@ class Recorder:
         except (BusError, LogError) as error:
             self.error = str(error)
         finally:
-            self._bus.close()  # the coordinator waits for it
+            self._bus.close()  # the coordinator waits for this
 
     def _record(self) -> None:
         left = set(self._expected)
         deadline: float | None = None
-        # A token's end may overtake the last message of its process, so an end is not believed at once.
+        # The end of a token may overtake the last message of its process.
         while left or self.control is None:
             timeout_s = None if deadline is None else max(0.0, deadline - time.monotonic())
             if self.control is not None and left <= {"coordinator"}:
@@ -186,7 +182,7 @@ class Recorder:
                     if name == "coordinator" and self.control is None:
                         deadline = time.monotonic() + _OVERTAKEN_S
                 case Presence(name=name):
-                    # Back after a standstill, of its own or of this process, that the connection did not outlive.
+                    # Reconnected after a standstill of that process or of this one.
                     left.update({name} & set(self._expected))
                     if name == "coordinator" and self.control is None:
                         deadline = None
@@ -199,11 +195,11 @@ class Recorder:
             if self.control is not None and deadline is None:
                 deadline = time.monotonic() + _TRAIL_S
         if self.control is None:
-            # An end that was declared while this process stood still was never heard here.
+            # The end of the run may have been sent during a standstill of this process.
             self._end(END_NOT_RECORDED if self._has_ended() else _GONE)
 
     def _next(self, timeout_s: float | None) -> BusEvent | None:
-        """The next event, or None after the timeout; in flight a pause is used to write what waits for more."""
+        """Return the next event, or None after the timeout; flush the log in a pause."""
         if timeout_s is None and not self._writer.is_up_to_date:
             event = self._bus.next(_PAUSE_S)
             if event is not None:
@@ -219,8 +215,8 @@ class Recorder:
         """Record a message from the network, unless it is refused.
 
         Args:
-            message: Of any kind.
-            at_ns: Time of arrival, ns since 1970; now when left out.
+            message: Any message.
+            at_ns: Arrival, ns since 1970; now by default.
         """
         self._reception.receive(message, time.time_ns() if at_ns is None else at_ns)
 
@@ -252,7 +248,7 @@ class Recorder:
                 self.notices.append(f"fault: {message.target} {message.what}")
 
     def _end(self, reason: str) -> None:
-        """Write the end of a run that nobody is left to declare."""
+        """Write the end of a run whose coordinator cannot."""
         control = Control(
             sender=RECORDER,
             incarnation=0,

@@ -1,8 +1,12 @@
-"""What people ask of a run in flight, from the command line or the viewer: one way, one wording of refusals."""
+"""Requests to the processes of an active run, from the command line or the viewer."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+from protocol.network.security import Security
+from protocol.network.session import BusError, ask
+from protocol.wire.keys import ROUTER
 
 # Settings of a link that make it perfect.
 PERFECT: Mapping[str, Any] = {
@@ -18,32 +22,27 @@ PERFECT: Mapping[str, Any] = {
 
 
 class RefusedError(ValueError):
-    """The run will not do it; the text says what was expected."""
+    """The run refuses the request; the text says what was expected."""
 
 
 class UnansweredError(RuntimeError):
-    """There is no such process, or it does not answer."""
+    """The process does not exist or does not answer."""
 
 
 def request(
     run: str, endpoints: Sequence[str], name: str, what: str, given: Mapping[str, Any], keys: Path | None = None
 ) -> dict[str, Any]:
-    """Ask a process of a run for something.
+    """Send a request to a process of a run and return the answer.
 
     Args:
         run: Name of the run.
-        endpoints: Of its processes; of the one that is asked is enough.
-        name: Process: "coordinator" for links and status, "recorder" for faults, any for health.
+        endpoints: Endpoints of its processes; that of the receiver is enough.
+        name: Receiver: "coordinator" for links and status, "recorder" for faults, any for health.
         what: Request; see docs/protocol.md.
         given: Its arguments.
         keys: Folder of keys, if the run has any.
-    Returns: The answer.
     Raises: RefusedError, UnansweredError.
     """
-    from protocol.network.security import Security
-    from protocol.network.session import BusError, ask
-    from protocol.wire.keys import ROUTER
-
     security = None if keys is None else Security(keys.resolve(), (name, ROUTER))
     try:
         answer = dict(ask(run, endpoints, name, what, given, security=security))

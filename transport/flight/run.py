@@ -4,15 +4,12 @@ import os
 import platform
 import shutil
 import signal
-import threading
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from types import FrameType
 
 import tomli_w
 from rich.console import Console
@@ -31,19 +28,20 @@ from transport.flight.fault_script import FaultScript
 from transport.flight.harness import Child, Harness, check_ports, free_ports
 from transport.flight.progress import RunProgress
 from transport.flight.recorder import Recorder
+from transport.flight.signals import collected_signals
 from transport.log.run_log import LogError, LogWriter
 
-# How long the processes may take to leave after the run's end before they are made to.
+# Time for the processes to end after the run before they are killed.
 _LEAVE_S = 3.0
 _POLL_S = 0.05
 
 
 class RunError(RuntimeError):
-    """A run that could not be started or lost a process before it began.
+    """A run that could not be started.
 
     Args:
         text: One line for the user.
-        exit_code: For the process.
+        exit_code: Exit code of the command.
     """
 
     def __init__(self, text: str, exit_code: int) -> None:
@@ -53,12 +51,12 @@ class RunError(RuntimeError):
 
 @dataclass(frozen=True, slots=True)
 class Finished:
-    """How a run ended.
+    """End of a run.
 
     Attributes:
-        folder: Run folder, complete but for the report.
-        exit_code: What the command should exit with.
-        reason: Why, in one line; empty when completed.
+        folder: Run folder, complete except for the report.
+        exit_code: Exit code of the command.
+        reason: One line; empty when completed.
     """
 
     folder: Path
@@ -67,7 +65,7 @@ class Finished:
 
 
 def new_folder(parent: Path, name: str) -> Path:
-    """A run folder's path that does not exist yet, named by time and scenario."""
+    """Return the path of a new run folder, named by time and scenario."""
     stamp = datetime.now(UTC).strftime("%Y%m%d-%H%M%S")
     folder, count = parent / f"{stamp}-{name}", 1
     while folder.exists():
@@ -77,23 +75,22 @@ def new_folder(parent: Path, name: str) -> Path:
 
 
 def simulate(setup: Setup, folder: Path, console: Console) -> Finished:
-    """Start the processes of a run, record it, see it to its end.
+    """Start the processes of a run, record it, and wait for its end.
 
     Args:
         setup: The run.
         folder: Run folder to create.
-        console: Where progress is drawn.
-    Returns: How it ended. Every process has ended and the log is complete.
-    Raises: RunError: the folder exists, a port is taken, or a process ended before the run began.
-        HarnessError: no port can be had.
+        console: For progress.
+    Returns: The end of the run; every process has ended and the log is complete.
+    Raises: RunError: the folder exists, or a process ended before the run began. HarnessError: no free port.
     """
     _refuse_existing(folder)
     scenario = setup.scenario
-    with console.status("preparing the model for this processor, once"):
+    with console.status("compiling the model for this processor, once"):
         compile_functions(setup.system.N)
     names = process_names(scenario)
     host, base_port = scenario.network.host, scenario.network.base_port
-    # The recorder has a port as well: it is called by people who want something of this run's parent.
+    # The recorder has a port for requests to the parent of the processes.
     with free_ports(host, 1 if base_port is not None else 1 + len(names)) as (own, *ports):
         if base_port is not None:
             ports = list(range(base_port, base_port + len(names)))
@@ -104,21 +101,20 @@ def simulate(setup: Setup, folder: Path, console: Console) -> Finished:
             raise RunError(str(error), EXIT_SCENARIO) from error
         recording = found.pop(RECORDER)
         try:
-            return _fly(setup, folder, console, found, recording)
+            return _simulate(setup, folder, console, found, recording)
         except BusError as error:
             raise RunError(str(error), EXIT_UNREACHABLE) from error
 
 
-def _fly(
+def _simulate(
     setup: Setup, folder: Path, console: Console, places: Mapping[str, Endpoints], recording: Endpoints
 ) -> Finished:
-    """A run whose processes are to be in these places, its recorder in one of its own."""
+    """Simulate a run with given endpoints of its processes and of its recorder."""
     scenario, names = setup.scenario, list(places)
     run = folder.name if Keys.allows(folder.name) else scenario.name
     text = _create(folder, setup)
     header = run_header(setup, run, len(names), text)
-    everybody = {**places, RECORDER: recording}
-    called = {name: [*place.listen, *place.connect][0] for name, place in everybody.items()}
+    called = {name: [*place.listen, *place.connect][0] for name, place in [*places.items(), (RECORDER, recording)]}
     keys = "" if recording.security is None else str(recording.security.folder)
     with (
         Harness(run, folder / "scenario.toml", places, folder / "logs") as harness,
@@ -149,14 +145,14 @@ def _fly(
 
 
 def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finished:
-    """Record a run whose processes somebody else starts.
+    """Record a run whose processes are started elsewhere.
 
     Args:
         setup: The run.
-        place: Where its processes are.
+        place: Its network.
         folder: Run folder to create.
-        console: Where progress is drawn.
-    Raises: RunError: the folder exists, or the processes did not show up.
+        console: For progress.
+    Raises: RunError: the folder exists, or the processes did not join.
     """
     names = process_names(setup.scenario)
     text = _create(folder, setup)
@@ -179,7 +175,7 @@ def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finis
 
 
 def run_header(setup: Setup, run: str, processes: int, scenario_toml: str) -> Mapping[str, str]:
-    """What a log says about its run besides the messages."""
+    """Return the metadata of a run's log."""
     return {
         "run_id": run,
         "scenario": scenario_toml,
@@ -192,19 +188,14 @@ def run_header(setup: Setup, run: str, processes: int, scenario_toml: str) -> Ma
 
 
 def versions() -> str:
-    """Versions of Python, of the packages that results depend on, and whether the kernels are compiled, in one line."""
+    """Return the versions of Python, packages and kernels that results depend on, in one line."""
     packages = ("payload-transport", "numpy", "casadi", "daqp", "clarabel", "eclipse-zenoh")
-    return ", ".join(
-        [
-            f"python {platform.python_version()}",
-            *(f"{package} {version(package)}" for package in packages),
-            f"kernels {'compiled' if native.AVAILABLE else 'plain'}",
-        ]
-    )
+    found = [f"python {platform.python_version()}", *(f"{package} {version(package)}" for package in packages)]
+    return ", ".join([*found, f"kernels {'compiled' if native.AVAILABLE else 'plain'}"])
 
 
 def machine() -> str:
-    """The machine in one line: processor, cores this process may use, system."""
+    """Return the machine in one line: processor, cores this process may use, system."""
     processor = platform.processor() or platform.machine()
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.exists():
@@ -215,7 +206,7 @@ def machine() -> str:
 
 
 def _command_started_ns() -> int:
-    """Wall-clock time at which this process was started, as far as the system tells."""
+    """Return the wall-clock time at which this process was started, ns since 1970; now where /proc is missing."""
     try:
         ticks = int(Path("/proc/self/stat").read_text().rsplit(")", 1)[1].split()[19])
         up_s = float(Path("/proc/uptime").read_text().split()[0])
@@ -230,14 +221,14 @@ def _refuse_existing(folder: Path) -> None:
 
 
 def _create(folder: Path, setup: Setup) -> str:
-    """Create the run folder with the resolved scenario in it; returns its text."""
+    """Create the run folder with the resolved scenario; return its text."""
     _refuse_existing(folder)
     text = tomli_w.dumps(setup.scenario.tree())
     try:
         folder.mkdir(parents=True)
         (folder / "scenario.toml").write_text(text, encoding="utf-8")
         for name, delays_s in setup.samples_s.items():
-            if not Path(name).is_absolute():  # the folder stands for itself
+            if not Path(name).is_absolute():  # the run folder is self-contained
                 (folder / name).parent.mkdir(parents=True, exist_ok=True)
                 (folder / name).write_text("\n".join(map(repr, delays_s)) + "\n", encoding="utf-8")
     except OSError as error:
@@ -246,7 +237,7 @@ def _create(folder: Path, setup: Setup) -> str:
 
 
 def _discard_if_empty(folder: Path, recorder: Recorder) -> None:
-    """Take back the run folder of a run nobody ever said anything in, so that the same command can be repeated."""
+    """Remove the folder of a run without any message, so that the same command can be repeated."""
     if recorder.received == 0:
         shutil.rmtree(folder, ignore_errors=True)
 
@@ -269,9 +260,9 @@ def _finished(folder: Path, recorder: Recorder) -> Finished:
 
 
 def _watch(harness: Harness | None, recorder: Recorder, progress: RunProgress, faults: FaultScript | None) -> None:
-    """Show progress until the run has ended; pass Ctrl-C on; notice processes that end too early."""
+    """Show progress until the run has ended; forward Ctrl-C; refuse processes that end too early."""
     shown = 0
-    with _signals() as signals:
+    with collected_signals() as signals:
         interrupted = 0
         while recorder.running:
             recorder.join(_POLL_S)
@@ -299,27 +290,8 @@ def _ended_early(ended: list[Child]) -> RunError:
     child = ended[0]
     code = child.process.returncode
     how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
-    # What a child refuses is this command's to refuse; any other end is that of a peer.
+    # A child refuses the same options and scenario as this command would; any other end is that of a peer.
     passed_on = code in (EXIT_USAGE, EXIT_SCENARIO)
     return RunError(
-        f"{child.name} {how} before the run began: {child.last_words()}", code if passed_on else EXIT_UNREACHABLE
+        f"{child.name} {how} before the run began: {child.last_line()}", code if passed_on else EXIT_UNREACHABLE
     )
-
-
-@contextmanager
-def _signals() -> Iterator[list[str]]:
-    """Collect SIGINT and SIGTERM by name instead of dying of them, in the main thread."""
-    received: list[str] = []
-
-    def note(number: int, _: FrameType | None) -> None:
-        received.append(signal.Signals(number).name)
-
-    if threading.current_thread() is not threading.main_thread():
-        yield received
-        return
-    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield received
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -1,1 +1,1 @@
-"""Monitoring of a run in progress: live table of the agents, Prometheus metrics."""
+"""Monitoring of an active run."""

@@ -1,4 +1,4 @@
-"""Health of every process of a run, as Prometheus metrics."""
+"""Export of process health as Prometheus metrics."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -8,48 +8,48 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 from protocol.network.endpoints import Endpoints
 from protocol.network.session import BusError, ask
 
-# How long a process may take to answer before it counts as not there.
-_PATIENCE_S = 1.0
+# Timeout after which a process counts as down.
+_TIMEOUT_S = 1.0
 
-# What is told of each process: key of its health, name of the metric, what it is.
+# Metrics of each process: key of its health, name, description.
 GAUGES = (
-    ("tick", "tick", "Newest tick the process knows of"),
+    ("tick", "tick", "Newest tick of the process"),
     ("memory_bytes", "memory_bytes", "Resident memory"),
     ("threads", "threads", "Threads"),
     ("open_files", "open_files", "Open files"),
-    ("clock_offset_s", "clock_offset_seconds", "By how much the coordinator's wall clock is ahead"),
-    ("clock_uncertainty_s", "clock_uncertainty_seconds", "At most so much is wrong with the offset"),
-    ("incarnation", "incarnation", "Which start of the process"),
+    ("clock_offset_s", "clock_offset_seconds", "Lead of the coordinator's wall clock"),
+    ("clock_uncertainty_s", "clock_uncertainty_seconds", "Largest error of the offset"),
+    ("incarnation", "incarnation", "Number of this start of the process"),
 )
 COUNTERS = (
     ("cpu_s", "cpu_seconds", "Processor time"),
-    ("refused", "refused_messages", "Messages refused"),
+    ("refused", "refused_messages", "Rejected messages"),
 )
 
 
 class Exporter:
-    """Asks every process of a run when it is read itself.
+    """Collector that asks every process of a run at each reading.
 
     Args:
         run: Name of the run.
-        places: Where the processes are, by name.
+        places: Endpoints of the processes by name.
     """
 
     def __init__(self, run: str, places: dict[str, Endpoints]) -> None:
         self._run, self._places = run, places
 
     def health(self, name: str) -> dict[str, Any] | None:
-        """How a process is, or None if it does not say so in time."""
+        """Return the health of a process, or None after the timeout."""
         place = self._places[name]
         try:
-            return dict(ask(self._run, place.connect, name, "health", {}, _PATIENCE_S, place.security))
+            return dict(ask(self._run, place.connect, name, "health", {}, _TIMEOUT_S, place.security))
         except BusError:
             return None
 
     def collect(self) -> Iterator[Any]:
-        """Metrics as `prometheus_client` wants them from a collector."""
+        """Yield the metrics, as `prometheus_client` expects of a collector."""
         answers = {name: self.health(name) for name in self._places}
-        up = GaugeMetricFamily("transport_up", "Whether the process answers", labels=["run", "process"])
+        up = GaugeMetricFamily("transport_up", "1 if the process answers", labels=["run", "process"])
         for name, answer in answers.items():
             up.add_metric([self._run, name], float(answer is not None))
         yield up

@@ -1,4 +1,4 @@
-"""A run in flight at a glance: what its messages say of each agent, gathered for a table."""
+"""Status of an active run, gathered from its messages."""
 
 from collections import Counter, deque
 from dataclasses import dataclass, field
@@ -23,26 +23,29 @@ from protocol.wire.messages import (
     agent_name,
 )
 
-# Steps that "worst" looks back over, and notices that are kept.
+# Number of steps for the longest step time, and of kept notices.
 _RECENT, _NOTICES = 100, 5
 
-# Ticks an agent may be behind before it counts as silent.
+# An agent is silent after this many ticks without a report.
 _BEHIND = 5
 
 
+_COUNTS = ("lost", "late", "missed", "fallbacks", "failures", "rejected")
+
+
 @dataclass(slots=True)
-class AgentNow:
-    """One agent as its messages show it.
+class AgentStatus:
+    """Status of one agent; counts are since the start of watching.
 
     Attributes:
-        report: Its newest step; None before the first.
-        slack_ms: What was left of the period when that step's report came; None where nothing paces the run.
-        recent_ms: Times of its latest steps, ms.
-        lost, late: Plans of others that did not come, or came later than one tick after their own, since watching.
-        missed: Deadlines its plans missed, since watching; real time only.
-        fallbacks, failures: Solves by the second solver, and by neither, since watching.
-        rejected: Messages it refused.
-        off: How often it was taken off the roster.
+        report: Newest step report; None before the first.
+        slack_ms: Rest of the period at the arrival of that report, ms; None in an unpaced run.
+        recent_ms: Times of the latest steps, ms.
+        lost, late: Plans of others that were lost, or came more than one tick late.
+        missed: Missed deadlines; real time only.
+        fallbacks, failures: Solves by the second solver, and by neither.
+        rejected: Messages rejected by the agent.
+        off: Number of removals from the roster.
     """
 
     report: StepReport | None = None
@@ -59,24 +62,23 @@ class AgentNow:
 
 @dataclass(slots=True)
 class Watch:
-    """What is known of a run from watching it, from whenever on.
+    """Status of a run since the start of watching.
 
     Args:
         setup: The run.
 
     Attributes:
-        agents: By number.
-        members: Who takes part; None before anybody said.
-        tick: The newest open one, -1 before the first.
-        plant_state: The plant's newest record.
-        control: How the run ended, once it has.
-        notices: Latest changes of the roster, for people.
-        rejections: Messages refused, by who refused them.
-        real_time_factor: Of the time watched; None before two ticks.
+        agents: Status of each agent by number.
+        members: Agents on the roster; None while unknown.
+        tick: Newest open tick, -1 before the first.
+        plant_state: Newest plant state.
+        control: End of the run; None before it.
+        notices: Latest changes of the roster.
+        rejections: Number of rejected messages by receiver.
     """
 
     setup: Setup
-    agents: dict[int, AgentNow] = field(init=False)
+    agents: dict[int, AgentStatus] = field(init=False)
     members: frozenset[int] | None = None
     tick: int = -1
     plant_state: PlantState | None = None
@@ -91,20 +93,20 @@ class Watch:
 
     def __post_init__(self) -> None:
         self._plausibility = Plausibility(self.setup)
-        self.agents = {agent: AgentNow() for agent in self.setup.agents}
+        self.agents = {agent: AgentStatus() for agent in self.setup.agents}
         self._cost = Cost(self.setup.settings.weights, self.setup.hover)
 
     def take(self, message: Message, at_ns: int) -> None:
-        """Take in a message.
+        """Update the status from a message.
 
         Args:
-            message: Of any kind.
-            at_ns: When it came, on any clock.
+            message: Any message.
+            at_ns: Arrival on any steady clock, ns.
         """
         try:
             self._plausibility.check(message)
         except MessageError:
-            return  # whoever it was meant for counts it
+            return  # its receiver counts it
         match message:
             case Tick():
                 self._open(message, at_ns)
@@ -124,7 +126,7 @@ class Watch:
 
     @property
     def is_whole(self) -> bool:
-        """Whether there is something to show of everybody who takes part."""
+        """Whether the plant state and a report of every agent on the roster have arrived."""
         return (
             self.plant_state is not None
             and self.members is not None
@@ -133,7 +135,7 @@ class Watch:
 
     @property
     def real_time_factor(self) -> float | None:
-        """Scenario time per wall time since watching began."""
+        """Scenario time per wall time since the start of watching; None before two ticks."""
         if self._first is None or self.tick <= self._first[0]:
             return None
         wall_s = (self._opened_ns - self._first[1]) / 1e9
@@ -142,12 +144,11 @@ class Watch:
     @property
     def cost(self) -> float | None:
         """Stage cost of the whole team at the newest recorded tick, docs/equations.md (21)."""
-        if self.plant_state is None:
+        state = self.plant_state
+        if state is None:
             return None
-        y_ref = self.setup.reference.outputs(np.array([self.plant_state.tick * self.setup.settings.sampling_period_s]))[
-            0
-        ]
-        return float(self._cost.stage(self.setup.model.outputs(self.plant_state.x), y_ref, self.plant_state.u))
+        y_ref = self.setup.reference.outputs(np.array([state.tick * self.setup.settings.sampling_period_s]))[0]
+        return float(self._cost.stage(self.setup.model.outputs(state.x), y_ref, state.u))
 
     @property
     def attitude_deg(self) -> float | None:
@@ -157,7 +158,7 @@ class Watch:
         return float(np.degrees(np.abs(StateView(self.plant_state.x).Theta0)).max())
 
     def state_of(self, agent: int) -> str:
-        """What an agent is doing: flies, silent, off the roster, or in the fail-safe; "-" while unknown."""
+        """Return the state of an agent: flies, silent, off (the roster), or fail-safe; "-" while unknown."""
         uavs = self.setup.owned[agent - 1]
         if self.plant_state is not None and any(self.plant_state.plan_ticks[uav] == FAIL_SAFE for uav in uavs):
             return "fail-safe"
@@ -169,7 +170,7 @@ class Watch:
         return "flies" if self.tick - report.tick <= _BEHIND else "silent"
 
     def content(self) -> dict[str, Any]:
-        """All of it as plain data that JSON can hold."""
+        """Return the status as JSON data."""
         agents = []
         for number, agent in self.agents.items():
             report = agent.report
@@ -178,19 +179,12 @@ class Watch:
                     "agent": number,
                     "uavs": [uav + 1 for uav in self.setup.owned[number - 1]],
                     "state": self.state_of(number),
-                    "tick": None if report is None else report.tick,
-                    "step_ms": None if report is None else float(report.times_ms[-1]),
+                    "tick": report and report.tick,
+                    "step_ms": report and float(report.times_ms[-1]),
                     "worst_step_ms": max(agent.recent_ms, default=None),
                     "slack_ms": agent.slack_ms,
-                    "plan_ages": None
-                    if report is None
-                    else {agent_name(p): a for p, a in zip(report.peers, report.plan_ages, strict=True)},
-                    "lost": agent.lost,
-                    "late": agent.late,
-                    "missed": agent.missed,
-                    "fallbacks": agent.fallbacks,
-                    "failures": agent.failures,
-                    "rejected": agent.rejected,
+                    "plan_ages": report and dict(zip(map(agent_name, report.peers), report.plan_ages, strict=True)),
+                    **{key: getattr(agent, key) for key in _COUNTS},
                     "off_the_roster": agent.off,
                 }
             )
@@ -205,8 +199,8 @@ class Watch:
             "agents": agents,
             "notices": list(self.notices),
             "rejections": dict(self.rejections),
-            "outcome": None if self.control is None else self.control.outcome,
-            "reason": None if self.control is None else self.control.reason,
+            "outcome": self.control and self.control.outcome,
+            "reason": self.control and self.control.reason,
         }
 
     def _open(self, tick: Tick, at_ns: int) -> None:

@@ -1,4 +1,4 @@
-"""The ablation: every part on its own, nothing twice, and a figure that has a row for each."""
+"""The ablation: every part on its own, no duplicates, and a figure with a row for each variant."""
 
 from pathlib import Path
 
@@ -7,21 +7,22 @@ import pytest
 from protocol.scenario.file import find_scenario, read_scenario
 from tests.support.results import here
 from tests.support.runs import ticks
-from transport.experiments.ablation import AS_IT_IS, NETWORKS, PARTS, ablation
+from transport.experiments.ablation import AS_IT_IS, PARTS, ablation
 from transport.experiments.cases import cases_of
-from transport.experiments.catalogue import Experiment
+from transport.experiments.experiment import Experiment
+from transport.experiments.network_sweeps import NETWORKS
 
 NAMES = ("paper", "resilient")
 OFF = "controller.preview=false"
 
 
 def built(*settings: str) -> Experiment:
-    """Of both ready scenarios."""
+    """Return the ablation of both scenarios."""
     return ablation({name: read_scenario(find_scenario(name), list(settings)) for name in NAMES})
 
 
 def test_one_part_at_a_time() -> None:
-    """A variant differs from the scenario as it is in one setting, on the same network; no two flights are equal."""
+    """A variant differs from the scenario as it is in one setting, on the same network; no two runs are equal."""
     experiment = built()
     cases = cases_of(experiment.points, [], 1)
     assert len({case.key for case in cases}) == len(cases) == len(experiment.points)
@@ -43,7 +44,7 @@ def test_one_part_at_a_time() -> None:
 
 
 def variants(name: str, *settings: str) -> dict[str, list[set[str]]]:
-    """Values that are flown of each part, for each network."""
+    """Return the values of each part, for each network."""
     points = [point for point in built(*settings).points if point.scenario == name]
     return {
         part: [
@@ -67,14 +68,14 @@ def test_every_part_has_every_value(name: str) -> None:
 
 
 def test_terminal_cost_and_preview_are_parts() -> None:
-    """Of `resilient`: the multiple of Q with preview, the cost-to-go without it. Of `paper`: the cost-to-go."""
+    """`resilient` varies the multiple of Q with preview and the cost-to-go without it; `paper` the cost-to-go."""
     resilient, paper = variants("resilient"), variants("paper")
     assert (resilient["terminal"][0], resilient["preview"][0]) == ({"multiple"}, {"false"})
     assert (paper["terminal"][0], paper["preview"][0]) == ({"riccati"}, set())
 
 
 def test_settings_that_contradict_each_other_are_left_out() -> None:
-    """A preview without closed loop needs the cost-to-go, the cost-to-go a price on the deviation from hover."""
+    """A preview without closed loop needs the cost-to-go, the cost-to-go a penalty on the deviation from hover."""
     open_loop = variants("resilient", "controller.prediction=open_loop", "controller.terminal=riccati")
     assert open_loop["terminal"] == [set(), set()]
     absolute = variants("paper", "controller.weights.penalised_input=absolute", "controller.terminal=multiple", OFF)
@@ -82,7 +83,7 @@ def test_settings_that_contradict_each_other_are_left_out() -> None:
 
 
 def test_what_a_setting_gives_is_not_flown_twice() -> None:
-    """Settings for all flights count: what they give is what the scenario is."""
+    """Settings of all runs define the scenario as it is."""
     points = built(
         "controller.negotiation_iterations=2", "clock.actuation=next_tick", "controller.relaxation=auto"
     ).points
@@ -101,7 +102,7 @@ def test_what_is_compared_to() -> None:
 
 
 def test_the_whole_command(tmp_path: Path) -> None:
-    """Table, findings and a figure with a row for each variant; nothing is cut off where people read."""
+    """Table, conclusions and a figure with a row for each variant; no text is cut off."""
     out = tmp_path / "out"
     result = here(
         "experiment",

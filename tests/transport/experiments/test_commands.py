@@ -10,7 +10,7 @@ from protocol.scenario.setup import Setup
 from protocol.wire.messages import Control
 from tests.support.results import here, kept, tables
 from tests.support.runs import ticks
-from transport.experiments.flight import NUMBERS
+from transport.experiments.simulation import NUMBERS
 from transport.experiments.table import WIDTH
 from transport.flight import memory
 
@@ -65,13 +65,13 @@ def test_a_folder_of_another_experiment_is_refused(tmp_path: Path) -> None:
     (tmp_path / "experiment.json").write_text('{"experiment": "loss"}')
     result = here("experiment", "latency", "--out", tmp_path)
     assert result.exit_code == USAGE
-    expected = f"--out: expected a folder that does not exist yet, or one of experiment latency, got {tmp_path}"
-    assert f"{expected}, which is one of loss" in result.stderr
+    expected = f"--out: expected a new folder, or one of experiment latency, got {tmp_path}"
+    assert f"{expected}, which belongs to loss" in result.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["experiment.json"]
 
 
-def test_a_scheduler_that_is_not_there_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """An address nobody listens on: exit code 4, and what was flown before stays."""
+def test_a_missing_scheduler_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An address without a scheduler gives exit code 4; earlier results are kept."""
     monkeypatch.setattr("transport.experiments.workers._ANSWER_S", 0.5)
     result = here("experiment", "latency", "--dask", "tcp://127.0.0.1:9", "--out", tmp_path / "out")
     assert result.exit_code == LOST
@@ -83,7 +83,7 @@ LATE = ("experiment", "latency", "--scenario", "resilient", "--delay", "0.1", "-
 
 
 def failing(when: Callable[[Setup], bool], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let flights raise."""
+    """Let simulations raise."""
     whole = memory.simulate
 
     def simulate(setup: Setup, *arguments: object, **options: object) -> Control:
@@ -94,15 +94,15 @@ def failing(when: Callable[[Setup], bool], monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(memory, "simulate", simulate)
 
 
-def test_a_flight_that_raises_is_a_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The others are flown, the row says why, the exit code is 7; when gone on with, only that one is flown."""
+def test_a_case_that_raises_is_a_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The others are simulated, the row gives the reason, the exit code is 7; resuming repeats that case only."""
     with monkeypatch.context() as patch:
         failing(lambda setup: setup.scenario.links.delay_s == 0.0, patch)
         result = here(*LATE, "--out", tmp_path / "out")
     assert result.exit_code == CASES
     assert "a flight could not be flown: RuntimeError: the wing fell off" in result.stderr
     assert "0/0 1!" in result.stdout
-    assert "1 flight could not be flown" in result.stdout
+    assert "1 run could not be simulated" in result.stdout
     points, cases = tables(tmp_path / "out")
     assert b"resilient,0.0,0,error,RuntimeError: the wing fell off" + b"," * len(NUMBERS) + b"\n" in cases
     assert b"resilient,0.0,0,0,1,,," in points
@@ -114,14 +114,14 @@ def test_a_flight_that_raises_is_a_row(tmp_path: Path, monkeypatch: pytest.Monke
 
 def test_another_version_does_not_mix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A worker with another version of the package gives an error, not numbers."""
-    monkeypatch.setattr("transport.experiments.flight.key_of", lambda *_: "0123")
+    monkeypatch.setattr("transport.experiments.simulation.key_of", lambda *_: "0123")
     result = here(*LATE, "--out", tmp_path / "out")
     assert result.exit_code == CASES
     assert "expected the version of this package that started the experiment, got another" in result.stderr
 
 
 def test_more_points_are_added(tmp_path: Path) -> None:
-    """Going on with other points flies those that are new, and reports those asked for."""
+    """Resuming with other points simulates the new ones, and reports the requested ones."""
     assert here(*LATE, "--out", tmp_path / "out").exit_code == DONE
     result = here(*LATE, "--delay", "0.2", "--out", tmp_path / "out")
     assert result.exit_code == DONE, result.output
@@ -131,7 +131,7 @@ def test_more_points_are_added(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["loss", "kill", "deaths", "jitter", "matrix", "sharing"])
 def test_a_trial_says_so(name: str, tmp_path: Path) -> None:
-    """`--quick` of every experiment flies, is called a trial, and its table fits its width."""
+    """`--quick` of every experiment runs, is called a trial, and its table fits its width."""
     settings = ("--set", ticks(4), "--seeds", "1", "--jobs", "1", "--scenario", "resilient")
     result = here("experiment", name, "--quick", *settings, "--out", tmp_path)
     assert result.exit_code == DONE, result.output

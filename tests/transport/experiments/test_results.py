@@ -7,12 +7,12 @@ import pytest
 
 from protocol.wire.exit_codes import EXIT_USAGE
 from transport.experiments.errors import ExperimentError
-from transport.experiments.flight import ERROR, NUMBERS, Result
 from transport.experiments.results import Results
+from transport.experiments.simulation import ERROR, NUMBERS, Result
 
 
 def result(key: str, outcome: str = "completed", cost: float = 0.1 + 0.2) -> Result:
-    """What came of a flight."""
+    """Return the result of a run."""
     numbers: dict[str, float | None] = dict.fromkeys(NUMBERS)
     return Result(key=key, outcome=outcome, reason="", numbers=numbers | {"cost_mean": cost})
 
@@ -23,7 +23,7 @@ def opened(folder: Path, experiment: str = "latency") -> Results:
 
 
 def test_results_are_read_back_as_the_same_bits(tmp_path: Path) -> None:
-    """What was added is there when the folder is opened again; nothing is said."""
+    """Added results are there when the folder is opened again, without notices."""
     with opened(tmp_path / "new" / "out") as results:
         results.add(result("a"))
         results.add(result("b", ERROR))
@@ -34,7 +34,7 @@ def test_results_are_read_back_as_the_same_bits(tmp_path: Path) -> None:
 
 
 def test_an_error_is_replaced_by_a_later_result(tmp_path: Path) -> None:
-    """A flight that could not be flown may be flown later; the later line counts."""
+    """A case that could not be simulated may be repeated; the later line counts."""
     with opened(tmp_path) as results:
         results.add(result("a", ERROR))
         results.add(result("a"))
@@ -43,8 +43,8 @@ def test_an_error_is_replaced_by_a_later_result(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("left", [1, 20, -1])
-def test_a_half_written_line_is_told_and_removed(tmp_path: Path, left: int) -> None:
-    """A last line cut anywhere costs its own flight only, and does not spoil the next line."""
+def test_an_incomplete_line_is_reported_and_removed(tmp_path: Path, left: int) -> None:
+    """A last line cut anywhere loses its own result only, and does not affect the next line."""
     with opened(tmp_path) as results:
         results.add(result("a"))
         results.add(result("b"))
@@ -52,7 +52,7 @@ def test_a_half_written_line_is_told_and_removed(tmp_path: Path, left: int) -> N
     first, second = path.read_bytes().splitlines(keepends=True)
     path.write_bytes(first + second[:left])
     with opened(tmp_path) as results:
-        assert results.notices == [f"{path}: the last line is not whole; its flight is flown again"]
+        assert results.notices == [f"{path}: the last line is incomplete; its case is simulated again"]
         assert (results.done("a"), results.done("b")) == (True, False)
         results.add(result("c"))
     with opened(tmp_path) as results:
@@ -60,18 +60,18 @@ def test_a_half_written_line_is_told_and_removed(tmp_path: Path, left: int) -> N
         assert results.notices == []
 
 
-def test_a_foreign_line_is_told(tmp_path: Path) -> None:
+def test_a_foreign_line_is_reported(tmp_path: Path) -> None:
     """A line in the middle that is no result is named and skipped."""
     with opened(tmp_path) as results:
         results.add(result("a"))
     path = tmp_path / "results.jsonl"
     path.write_bytes(b"what?\n" + path.read_bytes())
     with opened(tmp_path) as results:
-        assert results.notices == [f"{path}: line 1 is no result; its flight is flown again"]
+        assert results.notices == [f"{path}: line 1 is no result; its case is simulated again"]
         assert results.done("a")
 
 
-def test_a_result_of_an_older_version_is_flown_again(tmp_path: Path) -> None:
+def test_a_result_of_an_older_version_is_simulated_again(tmp_path: Path) -> None:
     """A result without one of the numbers is named and skipped; an error has no numbers and is kept."""
     older = replace(result("a"), numbers={"cost_mean": 0.1, "lost_s": None})
     with opened(tmp_path) as results:
@@ -79,21 +79,21 @@ def test_a_result_of_an_older_version_is_flown_again(tmp_path: Path) -> None:
         results.add(Result(key="b", outcome=ERROR, reason="why", numbers={}))
     with opened(tmp_path) as results:
         path = tmp_path / "results.jsonl"
-        assert results.notices == [f"{path}: line 1 has no {NUMBERS[2]}; its flight is flown again"]
+        assert results.notices == [f"{path}: line 1 has no {NUMBERS[2]}; its case is simulated again"]
         assert not results.done("a")
         assert results["b"].outcome == ERROR
 
 
 def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
-    """Another experiment's folder, one with other things in it, and a file are refused with what was expected."""
-    expected = "--out: expected a folder that does not exist yet, or one of experiment loss, got"
+    """Another experiment's folder, one with other files, and a file are refused with expected and got."""
+    expected = "--out: expected a new folder, or one of experiment loss, got"
     with opened(tmp_path / "late"), pytest.raises(ExperimentError, match=expected) as refusal:
         opened(tmp_path / "late", "loss")
-    assert str(refusal.value).endswith("late, which is one of latency")
+    assert str(refusal.value).endswith("late, which belongs to latency")
     assert refusal.value.exit_code == EXIT_USAGE
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.tex").write_text("mine")
-    with pytest.raises(ExperimentError, match="which holds something else"):
+    with pytest.raises(ExperimentError, match="which contains other files"):
         opened(tmp_path / "mine", "loss")
     assert [path.name for path in (tmp_path / "mine").iterdir()] == ["thesis.tex"]
     with pytest.raises(ExperimentError, match="which is a file"):
@@ -108,8 +108,8 @@ def test_a_folder_killed_at_its_first_moment_is_taken(tmp_path: Path) -> None:
 
 
 def test_two_commands_at_one_folder_are_refused(tmp_path: Path) -> None:
-    """While a command is at an experiment nobody else can go on with it."""
-    with opened(tmp_path), pytest.raises(ExperimentError, match="expected an experiment that nobody else is at"):
+    """A folder that a command uses is refused to a second one."""
+    with opened(tmp_path), pytest.raises(ExperimentError, match="expected a folder that no other experiment uses"):
         opened(tmp_path)
     with opened(tmp_path):
         pass

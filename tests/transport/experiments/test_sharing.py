@@ -1,4 +1,4 @@
-"""The sharing experiment: what is flown, what costs are compared with, and messages against cost."""
+"""The sharing experiment: its points, its baselines, and messages against cost."""
 
 import csv
 from pathlib import Path
@@ -8,12 +8,11 @@ from rich.console import Console
 
 from tests.support.results import here
 from tests.support.runs import ticks
-from transport.experiments.ablation import NETWORKS
 from transport.experiments.cases import cases_of
 from transport.experiments.errors import ExperimentError
-from transport.experiments.flight import NUMBERS, Result
-from transport.experiments.sharing import sharing
-from transport.experiments.statistics import measure
+from transport.experiments.network_sweeps import NETWORKS, sharing
+from transport.experiments.simulation import NUMBERS, Result
+from transport.experiments.statistics import statistics_of
 from transport.experiments.table import WIDTH, table_of
 
 HEARTBEAT_S = 0.5
@@ -41,18 +40,18 @@ def test_costs_are_over_the_same_network() -> None:
         [Result(key="", outcome="completed", reason="", numbers={**dict.fromkeys(NUMBERS), "cost_mean": cost})]
         for cost in costs
     ]
-    assert [m.cost_ratio for m in measure(points, results, NUMBERS)] == [1.0, 1.5, 1.0, 1.25]
+    assert [m.cost_ratio for m in statistics_of(points, results, NUMBERS)] == [1.0, 1.5, 1.0, 1.25]
 
 
 def test_the_table_fits() -> None:
-    """With confidence intervals, too, the table is whole where people read it."""
+    """The table fits its width, also with confidence intervals."""
     points = sharing(["resilient"], [0.002], HEARTBEAT_S).points
     flights = [
         Result(key="", outcome="completed", reason="", numbers=dict.fromkeys(NUMBERS, number)) for number in (0.39, 0.4)
     ]
     console = Console(width=WIDTH)
     with console.capture() as capture:
-        console.print(table_of("sharing", measure(points, [flights] * len(points), NUMBERS)))
+        console.print(table_of("sharing", statistics_of(points, [flights] * len(points), NUMBERS)))
     assert "39.5 ±6.4" in capture.get()
     assert "…" not in capture.get()
 
@@ -66,7 +65,7 @@ def test_the_table_fits() -> None:
     ],
 )
 def test_wrong_options(thresholds: list[float], heartbeat_s: float, text: str) -> None:
-    """Option, expected and got."""
+    """A wrong value is refused with option, expected and got."""
     with pytest.raises(ExperimentError) as caught:
         sharing(["resilient"], thresholds, heartbeat_s)
     assert str(caught.value) == text

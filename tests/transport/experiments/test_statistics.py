@@ -5,8 +5,8 @@ import pytest
 from scipy import stats
 
 from transport.experiments.cases import Point
-from transport.experiments.flight import ERROR, NUMBERS, Result
-from transport.experiments.statistics import estimate, measure
+from transport.experiments.simulation import ERROR, NUMBERS, Result
+from transport.experiments.statistics import estimate, statistics_of
 
 # Rounding of sums of a few numbers of order one.
 ROUNDING = 1e-12
@@ -17,7 +17,7 @@ OTHER = Point(scenario="b", labels={"delay_s": 0.1}, text="100 ms")
 
 
 def result(outcome: str = "completed", cost: float = 1.0, lost_s: float | None = None) -> Result:
-    """What came of a flight."""
+    """Return the result of a run."""
     numbers: dict[str, float | None] = dict.fromkeys(NUMBERS)
     numbers |= {"cost_mean": cost, "lost_s": lost_s}
     return Result(key="k", outcome=outcome, reason="", numbers={} if outcome == ERROR else numbers)
@@ -45,7 +45,7 @@ def test_interval_is_students(n: int) -> None:
 
 
 def test_interval_covers() -> None:
-    """Of 2000 intervals from three normally distributed values each, 95 % hold the true mean."""
+    """95 % of 2000 intervals from three normally distributed values each contain the true mean."""
     rng = np.random.default_rng(0)
     draws = rng.normal(3.0, 2.0, size=(2000, 3))
     found = [estimate(list(row)) for row in draws]
@@ -65,11 +65,11 @@ def test_few_repetitions() -> None:
     assert equal.half_width == pytest.approx(0.0, abs=ROUNDING)
 
 
-def test_lost_flights_count_but_are_not_averaged() -> None:
-    """Cost is averaged over completed flights; a lost one counts as flown, with its time; errors are apart."""
-    flights = [result(cost=2.0), result("diverged", cost=9.0, lost_s=14.3), result(cost=4.0), result(ERROR)]
-    base, late = measure([BASELINE, LATE], [[result(cost=1.5)], flights], NUMBERS[1:])
-    assert (late.flights, late.completed, late.errors, late.lost_s) == (3, 2, 1, (14.3,))
+def test_diverged_runs_count_but_are_not_averaged() -> None:
+    """Cost is averaged over completed runs; a diverged run counts, with its time; errors are separate."""
+    results = [result(cost=2.0), result("diverged", cost=9.0, lost_s=14.3), result(cost=4.0), result(ERROR)]
+    base, late = statistics_of([BASELINE, LATE], [[result(cost=1.5)], results], NUMBERS[1:])
+    assert (late.runs, late.completed, late.errors, late.diverged_s) == (3, 2, 1, (14.3,))
     cost = late.numbers["cost_mean"]
     assert cost is not None
     assert (cost.mean, cost.n) == (3.0, 2)
@@ -77,10 +77,10 @@ def test_lost_flights_count_but_are_not_averaged() -> None:
 
 
 def test_ratio_needs_both() -> None:
-    """The ratio is to the same scenario's baseline; without one, or without a completed flight, there is none."""
+    """The ratio is to the same scenario's baseline; without one, or without a completed run, there is none."""
     lost = [result("diverged", lost_s=1.0)]
-    _, late, other = measure([BASELINE, LATE, OTHER], [[result()], lost, [result()]], NUMBERS[1:])
+    _, late, other = statistics_of([BASELINE, LATE, OTHER], [[result()], lost, [result()]], NUMBERS[1:])
     assert late.cost_ratio is None
-    assert late.first_lost_s == 1.0
+    assert late.first_diverged_s == 1.0
     assert other.cost_ratio is None
-    assert measure([BASELINE, LATE], [lost, [result()]], NUMBERS[1:])[1].cost_ratio is None
+    assert statistics_of([BASELINE, LATE], [lost, [result()]], NUMBERS[1:])[1].cost_ratio is None

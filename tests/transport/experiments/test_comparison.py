@@ -11,28 +11,28 @@ import pytest
 from protocol.scenario.setup import Setup
 from tests.support.results import here
 from tests.support.runs import ticks
-from transport.experiments import claim, cost_curves
+from transport.experiments import comparison, cost_curves
 from transport.experiments.cases import Case, cases_of
-from transport.experiments.claim import CENTRALIZED, CLOSED_LOOP, GUSTS, PAPER, SECONDS, STEPS, STILL, Cell
-from transport.experiments.computation import (
+from transport.experiments.comparison import CENTRALIZED, CLOSED_LOOP, GUSTS, PAPER, SECONDS, STEPS, STILL, Cell
+from transport.experiments.cost_curves import COST, Curve
+from transport.experiments.processor_time import (
     AGENT,
     MANEUVER,
     TEAM,
     Load,
-    Span,
+    PeriodRange,
     crossing_s,
     equal_periods,
     measure_in_turns,
     step_ms,
 )
-from transport.experiments.cost_curves import COST, Curve
-from transport.experiments.flight import ERROR, NUMBERS, Result
+from transport.experiments.simulation import ERROR, NUMBERS, Result
 from transport.experiments.statistics import estimate
 
 AGENTS = 4
 LONGEST_S = 0.1
 REFERENCE = Cell(controller=CENTRALIZED, period_s=0.05, horizon=20)
-PERIODS_S = [factor * REFERENCE.period_s for factor in claim.GRID]
+PERIODS_S = [factor * REFERENCE.period_s for factor in comparison.GRID]
 
 
 def load(period_s: float, *ratios: float) -> Load:
@@ -68,10 +68,10 @@ def test_repetitions_give_an_interval() -> None:
 
 
 def test_periods_beyond_the_grid() -> None:
-    """A team that computes more at every period, or less, has an open interval; so has one that sometimes does."""
+    """The range is open if a team computes more, or less, at every period, in all or some repetitions."""
     more, less = [load(0.1, 1.5), load(0.05, 3.0)], [load(0.1, 0.1), load(0.05, 0.2)]
-    assert equal_periods(more, AGENT) == Span(math.inf, math.inf)
-    assert equal_periods(less, AGENT) == Span(0.0, 0.0)
+    assert equal_periods(more, AGENT) == PeriodRange(math.inf, math.inf)
+    assert equal_periods(less, AGENT) == PeriodRange(0.0, 0.0)
     sometimes = equal_periods([load(0.1, 0.5, 1.1), load(0.05, 2.0, 2.2)], AGENT)
     assert sometimes.low_s == pytest.approx(0.1 * 0.5**0.5)
     assert math.isinf(sometimes.high_s)
@@ -86,8 +86,8 @@ def test_crossing_at_the_ends(ratios: tuple[float, float], expected_s: float) ->
 
 def test_all_are_measured_in_turns() -> None:
     """Each repetition measures every candidate once, each right behind the reference; ratios are of these pairs."""
-    reference, printed = (claim.setup_of(name, [MANEUVER]) for name in (CENTRALIZED, PAPER))
-    closed = claim.setup_of(CLOSED_LOOP, [MANEUVER])
+    reference, printed = (comparison.setup_of(name, [MANEUVER]) for name in (CENTRALIZED, PAPER))
+    closed = comparison.setup_of(CLOSED_LOOP, [MANEUVER])
     order: list[Setup] = []
     finished: list[int] = []
 
@@ -107,7 +107,11 @@ def test_all_are_measured_in_turns() -> None:
 
 def test_a_step_takes_time() -> None:
     """Centralized control of four computes more than one of four agents, whatever machine this is."""
-    assert step_ms(claim.setup_of(CENTRALIZED, [MANEUVER])) > 1.5 * step_ms(claim.setup_of(PAPER, [MANEUVER])) > 0.0
+    assert (
+        step_ms(comparison.setup_of(CENTRALIZED, [MANEUVER]))
+        > 1.5 * step_ms(comparison.setup_of(PAPER, [MANEUVER]))
+        > 0.0
+    )
 
 
 @pytest.mark.parametrize(
@@ -115,33 +119,33 @@ def test_a_step_takes_time() -> None:
 )
 def test_horizons(kept: str, period_s: float, horizon: int) -> None:
     """A faster controller looks ahead as many steps or as many seconds."""
-    assert claim.horizon_of(20, 0.05, period_s, kept) == horizon
+    assert comparison.horizon_of(20, 0.05, period_s, kept) == horizon
 
 
 def test_grid() -> None:
     """Both controllers have curves around the reference's period, which belongs to each of them, longest first."""
-    curves = claim.curves_of(0.05, 20)
-    assert set(curves) == set(claim.CURVES)
+    curves = comparison.curves_of(0.05, 20)
+    assert set(curves) == set(comparison.CURVES)
     for (_, kept), cells in curves.items():
         periods_s = [cell.period_s for cell in cells]
         assert periods_s == sorted(periods_s, reverse=True)
         assert periods_s[0] == 0.1
         assert 0.05 in periods_s
-        assert all(cell.horizon == claim.horizon_of(20, 0.05, cell.period_s, kept) for cell in cells)
+        assert all(cell.horizon == comparison.horizon_of(20, 0.05, cell.period_s, kept) for cell in cells)
     shortest_s = {curve: cells[-1].period_s for curve, cells in curves.items()}
     assert (shortest_s[PAPER, STEPS], shortest_s[PAPER, SECONDS], shortest_s[CENTRALIZED, SECONDS]) == (
         0.015,
         0.02,
         0.025,
     )
-    cells = claim.cells_of(curves)
+    cells = comparison.cells_of(curves)
     assert len(set(cells)) == len(cells) == sum(map(len, curves.values())) - 2
 
 
 def test_every_cell_can_be_run() -> None:
     """Periods and horizons reach the scenarios, in still air and in gusts; without gusts there is still air alone."""
-    cells = claim.cells_of(claim.curves_of(0.05, 20))
-    points = claim.experiment(cells, REFERENCE, 0.5).points
+    cells = comparison.cells_of(comparison.curves_of(0.05, 20))
+    points = comparison.experiment(cells, REFERENCE, 0.5).points
     cases = cases_of(points, [MANEUVER], 1)
     assert len(cases) == 2 * len(cells)
     for case in cases:
@@ -149,7 +153,7 @@ def test_every_cell_can_be_run() -> None:
         assert scenario.controller.sampling_period_s == labels["period_s"]
         assert scenario.controller.horizon == labels["horizon"]
         assert scenario.plant.wind.gust_mps == [0.5 if labels["weather"] == GUSTS else 0.0] * 3
-    assert {point.labels["weather"] for point in claim.experiment(cells, REFERENCE, 0.0).points} == {STILL}
+    assert {point.labels["weather"] for point in comparison.experiment(cells, REFERENCE, 0.0).points} == {STILL}
     assert sum(point.baseline for point in points) == 2
 
 
@@ -165,7 +169,9 @@ COSTS = {
 def paper_curve(outcome: Callable[[Case], str] = lambda _: "completed", seeds: int = 3) -> Curve:
     """The cost curve of the paper's algorithm in gusts, with made-up costs."""
     cells = [Cell(controller=controller, period_s=period_s, horizon=20) for controller, period_s in COSTS]
-    points = [point for point in claim.experiment(cells, REFERENCE, 0.5).points if point.labels["weather"] == GUSTS]
+    points = [
+        point for point in comparison.experiment(cells, REFERENCE, 0.5).points if point.labels["weather"] == GUSTS
+    ]
     cases = cases_of(points, [MANEUVER], seeds)
     results = []
     for case in cases:
@@ -180,9 +186,9 @@ def paper_curve(outcome: Callable[[Case], str] = lambda _: "completed", seeds: i
 
 
 def at(case: Case, controller: str, period_s: float) -> bool:
-    """Whether a case is of a controller at a period."""
+    """Return whether a case is of a controller at a period."""
     scenario = case.scenario
-    return scenario.name == claim.SCENARIOS[controller] and scenario.controller.sampling_period_s == period_s
+    return scenario.name == comparison.SCENARIOS[controller] and scenario.controller.sampling_period_s == period_s
 
 
 def test_ratios_are_taken_seed_by_seed() -> None:
@@ -202,44 +208,44 @@ def test_between_periods_the_cost_is_a_power_of_the_period() -> None:
 def test_cost_of_an_interval() -> None:
     """A range of periods gives the range of ratios, that of a period inside it included, with their confidence."""
     single = paper_curve(seeds=1)
-    assert single.cost_range(Span(0.05, 0.05)) == pytest.approx((1.2, 1.2))
-    assert single.cost_range(Span(0.025, 0.1)) == pytest.approx((0.9, 4.0))
-    low, high = single.cost_range(Span(0.04, 0.06)) or (0.0, 0.0)
+    assert single.cost_range(PeriodRange(0.05, 0.05)) == pytest.approx((1.2, 1.2))
+    assert single.cost_range(PeriodRange(0.025, 0.1)) == pytest.approx((0.9, 4.0))
+    low, high = single.cost_range(PeriodRange(0.04, 0.06)) or (0.0, 0.0)
     assert 0.9 < low < 1.2 < high < 4.0
     mean = estimate([1.2, 1.1, 1.2])
     assert mean is not None
     assert mean.half_width is not None
     expected = (mean.mean - mean.half_width, mean.mean + mean.half_width)
-    assert paper_curve().cost_range(Span(0.05, 0.05)) == pytest.approx(expected)
+    assert paper_curve().cost_range(PeriodRange(0.05, 0.05)) == pytest.approx(expected)
 
 
-def test_what_lies_beyond_the_grid_has_no_cost() -> None:
+def test_periods_outside_the_grid_have_no_cost() -> None:
     """An interval partly beyond the grid is cut off there, one wholly beyond it has no cost."""
     curve = paper_curve(seeds=1)
-    assert curve.cost_range(Span(0.1, math.inf)) == pytest.approx((4.0, 4.0))
-    assert curve.cost_range(Span(math.inf, math.inf)) is None
-    assert curve.cost_range(Span(0.0, 0.0)) is None
+    assert curve.cost_range(PeriodRange(0.1, math.inf)) == pytest.approx((4.0, 4.0))
+    assert curve.cost_range(PeriodRange(math.inf, math.inf)) is None
+    assert curve.cost_range(PeriodRange(0.0, 0.0)) is None
 
 
 def test_diverged_runs_are_not_compared() -> None:
-    """Next to a period with a diverged run the cost is infinite; elsewhere the curve is as it was."""
+    """Next to a period with a diverged run the cost is infinite; elsewhere the curve is unchanged."""
     curve = paper_curve(lambda case: "diverged" if at(case, PAPER, 0.1) and case.scenario.seed == 0 else "completed")
-    assert (curve.nodes[0].flights, curve.nodes[0].completed, curve.nodes[0].lost_s) == (3, 2, (3.5,))
-    assert curve.cost_range(Span(0.07, 0.08)) == (math.inf, math.inf)
-    assert (curve.cost_range(Span(0.04, 0.06)) or (0.0, 0.0))[1] == math.inf
+    assert (curve.nodes[0].runs, curve.nodes[0].completed, curve.nodes[0].diverged_s) == (3, 2, (3.5,))
+    assert curve.cost_range(PeriodRange(0.07, 0.08)) == (math.inf, math.inf)
+    assert (curve.cost_range(PeriodRange(0.04, 0.06)) or (0.0, 0.0))[1] == math.inf
     assert curve.cost_ratios(0.05) == pytest.approx([1.2, 1.1, 1.2])
 
 
 def test_a_diverged_reference_takes_its_seed_away() -> None:
-    """A seed that the reference does not complete is compared nowhere; without any there is no ratio."""
+    """A seed that the reference does not complete is left out; without any seed there is no ratio."""
     curve = paper_curve(lambda case: "diverged" if at(case, CENTRALIZED, 0.05) and case.scenario.seed else "completed")
     assert curve.cost_ratios(0.05) == pytest.approx([1.2])
     curve = paper_curve(lambda case: ERROR if at(case, CENTRALIZED, 0.05) else "completed")
-    assert curve.cost_range(Span(0.05, 0.05)) is None
+    assert curve.cost_range(PeriodRange(0.05, 0.05)) is None
 
 
 def test_the_whole_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Measures, runs, compares, draws, judges; a folder goes on with what was measured, but not with other settings."""
+    """All files are written; resuming uses the measured times and refuses other settings."""
     out = tmp_path / "out"
     arguments = ("experiment", "paper", "--quick", "--gust", "0", "--jobs", "1", "--out", out)
     result = here(*arguments, "--set", ticks(6))
@@ -249,7 +255,7 @@ def test_the_whole_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     assert files <= {path.name for path in out.iterdir()}
     with (out / "curves.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    assert {(row["controller"], row["kept"]) for row in rows} == set(claim.CURVES)
+    assert {(row["controller"], row["kept"]) for row in rows} == set(comparison.CURVES)
     assert float(rows[0]["cost_mean_ratio"]) == 1.0
     for row in rows:
         times = [float(row[name]) for name in ("cpu_team_s_per_s_min", "cpu_team_s_per_s", "cpu_team_s_per_s_max")]
@@ -257,19 +263,19 @@ def test_the_whole_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     with (out / "verdict.csv").open(newline="") as file:
         verdicts = list(csv.DictReader(file))
     assert (verdicts[0]["budget"], verdicts[0]["claim"]) == ("same rate", "slightly worse")
-    words = (out / "verdict.txt").read_text()
-    assert words.partition("\nmachine")[0].strip() in result.stdout
-    assert '"slightly worse at the same rate": ' in words
+    text = (out / "verdict.txt").read_text()
+    assert text.partition("\nmachine")[0].strip() in result.stdout
+    assert '"slightly worse at the same rate": ' in text
 
     def never(*_: object, **__: object) -> None:
         raise AssertionError("measured or run again")
 
-    monkeypatch.setattr(claim, "measure_in_turns", never)
-    monkeypatch.setattr("transport.experiments.claim_figure.draw", lambda *_: [])
+    monkeypatch.setattr(comparison, "measure_in_turns", never)
+    monkeypatch.setattr("transport.experiments.comparison_report.draw_maneuver", lambda *_: [])
     monkeypatch.setattr("transport.experiments.workers.simulate_in_memory", never)
     again = here(*arguments, "--set", ticks(6))
     assert again.exit_code == 0, again.output
-    assert (out / "verdict.txt").read_text() == words
+    assert (out / "verdict.txt").read_text() == text
     other = here(*arguments, "--set", ticks(7))
     assert other.exit_code == 2
     assert "--set: expected the settings" in other.stderr

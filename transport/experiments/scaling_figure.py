@@ -1,31 +1,30 @@
-"""How computation, messages and cost grow with the team: panels over N, with slopes to compare with."""
+"""Scaling figure: computation, messages and cost over the number of UAVs, with reference slopes."""
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
-from transport.experiments.catalogue import CENTRALIZED
-from transport.experiments.curves import MARKER, PRINT
-from transport.experiments.growth import FEWEST
-from transport.experiments.statistics import Measured
-from transport.report.style import CURVES, REFERENCE, WIDTH_IN, label_decades
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from transport.experiments.curve_figure import MARKER, PRINT, curve_style, draw_legend
+from transport.experiments.scaling import CENTRALIZED, FEWEST
+from transport.experiments.statistics import PointStatistics
+from transport.report.style import REFERENCE, WIDTH_IN, label_decades
 
 _HEIGHT_IN = 4.6
 
-# The axis goes on by this factor behind the largest team, where the slopes have their names.
+# Room for the names of the slopes beyond the largest team, as a factor.
 _ROOM = 1.3
-# The axes up end this factor beyond means and slopes; wider intervals leave the panel, that of two flights by far.
+# Margin of the vertical axes around means and slopes, as a factor; wide intervals, as of two runs, are cut off.
 _MARGIN = 1.4
-# Sizes of teams closer than this factor leave no room for both their names.
+# Team sizes closer than this factor leave no room for both their names.
 _CLOSE = 1.25
 
 
 class _Panel(NamedTuple):
-    """Title, number, factor, and by ownership the exponent of the slope drawn beside its curve."""
+    """Title, number, factor, and exponent of the reference slope by ownership."""
 
     title: str
     name: str
@@ -41,15 +40,13 @@ _PANELS = (
 )
 
 
-def draw_growth(figure: "Figure", measured: Sequence[Measured]) -> None:
-    """Four panels over the number of UAVs, a curve for each ownership.
+def draw_scaling(figure: Figure, measured: Sequence[PointStatistics]) -> None:
+    """Draw four panels over the number of UAVs, with a curve for each ownership.
 
     Args:
         figure: Empty.
-        measured: What came of each point.
+        measured: Statistics of the points.
     """
-    from matplotlib.ticker import NullLocator
-
     figure.set_size_inches(WIDTH_IN, _HEIGHT_IN)
     panels = figure.subplots(2, 2, sharex=True)
     ownerships = list(dict.fromkeys(m.point.labels["ownership"] for m in measured))
@@ -70,12 +67,11 @@ def draw_growth(figure: "Figure", measured: Sequence[Measured]) -> None:
     for axes in panels[-1]:
         axes.set_xlabel("UAVs")
         axes.set_xlim(sizes[0] / _ROOM**0.3, sizes[-1] * _ROOM)
-    handles, labels = panels[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+    draw_legend(figure, panels[0, 0])
 
 
 def _names(sizes: Sequence[int]) -> list[str]:
-    """What is written below each size, ascending: nothing where the next one's name needs the room."""
+    """Return the tick label of each size, ascending; empty where it would overlap the next."""
     names: list[str] = []
     named = math.inf
     for size in reversed(sizes):
@@ -85,8 +81,8 @@ def _names(sizes: Sequence[int]) -> list[str]:
     return names
 
 
-def _draw(axes: "Axes", panel: _Panel, measured: Sequence[Measured], name: str, index: int) -> list[float]:
-    """A curve with its confidence intervals, and the slope to compare it with; the heights to be seen."""
+def _draw(axes: Axes, panel: _Panel, measured: Sequence[PointStatistics], name: str, index: int) -> list[float]:
+    """Draw a curve with confidence intervals and its reference slope; return the values to be visible."""
     found = [(int(m.point.labels["uavs"]), value) for m in measured if (value := m.numbers[panel.name]) is not None]
     shown = [(uavs, value) for uavs, value in found if value.mean > 0.0]
     if not shown:
@@ -94,10 +90,9 @@ def _draw(axes: "Axes", panel: _Panel, measured: Sequence[Measured], name: str, 
     x = [uavs for uavs, _ in shown]
     y = [panel.factor * value.mean for _, value in shown]
     halves = [panel.factor * (value.half_width or 0.0) for _, value in shown]
-    colour, marker, line = CURVES[index % len(CURVES)]
-    style: dict[str, Any] = {"color": colour, "marker": marker, "linestyle": line, "markersize": MARKER}
-    axes.plot(x, y, **style, label=name)
-    axes.errorbar(x, y, halves, color=colour, linestyle="none", capsize=2.0, elinewidth=0.8)
+    style = curve_style(index)
+    axes.plot(x, y, **style, markersize=MARKER, label=name)
+    axes.errorbar(x, y, halves, color=style["color"], linestyle="none", capsize=2.0, elinewidth=0.8)
     if name in panel.slopes and x[-1] > FEWEST:
         power = panel.slopes[name]
         first = next(i for i, uavs in enumerate(x) if uavs >= FEWEST)

@@ -3,15 +3,15 @@
 import pytest
 
 from protocol.scenario.file import find_scenario, read_scenario
+from transport.experiments.agent_failures import deaths
 from transport.experiments.cases import cases_of
-from transport.experiments.deaths import deaths
 from transport.experiments.errors import ExperimentError
 
 SCENARIOS = {"resilient": read_scenario(find_scenario("resilient"), [])}
 
 
 def test_each_run_kills_one_agent_for_good() -> None:
-    """Twenty valid scenarios with one kill each, at distinct times within the 25 s, of agents 1 to 4; one without."""
+    """Twenty valid scenarios with one kill each, at distinct times within 25 s, of agents 1 to 4; one without."""
     experiment = deaths(SCENARIOS, 20, 0)
     cases = cases_of(experiment.points, [], 1)
     assert len({case.key for case in cases}) == len(cases) == 21

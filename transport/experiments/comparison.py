@@ -1,4 +1,4 @@
-"""What the paper's comparison runs: centralized and distributed controllers over a grid of sampling periods."""
+"""Comparison of centralized and distributed control: the controllers and their grid of sampling periods."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -9,8 +9,9 @@ import orjson
 from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
 from protocol.scenario.setup import Setup
 from transport.experiments.cases import Point
-from transport.experiments.catalogue import Axis, Experiment
-from transport.experiments.computation import (
+from transport.experiments.errors import refused
+from transport.experiments.experiment import Axis, Experiment
+from transport.experiments.processor_time import (
     MANEUVER,
     QUICK_MANEUVER,
     QUICK_REPEATS,
@@ -18,32 +19,25 @@ from transport.experiments.computation import (
     Load,
     measure_in_turns,
 )
-from transport.experiments.errors import refused
 from transport.report.report import write_whole
 
 NAME = "paper"
 
-# The paper prints no weights: its algorithm is run with ours.
+# The paper publishes no weights: its algorithm is run with ours.
 CENTRALIZED, PAPER, CLOSED_LOOP = "centralized", "paper's algorithm", "closed loop"
 SCENARIOS = {CENTRALIZED: "centralized", PAPER: "paper", CLOSED_LOOP: "resilient"}
 STEPS, SECONDS = "steps", "seconds"
 STILL, GUSTS = "still air", "gusts"
 
 # The curves: a controller, and whether its horizon keeps the reference's number of steps or of seconds.
-CURVES = (
-    (CENTRALIZED, STEPS),
-    (CENTRALIZED, SECONDS),
-    (PAPER, STEPS),
-    (PAPER, SECONDS),
-    (CLOSED_LOOP, SECONDS),
-)
+CURVES = ((CENTRALIZED, STEPS), (CENTRALIZED, SECONDS), (PAPER, STEPS), (PAPER, SECONDS), (CLOSED_LOOP, SECONDS))
 
 # Sampling periods over the reference's: 100 to 15 ms for the paper's 50 ms.
 GRID = (2.0, 1.5, 1.0, 0.7, 0.5, 0.4, 0.3)
 QUICK_GRID = (1.0, 0.5)
 
-# Where a horizon of as many seconds ends, over the reference's period: below, an agent computes more than the
-# reference already, and the long horizons take more time than all other runs together.
+# Shortest period of some curves over the reference's: below it an agent computes more than the reference, and the long
+# horizons take more time than all other runs together.
 _SHORTEST = {(CENTRALIZED, SECONDS): 0.5, (PAPER, SECONDS): 0.4, (CLOSED_LOOP, SECONDS): 0.4}
 
 _COMPUTATION = "computation.json"
@@ -65,14 +59,15 @@ class Cell:
 
 
 Curves = Mapping[tuple[str, str], Sequence[Cell]]
+Loads = Mapping[Cell, Load]
 
 
 def curves_of(period_s: float, horizon: int, *, quick: bool = False) -> Curves:
-    """The cells of each curve by controller and kept horizon, from the longest period to the shortest.
+    """Return the cells of each curve by controller and kept horizon, from the longest period to the shortest.
 
     Args:
-        period_s: Sampling period of the reference.
-        horizon: Its N_p.
+        period_s: Sampling period of the reference, s.
+        horizon: Its N_p, steps.
         quick: Two periods only.
     """
     return {
@@ -87,28 +82,28 @@ def curves_of(period_s: float, horizon: int, *, quick: bool = False) -> Curves:
 
 
 def cells_of(curves: Curves) -> list[Cell]:
-    """Every cell once: two curves of a controller meet at the reference's period."""
+    """Return every cell once; two curves of a controller meet at the reference's period."""
     return list(dict.fromkeys(cell for cells in curves.values() for cell in cells))
 
 
 def horizon_of(steps: int, period_s: float, own_period_s: float, kept: str) -> int:
-    """N_p at another sampling period: as many steps, or steps for as many seconds."""
+    """Return N_p at another sampling period: as many steps, or steps for as many seconds."""
     return steps if kept == STEPS else max(1, round(steps * period_s / own_period_s))
 
 
 def setup_of(controller: str, settings: Sequence[str]) -> Setup:
-    """The run of a controller.
+    """Return the run of a controller.
 
-    Raises: ScenarioError: settings that it cannot have.
+    Raises: ScenarioError: wrong settings.
     """
     path = find_scenario(SCENARIOS[controller])
     return Setup.of(read_scenario(path, settings), str(path))
 
 
 def reference_of(settings: Sequence[str]) -> Setup:
-    """The centralized run that all others are compared to.
+    """Return the centralized run that all others are compared to.
 
-    Raises: ScenarioError: settings under which the comparison makes no sense.
+    Raises: ScenarioError: more than one agent.
     """
     reference = setup_of(CENTRALIZED, settings)
     if len(reference.agents) > 1:
@@ -118,24 +113,23 @@ def reference_of(settings: Sequence[str]) -> Setup:
 
 
 def at_rate(cell: Cell) -> tuple[str, ...]:
-    """Settings of a cell's sampling period and horizon; the plant never steps further than the period."""
+    """Return the settings of a cell's sampling period and horizon, with a plant step of at most one period."""
     rate = f"controller.sampling_period_s={cell.period_s!r}", f"controller.horizon={cell.horizon}"
     return (*rate, *([f"plant.step_s={cell.period_s!r}"] if cell.period_s < 0.01 else []))
 
 
-def computation(
+def processor_times(
     folder: Path, settings: Sequence[str], cells: Sequence[Cell], *, quick: bool, notify: Callable[[str], None]
-) -> list[Load]:
-    """Measure the processor time of every cell; once for each folder.
+) -> Loads:
+    """Return the processor time of every cell, measured once for each folder.
 
     Args:
-        folder: Of the experiment: what was measured when it was begun is what it goes on with.
+        folder: Folder of the experiment.
         settings: Changes of every scenario.
-        cells: What to measure.
-        quick: Few repetitions of the shortest of runs.
-        notify: Called with a line on the progress.
-    Returns: A load for each cell, in the same order.
-    Raises: ExperimentError: the folder was begun with other settings, or by another version of this package.
+        cells: The cells.
+        quick: Few repetitions of a short run.
+        notify: Called with a line of progress.
+    Raises: ExperimentError: the folder was measured with other settings, or by another version of this package.
     """
     maneuver, repeats = (QUICK_MANEUVER, QUICK_REPEATS) if quick else (MANEUVER, REPEATS)
     path, begun_with = folder / _COMPUTATION, [*settings, maneuver]
@@ -149,10 +143,10 @@ def computation(
 
     loads = measure_in_turns(reference, candidates, repeats, finished)
     write_whole(path, orjson.dumps({"settings": begun_with, "loads": [asdict(load) for load in loads]}) + b"\n")
-    return loads
+    return dict(zip(cells, loads, strict=True))
 
 
-def _measured(path: Path, settings: Sequence[str], cells: Sequence[Cell]) -> list[Load]:
+def _measured(path: Path, settings: Sequence[str], cells: Sequence[Cell]) -> Loads:
     content = orjson.loads(path.read_bytes())
     if content["settings"] != settings:
         raise refused("--set", f"the settings {path.parent} was begun with, {content['settings']}", settings)
@@ -160,20 +154,19 @@ def _measured(path: Path, settings: Sequence[str], cells: Sequence[Cell]) -> lis
         loads = [Load(**entry) for entry in content["loads"]]
     except TypeError:
         loads = []
-    if [(load.controller, load.period_s, load.horizon) for load in loads] != [
-        (cell.controller, cell.period_s, cell.horizon) for cell in cells
-    ]:
+    found = {Cell(controller=load.controller, period_s=load.period_s, horizon=load.horizon): load for load in loads}
+    if list(found) != list(cells):
         raise refused("--out", "a folder of this version of the experiment", f"{path.parent}, begun with other periods")
-    return loads
+    return found
 
 
 def experiment(cells: Sequence[Cell], reference: Cell, gust_mps: float) -> Experiment:
-    """The sweep: every cell in still air and in gusts.
+    """Return the sweep: every cell in still air and in gusts.
 
     Args:
-        cells: What to run.
+        cells: The cells.
         reference: The cell among them that the others are compared to.
-        gust_mps: Standard deviation of the gusts; 0 for still air alone.
+        gust_mps: Standard deviation of the gusts, m/s; 0 for still air alone.
     """
     weathers = {STILL: "plant.wind.gust_mps=[0.0,0.0,0.0]"}
     if gust_mps > 0.0:

@@ -11,13 +11,13 @@ from protocol.scenario.file import find_scenario, read_scenario
 from protocol.scenario.schema import Scenario
 from tests.support.results import here
 from tests.support.runs import ticks
-from transport.experiments import choices
+from transport.experiments import tuning
 from transport.experiments.cases import cases_of
-from transport.experiments.catalogue import Experiment
 from transport.experiments.errors import ExperimentError
+from transport.experiments.experiment import Experiment
 from transport.experiments.figures import draw
-from transport.experiments.flight import NUMBERS, Result
-from transport.experiments.statistics import measure
+from transport.experiments.simulation import NUMBERS, Result
+from transport.experiments.statistics import statistics_of
 from transport.experiments.table import WIDTH_OF_VARIANTS, table_of
 
 
@@ -28,7 +28,7 @@ def scenarios(*names: str) -> dict[str, Scenario]:
 
 def test_horizons_weights_and_networks() -> None:
     """Each horizon with each weight and network where open-loop prediction depends on the weight, else its own."""
-    experiment = choices.horizon(scenarios("paper", "resilient"), [5, 10, 30], [1.0, 20.0], 0.2)
+    experiment = tuning.horizon(scenarios("paper", "resilient"), [5, 10, 30], [1.0, 20.0], 0.2)
     cases = cases_of(experiment.points, [], 3)
     count = {name: sum(point.scenario == name for point in experiment.points) for name in ("paper", "resilient")}
     assert count == {"paper": 2 * 4 * 3, "resilient": 2 * 4}
@@ -44,7 +44,7 @@ def test_horizons_weights_and_networks() -> None:
 
 def test_only_the_last_hover_is_longer() -> None:
     """The last phase has the duration asked for, the others keep theirs."""
-    experiment = choices.hover(scenarios("paper", "centralized"), [60.0, 5.0])
+    experiment = tuning.hover(scenarios("paper", "centralized"), [60.0, 5.0])
     durations = [
         [phase.duration_s for phase in case.scenario.maneuver.phase] for case in cases_of(experiment.points, [], 1)
     ]
@@ -53,11 +53,11 @@ def test_only_the_last_hover_is_longer() -> None:
 
 
 REFUSED: list[tuple[Callable[[], Experiment], str]] = [
-    (lambda: choices.horizon(scenarios("paper"), [0], [1.0], 0.2), "--horizon: expected a number of steps >= 1, got 0"),
-    (lambda: choices.horizon(scenarios("paper"), [5, 5], [1.0], 0.2), "--horizon: expected each value once, got 5 2 t"),
-    (lambda: choices.horizon(scenarios("paper"), [5], [0.0], 0.2), "--terminal: expected a weight > 0, got 0"),
-    (lambda: choices.horizon(scenarios("paper"), [5], [1.0], 0.0), "--delay: expected a delay > 0 s, got 0"),
-    (lambda: choices.hover(scenarios("paper"), [float("nan")]), "--duration: expected a duration > 0 s, got nan"),
+    (lambda: tuning.horizon(scenarios("paper"), [0], [1.0], 0.2), "--horizon: expected a number of steps >= 1, got 0"),
+    (lambda: tuning.horizon(scenarios("paper"), [5, 5], [1.0], 0.2), "--horizon: expected each value once, got 5 2 t"),
+    (lambda: tuning.horizon(scenarios("paper"), [5], [0.0], 0.2), "--terminal: expected a weight > 0, got 0"),
+    (lambda: tuning.horizon(scenarios("paper"), [5], [1.0], 0.0), "--delay: expected a delay > 0 s, got 0"),
+    (lambda: tuning.hover(scenarios("paper"), [float("nan")]), "--duration: expected a duration > 0 s, got nan"),
 ]
 
 
@@ -75,14 +75,14 @@ def test_a_maneuver_without_a_last_hover_is_refused() -> None:
         find_scenario("paper"), ["maneuver.phase=[{name='climb',duration_s=1.0,displacement_m=[0,0,-1]}]"]
     )
     with pytest.raises(ExperimentError, match="--scenario: expected a maneuver that ends with a hover, got mine"):
-        choices.hover({"mine": climbing}, [60.0])
+        tuning.hover({"mine": climbing}, [60.0])
 
 
 @pytest.mark.parametrize(
     "experiment",
     [
-        choices.horizon(scenarios("paper", "resilient"), [5, 30], [1.0], 0.2),
-        choices.hover(scenarios("paper", "centralized", "resilient"), [5.0, 60.0]),
+        tuning.horizon(scenarios("paper", "resilient"), [5, 30], [1.0], 0.2),
+        tuning.hover(scenarios("paper", "centralized", "resilient"), [5.0, 60.0]),
     ],
     ids=lambda experiment: experiment.name,
 )
@@ -94,7 +94,7 @@ def test_results_can_be_reported(experiment: Experiment, tmp_path: Path) -> None
         outcome = "diverged" if index % 3 == 2 else "completed"
         numbers["lost_s"] = 40.0 if outcome == "diverged" else None
         results.append([Result(key="k", outcome=outcome, reason="", numbers=numbers)])
-    measured = measure(experiment.points, results, NUMBERS[1:])
+    measured = statistics_of(experiment.points, results, NUMBERS[1:])
     assert all(path.stat().st_size > 0 for path in draw(experiment, measured, tmp_path))
     console = Console(width=WIDTH_OF_VARIANTS, record=True, file=io.StringIO())
     console.print(table_of(experiment.name, measured))

@@ -1,26 +1,26 @@
-"""The verdict: every word, ranges that cover several, and what of the paper's statements follows."""
+"""Verdicts: every grade, ranges that cover several grades, and the paper's statements."""
 
 import math
 
 import pytest
 
-from transport.experiments.claim import CENTRALIZED, GUSTS, PAPER, SECONDS, STEPS, STILL, Cell
-from transport.experiments.computation import AGENT, TEAM, Load, Span
-from transport.experiments.cost_curves import COST, Curve, Node
-from transport.experiments.statistics import estimate
-from transport.experiments.verdict import (
+from transport.experiments.comparison import CENTRALIZED, GUSTS, PAPER, SECONDS, STEPS, STILL, Cell
+from transport.experiments.comparison_verdict import (
     FAILS,
+    GRADES,
     HOLDS,
     SAME_RATE,
     UNDECIDED,
-    WORDS,
     Verdict,
+    grade,
     lines,
     periods_text,
     statements,
     verdicts,
-    word,
 )
+from transport.experiments.cost_curves import COST, Curve, Node
+from transport.experiments.processor_time import AGENT, TEAM, Load, PeriodRange
+from transport.experiments.statistics import estimate
 
 RATIOS = {
     "much better": 0.4,
@@ -33,7 +33,7 @@ RATIOS = {
     "diverged": math.inf,
 }
 
-AT_REFERENCE = Span(0.05, 0.05)
+AT_REFERENCE = PeriodRange(0.05, 0.05)
 
 
 def made(
@@ -43,68 +43,68 @@ def made(
     budget: str = SAME_RATE,
     weather: str = STILL,
     kept: str = STEPS,
-    periods: Span = AT_REFERENCE,
+    periods: PeriodRange = AT_REFERENCE,
 ) -> Verdict:
     """A verdict on the paper's algorithm from a range of ratios."""
     ratios = None if low is None else (low, low if high is None else high)
     return Verdict(controller=PAPER, weather=weather, budget=budget, kept=kept, periods=periods, ratios=ratios)
 
 
-@pytest.mark.parametrize("expected", WORDS)
+@pytest.mark.parametrize("expected", GRADES)
 @pytest.mark.parametrize("claim", ["slightly worse", "slightly better"])
 def test_each_verdict_supports_its_own_claim_alone(claim: str, expected: str) -> None:
-    """Each word follows from its ratio; "much worse" is not "slightly worse", nor is "better" "slightly better"."""
-    assert word(RATIOS[expected]) == expected
-    assert made(RATIOS[expected]).words == expected
+    """Each grade follows from its ratio; "much worse" is not "slightly worse", nor is "better" "slightly better"."""
+    assert grade(RATIOS[expected]) == expected
+    assert made(RATIOS[expected]).text == expected
     assert made(RATIOS[expected]).supports(claim) == (HOLDS if expected == claim else FAILS)
 
 
 @pytest.mark.parametrize(
     ("ratio", "expected"), [(1.1, "slightly worse"), (1.5, "worse"), (0.9, "slightly better"), (0.5, "better")]
 )
-def test_limits_belong_to_the_smaller_word(ratio: float, expected: str) -> None:
+def test_limits_belong_to_the_smaller_grade(ratio: float, expected: str) -> None:
     """Slightly is up to and including 10 %, much is more than 50 %."""
-    assert word(ratio) == expected
+    assert grade(ratio) == expected
 
 
-def test_a_range_says_both_ends() -> None:
-    """A range over two verdicts says both, the worse first, and decides no claim that it reaches."""
+def test_a_range_gives_both_ends() -> None:
+    """A range over two grades gives both, the worse first, and decides no claim within it."""
     straddling = made(0.97, 1.04)
-    assert straddling.words == "slightly worse to slightly better"
+    assert straddling.text == "slightly worse to slightly better"
     assert straddling.supports("slightly better") == straddling.supports("slightly worse") == UNDECIDED
     assert made(1.2, 1.8).supports("slightly worse") == FAILS
     assert made(1.02, 1.09).supports("slightly worse") == HOLDS
-    assert made(1.3, math.inf).words == "diverged to worse"
+    assert made(1.3, math.inf).text == "diverged to worse"
 
 
 def test_a_range_beyond_the_grid_decides_little() -> None:
-    """Periods that were not run could hold any cost: a claim neither holds nor fails there."""
-    part = made(1.02, 1.09, periods=Span(0.08, math.inf))
+    """Periods outside the grid could have any cost: a claim neither holds nor fails there."""
+    part = made(1.02, 1.09, periods=PeriodRange(0.08, math.inf))
     assert part.supports("slightly worse") == part.supports("slightly better") == UNDECIDED
-    none = made(None, periods=Span(math.inf, math.inf))
-    assert none.words == none.supports("slightly better") == "computes more wherever it completes"
-    assert made(None, periods=Span(0.0, 0.0)).words == "computes less wherever it completes"
-    assert made(None).words == "not compared"
+    none = made(None, periods=PeriodRange(math.inf, math.inf))
+    assert none.text == none.supports("slightly better") == "computes more wherever it completes"
+    assert made(None, periods=PeriodRange(0.0, 0.0)).text == "computes less wherever it completes"
+    assert made(None).text == "not compared"
 
 
 @pytest.mark.parametrize(
     ("span", "text"),
     [
-        (Span(0.05, 0.05), "50 ms"),
-        (Span(0.0195, 0.0214), "19.5 to 21.4 ms"),
-        (Span(0.08, math.inf), "80 ms and more"),
-        (Span(0.0, 0.02), "up to 20 ms"),
-        (Span(0.0, math.inf), "not determined"),
+        (PeriodRange(0.05, 0.05), "50 ms"),
+        (PeriodRange(0.0195, 0.0214), "19.5 to 21.4 ms"),
+        (PeriodRange(0.08, math.inf), "80 ms and more"),
+        (PeriodRange(0.0, 0.02), "up to 20 ms"),
+        (PeriodRange(0.0, math.inf), "not determined"),
     ],
 )
-def test_periods_as_text(span: Span, text: str) -> None:
-    """An interval in ms; an end beyond the grid is not given a number."""
+def test_periods_as_text(span: PeriodRange, text: str) -> None:
+    """A range is given in ms; an end beyond the grid has no number."""
     assert periods_text(span) == text
 
 
 def test_the_papers_statements() -> None:
-    """Each says whether it holds in each weather, and what was measured in place of it."""
-    none = Span(math.inf, math.inf)
+    """Each statement says in which weather it holds, with the measured grade."""
+    none = PeriodRange(math.inf, math.inf)
     found = [
         made(1.98),
         made(1.08, 1.09, weather=GUSTS),
@@ -132,8 +132,8 @@ def curve(controller: str, kept: str, costs: dict[float, float]) -> Curve:
         Node(
             cell=Cell(controller=controller, period_s=period_s, horizon=20),
             weather=STILL,
-            flights=1,
-            lost_s=() if math.isfinite(ratio) else (3.5,),
+            runs=1,
+            diverged_s=() if math.isfinite(ratio) else (3.5,),
             numbers={COST: estimate([ratio])},
             ratios={COST: {0: ratio}} if math.isfinite(ratio) else {},
         )
@@ -145,10 +145,10 @@ def curve(controller: str, kept: str, costs: dict[float, float]) -> Curve:
 REFERENCE = Cell(controller=CENTRALIZED, period_s=0.05, horizon=20)
 
 
-def measured(*periods_s: float) -> list[Load]:
+def measured(*periods_s: float) -> dict[Cell, Load]:
     """Two repetitions of the processor time of both controllers: 8 ms a step, and 4 or 5 ms for each agent."""
-    return [
-        Load(
+    return {
+        Cell(controller=controller, period_s=period_s, horizon=20): Load(
             controller=controller,
             period_s=period_s,
             horizon=20,
@@ -159,11 +159,11 @@ def measured(*periods_s: float) -> list[Load]:
         )
         for controller in (CENTRALIZED, PAPER)
         for period_s in periods_s
-    ]
+    }
 
 
 def test_verdicts_follow_from_curves_and_loads() -> None:
-    """The spread of the processor time becomes a spread of periods, and by the cost curve one of the verdict."""
+    """The spread of processor times becomes a spread of periods and, by the cost curve, of the verdict."""
     costs = {0.1: 4.0, 0.05: 1.3, 0.025: 0.9}
     curves = [curve(CENTRALIZED, STEPS, dict.fromkeys(costs, 1.0)), curve(PAPER, STEPS, costs)]
     curves.append(curve(PAPER, SECONDS, costs))
@@ -176,12 +176,12 @@ def test_verdicts_follow_from_curves_and_loads() -> None:
         (AGENT, SECONDS),
     ]
     same_rate, team, agent, *_ = found
-    assert (same_rate.words, same_rate.ratios) == ("worse", (1.3, 1.3))
+    assert (same_rate.text, same_rate.ratios) == ("worse", (1.3, 1.3))
     # 4 x 4 ms in 100 ms are as much as 8 ms in 50 ms, 4 x 5 ms are more.
     assert team.periods.low_s == pytest.approx(0.1)
     assert math.isinf(team.periods.high_s)
     assert (agent.periods.low_s, agent.periods.high_s) == pytest.approx((0.025, 0.03125))
-    assert agent.words == "slightly worse to slightly better"
+    assert agent.text == "slightly worse to slightly better"
     assert list(lines(found))[2] == (
         "still air, paper's algorithm, same computation of one agent, as many steps of horizon: "
         "T_s 25 to 31.2 ms, cost x0.90 to x1.01: slightly worse to slightly better"
@@ -189,13 +189,13 @@ def test_verdicts_follow_from_curves_and_loads() -> None:
 
 
 def test_a_diverging_team_has_no_computation() -> None:
-    """Periods with a diverged run do not count as periods of the same computation; without any other all diverge."""
+    """Periods with a diverged run are no periods of the same computation; without any other the verdict is diverged."""
     costs = {0.1: math.inf, 0.05: 1.3, 0.025: 0.9}
     _, team, agent = verdicts([curve(PAPER, STEPS, costs)], measured(*costs), REFERENCE)
-    assert team.words == "computes more wherever it completes"
-    assert agent.words == "slightly worse to slightly better"
+    assert team.text == "computes more wherever it completes"
+    assert agent.text == "slightly worse to slightly better"
     diverged = verdicts([curve(PAPER, STEPS, dict.fromkeys(costs, math.inf))], measured(*costs), REFERENCE)
-    assert [(verdict.budget, verdict.words) for verdict in diverged] == [
+    assert [(verdict.budget, verdict.text) for verdict in diverged] == [
         (SAME_RATE, "diverged"),
         (TEAM, "diverged"),
         (AGENT, "diverged"),

@@ -1,4 +1,4 @@
-"""One flight of an experiment: from the case to its numbers."""
+"""Simulation of one case of an experiment, and its numbers."""
 
 import io
 import shutil
@@ -13,18 +13,18 @@ from rich.console import Console
 
 from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import EXIT_INTERRUPTED
-from protocol.wire.messages import Control, Message
+from protocol.wire.messages import Control
 from transport.analysis.metrics import summarise
 from transport.experiments.cases import Case, key_of
-from transport.experiments.effort import effort
+from transport.experiments.resource_use import resource_use
 from transport.flight import memory, run
 from transport.log.run_log import Recorded, RunLog, read_log
 from transport.report.report import write_report
 
 ERROR = "error"
 
-# What is kept of a flight; each is None where the flight does not say. No wall-clock time is among them. Of a flight
-# that is timed there is more (effort.EFFORT).
+# Numbers of a run; None where a run has none. None of them is a wall-clock time. A timed run has more
+# (resource_use.RESOURCES).
 NUMBERS = (
     "lost_s",  # scenario time of the end, unless completed
     "cost_mean",
@@ -45,13 +45,13 @@ NUMBERS = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Result:
-    """What came of a flight.
+    """Result of a case.
 
     Attributes:
-        key: Of its case.
-        outcome: As in a summary, or "error" when it could not be flown.
-        reason: Why, in one line; empty when completed.
-        numbers: By name; none for an error.
+        key: Key of the case.
+        outcome: As in a summary, or "error" for a case that could not be simulated.
+        reason: One line; empty when completed.
+        numbers: Numbers by name; empty for an error.
     """
 
     key: str
@@ -60,73 +60,71 @@ class Result:
     numbers: dict[str, float | None]
 
 
+def run_in_memory(setup: Setup, clock: Callable[[], int] = lambda: 0) -> RunLog:
+    """Simulate a run in this process and return its log; the clock, in ns, times messages and steps."""
+    messages: list[Recorded] = []
+    memory.simulate(setup, lambda message: messages.append(Recorded(message=message, received_ns=clock())), clock)
+    return RunLog(header={}, messages=tuple(messages), cut="")
+
+
 def simulate_in_memory(case: Case) -> Result:
-    """Fly a case in this process."""
-    # Processor time of this thread: what else the machine does, and waiting for it, is not the controller's.
+    """Simulate a case in this process."""
+    # Processor time of this thread excludes the rest of the machine.
     clock = time.thread_time_ns if case.timed else lambda: 0
 
-    def flight(setup: Setup) -> tuple[dict[str, Any], RunLog]:
-        messages: list[Recorded] = []
-
-        def record(message: Message) -> None:
-            messages.append(Recorded(message=message, received_ns=clock()))
-
-        memory.simulate(setup, record, clock)
-        log = RunLog(header={}, messages=tuple(messages), cut="")
+    def simulate(setup: Setup) -> tuple[dict[str, Any], RunLog]:
+        log = run_in_memory(setup, clock)
         return summarise(setup, log), log
 
-    return _result(case, flight)
+    return _result(case, simulate)
 
 
 def simulate_in_processes(case: Case, folder: Path) -> Result:
-    """Fly a case as `transport run` does, recorded into a run folder of its own.
+    """Simulate a case as `transport run` does, recorded into its own run folder.
 
     Args:
-        case: What to fly.
-        folder: Where the run folders are.
+        case: The case.
+        folder: Parent of the run folders.
     Raises: KeyboardInterrupt: the run was interrupted.
     """
     own = folder / case.key
 
-    def flight(setup: Setup) -> tuple[dict[str, Any], RunLog]:
-        shutil.rmtree(own, ignore_errors=True)  # of a flight that was cut off: its result would be known otherwise
+    def simulate(setup: Setup) -> tuple[dict[str, Any], RunLog]:
+        shutil.rmtree(own, ignore_errors=True)  # left by an interrupted run
         try:
-            finished = run.simulate(setup, own, Console(file=io.StringIO()))
+            exit_code = run.simulate(setup, own, Console(file=io.StringIO())).exit_code
         except run.RunError as error:
-            if error.exit_code == EXIT_INTERRUPTED:
-                raise KeyboardInterrupt from error
-            raise
-        if finished.exit_code == EXIT_INTERRUPTED:
+            exit_code = error.exit_code
+            if exit_code != EXIT_INTERRUPTED:
+                raise
+        if exit_code == EXIT_INTERRUPTED:
             raise KeyboardInterrupt
         return write_report(own, figures=False), read_log(own / "run.mcap")
 
-    return _result(case, flight)
+    return _result(case, simulate)
 
 
-def _result(case: Case, flight: Callable[[Setup], tuple[dict[str, Any], RunLog]]) -> Result:
+def _result(case: Case, simulate: Callable[[Setup], tuple[dict[str, Any], RunLog]]) -> Result:
     try:
-        # Sums in one order wherever the flight is flown.
+        # One thread: sums have the same order on every machine.
         with threadpoolctl.threadpool_limits(1):
             setup = Setup.of(case.scenario, case.source)
             if key_of(setup.scenario, setup.samples_s) != case.key:
                 raise RuntimeError("expected the version of this package that started the experiment, got another")
-            summary, log = flight(setup)
-    except Exception as error:  # noqa: BLE001  # whatever is wrong with one flight, the others go on
+            summary, log = simulate(setup)
+    except Exception as error:  # noqa: BLE001  # an error of one case must not end the others
         text = " ".join(str(error).split())
         return Result(key=case.key, outcome=ERROR, reason=f"{type(error).__name__}: {text}", numbers={})
     control = next(log.of(Control))
-    lost_s = None if control.outcome == "completed" else control.tick * setup.settings.sampling_period_s
-    return Result(
-        key=case.key,
-        outcome=control.outcome,
-        reason=control.reason,
-        numbers=dict(zip(NUMBERS, (lost_s, *_numbers(summary)), strict=True))
-        | (effort(setup, log) if case.timed else {}),
-    )
+    end_s = None if control.outcome == "completed" else control.tick * setup.settings.sampling_period_s
+    numbers = dict(zip(NUMBERS, (end_s, *_numbers(summary)), strict=True))
+    if case.timed:
+        numbers |= resource_use(setup, log)
+    return Result(key=case.key, outcome=control.outcome, reason=control.reason, numbers=numbers)
 
 
 def _numbers(summary: dict[str, Any]) -> list[float | None]:
-    """In the order of `NUMBERS`, behind the first."""
+    """Return the numbers of a summary in the order of `NUMBERS`, without the first."""
     cost, ages, messages = (summary[part] for part in ("cost", "plan_age_ticks", "messages"))
     uavs, payload = summary["uav_tracking"], summary["payload_tracking"]
     return [

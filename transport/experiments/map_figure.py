@@ -1,40 +1,40 @@
-"""A map of two things an experiment changed: cost by colour, survival in numbers."""
+"""Map figure of two varied quantities: cost as colour, completed runs as numbers."""
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from transport.experiments.catalogue import Axis
-from transport.experiments.statistics import Measured
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from transport.experiments.experiment import Axis
+from transport.experiments.statistics import PointStatistics
 from transport.report.style import WIDTH_IN, label_decades
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-_ACROSS = 2  # maps beside each other
+_ACROSS = 2  # maps side by side
 _CELL_IN, _AROUND_IN = 0.46, 0.85
 _PRINT = 7.0
 _COLOURS = "viridis"
 
-# A cell in which no flight was completed.
-_LOST: dict[str, Any] = {"facecolor": "#e3e3e3", "edgecolor": "#ffffff", "hatch": "////", "linewidth": 1.0}
+# A cell without a completed run.
+_DIVERGED: dict[str, Any] = {"facecolor": "#e3e3e3", "edgecolor": "#ffffff", "hatch": "////", "linewidth": 1.0}
 _LIGHT, _DARK = "#ffffff", "#000000"
-_MIDDLE = 0.55  # of the colour scale: below, text is light
+_MIDDLE = 0.55  # text is light below this share of the colour scale
 
 
-def draw_maps(figure: "Figure", x: Axis, y: Axis, measured: Sequence[Measured]) -> None:
-    """A map for each scenario, with one scale of colours.
+def draw_maps(figure: Figure, x: Axis, y: Axis, measured: Sequence[PointStatistics]) -> None:
+    """Draw a map for each scenario, with one colour scale.
 
     Args:
         figure: Empty.
-        x: Along the horizontal axis.
-        y: Along the vertical axis.
-        measured: What came of each point.
+        x: Horizontal axis.
+        y: Vertical axis.
+        measured: Statistics of the points.
     """
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import LogNorm
-
     scenarios = list(dict.fromkeys(m.point.scenario for m in measured))
     down, across = math.ceil(len(scenarios) / _ACROSS), min(len(scenarios), _ACROSS)
     rows = len({m.point.labels[y.label] for m in measured})
@@ -58,24 +58,21 @@ def draw_maps(figure: "Figure", x: Axis, y: Axis, measured: Sequence[Measured]) 
     bar.outline.set_visible(False)
 
 
-def _draw_map(axes: "Axes", x: Axis, y: Axis, measured: Sequence[Measured], low: float, high: float) -> None:
-    import matplotlib as mpl
-    from matplotlib.patches import Rectangle
-
+def _draw_map(axes: Axes, x: Axis, y: Axis, measured: Sequence[PointStatistics], low: float, high: float) -> None:
     columns = sorted({float(m.point.labels[x.label]) for m in measured})
     rows = sorted({float(m.point.labels[y.label]) for m in measured})
     for m in measured:
         column, row = columns.index(float(m.point.labels[x.label])), rows.index(float(m.point.labels[y.label]))
         cost = m.numbers["cost_mean"]
         if cost is None:
-            style, ink = _LOST, _DARK
-            text = f"lost\n{m.lost_s[0]:.1f} s" if m.lost_s else "-"
+            style, ink = _DIVERGED, _DARK
+            text = f"div.\n{m.diverged_s[0]:.1f} s" if m.diverged_s else "-"
         else:
             value = 1e3 * cost.mean
             share = math.log(max(value, low) / low) / math.log(high / low)
             style = {"facecolor": mpl.colormaps[_COLOURS](share), "edgecolor": "#ffffff", "linewidth": 1.0}
             ink = _LIGHT if share < _MIDDLE else _DARK
-            text = f"{value:.2f}" + (f"\n{m.completed}/{m.flights}" if m.completed < m.flights else "")
+            text = f"{value:.2f}" + (f"\n{m.completed}/{m.runs}" if m.completed < m.runs else "")
         axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1.0, 1.0, **style))
         axes.text(column, row, text, ha="center", va="center", color=ink, fontsize=_PRINT, linespacing=1.1)
     axes.set_xlim(-0.5, len(columns) - 0.5)

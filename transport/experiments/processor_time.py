@@ -4,7 +4,7 @@ import itertools
 import math
 import statistics
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import threadpoolctl
@@ -13,13 +13,13 @@ from protocol.scenario.setup import Setup
 from protocol.wire.messages import Message, StepReport
 from transport.flight import memory
 
-# Computation is measured for the whole team or for one agent of it.
+# Budgets of computation: the whole team or one agent.
 TEAM, AGENT = "whole team", "one agent"
 
-# Repetitions, and ticks of each short run that do not count: caches and solvers warm up.
+# Repetitions, and first ticks of each run that are not counted: caches and solvers warm up.
 REPEATS, QUICK_REPEATS, WARM_UP = 5, 1, 3
 
-# What is run for it: long enough to settle, short enough that a slow minute of the machine hits a pair alike.
+# Maneuver of a measurement: long enough to settle, short enough that both runs of a pair see the same machine.
 MANEUVER = (
     "maneuver.phase=[{name='hover',duration_s=0.5,displacement_m=[0,0,0]},"
     "{name='climb',duration_s=1.0,displacement_m=[0,0,-0.5]}]"
@@ -35,10 +35,10 @@ class Load:
         controller: Name of the controller.
         period_s: Its sampling period T_s.
         horizon: Its horizon N_p, steps.
-        agents: Number of agents that compute.
+        agents: Number of agents.
         reference_period_s: Sampling period of the reference, whose single agent computes for the team.
-        step_ms: Processor time of an agent's step, mean of each repetition.
-        reference_step_ms: The same of the reference, measured right before; as many repetitions.
+        step_ms: Mean processor time of an agent's step in each repetition, ms.
+        reference_step_ms: The same of the reference, measured immediately before, ms.
     """
 
     controller: str
@@ -50,25 +50,25 @@ class Load:
     reference_step_ms: Sequence[float]
 
     def seconds_per_second(self, budget: str) -> list[float]:
-        """Processor time per second of flight, s/s, in each repetition."""
-        return [self._computing(budget) * step_ms / 1e3 / self.period_s for step_ms in self.step_ms]
+        """Return processor time per simulated second in each repetition, s/s."""
+        return [self._agents(budget) * step_ms / 1e3 / self.period_s for step_ms in self.step_ms]
 
     def ratios(self, budget: str) -> list[float]:
-        """Processor time per second of flight over the reference's, in each repetition."""
-        rate = self._computing(budget) * self.reference_period_s / self.period_s
+        """Return processor time per simulated second over the reference's, in each repetition."""
+        rate = self._agents(budget) * self.reference_period_s / self.period_s
         return [rate * own / first for own, first in zip(self.step_ms, self.reference_step_ms, strict=True)]
 
-    def _computing(self, budget: str) -> int:
+    def _agents(self, budget: str) -> int:
         return self.agents if budget == TEAM else 1
 
 
 @dataclass(frozen=True, slots=True)
-class Span:
-    """An interval of sampling periods, the smallest and largest of several repetitions.
+class PeriodRange:
+    """Range of sampling periods over several repetitions.
 
     Attributes:
-        low_s: Shortest period; 0 if a repetition computes less than the reference even at the shortest one measured.
-        high_s: Longest period; infinite if a repetition computes more even at the longest one measured.
+        low_s: Shortest period; 0 if a repetition computes less than the reference even at the shortest measured period.
+        high_s: Longest period; infinite if a repetition computes more even at the longest measured period.
     """
 
     low_s: float
@@ -76,16 +76,14 @@ class Span:
 
     @property
     def is_open(self) -> bool:
-        """Whether an end lies outside the periods that were measured."""
+        """Whether an end is outside the measured periods."""
         return self.low_s == 0.0 or math.isinf(self.high_s)
 
 
 def step_ms(setup: Setup) -> float:
-    """Mean processor time of an agent's step in a run, ms: estimate, linearise, discretise, condense, solve.
+    """Return the mean processor time of an agent's step in a run, all stages of computation, ms.
 
-    One thread computes, so that the clock of its processor time sees all of the work.
-
-    Raises: ValueError: a run that ends before anything can be measured.
+    Raises: ValueError: the run ends before the first counted tick.
     """
     times_ms: list[float] = []
 
@@ -93,7 +91,7 @@ def step_ms(setup: Setup) -> float:
         if isinstance(message, StepReport) and message.tick >= WARM_UP:
             times_ms.append(float(message.times_ms[-1]))
 
-    with threadpoolctl.threadpool_limits(1):
+    with threadpoolctl.threadpool_limits(1):  # the clock measures this thread only
         control = memory.simulate(setup, record, time.thread_time_ns)
     if not times_ms:
         raise ValueError(f"expected a run of more than {WARM_UP} ticks, got {control.outcome}: {control.reason}")
@@ -108,17 +106,17 @@ def measure_in_turns(
     *,
     measure: Callable[[Setup], float] = step_ms,
 ) -> list[Load]:
-    """Measure all candidates once, then all again: a slow minute of the machine falls on all of them alike.
+    """Measure all candidates once, then all again, so that a slow period of the machine affects all alike.
 
-    The reference is measured right before each candidate, so that both of a ratio see the same machine.
+    The reference is measured immediately before each candidate, so that both of a ratio see the same machine.
 
     Args:
-        reference: Run of the controller that is compared to.
-        candidates: Name and run of each other controller at each of its periods.
+        reference: Run of the reference controller.
+        candidates: Name and run of each controller at each of its periods.
         repeats: Repetitions.
         notify: Called with the number of each finished repetition, from 1.
         measure: Processor time of an agent's step, ms.
-    Returns: A load for each candidate, in the same order.
+    Returns: The load of each candidate, in the same order.
     """
     pairs: list[list[tuple[float, float]]] = [[] for _ in candidates]
     for repetition in range(1, repeats + 1):
@@ -139,34 +137,29 @@ def measure_in_turns(
     ]
 
 
-def equal_periods(loads: Sequence[Load], budget: str) -> Span:
-    """Sampling periods at which a controller computes as much as the reference: the range over the repetitions.
+def equal_periods(loads: Sequence[Load], budget: str) -> PeriodRange:
+    """Return the range of sampling periods at which a controller computes as much as the reference.
 
     Args:
-        loads: Of one controller, from the longest period to the shortest.
+        loads: Loads of one controller, from the longest period to the shortest.
         budget: `TEAM` or `AGENT`.
     """
-    found = list(_crossings(loads, budget))
-    return Span(min(found), max(found))
-
-
-def _crossings(loads: Sequence[Load], budget: str) -> Iterator[float]:
-    """The equal period of each repetition, s; infinite or 0 if it lies beyond the longest or shortest measured."""
     periods_s = [load.period_s for load in loads]
-    for ratios in zip(*(load.ratios(budget) for load in loads), strict=True):
-        yield crossing_s(periods_s, ratios)
+    repetitions = zip(*(load.ratios(budget) for load in loads), strict=True)
+    equal_s = [crossing_s(periods_s, ratios) for ratios in repetitions]
+    return PeriodRange(min(equal_s), max(equal_s))
 
 
 def crossing_s(periods_s: Sequence[float], ratios: Sequence[float]) -> float:
-    """Period at which a ratio of computation passes one, s.
+    """Return the period at which a ratio of computation is one, s.
 
-    Between two periods the ratio is taken to be a power of the period: exact for a step that takes equally long
-    at any period, and close for one whose horizon grows.
+    Between two periods the ratio is interpolated as a power of the period: exact for a constant step time, and close
+    for a growing horizon.
 
     Args:
-        periods_s: From the longest to the shortest, (n,).
+        periods_s: Periods from the longest to the shortest, (n,), s.
         ratios: Computation over the reference's, (n,).
-    Returns: Infinite if even the longest period computes more; 0 if even the shortest computes less.
+    Returns: Infinite if the ratio exceeds one even at the longest period; 0 if it stays below one.
     """
     if ratios[0] > 1.0:
         return math.inf

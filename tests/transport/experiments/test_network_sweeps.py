@@ -1,4 +1,4 @@
-"""The sweeps: what is flown, that every point can be, and that impairments are what they are called."""
+"""Sweeps over the network and agent failures: valid points, and impairments with the stated statistics."""
 
 import math
 from collections.abc import Callable
@@ -8,32 +8,32 @@ import pytest
 
 from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
 from protocol.scenario.links import link
-from transport.experiments import catalogue
+from transport.experiments import agent_failures, network_sweeps
 from transport.experiments.cases import Point, cases_of, is_random
-from transport.experiments.catalogue import Experiment
 from transport.experiments.errors import ExperimentError
+from transport.experiments.experiment import Experiment
 
 TICKS = 6_000
 BOTH = ["paper", "resilient"]
 EVERY = (
-    catalogue.latency(BOTH, [0.1, 0.4]),
-    catalogue.loss(BOTH, [0.1, 0.6], 5.0),
-    catalogue.jitter(BOTH, list(catalogue.JITTER), [0.02, 0.08], 0.16),
-    catalogue.kill({"paper": 4, "resilient": 4}, 8.0, 10.0),
-    catalogue.matrix(BOTH, [0.1], [0.3, 1.0]),
+    network_sweeps.latency(BOTH, [0.1, 0.4]),
+    network_sweeps.loss(BOTH, [0.1, 0.6], 5.0),
+    network_sweeps.jitter(BOTH, list(network_sweeps.JITTER), [0.02, 0.08], 0.16),
+    agent_failures.kill({"paper": 4, "resilient": 4}, 8.0, 10.0),
+    network_sweeps.matrix(BOTH, [0.1], [0.3, 1.0]),
 )
 
 
 def delays(point: Point) -> list[list[float]]:
-    """What a link of a point does to many plans."""
+    """Return the delays of many plans on a link of a point."""
     scenario = read_scenario(find_scenario(point.scenario), point.settings)
     path = link(scenario.links, "agent1", "agent2", kind="plan", seed=0, period_s=0.05, samples_s={})
     return [path.delays(tick) for tick in range(TICKS)]
 
 
 @pytest.mark.parametrize("experiment", EVERY, ids=lambda experiment: experiment.name)
-def test_every_point_can_be_flown(experiment: Experiment) -> None:
-    """All points are valid scenarios with fingerprints of their own; each scenario has one without impairment."""
+def test_every_point_is_valid(experiment: Experiment) -> None:
+    """All points are valid scenarios with distinct fingerprints; each scenario has one baseline."""
     cases = cases_of(experiment.points, [], 3)
     assert len({case.key for case in cases}) == len(cases)
     assert [point.scenario for point in experiment.points if point.baseline] == BOTH
@@ -44,8 +44,8 @@ def test_every_point_can_be_flown(experiment: Experiment) -> None:
 
 
 def test_only_chance_is_repeated() -> None:
-    """What is not random is flown once however many seeds are asked for, anything random once per seed."""
-    points = catalogue.matrix(["paper"], [0.0, 0.1], [0.0, 0.3]).points
+    """Deterministic points run once, random points once per seed."""
+    points = network_sweeps.matrix(["paper"], [0.0, 0.1], [0.0, 0.3]).points
     seeds = [(case.point, case.scenario.seed) for case in cases_of(points, [], 2)]
     assert seeds == [(0, 0), (1, 0), (1, 1), (2, 0), (3, 0), (3, 1)]
 
@@ -68,13 +68,13 @@ def test_only_chance_is_repeated() -> None:
     ],
 )
 def test_chance_is_seen(setting: str, expected: bool) -> None:
-    """Whatever draws random numbers is known to."""
+    """Every setting that draws random numbers is recognised."""
     assert is_random(read_scenario(find_scenario("paper"), [setting])) is expected
 
 
 def test_fingerprints_tell_results_apart() -> None:
     """The key changes with a setting and with the seed, and not with the address the processes listen on."""
-    points = catalogue.loss(["paper"], [0.5], 5.0).points[1:2]
+    points = network_sweeps.loss(["paper"], [0.5], 5.0).points[1:2]
     first, second = cases_of(points, [], 2)
     assert first.key != second.key
     assert cases_of(points, ["network.base_port=9000"], 1)[0].key == first.key
@@ -84,8 +84,8 @@ def test_fingerprints_tell_results_apart() -> None:
 @pytest.mark.parametrize("share", [0.1, 0.3, 0.6])
 def test_losses_are_comparable(share: float) -> None:
     """Independent and bursty losses have the same share in the long run; bursts last as long as asked for."""
-    _, alone, bursts = catalogue.loss(["paper"], [share], 5.0).points
-    for point, correlated in ((alone, 1.0), (bursts, 10.0)):
+    _, independent, bursts = network_sweeps.loss(["paper"], [share], 5.0).points
+    for point, correlated in ((independent, 1.0), (bursts, 10.0)):
         lost = np.array([not found for found in delays(point)])
         deviation = math.sqrt(share * (1.0 - share) * correlated / TICKS)
         assert abs(lost.mean() - share) < 4.0 * deviation
@@ -95,10 +95,10 @@ def test_losses_are_comparable(share: float) -> None:
     assert abs(lengths.mean() - 5.0) < 4.0 * 4.5 / math.sqrt(len(lengths))
 
 
-@pytest.mark.parametrize("distribution", list(catalogue.JITTER))
+@pytest.mark.parametrize("distribution", list(network_sweeps.JITTER))
 def test_jitters_are_comparable(distribution: str) -> None:
     """Every distribution has the mean and the standard deviation asked for."""
-    point = catalogue.jitter(["paper"], [distribution], [0.04], 0.16).points[-1]
+    point = network_sweeps.jitter(["paper"], [distribution], [0.04], 0.16).points[-1]
     found_s = np.array([delay for found in delays(point) for delay in found])
     assert len(found_s) == TICKS
     assert abs(found_s.mean() - 0.16) < 4.0 * 0.04 / math.sqrt(TICKS)
@@ -107,9 +107,9 @@ def test_jitters_are_comparable(distribution: str) -> None:
     assert abs(found_s.std() - 0.04) < 4.0 * 0.04 * math.sqrt((kurtosis - 1.0) / (4.0 * TICKS))
 
 
-def test_constant_delay_is_what_jitter_is_compared_to() -> None:
+def test_jitter_is_compared_to_a_constant_delay() -> None:
     """Without jitter there is the perfect network and the mean delay alone."""
-    perfect, constant = catalogue.jitter(["paper"], [], [], 0.16).points
+    perfect, constant = network_sweeps.jitter(["paper"], [], [], 0.16).points
     assert delays(perfect)[0] == [0.0]
     assert delays(constant)[0] == [0.16]
 
@@ -117,29 +117,29 @@ def test_constant_delay_is_what_jitter_is_compared_to() -> None:
 def test_real_time_is_refused() -> None:
     """An experiment's numbers must not depend on the machine."""
     with pytest.raises(ScenarioError, match=r"clock\.mode: expected lockstep, got realtime"):
-        cases_of(catalogue.latency(["paper"], []).points, ["clock.mode=realtime", "clock.speed=1.0"], 1)
+        cases_of(network_sweeps.latency(["paper"], []).points, ["clock.mode=realtime", "clock.speed=1.0"], 1)
 
 
 REFUSED: list[tuple[Callable[[], Experiment], str]] = [
-    (lambda: catalogue.latency(BOTH, [-0.1]), "--delay: expected a delay >= 0 s, got -0.1"),
-    (lambda: catalogue.latency(BOTH, [math.nan]), "--delay: expected a delay >= 0 s, got nan"),
-    (lambda: catalogue.latency(BOTH, [math.inf]), "--delay: expected a delay >= 0 s, got inf"),
-    (lambda: catalogue.latency(BOTH, [0.1, 0.1]), "--delay: expected each value once, got 0.1 2 times"),
-    (lambda: catalogue.latency(["paper"] * 2, [0.1]), "--scenario: expected each value once, got paper 2 times"),
-    (lambda: catalogue.loss(BOTH, [1.0], 5.0), "--loss: expected a share from 0 to below 1, got 1"),
-    (lambda: catalogue.loss(BOTH, [0.3], 0.5), "--burst: expected a mean length >= 1 tick, got 0.5"),
+    (lambda: network_sweeps.latency(BOTH, [-0.1]), "--delay: expected a delay >= 0 s, got -0.1"),
+    (lambda: network_sweeps.latency(BOTH, [math.nan]), "--delay: expected a delay >= 0 s, got nan"),
+    (lambda: network_sweeps.latency(BOTH, [math.inf]), "--delay: expected a delay >= 0 s, got inf"),
+    (lambda: network_sweeps.latency(BOTH, [0.1, 0.1]), "--delay: expected each value once, got 0.1 2 times"),
+    (lambda: network_sweeps.latency(["paper"] * 2, [0.1]), "--scenario: expected each value once, got paper 2 times"),
+    (lambda: network_sweeps.loss(BOTH, [1.0], 5.0), "--loss: expected a share from 0 to below 1, got 1"),
+    (lambda: network_sweeps.loss(BOTH, [0.3], 0.5), "--burst: expected a mean length >= 1 tick, got 0.5"),
     (
-        lambda: catalogue.loss(BOTH, [0.9], 2.0),
+        lambda: network_sweeps.loss(BOTH, [0.9], 2.0),
         "--loss: expected at most 0.667 with bursts of 2 ticks on average, got 0.9",
     ),
-    (lambda: catalogue.jitter(BOTH, ["cauchy"], [0.1], 0.2), "--distribution: expected one of uniform, normal,"),
+    (lambda: network_sweeps.jitter(BOTH, ["cauchy"], [0.1], 0.2), "--distribution: expected one of uniform, normal,"),
     (
-        lambda: catalogue.jitter(BOTH, ["uniform"], [0.1], 0.16),
+        lambda: network_sweeps.jitter(BOTH, ["uniform"], [0.1], 0.16),
         "--std: expected a standard deviation from 0 to 0.0924 s (uniform, mean 0.16 s), got 0.1",
     ),
-    (lambda: catalogue.kill({"paper": 4}, 8.0, 8.0), "--restart: expected a time after --at 8 s, got 8"),
-    (lambda: catalogue.kill({"paper": 4}, -1.0, 8.0), "--at: expected a time >= 0 s, got -1"),
-    (lambda: catalogue.matrix(BOTH, [0.1], [1.5]), "--loss: expected a share from 0 to 1, got 1.5"),
+    (lambda: agent_failures.kill({"paper": 4}, 8.0, 8.0), "--restart: expected a time after --at 8 s, got 8"),
+    (lambda: agent_failures.kill({"paper": 4}, -1.0, 8.0), "--at: expected a time >= 0 s, got -1"),
+    (lambda: network_sweeps.matrix(BOTH, [0.1], [1.5]), "--loss: expected a share from 0 to 1, got 1.5"),
 ]
 
 

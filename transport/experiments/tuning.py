@@ -1,0 +1,74 @@
+"""Sweeps over design choices: prediction horizon, terminal weight, and the duration of the last hover."""
+
+from collections.abc import Mapping, Sequence
+
+from protocol.scenario.schema import Scenario
+from transport.experiments.cases import Point
+from transport.experiments.errors import refused
+from transport.experiments.experiment import SMALLEST, Axis, Experiment, check_numbers
+
+
+def horizon(
+    scenarios: Mapping[str, Scenario], horizons: Sequence[int], terminals: Sequence[float], delay_s: float
+) -> Experiment:
+    """Return every horizon combined with every terminal weight, without and with a delay of every plan.
+
+    The scenario's own horizon and weight are always included: on a perfect network they are the baseline.
+
+    Args:
+        scenarios: Scenarios by name or file.
+        horizons: N_p, steps.
+        terminals: Terminal weights; unused where a Riccati cost-to-go replaces the terminal weight.
+        delay_s: Delay of every plan on the second network, s.
+    """
+    check_numbers("--horizon", horizons, "a number of steps >= 1", 1.0)
+    check_numbers("--terminal", terminals, "a weight > 0", SMALLEST)
+    check_numbers("--delay", [delay_s], "a delay > 0 s", SMALLEST)
+    points = []
+    for name, scenario in scenarios.items():
+        own_horizon, own_terminal = scenario.controller.horizon, float(scenario.controller.weights.terminal)
+        varied = terminals if scenario.controller.terminal == "multiple" else ()
+        points += [
+            Point(
+                scenario=name,
+                labels={"network": network, "horizon": steps, "terminal": weight},
+                text=f"N_p {steps}, terminal weight {weight:g}, {network}",
+                settings=(
+                    f"links.delay_s={network_delay_s!r}",
+                    f"controller.horizon={steps}",
+                    f"controller.weights.terminal={weight!r}",
+                ),
+                baseline=(steps, weight, network_delay_s) == (own_horizon, own_terminal, 0.0),
+            )
+            for network, network_delay_s in (("perfect", 0.0), (f"{1e3 * delay_s:g} ms delay", delay_s))
+            for steps in sorted({own_horizon, *horizons})
+            for weight in sorted({own_terminal, *varied})
+        ]
+    return Experiment(name="horizon", points=tuple(points), x=Axis("horizon", "N_p"), drawn_as="variants")
+
+
+def hover(scenarios: Mapping[str, Scenario], durations_s: Sequence[float]) -> Experiment:
+    """Return the maneuver with increasing durations of the hover that ends it.
+
+    No run is a baseline, as mean costs of runs of different length are not comparable.
+
+    Args:
+        scenarios: Scenarios by name or file; each maneuver must end with a hover.
+        durations_s: Durations of the last phase, s.
+    """
+    check_numbers("--duration", durations_s, "a duration > 0 s", SMALLEST)
+    points = []
+    for name, scenario in scenarios.items():
+        phases = scenario.maneuver.phase
+        if any(phases[-1].displacement_m):
+            raise refused("--scenario", "a maneuver that ends with a hover", f"{name}, whose last is {phases[-1].name}")
+        points += [
+            Point(
+                scenario=name,
+                labels={"hover_s": duration_s},
+                text=f"{duration_s:g} s of hover",
+                settings=(f"maneuver.phase.{len(phases)}.duration_s={duration_s!r}",),
+            )
+            for duration_s in sorted(durations_s)
+        ]
+    return Experiment(name="hover", points=tuple(points), x=Axis("hover_s", "duration of the last hover (s)"))
