@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from benchmarks import aims, loop, parts, solvers, step, structured, watched
+from benchmarks import aims, loop, parts, solvers, step, structured
 from benchmarks.effort import FULL, QUICK, Effort
 from benchmarks.page import BenchmarkError, Table, check, write
 from protocol.wire.exit_codes import EXIT_INTERRUPTED
@@ -25,7 +25,6 @@ SECTIONS: Mapping[str, Callable[[Effort, Callable[[str], None]], list[Table]]] =
     "structured": structured.measure,
     "parts": parts.measure,
     "loop": loop.measure,
-    "watched": watched.measure,
 }
 
 
@@ -40,8 +39,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if document is not None:
             check(document, names)
-        if "watched" in names:
-            watched.check()
         sections = {name: _section(name, QUICK if asked.quick else FULL) for name in names}
         if document is None:
             sys.stdout.write("\n\n".join(sections.values()) + "\n")

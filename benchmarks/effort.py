@@ -26,9 +26,6 @@ class Effort:
         processes: UAVs of the teams that fly with processes.
         flown: What they fly, a setting.
         recordings: Flights with and without a recorder, in turns.
-        watched: What is flown by turns watched and not, a setting.
-        paced: What is flown at real speed, settings.
-        paced_flights: Of each, watched and not.
         round_trips: Over the bare pipe, before and after each flight.
     """
 
@@ -45,9 +42,6 @@ class Effort:
     processes: tuple[int, ...]
     flown: str
     recordings: int
-    watched: str
-    paced: tuple[str, ...]
-    paced_flights: int
     round_trips: int
 
 
@@ -65,9 +59,6 @@ FULL = Effort(
     processes=(4, 8, 16),
     flown=_climb(5.0, 1.0),
     recordings=3,
-    watched=_climb(1800.0, 2.0),
-    paced=(),
-    paced_flights=3,
     round_trips=2000,
 )
 
@@ -85,8 +76,5 @@ QUICK = Effort(
     processes=(2,),
     flown=_climb(4.0, 0.5),
     recordings=1,
-    watched=_climb(0.5, 0.1),
-    paced=(_climb(0.5, 0.1),),
-    paced_flights=1,
     round_trips=50,
 )

@@ -4,7 +4,7 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,14 +38,13 @@ class Run:
     memory_MB: dict[str, float]
 
 
-def recorded(setup: Setup, folder: Path, *, given_up: Callable[[], bool] = lambda: False) -> Run:
+def recorded(setup: Setup, folder: Path) -> Run:
     """Fly with `transport run`.
 
     Args:
         setup: The run.
         folder: Run folder to create.
-        given_up: Asked now and then whether the flight is for nothing.
-    Raises: BenchmarkError: the command fails or does not end, or the flight was given up.
+    Raises: BenchmarkError: the command fails or does not end.
     """
     scenario = _written(setup, folder)
     command = [sys.executable, "-m", "transport", "run", str(scenario), "--out", str(folder), "--no-figures"]
@@ -59,8 +58,6 @@ def recorded(setup: Setup, folder: Path, *, given_up: Callable[[], bool] = lambd
                 while run.poll() is None:
                     if time.monotonic() > deadline:
                         raise BenchmarkError(f"{' '.join(command)}: expected to end in {patience_s:g} s, it did not")
-                    if given_up():
-                        raise BenchmarkError(f"{' '.join(command)}: given up")
                     for name, share in _memory_MB(run.pid).items():
                         memory_MB[name] = max(share, memory_MB.get(name, 0.0))
                     time.sleep(_LOOK_EVERY_S)

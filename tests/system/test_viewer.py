@@ -17,6 +17,9 @@ from typing import TypeVar
 import msgpack
 import numpy as np
 import pytest
+from transport.scene.record import Record
+from transport.viewer.clock import Clock
+from transport.viewer.pace import pace
 from typer.testing import CliRunner
 from websockets.sync.client import ClientConnection, connect
 
@@ -35,11 +38,8 @@ from transport.flight.memory import simulate
 from transport.log.run_folder import setup_of
 from transport.log.run_log import read_log
 from transport.log.tail import LogTail, Unread
-from transport.scene.record import Record
 from transport.scene.scene import Scenes
 from transport.viewer import viewer as viewer_module
-from transport.viewer.clock import Clock
-from transport.viewer.pace import pace
 from transport.viewer.viewer import IdleProcessors, Spare, Viewer, pause_s
 
 M = TypeVar("M", bound=Message)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from transport.scene.record import Record
 from typer.testing import CliRunner
 
 from tests.support import runs
@@ -15,7 +16,6 @@ from transport.analysis.series import series_of
 from transport.cli.main import app
 from transport.log.run_log import read_log
 from transport.report.animation import FPS, SPEED, animate
-from transport.scene.record import Record
 from transport.scene.scene import Scenes
 
 # Of a picture with lines that move.

@@ -18,7 +18,7 @@ from transport.log.json_messages import to_json
 from transport.log.run_log import read_log
 from transport.log.salvage import content_of, frames
 from transport.log.tail import Chunks, LogTail, Unread
-from transport.scene.record import KINDS, LATER, Record
+from transport.scene.run_history import KINDS, LATER, RunHistory
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +68,7 @@ def test_what_is_read_later_says_the_same(log: Path) -> None:
     everything = [entry.message for entry in read_log(log).messages]
     assert {message.kind for message in everything} - {message.kind for message in taken} == {"tick", "measurement"}
     assert {message.kind for message in taken if isinstance(message, Unread)} == {"plan", "report"}
-    records = [Record(runs.setup(runs.ticks(8))) for _ in range(2)]
+    records = [RunHistory(runs.setup(runs.ticks(8))) for _ in range(2)]
     records[0].add(taken)
     records[1].add(everything)
     said = [
@@ -107,7 +107,7 @@ def test_what_is_damaged_is_not_there(log: Path, tmp_path: Path, kind: str, othe
 
 def said(message: Unread) -> int | None:
     """Tick of a plan or report that a record has, given that alone."""
-    record = Record(runs.setup(runs.ticks(8)))
+    record = RunHistory(runs.setup(runs.ticks(8)))
     record.add([message])
     found = (record.plan if message.kind == "plan" else record.report)(message.agent, message.tick)
     return None if found is None else found.tick

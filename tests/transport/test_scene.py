@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
+from transport.scene.record import Record
 
 from model.rotations import rotation
 from protocol.wire.messages import LinkChange, Message
@@ -22,7 +23,6 @@ from transport.scene.geometry import (
     span_m,
 )
 from transport.scene.link_history import LinkState
-from transport.scene.record import Record
 from transport.scene.scene import Scenes
 
 # One step of order 5 over a sampling period against the plant's five; and inputs announced with the rounding of a sum.

@@ -1,1 +1,1 @@
-"""report."""
+"""Summary, figures, animation and Foxglove copy of recorded runs."""

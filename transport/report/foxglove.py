@@ -23,16 +23,16 @@ from transport.scene.geometry import (
     BODY,
     ROTOR,
     Colour,
-    agent_places,
+    agent_positions,
     link_segments,
     payload_mesh,
     quaternion,
     rotor_centres,
     segments,
-    span_m,
     uav_colour,
+    uav_span,
 )
-from transport.scene.scene import Scene, Scenes
+from transport.scene.scene import Scene, SceneBuilder
 
 # Foxglove draws z upwards; below its root there is the inertial frame, z down, turned about x.
 ROOT, INERTIAL, PAYLOAD = "map", "inertial", "payload"
@@ -54,11 +54,11 @@ CHANNELS: Mapping[str, str] = {
 Json = dict[str, Any]
 
 
-def write_foxglove(scenes: Scenes, log: Path, out: Path) -> int:
+def write_foxglove(builder: SceneBuilder, log: Path, out: Path) -> int:
     """Write the copy.
 
     Args:
-        scenes: Of the run, its whole record read.
+        builder: Scenes of the run, its whole log read.
         log: The run's log, whole or not.
         out: File to write; replaced if it is there.
     Returns: How many ticks have a scene.
@@ -79,15 +79,15 @@ def write_foxglove(scenes: Scenes, log: Path, out: Path) -> int:
                 copy.writer.add_message(
                     channel, entry.log_time, entry.data, publish_time=entry.publish_time, sequence=entry.sequence
                 )
-        ticks = sorted(scenes.record.plant_states)
-        period_ns = scenes.setup.period_ns
+        ticks = sorted(builder.history.plant_states)
+        period_ns = builder.setup.period_ns
         for number, tick in enumerate(ticks):
-            scene, at_ns = scenes.at(tick), tick * period_ns
+            scene, at_ns = builder.at(tick), tick * period_ns
             if number == 0:
-                copy.put("/scene/bodies", at_ns, _update(_bodies(scenes, at_ns)))
-                copy.put("/scene/reference", at_ns, _update(_reference(scenes, at_ns)))
+                copy.put("/scene/bodies", at_ns, _update(_bodies(builder, at_ns)))
+                copy.put("/scene/reference", at_ns, _update(_reference(builder, at_ns)))
             copy.put("/tf", at_ns, {"transforms": list(_transforms(scene, at_ns))})
-            copy.put("/scene/now", at_ns, _update(_now(scenes, scene, at_ns)))
+            copy.put("/scene/now", at_ns, _update(_now(builder, scene, at_ns)))
             copy.put("/numbers", at_ns, _numbers(scene))
         copy.writer.finish()  # type: ignore[no-untyped-call]
     partial.replace(out)
@@ -136,9 +136,9 @@ def _transform(time: Json, parent: str, child: str, translation: Array, rotation
     }
 
 
-def _bodies(scenes: Scenes, at_ns: int) -> Iterator[Json]:
+def _bodies(builder: SceneBuilder, at_ns: int) -> Iterator[Json]:
     """Payload and UAVs, each in a frame of its own: said once, moved by the transforms."""
-    system = scenes.setup.system
+    system = builder.setup.system
     vertices, faces = payload_mesh(system)
     mesh = {
         "pose": _pose(np.zeros(3)),
@@ -148,8 +148,8 @@ def _bodies(scenes: Scenes, at_ns: int) -> Iterator[Json]:
         "indices": faces.reshape(-1).tolist(),
     }
     yield _entity("payload", PAYLOAD, at_ns, locked=True, triangles=[mesh])
-    start = scenes.setup.reference.outputs(np.zeros(1))[0, : 3 * system.N].reshape(system.N, 3)
-    span = span_m(start)
+    start = builder.setup.reference.outputs(np.zeros(1))[0, : 3 * system.N].reshape(system.N, 3)
+    span = uav_span(start)
     for i in range(system.N):
         parts = [(2.0 * BODY, BODY, np.zeros(3), uav_colour(i))]
         parts += [(ROTOR, 0.02, c, _DARK if c[0] > 0.0 else uav_colour(i)) for c in rotor_centres()]
@@ -175,16 +175,16 @@ def _bodies(scenes: Scenes, at_ns: int) -> Iterator[Json]:
         yield _entity(f"uav{i + 1}", _frame(i), at_ns, locked=True, cylinders=cylinders, lines=beams, texts=[name])
 
 
-def _reference(scenes: Scenes, at_ns: int) -> Iterator[Json]:
-    setup = scenes.setup
+def _reference(builder: SceneBuilder, at_ns: int) -> Iterator[Json]:
+    setup = builder.setup
     times_s = np.linspace(0.0, setup.ticks * setup.settings.sampling_period_s, 240)
     path = setup.maneuver.path(times_s)[0]
     yield _entity("reference", INERTIAL, at_ns, lines=[_line(segments(path)[::2].reshape(-1, 3), _GREY)])
 
 
-def _now(scenes: Scenes, scene: Scene, at_ns: int) -> Iterator[Json]:
+def _now(builder: SceneBuilder, scene: Scene, at_ns: int) -> Iterator[Json]:
     """What is different at every tick: rods, thrust, predicted paths, links."""
-    setup = scenes.setup
+    setup = builder.setup
     rods = np.stack([scene.uavs_I, scene.attachments_I], axis=1).reshape(-1, 3)
     yield _entity("rods", INERTIAL, at_ns, lines=[_line(rods, _GREY)])
     hover = float(np.mean(setup.hover.u[::4]))
@@ -192,12 +192,12 @@ def _now(scenes: Scenes, scene: Scene, at_ns: int) -> Iterator[Json]:
         _arrow(*row, hover, uav_colour(i)) for i, row in enumerate(zip(scene.uavs_I, scene.thrusts_I, strict=True))
     ]
     yield _entity("thrust", INERTIAL, at_ns, arrows=arrows)
-    for expected in scene.expectations:
-        own = setup.owned[expected.agent - 1]
-        paths = [(expected.payload_I, own[0]), *((expected.uavs_I[:, k], uav) for k, uav in enumerate(own))]
+    for predicted in scene.predictions:
+        own = setup.owned[predicted.agent - 1]
+        paths = [(predicted.payload_I, own[0]), *((predicted.uavs_I[:, k], uav) for k, uav in enumerate(own))]
         lines = [_line(segments(path).reshape(-1, 3), uav_colour(uav)) for path, uav in paths]
-        yield _entity(f"expected by agent {expected.agent}", INERTIAL, at_ns, lines=lines)
-    pieces, colours = link_segments(scene.links, agent_places(scene, setup.owned))
+        yield _entity(f"predicted by agent {predicted.agent}", INERTIAL, at_ns, lines=lines)
+    pieces, colours = link_segments(scene.links, agent_positions(scene, setup.owned))
     line = _line(pieces.reshape(-1, 3), _GREY)
     line["colors"] = [_colour(colour) for colour in np.repeat(colours, 2, axis=0).tolist()]
     yield _entity("links", INERTIAL, at_ns, lines=[line])
