@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from transport.scene.record import Record
 from typer.testing import CliRunner
 
 from tests.support import runs
@@ -16,7 +15,8 @@ from transport.analysis.series import series_of
 from transport.cli.main import app
 from transport.log.run_log import read_log
 from transport.report.animation import FPS, SPEED, animate
-from transport.scene.scene import Scenes
+from transport.scene.run_history import RunHistory
+from transport.scene.scene import SceneBuilder
 
 # Of a picture with lines that move.
 LARGEST_BYTES_A_PICTURE = 40_000
@@ -28,9 +28,9 @@ def drawn(folder: Path, name: str) -> Path:
     """A short flight, drawn in a few pictures."""
     run = runs.setup(runs.SHORT)
     log = read_log(folder / "run.mcap")
-    record = Record(run)
-    record.add(entry.message for entry in log.messages)
-    return animate(Scenes(run, record), series_of(run, log), folder / name, speed=FASTER * SPEED)
+    history = RunHistory(run)
+    history.add(entry.message for entry in log.messages)
+    return animate(SceneBuilder(run, history), series_of(run, log), folder / name, speed=FASTER * SPEED)
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +67,7 @@ def test_an_mp4_is_one(recorded: Path) -> None:
 def test_what_cannot_be_drawn_is_refused(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Another kind of file, or an MP4 without ffmpeg, is refused in one line before anything is written."""
     monkeypatch.setenv("PATH", str(tmp_path))
-    for name, why in (("a.avi", "ends in .gif or .mp4"), ("a.mp4", "takes ffmpeg")):
+    for name, why in (("a.avi", "ends in .gif or .mp4"), ("a.mp4", "needs ffmpeg")):
         result = CliRunner().invoke(app, ["plot", str(recorded), "--animate", str(tmp_path / name)])
         assert result.exit_code == 2
         assert result.stderr.startswith("transport: --animate: ")

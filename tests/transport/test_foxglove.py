@@ -98,7 +98,7 @@ def test_every_tick_has_a_scene(copied: Path) -> None:
     (bodies,) = [entities for topic, entities in scenes if topic == "/scene/bodies"]
     assert [entity["frame_id"] for entity in bodies] == ["payload", "uav1", "uav2", "uav3", "uav4"]
     now = [{entity["id"] for entity in entities} for topic, entities in scenes if topic == "/scene/now"]
-    agents = {f"expected by agent {agent}" for agent in (1, 2, 3, 4)}
+    agents = {f"predicted by agent {agent}" for agent in (1, 2, 3, 4)}
     assert now == [{"rods", "thrust", "links"} | agents] * TICKS
 
 

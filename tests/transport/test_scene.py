@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
-from transport.scene.record import Record
 
 from model.rotations import rotation
 from protocol.wire.messages import LinkChange, Message
@@ -20,10 +19,11 @@ from transport.scene.geometry import (
     quaternion,
     segments,
     simplified,
-    span_m,
+    uav_span,
 )
 from transport.scene.link_history import LinkState
-from transport.scene.scene import Scenes
+from transport.scene.run_history import RunHistory
+from transport.scene.scene import SceneBuilder
 
 # One step of order 5 over a sampling period against the plant's five; and inputs announced with the rounding of a sum.
 STEP_M = 1e-7
@@ -37,28 +37,28 @@ DARK = "links.override=[{from='agent2',to='agent1',loss=1.0}]"
 LATE = "links.delay_s=0.2"
 
 
-def scenes_of(folder: Path, *settings: str) -> Scenes:
+def builder_of(folder: Path, *settings: str) -> SceneBuilder:
     """A short flight, ready to be looked at."""
     run = runs.setup(runs.SHORT, *settings)
-    record = Record(run)
-    record.add(flown(run, folder))
-    return Scenes(run, record)
+    history = RunHistory(run)
+    history.add(flown(run, folder))
+    return SceneBuilder(run, history)
 
 
 @pytest.fixture(scope="module")
-def distributed(tmp_path_factory: pytest.TempPathFactory) -> Scenes:
+def distributed(tmp_path_factory: pytest.TempPathFactory) -> SceneBuilder:
     """Late plans, and one link that is dark, with the shared law."""
     law = ("controller.prediction=closed_loop", "controller.received_plans=by_age", "controller.relaxation=auto")
-    return scenes_of(tmp_path_factory.mktemp("distributed"), DARK, LATE, *law)
+    return builder_of(tmp_path_factory.mktemp("distributed"), DARK, LATE, *law)
 
 
 @pytest.fixture(scope="module")
-def centralized(tmp_path_factory: pytest.TempPathFactory) -> Scenes:
+def centralized(tmp_path_factory: pytest.TempPathFactory) -> SceneBuilder:
     """One agent for all."""
-    return scenes_of(tmp_path_factory.mktemp("centralized"), "agents.owned=[[1,2,3,4]]")
+    return builder_of(tmp_path_factory.mktemp("centralized"), "agents.owned=[[1,2,3,4]]")
 
 
-def test_what_is_where(distributed: Scenes) -> None:
+def test_what_is_where(distributed: SceneBuilder) -> None:
     """Rods have their lengths, thrust points up and carries the weight, and everything is at its reference."""
     setup, scene = distributed.setup, distributed.at(0)
     lengths = np.linalg.norm(scene.uavs_I - scene.attachments_I, axis=1)
@@ -70,27 +70,27 @@ def test_what_is_where(distributed: Scenes) -> None:
     assert (scene.phase, distributed.at(25).phase) == ("hover", "climb")
 
 
-def test_an_agent_alone_flies_what_it_expects(centralized: Scenes) -> None:
+def test_an_agent_alone_flies_what_it_expects(centralized: SceneBuilder) -> None:
     """Nobody surprises the one agent there is: a period later the team is where it expected it."""
     for tick in (0, 12, 20):
-        (expected,) = centralized.at(tick).expectations
+        (prediction,) = centralized.at(tick).predictions
         after = centralized.at(tick + 1)
-        assert expected.uavs_I.shape == (centralized.setup.settings.horizon + 1, 4, 3)
-        np.testing.assert_allclose(expected.uavs_I[0], centralized.at(tick).uavs_I, atol=ROUNDING)
-        np.testing.assert_allclose(expected.uavs_I[1], after.uavs_I, atol=STEP_M)
-        np.testing.assert_allclose(expected.payload_I[1], after.payload_I, atol=STEP_M)
+        assert prediction.uavs_I.shape == (centralized.setup.settings.horizon + 1, 4, 3)
+        np.testing.assert_allclose(prediction.uavs_I[0], centralized.at(tick).uavs_I, atol=ROUNDING)
+        np.testing.assert_allclose(prediction.uavs_I[1], after.uavs_I, atol=STEP_M)
+        np.testing.assert_allclose(prediction.payload_I[1], after.payload_I, atol=STEP_M)
 
 
-def test_agents_expect_the_near_future(distributed: Scenes) -> None:
+def test_agents_expect_the_near_future(distributed: SceneBuilder) -> None:
     """With the shared law each agent's own UAV is where it expected it to be, half a second on, late plans or not."""
     before, after = distributed.at(14), distributed.at(24)
-    assert [expected.agent for expected in before.expectations] == [1, 2, 3, 4]
+    assert [prediction.agent for prediction in before.predictions] == [1, 2, 3, 4]
     assert np.linalg.norm(after.uavs_I - before.uavs_I, axis=1).min() > 10.0 * NEAR_M
-    for expected in before.expectations:
-        np.testing.assert_allclose(expected.uavs_I[10, 0], after.uavs_I[expected.agent - 1], atol=NEAR_M)
+    for prediction in before.predictions:
+        np.testing.assert_allclose(prediction.uavs_I[10, 0], after.uavs_I[prediction.agent - 1], atol=NEAR_M)
 
 
-def test_links_show_age_and_loss(distributed: Scenes) -> None:
+def test_links_show_age_and_loss(distributed: SceneBuilder) -> None:
     """The link that is dark loses everything and was never heard; the others are as old as they are late."""
     period_s = distributed.setup.settings.sampling_period_s
     for link in distributed.at(25).links:
@@ -101,18 +101,18 @@ def test_links_show_age_and_loss(distributed: Scenes) -> None:
             assert link.loss == 0.0
 
 
-def test_changes_of_links_are_seen(distributed: Scenes) -> None:
+def test_changes_of_links_are_seen(distributed: SceneBuilder) -> None:
     """A change in flight counts from its tick on, however it was before, and once however often it is told."""
-    record = Record(distributed.setup)
-    record.add(distributed.record.plant_states.values())
+    history = RunHistory(distributed.setup)
+    history.add(distributed.history.plant_states.values())
     changes = [change(1, 5, {"loss": 1.0}), change(1, 5, {"loss": 1.0}), change(2, 26, {"loss": 0.0, "delay_s": 0.1})]
-    record.add(changes)
-    scenes = Scenes(distributed.setup, record)
-    assert {link.loss for link in scenes.at(25).links if link.receiver == 3} == {1.0}
-    assert {link.loss for link in scenes.at(5).links if link.receiver == 3} == {0.0}
-    assert scenes.link_history.settings(1, 3, 25) == (0.2, 1.0)
-    assert scenes.link_history.settings(1, 3, 26) == (0.1, 0.0)
-    assert [when for when, _ in record.news] == [5, 26]
+    history.add(changes)
+    builder = SceneBuilder(distributed.setup, history)
+    assert {link.loss for link in builder.at(25).links if link.receiver == 3} == {1.0}
+    assert {link.loss for link in builder.at(5).links if link.receiver == 3} == {0.0}
+    assert builder.link_history.settings(1, 3, 25) == (0.2, 1.0)
+    assert builder.link_history.settings(1, 3, 26) == (0.1, 0.0)
+    assert [when for when, _ in history.events] == [5, 26]
 
 
 def change(number: int, tick: int, settings: dict[str, float]) -> LinkChange:
@@ -129,20 +129,20 @@ def change(number: int, tick: int, settings: dict[str, float]) -> LinkChange:
     )
 
 
-def test_gaps_and_beginnings(distributed: Scenes) -> None:
+def test_gaps_and_beginnings(distributed: SceneBuilder) -> None:
     """A tick that is not there shows the one before, or the first there is; paths skip what is missing."""
-    record = Record(distributed.setup)
-    some: list[Message] = [distributed.record.plant_states[k] for k in (9, 3, 4)]
-    record.add(some)
-    assert (record.first, record.last) == (3, 9)
-    assert [record.nearest(tick) for tick in (0, 3, 6, 9, 50)] == [3, 3, 4, 9, 9]
-    payload_I, uavs_I = Scenes(distributed.setup, record).flown(9, 100)
+    history = RunHistory(distributed.setup)
+    some: list[Message] = [distributed.history.plant_states[k] for k in (9, 3, 4)]
+    history.add(some)
+    assert (history.first, history.last) == (3, 9)
+    assert [history.nearest(tick) for tick in (0, 3, 6, 9, 50)] == [3, 3, 4, 9, 9]
+    payload_I, uavs_I = SceneBuilder(distributed.setup, history).paths(9, 100)
     assert payload_I.shape == (3, 3)
     assert uavs_I.shape == (3, 4, 3)
-    np.testing.assert_array_equal(payload_I[-1], distributed.record.plant_states[9].x[:3])
+    np.testing.assert_array_equal(payload_I[-1], distributed.history.plant_states[9].x[:3])
 
 
-def test_the_payload_is_solid(distributed: Scenes) -> None:
+def test_the_payload_is_solid(distributed: SceneBuilder) -> None:
     """The mesh is closed and faces outwards, and every rod ends on it."""
     system = distributed.setup.system
     points, faces = payload_mesh(system)
@@ -179,7 +179,7 @@ def test_links_are_broken_by_their_loss(loss: float) -> None:
 def test_uavs_do_not_overlap() -> None:
     """UAVs are drawn smaller than the smallest gap between them; one alone at its usual size."""
     places = np.array([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0], [9.0, 0.0, 0.0]])
-    assert span_m(places) < 0.5 < span_m(places[:1])
+    assert uav_span(places) < 0.5 < uav_span(places[:1])
     assert segments(places).shape == (2, 2, 3)
     assert segments(places[:1]).shape == (0, 2, 3)
 

@@ -76,7 +76,7 @@ class View3D:
         self._add_surroundings()
         start_I = setup.reference.outputs(np.zeros(1))[0, : 3 * self._N].reshape(self._N, 3)
         self._span_m = uav_span(start_I)
-        self._payload = scene.add_frame("/payload", show_axes=False)
+        self._payload = self._add_body("/payload")
         vertices, faces = payload_mesh(setup.system)
         scene.add_mesh_simple("/payload/body", vertices, faces, color=_PAYLOAD, flat_shading=True, side="double")
         self._rods = [self._add_rod(i) for i in range(self._N)]
@@ -89,7 +89,7 @@ class View3D:
         ]
         self._goal = scene.add_icosphere("/goal", radius=0.07, color=_REFERENCE, cast_shadow=False)
         self._paths = self._add_lines("/paths", 2.0)
-        self._team = scene.add_frame("/team", show_axes=False)
+        self._team = self._add_body("/team")
         self._predictions = self._add_lines("/team/predictions", 4.0)
         self._links = self._add_lines("/team/links", 5.0)
         width = 0.03 * self._span_m
@@ -129,6 +129,8 @@ class View3D:
         for i, (uav, rod) in enumerate(zip(self._uavs, self._rods, strict=True)):
             uav.position, uav.wxyz = scene.uavs_I[i], quaternion(scene.R_uavs[i])
             rod.wxyz = quaternion_from_up(scene.R_payload.T @ (scene.uavs_I[i] - scene.attachments_I[i]))
+        for node in (self._payload, self._team, *self._uavs):
+            node.visible = True
         if self._shown["thrust"]:
             tips_I = scene.uavs_I + scene.thrusts_I * (_ARROW_M / self._hover_N)
             self._thrust.points = (np.stack([scene.uavs_I, tips_I], axis=1) - origin_I).astype(np.float32)
@@ -210,18 +212,22 @@ class View3D:
         camera.look_at = self._overview[0]
         camera.up, camera.fov = (0.0, 0.0, -1.0), _FOV
 
+    def _add_body(self, name: str) -> Any:
+        """Add a moving node, hidden until the first frame."""
+        return self._server.scene.add_frame(name, show_axes=False, visible=False)
+
     def _add_rod(self, i: int) -> Any:
         """Add a rod of fixed length that points up from its attachment to the payload."""
         uav = self._setup.system.uavs[i]
         rod = np.array([[(0.0, 0.0, 0.0), (0.0, 0.0, -uav.rod_length)]], dtype=np.float32)
         return self._server.scene.add_line_segments(
-            f"/payload/rod{i + 1}", rod, _linear(_ROD), thickness=3.0, thickness_units="screen", position=uav.rho
+            f"/payload/rod{i + 1}", rod, _ROD, thickness=3.0, thickness_units="screen", position=uav.rho
         )
 
     def _add_uav(self, i: int) -> Any:
         """Add a quadrotor; its front rotors are dark."""
         scene, name, colour, span = self._server.scene, f"/uav{i + 1}", uav_colour(i), self._span_m
-        node = scene.add_frame(name, show_axes=False)
+        node = self._add_body(name)
         scene.add_cylinder(f"{name}/body", radius=2.0 * BODY * span, height=BODY * span, color=colour)
         for k, yaw in enumerate((45.0, 135.0)):
             half = np.radians(yaw) / 2.0
