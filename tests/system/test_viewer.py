@@ -53,7 +53,7 @@ SIDEWAYS = (
     "maneuver.phase=[{name='hover',duration_s=2.0,displacement_m=[0,0,0]},"
     "{name='sideways',duration_s=600.0,displacement_m=[600.0,0,-60.0]}]"
 )
-SLOWLY = "clock.speed=0.5"  # real time has to keep up on a busy machine
+SLOWLY = "clock.speed=0.25"  # real time has to keep up on a busy machine
 DRAWINGS = 12
 ROD_M = 1e-3  # poses and points are single precision, at some hundred metres
 DELAY_STEPS = 10  # of 10 ms

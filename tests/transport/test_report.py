@@ -150,7 +150,7 @@ def test_a_folder_without_a_log_is_refused(tmp_path: Path) -> None:
 def test_the_table_answers_the_first_questions(flight: tuple[Path, list[Message]]) -> None:
     """At the end of a run a person reads outcome, speed, cost, attitude, errors, swing, times, losses, solver."""
     text = printed(write_report(flight[0], figures=False))
-    for word in ("completed", "real time", "cost", "attitude", "agent step", "network", "lost", "solver"):
+    for word in ("completed", "real time", "cost", "attitude", "agent step", "rest of tick", "lost", "solver"):
         assert word in text
     for name in ("UAV error", "payload error", "payload swing"):
         assert name in text
@@ -195,7 +195,7 @@ def test_the_table_names_the_worst_offender(flight: tuple[Path, list[Message]]) 
     ]
     messages = summary["messages"] | {"rejected": 9}
     text = printed(summary | {"rejections": rejections, "messages": messages})
-    assert re.search(r"rejected +9 messages, 5 of plan/2 \(malformed\)", text)
+    assert re.search(r"rejected +9 messages, 5 from plan/2 \(malformed\)", text)
     Draft202012Validator(SCHEMA).validate(summary | {"rejections": rejections, "messages": messages})
 
 

@@ -1,7 +1,7 @@
-"""A copy of a log that Foxglove shows in space: its own channels, and beside them transforms, a scene and numbers.
+"""Copy of a log for Foxglove, with additional channels for transforms, 3D scene and numbers.
 
-Written afterwards, not while recording: nothing of this costs a run any time. Names and fields of the messages are
-those of Foxglove's well-known schemas (https://docs.foxglove.dev/docs/visualization/message-schemas/introduction).
+Messages follow Foxglove's schemas (https://docs.foxglove.dev/docs/visualization/message-schemas/introduction). Written
+after a run, so that recording takes no more time.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -34,7 +34,7 @@ from transport.scene.geometry import (
 )
 from transport.scene.scene import Scene, SceneBuilder
 
-# Foxglove draws z upwards; below its root there is the inertial frame, z down, turned about x.
+# Foxglove draws z up; the inertial frame, z down, is its root turned about x.
 ROOT, INERTIAL, PAYLOAD = "map", "inertial", "payload"
 _UPSIDE_DOWN = {"x": 1.0, "y": 0.0, "z": 0.0, "w": 0.0}
 _GREY, _DARK = (140, 140, 140), (60, 60, 60)
@@ -42,7 +42,7 @@ _GREY, _DARK = (140, 140, 140), (60, 60, 60)
 _LINE_M, _ARROW_M = 0.02, 0.6
 _LINE_LIST = 2
 
-# What the copy has more than the log, each with its schema.
+# Additional channels and their schemas.
 CHANNELS: Mapping[str, str] = {
     "/tf": "foxglove.FrameTransforms",
     "/scene/bodies": "foxglove.SceneUpdate",
@@ -55,22 +55,22 @@ Json = dict[str, Any]
 
 
 def write_foxglove(builder: SceneBuilder, log: Path, out: Path) -> int:
-    """Write the copy.
+    """Write the copy of a log.
 
     Args:
         builder: Scenes of the run, its whole log read.
-        log: The run's log, whole or not.
-        out: File to write; replaced if it is there.
-    Returns: How many ticks have a scene.
+        log: The run's log, complete or cut.
+        out: File to write or replace.
+    Returns: Number of ticks with a scene.
     Raises: OSError: it cannot be written.
     """
-    with log.open("rb") as whole:
-        found = Salvage(whole)
-        entries = list(found.entries())
+    with log.open("rb") as original:
+        salvage = Salvage(original)
+        entries = list(salvage.entries())
     partial = out.with_name(out.name + ".partial")
     with partial.open("wb") as file:
-        copy = _Copy(Writer(file, compression=CompressionType.ZSTD))
-        for name, values in {**found.metadata, DERIVED: dict(CHANNELS)}.items():
+        copy = _CopyWriter(Writer(file, compression=CompressionType.ZSTD))
+        for name, values in {**salvage.metadata, DERIVED: dict(CHANNELS)}.items():
             copy.writer.add_metadata(name, values)
         for topic, entry in entries:
             kind = topic.lstrip("/").split("/", 1)[0]
@@ -81,9 +81,9 @@ def write_foxglove(builder: SceneBuilder, log: Path, out: Path) -> int:
                 )
         ticks = sorted(builder.history.plant_states)
         period_ns = builder.setup.period_ns
-        for number, tick in enumerate(ticks):
+        for tick in ticks:
             scene, at_ns = builder.at(tick), tick * period_ns
-            if number == 0:
+            if tick == ticks[0]:
                 copy.put("/scene/bodies", at_ns, _update(_bodies(builder, at_ns)))
                 copy.put("/scene/reference", at_ns, _update(_reference(builder, at_ns)))
             copy.put("/tf", at_ns, {"transforms": list(_transforms(scene, at_ns))})
@@ -94,8 +94,8 @@ def write_foxglove(builder: SceneBuilder, log: Path, out: Path) -> int:
     return len(ticks)
 
 
-class _Copy:
-    """An MCAP file that is being written, with its channels."""
+class _CopyWriter:
+    """MCAP writer that registers channels and schemas on first use."""
 
     def __init__(self, writer: Writer) -> None:
         self.writer = writer
@@ -104,7 +104,7 @@ class _Copy:
         writer.start(library="payload-transport")
 
     def channel(self, topic: str, name: str, schema: Mapping[str, Any]) -> int:
-        """The channel of a topic."""
+        """Return the channel id of a topic."""
         if topic not in self._channels:
             if name not in self._schemas:
                 self._schemas[name] = self.writer.register_schema(name, "jsonschema", orjson.dumps(schema))
@@ -112,7 +112,7 @@ class _Copy:
         return self._channels[topic]
 
     def put(self, topic: str, at_ns: int, content: Json) -> None:
-        """Write a message of one of `CHANNELS`."""
+        """Write a message to one of `CHANNELS`."""
         name = CHANNELS[topic]
         data = orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY)
         self.writer.add_message(self.channel(topic, name, SCHEMAS[name]), at_ns, data, publish_time=at_ns)
@@ -137,7 +137,7 @@ def _transform(time: Json, parent: str, child: str, translation: Array, rotation
 
 
 def _bodies(builder: SceneBuilder, at_ns: int) -> Iterator[Json]:
-    """Payload and UAVs, each in a frame of its own: said once, moved by the transforms."""
+    """Yield payload and UAVs, each in its own frame, which the transforms move."""
     system = builder.setup.system
     vertices, faces = payload_mesh(system)
     mesh = {
@@ -183,7 +183,7 @@ def _reference(builder: SceneBuilder, at_ns: int) -> Iterator[Json]:
 
 
 def _now(builder: SceneBuilder, scene: Scene, at_ns: int) -> Iterator[Json]:
-    """What is different at every tick: rods, thrust, predicted paths, links."""
+    """Yield the entities that change at every tick: rods, thrust, predicted paths, links."""
     setup = builder.setup
     rods = np.stack([scene.uavs_I, scene.attachments_I], axis=1).reshape(-1, 3)
     yield _entity("rods", INERTIAL, at_ns, lines=[_line(rods, _GREY)])
@@ -192,11 +192,11 @@ def _now(builder: SceneBuilder, scene: Scene, at_ns: int) -> Iterator[Json]:
         _arrow(*row, hover, uav_colour(i)) for i, row in enumerate(zip(scene.uavs_I, scene.thrusts_I, strict=True))
     ]
     yield _entity("thrust", INERTIAL, at_ns, arrows=arrows)
-    for predicted in scene.predictions:
-        own = setup.owned[predicted.agent - 1]
-        paths = [(predicted.payload_I, own[0]), *((predicted.uavs_I[:, k], uav) for k, uav in enumerate(own))]
+    for prediction in scene.predictions:
+        own = setup.owned[prediction.agent - 1]
+        paths = [(prediction.payload_I, own[0]), *((prediction.uavs_I[:, k], uav) for k, uav in enumerate(own))]
         lines = [_line(segments(path).reshape(-1, 3), uav_colour(uav)) for path, uav in paths]
-        yield _entity(f"predicted by agent {predicted.agent}", INERTIAL, at_ns, lines=lines)
+        yield _entity(f"predicted by agent {prediction.agent}", INERTIAL, at_ns, lines=lines)
     pieces, colours = link_segments(scene.links, agent_positions(scene, setup.owned))
     line = _line(pieces.reshape(-1, 3), _GREY)
     line["colors"] = [_colour(colour) for colour in np.repeat(colours, 2, axis=0).tolist()]
@@ -233,7 +233,7 @@ def _entity(name: str, frame: str, at_ns: int, *, locked: bool = False, **primit
 
 
 def _line(points: Any, colour: Colour, thickness_m: float = _LINE_M) -> Json:
-    """Segments from pairs of points, (2 k, 3)."""
+    """Return line segments between pairs of points, (2 k, 3)."""
     return {
         "type": _LINE_LIST,
         "pose": _pose(np.zeros(3)),
@@ -247,7 +247,7 @@ def _line(points: Any, colour: Colour, thickness_m: float = _LINE_M) -> Json:
 
 
 def _arrow(tail: Array, force: Array, hover: float, colour: Colour) -> Json:
-    """An arrow along a force, which lies along x in a frame of its own."""
+    """Return an arrow along a force; its pose turns the x axis into the direction of the force."""
     size = float(np.linalg.norm(force))
     along = force / size if size > 0.0 else np.array([1.0, 0.0, 0.0])
     aside = np.cross(along, [1.0, 0.0, 0.0] if abs(along[0]) < 0.9 else [0.0, 1.0, 0.0])
