@@ -194,7 +194,7 @@ def rod_error_m(drawing: Drawing, attachments: Array) -> float:
 
     Args:
         drawing: One drawing of a page.
-        attachments: Of the rods, (N, 3), payload frame, m.
+        attachments: Attachments of the rods, (N, 3), payload frame, m.
     """
     errors = []
     for i, rho in enumerate(attachments):

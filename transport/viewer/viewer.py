@@ -43,7 +43,7 @@ class Viewer:
         port: First port to try; 0 for any.
         notice: Sentence to show on top of the panel, such as what a log lacks.
         tail: Log of a live run, read as it grows.
-        live: Where to send requests to; None for a recorded run.
+        live: The live run to send requests to; None for a recorded run.
 
     Attributes:
         shown: The scene in the current frame.
