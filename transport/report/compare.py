@@ -54,29 +54,24 @@ class Row:
     percent: tuple[float | None, ...]
 
 
-def _at(*keys: str) -> Callable[[Summary], Any]:
+def _at(*keys: str, factor: float | None = None) -> Callable[[Summary], Any]:
+    """Return a function that reads a value of a summary, scaled by a factor."""
+
     def value(summary: Summary) -> Any:
+        found: Any = summary
         for key in keys:
-            summary = summary[key]
-        return summary
+            found = found[key]
+        return found if factor is None or found is None else factor * found
 
     return value
 
 
-def _lost_share(summary: Summary) -> float | None:
+def _lost_percent(summary: Summary) -> float | None:
     messages = summary["messages"]
     return 100.0 * messages["lost"] / messages["sent"] if messages["sent"] else None
 
 
-def _percent(*keys: str) -> Callable[[Summary], float | None]:
-    def value(summary: Summary) -> float | None:
-        share = _at(*keys)(summary)
-        return None if share is None else 100.0 * share
-
-    return value
-
-
-def _exceeded(summary: Summary) -> float | None:
+def _exceeded_percent(summary: Summary) -> float | None:
     share = summary["constraint_violation_max"]
     return None if share is None else 0.0 if share < HELD else 100.0 * share
 
@@ -102,15 +97,15 @@ _QUANTITIES: tuple[tuple[str, str, Callable[[Summary], Any]], ...] = (
     (f"payload error, max of last {SWING_S:g} s", "m", _at("payload_tracking", "swing_m")),
     ("payload swing decays", "", _decays),
     ("separation, min", "m", _at("separation_min_m")),
-    ("limits exceeded, max", "%", _exceeded),
+    ("limits exceeded, max", "%", _exceeded_percent),
     ("agent step, median", "ms", _at("agent_step_ms", "p50")),
     ("agent step, p99", "ms", _at("agent_step_ms", "p99")),
     ("rest of tick, median", "ms", _at("rest_of_tick_ms", "p50")),
     ("real-time factor", "", _at("real_time_factor")),
-    ("deadlines missed", "%", _percent("deadline", "share")),
+    ("deadlines missed", "%", _at("deadline", "share", factor=100.0)),
     ("plan age, mean", "ticks", _at("plan_age_ticks", "mean")),
     ("plan age, max", "ticks", _at("plan_age_ticks", "max")),
-    ("plans lost", "%", _lost_share),
+    ("plans lost", "%", _lost_percent),
     ("messages rejected", "", _at("messages", "rejected")),
     ("solver fallbacks", "", _at("solver", "fallbacks")),
     ("solver failures", "", _at("solver", "failures")),

@@ -96,12 +96,6 @@ def name_offsets(positions: Array) -> Array:
     return offsets
 
 
-def dashed(path: Array, on: int = 1, off: int = 1) -> Array:
-    """Return the segments of a path, (k, 2, 3), with gaps of `off` after every `on` segments."""
-    pieces = segments(path)
-    return pieces[np.arange(len(pieces)) % (on + off) < on]
-
-
 def simplified(path: Array, tolerance_m: float) -> Array:
     """Return a path, (k, 3), with fewer points, about as near to the original as the tolerance.
 

@@ -59,7 +59,6 @@ class Scene:
         payload_reference_I: Its reference, (3,).
         R_payload: Attitude, payload to inertial frame, (3, 3).
         uavs_I: Positions of the UAVs, (N, 3).
-        uav_references_I: Their references, (N, 3).
         R_uavs: Attitudes, body to inertial frame, (N, 3, 3).
         attachments_I: Attachments of the rods to the payload, (N, 3).
         thrusts_I: Thrust forces, (N, 3), N.
@@ -78,7 +77,6 @@ class Scene:
     payload_reference_I: Array
     R_payload: Array
     uavs_I: Array
-    uav_references_I: Array
     R_uavs: Array
     attachments_I: Array
     thrusts_I: Array
@@ -145,7 +143,6 @@ class SceneBuilder:
             payload_reference_I=setup.maneuver.path(np.array([time_s]))[0][0],
             R_payload=R_payload,
             uavs_I=y[: 3 * N].reshape(N, 3),
-            uav_references_I=y_ref[: 3 * N].reshape(N, 3),
             R_uavs=R_uavs,
             attachments_I=np.array([view.r0_I + R_payload @ uav.rho for uav in setup.system.uavs]),
             thrusts_I=-thrusts[:, None] * R_uavs[:, :, 2],

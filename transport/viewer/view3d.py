@@ -18,7 +18,6 @@ from transport.scene.geometry import (
     ROTOR,
     Colour,
     agent_positions,
-    dashed,
     link_segments,
     name_offsets,
     payload_mesh,
@@ -180,7 +179,7 @@ class View3D:
         self._references = []
         for name, path in [("payload", payload_I), *((f"uav{i + 1}", uavs_I[:, i]) for i in range(self._N))]:
             node = self._add_lines(f"/reference/{name}", 1.5 if name == "payload" else 1.0)
-            _set_lines(node, dashed(path), _REFERENCE)
+            _set_lines(node, segments(path)[::2], _REFERENCE)
             self._references.append(node)
         above = uavs_I.reshape(-1, 3) - np.array([0.0, 0.0, 2.0 * _ARROW_M])  # thrust and names
         everything = np.vstack([payload_I, above])
