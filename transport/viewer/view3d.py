@@ -1,7 +1,7 @@
 """3D view: the nodes of a viser scene that show the scene of a run.
 
 A page applies the poses of a frame at once, but the points of lines one drawing later. Rods are therefore rigid nodes
-fixed to the payload, and the lines that follow the team lie below a node that moves with the payload.
+fixed to the payload, and lines lie below nodes that move with the team ("/team") or the payload ("/load").
 """
 
 from collections.abc import Mapping, Sequence
@@ -89,7 +89,9 @@ class View3D:
         self._goal = scene.add_icosphere("/goal", radius=0.07, color=_REFERENCE, cast_shadow=False)
         self._paths = self._add_lines("/paths", 2.0)
         self._team = self._add_body("/team")
-        self._predictions = self._add_lines("/team/predictions", 4.0)
+        self._load = self._add_body("/load")
+        self._uav_predictions = self._add_lines("/team/predictions", 4.0)
+        self._payload_predictions = self._add_lines("/load/predictions", 4.0)
         self._links = self._add_lines("/team/links", 5.0)
         width = 0.03 * self._span_m
         self._thrust = scene.add_arrows(
@@ -110,7 +112,7 @@ class View3D:
         """Show or hide one of `LAYERS`."""
         self._shown[name] = shown
         nodes: Mapping[str, list[Any]] = {
-            "predictions": [self._predictions],
+            "predictions": [self._uav_predictions, self._payload_predictions],
             "flown paths": [self._paths],
             "reference": [*self._references, self._goal],
             "links": [self._links],
@@ -122,23 +124,24 @@ class View3D:
 
     def show(self, scene: Scene) -> None:
         """Move all nodes to a scene."""
-        origin_I = scene.payload_I
-        self._payload.position, self._payload.wxyz = origin_I, quaternion(scene.R_payload)
-        self._team.position, self._goal.position = origin_I, scene.payload_reference_I
+        centre_I = scene.uavs_I.mean(axis=0)
+        self._team.position, self._load.position = centre_I, scene.payload_I
+        self._payload.position, self._payload.wxyz = scene.payload_I, quaternion(scene.R_payload)
+        self._goal.position = scene.payload_reference_I
         for i, (uav, rod) in enumerate(zip(self._uavs, self._rods, strict=True)):
             uav.position, uav.wxyz = scene.uavs_I[i], quaternion(scene.R_uavs[i])
             rod.wxyz = quaternion_from_up(scene.R_payload.T @ (scene.uavs_I[i] - scene.attachments_I[i]))
-        for node in (self._payload, self._team, *self._uavs):
+        for node in (self._team, self._load, self._payload, *self._uavs):
             node.visible = True
         if self._shown["thrust"]:
             tips_I = scene.uavs_I + scene.thrusts_I * (_ARROW_M / self._hover_N)
-            self._thrust.points = (np.stack([scene.uavs_I, tips_I], axis=1) - origin_I).astype(np.float32)
+            self._thrust.points = (np.stack([scene.uavs_I, tips_I], axis=1) - centre_I).astype(np.float32)
             self._thrust.colors = _linear([uav_colour(i) for i in range(self._N)])
         if self._shown["links"]:
-            pieces, colours = link_segments(scene.links, agent_positions(scene, self._setup.owned) - origin_I)
+            pieces, colours = link_segments(scene.links, agent_positions(scene, self._setup.owned) - centre_I)
             _set_lines(self._links, pieces, colours)
         if self._shown["predictions"]:
-            _set_paths(self._predictions, self._predicted_paths(scene))
+            self._show_predictions(scene)
         if self._shown["flown paths"]:
             _set_paths(self._paths, self._flown_paths(scene))
 
@@ -154,14 +157,14 @@ class View3D:
                 client.camera.position = position  # moves look_at along
                 client.camera.look_at = target
 
-    def _predicted_paths(self, scene: Scene) -> list[tuple[Colour, Array]]:
-        """Colours and points, (k, 3), relative to the payload, m."""
-        paths = []
+    def _show_predictions(self, scene: Scene) -> None:
+        centre_I, uav_paths, payload_paths = scene.uavs_I.mean(axis=0), [], []
         for prediction in scene.predictions:
             own = self._setup.owned[prediction.agent - 1]
-            paths += [(uav_colour(uav), prediction.uavs_I[:, k]) for k, uav in enumerate(own)]
-            paths.append((uav_colour(own[0]), prediction.payload_I))
-        return [(colour, path - scene.payload_I) for colour, path in paths]
+            uav_paths += [(uav_colour(uav), prediction.uavs_I[:, k] - centre_I) for k, uav in enumerate(own)]
+            payload_paths.append((uav_colour(own[0]), prediction.payload_I - scene.payload_I))
+        _set_paths(self._uav_predictions, uav_paths)
+        _set_paths(self._payload_predictions, payload_paths)
 
     def _flown_paths(self, scene: Scene) -> list[tuple[Colour, Array]]:
         """Colours and points, (k, 3), inertial frame, m."""
