@@ -1,65 +1,159 @@
-"""A browser without a screen, driven as a person would: what it shows, what it complains of, whom it asks."""
+"""Headless browser for tests of the viewer, and connections that look like browsers to the viewer."""
 
+import base64
 import io
 import json
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
+from dataclasses import dataclass
+from importlib.metadata import version
 from typing import Any
 from urllib.parse import urlparse
 
+import msgpack
 import numpy as np
 import pytest
+from matplotlib.image import imread
 from selenium import webdriver
 from selenium.webdriver.chrome.options import Options
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.keys import Keys
+from websockets import Subprotocol
+from websockets.sync.client import ClientConnection, connect
 
-from benchmarks.watched import HEADLESS
-from tests.support.commands import wait_for
+from model.arrays import Array
+from tests.support.commands import PATIENCE_S, wait_for
 
 _CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 _DRIVER = shutil.which("chromedriver")
+_OPTIONS = (
+    "--headless=new",
+    "--no-sandbox",  # not available in a container
+    "--disable-dev-shm-usage",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--window-size=900,600",
+)
 
 needs_browser = pytest.mark.skipif(
     _CHROMIUM is None or _DRIVER is None,
     reason="no Chromium with its driver (Debian: apt-get install chromium chromium-driver)",
 )
 
-# Three.js says of one of its own parts that it will go.
+# Three.js warns that one of its own parts is deprecated.
 _HARMLESS = ("THREE.Clock",)
+
+# First message of a page: without it, viser does not count the connection as a client.
+_CAMERA: bytes = msgpack.packb(
+    {
+        "type": "ViewerCameraMessage",
+        "wxyz": (1.0, 0.0, 0.0, 0.0),
+        "position": (0.0, -10.0, 0.0),
+        "look_at": (0.0, 0.0, 0.0),
+        "up_direction": (0.0, 0.0, -1.0),
+        "fov": 0.75,
+        "near": 0.01,
+        "far": 1000.0,
+        "image_height": 600,
+        "image_width": 900,
+    }
+)
+
+# Calls back after the next drawing with its image, and with what was drawn: the matrix of every node by name, and the
+# points of the lines directly below it, all in the coordinates of three.js.
+_NEXT_DRAWING = """
+const done = arguments[arguments.length - 1], canvas = document.querySelector('canvas');
+const key = Object.keys(canvas).find((name) => name.startsWith('__reactFiber'));
+let fiber = canvas[key];
+while (fiber && !fiber.memoizedProps?.value?.mutable?.current?.nodeRefFromName) fiber = fiber.return;
+const viewer = fiber.memoizedProps.value.mutable.current;
+viewer.scene.onAfterRender = (renderer) => {
+  viewer.scene.onAfterRender = () => {};
+  const nodes = {};
+  for (const [name, node] of Object.entries(viewer.nodeRefFromName)) {
+    if (!node) continue;
+    const points = [];
+    node.traverse((part) => {
+      const start = part.geometry?.attributes?.instanceStart, end = part.geometry?.attributes?.instanceEnd;
+      if (!part.isLineSegments2 || !start) return;
+      for (let k = 0; k < start.count; ++k)
+        for (const at of [start, end])
+          points.push(part.localToWorld(part.position.clone().set(at.getX(k), at.getY(k), at.getZ(k))).toArray());
+    });
+    nodes[name] = {matrix: node.matrixWorld.toArray(), points};
+  }
+  done({nodes, image: renderer.domElement.toDataURL('image/png').split(',')[1]});
+};
+viewer.requestRender();
+"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Drawing:
+    """One drawing of a page.
+
+    Attributes:
+        image: The 3D view as PNG.
+        poses: Matrix of every node by name, (4, 4), page coordinates.
+        points: Ends of the line segments of every node and the nodes below it, (2 k, 3), page coordinates.
+    """
+
+    image: bytes
+    poses: dict[str, Array]
+    points: dict[str, Array]
+
+
+@contextmanager
+def connected_pages(address: str, count: int) -> Iterator[list[ClientConnection]]:
+    """Connect as pages do, without drawing; disconnect without notice afterwards."""
+    connections: list[ClientConnection] = []
+    try:
+        for _ in range(count):
+            connections.append(
+                connect(
+                    address.replace("http", "ws", 1),
+                    subprotocols=[Subprotocol(f"viser-v{version('viser')}")],
+                    max_size=None,
+                )
+            )
+            connections[-1].send(_CAMERA)
+            assert connections[-1].recv(timeout=PATIENCE_S)
+        yield connections
+    finally:
+        for connection in connections:
+            connection.socket.close()
 
 
 class Browser:
-    """One window of it."""
+    """One browser window."""
 
     def __init__(self, driver: webdriver.Chrome) -> None:
         self.driver = driver
 
     def open(self, address: str) -> None:
-        """Open the viewer and wait until it has its widgets."""
-        self.leave()  # what was open does not miss its server
-        self.complaints()
+        """Open the viewer and wait for its widgets."""
+        self.leave()  # an open page would report the loss of its server
+        self.console()
         self.driver.get(address)
-        assert wait_for(lambda: self.label() is not None and bool(self.sliders()))
+        assert wait_for(lambda: self.text() is not None and bool(self.sliders()))
 
     def leave(self) -> None:
         """Close the page."""
         self.driver.get("about:blank")
 
     def click(self, text: str, number: int = 0) -> None:
-        """Press a button, the one with this number of those that say the same."""
+        """Click a button with this text, by its number among those with the same text."""
         buttons = [b for b in self.driver.find_elements("css selector", "button") if b.text == text]
         self.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", buttons[number])
         buttons[number].click()
 
-    def label(self) -> str | None:
-        """Text of the panel."""
+    def text(self) -> str | None:
+        """Return the text of the page."""
         return self.driver.find_element("css selector", "body").text or None
 
     def sliders(self) -> dict[float, Any]:
-        """Handles of the sliders by their largest value."""
+        """Return the handles of the sliders by their largest value."""
         found = self.driver.find_elements("css selector", "[role=slider]")
         return {float(slider.get_attribute("aria-valuemax") or "nan"): slider for slider in found}
 
@@ -69,45 +163,42 @@ class Browser:
         self.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", slider)
         slider.send_keys(*keys)
 
-    def pixels(self, folder: Path | None = None, name: str = "") -> Any:
-        """What the 3D part shows, (height, width, 3); kept as a picture for people if there is a folder."""
-        from matplotlib.image import imread
-
+    def pixels(self) -> Any:
+        """Return the pixels of the 3D view, (height, width, 3), 0..1."""
         data = self.driver.find_element("css selector", "canvas").screenshot_as_png
-        if folder is not None:
-            (folder / f"{name}.png").write_bytes(self.driver.get_screenshot_as_png())
         return np.asarray(imread(io.BytesIO(data), format="png"))[..., :3]
 
-    def put(self, element: str) -> None:
-        """Make an element, as HTML, all there is of the page."""
-        self.driver.execute_script("document.body.innerHTML = arguments[0]", element)
+    def drawing(self) -> Drawing:
+        """Return the next drawing of the 3D view: image and positions of the same moment."""
+        self.driver.set_script_timeout(PATIENCE_S)
+        result = self.driver.execute_async_script(_NEXT_DRAWING)
+        nodes: dict[str, Any] = result["nodes"]
+        return Drawing(
+            image=base64.b64decode(result["image"]),
+            poses={name: np.array(node["matrix"]).reshape(4, 4).T for name, node in nodes.items()},
+            points={name: np.array(node["points"]).reshape(-1, 3) for name, node in nodes.items()},
+        )
 
-    def drawn(self) -> int:
-        """How many pictures the page has been given since this was asked first, while it wants one after another."""
-        count = "if (window.drawn === undefined) { window.drawn = 0; const draw = () => { ++window.drawn; "
-        loop = "requestAnimationFrame(draw); }; requestAnimationFrame(draw); } return window.drawn;"
-        return int(self.driver.execute_script(count + loop))
-
-    def complaints(self) -> list[str]:
-        """Errors and warnings of its console."""
+    def console(self) -> list[str]:
+        """Return errors and warnings of the console since the last call."""
         log: list[dict[str, Any]] = self.driver.get_log("browser")  # type: ignore[no-untyped-call]
-        said = [entry["message"] for entry in log if entry["level"] not in ("INFO", "DEBUG")]
-        return [text for text in said if not any(harmless in text for harmless in _HARMLESS)]
+        texts = [entry["message"] for entry in log if entry["level"] not in ("INFO", "DEBUG")]
+        return [text for text in texts if not any(harmless in text for harmless in _HARMLESS)]
 
     def hosts(self) -> set[str]:
-        """Whom it has asked for anything."""
+        """Return the hosts that the browser has sent requests to."""
         log: list[dict[str, Any]] = self.driver.get_log("performance")  # type: ignore[no-untyped-call]
-        events = [json.loads(entry["message"])["message"] for entry in log]
-        asked = [e["params"]["request"]["url"] for e in events if e["method"] == "Network.requestWillBeSent"]
-        return {str(urlparse(url).hostname) for url in asked if url.startswith("http")}
+        entries = [json.loads(entry["message"])["message"] for entry in log]
+        urls = [e["params"]["request"]["url"] for e in entries if e["method"] == "Network.requestWillBeSent"]
+        return {str(urlparse(url).hostname) for url in urls if url.startswith("http")}
 
 
 @contextmanager
 def browser() -> Iterator[Browser]:
-    """A browser that is gone afterwards."""
+    """Start a browser and quit it afterwards."""
     options = Options()
     options.binary_location = str(_CHROMIUM)
-    for option in HEADLESS:
+    for option in _OPTIONS:
         options.add_argument(option)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
     driver = webdriver.Chrome(options=options, service=Service(str(_DRIVER)))

@@ -1,4 +1,4 @@
-"""The moving picture of a run: as long as it should be, it moves, it is small, and equal runs give equal files."""
+"""Animation of a run: number of frames, motion, size, and equal files of equal runs."""
 
 import shutil
 import struct
@@ -15,34 +15,34 @@ from transport.analysis.series import series_of
 from transport.cli.main import app
 from transport.log.run_log import read_log
 from transport.report.animation import FPS, SPEED, animate
-from transport.scene.record import Record
-from transport.scene.scene import Scenes
+from transport.scene.run_history import RunHistory
+from transport.scene.scene import SceneBuilder
 
-# Of a picture with lines that move.
-LARGEST_BYTES_A_PICTURE = 40_000
-MOVED = 0.001  # share of the pixels that are others at the end
+# Largest size of a frame with moving lines.
+LARGEST_FRAME_BYTES = 40_000
+MOVED = 0.001  # share of pixels that differ at the end
 FASTER = 2.0
 
 
 def drawn(folder: Path, name: str) -> Path:
-    """A short flight, drawn in a few pictures."""
+    """Animate a short run in a few frames."""
     run = runs.setup(runs.SHORT)
     log = read_log(folder / "run.mcap")
-    record = Record(run)
-    record.add(entry.message for entry in log.messages)
-    return animate(Scenes(run, record), series_of(run, log), folder / name, speed=FASTER * SPEED)
+    history = RunHistory(run)
+    history.add(entry.message for entry in log.messages)
+    return animate(SceneBuilder(run, history), series_of(run, log), folder / name, speed=FASTER * SPEED)
 
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run folder."""
+    """Return the folder of a short run."""
     folder = tmp_path_factory.mktemp("moving")
     flown(runs.setup(runs.SHORT), folder)
     return folder
 
 
 def test_a_gif_moves(recorded: Path) -> None:
-    """As many pictures as its time and speed ask for, the last other than the first, and few bytes for each."""
+    """The number of frames follows from duration and speed, the last differs from the first, frames are small."""
     path = drawn(recorded, "a.gif")
     with Image.open(path) as image:
         count = int(getattr(image, "n_frames", 0))
@@ -52,22 +52,22 @@ def test_a_gif_moves(recorded: Path) -> None:
     duration_s = 29 * 0.05
     assert count == pytest.approx(duration_s / (FASTER * SPEED) * FPS, abs=1.0)
     assert (first != last).any(axis=2).mean() > MOVED
-    assert path.stat().st_size < LARGEST_BYTES_A_PICTURE * count
+    assert path.stat().st_size < LARGEST_FRAME_BYTES * count
     assert drawn(recorded, "b.gif").read_bytes() == path.read_bytes()
 
 
 @pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="no ffmpeg")
-def test_an_mp4_is_one(recorded: Path) -> None:
-    """What ffmpeg wrote begins as such files do."""
+def test_an_mp4_is_written(recorded: Path) -> None:
+    """The file begins with the header of an MP4."""
     size, kind = struct.unpack(">I4s", drawn(recorded, "a.mp4").read_bytes()[:8])
     assert kind == b"ftyp"
     assert size < 100
 
 
-def test_what_cannot_be_drawn_is_refused(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Another kind of file, or an MP4 without ffmpeg, is refused in one line before anything is written."""
+def test_unsupported_files_are_refused(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Other kinds of files, and MP4 without ffmpeg, are refused in one line before anything is written."""
     monkeypatch.setenv("PATH", str(tmp_path))
-    for name, why in (("a.avi", "ends in .gif or .mp4"), ("a.mp4", "takes ffmpeg")):
+    for name, why in (("a.avi", "ends in .gif or .mp4"), ("a.mp4", "needs ffmpeg")):
         result = CliRunner().invoke(app, ["plot", str(recorded), "--animate", str(tmp_path / name)])
         assert result.exit_code == 2
         assert result.stderr.startswith("transport: --animate: ")

@@ -78,7 +78,7 @@ def test_unequal_runs_are_noted(folders: dict[str, Path], tmp_path: Path) -> Non
     with (tmp_path / "out" / "compare.csv").open(newline="") as file:
         header, *lines = csv.reader(file)
     assert header == ["quantity", "unit", "first", "other", "other, more than first (%)"]
-    flown = next(line for line in lines if line[0] == "flown")
+    flown = next(line for line in lines if line[0] == "simulated time")
     assert np.allclose([float(cell) for cell in flown[2:]], [1.5, 0.5, -200.0 / 3.0])
 
 

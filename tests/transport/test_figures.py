@@ -1,4 +1,4 @@
-"""Figures: every kind of run can be drawn, and drawing leaves no traces."""
+"""Figures: every kind of run can be drawn, without side effects."""
 
 import struct
 import sys
@@ -24,7 +24,7 @@ SMALLEST_PIXELS = 400
 
 
 def assert_drawn(paths: Sequence[Path], names: Sequence[str] = NAMES) -> None:
-    """The files are PNG images with something on them, and beside each there is an SVG."""
+    """Check that the files are PNG images with content, each with an SVG beside it."""
     assert [path.name for path in paths] == list(names)
     for path in paths:
         data = path.read_bytes()
@@ -35,14 +35,14 @@ def assert_drawn(paths: Sequence[Path], names: Sequence[str] = NAMES) -> None:
 
 
 def logged(folder: Path, *settings: str) -> tuple[Setup, RunLog]:
-    """A short flight and its log."""
+    """Return a short run and its log."""
     run = runs.setup(runs.SHORT, *settings)
     flown(run, folder)
     return run, read_log(folder / "run.mcap")
 
 
-def test_a_flight_is_drawn_with_its_report(tmp_path: Path) -> None:
-    """The report of a run leaves three figures in figures/, and a second drawing replaces them."""
+def test_figures_are_drawn_with_the_report(tmp_path: Path) -> None:
+    """The report of a run writes three figures to figures/, and drawing again replaces them."""
     run, log = logged(tmp_path)
     write_report(tmp_path)
     paths = [tmp_path / "figures" / name for name in NAMES]
@@ -51,20 +51,20 @@ def test_a_flight_is_drawn_with_its_report(tmp_path: Path) -> None:
 
 
 def test_one_uav_is_drawn(tmp_path: Path) -> None:
-    """A team of one has figures like any other."""
+    """A team of one UAV has all figures."""
     run, log = logged(tmp_path, *ALONE)
     assert_drawn(draw(run, log, tmp_path))
 
 
 def test_a_diverged_run_is_drawn(tmp_path: Path) -> None:
-    """A run that ended in its second phase is drawn as far as it went."""
+    """A run that ended in its second phase is drawn up to its end."""
     run, log = logged(tmp_path, "plant.max_error_m=0.05")
     assert len(log.messages) > 1
     assert_drawn(draw(run, log, tmp_path))
 
 
 def test_a_cut_log_is_drawn(tmp_path: Path) -> None:
-    """A log cut in the middle is drawn as far as it goes."""
+    """A log cut in the middle is drawn up to the cut."""
     run, _ = logged(tmp_path)
     data = (tmp_path / "run.mcap").read_bytes()
     (tmp_path / "run.mcap").write_bytes(data[: len(data) // 2])
@@ -75,20 +75,20 @@ def test_a_cut_log_is_drawn(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("ticks", [[0], [7], [0, 1, 9]])
 def test_single_ticks_are_drawn(tmp_path: Path, ticks: list[int]) -> None:
-    """One recorded tick, one that is not the first, and ticks with gaps are drawn; without steps no timing."""
+    """One tick, one that is not the first, and ticks with gaps are drawn; without steps there is no timing figure."""
     run = runs.setup(runs.SHORT)
     messages: list[Message] = [plant_state(run, k) for k in ticks]
     assert_drawn(draw(run, log_of(messages), tmp_path), NAMES[:2])
 
 
 def test_nothing_recorded_draws_nothing(tmp_path: Path) -> None:
-    """A log without a state leaves no figures and no folder."""
+    """A log without a plant state gives no figures and no folder."""
     assert draw(runs.setup(runs.SHORT), log_of([]), tmp_path / "figures") == []
     assert not (tmp_path / "figures").exists()
 
 
-def test_drawing_leaves_no_traces(tmp_path: Path) -> None:
-    """No setting of matplotlib is changed and pyplot, with its figures that stay, is not used."""
+def test_drawing_has_no_side_effects(tmp_path: Path) -> None:
+    """No setting of matplotlib is changed, and pyplot, which keeps its figures, is not used."""
     import matplotlib as mpl
 
     before, had_pyplot = dict(mpl.rcParams), "matplotlib.pyplot" in sys.modules

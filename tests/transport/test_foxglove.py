@@ -1,4 +1,4 @@
-"""The copy of a log for Foxglove: it has all messages of the log, and added ones are valid by their schemas."""
+"""The copy of a log for Foxglove holds the whole log, and its additional messages are valid by their schemas."""
 
 import json
 from collections.abc import Iterator
@@ -26,7 +26,7 @@ TICKS = 6
 
 @pytest.fixture(scope="module")
 def copied(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run folder with the copy beside its log."""
+    """Return a run folder with the copy beside its log."""
     folder = tmp_path_factory.mktemp("foxglove")
     flown(runs.setup(runs.ticks(TICKS)), folder)
     result = CliRunner().invoke(app, ["log", "export", str(folder), "--foxglove", str(folder / "foxglove.mcap")])
@@ -36,7 +36,7 @@ def copied(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def added(folder: Path) -> Iterator[tuple[str, int, dict[str, Any], str, dict[str, Any]]]:
-    """Yield the messages added to the copy: topic, time in ns, message, name and text of its schema."""
+    """Yield the additional messages: topic, time in ns, message, name and content of the schema."""
     with (folder / "foxglove.mcap").open("rb") as file:
         for schema, channel, message in make_reader(file).iter_messages():
             assert schema is not None
@@ -45,8 +45,8 @@ def added(folder: Path) -> Iterator[tuple[str, int, dict[str, Any], str, dict[st
                 yield channel.topic, message.log_time, json.loads(message.data), schema.name, json.loads(schema.data)
 
 
-def test_the_log_is_in_it(copied: Path) -> None:
-    """Every message of the log is in the copy with equal bytes and times, and so is the metadata of the run."""
+def test_the_copy_holds_the_log(copied: Path) -> None:
+    """Every message of the log is in the copy with the same bytes and times, and so are the metadata."""
     log, copy = (Salvage(BytesIO((copied / name).read_bytes())) for name in ("run.mcap", "foxglove.mcap"))
     original, found = ([(t, e.log_time, e.publish_time, e.data) for t, e in file.entries()] for file in (log, copy))
     own = {topic for topic, *_ in original}
@@ -56,7 +56,7 @@ def test_the_log_is_in_it(copied: Path) -> None:
 
 
 def test_the_copy_reads_as_the_log(copied: Path) -> None:
-    """The copy reads as a whole log with the same messages; a cut copy lacks only what was cut."""
+    """The additional channels do not count as damage, neither in the whole copy nor in one that was cut."""
     log, copy = (read_log(copied / name) for name in ("run.mcap", "foxglove.mcap"))
     assert list(map(repr, copy.messages)) == list(map(repr, log.messages))
     assert (copy.cut, copy.header) == ("", log.header)
@@ -68,8 +68,8 @@ def test_the_copy_reads_as_the_log(copied: Path) -> None:
     assert "not of this version" not in read_log(copied / "cut.mcap").cut
 
 
-def test_added_messages_are_valid(copied: Path) -> None:
-    """Transforms, scenes and numbers are valid by their schemas, which Foxglove knows by these names."""
+def test_additional_messages_are_valid(copied: Path) -> None:
+    """Transforms, scenes and numbers are valid by their schemas, which have Foxglove's names."""
     names = set()
     for _, _, message, name, schema in added(copied):
         jsonschema.validate(message, schema)
@@ -77,8 +77,8 @@ def test_added_messages_are_valid(copied: Path) -> None:
     assert names == {"foxglove.FrameTransforms", "foxglove.SceneUpdate", "transport.Numbers"}
 
 
-def test_transforms_lead_to_the_payload(copied: Path) -> None:
-    """The transforms from the root, z up, through the inertial frame, z down, give the recorded payload position."""
+def test_transforms_lead_to_the_plant_state(copied: Path) -> None:
+    """From the root, z up, through the inertial frame, z down, the payload is at its position in the plant state."""
     plant_states = {plant_state.tick: plant_state for plant_state in read_log(copied / "run.mcap").of(PlantState)}
     frames = [(at_ns, message["transforms"]) for topic, at_ns, message, _, _ in added(copied) if topic == "/tf"]
     assert len(frames) == TICKS
@@ -93,16 +93,16 @@ def test_transforms_lead_to_the_payload(copied: Path) -> None:
 
 
 def test_every_tick_has_a_scene(copied: Path) -> None:
-    """Bodies are sent once, each in its own frame; rods, thrust, predictions and links at every tick."""
+    """Bodies are sent once, in their own frames; rods, thrust, predictions and links at every tick."""
     scenes = [(topic, message["entities"]) for topic, _, message, name, _ in added(copied) if "Scene" in name]
     (bodies,) = [entities for topic, entities in scenes if topic == "/scene/bodies"]
     assert [entity["frame_id"] for entity in bodies] == ["payload", "uav1", "uav2", "uav3", "uav4"]
     now = [{entity["id"] for entity in entities} for topic, entities in scenes if topic == "/scene/now"]
-    agents = {f"expected by agent {agent}" for agent in (1, 2, 3, 4)}
+    agents = {f"predicted by agent {agent}" for agent in (1, 2, 3, 4)}
     assert now == [{"rods", "thrust", "links"} | agents] * TICKS
 
 
-def test_nothing_is_overwritten(copied: Path) -> None:
+def test_no_file_is_overwritten(copied: Path) -> None:
     """An existing file is refused in one line."""
     result = CliRunner().invoke(app, ["log", "export", str(copied), "--foxglove", str(copied / "run.mcap")])
     assert result.exit_code == 2
@@ -110,10 +110,10 @@ def test_nothing_is_overwritten(copied: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("outputs", "text"), [([], "got neither"), (["--out", "t", "--foxglove", "f.mcap"], "got both")]
+    ("outputs", "message"), [([], "got neither"), (["--out", "t", "--foxglove", "f.mcap"], "got both")]
 )
-def test_exactly_one_output_is_required(copied: Path, outputs: list[str], text: str) -> None:
-    """Either tables or a copy must be asked for, not both."""
+def test_exactly_one_output(copied: Path, outputs: list[str], message: str) -> None:
+    """Either tables or a copy must be requested."""
     result = CliRunner().invoke(app, ["log", "export", str(copied), *outputs])
     assert result.exit_code == 2
-    assert text in result.stderr
+    assert message in result.stderr

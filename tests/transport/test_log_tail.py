@@ -19,7 +19,7 @@ from transport.log.json_messages import to_json
 from transport.log.run_log import read_log
 from transport.log.salvage import chunk_content, frames
 from transport.log.tail import Chunks, LogTail, Unread
-from transport.scene.record import KINDS, LATER, Record
+from transport.scene.run_history import KINDS, LATER, RunHistory
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +76,7 @@ def test_unread_messages_give_the_same_record(log: Path) -> None:
     everything = [entry.message for entry in read_log(log).messages]
     assert {message.kind for message in everything} - {message.kind for message in taken} == {"tick", "measurement"}
     assert {message.kind for message in taken if isinstance(message, Unread)} == {"plan", "report"}
-    records = [Record(runs.setup(runs.ticks(8))) for _ in range(2)]
+    records = [RunHistory(runs.setup(runs.ticks(8))) for _ in range(2)]
     records[0].add(taken)
     records[1].add(everything)
     contents = [
@@ -114,8 +114,8 @@ def test_unreadable_messages_are_missing(log: Path, tmp_path: Path, kind: str, o
 
 
 def tick_found(message: Unread) -> int | None:
-    """Return the tick of the plan or report in a record of that message alone; None if it is missing."""
-    record = Record(runs.setup(runs.ticks(8)))
+    """Return the tick of the plan or report in a history of that message alone; None if it is missing."""
+    record = RunHistory(runs.setup(runs.ticks(8)))
     record.add([message])
     found = (record.plan if message.kind == "plan" else record.report)(message.agent, message.tick)
     return None if found is None else found.tick

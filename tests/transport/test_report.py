@@ -1,4 +1,4 @@
-"""The report of a run folder: the schema it keeps, files that equal runs share, accidents it survives."""
+"""The report of a run folder: schema of the summary, reproducible files, cut logs, printed table."""
 
 import csv
 import json
@@ -20,12 +20,12 @@ from transport.report.report import summary_table, write_report
 
 SCHEMA = json.loads(files("transport.analysis").joinpath("summary.schema.json").read_text(encoding="utf-8"))
 
-# What fits a terminal without scrolling.
+# Largest table that fits a terminal.
 MOST_LINES = 18
 
 
 def checked(folder: Path) -> dict[str, Any]:
-    """The summary of a folder, found valid and equal to summary.json."""
+    """Return the summary of a folder after checking it against the schema and summary.json."""
     summary = write_report(folder, figures=False)
     Draft202012Validator(SCHEMA).validate(summary)
     assert json.loads((folder / "summary.json").read_text(encoding="utf-8")) == summary
@@ -33,7 +33,7 @@ def checked(folder: Path) -> dict[str, Any]:
 
 
 def printed(summary: dict[str, Any]) -> str:
-    """The table as a terminal of usual width shows it."""
+    """Return the table as printed on a terminal of usual width."""
     console = Console(width=100, record=True, file=None, quiet=False)
     with console.capture() as capture:
         console.print(summary_table(summary))
@@ -42,12 +42,12 @@ def printed(summary: dict[str, Any]) -> str:
 
 @pytest.fixture(scope="module")
 def flight(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Message]]:
-    """A run folder of the paper's scenario, shortened, and the messages in its log."""
+    """Return a run folder of the shortened `paper` scenario and the messages in its log."""
     folder = tmp_path_factory.mktemp("run")
     return folder, flown(runs.setup(runs.SHORT), folder)
 
 
-def test_the_schema_is_one() -> None:
+def test_the_schema_is_complete() -> None:
     """The schema is valid, describes every field, and allows no field it does not describe."""
     Draft202012Validator.check_schema(SCHEMA)
 
@@ -60,8 +60,8 @@ def test_the_schema_is_one() -> None:
     assert all("description" in field for field in SCHEMA["properties"].values())
 
 
-def test_a_flight_is_summarised(flight: tuple[Path, list[Message]]) -> None:
-    """The summary of a flown run keeps the schema and says what the run did."""
+def test_a_run_is_summarised(flight: tuple[Path, list[Message]]) -> None:
+    """The summary of a run follows the schema and holds its results."""
     summary = checked(flight[0])
     assert (summary["outcome"], summary["ticks"], summary["scenario"]) == ("completed", 30, "paper")
     assert summary["messages"] == {
@@ -88,7 +88,7 @@ def test_a_flight_is_summarised(flight: tuple[Path, list[Message]]) -> None:
     ids=["one-uav", "centralized", "diverged"],
 )
 def test_other_runs_keep_the_schema(tmp_path: Path, settings: tuple[str, ...], outcome: str) -> None:
-    """One UAV, one agent for all, and a run that ends early have summaries of the same form."""
+    """One UAV, one agent for all, and a run that ends early have summaries of the same schema."""
     run = runs.setup(*settings)
     flown(run, tmp_path)
     summary = checked(tmp_path)
@@ -100,7 +100,7 @@ def test_other_runs_keep_the_schema(tmp_path: Path, settings: tuple[str, ...], o
 
 @pytest.mark.parametrize("share", [0.0, 0.02, 0.3, 0.9, 0.999])
 def test_a_cut_log_is_reported(tmp_path: Path, flight: tuple[Path, list[Message]], share: float) -> None:
-    """A log cut anywhere, even at nothing, gives a valid summary that says so, and a table."""
+    """A log cut anywhere, even at its begin, gives a valid summary that names the cut, and a table."""
     whole = (flight[0] / "run.mcap").read_bytes()
     (tmp_path / "run.mcap").write_bytes(whole[: int(share * len(whole))])
     (tmp_path / "scenario.toml").write_bytes((flight[0] / "scenario.toml").read_bytes())
@@ -132,7 +132,7 @@ def test_equal_runs_have_equal_tables(tmp_path: Path) -> None:
 
 
 def test_reports_replace_each_other(flight: tuple[Path, list[Message]]) -> None:
-    """A second report of a folder writes the same bytes and leaves nothing half-written."""
+    """A second report of a folder writes the same bytes and leaves no partial file."""
     folder, _ = flight
     write_report(folder, figures=False)
     first = (folder / "summary.json").read_bytes(), (folder / "steps.csv").read_bytes()
@@ -147,10 +147,10 @@ def test_a_folder_without_a_log_is_refused(tmp_path: Path) -> None:
         write_report(tmp_path)
 
 
-def test_the_table_answers_the_first_questions(flight: tuple[Path, list[Message]]) -> None:
-    """At the end of a run a person reads outcome, speed, cost, attitude, errors, swing, times, losses, solver."""
+def test_the_table_has_the_main_results(flight: tuple[Path, list[Message]]) -> None:
+    """The table holds outcome, speed, cost, attitude, errors, swing, times, losses and solver."""
     text = printed(write_report(flight[0], figures=False))
-    for word in ("completed", "real time", "cost", "attitude", "agent step", "network", "lost", "solver"):
+    for word in ("completed", "real time", "cost", "attitude", "agent step", "rest of tick", "lost", "solver"):
         assert word in text
     for name in ("UAV error", "payload error", "payload swing"):
         assert name in text
@@ -166,26 +166,26 @@ def test_the_table_answers_the_first_questions(flight: tuple[Path, list[Message]
         (None, None, "-"),
     ],
 )
-def test_the_table_says_whether_the_load_swings(
+def test_the_table_shows_the_payload_swing(
     flight: tuple[Path, list[Message]], swing_m: float | None, decays: bool | None, shown: str
 ) -> None:
-    """Size of the swing at the end, and whether it decays where the run tells."""
+    """The table shows the size of the swing at the end and, if known, whether it decays."""
     summary = write_report(flight[0], figures=False)
     payload = summary["payload_tracking"] | {"swing_m": swing_m, "decays": decays}
     lines = [" ".join(line.split()) for line in printed(summary | {"payload_tracking": payload}).splitlines()]
     assert [line for line in lines if line.startswith("payload swing")] == [f"payload swing {shown}"]
 
 
-def test_the_table_tells_of_unshared_plans(flight: tuple[Path, list[Message]]) -> None:
-    """How many plans were sent to the other agents is told where it is not all of them."""
+def test_the_table_shows_unshared_plans(flight: tuple[Path, list[Message]]) -> None:
+    """The table shows the number of plans sent to the other agents if it is not all of them."""
     summary = checked(flight[0])
     assert "sent to the other agents" not in printed(summary)
     summary["messages"]["shared"] = 9
     assert "9 of 120 sent to the other agents (7.5%)" in printed(summary)
 
 
-def test_the_table_names_the_worst_offender(flight: tuple[Path, list[Message]]) -> None:
-    """What was refused is a line of the table if there was any: how much in all, and of whom most."""
+def test_the_table_names_the_sender_of_most_rejections(flight: tuple[Path, list[Message]]) -> None:
+    """If messages were rejected, the table shows their number and the sender of most of them."""
     summary = write_report(flight[0], figures=False)
     assert "rejected" not in printed(summary)
     rejections = [
@@ -195,18 +195,18 @@ def test_the_table_names_the_worst_offender(flight: tuple[Path, list[Message]]) 
     ]
     messages = summary["messages"] | {"rejected": 9}
     text = printed(summary | {"rejections": rejections, "messages": messages})
-    assert re.search(r"rejected +9 messages, 5 of plan/2 \(malformed\)", text)
+    assert re.search(r"rejected +9 messages, 5 from plan/2 \(malformed\)", text)
     Draft202012Validator(SCHEMA).validate(summary | {"rejections": rejections, "messages": messages})
 
 
-def test_the_schema_knows_every_reason() -> None:
+def test_the_schema_has_every_reason() -> None:
     """The reasons in the schema are those of the protocol."""
     reason = SCHEMA["properties"]["rejections"]["items"]["properties"]["reason"]
     assert reason["enum"] == list(get_args(Reason))
 
 
 def test_reasons_are_no_markup(flight: tuple[Path, list[Message]]) -> None:
-    """Texts from the run are printed as they are, whatever brackets they hold."""
+    """Texts from the run are printed literally, including brackets."""
     summary = write_report(flight[0], figures=False)
     text = printed(summary | {"outcome": "aborted", "reason": "agent2 [/bold] is gone"})
     assert "agent2 [/bold] is gone" in text

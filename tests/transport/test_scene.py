@@ -1,6 +1,7 @@
-"""The scene of a run: what is where, what agents expect, which links are late or dark; and what it is drawn with."""
+"""The scene of a run: positions, predicted paths, links; and the shapes and colours it is drawn with."""
 
 import json
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
+from model.arrays import Array
 from model.rotations import rotation
 from protocol.wire.messages import LinkChange, Message
 from tests.support import runs
@@ -17,81 +19,83 @@ from transport.scene.geometry import (
     link_segments,
     payload_mesh,
     quaternion,
+    quaternion_from_up,
     segments,
     simplified,
-    span_m,
+    uav_span,
 )
 from transport.scene.link_history import LinkState
-from transport.scene.record import Record
-from transport.scene.scene import Scenes
+from transport.scene.run_history import RunHistory
+from transport.scene.scene import SceneBuilder
 
-# One step of order 5 over a sampling period against the plant's five; and inputs announced with the rounding of a sum.
+# One step of order 5 over a sampling period against the plant's five, and rounding of the announced inputs.
 STEP_M = 1e-7
-# How far an agent's expectation of half a second may be off, where the others surprise it little.
+# Largest error of an agent's prediction over half a second, with small changes of the other plans.
 NEAR_M = 1e-2
 ROUNDING = 1e-9
-# Of 500 points of a circle of 1 m; 23 chords would be as near to it as NEAR_M.
+# Largest number left of 500 points of a circle of 1 m; 23 chords would be within NEAR_M.
 MOST_POINTS = 70
 
 DARK = "links.override=[{from='agent2',to='agent1',loss=1.0}]"
 LATE = "links.delay_s=0.2"
 
 
-def scenes_of(folder: Path, *settings: str) -> Scenes:
-    """A short flight, ready to be looked at."""
+def builder_of(folder: Path, *settings: str) -> SceneBuilder:
+    """Return the scene builder of a short run."""
     run = runs.setup(runs.SHORT, *settings)
-    record = Record(run)
-    record.add(flown(run, folder))
-    return Scenes(run, record)
+    history = RunHistory(run)
+    history.add(flown(run, folder))
+    return SceneBuilder(run, history)
 
 
 @pytest.fixture(scope="module")
-def distributed(tmp_path_factory: pytest.TempPathFactory) -> Scenes:
-    """Late plans, and one link that is dark, with the shared law."""
+def distributed(tmp_path_factory: pytest.TempPathFactory) -> SceneBuilder:
+    """Delayed plans and one link with 100 % loss, with the shared control law."""
     law = ("controller.prediction=closed_loop", "controller.received_plans=by_age", "controller.relaxation=auto")
-    return scenes_of(tmp_path_factory.mktemp("distributed"), DARK, LATE, *law)
+    return builder_of(tmp_path_factory.mktemp("distributed"), DARK, LATE, *law)
 
 
 @pytest.fixture(scope="module")
-def centralized(tmp_path_factory: pytest.TempPathFactory) -> Scenes:
-    """One agent for all."""
-    return scenes_of(tmp_path_factory.mktemp("centralized"), "agents.owned=[[1,2,3,4]]")
+def centralized(tmp_path_factory: pytest.TempPathFactory) -> SceneBuilder:
+    """One agent that owns all UAVs."""
+    return builder_of(tmp_path_factory.mktemp("centralized"), "agents.owned=[[1,2,3,4]]")
 
 
-def test_what_is_where(distributed: Scenes) -> None:
-    """Rods have their lengths, thrust points up and carries the weight, and everything is at its reference."""
+def test_positions_at_hover(distributed: SceneBuilder) -> None:
+    """Rods have their lengths, thrust balances the weight, UAVs and payload are at their references."""
     setup, scene = distributed.setup, distributed.at(0)
     lengths = np.linalg.norm(scene.uavs_I - scene.attachments_I, axis=1)
     np.testing.assert_allclose(lengths, [uav.rod_length for uav in setup.system.uavs], atol=ROUNDING)
     weight = setup.system.total_mass * setup.system.gravity
     np.testing.assert_allclose(scene.thrusts_I.sum(axis=0), [0.0, 0.0, -weight], atol=1e-2 * weight)
-    np.testing.assert_allclose(scene.uavs_I, scene.uav_references_I, atol=ROUNDING)
+    reference = setup.reference.outputs(np.zeros(1))[0, : 3 * setup.system.N]
+    np.testing.assert_allclose(scene.uavs_I.reshape(-1), reference, atol=ROUNDING)
     assert scene.error_m < ROUNDING
     assert (scene.phase, distributed.at(25).phase) == ("hover", "climb")
 
 
-def test_an_agent_alone_flies_what_it_expects(centralized: Scenes) -> None:
-    """Nobody surprises the one agent there is: a period later the team is where it expected it."""
+def test_the_centralized_agent_predicts_the_next_state(centralized: SceneBuilder) -> None:
+    """Without other agents the prediction of one sampling period ahead is the next plant state."""
     for tick in (0, 12, 20):
-        (expected,) = centralized.at(tick).expectations
+        (prediction,) = centralized.at(tick).predictions
         after = centralized.at(tick + 1)
-        assert expected.uavs_I.shape == (centralized.setup.settings.horizon + 1, 4, 3)
-        np.testing.assert_allclose(expected.uavs_I[0], centralized.at(tick).uavs_I, atol=ROUNDING)
-        np.testing.assert_allclose(expected.uavs_I[1], after.uavs_I, atol=STEP_M)
-        np.testing.assert_allclose(expected.payload_I[1], after.payload_I, atol=STEP_M)
+        assert prediction.uavs_I.shape == (centralized.setup.settings.horizon + 1, 4, 3)
+        np.testing.assert_allclose(prediction.uavs_I[0], centralized.at(tick).uavs_I, atol=ROUNDING)
+        np.testing.assert_allclose(prediction.uavs_I[1], after.uavs_I, atol=STEP_M)
+        np.testing.assert_allclose(prediction.payload_I[1], after.payload_I, atol=STEP_M)
 
 
-def test_agents_expect_the_near_future(distributed: Scenes) -> None:
-    """With the shared law each agent's own UAV is where it expected it to be, half a second on, late plans or not."""
+def test_agents_predict_half_a_second(distributed: SceneBuilder) -> None:
+    """With the shared control law each agent predicts its own UAV half a second ahead, despite delayed plans."""
     before, after = distributed.at(14), distributed.at(24)
-    assert [expected.agent for expected in before.expectations] == [1, 2, 3, 4]
+    assert [prediction.agent for prediction in before.predictions] == [1, 2, 3, 4]
     assert np.linalg.norm(after.uavs_I - before.uavs_I, axis=1).min() > 10.0 * NEAR_M
-    for expected in before.expectations:
-        np.testing.assert_allclose(expected.uavs_I[10, 0], after.uavs_I[expected.agent - 1], atol=NEAR_M)
+    for prediction in before.predictions:
+        np.testing.assert_allclose(prediction.uavs_I[10, 0], after.uavs_I[prediction.agent - 1], atol=NEAR_M)
 
 
-def test_links_show_age_and_loss(distributed: Scenes) -> None:
-    """The link that is dark loses everything and was never heard; the others are as old as they are late."""
+def test_links_show_age_and_loss(distributed: SceneBuilder) -> None:
+    """The link with 100 % loss never delivered a plan; plans of the others are as old as the delay."""
     period_s = distributed.setup.settings.sampling_period_s
     for link in distributed.at(25).links:
         if (link.sender, link.receiver) == (2, 1):
@@ -101,22 +105,22 @@ def test_links_show_age_and_loss(distributed: Scenes) -> None:
             assert link.loss == 0.0
 
 
-def test_changes_of_links_are_seen(distributed: Scenes) -> None:
-    """A change in flight counts from its tick on, however it was before, and once however often it is told."""
-    record = Record(distributed.setup)
-    record.add(distributed.record.plant_states.values())
+def test_link_changes_are_applied(distributed: SceneBuilder) -> None:
+    """A link change holds from its tick on, and is applied once even if it is received twice."""
+    history = RunHistory(distributed.setup)
+    history.add(distributed.history.plant_states.values())
     changes = [change(1, 5, {"loss": 1.0}), change(1, 5, {"loss": 1.0}), change(2, 26, {"loss": 0.0, "delay_s": 0.1})]
-    record.add(changes)
-    scenes = Scenes(distributed.setup, record)
-    assert {link.loss for link in scenes.at(25).links if link.receiver == 3} == {1.0}
-    assert {link.loss for link in scenes.at(5).links if link.receiver == 3} == {0.0}
-    assert scenes.link_history.settings(1, 3, 25) == (0.2, 1.0)
-    assert scenes.link_history.settings(1, 3, 26) == (0.1, 0.0)
-    assert [when for when, _ in record.news] == [5, 26]
+    history.add(changes)
+    builder = SceneBuilder(distributed.setup, history)
+    assert {link.loss for link in builder.at(25).links if link.receiver == 3} == {1.0}
+    assert {link.loss for link in builder.at(5).links if link.receiver == 3} == {0.0}
+    assert builder.link_history.settings(1, 3, 25) == (0.2, 1.0)
+    assert builder.link_history.settings(1, 3, 26) == (0.1, 0.0)
+    assert [when for when, _ in history.events] == [5, 26]
 
 
 def change(number: int, tick: int, settings: dict[str, float]) -> LinkChange:
-    """All links, from a tick on."""
+    """Return a change of all links from a tick on."""
     return LinkChange(
         sender="coordinator",
         incarnation=0,
@@ -129,20 +133,20 @@ def change(number: int, tick: int, settings: dict[str, float]) -> LinkChange:
     )
 
 
-def test_gaps_and_beginnings(distributed: Scenes) -> None:
-    """A tick that is not there shows the one before, or the first there is; paths skip what is missing."""
-    record = Record(distributed.setup)
-    some: list[Message] = [distributed.record.plant_states[k] for k in (9, 3, 4)]
-    record.add(some)
-    assert (record.first, record.last) == (3, 9)
-    assert [record.nearest(tick) for tick in (0, 3, 6, 9, 50)] == [3, 3, 4, 9, 9]
-    payload_I, uavs_I = Scenes(distributed.setup, record).flown(9, 100)
+def test_missing_ticks(distributed: SceneBuilder) -> None:
+    """A missing tick shows the previous one, or the first; paths skip missing ticks."""
+    history = RunHistory(distributed.setup)
+    some: list[Message] = [distributed.history.plant_states[k] for k in (9, 3, 4)]
+    history.add(some)
+    assert (history.first, history.last) == (3, 9)
+    assert [history.nearest(tick) for tick in (0, 3, 6, 9, 50)] == [3, 3, 4, 9, 9]
+    payload_I, uavs_I = SceneBuilder(distributed.setup, history).paths(9, 100)
     assert payload_I.shape == (3, 3)
     assert uavs_I.shape == (3, 4, 3)
-    np.testing.assert_array_equal(payload_I[-1], distributed.record.plant_states[9].x[:3])
+    np.testing.assert_array_equal(payload_I[-1], distributed.history.plant_states[9].x[:3])
 
 
-def test_the_payload_is_solid(distributed: Scenes) -> None:
+def test_the_payload_is_solid(distributed: SceneBuilder) -> None:
     """The mesh is closed and faces outwards, and every rod ends on it."""
     system = distributed.setup.system
     points, faces = payload_mesh(system)
@@ -153,39 +157,52 @@ def test_the_payload_is_solid(distributed: Scenes) -> None:
     assert all((hull.equations[:, :3] @ uav.rho + hull.equations[:, 3] < ROUNDING).all() for uav in system.uavs)
 
 
-def test_quaternions_turn_as_matrices_do() -> None:
-    """v' = q v q* is R v."""
+def test_quaternions_rotate_as_matrices() -> None:
+    """q v q* = R v."""
     R = rotation(np.array([0.3, -0.7, 2.5]))
     w, *xyz = quaternion(R)
     v = np.array([1.0, 2.0, -3.0])
-    turned = v + 2.0 * np.cross(xyz, np.cross(xyz, v) + w * v)
-    np.testing.assert_allclose(turned, R @ v, atol=ROUNDING)
+    np.testing.assert_allclose(rotated([w, *xyz], v), R @ v, atol=ROUNDING)
+
+
+@pytest.mark.parametrize("direction", [(0.0, 0.0, -3.0), (0.3, -0.4, -2.0), (1.0, 0.0, 0.0), (0.0, 0.0, 2.0)])
+def test_quaternion_from_up(direction: tuple[float, float, float]) -> None:
+    """It rotates up (-z) to the direction, also to the opposite one."""
+    up = rotated(quaternion_from_up(np.array(direction)), np.array([0.0, 0.0, -1.0]))
+    np.testing.assert_allclose(up, np.array(direction) / np.linalg.norm(direction), atol=ROUNDING)
+
+
+def rotated(wxyz: Sequence[float] | Array, v: Array) -> Array:
+    """Return q v q*."""
+    w, *xyz = wxyz
+    result: Array = v + 2.0 * np.cross(xyz, np.cross(xyz, v) + w * v)
+    return result
 
 
 @pytest.mark.parametrize("loss", [0.0, 0.3])
 def test_links_are_broken_by_their_loss(loss: float) -> None:
-    """What is drawn of half a link is the share that is not lost; ages have colours that get no lighter."""
+    """The drawn share of half a link is 1 - loss; colours get darker with age."""
     link = LinkState(sender=1, receiver=2, age_s=0.1, loss=loss)
     pieces, colours = link_segments([link], np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]]))
     drawn = np.linalg.norm(pieces[:, 1] - pieces[:, 0], axis=1).sum()
     assert drawn == pytest.approx(1.0 - loss)
     assert pieces[..., 0].min() >= 1.0 - ROUNDING  # next to the receiver
     assert len(colours) == len(pieces)
-    assert len(pieces) == 1 or loss > 0.0  # nothing is cut that looks whole
+    assert len(pieces) == 1 or loss > 0.0  # one segment without loss
     brightness = [sum(age_colour(age_s)) for age_s in (0.0, 0.2, 0.5, None)]
     assert brightness == sorted(brightness, reverse=True)
 
 
-def test_uavs_do_not_overlap() -> None:
-    """UAVs are drawn smaller than the smallest gap between them; one alone at its usual size."""
+def test_drawn_uavs_do_not_overlap() -> None:
+    """UAVs are drawn smaller than the smallest gap between them, a single one at its usual size."""
     places = np.array([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0], [9.0, 0.0, 0.0]])
-    assert span_m(places) < 0.5 < span_m(places[:1])
+    assert uav_span(places) < 0.5 < uav_span(places[:1])
     assert segments(places).shape == (2, 2, 3)
     assert segments(places[:1]).shape == (0, 2, 3)
 
 
 def test_straight_paths_take_two_points() -> None:
-    """Of a path with a corner its ends and the corner are left; of a circle, as much as it takes to stay near it."""
+    """Straight pieces keep their ends only; a circle keeps enough points to stay within the tolerance."""
     corner = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 2.0, 0.0]])
     dense = np.vstack([np.linspace(a, b, 33)[:-1] for a, b in pairwise(corner)] + [corner[2:]])
     np.testing.assert_allclose(simplified(dense, NEAR_M), corner, atol=ROUNDING)

@@ -107,7 +107,7 @@ def _export_tables(path: Path, out: Path, kinds: list[str], *, parquet: bool) ->
 def _export_foxglove(path: Path, out: Path) -> None:
     from transport.log.run_log import LogError
     from transport.report.foxglove import write_foxglove
-    from transport.scene.scene import Scenes
+    from transport.scene.scene import SceneBuilder
 
     if out.exists():
         fail(f"--foxglove: expected a file that does not exist yet, got {out}", EXIT_USAGE)
@@ -115,7 +115,7 @@ def _export_foxglove(path: Path, out: Path) -> None:
     if file.setup is None:
         fail(f"--foxglove: {file.path} has lost its scenario, or it is of another version", EXIT_USAGE)
     try:
-        ticks = write_foxglove(Scenes.of(file.setup, file.log), file.path, out)
+        ticks = write_foxglove(SceneBuilder.of(file.setup, file.log), file.path, out)
     except LogError as error:
         fail(f"--foxglove: {error}", EXIT_USAGE)
     except OSError as error:

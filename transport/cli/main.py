@@ -20,7 +20,9 @@ from transport.cli.metrics import metrics
 from transport.cli.operate import fault, link_app, status
 from transport.cli.replay_commands import replay
 from transport.cli.top_commands import top
-from transport.cli.viewer_commands import HostOption, PortOption, view, viewer_beside
+from transport.cli.viewer_commands import view
+from transport.cli.viewer_options import HostOption, PortOption, check_viewer
+from transport.viewer.process import viewer_beside
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -135,6 +137,8 @@ def run(
     console = Console(stderr=True)
     setup = read_setup(scenario, settings)
     folder = out if out is not None else new_folder(Path("runs"), setup.scenario.name)
+    if viewed:
+        check_viewer()
     with viewer_beside(folder, host, port, setup.scenario.clock.join_timeout_s) if viewed else nullcontext() as linger:
         try:
             finished = simulate(setup, folder, console)

@@ -1,1 +1,1 @@
-"""Reports of a recorded run: summary, figures, animation, comparison, Foxglove export."""
+"""Summary, figures, animation and Foxglove copy of recorded runs."""

@@ -1,19 +1,21 @@
-"""One picture of a run in motion: the team in space and from above, cost and attitude until then."""
+"""Frame of an animation: the team in space and from above, cost and attitude so far."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+from matplotlib.ticker import MaxNLocator
 
 from model.arrays import Array
 from transport.analysis.series import Series
 from transport.report.figures_3d import frame, line
 from transport.report.style import COMPONENTS, PAYLOAD, REFERENCE, shade_phases
 from transport.scene.colours import uav_style
-from transport.scene.geometry import agent_places, link_segments, rotor_centres, span_m
-from transport.scene.scene import Scene, Scenes
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from transport.scene.geometry import agent_positions, link_segments, rotor_centres, uav_span
+from transport.scene.scene import Scene, SceneBuilder
 
 DPI = 100
 _SIZE_IN = (7.2, 4.4)
@@ -22,18 +24,16 @@ _FADED = "#d0d0d0"
 _DECADES = 4
 
 
-class Page:
-    """One picture, drawn again and again: what does not move stays.
+class AnimationPage:
+    """Figure whose moving parts are redrawn for every frame.
 
     Args:
-        scenes: Of the run.
-        series: Of the same run; at least one tick.
+        builder: Scenes of the run.
+        series: Series of the same run; at least one tick.
     """
 
-    def __init__(self, scenes: Scenes, series: Series) -> None:
-        from matplotlib.figure import Figure
-
-        self._setup, self._series = scenes.setup, series
+    def __init__(self, builder: SceneBuilder, series: Series) -> None:
+        self._setup, self._series = builder.setup, series
         self._N = self._setup.system.N
         self.figure = Figure(figsize=_SIZE_IN, dpi=DPI)
         self._space: Any = self.figure.add_axes((-0.04, 0.0, 0.58, 0.95), projection="3d")
@@ -41,12 +41,12 @@ class Page:
         self._cost, self._attitude = (self.figure.add_axes((0.62, y, 0.36, 0.11)) for y in (0.25, 0.10))
         self._moving: list[Any] = []
         start = self._setup.reference.outputs(np.zeros(1))[0, : 3 * self._N].reshape(self._N, 3)
-        self._span_m = span_m(start)
+        self._span_m = uav_span(start)
         self._reach_m = float(np.ptp(start[:, :2], axis=0).max(initial=0.0)) / 2.0 + 0.4
-        self._furnish()
+        self._draw_fixed_parts()
 
     def show(self, scene: Scene) -> None:
-        """Draw a scene in the place of the one before."""
+        """Draw a scene in place of the previous one."""
         for artist in self._moving:
             artist.remove()
         self._moving = []
@@ -57,9 +57,7 @@ class Page:
         text = f"{scene.time_s:5.2f} s   {scene.phase}"
         self._keep(self.figure.text(0.03, 0.94, text, fontsize=10.0, family="monospace", weight="bold"))
 
-    def _furnish(self) -> None:
-        from matplotlib.ticker import MaxNLocator
-
+    def _draw_fixed_parts(self) -> None:
         setup, series, space = self._setup, self._series, self._space
         line(space, series.payload_reference_I, color=REFERENCE, linewidth=0.8, linestyle="--")
         frame(space, np.concatenate([series.uavs_I.reshape(-1, 3), series.x[:, :3]]) * _UP, zoom=0.85)
@@ -71,7 +69,9 @@ class Page:
         self.figure.text(0.03, 0.03, "x, y, altitude in m", fontsize=7.0)
         above = self._above
         above.set_aspect("equal")
-        above.set_title("from above, with expected paths\nlinks grey: fresh, orange: late, black: dark", fontsize=7.5)
+        above.set_title(
+            "from above, with predicted paths\nlinks grey: fresh, orange: delayed, black: no plan", fontsize=7.5
+        )
         above.set_xticks([])
         above.set_yticks([])
         for name in ("top", "right"):
@@ -93,7 +93,7 @@ class Page:
         self._cost.plot(series.times_s, np.where(series.cost > 0.0, series.cost, np.nan), color=_FADED, linewidth=0.8)
         self._attitude.plot(series.times_s, series.attitude_deg, color=_FADED, linewidth=0.8)
 
-    def _time_axes(self, axes: "Axes", label: str) -> None:
+    def _time_axes(self, axes: Axes, label: str) -> None:
         axes.tick_params(labelsize=7.0)
         axes.set_ylabel(label, fontsize=7.5)
 
@@ -105,17 +105,17 @@ class Page:
             rod = np.array([scene.uavs_I[i], scene.attachments_I[i]])
             self._keep(*line(space, rod, color="#555555", linewidth=1.0))
             self._vehicle(i, scene)
-        for expected in scene.expectations:
-            own = self._setup.owned[expected.agent - 1]
+        for prediction in scene.predictions:
+            own = self._setup.owned[prediction.agent - 1]
             colour = uav_style(own[0])["color"]
-            self._keep(*line(space, expected.payload_I, color=colour, linewidth=1.8, solid_capstyle="round"))
+            self._keep(*line(space, prediction.payload_I, color=colour, linewidth=1.8, solid_capstyle="round"))
             for k, uav in enumerate(own):
-                self._keep(*line(space, expected.uavs_I[:, k], color=uav_style(uav)["color"], linewidth=2.2))
-        outline = scene.attachments_I[_around(scene.attachments_I - scene.payload_I)]
+                self._keep(*line(space, prediction.uavs_I[:, k], color=uav_style(uav)["color"], linewidth=2.2))
+        outline = _outline_I(scene)
         self._keep(*line(space, np.vstack([outline, outline[:1]]), color=PAYLOAD, linewidth=3.0))
 
     def _vehicle(self, i: int, scene: Scene) -> None:
-        """Two beams, and the thrust."""
+        """Draw two beams and the thrust."""
         tips = scene.uavs_I[i] + self._span_m * rotor_centres() @ scene.R_uavs[i].T
         colour = uav_style(i)["color"]
         for pair in (tips[[0, 2]], tips[[1, 3]]):
@@ -125,23 +125,19 @@ class Page:
         self._keep(*line(self._space, arrow, color=colour, linewidth=0.8))
 
     def _draw_above(self, scene: Scene) -> None:
-        """The plane of the UAVs, moving along with them."""
-        from matplotlib.collections import LineCollection
-        from matplotlib.patches import Circle
-
+        """Draw the team seen from above, centred on it."""
         axes, centre = self._above, scene.uavs_I[:, :2].mean(axis=0)
-        # Seen from above, z pointing away: y downwards, and what is near in the other picture is near here.
+        # z points away from the viewer, so y points down.
         axes.set_xlim(centre[0] - self._reach_m * 1.9, centre[0] + self._reach_m * 1.9)
         axes.set_ylim(centre[1] + self._reach_m, centre[1] - self._reach_m)
-        pieces, colours = link_segments(scene.links, agent_places(scene, self._setup.owned))
+        pieces, colours = link_segments(scene.links, agent_positions(scene, self._setup.owned))
         self._keep(axes.add_collection(LineCollection(list(pieces[..., :2]), colors=colours / 255.0, linewidths=2.6)))
-        corners = scene.attachments_I[_around(scene.attachments_I - scene.payload_I)][:, :2]
-        self._keep(*axes.fill(*corners.T, color="#000000", alpha=0.12, linewidth=0.0))
-        for expected in scene.expectations:
-            own = self._setup.owned[expected.agent - 1]
-            self._keep(*axes.plot(*expected.payload_I[:, :2].T, color=uav_style(own[0])["color"], linewidth=1.4))
+        self._keep(*axes.fill(*_outline_I(scene)[:, :2].T, color="#000000", alpha=0.12, linewidth=0.0))
+        for prediction in scene.predictions:
+            own = self._setup.owned[prediction.agent - 1]
+            self._keep(*axes.plot(*prediction.payload_I[:, :2].T, color=uav_style(own[0])["color"], linewidth=1.4))
             for k, uav in enumerate(own):
-                path = expected.uavs_I[:, k, :2]
+                path = prediction.uavs_I[:, k, :2]
                 self._keep(*axes.plot(*path.T, color=uav_style(uav)["color"], linewidth=2.0))
         for i, place in enumerate(scene.uavs_I[:, :2]):
             colour = uav_style(i)["color"]
@@ -150,18 +146,8 @@ class Page:
                 self._keep(axes.add_patch(disc))
             outwards = place - centre
             at = place + 0.34 * outwards / max(float(np.linalg.norm(outwards)), 1e-6)
-            self._keep(
-                axes.text(
-                    float(at[0]),
-                    float(at[1]),
-                    f"UAV{i + 1}",
-                    fontsize=8.0,
-                    color=colour,
-                    ha="center",
-                    va="center",
-                    weight="bold",
-                )
-            )
+            style = {"fontsize": 8.0, "color": colour, "ha": "center", "va": "center", "weight": "bold"}
+            self._keep(axes.text(float(at[0]), float(at[1]), f"UAV{i + 1}", **style))
 
     def _draw_curves(self, row: int) -> None:
         series, until = self._series, slice(0, row + 1)
@@ -175,6 +161,8 @@ class Page:
         self._moving.extend(artists)
 
 
-def _around(offsets: Array) -> Any:
-    """Order of points around their middle, seen from above."""
-    return np.argsort(np.arctan2(offsets[:, 1], offsets[:, 0]))
+def _outline_I(scene: Scene) -> Array:
+    """Return the attachments in their order around the payload, (N, 3), inertial frame, m."""
+    offsets = scene.attachments_I - scene.payload_I
+    outline: Array = scene.attachments_I[np.argsort(np.arctan2(offsets[:, 1], offsets[:, 0]))]
+    return outline

@@ -1,4 +1,4 @@
-"""Recorded runs side by side: what their summaries say, how far that is from the first, and what to mind."""
+"""Comparison of recorded runs: table of quantities, differences from the first run, and caveats."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -16,13 +16,13 @@ Summary = dict[str, Any]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Compared:
-    """One of the runs.
+    """One of the compared runs.
 
     Attributes:
-        label: How it is called in tables and figures.
+        label: Name in tables and figures.
         run: Its log and setup.
-        summary: As docs/summary.md has it, made from the log anew.
-        series: The truth against the reference.
+        summary: Summary regenerated from the log (docs/summary.md).
+        series: Plant states and reference over time.
     """
 
     label: str
@@ -32,20 +32,20 @@ class Compared:
 
     @staticmethod
     def of(label: str, run: RecordedRun) -> "Compared":
-        """A run with all that is compared of it."""
+        """Return a run with its summary and series."""
         log = counted(run.setup, run.log)
         return Compared(label=label, run=run, summary=summarise(run.setup, log), series=series_of(run.setup, log))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Row:
-    """One quantity.
+    """One quantity of all runs.
 
     Attributes:
-        name: What it is.
+        name: Name of the quantity.
         unit: Its unit, empty for none.
-        values: Of each run; None where its log does not say, text where it is no number.
-        percent: By how much each is more than the first, %; None where that has no meaning.
+        values: Value of each run; None if its log does not tell.
+        percent: Difference from the first run, %; None if not defined.
     """
 
     name: str
@@ -54,29 +54,24 @@ class Row:
     percent: tuple[float | None, ...]
 
 
-def _at(*keys: str) -> Callable[[Summary], Any]:
+def _at(*keys: str, factor: float | None = None) -> Callable[[Summary], Any]:
+    """Return a function that reads a value of a summary, scaled by a factor."""
+
     def value(summary: Summary) -> Any:
+        found: Any = summary
         for key in keys:
-            summary = summary[key]
-        return summary
+            found = found[key]
+        return found if factor is None or found is None else factor * found
 
     return value
 
 
-def _lost_share(summary: Summary) -> float | None:
+def _lost_percent(summary: Summary) -> float | None:
     messages = summary["messages"]
     return 100.0 * messages["lost"] / messages["sent"] if messages["sent"] else None
 
 
-def _percent(*keys: str) -> Callable[[Summary], float | None]:
-    def value(summary: Summary) -> float | None:
-        share = _at(*keys)(summary)
-        return None if share is None else 100.0 * share
-
-    return value
-
-
-def _exceeded(summary: Summary) -> float | None:
+def _exceeded_percent(summary: Summary) -> float | None:
     share = summary["constraint_violation_max"]
     return None if share is None else 0.0 if share < HELD else 100.0 * share
 
@@ -86,11 +81,11 @@ def _decays(summary: Summary) -> str | None:
     return None if decays is None else "yes" if decays else "no"
 
 
-# What is compared: name, unit, and where it stands in the summary (docs/summary.md).
+# Compared quantities: name, unit, value in a summary (docs/summary.md).
 _QUANTITIES: tuple[tuple[str, str, Callable[[Summary], Any]], ...] = (
     ("scenario", "", _at("scenario")),
     ("outcome", "", _at("outcome")),
-    ("flown", "s", _at("sim_time_s")),
+    ("simulated time", "s", _at("sim_time_s")),
     ("cost, mean", "", _at("cost", "mean")),
     ("cost, max", "", _at("cost", "max")),
     ("cost, max after hover", "", _at("cost", "max_after_hover")),
@@ -102,15 +97,15 @@ _QUANTITIES: tuple[tuple[str, str, Callable[[Summary], Any]], ...] = (
     (f"payload error, max of last {SWING_S:g} s", "m", _at("payload_tracking", "swing_m")),
     ("payload swing decays", "", _decays),
     ("separation, min", "m", _at("separation_min_m")),
-    ("limits exceeded, max", "%", _exceeded),
+    ("limits exceeded, max", "%", _exceeded_percent),
     ("agent step, median", "ms", _at("agent_step_ms", "p50")),
     ("agent step, p99", "ms", _at("agent_step_ms", "p99")),
-    ("network, median", "ms", _at("rest_of_tick_ms", "p50")),
+    ("rest of tick, median", "ms", _at("rest_of_tick_ms", "p50")),
     ("real-time factor", "", _at("real_time_factor")),
-    ("deadlines missed", "%", _percent("deadline", "share")),
+    ("deadlines missed", "%", _at("deadline", "share", factor=100.0)),
     ("plan age, mean", "ticks", _at("plan_age_ticks", "mean")),
     ("plan age, max", "ticks", _at("plan_age_ticks", "max")),
-    ("plans lost", "%", _lost_share),
+    ("plans lost", "%", _lost_percent),
     ("messages rejected", "", _at("messages", "rejected")),
     ("solver fallbacks", "", _at("solver", "fallbacks")),
     ("solver failures", "", _at("solver", "failures")),
@@ -119,18 +114,18 @@ _QUANTITIES: tuple[tuple[str, str, Callable[[Summary], Any]], ...] = (
 
 
 def rows(runs: Sequence[Compared]) -> list[Row]:
-    """The table: one row for each quantity that any of the runs has; at least one run."""
-    found = []
-    for name, unit, of in _QUANTITIES:
-        values = tuple(of(compared.summary) for compared in runs)
+    """Return a row for each quantity that any of the runs has; at least one run."""
+    table = []
+    for name, unit, value_of in _QUANTITIES:
+        values = tuple(value_of(compared.summary) for compared in runs)
         if any(value is not None for value in values):
-            percent = tuple(_more(value, values[0]) for value in values)
-            found.append(Row(name=name, unit=unit, values=values, percent=percent))
-    return found
+            percent = tuple(_difference_percent(value, values[0]) for value in values)
+            table.append(Row(name=name, unit=unit, values=values, percent=percent))
+    return table
 
 
 def doubts(runs: Sequence[Compared]) -> Iterator[str]:
-    """What has to be minded about a comparison, a sentence each."""
+    """Yield the caveats of a comparison, a sentence each."""
     first = runs[0]
     scenario = first.run.setup.scenario
     for other in runs[1:]:
@@ -141,30 +136,30 @@ def doubts(runs: Sequence[Compared]) -> Iterator[str]:
                 "cost, attitude and position errors do not tell which controller is better"
             )
         if differs.system != scenario.system:
-            yield f"{other.label} is another system than {first.label} (UAVs or payload): cost is not of the same"
+            yield f"{other.label} has another system than {first.label} (UAVs or payload): costs are not comparable"
         if settings.weights != first.run.setup.settings.weights or settings.costs != first.run.setup.settings.costs:
-            yield f"{other.label} has other weights than {first.label}: its cost counts otherwise"
+            yield f"{other.label} has other weights than {first.label}: costs are not comparable"
         if other.summary["machine"] != first.summary["machine"]:
-            yield f"{other.label} was flown on another machine than {first.label}: times are not the controller's alone"
+            yield f"{other.label} ran on another machine than {first.label}: times do not only depend on the controller"
     for compared in runs:
-        flown, asked = compared.summary["ticks"], compared.run.setup.ticks
-        if flown < asked:
+        ticks, planned = compared.summary["ticks"], compared.run.setup.ticks
+        if ticks < planned:
             period_s = compared.run.setup.settings.sampling_period_s
             yield (
-                f"{compared.label}: {flown * period_s:.2f} of {asked * period_s:.2f} s are there "
-                f"({compared.summary['reason'] or compared.summary['outcome']}); means are over those"
+                f"{compared.label}: the log holds {ticks * period_s:.2f} of {planned * period_s:.2f} s "
+                f"({compared.summary['reason'] or compared.summary['outcome']}); means are over this time"
             )
         if compared.run.log.cut:
             yield f"{compared.label}: {compared.run.log.cut}"
 
 
 def same_maneuver(runs: Sequence[Compared]) -> bool:
-    """Whether all fly the same way."""
+    """Return whether all runs have the same maneuver."""
     return all(compared.run.setup.scenario.maneuver == runs[0].run.setup.scenario.maneuver for compared in runs)
 
 
-def _more(value: Any, first: Any) -> float | None:
-    """By how much a number is more than the first, %; a share of nothing has no meaning."""
+def _difference_percent(value: Any, first: Any) -> float | None:
+    """Return the difference from the first value, %; None for texts, missing values and a first value of 0."""
     if isinstance(value, str) or isinstance(first, str) or value is None or not first:
         return None
     return float(100.0 * (value - first) / abs(first))

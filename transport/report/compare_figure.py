@@ -1,14 +1,16 @@
-"""Runs over one another: cost, payload attitude and payload error over time."""
+"""Figure of several runs: cost, payload attitude and payload error over time."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
+from matplotlib.figure import Figure
 
 from transport.report.compare import Compared, same_maneuver
 from transport.report.style import CURVES, RC, WIDTH_IN, line_width, save, shade_phases
 
-# Decades of the cost that are shown, as in the figure of a single run.
+# Shown decades of the cost.
 _COST_DECADES = 5
 _PANELS = ("stage cost (-)", "payload attitude,\nlargest angle (deg)", "payload position\nerror, norm (m)")
 _HEIGHT_IN, _LEGEND_IN = 5.6, 0.2
@@ -18,13 +20,10 @@ def draw_compared(runs: Sequence[Compared], folder: Path) -> list[Path]:
     """Draw compare.png and compare.svg.
 
     Args:
-        runs: At least one with a tick.
-        folder: An existing one.
+        runs: Runs, at least one of them with a tick.
+        folder: Existing folder.
     Returns: The files.
     """
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
-
     with mpl.rc_context(RC):
         figure = Figure(figsize=(WIDTH_IN, _HEIGHT_IN + _LEGEND_IN * len(runs)), layout="constrained")
         panels = list(figure.subplots(3, 1, sharex=True))

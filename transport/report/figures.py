@@ -1,46 +1,42 @@
-"""Figures of a run, after the paper's: performance over time (its Fig. 3, 5), trajectories (Fig. 4), timing."""
+"""Figures of a run: performance over time (paper Fig. 3, 5), trajectories (Fig. 4), timing."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from protocol.scenario.setup import Setup
 from transport.analysis.series import Series, series_of
 from transport.log.run_log import RunLog
+from transport.report.figures_3d import draw_trajectories
+from transport.report.figures_timing import draw_timing
 from transport.report.style import COMPONENTS, RC, WIDTH_IN, line_width, save_both, shade_phases
 from transport.scene.colours import uav_style
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-# What performance is: the quantities of its four panels.
+# Labels of the four panels of the performance figure.
 PERFORMANCE = (
     "UAV position\nerror, norm (m)",
     "payload position\nerror (m)",
     "payload\nattitude (deg)",
     "stage cost (-)",
 )
-# Decades of the cost that are shown: below is the rounding of a hover at rest.
+# Shown decades of the cost; below is the rounding error of a hover.
 _COST_DECADES = 5
-# Smallest ranges of the axes, either side of zero: what is below them does not matter to anybody.
+# Smallest ranges of the axes, either side of zero; smaller errors are negligible.
 _SMALLEST_M, _SMALLEST_DEG = 1e-3, 1e-2
 
 
 def draw(setup: Setup, log: RunLog, folder: Path) -> list[Path]:
-    """Draw performance.png, trajectories.png and timing.png of a run, as far as its log goes, each as SVG, too.
+    """Draw performance, trajectories and timing of a run as PNG and SVG, as far as its log goes.
 
     Args:
-        setup: The run as it was flown.
-        log: Its log, whole or not.
-        folder: Where to; created if need be, older figures are replaced.
-    Returns: The PNG files drawn; those without any data to show are left out.
+        setup: The run.
+        log: Its log, complete or cut.
+        folder: Folder to create or to replace figures in.
+    Returns: The PNG files, without those that have no data.
     """
-    import matplotlib as mpl
-
-    from transport.report.figures_3d import draw_trajectories
-    from transport.report.figures_timing import draw_timing
-
     series = series_of(setup, log)
     if not len(series.ticks):
         return []
@@ -55,9 +51,7 @@ def draw(setup: Setup, log: RunLog, folder: Path) -> list[Path]:
 
 
 def draw_performance(setup: Setup, series: Series, path: Path) -> Path:
-    """Position errors of UAVs and payload, payload attitude and cost over time; at least one tick."""
-    from matplotlib.figure import Figure
-
+    """Draw position errors of UAVs and payload, payload attitude and cost over time; at least one tick."""
     figure = Figure(figsize=(WIDTH_IN, 7.0), layout="constrained")
     panels = list(figure.subplots(4, 1, sharex=True))
     plot_performance(setup, series, panels)
@@ -70,8 +64,8 @@ def draw_performance(setup: Setup, series: Series, path: Path) -> Path:
     return save_both(figure, path)
 
 
-def plot_performance(setup: Setup, series: Series, panels: "list[Axes]") -> None:
-    """Plot what `PERFORMANCE` names, one below the other, without labels."""
+def plot_performance(setup: Setup, series: Series, panels: list[Axes]) -> None:
+    """Plot the quantities of `PERFORMANCE` into four panels, without labels."""
     t, period_s = series.times_s, setup.settings.sampling_period_s
     shade_phases(setup, panels, float(t[-1]) + period_s)
 

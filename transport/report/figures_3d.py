@@ -1,9 +1,12 @@
-"""The flight in space: paths of UAVs and payload, with the whole formation drawn at a few instants."""
+"""3D figure of a run: paths of UAVs and payload, and the formation at the ends of the phases."""
 
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator, MultipleLocator
 
 from model.arrays import Array
 from model.rotations import rotation
@@ -13,18 +16,15 @@ from transport.analysis.series import Series
 from transport.report.style import PAYLOAD, REFERENCE, WIDTH_IN, save_both
 from transport.scene.colours import uav_style
 
-# Formations closer than this to one already drawn would only blot it.
+# Smallest distance between drawn formations, m.
 _APART_M = 0.5
-# Shortest axis of the box as a share of the longest.
+# Shortest axis of the box in parts of the longest.
 _SLIMMEST = 0.3
 _UP = np.array([1.0, 1.0, -1.0])  # z points down in the data and up on paper
 
 
 def draw_trajectories(setup: Setup, series: Series, path: Path) -> Path:
-    """Paths in space, altitude upwards, with rods and payload at the ends of the phases; at least one tick."""
-    from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
-
+    """Draw the 3D figure, altitude up; at least one tick."""
     figure = Figure(figsize=(WIDTH_IN, 5.6))
     axes: Any = figure.add_axes((0.0, 0.03, 1.0, 1.0), projection="3d")
     payload_I = StateView(series.x).r0_I
@@ -33,19 +33,19 @@ def draw_trajectories(setup: Setup, series: Series, path: Path) -> Path:
         line(axes, series.uav_references_I[:, i], color=REFERENCE, linewidth=0.6, linestyle="--")
         line(axes, series.uavs_I[:, i], linewidth=1.3, **uav_style(i))
     line(axes, payload_I, color=PAYLOAD, linewidth=1.3)
-    for k in _instants(setup, series):
+    for k in _rows_to_draw(setup, series):
         _formation(axes, setup, series, k)
     frame(axes, np.concatenate([series.uavs_I.reshape(-1, 3), payload_I]) * _UP)
     handles = [Line2D([], [], label=f"UAV{i + 1}", **uav_style(i)) for i in range(setup.system.N)]
     handles.append(Line2D([], [], color=PAYLOAD, label="payload"))
     handles.append(Line2D([], [], color=REFERENCE, linestyle="--", label="reference"))
-    # Cropped to what is drawn: how much room a formation takes depends on its maneuver.
+    # Cropped, since the size of the drawing depends on the maneuver.
     axes.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, 0.98), ncols=min(len(handles), 3))
     return save_both(figure, path, cropped=True)
 
 
-def _instants(setup: Setup, series: Series) -> list[int]:
-    """Rows at the ends of the phases flown, where the reference is somewhere new, and where the record ends early."""
+def _rows_to_draw(setup: Setup, series: Series) -> list[int]:
+    """Return the rows at the ends of the phases, at new positions of the reference, and at an early end."""
     period_s, last = setup.settings.sampling_period_s, len(series.ticks) - 1
     ends = np.cumsum([0.0, *(phase.duration_s for phase in setup.maneuver.phases)])
     reached = ends[ends <= series.times_s[last] + 1.5 * period_s]
@@ -70,21 +70,19 @@ def _formation(axes: Any, setup: Setup, series: Series, k: int) -> None:
 
 
 def frame(axes: Any, points: Array, *, zoom: float = 0.95) -> None:
-    """Equal scales on all axes, around the points with a margin."""
-    from matplotlib.ticker import MaxNLocator, MultipleLocator
-
+    """Set equal scales on all axes, around the points with a margin."""
     low, high = points.min(axis=0), points.max(axis=0)
     margin = 0.05 * float((high - low).max()) + 0.1
     low, high = low - margin, high + margin
-    # A formation that only climbs would stand in a chimney with no room for the labels.
+    # A maneuver that only climbs needs width for the labels.
     widen = np.maximum(0.0, _SLIMMEST * float((high - low).max()) - (high - low)) / 2.0
     low, high = low - widen, high + widen
     axes.set_xlim(low[0], high[0])
-    # With z pointing down, x to the right leaves y pointing at the reader: anything else would be a mirror image.
+    # z points down: with x to the right, y points towards the reader; otherwise the drawing is a mirror image.
     axes.set_ylim(high[1], low[1])
     axes.set_zlim(low[2], high[2])
     axes.set_box_aspect(high - low, zoom=zoom)
-    # One spacing of ticks, half of it on axes too short for that: equal scales can be seen.
+    # The same spacing of ticks on all axes, half of it on short ones, shows that scales are equal.
     ticks = MaxNLocator(nbins=8, steps=[1, 2, 5, 10]).tick_values(0.0, float((high - low).max()))
     spacing = float(ticks[1] - ticks[0])
     for axis, length in zip((axes.xaxis, axes.yaxis, axes.zaxis), high - low, strict=True):
@@ -96,6 +94,6 @@ def frame(axes: Any, points: Array, *, zoom: float = 0.95) -> None:
 
 
 def line(axes: Any, points_I: Array, **style: Any) -> list[Any]:
-    """Draw a path, (k, 3), inertial frame, m; returns what was drawn."""
+    """Draw a path, (k, 3), inertial frame, m; return the drawn lines."""
     drawn: list[Any] = axes.plot(*(points_I * _UP).T, **style)
     return drawn

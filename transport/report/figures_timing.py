@@ -1,9 +1,13 @@
-"""Where the wall-clock time of a run went: agents' steps tick by tick, stages, network."""
+"""Figure of wall-clock times: agent steps per tick, stages of a step, and the rest of a tick."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import STAGES, StepReport
@@ -12,45 +16,39 @@ from transport.log.run_log import RunLog
 from transport.report.style import WIDTH_IN, save_both, shade_phases
 from transport.scene.colours import uav_style
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+_REST = "#8c8c8c"
 
-_NETWORK = "#8c8c8c"
-
-# Ticks are drawn as dots: lines between them would hide the other agents' behind every outlier.
+# Dots, since lines would hide other agents behind every outlier.
 _DOTS: dict[str, Any] = {
     "linestyle": "none",
     "marker": ".",
     "markersize": 2.5,
     "markeredgewidth": 0.0,
-    "color": _NETWORK,
+    "color": _REST,
 }
 
 
 def draw_timing(setup: Setup, log: RunLog, path: Path) -> Path | None:
-    """Step time of each agent and network time per tick above, medians by stage below; None without any step."""
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
-
+    """Draw step times and rest of each tick above, medians by stage below; return None without any step."""
     reports = list(log.of(StepReport))
     if not reports:
         return None
     figure = Figure(figsize=(WIDTH_IN, 4.6), layout="constrained")
     over_time, by_agent = figure.subplots(2, 1, height_ratios=(1.5, 1.0))
-    network = rest_of_tick_ms(setup, log)
-    _over_time(setup, over_time, reports, network)
+    rest_ms = rest_of_tick_ms(setup, log)
+    _over_time(setup, over_time, reports, rest_ms)
 
     steps = {agent: [r.times_ms for r in reports if r.agent == agent] for agent in setup.agents}
     medians = {agent: np.median(np.array(times), axis=0) for agent, times in steps.items() if times}
     names = [f"agent {agent}" for agent in medians]
     left = np.zeros(len(names))
-    stages = STAGES[STAGES.index("estimate") : -1]  # waiting is no work
+    stages = STAGES[STAGES.index("estimate") : -1]  # without waiting
     for stage, colour in zip(stages, mpl.colormaps["cividis"](np.linspace(0.1, 0.95, len(stages))), strict=True):
         widths = np.array([median[STAGES.index(stage)] for median in medians.values()])
         by_agent.barh(names, widths, left=left, color=colour, label=stage, height=0.7)
         left += widths
-    if network:
-        by_agent.barh(["network"], [float(np.median(list(network.values())))], color=_NETWORK, height=0.7)
+    if rest_ms:
+        by_agent.barh(["rest of tick"], [float(np.median(list(rest_ms.values())))], color=_REST, height=0.7)
     by_agent.invert_yaxis()
     by_agent.grid(visible=False, axis="y")
     by_agent.set_xlabel("median time per tick (ms)")
@@ -58,19 +56,12 @@ def draw_timing(setup: Setup, log: RunLog, path: Path) -> Path | None:
     return save_both(figure, path)
 
 
-def _over_time(setup: Setup, axes: "Axes", reports: list[StepReport], network: dict[int, float]) -> None:
-    from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
-
+def _over_time(setup: Setup, axes: Axes, reports: list[StepReport], rest_ms: dict[int, float]) -> None:
     period_s = setup.settings.sampling_period_s
     shade_phases(setup, [axes], (max(report.tick for report in reports) + 1) * period_s)
-    if network:
-        ticks = sorted(network)
-        axes.plot(
-            [tick * period_s for tick in ticks],
-            [network[tick] for tick in ticks],
-            label="network",
-            **_DOTS,
-        )
+    if rest_ms:
+        ticks = sorted(rest_ms)
+        axes.plot([k * period_s for k in ticks], [rest_ms[k] for k in ticks], label="rest of\ntick", **_DOTS)
     for agent, owned in zip(setup.agents, setup.owned, strict=True):
         own = [report for report in reports if report.agent == agent]
         axes.plot(

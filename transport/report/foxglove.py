@@ -1,7 +1,7 @@
-"""A copy of a log that Foxglove shows in space: its own channels, and beside them transforms, a scene and numbers.
+"""Copy of a log for Foxglove, with additional channels for transforms, 3D scene and numbers.
 
-Written afterwards, not while recording: nothing of this costs a run any time. Names and fields of the messages are
-those of Foxglove's well-known schemas (https://docs.foxglove.dev/docs/visualization/message-schemas/introduction).
+Messages follow Foxglove's schemas (https://docs.foxglove.dev/docs/visualization/message-schemas/introduction). Written
+after a run, so that recording takes no more time.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -23,18 +23,18 @@ from transport.scene.geometry import (
     BODY,
     ROTOR,
     Colour,
-    agent_places,
+    agent_positions,
     link_segments,
     payload_mesh,
     quaternion,
     rotor_centres,
     segments,
-    span_m,
     uav_colour,
+    uav_span,
 )
-from transport.scene.scene import Scene, Scenes
+from transport.scene.scene import Scene, SceneBuilder
 
-# Foxglove draws z upwards; below its root there is the inertial frame, z down, turned about x.
+# Foxglove draws z up; the inertial frame, z down, is its root turned about x.
 ROOT, INERTIAL, PAYLOAD = "map", "inertial", "payload"
 _UPSIDE_DOWN = {"x": 1.0, "y": 0.0, "z": 0.0, "w": 0.0}
 _GREY, _DARK = (140, 140, 140), (60, 60, 60)
@@ -42,7 +42,7 @@ _GREY, _DARK = (140, 140, 140), (60, 60, 60)
 _LINE_M, _ARROW_M = 0.02, 0.6
 _LINE_LIST = 2
 
-# What the copy has more than the log, each with its schema.
+# Additional channels and their schemas.
 CHANNELS: Mapping[str, str] = {
     "/tf": "foxglove.FrameTransforms",
     "/scene/bodies": "foxglove.SceneUpdate",
@@ -54,23 +54,23 @@ CHANNELS: Mapping[str, str] = {
 Json = dict[str, Any]
 
 
-def write_foxglove(scenes: Scenes, log: Path, out: Path) -> int:
-    """Write the copy.
+def write_foxglove(builder: SceneBuilder, log: Path, out: Path) -> int:
+    """Write the copy of a log.
 
     Args:
-        scenes: Of the run, its whole record read.
-        log: The run's log, whole or not.
-        out: File to write; replaced if it is there.
-    Returns: How many ticks have a scene.
+        builder: Scenes of the run, its whole log read.
+        log: The run's log, complete or cut.
+        out: File to write or replace.
+    Returns: Number of ticks with a scene.
     Raises: OSError: it cannot be written.
     """
-    with log.open("rb") as whole:
-        found = Salvage(whole)
-        entries = list(found.entries())
+    with log.open("rb") as original:
+        salvage = Salvage(original)
+        entries = list(salvage.entries())
     partial = out.with_name(out.name + ".partial")
     with partial.open("wb") as file:
-        copy = _Copy(Writer(file, compression=CompressionType.ZSTD))
-        for name, values in {**found.metadata, DERIVED: dict(CHANNELS)}.items():
+        copy = _CopyWriter(Writer(file, compression=CompressionType.ZSTD))
+        for name, values in {**salvage.metadata, DERIVED: dict(CHANNELS)}.items():
             copy.writer.add_metadata(name, values)
         for topic, entry in entries:
             kind = topic.lstrip("/").split("/", 1)[0]
@@ -79,23 +79,23 @@ def write_foxglove(scenes: Scenes, log: Path, out: Path) -> int:
                 copy.writer.add_message(
                     channel, entry.log_time, entry.data, publish_time=entry.publish_time, sequence=entry.sequence
                 )
-        ticks = sorted(scenes.record.plant_states)
-        period_ns = scenes.setup.period_ns
-        for number, tick in enumerate(ticks):
-            scene, at_ns = scenes.at(tick), tick * period_ns
-            if number == 0:
-                copy.put("/scene/bodies", at_ns, _update(_bodies(scenes, at_ns)))
-                copy.put("/scene/reference", at_ns, _update(_reference(scenes, at_ns)))
+        ticks = sorted(builder.history.plant_states)
+        period_ns = builder.setup.period_ns
+        for tick in ticks:
+            scene, at_ns = builder.at(tick), tick * period_ns
+            if tick == ticks[0]:
+                copy.put("/scene/bodies", at_ns, _update(_bodies(builder, at_ns)))
+                copy.put("/scene/reference", at_ns, _update(_reference(builder, at_ns)))
             copy.put("/tf", at_ns, {"transforms": list(_transforms(scene, at_ns))})
-            copy.put("/scene/now", at_ns, _update(_now(scenes, scene, at_ns)))
+            copy.put("/scene/now", at_ns, _update(_now(builder, scene, at_ns)))
             copy.put("/numbers", at_ns, _numbers(scene))
         copy.writer.finish()  # type: ignore[no-untyped-call]
     partial.replace(out)
     return len(ticks)
 
 
-class _Copy:
-    """An MCAP file that is being written, with its channels."""
+class _CopyWriter:
+    """MCAP writer that registers channels and schemas on first use."""
 
     def __init__(self, writer: Writer) -> None:
         self.writer = writer
@@ -104,7 +104,7 @@ class _Copy:
         writer.start(library="payload-transport")
 
     def channel(self, topic: str, name: str, schema: Mapping[str, Any]) -> int:
-        """The channel of a topic."""
+        """Return the channel id of a topic."""
         if topic not in self._channels:
             if name not in self._schemas:
                 self._schemas[name] = self.writer.register_schema(name, "jsonschema", orjson.dumps(schema))
@@ -112,7 +112,7 @@ class _Copy:
         return self._channels[topic]
 
     def put(self, topic: str, at_ns: int, content: Json) -> None:
-        """Write a message of one of `CHANNELS`."""
+        """Write a message to one of `CHANNELS`."""
         name = CHANNELS[topic]
         data = orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY)
         self.writer.add_message(self.channel(topic, name, SCHEMAS[name]), at_ns, data, publish_time=at_ns)
@@ -136,9 +136,9 @@ def _transform(time: Json, parent: str, child: str, translation: Array, rotation
     }
 
 
-def _bodies(scenes: Scenes, at_ns: int) -> Iterator[Json]:
-    """Payload and UAVs, each in a frame of its own: said once, moved by the transforms."""
-    system = scenes.setup.system
+def _bodies(builder: SceneBuilder, at_ns: int) -> Iterator[Json]:
+    """Yield payload and UAVs, each in its own frame, which the transforms move."""
+    system = builder.setup.system
     vertices, faces = payload_mesh(system)
     mesh = {
         "pose": _pose(np.zeros(3)),
@@ -148,8 +148,8 @@ def _bodies(scenes: Scenes, at_ns: int) -> Iterator[Json]:
         "indices": faces.reshape(-1).tolist(),
     }
     yield _entity("payload", PAYLOAD, at_ns, locked=True, triangles=[mesh])
-    start = scenes.setup.reference.outputs(np.zeros(1))[0, : 3 * system.N].reshape(system.N, 3)
-    span = span_m(start)
+    start = builder.setup.reference.outputs(np.zeros(1))[0, : 3 * system.N].reshape(system.N, 3)
+    span = uav_span(start)
     for i in range(system.N):
         parts = [(2.0 * BODY, BODY, np.zeros(3), uav_colour(i))]
         parts += [(ROTOR, 0.02, c, _DARK if c[0] > 0.0 else uav_colour(i)) for c in rotor_centres()]
@@ -175,16 +175,16 @@ def _bodies(scenes: Scenes, at_ns: int) -> Iterator[Json]:
         yield _entity(f"uav{i + 1}", _frame(i), at_ns, locked=True, cylinders=cylinders, lines=beams, texts=[name])
 
 
-def _reference(scenes: Scenes, at_ns: int) -> Iterator[Json]:
-    setup = scenes.setup
+def _reference(builder: SceneBuilder, at_ns: int) -> Iterator[Json]:
+    setup = builder.setup
     times_s = np.linspace(0.0, setup.ticks * setup.settings.sampling_period_s, 240)
     path = setup.maneuver.path(times_s)[0]
     yield _entity("reference", INERTIAL, at_ns, lines=[_line(segments(path)[::2].reshape(-1, 3), _GREY)])
 
 
-def _now(scenes: Scenes, scene: Scene, at_ns: int) -> Iterator[Json]:
-    """What is different at every tick: rods, thrust, predicted paths, links."""
-    setup = scenes.setup
+def _now(builder: SceneBuilder, scene: Scene, at_ns: int) -> Iterator[Json]:
+    """Yield the entities that change at every tick: rods, thrust, predicted paths, links."""
+    setup = builder.setup
     rods = np.stack([scene.uavs_I, scene.attachments_I], axis=1).reshape(-1, 3)
     yield _entity("rods", INERTIAL, at_ns, lines=[_line(rods, _GREY)])
     hover = float(np.mean(setup.hover.u[::4]))
@@ -192,12 +192,12 @@ def _now(scenes: Scenes, scene: Scene, at_ns: int) -> Iterator[Json]:
         _arrow(*row, hover, uav_colour(i)) for i, row in enumerate(zip(scene.uavs_I, scene.thrusts_I, strict=True))
     ]
     yield _entity("thrust", INERTIAL, at_ns, arrows=arrows)
-    for expected in scene.expectations:
-        own = setup.owned[expected.agent - 1]
-        paths = [(expected.payload_I, own[0]), *((expected.uavs_I[:, k], uav) for k, uav in enumerate(own))]
+    for prediction in scene.predictions:
+        own = setup.owned[prediction.agent - 1]
+        paths = [(prediction.payload_I, own[0]), *((prediction.uavs_I[:, k], uav) for k, uav in enumerate(own))]
         lines = [_line(segments(path).reshape(-1, 3), uav_colour(uav)) for path, uav in paths]
-        yield _entity(f"expected by agent {expected.agent}", INERTIAL, at_ns, lines=lines)
-    pieces, colours = link_segments(scene.links, agent_places(scene, setup.owned))
+        yield _entity(f"predicted by agent {prediction.agent}", INERTIAL, at_ns, lines=lines)
+    pieces, colours = link_segments(scene.links, agent_positions(scene, setup.owned))
     line = _line(pieces.reshape(-1, 3), _GREY)
     line["colors"] = [_colour(colour) for colour in np.repeat(colours, 2, axis=0).tolist()]
     yield _entity("links", INERTIAL, at_ns, lines=[line])
@@ -233,7 +233,7 @@ def _entity(name: str, frame: str, at_ns: int, *, locked: bool = False, **primit
 
 
 def _line(points: Any, colour: Colour, thickness_m: float = _LINE_M) -> Json:
-    """Segments from pairs of points, (2 k, 3)."""
+    """Return line segments between pairs of points, (2 k, 3)."""
     return {
         "type": _LINE_LIST,
         "pose": _pose(np.zeros(3)),
@@ -247,7 +247,7 @@ def _line(points: Any, colour: Colour, thickness_m: float = _LINE_M) -> Json:
 
 
 def _arrow(tail: Array, force: Array, hover: float, colour: Colour) -> Json:
-    """An arrow along a force, which lies along x in a frame of its own."""
+    """Return an arrow along a force; its pose turns the x axis into the direction of the force."""
     size = float(np.linalg.norm(force))
     along = force / size if size > 0.0 else np.array([1.0, 0.0, 0.0])
     aside = np.cross(along, [1.0, 0.0, 0.0] if abs(along[0]) < 0.9 else [0.0, 1.0, 0.0])

@@ -1,7 +1,4 @@
-"""JSON Schemas of the messages `transport.report.foxglove` writes.
-
-Only the primitives that are used are described; lists of the others are always empty.
-"""
+"""JSON schemas of the messages in `transport.report.foxglove`; lists of unused primitives are always empty."""
 
 from typing import Any
 

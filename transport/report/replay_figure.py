@@ -1,8 +1,10 @@
-"""How far the plans of a replay are from the recorded ones, over time."""
+"""Figure of the differences between replayed and recorded plans over time."""
 
 from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
+from matplotlib.figure import Figure
 
 from protocol.scenario.setup import Setup
 from transport.analysis.replay_compare import Comparison
@@ -14,15 +16,12 @@ def draw_replay(setup: Setup, comparison: Comparison, folder: Path) -> list[Path
 
     Args:
         setup: The run.
-        comparison: With at least one tick.
-        folder: An existing one.
+        comparison: Comparison of at least one tick.
+        folder: Existing folder.
     Returns: The files.
     """
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
-
     ticks = np.array([row[0] for row in comparison.rows])
-    apart = np.array([row[1:5] for row in comparison.rows])
+    differences = np.array([row[1:5] for row in comparison.rows])
     times_s = ticks * setup.settings.sampling_period_s
     with mpl.rc_context(RC):
         figure = Figure(figsize=(WIDTH_IN, 3.4), layout="constrained")
@@ -30,11 +29,11 @@ def draw_replay(setup: Setup, comparison: Comparison, folder: Path) -> list[Path
         shade_phases(setup, panels, float(times_s[-1]) + setup.settings.sampling_period_s)
         for column, (panel, label) in enumerate(zip(panels, ("thrust (N)", "moment (N m)"), strict=True)):
             for name, values, colour in (
-                ("largest of the horizon", apart[:, 2 + column], COMPONENTS[2]),
-                ("first step", apart[:, column], COMPONENTS[0]),
+                ("largest of the horizon", differences[:, 2 + column], COMPONENTS[2]),
+                ("first step", differences[:, column], COMPONENTS[0]),
             ):
                 panel.plot(times_s, np.where(values > 0.0, values, np.nan), label=name, color=colour)
-            if (apart[:, [column, 2 + column]] > 0.0).any():
+            if (differences[:, [column, 2 + column]] > 0.0).any():
                 panel.set_yscale("log")
                 low, high = panel.get_ylim()
                 if high < 1e3 * low:

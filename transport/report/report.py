@@ -1,4 +1,4 @@
-"""The report of a run folder: summary.json, steps.csv and figures from its log, and the table people read."""
+"""Report of a run folder: summary.json, steps.csv and figures from its log, and the printed table."""
 
 import csv
 import io
@@ -21,45 +21,45 @@ from transport.analysis.swing import SWING_S
 from transport.log.run_folder import open_run
 from transport.log.run_log import RunLog
 
-# Below this share of a constraint's range a violation is the solver's tolerance, nothing to tell people.
+# Violations below this share of a constraint's range are within the solver's tolerance.
 HELD = 1e-6
 
-# More would push the rest of the table off the screen.
+# Number of faults in the table, so that it fits a screen.
 _SHOWN_FAULTS = 8
 
 _COLOURS = {"completed": "green", "diverged": "red", "aborted": "red", "unknown": "yellow"}
 
 
 def write_report(folder: Path, *, figures: bool = True, setup: Setup | None = None) -> dict[str, Any]:
-    """Write summary.json, steps.csv and the figures of a recorded run, anew if they are there.
+    """Write or replace summary.json, steps.csv and the figures of a recorded run.
 
     Args:
         folder: Run folder with run.mcap and scenario.toml.
-        figures: Whether to draw; it takes most of the time.
-        setup: The run, where it is known; otherwise the folder says.
+        figures: Whether to draw figures, which takes most of the time.
+        setup: The run, if known; otherwise read from the folder.
     Returns: The summary.
-    Raises: LogError: there is no log, or it is none; ScenarioError: the folder's scenario cannot be read.
+    Raises: LogError: there is no readable log; ScenarioError: the folder's scenario cannot be read.
     """
     run = open_run(folder, horizons=False, setup=setup)
     setup, log = run.setup, counted(run.setup, run.log)
     summary = summarise(setup, log)
     write_whole(folder / "summary.json", orjson.dumps(summary, option=orjson.OPT_INDENT_2) + b"\n")
-    with _whole(folder / "steps.csv") as file:
+    with _atomic_file(folder / "steps.csv") as file:
         _write_steps(file, setup, log)
     if figures:
-        from transport.report.figures import draw  # matplotlib takes its time
+        from transport.report.figures import draw  # loads matplotlib, 0.3 s that runs without figures save
 
         for old in [file for kind in ("png", "svg") for file in (folder / "figures").glob(f"*.{kind}")]:
-            old.unlink()  # never an older run's picture beside this run's numbers
+            old.unlink()  # figures of an older run
         draw(setup, log, folder / "figures")
     return summary
 
 
 def summary_table(summary: Mapping[str, Any]) -> Table:
-    """What a person reads at the end of a run.
+    """Return the table printed at the end of a run.
 
     Args:
-        summary: As `write_report` returns it.
+        summary: Result of `write_report`.
     """
     table = Table(box=None, show_header=False, title=_title(summary), title_justify="left")
     table.add_column(style="cyan", no_wrap=True)
@@ -80,7 +80,7 @@ def _lines(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     uavs, payload = summary["uav_tracking"], summary["payload_tracking"]
     lines = [
         (
-            "flown",
+            "simulated",
             f"{summary['sim_time_s']:.2f} s in {_text(summary['wall_time_s'], '.2f')} s of wall time "
             f"({_text(summary['real_time_factor'], '.2f')} x real time)",
         ),
@@ -98,14 +98,14 @@ def _lines(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("separation", _text(summary["separation_min_m"], ".3f", "min {} m")),
         ("limits", _constraints(summary["constraint_violation_max"])),
         ("agent step", _milliseconds(summary["agent_step_ms"])),
-        ("network", _milliseconds(summary["rest_of_tick_ms"])),
+        ("rest of tick", _milliseconds(summary["rest_of_tick_ms"])),
         *([("deadlines", _deadlines(summary["deadline"]))] if summary["deadline"]["plans"] else []),
         ("plans", _plans(summary["messages"], summary["plan_age_ticks"])),
         ("solver", f"{solver['fallbacks']} fallbacks, {solver['failures']} failures"),
     ]
     if summary["rejections"]:
         lines.append(("rejected", _rejected(summary["messages"]["rejected"], summary["rejections"])))
-    # The last fault of a run that failed is already its reason, in the title.
+    # The reason of a failed run is in the title.
     faults = [fault for fault in summary["faults"] if fault["what"] != summary["reason"]]
     for i, fault in enumerate(faults[:_SHOWN_FAULTS]):
         lines.append(("faults" if i == 0 else "", f"{fault['time_s']:6.2f} s  {fault['what']}"))
@@ -143,13 +143,13 @@ def _plans(messages: Mapping[str, Any], ages: Mapping[str, Any]) -> str:
 
 
 def _rejected(total: int, rejections: Sequence[Mapping[str, Any]]) -> str:
-    """The total, and who was refused most."""
+    """Return the total, and the sender of most rejected messages."""
     counts: Counter[str] = Counter()
     for entry in rejections:
         counts[entry["sender"]] += entry["count"]
     sender, most = counts.most_common(1)[0]
     worst = next(entry for entry in rejections if entry["sender"] == sender)
-    return f"{total} messages, {most} of {sender} ({worst['reason'].replace('_', ' ')})"
+    return f"{total} messages, {most} from {sender} ({worst['reason'].replace('_', ' ')})"
 
 
 def _deadlines(deadline: Mapping[str, Any]) -> str:
@@ -157,7 +157,7 @@ def _deadlines(deadline: Mapping[str, Any]) -> str:
     worst = ""
     if deadline["missed"]:
         worst_ms = deadline["worst_ms"]
-        worst = ", none of which ever came" if worst_ms is None else f", worst that came {worst_ms:.1f} ms late"
+        worst = ", none of which arrived" if worst_ms is None else f", worst arrived {worst_ms:.1f} ms late"
     return (
         f"{deadline['missed']} of {deadline['plans']} plans late ({share}){worst}; ticks opened late: "
         + _milliseconds(deadline["tick_late_ms"])
@@ -171,27 +171,27 @@ def _milliseconds(spread: Mapping[str, Any]) -> str:
 
 
 def _text(value: float | None, form: str, sentence: str = "{}") -> str:
-    """A number in a sentence, or a dash for one that is not known."""
+    """Return a number in a sentence, or a dash for None."""
     return "-" if value is None else sentence.format(format(value, form))
 
 
 def _write_steps(file: BinaryIO, setup: Setup, log: RunLog) -> None:
     with io.TextIOWrapper(file, encoding="utf-8", newline="") as text:
-        # Floats are written by repr: they read back as the same bits.
+        # Floats are written by repr, which reads back as the same bits.
         writer = csv.DictWriter(text, steps_columns(setup), lineterminator="\n")
         writer.writeheader()
         writer.writerows(steps_rows(setup, log))
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write a file as a whole or not at all: readers never see half of it."""
-    with _whole(path) as file:
+    """Write a file atomically."""
+    with _atomic_file(path) as file:
         file.write(content)
 
 
 @contextmanager
-def _whole(path: Path) -> Iterator[BinaryIO]:
-    """A file to write that takes its name when all of it is there."""
+def _atomic_file(path: Path) -> Iterator[BinaryIO]:
+    """Open a file that gets its name only when it is complete."""
     partial = path.with_name(path.name + ".partial")
     with partial.open("wb") as file:
         yield file

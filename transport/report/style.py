@@ -1,20 +1,20 @@
-"""What the figures share: size, fonts, colours that colour-blind readers tell apart, and the maneuver's phases."""
+"""Style of all figures: size, fonts, colours for colour-blind readers, and the phases of the maneuver."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure
+from matplotlib.ticker import FormatStrFormatter, LogLocator, NullLocator
 
 from protocol.scenario.setup import Setup
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.axis import Axis
-    from matplotlib.figure import Figure
-
-# Read at the width of a paper's column, so little space and no small print.
+# Width of a paper's column, inches.
 WIDTH_IN = 5.2
 DPI = 150
 
-RC: Any = {  # its type differs between versions of matplotlib
+RC: Any = {  # the type depends on the version of matplotlib
     "font.size": 9.0,
     "axes.labelsize": 9.0,
     "axes.titlesize": 9.0,
@@ -32,16 +32,16 @@ RC: Any = {  # its type differs between versions of matplotlib
     "lines.linewidth": 1.2,
     "figure.dpi": DPI,
     "savefig.dpi": DPI,
-    "svg.hashsalt": "transport",  # names inside an SVG are else different every time
+    "svg.hashsalt": "transport",  # otherwise names inside an SVG are random
 }
 
-# Components (x, y, z; roll, pitch, yaw), in colours no UAV has.
+# Colours of components (x, y, z; roll, pitch, yaw), different from those of UAVs.
 COMPONENTS = ("#000000", "#E69F00", "#56B4E9")
 PAYLOAD = "#000000"
 REFERENCE = "#8c8c8c"
 _BAND = "#f1f1f1"
 
-# Colour (Okabe and Ito 2008), marker and line of each curve: distinguishable without colour as well.
+# Colour (Okabe and Ito 2008), marker and line style of each curve.
 CURVES = (
     ("#0072B2", "o", "-"),
     ("#D55E00", "s", "--"),
@@ -51,20 +51,16 @@ CURVES = (
 )
 
 _THINNEST = 1.0
-
-# Narrower phases than this share of the axis carry no name.
+# Smallest share of the time axis at which a phase is named.
 _NARROW = 0.08
 
 
 def line_width(i: int, count: int, widest: float) -> float:
-    """Width of curve i of several in one panel, in points.
-
-    Curves often coincide: the first is drawn widest and the last thinnest, so that all stay visible.
-    """
+    """Return the width of curve i in points: decreasing, so that curves that coincide stay visible."""
     return _THINNEST if count == 1 else widest - (widest - _THINNEST) * i / (count - 1)
 
 
-def shade_phases(setup: Setup, panels: list["Axes"], until_s: float, *, named: bool = True) -> None:
+def shade_phases(setup: Setup, panels: list[Axes], until_s: float, *, named: bool = True) -> None:
     """Shade every other phase of the maneuver in stacked panels and name them above the first.
 
     Args:
@@ -74,7 +70,7 @@ def shade_phases(setup: Setup, panels: list["Axes"], until_s: float, *, named: b
         named: Whether to name them.
     """
     begin = 0.0
-    # In a narrow panel names side by side would touch: a letter is about 0.6 of its size wide.
+    # A letter is about 0.6 of its font size wide; neighbouring names must not touch.
     points_per_s = 72.0 * panels[0].get_window_extent().width / panels[0].figure.dpi / until_s
     wide = [phase for phase in setup.maneuver.phases if phase.duration_s > _NARROW * until_s]
     fitting = (points_per_s * phase.duration_s / (0.62 * len(phase.name)) for phase in wide)
@@ -102,23 +98,21 @@ def shade_phases(setup: Setup, panels: list["Axes"], until_s: float, *, named: b
         axes.set_xlim(0.0, until_s)
 
 
-def label_decades(axis: "Axis") -> None:
-    """Label a logarithmic axis that spans few decades with plain numbers, some within a decade too."""
-    from matplotlib.ticker import FormatStrFormatter, LogLocator, NullLocator
-
+def label_decades(axis: Axis) -> None:
+    """Label a logarithmic axis of few decades with plain numbers, also within a decade."""
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.set_major_formatter(FormatStrFormatter("%g"))
     axis.set_minor_locator(NullLocator())
 
 
-def save(figure: "Figure", path: Path, *, cropped: bool = False) -> Path:
-    """Write a figure as PNG or SVG, without naming program and date, so that equal runs give equal files."""
+def save(figure: Figure, path: Path, *, cropped: bool = False) -> Path:
+    """Write a figure as PNG or SVG, without program and date, so that equal runs give equal files."""
     unnamed = {"Date": None, "Creator": None} if path.suffix == ".svg" else {"Software": None}
     figure.savefig(path, metadata=unnamed, bbox_inches="tight" if cropped else None, pad_inches=0.05)
     return path
 
 
-def save_both(figure: "Figure", path: Path, *, cropped: bool = False) -> Path:
-    """Write a figure as PNG to look at, and beside it as SVG for a paper; returns the first."""
+def save_both(figure: Figure, path: Path, *, cropped: bool = False) -> Path:
+    """Write a figure as PNG and as SVG; return the PNG file."""
     save(figure, path.with_suffix(".svg"), cropped=cropped)
     return save(figure, path, cropped=cropped)

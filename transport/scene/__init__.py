@@ -1,1 +1,1 @@
-"""Scenes of a run: positions, links and predictions at one tick, and their shapes in 3D."""
+"""The scene of a run at any tick, independent of the library that draws it."""

@@ -1,12 +1,15 @@
-"""Colours and line styles of the UAVs, the same in the viewer and in every figure."""
+"""Colours and line styles of the UAVs in the viewer and in all figures."""
 
 from typing import Any
 
-# Okabe and Ito (2008). A UAV has the same colour in every figure; beyond five, the line style tells the turn.
+# Okabe and Ito (2008). Beyond five UAVs the colours repeat with another line style.
 UAV_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#7F5F00")
-_TURNS = ("-", "--", ":", "-.")
+_LINE_STYLES = ("-", "--", ":", "-.")
 
 
 def uav_style(i: int) -> dict[str, Any]:
-    """Line colour and style of UAV i (0-based)."""
-    return {"color": UAV_COLOURS[i % len(UAV_COLOURS)], "linestyle": _TURNS[i // len(UAV_COLOURS) % len(_TURNS)]}
+    """Return line colour and style of UAV i (0-based)."""
+    return {
+        "color": UAV_COLOURS[i % len(UAV_COLOURS)],
+        "linestyle": _LINE_STYLES[i // len(UAV_COLOURS) % len(_LINE_STYLES)],
+    }

@@ -1,4 +1,4 @@
-"""What became of every plan on its way: which links are old, lossy or dark."""
+"""Age of plans and packet loss of every link at any tick."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ from protocol.scenario.links import LinkChanges
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import LinkChange, MessageError, StepReport, agent_name
 
-# Losses are counted over this long before the instant that is shown, s.
+# Time before the shown tick over which losses are counted, s.
 LOSS_WINDOW_S = 1.0
 
 
@@ -17,8 +17,8 @@ class LinkState:
 
     Attributes:
         sender, receiver: Agents, 1-based.
-        age_s: Age of the sender's newest plan the receiver used, s; None when it had none, or is not there.
-        loss: Share of the sender's plans of the last second that the link lost.
+        age_s: Age of the sender's newest plan that the receiver used, s; None if it used none or made no step.
+        loss: Share of the sender's plans of the last `LOSS_WINDOW_S` that the link lost, 0..1.
     """
 
     sender: int
@@ -28,7 +28,7 @@ class LinkState:
 
 
 class LinkHistory:
-    """What the links do to plans. Fates are drawn by counter, so that they can be drawn again from the scenario.
+    """Link states of one run. Losses are drawn again from the scenario, whose random generator is counter-based.
 
     Args:
         setup: The run.
@@ -47,7 +47,7 @@ class LinkHistory:
         self._lost: dict[tuple[int, int, int], bool] = {}
 
     def change(self, message: LinkChange) -> None:
-        """Take in a change of links; one that makes no sense changes nothing."""
+        """Apply a link change; ignore a malformed one."""
         try:
             self._changes.apply(message)
         except MessageError:
@@ -55,11 +55,11 @@ class LinkHistory:
         self._lost = {key: lost for key, lost in self._lost.items() if key[2] < message.tick}
 
     def states(self, tick: int, reports: Sequence[StepReport]) -> tuple[LinkState, ...]:
-        """Every directed link at a tick.
+        """Return the state of every directed link at a tick.
 
         Args:
             tick: k.
-            reports: The agents' reports of that tick.
+            reports: Reports of the agents of that tick.
         """
         ages = {
             (peer, report.agent): age * self._period_s
@@ -67,7 +67,7 @@ class LinkHistory:
             for peer, age in zip(report.peers, report.plan_ages, strict=True)
             if age >= 0
         }
-        # The plan of k itself is still under way.
+        # The plan of tick k has not arrived yet.
         ticks = range(max(0, tick - self._window), max(1, tick))
         return tuple(
             LinkState(
@@ -80,7 +80,7 @@ class LinkHistory:
         )
 
     def settings(self, sender: int, receiver: int, tick: int) -> tuple[float, float]:
-        """Fixed delay, s, and loss of a link for the plan of a tick."""
+        """Return fixed delay, s, and loss, 0..1, of a link for the plan of a tick."""
         section = self._links[sender, receiver].impairments(tick)
         return section.delay_s, section.loss
 

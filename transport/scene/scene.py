@@ -1,7 +1,4 @@
-"""The scene of a run at an instant: what is where, what everybody expects, which links are late or dark.
-
-Arrays in, arrays out: what draws it is elsewhere, and so is whatever watches the clock.
-"""
+"""The scene of a run at a tick: poses, predicted paths, links and agents; arrays only, no drawing, no clock."""
 
 from dataclasses import dataclass
 
@@ -16,13 +13,13 @@ from protocol.scenario.setup import Setup
 from protocol.wire.messages import StepReport
 from transport.log.run_log import LogError, RunLog
 from transport.scene.link_history import LinkHistory, LinkState
-from transport.scene.prediction import Predictor
-from transport.scene.record import Record
+from transport.scene.predictor import Predictor
+from transport.scene.run_history import RunHistory
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Expectation:
-    """What one agent expects over its horizon of N_p steps.
+class PredictedPaths:
+    """Paths that one agent predicts over its horizon of N_p steps.
 
     Attributes:
         agent: 1-based.
@@ -37,12 +34,12 @@ class Expectation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AgentState:
-    """One agent at an instant.
+    """One agent at a tick.
 
     Attributes:
         agent: 1-based.
         takes_part: Whether it is on the roster.
-        report: How its step went, if it took one.
+        report: Report of its step, if it made one.
     """
 
     agent: int
@@ -52,23 +49,22 @@ class AgentState:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
-    """Everything there is to see at one tick; N UAVs, inertial frame with z down, SI.
+    """Everything to show at one tick; N UAVs, inertial frame with z down, SI.
 
     Attributes:
         tick: k.
         time_s: t_k.
-        phase: Of the maneuver.
-        payload_I: Position, (3,).
-        payload_reference_I: Where it should be, (3,).
+        phase: Phase of the maneuver.
+        payload_I: Position of the payload, (3,).
+        payload_reference_I: Its reference, (3,).
         R_payload: Attitude, payload to inertial frame, (3, 3).
-        uavs_I: Positions, (N, 3).
-        uav_references_I: Where they should be, (N, 3).
+        uavs_I: Positions of the UAVs, (N, 3).
         R_uavs: Attitudes, body to inertial frame, (N, 3, 3).
-        attachments_I: Where the rods are fixed to the payload, (N, 3).
-        thrusts_I: Forces of the rotors, (N, 3), N.
-        expectations: Of the agents that made a plan at this tick.
-        links: Between agents.
-        agents: All of them.
+        attachments_I: Attachments of the rods to the payload, (N, 3).
+        thrusts_I: Thrust forces, (N, 3), N.
+        predictions: Predicted paths of the agents that made a plan at this tick.
+        links: Links between agents.
+        agents: All agents.
         cost: Stage cost.
         attitude_deg: Roll, pitch, yaw of the payload, (3,), deg.
         fail_safe: UAVs, 1-based, whose plans have run out.
@@ -81,11 +77,10 @@ class Scene:
     payload_reference_I: Array
     R_payload: Array
     uavs_I: Array
-    uav_references_I: Array
     R_uavs: Array
     attachments_I: Array
     thrusts_I: Array
-    expectations: tuple[Expectation, ...]
+    predictions: tuple[PredictedPaths, ...]
     links: tuple[LinkState, ...]
     agents: tuple[AgentState, ...]
     cost: float
@@ -98,53 +93,48 @@ class Scene:
         return float(np.linalg.norm(self.payload_I - self.payload_reference_I))
 
 
-class Scenes:
-    """Makes the scenes of one run.
+class SceneBuilder:
+    """Builder of the scenes of one run.
 
     Args:
         setup: The run.
-        record: What is known of it; may grow.
+        history: Its messages; may grow.
     """
 
-    def __init__(self, setup: Setup, record: Record) -> None:
-        self.setup, self.record = setup, record
+    def __init__(self, setup: Setup, history: RunHistory) -> None:
+        self.setup, self.history = setup, history
         self.link_history = LinkHistory(setup)
         self._cost = Cost(setup.settings.weights, setup.hover)
         self._predictor: Predictor | None = None
-        self._changed = 0
-        self._places: dict[int, Array] = {}
+        self._applied_changes = 0
+        self._positions: dict[int, Array] = {}
 
     @classmethod
-    def of(cls, setup: Setup, log: RunLog) -> "Scenes":
-        """Those of a recorded run.
+    def of(cls, setup: Setup, log: RunLog) -> "SceneBuilder":
+        """Return the builder for a recorded run.
 
-        Raises: LogError: no state of a flight can be read.
+        Raises: LogError: the log holds no readable plant state.
         """
-        record = Record(setup)
-        record.add(entry.message for entry in log.messages)
-        if record.last < 0:
+        history = RunHistory(setup)
+        history.add(entry.message for entry in log.messages)
+        if history.last < 0:
             raise LogError("the log: expected the states of a flight, got none that can be read")
-        return cls(setup, record)
+        return cls(setup, history)
 
-    def at(self, tick: int, *, expected: bool = True) -> Scene:
-        """The scene at a tick, or at the nearest that was recorded; there is at least one.
-
-        Args:
-            tick: k.
-            expected: Whether to work out what agents expect, which takes most of the time.
-        """
-        setup, tick = self.setup, self.record.nearest(tick)
-        for change in self.record.changes[self._changed :]:
+    def at(self, tick: int) -> Scene:
+        """Return the scene at a tick, or at the nearest recorded one; at least one must be recorded."""
+        setup, tick = self.setup, self.history.nearest(tick)
+        for change in self.history.changes[self._applied_changes :]:
             self.link_history.change(change)
-        self._changed = len(self.record.changes)
-        plant_state = self.record.plant_states[tick]
+        self._applied_changes = len(self.history.changes)
+        plant_state = self.history.plant_states[tick]
         time_s = tick * setup.settings.sampling_period_s
         view, N = StateView(plant_state.x), setup.system.N
         R_payload, R_uavs = rotation(view.Theta0), np.array([rotation(Theta) for Theta in view.Theta])
         y, y_ref = setup.model.outputs(plant_state.x), setup.reference.outputs(np.array([time_s]))[0]
         thrusts = plant_state.u.reshape(N, INPUTS)[:, 0]
-        reports = [self.record.report(agent, tick) for agent in setup.agents]
-        members = self.record.members(tick)
+        reports = [self.history.report(agent, tick) for agent in setup.agents]
+        members = self.history.members(tick)
         return Scene(
             tick=tick,
             time_s=time_s,
@@ -153,11 +143,10 @@ class Scenes:
             payload_reference_I=setup.maneuver.path(np.array([time_s]))[0][0],
             R_payload=R_payload,
             uavs_I=y[: 3 * N].reshape(N, 3),
-            uav_references_I=y_ref[: 3 * N].reshape(N, 3),
             R_uavs=R_uavs,
             attachments_I=np.array([view.r0_I + R_payload @ uav.rho for uav in setup.system.uavs]),
             thrusts_I=-thrusts[:, None] * R_uavs[:, :, 2],
-            expectations=self._expectations(tick) if expected else (),
+            predictions=self._predictions(tick),
             links=self.link_history.states(tick, [report for report in reports if report is not None]),
             agents=tuple(
                 AgentState(agent=agent, takes_part=agent in members, report=report)
@@ -168,41 +157,36 @@ class Scenes:
             fail_safe=tuple(i + 1 for i, source in enumerate(plant_state.plan_ticks) if source == FAIL_SAFE),
         )
 
-    def flown(self, tick: int, points: int) -> tuple[Array, Array]:
-        """Where payload and UAVs have been until a tick, at some hundred instants at most.
+    def paths(self, tick: int, points: int) -> tuple[Array, Array]:
+        """Return the flown paths until a tick.
 
         Args:
             tick: k.
-            points: How many, about.
+            points: Approximate number of points.
         Returns: Payload (k, 3) and UAVs (k, N, 3), inertial frame, m.
         """
-        ticks = [k for k in self.record.plant_states if k <= tick]
-        chosen = sorted(ticks)[:: max(1, len(ticks) // points)]
+        ticks = sorted(k for k in self.history.plant_states if k <= tick)
+        chosen = ticks[:: max(1, len(ticks) // points)]
         chosen += [tick] if chosen[-1:] != [tick] else []
-        places = np.array([self._place(k) for k in chosen])
-        return places[:, 0], places[:, 1:]
+        positions = np.array([self._position(k) for k in chosen])
+        return positions[:, 0], positions[:, 1:]
 
-    def _place(self, tick: int) -> Array:
-        """Payload and UAVs at a tick, (1 + N, 3)."""
-        if tick not in self._places:
-            x = self.record.plant_states[tick].x
+    def _position(self, tick: int) -> Array:
+        """Return the positions of payload and UAVs at a tick, (1 + N, 3)."""
+        if tick not in self._positions:
+            x = self.history.plant_states[tick].x
             y = self.setup.model.outputs(x)[: 3 * self.setup.system.N]
-            self._places[tick] = np.vstack([StateView(x).r0_I, y.reshape(-1, 3)])
-        return self._places[tick]
+            self._positions[tick] = np.vstack([StateView(x).r0_I, y.reshape(-1, 3)])
+        return self._positions[tick]
 
-    def _expectations(self, tick: int) -> tuple[Expectation, ...]:
+    def _predictions(self, tick: int) -> tuple[PredictedPaths, ...]:
         if self._predictor is None:
             self._predictor = Predictor(self.setup)
-        found = []
+        predictions = []
         for agent, owned in zip(self.setup.agents, self.setup.owned, strict=True):
-            states = self._predictor.states(self.record, agent, tick)
+            states = self._predictor.states(self.history, agent, tick)
             if states is not None and np.isfinite(states).all():
                 y = np.array([self.setup.model.outputs(x) for x in states])[:, : 3 * self.setup.system.N]
-                found.append(
-                    Expectation(
-                        agent=agent,
-                        uavs_I=y.reshape(len(y), -1, 3)[:, list(owned)],
-                        payload_I=StateView(states).r0_I,
-                    )
-                )
-        return tuple(found)
+                uavs_I = y.reshape(len(y), -1, 3)[:, list(owned)]
+                predictions.append(PredictedPaths(agent=agent, uavs_I=uavs_I, payload_I=StateView(states).r0_I))
+        return tuple(predictions)

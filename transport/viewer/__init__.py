@@ -1,1 +1,1 @@
-"""The live viewer in the browser."""
+"""3D viewer of a run in the browser."""

@@ -1,4 +1,4 @@
-"""What people do to a run in flight from the viewer: the requests of `transport link` and `transport fault`."""
+"""Commands from the viewer to a live run: the requests of `transport link` and `transport fault`."""
 
 import queue
 import threading
@@ -12,40 +12,40 @@ from transport.flight.requests import PERFECT, RefusedError, UnansweredError, re
 
 
 class Commands:
-    """Asks one run for things, one after the other, on a thread of its own.
+    """Queue of requests to one live run, sent one after the other by a thread.
 
     Args:
-        run: That flies.
-        say: Called with what came of it, and whether it was refused.
+        run: The live run.
+        on_result: Called with a sentence about each result and whether the request was refused.
     """
 
-    def __init__(self, run: LiveRun, say: Callable[[str, bool], None]) -> None:
-        self._run, self._say = run, say
-        self._waiting: queue.SimpleQueue[tuple[str, str, Mapping[str, Any]]] = queue.SimpleQueue()
-        threading.Thread(target=self._work, name="acts", daemon=True).start()
+    def __init__(self, run: LiveRun, on_result: Callable[[str, bool], None]) -> None:
+        self._run, self._on_result = run, on_result
+        self._requests: queue.SimpleQueue[tuple[str, str, Mapping[str, Any]]] = queue.SimpleQueue()
+        threading.Thread(target=self._send_requests, name="commands", daemon=True).start()
 
     def link(self, ends: tuple[int, int] | None, settings: Mapping[str, Any]) -> None:
-        """Change a link, by its sender and receiver, or all links between agents."""
+        """Change the link from one agent to another, or, for None, all links between agents."""
         source, target = ("", "") if ends is None else (agent_name(ends[0]), agent_name(ends[1]))
-        self._waiting.put(("coordinator", "link", {"from": source, "to": target, "settings": settings}))
+        self._requests.put(("coordinator", "link", {"from": source, "to": target, "settings": settings}))
 
     def clear(self) -> None:
-        """Make all links perfect, the plant's as well."""
+        """Make all links perfect, those of the plant included."""
         for ends in ({}, {"from": "plant"}, {"to": "plant"}):
-            self._waiting.put(("coordinator", "link", {**ends, "settings": PERFECT}))
+            self._requests.put(("coordinator", "link", {**ends, "settings": PERFECT}))
 
     def fault(self, action: str, target: str) -> None:
         """Kill or restart a process."""
-        self._waiting.put(("recorder", "fault", {"do": action, "target": target}))
+        self._requests.put(("recorder", "fault", {"do": action, "target": target}))
 
-    def _work(self) -> None:
+    def _send_requests(self) -> None:
+        keys = Path(self._run.keys) if self._run.keys else None
         while True:
-            name, what, given = self._waiting.get()
+            name, kind, content = self._requests.get()
             try:
-                keys = Path(self._run.keys) if self._run.keys else None
-                answer = request(self._run.run, [self._run.endpoints[name]], name, what, given, keys)
+                answer = request(self._run.run, [self._run.endpoints[name]], name, kind, content, keys)
             except (RefusedError, UnansweredError) as error:
-                self._say(str(error), True)
+                self._on_result(str(error), True)
                 continue
-            done = f"{given['do']} {given['target']}" if what == "fault" else "links change"
-            self._say(f"{done}: at tick {answer['tick']}", False)
+            done = f"{content['do']} {content['target']}" if kind == "fault" else "links change"
+            self._on_result(f"{done}: at tick {answer['tick']}", False)

@@ -1,4 +1,4 @@
-"""The numbers beside the scene, as HTML: one table for the flight, one for the agents, and a legend."""
+"""HTML of the panel: notice, tables of payload and agents, events and legend."""
 
 from collections.abc import Sequence
 from html import escape
@@ -8,13 +8,14 @@ from transport.scene.scene import AgentState, Scene
 
 _TABLE = "font-size:12px;width:100%;border-collapse:collapse;font-variant-numeric:tabular-nums"
 _CELL = "padding:1px 4px;white-space:nowrap"
-# Ages of the legend, s.
+_ALARM = "color:#b2182b"
+# Ages in the legend, s.
 _AGES = ((0.05, "fresh"), (0.2, "0.2 s"), (0.5, "0.5 s"))
-_SHOWN_NEWS = 5
+_SHOWN_EVENTS = 5
 
 
 def notice(text: str, *, warning: bool) -> str:
-    """A sentence above everything else; empty for none."""
+    """Return a sentence in a box; nothing for an empty one."""
     if not text:
         return ""
     colours = "#fff3cd;border:1px solid #d9a400" if warning else "#eef3f8;border:1px solid #b9c9da"
@@ -25,13 +26,13 @@ def notice(text: str, *, warning: bool) -> str:
 
 
 def flight(scene: Scene, duration_s: float) -> str:
-    """Time, phase, cost, attitude and error of the payload."""
+    """Return a table of time, phase, cost, attitude and position error of the payload."""
     roll, pitch, yaw = scene.attitude_deg
     rows = [
         ("time", f"{scene.time_s:.2f} of {duration_s:.1f} s, {escape(scene.phase)}"),
         ("stage cost", f"{scene.cost:.5f}"),
         ("payload", f"roll {roll:+.2f}, pitch {pitch:+.2f}, yaw {yaw:+.2f} deg"),
-        ("off its path", f"{100.0 * scene.error_m:.1f} cm"),
+        ("payload error", f"{100.0 * scene.error_m:.1f} cm"),
     ]
     if scene.fail_safe:
         rows.append(("fail-safe", ", ".join(f"UAV{uav}" for uav in scene.fail_safe)))
@@ -40,57 +41,60 @@ def flight(scene: Scene, duration_s: float) -> str:
 
 
 def agents(scene: Scene, owned: Sequence[Sequence[int]], period_s: float) -> str:
-    """A row for each agent: its step, the ages of what it used, and of each other agent's plan."""
+    """Return a table with a row per agent: step time, ages of the measurement and of each plan it used."""
     peers = [agent.agent for agent in scene.agents] if len(scene.agents) > 1 else []
-    heads = ["agent", "step", "seen", *[f"from {peer}" for peer in peers]]
-    head = "".join(f'<th style="{_CELL};color:#666;font-weight:normal;text-align:right">{h}</th>' for h in heads)
+    titles = ["agent", "step", "measured", *[f"from {peer}" for peer in peers]]
+    head = "".join(
+        f'<th style="{_CELL};color:#666;font-weight:normal;text-align:right">{title}</th>' for title in titles
+    )
     rows = "".join(_agent(agent, owned[agent.agent - 1], peers, period_s) for agent in scene.agents)
-    units = "step: ms; seen, from: age of the measurement and of each plan used, ms"
+    units = "step time; age of the measurement and of each plan used; in ms"
     return (
         f'<div style="overflow-x:auto;margin:4px 8px"><table style="{_TABLE}"><tr>{head}</tr>{rows}</table>'
         f'<div style="font-size:11px;color:#666;padding:2px 4px">{units}</div></div>'
     )
 
 
-def news(entries: Sequence[tuple[int, str]], tick: int, period_s: float) -> str:
-    """What happened last until a tick."""
-    past = [(when, text) for when, text in entries if when <= tick][-_SHOWN_NEWS:]
+def events(entries: Sequence[tuple[int, str]], tick: int, period_s: float) -> str:
+    """Return the last events until a tick."""
+    past = [(when, text) for when, text in entries if when <= tick][-_SHOWN_EVENTS:]
     lines = "".join(f"<div>{when * period_s:.2f} s: {escape(text)}</div>" for when, text in past)
-    return f'<div style="font-size:12px;margin:2px 12px">{lines or "nothing yet"}</div>'
+    return f'<div style="font-size:12px;margin:2px 12px">{lines or "none yet"}</div>'
 
 
 def legend() -> str:
-    """What colours, lines and squares mean."""
+    """Return the meaning of colours, lines and grid."""
     ages = "".join(_swatch(age_colour(age), text) for age, text in _AGES)
     return (
         '<div style="font-size:12px;margin:2px 12px">'
         f"age of the plan in use:<br>{ages}{_swatch(DARK, 'over 1 s or none')}<br>"
-        "the half of a link next to a UAV is what it hears; gaps: share lost in the last second<br>"
-        "coloured lines ahead: where each agent expects its UAVs and the payload to go; arrows: thrust<br>"
-        "squares of 1 m; axes below the start: x red, y green, z (down) blue</div>"
+        "the half of a link next to a UAV shows the plans it receives; gaps: packet loss in the last second<br>"
+        "coloured lines: paths that each agent predicts for its UAVs and the payload; arrows: thrust<br>"
+        "grid squares of 1 m; axes below the start: x red, y green, z (down) blue</div>"
     )
 
 
 def _agent(agent: AgentState, owned: Sequence[int], peers: Sequence[int], period_s: float) -> str:
-    names = ",".join(str(uav + 1) for uav in owned)
+    uavs = ",".join(str(uav + 1) for uav in owned)
     name = f'<span style="color:{_hex(uav_colour(owned[0]))}">&#9632;</span> {agent.agent}'
-    if names != str(agent.agent):
-        name += f" (UAV {names})"
-    if not agent.takes_part or agent.report is None:
-        why = "gone" if not agent.takes_part else "no step"
-        return f'<tr><td style="{_CELL}">{name}</td><td style="{_CELL};color:#b2182b" colspan="9">{why}</td></tr>'
+    if uavs != str(agent.agent):
+        name += f" (UAV {uavs})"
     report = agent.report
+    if not agent.takes_part or report is None:
+        why = "no step" if agent.takes_part else "off the roster"
+        return f'<tr><td style="{_CELL}">{name}</td><td style="{_CELL};{_ALARM}" colspan="9">{why}</td></tr>'
     ages = dict(zip(report.peers, report.plan_ages, strict=True))
-    cells = [f"{float(report.times_ms[-1]):.1f}", _age(report.measurement_age, period_s, usual=0)]
-    cells += ["" if peer == agent.agent else _age(ages.get(peer, -1), period_s, usual=1) for peer in peers]
+    step = f"{float(report.times_ms[-1]):.1f}"
     if report.status != "solved":
-        cells[0] = f'<span style="color:#b2182b">{escape(report.status)}</span>'
+        step = f'<span style="{_ALARM}">{escape(report.status)}</span>'
+    cells = [step, _age(report.measurement_age, period_s, usual=0)]
+    cells += ["" if peer == agent.agent else _age(ages.get(peer, -1), period_s, usual=1) for peer in peers]
     values = "".join(f'<td style="{_CELL};text-align:right">{cell}</td>' for cell in cells)
     return f'<tr><td style="{_CELL}">{name}</td>{values}</tr>'
 
 
 def _age(ticks: int, period_s: float, usual: int) -> str:
-    """An age in ms, in the colour of the links when it is not as it is over a perfect network."""
+    """Return an age in ms, coloured if it is more than the usual one over a perfect network."""
     if ticks < 0:
         return "-"
     text = f"{1e3 * ticks * period_s:.0f}"

@@ -1,4 +1,4 @@
-"""The panel of the viewer: time and play, numbers, what to show, and in live runs links and processes."""
+"""Panel of the viewer: playback, numbers, layers, and for live runs links and processes."""
 
 import threading
 from collections.abc import Callable
@@ -6,11 +6,10 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from protocol.wire.messages import agent_name
-from transport.scene.scene import Scene, Scenes
-from transport.viewer import html as words
-from transport.viewer.clock import SPEEDS, Clock
+from transport.scene.scene import Scene, SceneBuilder
+from transport.viewer import html
 from transport.viewer.commands import Commands
-from transport.viewer.pace import pace
+from transport.viewer.playback import SPEEDS, Playback
 from transport.viewer.view3d import LAYERS
 
 if TYPE_CHECKING:
@@ -18,9 +17,9 @@ if TYPE_CHECKING:
 
 _ALL = "all links"
 _WHOLE, _TEAM = "whole path", "team"
-# Sliders say every step of a drag; what is asked for is what they rest at.
+# A slider must rest for this long before its value is sent, s.
 _REST_S = 0.3
-# More links than this are chosen by their ends in the command line.
+# Largest number of links in the drop-down; others are changed on the command line.
 _MOST_LINKS = 90
 
 
@@ -28,25 +27,25 @@ class Panel:
     """Widgets of one viewer.
 
     Args:
-        server: Where.
-        scenes: Of the run.
-        clock: Which instant is shown.
-        show_layer: Called with a layer's name and whether it is to be shown.
+        server: The viser server.
+        builder: Scenes of the run.
+        playback: Playback state that the widgets change.
+        show_layer: Called with a layer's name and whether to show it.
         look: Called with whether to look at the team, or else at the whole maneuver.
-        acts: What can be done to the run; None for a recorded one.
+        commands: Requests to the live run; None for a recorded run.
     """
 
     def __init__(
         self,
         server: "viser.ViserServer",
-        scenes: Scenes,
-        clock: Clock,
+        builder: SceneBuilder,
+        playback: Playback,
         show_layer: Callable[[str, bool], None],
         look: Callable[[bool], None],
-        acts: Commands | None,
+        commands: Commands | None,
     ) -> None:
-        self._scenes, self._clock, self._commands = scenes, clock, acts
-        self._setup, gui = scenes.setup, server.gui
+        self._builder, self._playback, self._commands = builder, playback, commands
+        self._setup, gui = builder.setup, server.gui
         self._period_s = self._setup.settings.sampling_period_s
         self._duration_s = self._setup.ticks * self._period_s
         self._timer: threading.Timer | None = None
@@ -54,60 +53,55 @@ class Panel:
         gui.main_panel.dock_right()
         gui.set_panel_label(f"transport: {self._setup.scenario.name}")
         self._notice = gui.add_html("")
-        self._pace = gui.add_html("")
         self._time = gui.add_slider("time (s)", 0.0, self._duration_s, self._period_s, 0.0)
-        self._play = gui.add_button("Pause" if clock.playing else "Play")
-        self._speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="1 x")
-        self._follow = gui.add_checkbox("follow the run", clock.follows, visible=acts is not None)
+        self._play = gui.add_button("Play")
+        speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="1 x")
+        self._follow = gui.add_checkbox("follow the run", playback.follows, visible=commands is not None)
         camera = gui.add_button_group("camera", (_WHOLE, _TEAM))
         camera.on_click(lambda event: look(event.target.value == _TEAM))
         with gui.add_folder("Flight"):
             self._flight = gui.add_html("")
         with gui.add_folder("Agents"):
             self._agents = gui.add_html("")
-        if acts is not None:
-            self._controls(gui, acts)
+        if commands is not None:
+            self._add_controls(gui, commands)
         with gui.add_folder("Events"):
-            self._news = gui.add_html("")
-        with gui.add_folder("Show", expand_by_default=acts is None):
+            self._events = gui.add_html("")
+        with gui.add_folder("Show", expand_by_default=commands is None):
             for name, shown in LAYERS.items():
                 box = gui.add_checkbox(name, shown)
                 box.on_update(partial(_switch, show_layer, name))
-            gui.add_html(words.legend())
-        self._time.on_update(_by_people(lambda: clock.seek(round(self._time.value / self._period_s))))
-        self._play.on_click(lambda _: clock.toggle())
-        self._speed.on_update(_by_people(lambda: clock.set_speed(SPEEDS[self._speed.value])))
-        self._follow.on_update(_by_people(lambda: clock.follow(self._follow.value)))
+            gui.add_html(html.legend())
+        self._time.on_update(_from_browser(lambda: playback.seek(round(self._time.value / self._period_s))))
+        self._play.on_click(lambda _: playback.toggle())
+        speed.on_update(_from_browser(lambda: playback.set_speed(SPEEDS[speed.value])))
+        self._follow.on_update(_from_browser(lambda: playback.follow(self._follow.value)))
 
-    def say(self, text: str, *, warning: bool = False) -> None:
-        """Put a sentence above everything else."""
-        self._notice.content = words.notice(text, warning=warning)
+    def set_notice(self, text: str, *, warning: bool = False) -> None:
+        """Set the sentence on top of the panel."""
+        self._notice.content = html.notice(text, warning=warning)
 
-    def set_pace(self, gap_s: float) -> None:
-        """Let browsers draw no more often than that, s; 0 for as often as they like."""
-        content = pace(gap_s)
-        if content != self._pace.content:
-            self._pace.content = content
-
-    def show(self, scene: Scene, *, numbers: bool) -> None:
-        """Show a scene's time and, if asked for, its numbers."""
-        _set(self._time, scene.time_s)
-        if self._follow.value != self._clock.follows:
-            _set(self._follow, self._clock.follows)
-        label = "Pause" if self._clock.playing else "Play"
+    def show_playback(self) -> None:
+        """Show whether the viewer plays or follows."""
+        if self._follow.value != self._playback.follows:
+            _set(self._follow, self._playback.follows)
+        label = "Pause" if self._playback.playing else "Play"
         if self._play.label != label:
             self._play.label = label
-        if numbers:
-            self._flight.content = words.flight(scene, self._duration_s)
-            self._agents.content = words.agents(scene, self._setup.owned, self._period_s)
-            self._news.content = words.news(self._scenes.record.news, scene.tick, self._period_s)
+
+    def show(self, scene: Scene) -> None:
+        """Show time, numbers and events of a scene."""
+        _set(self._time, scene.time_s)
+        self._flight.content = html.flight(scene, self._duration_s)
+        self._agents.content = html.agents(scene, self._setup.owned, self._period_s)
+        self._events.content = html.events(self._builder.history.events, scene.tick, self._period_s)
 
     def close_controls(self) -> None:
-        """The run is over: nothing can be done to it any more."""
+        """Hide the controls of a live run, which has ended."""
         if self._commands is not None:
             self._links.visible = self._processes.visible = self._follow.visible = False
 
-    def _controls(self, gui: "viser.GuiApi", acts: Commands) -> None:
+    def _add_controls(self, gui: "viser.GuiApi", commands: Commands) -> None:
         agents = [str(agent) for agent in self._setup.agents]
         pairs = [f"{a} to {b}" for a in agents for b in agents if a != b]
         self._links = gui.add_folder("Links", visible=bool(pairs))
@@ -115,57 +109,57 @@ class Panel:
             self._link = gui.add_dropdown("link", (_ALL, *pairs[:_MOST_LINKS]))
             self._delay = gui.add_slider("delay (ms)", 0, 1000, 10, 0, hint="as transport link set --delay")
             self._loss = gui.add_slider("loss (%)", 0, 100, 1, 0, hint="as transport link set --loss")
-            self._cut = gui.add_checkbox("partition", False, hint="nothing gets through, as --loss 1")
+            self._partition = gui.add_checkbox("partition", False, hint="100 % loss, as --loss 1")
             clear = gui.add_button("Clear all links", hint="as transport link clear")
         self._processes = gui.add_folder("Processes")
         with self._processes:
             for agent in agents:
                 buttons = gui.add_button_group(f"agent {agent}", ("kill", "restart"))
-                buttons.on_click(partial(_press, acts, agent_name(int(agent))))
-        self._link.on_update(_by_people(self._chosen))
-        for widget in (self._delay, self._loss, self._cut):
-            widget.on_update(_by_people(self._rested))
-        clear.on_click(lambda _: self._clear(acts))
+                buttons.on_click(partial(_request_fault, commands, agent_name(int(agent))))
+        self._link.on_update(_from_browser(self._show_chosen_link))
+        for widget in (self._delay, self._loss, self._partition):
+            widget.on_update(_from_browser(self._change_link_after_rest))
+        clear.on_click(lambda _: self._clear_links())
 
-    def _ends(self) -> tuple[int, int] | None:
-        """Sender and receiver of the link that is chosen; None for all."""
+    def _chosen_link(self) -> tuple[int, int] | None:
+        """Return sender and receiver of the chosen link; None for all links."""
         if self._link.value == _ALL:
             return None
         sender, _, receiver = self._link.value.partition(" to ")
         return int(sender), int(receiver)
 
-    def _chosen(self) -> None:
-        """Another link is chosen: the sliders show what it does."""
-        ends = self._ends()
-        if ends is None:
-            return
-        delay_s, loss = self._scenes.link_history.settings(*ends, max(0, self._scenes.record.last))
-        self._show_link(round(1e3 * delay_s), round(100.0 * loss), cut=loss >= 1.0)
+    def _show_chosen_link(self) -> None:
+        ends = self._chosen_link()
+        if ends is not None:
+            delay_s, loss = self._builder.link_history.settings(*ends, max(0, self._builder.history.last))
+            self._show_link(round(1e3 * delay_s), round(100.0 * loss), partition=loss >= 1.0)
 
-    def _clear(self, acts: Commands) -> None:
-        self._show_link(0, 0, cut=False)
-        acts.clear()
+    def _clear_links(self) -> None:
+        self._show_link(0, 0, partition=False)
+        if self._commands is not None:
+            self._commands.clear()
 
-    def _show_link(self, delay_ms: int, loss_percent: int, *, cut: bool) -> None:
-        for widget, value in ((self._delay, min(delay_ms, 1000)), (self._loss, loss_percent), (self._cut, cut)):
-            _set(widget, value)
+    def _show_link(self, delay_ms: int, loss_percent: int, *, partition: bool) -> None:
+        _set(self._delay, min(delay_ms, 1000))
+        _set(self._loss, loss_percent)
+        _set(self._partition, partition)
 
-    def _rested(self) -> None:
-        """A slider has moved: ask for what it says once it rests."""
+    def _change_link_after_rest(self) -> None:
+        """Send the values of the sliders once they rest: a drag reports every step."""
         if self._timer is not None:
             self._timer.cancel()
-        self._timer = threading.Timer(_REST_S, self._ask)
+        self._timer = threading.Timer(_REST_S, self._change_link)
         self._timer.daemon = True
         self._timer.start()
 
-    def _ask(self) -> None:
+    def _change_link(self) -> None:
         if self._commands is not None:
-            loss = 1.0 if self._cut.value else self._loss.value / 100.0
-            self._commands.link(self._ends(), {"delay_s": self._delay.value / 1e3, "loss": loss})
+            loss = 1.0 if self._partition.value else self._loss.value / 100.0
+            self._commands.link(self._chosen_link(), {"delay_s": self._delay.value / 1e3, "loss": loss})
 
 
-def _by_people(act: Callable[[], None]) -> Callable[[Any], None]:
-    """A callback for what somebody does in a browser; not for what this side sets, which viser reports, too."""
+def _from_browser(act: Callable[[], None]) -> Callable[[Any], None]:
+    """Return a callback for changes made in a browser; viser also reports those of this process."""
     return lambda event: None if event.client_id is None else act()
 
 
@@ -173,10 +167,10 @@ def _switch(show_layer: Callable[[str, bool], None], name: str, event: Any) -> N
     show_layer(name, bool(event.target.value))
 
 
-def _press(acts: Commands, target: str, event: Any) -> None:
-    acts.fault(str(event.target.value), target)
+def _request_fault(commands: Commands, target: str, event: Any) -> None:
+    commands.fault(str(event.target.value), target)
 
 
 def _set(widget: Any, value: float | bool) -> None:
-    """Let a widget show a value; its type says that cannot be done."""
+    """Set the value of a widget, whose type does not allow it."""
     widget.value = value

@@ -1,6 +1,10 @@
-"""The 3D part of the viewer: nodes of a viser scene that follow the scene of a run."""
+"""3D view: the nodes of a viser scene that show the scene of a run.
 
-from collections.abc import Mapping
+A page applies the poses of a frame at once, but the points of lines one drawing later. Rods are therefore rigid nodes
+fixed to the payload, and lines lie below nodes that move with the team ("/team") or the payload ("/load").
+"""
+
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,24 +16,25 @@ from transport.scene.geometry import (
     BEAM,
     BODY,
     ROTOR,
-    agent_places,
-    dashed,
+    Colour,
+    agent_positions,
     link_segments,
-    name_places,
+    name_offsets,
     payload_mesh,
     quaternion,
+    quaternion_from_up,
     rotor_centres,
     segments,
     simplified,
-    span_m,
     uav_colour,
+    uav_span,
 )
-from transport.scene.scene import Scene, Scenes
+from transport.scene.scene import Scene, SceneBuilder
 
 if TYPE_CHECKING:
     import viser
 
-# What can be shown and hidden: name, and whether it is shown at first.
+# Layers that can be shown and hidden, and whether they are shown at first.
 LAYERS: Mapping[str, bool] = {
     "predictions": True,
     "flown paths": True,
@@ -42,95 +47,106 @@ LAYERS: Mapping[str, bool] = {
 _PAYLOAD, _ROD, _REFERENCE, _FLOWN = (60, 60, 60), (90, 90, 90), (150, 150, 150), (0, 0, 0)
 # Length of a thrust arrow at hover, m.
 _ARROW_M = 0.6
-# From where the maneuver is looked at, in parts of its size, and the team in parts of its own: links and predicted
-# paths lie in the plane of the UAVs, so that both are seen from well above it. Seen from +y, x is to the right as it is
-# in the figures. With the camera's vertical angle, rad.
+# Camera offsets in parts of the size of the maneuver, and of the team; vertical field of view, rad. Links and predicted
+# paths lie in the plane of the UAVs, so both look from well above; from +y, x is to the right as in the figures.
 _VIEW, _VIEW_TEAM, _FOV = np.array([0.5, 1.1, -0.6]), np.array([0.9, 1.9, -2.2]), 0.75
-# Points of a path that is flown and of one asked for, and how far the former may be from what is drawn, in parts of the
-# maneuver's size: more cannot be told apart, and wide lines are a third of what a browser without a graphics processor
-# works at.
-_POINTS, _POINTS_ASKED, _TOLERANCE = 240, 120, 5e-4
-_NOTHING = np.zeros((1, 2, 3))
+# Points of a flown and of a reference path, and tolerance of the former in parts of the maneuver's size: wide lines are
+# a third of the work of a browser without a graphics processor.
+_POINTS, _POINTS_REFERENCE, _TOLERANCE = 240, 120, 5e-4
+_NO_SEGMENTS = np.zeros((1, 2, 3))
 
 
-class Stage:
-    """What is drawn of one run.
+class View3D:
+    """3D view of one run.
 
     Args:
-        server: Where.
-        scenes: Of the run.
+        server: The viser server.
+        builder: Scenes of the run.
     """
 
-    def __init__(self, server: "viser.ViserServer", scenes: Scenes) -> None:
-        self._server, self._scenes = server, scenes
-        self._setup = scenes.setup
-        self._N = self._setup.system.N
+    def __init__(self, server: "viser.ViserServer", builder: SceneBuilder) -> None:
+        self._server, self._builder = server, builder
+        self._setup = setup = builder.setup
+        self._N = setup.system.N
         self._shown = dict(LAYERS)
-        self._hover = float(np.mean(self._setup.hover.u[::4]))
+        self._hover_N = float(np.mean(setup.hover.u[::4]))
         scene = server.scene
         scene.set_up_direction("-z")
-        self._furnish()
-        vertices, faces = payload_mesh(self._setup.system)
-        self._payload = scene.add_frame("/payload", show_axes=False)
+        self._add_surroundings()
+        start_I = setup.reference.outputs(np.zeros(1))[0, : 3 * self._N].reshape(self._N, 3)
+        self._span_m = uav_span(start_I)
+        self._payload = self._add_body("/payload")
+        vertices, faces = payload_mesh(setup.system)
         scene.add_mesh_simple("/payload/body", vertices, faces, color=_PAYLOAD, flat_shading=True, side="double")
-        self._span_m = span_m(self._setup.reference.outputs(np.zeros(1))[0, : 3 * self._N].reshape(self._N, 3))
-        self._uavs = [self._uav(i) for i in range(self._N)]
+        self._rods = [self._add_rod(i) for i in range(self._N)]
+        self._uavs = [self._add_uav(i) for i in range(self._N)]
+        self._names = [
+            scene.add_label(
+                f"/uav{i + 1}/name", f"UAV{i + 1}", anchor="bottom-center", font_screen_scale=0.9, position=offset
+            )
+            for i, offset in enumerate(name_offsets(start_I))
+        ]
         self._goal = scene.add_icosphere("/goal", radius=0.07, color=_REFERENCE, cast_shadow=False)
-        self._rods = self._lines("rods", 3.0)
-        self._flown = self._lines("flown", 2.0)
-        self._expected = self._lines("expected", 4.0)
-        self._links = self._lines("links", 5.0)
+        self._paths = self._add_lines("/paths", 2.0)
+        self._team = self._add_body("/team")
+        self._load = self._add_body("/load")
+        self._uav_predictions = self._add_lines("/team/predictions", 4.0)
+        self._payload_predictions = self._add_lines("/load/predictions", 4.0)
+        self._links = self._add_lines("/team/links", 5.0)
         width = 0.03 * self._span_m
         self._thrust = scene.add_arrows(
-            "/thrust", _NOTHING, (0, 0, 0), shaft_radius=width, head_radius=2.5 * width, head_length=6.0 * width
+            "/team/thrust",
+            _NO_SEGMENTS,
+            (0, 0, 0),
+            shaft_radius=width,
+            head_radius=2.5 * width,
+            head_length=6.0 * width,
         )
-        self._labels = [
-            scene.add_label(f"/name{i + 1}", f"UAV{i + 1}", anchor="bottom-center", font_screen_scale=0.9)
-            for i in range(self._N)
-        ]
 
     @property
     def payload_I(self) -> Array:
-        """Where the payload is drawn, (3,), inertial frame, m."""
+        """Position at which the payload is drawn, (3,), inertial frame, m."""
         return np.array(self._payload.position)
 
     def show_layer(self, name: str, shown: bool) -> None:
         """Show or hide one of `LAYERS`."""
         self._shown[name] = shown
         nodes: Mapping[str, list[Any]] = {
-            "predictions": [self._expected],
-            "flown paths": [self._flown],
+            "predictions": [self._uav_predictions, self._payload_predictions],
+            "flown paths": [self._paths],
             "reference": [*self._references, self._goal],
             "links": [self._links],
             "thrust": [self._thrust],
-            "names": list(self._labels),
+            "names": list(self._names),
         }
         for node in nodes[name]:
             node.visible = shown
 
     def show(self, scene: Scene) -> None:
-        """Draw a scene."""
-        with self._server.atomic():
-            self._payload.position, self._payload.wxyz = scene.payload_I, quaternion(scene.R_payload)
-            self._goal.position = scene.payload_reference_I
-            for i, node in enumerate(self._uavs):
-                node.position, node.wxyz = scene.uavs_I[i], quaternion(scene.R_uavs[i])
-            for label, place in zip(self._labels, name_places(scene), strict=True):
-                label.position = place
-            _put(self._rods, np.stack([scene.uavs_I, scene.attachments_I], axis=1), _ROD)
-            if self._shown["thrust"]:
-                tips = scene.uavs_I + scene.thrusts_I * (_ARROW_M / self._hover)
-                self._thrust.points = np.stack([scene.uavs_I, tips], axis=1).astype(np.float32)
-                self._thrust.colors = _linear([uav_colour(i) for i in range(self._N)])
-            if self._shown["links"]:
-                _put(self._links, *link_segments(scene.links, agent_places(scene, self._setup.owned)))
-            if self._shown["predictions"]:
-                self._show_expectations(scene)
-            if self._shown["flown paths"]:
-                self._show_flown(scene)
+        """Move all nodes to a scene."""
+        centre_I = scene.uavs_I.mean(axis=0)
+        self._team.position, self._load.position = centre_I, scene.payload_I
+        self._payload.position, self._payload.wxyz = scene.payload_I, quaternion(scene.R_payload)
+        self._goal.position = scene.payload_reference_I
+        for i, (uav, rod) in enumerate(zip(self._uavs, self._rods, strict=True)):
+            uav.position, uav.wxyz = scene.uavs_I[i], quaternion(scene.R_uavs[i])
+            rod.wxyz = quaternion_from_up(scene.R_payload.T @ (scene.uavs_I[i] - scene.attachments_I[i]))
+        for node in (self._team, self._load, self._payload, *self._uavs):
+            node.visible = True
+        if self._shown["thrust"]:
+            tips_I = scene.uavs_I + scene.thrusts_I * (_ARROW_M / self._hover_N)
+            self._thrust.points = (np.stack([scene.uavs_I, tips_I], axis=1) - centre_I).astype(np.float32)
+            self._thrust.colors = _linear([uav_colour(i) for i in range(self._N)])
+        if self._shown["links"]:
+            pieces, colours = link_segments(scene.links, agent_positions(scene, self._setup.owned) - centre_I)
+            _set_lines(self._links, pieces, colours)
+        if self._shown["predictions"]:
+            self._show_predictions(scene)
+        if self._shown["flown paths"]:
+            _set_paths(self._paths, self._flown_paths(scene))
 
     def look_at(self, scene: Scene | None) -> None:
-        """Turn every browser's camera to the team in a scene, or to the whole maneuver."""
+        """Turn the camera of every browser to the team in a scene, or, for None, to the whole maneuver."""
         target, position = self._overview
         if scene is not None:
             size = max(float(np.linalg.norm(np.ptp(scene.uavs_I, axis=0))), 1.0)
@@ -138,44 +154,35 @@ class Stage:
             position = target + _VIEW_TEAM * size
         for client in self._server.get_clients().values():
             with client.atomic():
-                client.camera.position = position  # which takes along what is looked at
+                client.camera.position = position  # moves look_at along
                 client.camera.look_at = target
 
-    def _show_expectations(self, scene: Scene) -> None:
-        pieces, colours = [], []
-        for expected in scene.expectations:
-            own = self._setup.owned[expected.agent - 1]
-            paths = [(uav_colour(uav), expected.uavs_I[:, k]) for k, uav in enumerate(own)]
-            for colour, path in [*paths, (uav_colour(own[0]), expected.payload_I)]:
-                pieces.append(segments(path))
-                colours.append(np.tile(colour, (len(pieces[-1]), 1)))
-        if pieces:
-            _put(self._expected, np.concatenate(pieces), np.concatenate(colours))
-        else:
-            _put(self._expected, _NOTHING, _FLOWN)
+    def _show_predictions(self, scene: Scene) -> None:
+        centre_I, uav_paths, payload_paths = scene.uavs_I.mean(axis=0), [], []
+        for prediction in scene.predictions:
+            own = self._setup.owned[prediction.agent - 1]
+            uav_paths += [(uav_colour(uav), prediction.uavs_I[:, k] - centre_I) for k, uav in enumerate(own)]
+            payload_paths.append((uav_colour(own[0]), prediction.payload_I - scene.payload_I))
+        _set_paths(self._uav_predictions, uav_paths)
+        _set_paths(self._payload_predictions, payload_paths)
 
-    def _show_flown(self, scene: Scene) -> None:
-        payload_I, uavs_I = self._scenes.flown(scene.tick, _POINTS)
-        paths = [payload_I, *(uavs_I[:, i] for i in range(self._N))]
-        pieces = [segments(simplified(path, _TOLERANCE * self._size_m)) for path in paths]
-        colours = [_FLOWN, *(uav_colour(i) for i in range(self._N))]
-        _put(
-            self._flown,
-            np.concatenate(pieces),
-            np.concatenate([np.tile(c, (len(p), 1)) for c, p in zip(colours, pieces, strict=True)]),
-        )
+    def _flown_paths(self, scene: Scene) -> list[tuple[Colour, Array]]:
+        """Colours and points, (k, 3), inertial frame, m."""
+        payload_I, uavs_I = self._builder.paths(scene.tick, _POINTS)
+        paths = [(_FLOWN, payload_I), *((uav_colour(i), uavs_I[:, i]) for i in range(self._N))]
+        return [(colour, simplified(path, _TOLERANCE * self._size_m)) for colour, path in paths]
 
-    def _furnish(self) -> None:
-        """Grid, reference and camera, around the whole maneuver."""
+    def _add_surroundings(self) -> None:
+        """Add grid, reference, lights and the first camera, around the whole maneuver."""
         setup, scene = self._setup, self._server.scene
         duration_s = setup.ticks * setup.settings.sampling_period_s
-        times_s = np.linspace(0.0, duration_s, _POINTS_ASKED)
+        times_s = np.linspace(0.0, duration_s, _POINTS_REFERENCE)
         payload_I = setup.maneuver.path(times_s)[0]
         uavs_I = setup.reference.outputs(times_s)[:, : 3 * self._N].reshape(len(times_s), self._N, 3)
         self._references = []
         for name, path in [("payload", payload_I), *((f"uav{i + 1}", uavs_I[:, i]) for i in range(self._N))]:
-            node = self._lines(f"reference/{name}", 1.5 if name == "payload" else 1.0)
-            _put(node, dashed(path), _REFERENCE)
+            node = self._add_lines(f"/reference/{name}", 1.5 if name == "payload" else 1.0)
+            _set_lines(node, segments(path)[::2], _REFERENCE)
             self._references.append(node)
         above = uavs_I.reshape(-1, 3) - np.array([0.0, 0.0, 2.0 * _ARROW_M])  # thrust and names
         everything = np.vstack([payload_I, above])
@@ -197,8 +204,7 @@ class Stage:
         )
         start = (*payload_I[0, :2], floor)
         scene.add_frame("/axes", axes_length=0.5, axes_radius=0.015, position=start)
-        # Colours are to be those of the figures, and hosts without a graphics processor are to keep up: no surroundings
-        # that are mirrored, no shadows.
+        # No reflections or shadows: colours are those of the figures, and drawing without a graphics processor is fast.
         scene.configure_environment_map(None)
         scene.add_light_ambient("/light", intensity=1.5)
         scene.configure_default_lights(enabled=True, cast_shadow=False)
@@ -208,9 +214,22 @@ class Stage:
         camera.look_at = self._overview[0]
         camera.up, camera.fov = (0.0, 0.0, -1.0), _FOV
 
-    def _uav(self, i: int) -> Any:
+    def _add_body(self, name: str) -> Any:
+        """Add a moving node, hidden until the first frame."""
+        return self._server.scene.add_frame(name, show_axes=False, visible=False)
+
+    def _add_rod(self, i: int) -> Any:
+        """Add a rod of fixed length that points up from its attachment to the payload."""
+        uav = self._setup.system.uavs[i]
+        rod = np.array([[(0.0, 0.0, 0.0), (0.0, 0.0, -uav.rod_length)]], dtype=np.float32)
+        return self._server.scene.add_line_segments(
+            f"/payload/rod{i + 1}", rod, _ROD, thickness=3.0, thickness_units="screen", position=uav.rho
+        )
+
+    def _add_uav(self, i: int) -> Any:
+        """Add a quadrotor; its front rotors are dark."""
         scene, name, colour, span = self._server.scene, f"/uav{i + 1}", uav_colour(i), self._span_m
-        node = scene.add_frame(name, show_axes=False)
+        node = self._add_body(name)
         scene.add_cylinder(f"{name}/body", radius=2.0 * BODY * span, height=BODY * span, color=colour)
         for k, yaw in enumerate((45.0, 135.0)):
             half = np.radians(yaw) / 2.0
@@ -222,7 +241,6 @@ class Stage:
                 position=(0.0, 0.0, -span * BODY / 2.0),
             )
         for k, centre in enumerate(rotor_centres()):
-            # The two in front are dark: which way it faces can be seen.
             scene.add_cylinder(
                 f"{name}/rotor{k}",
                 radius=ROTOR * span,
@@ -234,21 +252,28 @@ class Stage:
             )
         return node
 
-    def _lines(self, name: str, width_px: float) -> Any:
+    def _add_lines(self, name: str, width_px: float) -> Any:
         return self._server.scene.add_line_segments(
-            f"/{name}", _NOTHING, (0, 0, 0), thickness=width_px, thickness_units="screen"
+            name, _NO_SEGMENTS, (0, 0, 0), thickness=width_px, thickness_units="screen"
         )
 
 
-def _put(node: Any, pieces: Array, colours: Any) -> None:
-    """Draw segments, (k, 2, 3), in one colour or one each, (k, 3); none as one without length."""
-    if not len(pieces):
-        pieces, colours = _NOTHING, _FLOWN
+def _set_paths(node: Any, paths: Sequence[tuple[Colour, Array]]) -> None:
+    """Set the lines of a node to paths, (k, 3), each in its colour."""
+    pieces = [segments(path) for _, path in paths]
+    colours = [np.tile(colour, (len(piece), 1)) for (colour, _), piece in zip(paths, pieces, strict=True)]
+    _set_lines(node, np.concatenate(pieces or [_NO_SEGMENTS]), np.concatenate(colours or [np.array([_FLOWN])]))
+
+
+def _set_lines(node: Any, pieces: Array, colours: Any) -> None:
+    """Set the lines of a node to segments, (k, 2, 3), in one colour or one each, (k, 3)."""
+    if not len(pieces):  # viser takes at least one segment
+        pieces, colours = _NO_SEGMENTS, _FLOWN
     each = np.broadcast_to(np.asarray(colours, dtype=np.uint8), (len(pieces), 3))
     node.points = pieces.astype(np.float32)
     node.colors = np.repeat(_linear(each)[:, None], 2, axis=1)
 
 
 def _linear(colours: Any) -> npt.NDArray[np.uint8]:
-    """Colours, (k, 3), as lines and arrows take them: linear, which those of bodies are not."""
+    """Convert sRGB colours, (..., 3), to linear ones, which lines and arrows take, unlike meshes."""
     return np.round(255.0 * (np.asarray(colours) / 255.0) ** 2.2).astype(np.uint8)

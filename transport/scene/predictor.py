@@ -1,4 +1,4 @@
-"""Where an agent expects the team to go: the model integrated with the plans it had when it decided."""
+"""Predicted states of the team as an agent saw them: the model integrated with the plans the agent had."""
 
 import math
 
@@ -12,17 +12,17 @@ from mpc.feedback import FeedbackError
 from mpc.regulation import Regulation
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Plan, StepReport
-from transport.scene.record import Record
+from transport.scene.run_history import RunHistory
 
-# A step of order 5 this long errs by far less than a line is wide.
+# Longest integration step, s; at order 5 its error is far below the width of a line.
 _STEP_S = 0.05
 
 
 class Predictor:
-    """Predicts what agents predict, with the whole model instead of its linearisation.
+    """Predictions of agents, computed with the nonlinear model instead of its linearisation.
 
-    With the shared control law (closed-loop prediction) every agent follows u = u_hover + K (x - x_ref) + feedforward
-    + c, with the corrections it has announced; without it, the announced inputs themselves.
+    With closed-loop prediction every agent applies u = u_hover + K (x - x_ref) + feedforward + c with its announced
+    corrections c; with open-loop prediction it applies its announced inputs.
 
     Args:
         setup: The run.
@@ -34,31 +34,32 @@ class Predictor:
         self._regulation = _regulation(setup)
         self._rollout = Compiled(_rollout(setup, self._regulation))
 
-    def states(self, record: Record, agent: int, tick: int) -> Array | None:
-        """The states an agent expected when it made its plan of a tick.
+    def states(self, history: RunHistory, agent: int, tick: int) -> Array | None:
+        """Return the states an agent predicted with its plan of a tick.
 
         Args:
-            record: What was said.
+            history: Messages of the run.
             agent: 1-based.
             tick: k.
-        Returns: At ticks k..k + N_p, (N_p + 1, n); None if the agent made no plan at k, or the team was not whole then.
+        Returns: States at ticks k..k + N_p, (N_p + 1, n); None if the agent made no plan at k, or an agent or UAV was
+            off the roster.
         Source: docs/equations.md (32), (35).
         """
-        own, plant_state = record.plan(agent, tick), record.plant_states.get(tick)
-        if own is None or plant_state is None or not record.is_whole(tick):
+        own, plant_state = history.plan(agent, tick), history.plant_states.get(tick)
+        if own is None or plant_state is None or not history.is_whole(tick):
             return None
-        setup, report = self._setup, record.report(agent, tick)
+        setup, report = self._setup, history.report(agent, tick)
         announced = AnnouncedInputs(
             setup.owned, setup.hover.u, alignment=setup.scenario.controller.received_plans, own=agent
         )
-        for plan in [own, *_used(record, report, tick)]:
+        for plan in [own, *_used(history, report, tick)]:
             announced.add(plan)
-        # What acts before the plan starts is decided already.
-        waits = min(max(own.start_tick - tick, 0), self._steps)
+        # Inputs before the start of the plan are already fixed.
+        first = min(max(own.start_tick - tick, 0), self._steps)
         U = np.tile(plant_state.u, (self._steps, 1))
         x_ref = np.zeros((self._steps, len(plant_state.x)))
         if self._regulation is None:
-            U[waits:] = announced.sequence(own.start_tick, self._steps - waits, tick + 1)
+            U[first:] = announced.sequence(own.start_tick, self._steps - first, tick + 1)
         else:
             c = announced.corrections(tick, self._steps, tick + 1)
             U[:] = setup.hover.u + self._regulation.feedforward(tick, self._steps) + c
@@ -70,17 +71,17 @@ class Predictor:
         return np.vstack([plant_state.x, ahead.T])
 
 
-def _used(record: Record, report: StepReport | None, tick: int) -> list[Plan]:
-    """The others' plans an agent had, by what it reports."""
+def _used(history: RunHistory, report: StepReport | None, tick: int) -> list[Plan]:
+    """Return the plans of other agents that an agent used, according to its report."""
     if report is None:
         return []
     ages = zip(report.peers, report.plan_ages, strict=True)
-    found = [record.plan(peer, tick - age) for peer, age in ages if age >= 0]
+    found = [history.plan(peer, tick - age) for peer, age in ages if age >= 0]
     return [plan for plan in found if plan is not None]
 
 
 def _regulation(setup: Setup) -> Regulation | None:
-    """The shared control law of the whole team; None with open-loop prediction."""
+    """Return the shared control law of the team; None with open-loop prediction."""
     if setup.settings.prediction != "closed_loop":
         return None
     try:
@@ -90,7 +91,7 @@ def _regulation(setup: Setup) -> Regulation | None:
 
 
 def _rollout(setup: Setup, regulation: Regulation | None) -> ca.Function:
-    """(x0, U row by row, x_ref row by row, F) -> states after each sampling period, (n, N_p)."""
+    """Return (x0, U row by row, x_ref row by row, F) -> states after each sampling period, (n, N_p)."""
     system, settings = setup.system, setup.settings
     n, m, steps = system.n, system.m, settings.horizon
     x, u, x_ref = ca.MX.sym("x", n), ca.MX.sym("u", m), ca.MX.sym("x_ref", n)

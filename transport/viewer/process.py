@@ -1,0 +1,69 @@
+"""The viewer as a separate process beside the run that `transport run --view` starts."""
+
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from protocol.network.parent import PARENT_PIPE, python
+
+_EXIT_S = 5.0
+
+
+@contextmanager
+def viewer_beside(folder: Path, host: str, port: int, wait_s: float) -> Iterator[Callable[[], None]]:
+    """Start a viewer process that shows the run in a folder as soon as it is live, and end it afterwards.
+
+    Args:
+        folder: Run folder, which need not exist yet.
+        host: Address to listen on.
+        port: First port to try.
+        wait_s: How long the viewer waits for the run, s.
+    Yields: A function that waits until the user ends the viewer.
+    """
+    arguments = ["view", str(folder), "--host", host, "--port", str(port), "--wait", str(wait_s)]
+    process = subprocess.Popen(
+        [*python("transport"), *arguments],
+        stdin=subprocess.PIPE,
+        stdout=2,  # the address is no result of the run
+        env={**os.environ, PARENT_PIPE: "1"},
+        start_new_session=True,  # Ctrl-C ends the run first
+    )
+
+    def wait_for_user() -> None:
+        if process.poll() is None:
+            try:
+                sys.stderr.write("the viewer stays open; Ctrl-C ends it\n")
+                process.wait()
+            except KeyboardInterrupt:
+                return
+
+    try:
+        yield wait_for_user
+    finally:
+        process.terminate()
+        try:
+            process.wait(_EXIT_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        if process.stdin is not None:
+            process.stdin.close()
+
+
+def parent_ended() -> Callable[[], bool]:
+    """Return a function that tells whether the parent run has ended; always False without such a parent."""
+    if not os.environ.get(PARENT_PIPE):
+        return lambda: False
+    ended = threading.Event()
+
+    def watch() -> None:
+        while os.read(0, 1):
+            pass
+        ended.set()
+
+    threading.Thread(target=watch, name="parent", daemon=True).start()
+    return ended.is_set
