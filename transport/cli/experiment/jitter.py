@@ -1,0 +1,34 @@
+"""The command `transport experiment jitter`."""
+
+from typing import Annotated
+
+import typer
+
+from transport.cli.experiment.conduct import sweep_command
+from transport.cli.experiment.options import ExperimentOptions
+from transport.experiments import catalogue
+
+
+@sweep_command(seeds=3)
+def jitter(
+    options: ExperimentOptions,
+    distributions: Annotated[
+        list[str] | None,
+        typer.Option("--distribution", help="uniform, normal, exponential, lognormal; by default all. Repeatable."),
+    ] = None,
+    deviations: Annotated[
+        list[float] | None,
+        typer.Option("--std", help="Standard deviation of the delay, s; by default 0.02, 0.05, 0.08. Repeatable."),
+    ] = None,
+    mean: Annotated[float, typer.Option("--mean", help="Mean delay, s.")] = 0.16,
+) -> catalogue.Experiment:
+    """Effect of the distribution of random delays.
+
+    Several distributions with the same mean and standard deviation.
+
+    Example: transport experiment jitter --std 0.05 --distribution lognormal
+    """
+    chosen = distributions or (["uniform", "exponential"] if options.quick else list(catalogue.JITTER))
+    return catalogue.jitter(
+        options.names, chosen, deviations or ([0.05] if options.quick else [0.02, 0.05, 0.08]), mean
+    )

@@ -1,0 +1,25 @@
+"""The command `transport experiment loss`."""
+
+from typing import Annotated
+
+import typer
+
+from transport.cli.experiment.conduct import sweep_command
+from transport.cli.experiment.options import ExperimentOptions
+from transport.experiments import catalogue
+
+
+@sweep_command(seeds=5)
+def loss(
+    options: ExperimentOptions,
+    losses: Annotated[
+        list[float] | None,
+        typer.Option("--loss", help="Probability of losing a plan; by default 0.1, 0.3, 0.6. Repeatable."),
+    ] = None,
+    burst: Annotated[float, typer.Option("--burst", help="Mean length of a burst, ticks.")] = 5.0,
+) -> catalogue.Experiment:
+    """Effect of packet loss, independent or in bursts.
+
+    Example: transport experiment loss --loss 0.3 --burst 10
+    """
+    return catalogue.loss(options.names, losses or ([0.3] if options.quick else [0.1, 0.3, 0.6]), burst)

@@ -1,0 +1,51 @@
+"""The command `transport experiment paper`."""
+
+import math
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from transport.cli.experiment.conduct import exit_codes, new_folder, show, simulator, trial_note
+from transport.cli.experiment.options import (
+    ExperimentOptions,
+    JobsOption,
+    OutOption,
+    QuickOption,
+    SetOption,
+    seeds_or_default,
+)
+from transport.experiments import claim, claim_report
+from transport.experiments.errors import refused
+
+
+def paper(
+    gust: Annotated[
+        float, typer.Option("--gust", help="Standard deviation of the wind's gusts, m/s; 0 for still air only.")
+    ] = 1.0,
+    settings: SetOption = None,
+    seeds: Annotated[int | None, typer.Option("--seeds", min=1, help="Runs of each controller in gusts.")] = None,
+    out: OutOption = None,
+    jobs: JobsOption = None,
+    quick: QuickOption = False,
+) -> None:
+    """The paper's claim: centralized against distributed.
+
+    Runs both controllers at a grid of sampling periods and compares mean cost over processor time, which is measured
+    first.
+
+    Prints a table and a verdict, with its spread, at the same rate and at the same computation; writes figures.
+
+    Example: transport experiment paper --seeds 10
+    """
+    seeds = seeds_or_default(seeds, 5, quick=quick)
+    options = ExperimentOptions(settings=settings, seeds=seeds, out=out, jobs=jobs, quick=quick)
+    with exit_codes():
+        if not 0.0 <= gust < math.inf:
+            raise refused("--gust", "a speed >= 0 m/s", f"{gust:g}")
+        folder, console = new_folder(options, claim.NAME), Console(stderr=True)
+        trial_note(options, console)
+        lines, table, found = claim_report.conduct(
+            options.changes(), seeds, gust, folder, simulator(options, folder), console, quick=quick
+        )
+        show(table, claim_report.WIDTH, lines, found)

@@ -1,0 +1,60 @@
+"""Options that several commands have, each defined once."""
+
+import inspect
+from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from transport.cli.output import Format
+
+# Runs are recorded here, and an active run is looked for here, unless an option names another folder.
+RUNS = Path("runs")
+
+ScenarioArgument = Annotated[
+    str,
+    typer.Argument(
+        help="Scenario file, or name of a ready-made one: paper, centralized, resilient, windy, collision.",
+        show_default=True,
+    ),
+]
+ScenarioOption = Annotated[
+    str, typer.Option("--scenario", help="Scenario file or name; the same for all processes of the run.")
+]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Change a scenario value, e.g. controller.horizon=10. Repeatable."),
+]
+FormatOption = Annotated[Format, typer.Option("--format", help="Output format.")]
+FiguresOption = Annotated[bool, typer.Option("--figures/--no-figures", help="Draw the figures.")]
+HostOption = Annotated[
+    str,
+    typer.Option("--host", help="Address to listen on. All who can reach it see the run and can change it."),
+]
+PortOption = Annotated[int, typer.Option("--port", min=0, max=65535, help="Port, or the next free one.")]
+
+
+def with_options(options: Callable[..., Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Return a decorator that gives a command shared options, after its own.
+
+    Args:
+        options: Called with the values of its parameters, which become options; its result is the command's first
+            argument.
+    """
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        _, *own = inspect.signature(command).parameters.values()
+        shared = inspect.signature(options).parameters
+
+        @wraps(command)
+        def with_shared(**given: Any) -> None:
+            command(options(**{name: given.pop(name) for name in shared}), **given)
+
+        parameters = [*own, *shared.values()]
+        with_shared.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        with_shared.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+        return with_shared
+
+    return decorate

@@ -1,0 +1,27 @@
+"""The command `transport status`."""
+
+import json
+from typing import Annotated
+
+import typer
+
+from transport.cli.active_run import ActiveRun
+from transport.cli.options import with_options
+
+
+@with_options(ActiveRun)
+def status(
+    run: ActiveRun,
+    process: Annotated[
+        str | None,
+        typer.Option("--process", help="Show the health of this process: coordinator, plant, agent1, ..., recorder."),
+    ] = None,
+) -> None:
+    """Show the progress of an active run, or the health of one process.
+
+    Prints JSON: tick and roster; with --process its resource use and the messages it rejected.
+
+    Example: transport status --process agent2
+    """
+    name, what = ("coordinator", "status") if process is None else (process, "health")
+    typer.echo(json.dumps(run.ask(name, what, {})))
