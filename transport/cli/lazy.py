@@ -28,7 +28,7 @@ class LazyGroup(TyperGroup):
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Return name, command and remaining arguments, with the stand-in replaced by the imported command."""
         name, command, rest = super().resolve_command(ctx, args)
-        return name, self.load(name) if name in self.table else command, rest
+        return name, self.load(name) if name and name in self.table else command, rest
 
     def load(self, name: str) -> Any:
         """Import the command of a name in the table."""

@@ -4,7 +4,7 @@ import inspect
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_origin
 
 import typer
 
@@ -40,13 +40,13 @@ def with_options(options: Callable[..., Any]) -> Callable[[Callable[..., None]],
     """Return a decorator that gives a command shared options, after its own.
 
     Args:
-        options: Called with the values of its parameters, which become options; its result is the command's first
-            argument.
+        options: Its annotated parameters become options, and its result the first argument of the command.
     """
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
         _, *own = inspect.signature(command).parameters.values()
-        shared = inspect.signature(options).parameters
+        every = inspect.signature(options).parameters
+        shared = {name: parameter for name, parameter in every.items() if get_origin(parameter.annotation) is Annotated}
 
         @wraps(command)
         def with_shared(**given: Any) -> None:

@@ -24,18 +24,18 @@ def fail(text: str, code: int) -> NoReturn:
 
 
 @contextmanager
-def exit_on(*errors: type[Exception], code: int, option: str = "") -> Iterator[None]:
+def exit_on(*errors: type[Exception], code: int = 1, option: str = "") -> Iterator[None]:
     """End the command with the text of an error, if one of these types is raised.
 
     Args:
         errors: Types that are the user's to solve; others are bugs and keep their traceback.
-        code: Exit code.
+        code: Exit code, unless the error has one.
         option: Option that caused it, for the beginning of the line.
     """
     try:
         yield
     except errors as error:
-        fail(f"{option}: {error}" if option else str(error), code)
+        fail(f"{option}: {error}" if option else str(error), getattr(error, "exit_code", code))
 
 
 def show_json(content: Any) -> None:

@@ -7,7 +7,7 @@ import typer
 from rich.console import Console
 
 from transport.cli.options import RUNS, FiguresOption, ScenarioOption, SetOption
-from transport.cli.output import Format, fail
+from transport.cli.output import Format, exit_on, fail
 from transport.cli.process import ConnectOption, JoinOption, ProcessOptions, RunNameOption
 from transport.cli.run_report import report
 from transport.flight.run import RunError, new_folder, observe
@@ -32,10 +32,8 @@ def record(
     setup = options.setup()
     place = options.place(setup, "recorder")
     folder = out if out is not None else new_folder(RUNS, setup.scenario.name)
-    try:
+    with exit_on(RunError):
         finished = observe(setup, place, folder, Console(stderr=True))
-    except RunError as error:
-        fail(str(error), error.exit_code)
-    report(finished.folder, Format.text, figures=figures, setup=setup)
+    report(folder, Format.text, figures=figures, setup=setup)
     if finished.exit_code != 0:
         fail(finished.reason, finished.exit_code)

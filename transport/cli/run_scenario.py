@@ -29,12 +29,9 @@ def run_scenario(
     folder = out if out is not None else new_folder(RUNS, setup.scenario.name)
     join_timeout_s = setup.scenario.clock.join_timeout_s
     with viewer_beside(folder, *viewer_address, join_timeout_s) if viewer_address else nullcontext() as linger:
-        try:
-            with exit_on(HarnessError, code=EXIT_UNREACHABLE):
-                finished = simulate(setup, folder, Console(stderr=True))
-        except RunError as error:
-            fail(str(error), error.exit_code)
-        report(finished.folder, output, figures=figures, setup=setup)
+        with exit_on(RunError), exit_on(HarnessError, code=EXIT_UNREACHABLE):
+            finished = simulate(setup, folder, Console(stderr=True))
+        report(folder, output, figures=figures, setup=setup)
         if linger is not None and finished.exit_code != EXIT_INTERRUPTED:
             linger()
     if finished.exit_code != 0:

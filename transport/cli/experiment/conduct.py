@@ -4,7 +4,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +14,8 @@ from rich.table import Table
 
 from protocol.scenario.file import ScenarioError
 from protocol.wire.exit_codes import EXIT_CASE_FAILED, EXIT_INTERRUPTED, EXIT_SCENARIO
-from transport.cli.experiment.options import ExperimentOptions, with_experiment_options
-from transport.cli.options import RUNS
+from transport.cli.experiment.options import ExperimentOptions, SweepOptions
+from transport.cli.options import RUNS, with_options
 from transport.cli.output import exit_on, fail
 from transport.experiments.cases import cases_of
 from transport.experiments.catalogue import Experiment
@@ -34,16 +34,17 @@ def sweep_command(**defaults: Any) -> Callable[[Callable[..., Experiment]], Call
     """Return a decorator that makes a command of a function that returns an experiment.
 
     Args:
-        defaults: As `with_experiment_options` takes them.
+        defaults: Those of its `SweepOptions`.
     """
 
     def decorate(build: Callable[..., Experiment]) -> Callable[..., None]:
+        @with_options(partial(SweepOptions, **defaults))
         @wraps(build)
-        def command(options: ExperimentOptions, **own: Any) -> None:
+        def command(options: SweepOptions, **own: Any) -> None:
             with exit_codes():
                 conduct(build(options, **own), options)
 
-        return with_experiment_options(**defaults)(command)
+        return command
 
     return decorate
 
@@ -52,10 +53,8 @@ def sweep_command(**defaults: Any) -> Callable[[Callable[..., Experiment]], Call
 def exit_codes() -> Iterator[None]:
     """End the command with the exit code of an error or interrupt."""
     try:
-        with exit_on(ScenarioError, code=EXIT_SCENARIO):
+        with exit_on(ExperimentError), exit_on(ScenarioError, code=EXIT_SCENARIO):
             yield
-    except ExperimentError as error:
-        fail(str(error), error.exit_code)
     except KeyboardInterrupt:
         fail("interrupted", EXIT_INTERRUPTED)
 
@@ -65,9 +64,10 @@ def conduct(experiment: Experiment, options: ExperimentOptions) -> None:
 
     Raises: ExperimentError: a case raised an error, a worker was lost, or the options are refused.
     """
-    _check(options)
+    if isinstance(options, SweepOptions):
+        _check(options)
     folder = new_folder(options, experiment.name)
-    cases = cases_of(experiment.points, options.changes(), options.seeds, timed=experiment.timed)
+    cases = cases_of(experiment.points, options.changes(), options.repetitions, timed=experiment.timed)
     console = Console(stderr=True)
     trial = trial_note(options, console)
     with Results(folder, experiment.name, machine()) as results:
@@ -110,12 +110,12 @@ def trial_note(options: ExperimentOptions, console: Console) -> str:
 
 def simulator(options: ExperimentOptions, folder: Path) -> Fly:
     """Return the function that simulates cases: on a cluster, in processes, or on the cores of this machine."""
-    if options.dask is not None:
-        address = options.dask
-        return lambda cases: on_cluster(cases, address)
-    if options.processes:
-        return lambda cases: (simulate_in_processes(case, folder / "runs") for case in cases)
-    jobs = options.jobs or joblib.cpu_count()
+    jobs = options.jobs or options.default_jobs or joblib.cpu_count()
+    if isinstance(options, SweepOptions):
+        if options.dask is not None:
+            return partial(on_cluster, address=options.dask)
+        if options.processes:
+            return lambda cases: (simulate_in_processes(case, folder / "runs") for case in cases)
     return lambda cases: on_cores(cases, min(jobs, len(cases)))
 
 
@@ -134,7 +134,7 @@ def show(table: Table, width: int, lines: Sequence[str], found: Sequence[Result]
         raise ExperimentError(f"a run raised an error{more}: {failed[0].reason}", EXIT_CASE_FAILED)
 
 
-def _check(options: ExperimentOptions) -> None:
+def _check(options: SweepOptions) -> None:
     """Refuse options that exclude each other, and a cluster that does not answer."""
     given = {"--processes": options.processes, "--dask": options.dask is not None, "--jobs": options.jobs is not None}
     chosen = [name for name, is_given in given.items() if is_given]

@@ -5,14 +5,14 @@ from typing import Annotated
 import typer
 
 from transport.cli.experiment.conduct import sweep_command
-from transport.cli.experiment.options import ExperimentOptions
+from transport.cli.experiment.options import SweepOptions
 from transport.experiments import deaths as random_deaths
 from transport.experiments.catalogue import Experiment
 
 
-@sweep_command(seeds=1, scenarios=("resilient",))
+@sweep_command(default_scenarios=("resilient",))
 def deaths(
-    options: ExperimentOptions,
+    options: SweepOptions,
     count: Annotated[int | None, typer.Option("--count", min=1, help="Deaths per scenario; by default 20.")] = None,
     draw: Annotated[int, typer.Option("--draw", min=0, help="Random seed of the times and of the agents killed.")] = 0,
 ) -> Experiment:

@@ -5,14 +5,14 @@ from typing import Annotated
 import typer
 
 from transport.cli.experiment.conduct import sweep_command
-from transport.cli.experiment.options import ExperimentOptions
+from transport.cli.experiment.options import SweepOptions
 from transport.experiments import choices
 from transport.experiments.catalogue import Experiment
 
 
-@sweep_command(seeds=1)
+@sweep_command()
 def horizon(
-    options: ExperimentOptions,
+    options: SweepOptions,
     horizons: Annotated[
         list[int] | None, typer.Option("--horizon", help="N_p, steps; by default 5, 10, 20, 30. Repeatable.")
     ] = None,

@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from transport.cli.experiment.conduct import sweep_command
-from transport.cli.experiment.options import ExperimentOptions
+from transport.cli.experiment.options import SweepOptions
 from transport.experiments import choices
 from transport.experiments.catalogue import Experiment
 
@@ -16,9 +16,9 @@ _QUICK_MANEUVER = (
 )
 
 
-@sweep_command(seeds=1, scenarios=_SCENARIOS, quick_maneuver=_QUICK_MANEUVER)
+@sweep_command(default_scenarios=_SCENARIOS, quick_maneuver=_QUICK_MANEUVER)
 def hover(
-    options: ExperimentOptions,
+    options: SweepOptions,
     durations: Annotated[
         list[float] | None,
         typer.Option("--duration", help="Duration of the last phase, s; by default 5, 20, 65. Repeatable."),

@@ -5,13 +5,13 @@ from typing import Annotated
 import typer
 
 from transport.cli.experiment.conduct import sweep_command
-from transport.cli.experiment.options import ExperimentOptions
+from transport.cli.experiment.options import SweepOptions
 from transport.experiments import catalogue
 
 
-@sweep_command(seeds=3)
+@sweep_command(default_seeds=3)
 def jitter(
-    options: ExperimentOptions,
+    options: SweepOptions,
     distributions: Annotated[
         list[str] | None,
         typer.Option("--distribution", help="uniform, normal, exponential, lognormal; by default all. Repeatable."),

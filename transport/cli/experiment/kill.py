@@ -5,13 +5,13 @@ from typing import Annotated
 import typer
 
 from transport.cli.experiment.conduct import sweep_command
-from transport.cli.experiment.options import ExperimentOptions
+from transport.cli.experiment.options import SweepOptions
 from transport.experiments import catalogue
 
 
-@sweep_command(seeds=1)
+@sweep_command()
 def kill(
-    options: ExperimentOptions,
+    options: SweepOptions,
     at: Annotated[float | None, typer.Option("--at", help="Time of the death, s; by default 8.")] = None,
     restart: Annotated[float | None, typer.Option("--restart", help="Time of the restart, s; by default 10.")] = None,
 ) -> catalogue.Experiment:

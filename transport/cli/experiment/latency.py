@@ -5,13 +5,13 @@ from typing import Annotated
 import typer
 
 from transport.cli.experiment.conduct import sweep_command
-from transport.cli.experiment.options import ExperimentOptions
+from transport.cli.experiment.options import SweepOptions
 from transport.experiments import catalogue
 
 
-@sweep_command(seeds=1)
+@sweep_command()
 def latency(
-    options: ExperimentOptions,
+    options: SweepOptions,
     delays: Annotated[
         list[float] | None, typer.Option("--delay", help="Delay of every plan, s; by default 0 to 0.4. Repeatable.")
     ] = None,

@@ -5,13 +5,13 @@ from typing import Annotated
 import typer
 
 from transport.cli.experiment.conduct import sweep_command
-from transport.cli.experiment.options import ExperimentOptions
+from transport.cli.experiment.options import SweepOptions
 from transport.experiments import catalogue
 
 
-@sweep_command(seeds=5)
+@sweep_command(default_seeds=5)
 def loss(
-    options: ExperimentOptions,
+    options: SweepOptions,
     losses: Annotated[
         list[float] | None,
         typer.Option("--loss", help="Probability of losing a plan; by default 0.1, 0.3, 0.6. Repeatable."),

@@ -5,13 +5,13 @@ from typing import Annotated
 import typer
 
 from transport.cli.experiment.conduct import sweep_command
-from transport.cli.experiment.options import ExperimentOptions
+from transport.cli.experiment.options import SweepOptions
 from transport.experiments import catalogue
 
 
-@sweep_command(seeds=3)
+@sweep_command(default_seeds=3)
 def matrix(
-    options: ExperimentOptions,
+    options: SweepOptions,
     delays: Annotated[
         list[float] | None,
         typer.Option("--delay", help="Delay of every plan, s; by default 0, 0.1, 0.2, 0.4. Repeatable."),

@@ -1,33 +1,25 @@
 """The command `transport experiment paper`."""
 
 import math
+from functools import partial
 from typing import Annotated
 
 import typer
 from rich.console import Console
 
 from transport.cli.experiment.conduct import exit_codes, new_folder, show, simulator, trial_note
-from transport.cli.experiment.options import (
-    ExperimentOptions,
-    JobsOption,
-    OutOption,
-    QuickOption,
-    SetOption,
-    seeds_or_default,
-)
+from transport.cli.experiment.options import ExperimentOptions
+from transport.cli.options import with_options
 from transport.experiments import claim, claim_report
 from transport.experiments.errors import refused
 
 
+@with_options(partial(ExperimentOptions, default_seeds=5))
 def paper(
+    options: ExperimentOptions,
     gust: Annotated[
         float, typer.Option("--gust", help="Standard deviation of the wind's gusts, m/s; 0 for still air only.")
     ] = 1.0,
-    settings: SetOption = None,
-    seeds: Annotated[int | None, typer.Option("--seeds", min=1, help="Runs of each controller in gusts.")] = None,
-    out: OutOption = None,
-    jobs: JobsOption = None,
-    quick: QuickOption = False,
 ) -> None:
     """The paper's claim: centralized against distributed.
 
@@ -38,14 +30,18 @@ def paper(
 
     Example: transport experiment paper --seeds 10
     """
-    seeds = seeds_or_default(seeds, 5, quick=quick)
-    options = ExperimentOptions(settings=settings, seeds=seeds, out=out, jobs=jobs, quick=quick)
     with exit_codes():
         if not 0.0 <= gust < math.inf:
             raise refused("--gust", "a speed >= 0 m/s", f"{gust:g}")
         folder, console = new_folder(options, claim.NAME), Console(stderr=True)
         trial_note(options, console)
         lines, table, found = claim_report.conduct(
-            options.changes(), seeds, gust, folder, simulator(options, folder), console, quick=quick
+            options.changes(),
+            options.repetitions,
+            gust,
+            folder,
+            simulator(options, folder),
+            console,
+            quick=options.quick,
         )
         show(table, claim_report.WIDTH, lines, found)

@@ -5,14 +5,14 @@ from typing import Annotated
 import typer
 
 from transport.cli.experiment.conduct import sweep_command
-from transport.cli.experiment.options import ExperimentOptions
+from transport.cli.experiment.options import SweepOptions
 from transport.experiments import sharing as thresholds_of_sharing
 from transport.experiments.catalogue import Experiment
 
 
-@sweep_command(seeds=5, scenarios=("resilient",))
+@sweep_command(default_seeds=5, default_scenarios=("resilient",))
 def sharing(
-    options: ExperimentOptions,
+    options: SweepOptions,
     thresholds: Annotated[
         list[float] | None,
         typer.Option(
