@@ -105,9 +105,9 @@ def test_what_cannot_be_is_refused(flown: tuple[dict[str, Any], Path, list[tuple
         "from: expected one of plant, agent1, agent2, agent3, agent4, got 'agent9'",
         "distribution",
         "expected at least one of --delay, --jitter, --loss, ..., got none",
-        "no run that flies in nowhere; name its folder with --run",
+        "no active run in nowhere; name its folder with --run",
         "agent3 is not running",
-        "no run that flies below runs/",
+        "no active run in runs/",
     ]
     for (code, output, errors), text in zip(flown[2], expected, strict=True):
         assert (code, output) == (USAGE, "")

@@ -31,7 +31,7 @@ from tests.support.commands import (
 from tests.support.keyrings import NAMES, keyring
 from tests.support.logs import flown
 from tests.system.test_intruder import table
-from transport.cli.metrics import asked_places
+from transport.cli.metrics import process_endpoints
 from transport.monitor.exporter import Exporter
 from transport.report.report import write_report
 
@@ -81,7 +81,7 @@ def test_a_run_under_attack(sort: str, tmp_path: Path) -> None:
                 for _ in range(FORGED):
                     attack.say(forger, f"{keys.prefix}/{key}", b"?")
             asked = transport("status", "--run", "out", "--process", "agent2", cwd=tmp_path)
-            families = {family.name: family for family in Exporter("out", asked_places(scenario)).collect()}
+            families = {family.name: family for family in Exporter("out", process_endpoints(scenario)).collect()}
             other = transport("status", "--run", "out", "--process", "agent7", cwd=tmp_path)
         printed, errors = run.communicate(timeout=PATIENCE_S)
         sent = int(flood.communicate(timeout=PATIENCE_S)[0])

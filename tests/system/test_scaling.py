@@ -353,7 +353,7 @@ def test_gone_on_with_nothing_is_flown_again(trial: tuple[Path, str], monkeypatc
     monkeypatch.setattr("transport.flight.memory.simulate", simulate)
     result = here(*SMALL, "--out", folder)
     assert result.exit_code == DONE, result.output
-    assert f"{FLIGHTS} of {FLIGHTS} flights are done already" in result.stderr
+    assert f"{FLIGHTS} of {FLIGHTS} runs are done already" in result.stderr
     assert result.stdout == printed
     assert tables(folder) == before
     assert kept(folder) == FLIGHTS

@@ -86,7 +86,7 @@ def test_a_killed_experiment_is_gone_on_with(reference: Path) -> None:
     result = here(*SMALL, "--jobs", "1", "--out", folder)
     assert result.exit_code == DONE, result.output
     assert "the last line is not whole" in result.stderr
-    assert f"{done} of {FLIGHTS} flights are done already" in result.stderr
+    assert f"{done} of {FLIGHTS} runs are done already" in result.stderr
     assert kept(folder) == FLIGHTS
     assert tables(folder) == tables(reference)
 
@@ -129,7 +129,7 @@ def test_an_interrupted_experiment_leaves_nothing_running(number: signal.Signals
         process.send_signal(number)
     _, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == INTERRUPTED, errors
-    assert "go on with: --out out" in errors
+    assert "resume with: --out out" in errors
     assert "Traceback" not in errors
     assert gone(process)
 

@@ -29,7 +29,7 @@ from tests.support.browser import END, RIGHT, Browser, browser, needs_browser
 from tests.support.commands import PATIENCE_S, processes_of, settings, start, wait_for
 from tests.support.logs import flown
 from transport.cli.main import app
-from transport.cli.viewer_commands import viewer_of
+from transport.cli.view import viewer_of
 from transport.flight.live import LiveRun
 from transport.flight.memory import simulate
 from transport.log.run_folder import setup_of

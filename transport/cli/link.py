@@ -61,7 +61,10 @@ def set_links(
 
 @with_options(ActiveRun)
 def clear_links(run: ActiveRun) -> None:
-    """Make all links perfect, including those of the plant."""
+    """Make all links perfect, including those of the plant.
+
+    Example: transport link clear
+    """
     for ends in ({}, {"from": "plant"}, {"to": "plant"}):
         answer = run.ask("coordinator", "link", {**ends, "settings": dict(PERFECT)})
     typer.echo(f"links are perfect from tick {answer['tick']} on (t = {answer['t_s']:.2f} s)")

@@ -16,7 +16,7 @@ app = lazy_group(
         "compare": ("transport.cli.compare:compare", "Compare recorded runs in a table and in figures."),
         "replay": ("transport.cli.replay:replay", "Feed a recorded run to one agent and compare its plans."),
         "top": ("transport.cli.top:top", "Watch the agents of an active run."),
-        "status": ("transport.cli.status:status", "Show the progress of an active run, or the health of one process."),
+        "status": ("transport.cli.status:status", "Show the progress of a run, or the health of one process."),
         "fault": ("transport.cli.fault:fault", "Kill, stop, continue or restart a process of an active run."),
         "doctor": ("transport.cli.doctor:doctor", "Check this machine for what a run needs."),
         "agent": ("transport.cli.agent:agent", "Run one agent: the controller of the UAVs it owns."),

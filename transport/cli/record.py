@@ -24,7 +24,9 @@ def record(
 ) -> None:
     """Record and report a run whose processes were started by hand.
 
-    Start it before the coordinator opens the first tick: transport coordinator --observer recorder
+    Start it before the first tick; `transport coordinator --observer recorder` waits for it.
+
+    Example: transport record --scenario paper --out runs/by-hand
     """
     options = ProcessOptions(
         scenario=scenario, settings=settings, run_name=run_name, connect=connect, join_timeout=join_timeout

@@ -17,7 +17,7 @@ def status(
         typer.Option("--process", help="Show the health of this process: coordinator, plant, agent1, ..., recorder."),
     ] = None,
 ) -> None:
-    """Show the progress of an active run, or the health of one process.
+    """Show the progress of a run, or the health of one process.
 
     Prints JSON: tick and roster; with --process its resource use and the messages it rejected.
 
