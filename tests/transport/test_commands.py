@@ -5,6 +5,7 @@ import re
 import shlex
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from typer.core import TyperGroup
@@ -31,11 +32,16 @@ BASE = {"transport.cli.lazy", "transport.cli.main"}
 # Packages and modules that no process of a run needs.
 FOREIGN = {"matplotlib", "pandas", "viser", "joblib", "distributed", "pyarrow", "mcap", "selenium", "prometheus_client"}
 
+
+def group_of(names: tuple[str, ...]) -> LazyGroup:
+    """Return the group that names lead to."""
+    group, _, _ = command_of(names)
+    assert isinstance(group, LazyGroup)
+    return group
+
+
 GROUPS = [(), ("link",), ("experiment",), ("scenario",), ("log",), ("deploy",)]
-COMMANDS = [
-    (*names, name) for names in GROUPS for name, command in command_of(names)[0].commands.items()  # type: ignore[union-attr]
-    if not isinstance(command, TyperGroup)
-]  # fmt: skip
+COMMANDS = [(*names, name) for names in GROUPS for name in group_of(names).table]
 
 
 def imported(program: str) -> set[str]:
@@ -71,11 +77,18 @@ def test_every_group_is_seen() -> None:
 @pytest.mark.parametrize("names", COMMANDS, ids=" ".join)
 def test_the_list_of_commands_repeats_their_docstrings(names: tuple[str, ...]) -> None:
     """The line of a command in the help of its group is the first line of the command's own help."""
-    group, _, _ = command_of(names[:-1])
-    assert isinstance(group, LazyGroup)
+    group = group_of(names[:-1])
     help_text = below(group)[names[-1]].help
     assert help_text is not None
     assert group.table[names[-1]][1] == help_text.splitlines()[0]
+
+
+def test_docs_list_every_command() -> None:
+    """The table in docs/command-line.md has a row with name and line of each command, and no other."""
+    document = (Path(__file__).resolve().parents[2] / "docs" / "command-line.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `transport ([a-z ]+)` \| (.+?) \|", document, re.MULTILINE)
+    expected = [(" ".join(names), group_of(names[:-1]).table[names[-1]][1]) for names in COMMANDS]
+    assert sorted(rows) == sorted(expected)
 
 
 @pytest.mark.parametrize("names", COMMANDS, ids=" ".join)
