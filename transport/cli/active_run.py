@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
+from typer import Option
 
 from protocol.wire.exit_codes import EXIT_UNREACHABLE, EXIT_USAGE
 from protocol.wire.keys import Keys
@@ -14,15 +14,13 @@ from transport.flight import live
 from transport.flight.requests import RefusedError, UnansweredError, request
 
 RunOption = Annotated[
-    str | None,
-    typer.Option("--run", help="Run folder, or name of a run; by default the most recent active run in runs/."),
+    str | None, Option("--run", help="Run folder or name; by default the most recent active run in runs/.")
 ]
 ConnectOption = Annotated[
-    list[str] | None,
-    typer.Option("--connect", help="Zenoh endpoint of a process of the run; then --run is its name."),
+    list[str] | None, Option("--connect", help="Zenoh endpoint of a process; then --run is the run's name.")
 ]
 KeysOption = Annotated[
-    Path | None, typer.Option("--keys", help="Folder of keys, with --connect; a run folder knows its keys.")
+    Path | None, Option("--keys", help="Folder of keys, with --connect; a run folder knows its keys.")
 ]
 
 

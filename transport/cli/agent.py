@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from agent.main import run
 from protocol.wire.exit_codes import EXIT_USAGE
@@ -13,7 +13,7 @@ from transport.cli.process import ProcessOptions
 
 @with_options(ProcessOptions)
 def agent(
-    options: ProcessOptions, number: Annotated[int, typer.Option("--id", min=1, help="Number of the agent, from 1.")]
+    options: ProcessOptions, number: Annotated[int, Option("--id", min=1, help="Number of the agent, from 1.")]
 ) -> None:
     """Run one agent: the controller of the UAVs it owns.
 

@@ -10,6 +10,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
+from typer import Argument, Option
 
 from protocol.scenario.file import ScenarioError
 from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
@@ -24,10 +25,8 @@ from transport.report.report import write_whole
 
 
 def compare(
-    runs: Annotated[list[str], typer.Argument(metavar="RUN RUN...", help="Run folders; LABEL=RUN names one.")],
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Folder for figures and table; by default comparisons/<time>-<runs>.")
-    ] = None,
+    runs: Annotated[list[str], Argument(metavar="RUN RUN...", help="Run folders; LABEL=RUN names one.")],
+    out: Annotated[Path | None, Option("--out", help="Folder to write; by default comparisons/<time>-<runs>.")] = None,
     figures: FiguresOption = True,
     output: FormatOption = Format.text,
 ) -> None:

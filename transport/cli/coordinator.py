@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from coordinator.main import run
 from transport.cli.options import with_options
@@ -13,7 +13,7 @@ from transport.cli.process import ProcessOptions
 def coordinator(
     options: ProcessOptions,
     observer: Annotated[
-        list[str] | None, typer.Option("--observer", help="Also wait for this process before the first tick: recorder.")
+        list[str] | None, Option("--observer", help="Also wait for this process before the first tick: recorder.")
     ] = None,
 ) -> None:
     """Run the coordinator: sampling clock and roster.

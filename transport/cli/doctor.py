@@ -8,6 +8,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
+from typer import Argument
 
 from protocol.wire.exit_codes import EXIT_CHECK_FAILED
 from transport.cli.options import FormatOption, SetOption
@@ -19,7 +20,7 @@ _COLOURS = {"ok": "green", "warn": "yellow", "fail": "bold red"}
 
 
 def doctor(
-    scenario: Annotated[str, typer.Argument(help="File or name of the scenario that is to run here.")] = "paper",
+    scenario: Annotated[str, Argument(help="File or name of the scenario that is to run here.")] = "paper",
     settings: SetOption = None,
     output: FormatOption = Format.text,
 ) -> None:

@@ -3,6 +3,7 @@
 from typing import Annotated
 
 import typer
+from typer import Argument
 
 from transport.cli.active_run import ActiveRun
 from transport.cli.options import with_options
@@ -11,8 +12,8 @@ from transport.cli.options import with_options
 @with_options(ActiveRun)
 def fault(
     run: ActiveRun,
-    action: Annotated[str, typer.Argument(help="kill, stop, continue or restart.")],
-    target: Annotated[str, typer.Argument(help="Process: agent1, agent2, ..., plant, coordinator.")],
+    action: Annotated[str, Argument(help="kill, stop, continue or restart.")],
+    target: Annotated[str, Argument(help="Process: agent1, agent2, ..., plant, coordinator.")],
 ) -> None:
     """Kill, stop, continue or restart a process of an active run.
 

@@ -3,6 +3,7 @@
 from typing import Annotated
 
 import typer
+from typer import Option
 
 from protocol.wire.exit_codes import EXIT_USAGE
 from transport.cli.active_run import ActiveRun
@@ -15,25 +16,21 @@ from transport.flight.requests import PERFECT
 def set_links(
     run: ActiveRun,
     sender: Annotated[
-        str | None, typer.Option("--from", help="Sender: number of an agent, or plant; by default all agents.")
+        str | None, Option("--from", help="Sender: number of an agent, or plant; else all agents.")
     ] = None,
-    receiver: Annotated[str | None, typer.Option("--to", help="Receiver, likewise.")] = None,
-    delay_s: Annotated[float | None, typer.Option("--delay", min=0.0, help="Fixed delay, s.")] = None,
-    jitter_s: Annotated[float | None, typer.Option("--jitter", min=0.0, help="Scale of the random delay, s.")] = None,
+    receiver: Annotated[str | None, Option("--to", help="Receiver, likewise.")] = None,
+    delay_s: Annotated[float | None, Option("--delay", min=0.0, help="Fixed delay, s.")] = None,
+    jitter_s: Annotated[float | None, Option("--jitter", min=0.0, help="Scale of the random delay, s.")] = None,
     distribution: Annotated[
-        str | None, typer.Option("--distribution", help="Distribution of the random delay (docs/scenario.md).")
+        str | None, Option("--distribution", help="Distribution of the random delay (docs/scenario.md).")
     ] = None,
-    loss: Annotated[float | None, typer.Option("--loss", min=0.0, max=1.0, help="Probability of packet loss.")] = None,
+    loss: Annotated[float | None, Option("--loss", min=0.0, max=1.0, help="Probability of packet loss.")] = None,
     duplicate: Annotated[
-        float | None, typer.Option("--duplicate", min=0.0, max=1.0, help="Probability of a second delivery.")
+        float | None, Option("--duplicate", min=0.0, max=1.0, help="Probability of duplication.")
     ] = None,
-    reorder: Annotated[
-        float | None, typer.Option("--reorder", min=0.0, max=1.0, help="Probability of being held back.")
-    ] = None,
-    reorder_s: Annotated[
-        float | None, typer.Option("--reorder-s", min=0.0, help="Additional delay of messages held back, s.")
-    ] = None,
-    rate_hz: Annotated[float | None, typer.Option("--rate", help="Maximum number of messages per second.")] = None,
+    reorder: Annotated[float | None, Option("--reorder", min=0.0, max=1.0, help="Probability of reordering.")] = None,
+    reorder_s: Annotated[float | None, Option("--reorder-s", min=0.0, help="Delay of reordered messages, s.")] = None,
+    rate_hz: Annotated[float | None, Option("--rate", help="Maximum number of messages per second.")] = None,
 ) -> None:
     """Impair or repair links from the next tick on.
 

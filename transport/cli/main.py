@@ -4,6 +4,7 @@ from importlib import metadata
 from typing import Annotated
 
 import typer
+from typer import Option
 
 from transport.cli.lazy import lazy_group
 
@@ -103,7 +104,7 @@ def _version(is_given: bool) -> None:
 @app.callback()
 def options(
     version: Annotated[
-        bool, typer.Option("--version", help="Show the version and exit.", callback=_version, is_eager=True)
+        bool, Option("--version", help="Show the version and exit.", callback=_version, is_eager=True)
     ] = False,
 ) -> None:
     """Options without a command."""

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import Annotated
 
 import typer
+from typer import Option
 
 from protocol.network.process import default_mesh, process_names, security_of
 from protocol.network.security import SecurityError
@@ -19,11 +20,11 @@ from transport.cli.scenario_setup import read_setup
 def metrics(
     scenario: ScenarioOption = "paper",
     settings: SetOption = None,
-    run: Annotated[str | None, typer.Option("--run", help="Name of the run; the scenario's by default.")] = None,
+    run: Annotated[str | None, Option("--run", help="Name of the run; the scenario's by default.")] = None,
     connect: Annotated[
-        list[str] | None, typer.Option("--connect", help="Endpoints of coordinator, plant, agent 1, ... in this order.")
+        list[str] | None, Option("--connect", help="Endpoints of coordinator, plant, agent 1, ... in this order.")
     ] = None,
-    port: Annotated[int, typer.Option("--port", min=1, max=65535, help="Port to serve on, at 127.0.0.1.")] = 9464,
+    port: Annotated[int, Option("--port", min=1, max=65535, help="Port to serve on, at 127.0.0.1.")] = 9464,
 ) -> None:
     """Export process metrics to Prometheus.
 

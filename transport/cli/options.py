@@ -6,7 +6,7 @@ from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any, get_origin
 
-import typer
+from typer import Argument, Option
 
 from transport.cli.output import Format
 
@@ -15,25 +15,22 @@ RUNS = Path("runs")
 
 ScenarioArgument = Annotated[
     str,
-    typer.Argument(
+    Argument(
         help="Scenario file, or name of a ready-made one: paper, centralized, resilient, windy, collision.",
         show_default=True,
     ),
 ]
-ScenarioOption = Annotated[
-    str, typer.Option("--scenario", help="Scenario file or name; the same for all processes of the run.")
-]
+ScenarioOption = Annotated[str, Option("--scenario", help="Scenario file or name; the same for all processes.")]
 SetOption = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Change a scenario value, e.g. controller.horizon=10. Repeatable."),
+    Option("--set", metavar="KEY=VALUE", help="Change a scenario value, e.g. controller.horizon=10. Repeatable."),
 ]
-FormatOption = Annotated[Format, typer.Option("--format", help="Output format.")]
-FiguresOption = Annotated[bool, typer.Option("--figures/--no-figures", help="Draw the figures.")]
+FormatOption = Annotated[Format, Option("--format", help="Output format.")]
+FiguresOption = Annotated[bool, Option("--figures/--no-figures", help="Draw the figures.")]
 HostOption = Annotated[
-    str,
-    typer.Option("--host", help="Address to listen on. All who can reach it see the run and can change it."),
+    str, Option("--host", help="Address to listen on. All who can reach it see the run and can change it.")
 ]
-PortOption = Annotated[int, typer.Option("--port", min=0, max=65535, help="Port, or the next free one.")]
+PortOption = Annotated[int, Option("--port", min=0, max=65535, help="Port, or the next free one.")]
 
 
 def with_options(options: Callable[..., Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from protocol.wire.exit_codes import EXIT_USAGE
 from transport.cli.options import FormatOption
@@ -14,10 +15,10 @@ from transport.report.animation import AnimationError, animate_run, check_animat
 
 
 def plot(
-    folder: Annotated[Path, typer.Argument(help="Run folder.")],
+    folder: Annotated[Path, Argument(help="Run folder.")],
     output: FormatOption = Format.text,
     animation: Annotated[
-        Path | None, typer.Option("--animate", metavar="FILE", help="Also write an animation, .gif or .mp4 (ffmpeg).")
+        Path | None, Option("--animate", metavar="FILE", help="Also write an animation: .gif, .mp4 (ffmpeg).")
     ] = None,
 ) -> None:
     """Regenerate metrics and figures of a recorded run.

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import typer
+from typer import Option
 
 from protocol.network.process import Place, place_of
 from protocol.network.security import SecurityError
@@ -18,21 +19,16 @@ from transport.cli.options import ScenarioOption, SetOption
 from transport.cli.output import exit_on, fail
 from transport.cli.scenario_setup import read_setup
 
-RunNameOption = Annotated[
-    str | None, typer.Option("--run", help="Name of the run, part of every key; the scenario's name by default.")
-]
+RunNameOption = Annotated[str | None, Option("--run", help="Name of the run; the scenario's name by default.")]
 ListenOption = Annotated[
-    list[str] | None, typer.Option("--listen", help="Zenoh endpoint to listen on, e.g. tcp/127.0.0.1:7449.")
+    list[str] | None, Option("--listen", help="Zenoh endpoint to listen on, e.g. tcp/127.0.0.1:7449.")
 ]
-ConnectOption = Annotated[
-    list[str] | None, typer.Option("--connect", help="Zenoh endpoint of another process. Repeatable.")
-]
+ConnectOption = Annotated[list[str] | None, Option("--connect", help="Zenoh endpoint of another process. Repeatable.")]
 IncarnationOption = Annotated[
-    int | None, typer.Option("--incarnation", min=0, help="Number of this start of the process; the time by default.")
+    int | None, Option("--incarnation", min=0, help="Number of this start; by default the time.")
 ]
 JoinOption = Annotated[
-    float | None,
-    typer.Option("--join-timeout", min=0.0, help="Seconds to wait for the other processes; else the scenario's."),
+    float | None, Option("--join-timeout", min=0.0, help="Time to wait for others, s; else the scenario's.")
 ]
 
 

@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import Annotated
 
-import typer
 from rich.console import Console
+from typer import Option
 
 from transport.cli.options import RUNS, FiguresOption, ScenarioOption, SetOption
 from transport.cli.output import Format, exit_on, fail
@@ -18,7 +18,7 @@ def record(
     settings: SetOption = None,
     run_name: RunNameOption = None,
     connect: ConnectOption = None,
-    out: Annotated[Path | None, typer.Option("--out", help="Run folder to create.")] = None,
+    out: Annotated[Path | None, Option("--out", help="Run folder to create.")] = None,
     join_timeout: JoinOption = None,
     figures: FiguresOption = True,
 ) -> None:

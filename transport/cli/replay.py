@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from agent.node import AgentNode
 from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
@@ -32,28 +33,20 @@ _FIXED = (
 
 
 def replay(
-    folder: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.")],
-    agent: Annotated[int, typer.Option("--agent", min=1, help="Number of the agent, from 1.")],
+    folder: Annotated[Path, Argument(metavar="RUN", help="Run folder.")],
+    agent: Annotated[int, Option("--agent", min=1, help="Number of the agent, from 1.")],
     settings: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="Replay with another scenario value. Repeatable."),
+        list[str] | None, Option("--set", metavar="KEY=VALUE", help="Replay with this change. Repeatable.")
     ] = None,
     against: Annotated[
-        str | None,
-        typer.Option("--against", metavar="SCENARIO", help="Replay with the controller of another scenario."),
+        str | None, Option("--against", metavar="SCENARIO", help="Replay with this scenario's controller.")
     ] = None,
-    begin: Annotated[
-        int, typer.Option("--from", min=0, help="First tick to compare; earlier ticks are only fed to the agent.")
-    ] = 0,
-    end: Annotated[int | None, typer.Option("--to", min=0, help="Last tick to compare.")] = None,
+    begin: Annotated[int, Option("--from", min=0, help="First tick to compare; the agent gets all before too.")] = 0,
+    end: Annotated[int | None, Option("--to", min=0, help="Last tick to compare.")] = None,
     stop_at: Annotated[
-        int | None,
-        typer.Option("--pdb", min=0, metavar="TICK", help="Open the debugger before the measurement of this tick."),
+        int | None, Option("--pdb", min=0, metavar="TICK", help="Open the debugger before this tick.")
     ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", help="Folder for replay.csv (a row per tick) and, if plans differ, figures."),
-    ] = None,
+    out: Annotated[Path | None, Option("--out", help="Folder for replay.csv and, if plans differ, figures.")] = None,
     output: FormatOption = Format.text,
 ) -> None:
     """Feed a recorded run to one agent and compare its plans.

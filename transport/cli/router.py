@@ -4,7 +4,7 @@ import signal
 import threading
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from protocol.network.process import Journal, refuse_exposed, security_of
 from protocol.network.security import SecurityError
@@ -17,8 +17,8 @@ from transport.cli.scenario_setup import read_setup
 
 
 def router(
-    listen: Annotated[list[str], typer.Option("--listen", help="Zenoh endpoint to listen on. Repeatable.")],
-    connect: Annotated[list[str] | None, typer.Option("--connect", help="Endpoint of another router.")] = None,
+    listen: Annotated[list[str], Option("--listen", help="Zenoh endpoint to listen on. Repeatable.")],
+    connect: Annotated[list[str] | None, Option("--connect", help="Endpoint of another router.")] = None,
     scenario: ScenarioOption = "paper",
     settings: SetOption = None,
 ) -> None:

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from transport.cli.options import FiguresOption, FormatOption, HostOption, PortOption, ScenarioArgument, SetOption
 from transport.cli.output import Format
@@ -14,11 +14,11 @@ def run(
     scenario: ScenarioArgument = "paper",
     settings: SetOption = None,
     out: Annotated[
-        Path | None, typer.Option("--out", help="Run folder to create; by default runs/<time>-<scenario>.")
+        Path | None, Option("--out", help="Run folder to create; by default runs/<time>-<scenario>.")
     ] = None,
     output: FormatOption = Format.text,
     figures: FiguresOption = True,
-    show: Annotated[bool, typer.Option("--view", help="Show the run in the browser, live and afterwards.")] = False,
+    show: Annotated[bool, Option("--view", help="Show the run in the browser, live and afterwards.")] = False,
     host: HostOption = "127.0.0.1",
     port: PortOption = 8080,
 ) -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Option
 
 from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
 from protocol.scenario.setup import Setup
@@ -15,18 +16,11 @@ from transport.cli.scenario_text import scenario_text
 
 
 def new(
-    uavs: Annotated[int, typer.Option("--uavs", help="Number of UAVs, 2 to 256.")],
-    template: Annotated[
-        str, typer.Option("--from", help="Scenario file or name from which all but the system is taken.")
-    ] = "resilient",
-    group: Annotated[
-        int | None,
-        typer.Option("--groups", help="UAVs per agent: 1 for one agent each, 2 for pairs; by default as in --from."),
-    ] = None,
-    name: Annotated[
-        str | None, typer.Option("--name", help="Name of the scenario; by default that of --from and the number.")
-    ] = None,
-    out: Annotated[Path | None, typer.Option("--out", help="File to write; by default standard output.")] = None,
+    uavs: Annotated[int, Option("--uavs", help="Number of UAVs, 2 to 256.")],
+    template: Annotated[str, Option("--from", help="Scenario file or name for all but the system.")] = "resilient",
+    group: Annotated[int | None, Option("--groups", help="UAVs per agent; by default as in --from.")] = None,
+    name: Annotated[str | None, Option("--name", help="Name; by default that of --from and the number.")] = None,
+    out: Annotated[Path | None, Option("--out", help="File to write; by default standard output.")] = None,
 ) -> None:
     """Write a scenario for a team of any size.
 

@@ -4,6 +4,7 @@ import json
 from typing import Annotated
 
 import typer
+from typer import Option
 
 from transport.cli.active_run import ActiveRun
 from transport.cli.options import with_options
@@ -12,10 +13,7 @@ from transport.cli.options import with_options
 @with_options(ActiveRun)
 def status(
     run: ActiveRun,
-    process: Annotated[
-        str | None,
-        typer.Option("--process", help="Show the health of this process: coordinator, plant, agent1, ..., recorder."),
-    ] = None,
+    process: Annotated[str | None, Option("--process", help="Process, such as plant, agent1 or recorder.")] = None,
 ) -> None:
     """Show the progress of a run, or the health of one process.
 

@@ -9,6 +9,7 @@ from typing import Annotated, NoReturn
 import typer
 from rich.console import Console, Group
 from rich.live import Live
+from typer import Option
 
 from protocol.admission.admission import Admission
 from protocol.network.bus import Bus
@@ -50,15 +51,13 @@ def top(
     run: RunOption = None,
     connect: ConnectOption = None,
     scenario: Annotated[
-        str | None,
-        typer.Option("--scenario", help="Scenario file or name of a run whose processes were started by hand."),
+        str | None, Option("--scenario", help="Scenario of a run started by hand: file or name.")
     ] = None,
     settings: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="With --scenario: changes its processes were started with."),
+        list[str] | None, Option("--set", metavar="KEY=VALUE", help="Changes of that scenario.")
     ] = None,
-    once: Annotated[bool, typer.Option("--once", help="Print one table and exit.")] = False,
-    output: Annotated[Format, typer.Option("--format", help="Output format, with --once.")] = Format.text,
+    once: Annotated[bool, Option("--once", help="Print one table and exit.")] = False,
+    output: Annotated[Format, Option("--format", help="Output format, with --once.")] = Format.text,
 ) -> None:
     """Watch the agents of an active run.
 

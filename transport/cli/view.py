@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from protocol.network.parent import PARENT_PIPE, python
 from protocol.scenario.file import ScenarioError
@@ -33,12 +34,10 @@ _NICE = 10
 
 
 def view(
-    folder: Annotated[
-        Path | None, typer.Argument(metavar="RUN", help="Run folder; by default the most recent run in runs/.")
-    ] = None,
+    folder: Annotated[Path | None, Argument(metavar="RUN", help="Run folder; by default the newest in runs/.")] = None,
     host: HostOption = "127.0.0.1",
     port: PortOption = 8080,
-    wait: Annotated[float, typer.Option("--wait", min=0.0, help="Seconds to wait for the run to start.")] = 0.0,
+    wait: Annotated[float, Option("--wait", min=0.0, help="Seconds to wait for the run to start.")] = 0.0,
 ) -> None:
     """Show a recorded or active run in the browser.
 

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Option
 
 from protocol.network.process import process_names
 from protocol.wire.exit_codes import EXIT_USAGE
@@ -15,13 +16,13 @@ from transport.cli.scenario_setup import read_setup
 
 
 def keys(
-    out: Annotated[Path, typer.Option("--out", help="Folder of the keys; existing keys are kept.")],
+    out: Annotated[Path, Option("--out", help="Folder of the keys; existing keys are kept.")],
     scenario: ScenarioOption = "paper",
     hosts: Annotated[
-        Path | None, typer.Option("--hosts", help="Inventory (docs/deploy.md); without it the keys are for this host.")
+        Path | None, Option("--hosts", help="Inventory of hosts (docs/deploy.md); else this host.")
     ] = None,
-    passwords: Annotated[bool, typer.Option("--passwords", help="Passwords, for a router, instead of TLS.")] = False,
-    days: Annotated[int, typer.Option("--days", min=1, max=3650, help="Validity of the certificates, days.")] = 365,
+    passwords: Annotated[bool, Option("--passwords", help="Passwords, for a router, instead of TLS.")] = False,
+    days: Annotated[int, Option("--days", min=1, max=3650, help="Validity of the certificates, days.")] = 365,
 ) -> None:
     """Make an authority and a certificate for each process.
 

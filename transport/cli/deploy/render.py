@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Option
 
 from protocol.wire.exit_codes import EXIT_USAGE
 from transport.cli.deploy.inventory import inventory_of, optional_packages
@@ -13,11 +14,11 @@ from transport.cli.scenario_setup import read_setup
 
 
 def render(
-    hosts: Annotated[Path, typer.Option("--hosts", help="Inventory: the processes of each host (docs/deploy.md).")],
-    out: Annotated[Path, typer.Option("--out", help="Folder to create, with one for each host.")],
+    hosts: Annotated[Path, Option("--hosts", help="Inventory: the processes of each host (docs/deploy.md).")],
+    out: Annotated[Path, Option("--out", help="Folder to create, with one for each host.")],
     scenario: ScenarioOption = "paper",
     settings: SetOption = None,
-    keys: Annotated[Path | None, typer.Option("--keys", help="Folder of keys (transport deploy keys).")] = None,
+    keys: Annotated[Path | None, Option("--keys", help="Folder of keys (transport deploy keys).")] = None,
 ) -> None:
     """Write a folder for each host, with all it needs.
 

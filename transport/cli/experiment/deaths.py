@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from transport.cli.experiment.conduct import sweep_command
 from transport.cli.experiment.options import SweepOptions
@@ -13,8 +13,8 @@ from transport.experiments.catalogue import Experiment
 @sweep_command(default_scenarios=("resilient",))
 def deaths(
     options: SweepOptions,
-    count: Annotated[int | None, typer.Option("--count", min=1, help="Deaths per scenario; by default 20.")] = None,
-    draw: Annotated[int, typer.Option("--draw", min=0, help="Random seed of the times and of the agents killed.")] = 0,
+    count: Annotated[int | None, Option("--count", min=1, help="Deaths per scenario; by default 20.")] = None,
+    draw: Annotated[int, Option("--draw", min=0, help="Random seed of the times and of the agents killed.")] = 0,
 ) -> Experiment:
     """Random agents killed for good at random times.
 

@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from transport.cli.experiment.conduct import sweep_command
 from transport.cli.experiment.options import SweepOptions
@@ -14,13 +14,13 @@ from transport.experiments.catalogue import Experiment
 def horizon(
     options: SweepOptions,
     horizons: Annotated[
-        list[int] | None, typer.Option("--horizon", help="N_p, steps; by default 5, 10, 20, 30. Repeatable.")
+        list[int] | None, Option("--horizon", help="Steps N_p; by default 5, 10, 20, 30. Repeatable.")
     ] = None,
     terminals: Annotated[
         list[float] | None,
-        typer.Option("--terminal", help="Terminal weight, for open-loop prediction; by default 1, 5, 20. Repeatable."),
+        Option("--terminal", help="Terminal weight, for open-loop prediction; by default 1, 5, 20. Repeatable."),
     ] = None,
-    delay: Annotated[float, typer.Option("--delay", help="Delay of every plan on the second network, s.")] = 0.2,
+    delay: Annotated[float, Option("--delay", help="Delay of every plan on the second network, s.")] = 0.2,
 ) -> Experiment:
     """Effect of horizon and terminal weight.
 

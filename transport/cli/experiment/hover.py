@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from transport.cli.experiment.conduct import sweep_command
 from transport.cli.experiment.options import SweepOptions
@@ -21,7 +21,7 @@ def hover(
     options: SweepOptions,
     durations: Annotated[
         list[float] | None,
-        typer.Option("--duration", help="Duration of the last phase, s; by default 5, 20, 65. Repeatable."),
+        Option("--duration", help="Duration of the last phase, s; by default 5, 20, 65. Repeatable."),
     ] = None,
 ) -> Experiment:
     """Stability in a long hover after the maneuver.

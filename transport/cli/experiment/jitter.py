@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from transport.cli.experiment.conduct import sweep_command
 from transport.cli.experiment.options import SweepOptions
@@ -14,13 +14,13 @@ def jitter(
     options: SweepOptions,
     distributions: Annotated[
         list[str] | None,
-        typer.Option("--distribution", help="uniform, normal, exponential, lognormal; by default all. Repeatable."),
+        Option("--distribution", help="uniform, normal, exponential, lognormal; by default all. Repeatable."),
     ] = None,
     deviations: Annotated[
         list[float] | None,
-        typer.Option("--std", help="Standard deviation of the delay, s; by default 0.02, 0.05, 0.08. Repeatable."),
+        Option("--std", help="Standard deviation of the delay, s; by default 0.02, 0.05, 0.08. Repeatable."),
     ] = None,
-    mean: Annotated[float, typer.Option("--mean", help="Mean delay, s.")] = 0.16,
+    mean: Annotated[float, Option("--mean", help="Mean delay, s.")] = 0.16,
 ) -> catalogue.Experiment:
     """Effect of the distribution of random delays.
 

@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from transport.cli.experiment.conduct import sweep_command
 from transport.cli.experiment.options import SweepOptions
@@ -12,8 +12,8 @@ from transport.experiments import catalogue
 @sweep_command()
 def kill(
     options: SweepOptions,
-    at: Annotated[float | None, typer.Option("--at", help="Time of the death, s; by default 8.")] = None,
-    restart: Annotated[float | None, typer.Option("--restart", help="Time of the restart, s; by default 10.")] = None,
+    at: Annotated[float | None, Option("--at", help="Time of the death, s; by default 8.")] = None,
+    restart: Annotated[float | None, Option("--restart", help="Time of the restart, s; by default 10.")] = None,
 ) -> catalogue.Experiment:
     """Effect of the death of each agent.
 

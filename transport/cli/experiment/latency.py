@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from transport.cli.experiment.conduct import sweep_command
 from transport.cli.experiment.options import SweepOptions
@@ -12,9 +12,7 @@ from transport.experiments import catalogue
 @sweep_command()
 def latency(
     options: SweepOptions,
-    delays: Annotated[
-        list[float] | None, typer.Option("--delay", help="Delay of every plan, s; by default 0 to 0.4. Repeatable.")
-    ] = None,
+    delays: Annotated[list[float] | None, Option("--delay", help="Delay, s; by default 0 to 0.4. Repeatable.")] = None,
 ) -> catalogue.Experiment:
     """Effect of a fixed delay on every link.
 

@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from transport.cli.experiment.conduct import sweep_command
 from transport.cli.experiment.options import SweepOptions
@@ -13,10 +13,9 @@ from transport.experiments import catalogue
 def loss(
     options: SweepOptions,
     losses: Annotated[
-        list[float] | None,
-        typer.Option("--loss", help="Probability of losing a plan; by default 0.1, 0.3, 0.6. Repeatable."),
+        list[float] | None, Option("--loss", help="Packet loss; by default 0.1, 0.3, 0.6. Repeatable.")
     ] = None,
-    burst: Annotated[float, typer.Option("--burst", help="Mean length of a burst, ticks.")] = 5.0,
+    burst: Annotated[float, Option("--burst", help="Mean length of a burst, ticks.")] = 5.0,
 ) -> catalogue.Experiment:
     """Effect of packet loss, independent or in bursts.
 

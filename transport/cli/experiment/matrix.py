@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from transport.cli.experiment.conduct import sweep_command
 from transport.cli.experiment.options import SweepOptions
@@ -13,12 +13,10 @@ from transport.experiments import catalogue
 def matrix(
     options: SweepOptions,
     delays: Annotated[
-        list[float] | None,
-        typer.Option("--delay", help="Delay of every plan, s; by default 0, 0.1, 0.2, 0.4. Repeatable."),
+        list[float] | None, Option("--delay", help="Delay, s; by default 0, 0.1, 0.2, 0.4. Repeatable.")
     ] = None,
     losses: Annotated[
-        list[float] | None,
-        typer.Option("--loss", help="Probability of losing a plan; by default 0, 0.1, 0.3, 0.6. Repeatable."),
+        list[float] | None, Option("--loss", help="Packet loss; by default 0, 0.1, 0.3, 0.6. Repeatable.")
     ] = None,
 ) -> catalogue.Experiment:
     """Maps of cost and survival over delay and loss.

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from protocol.scenario.file import find_scenario, read_scenario
 from protocol.scenario.schema import Scenario
@@ -26,17 +26,12 @@ class ExperimentOptions:
     """Options of all experiments, and the defaults of one."""
 
     settings: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="Change a value of every scenario. Repeatable."),
+        list[str] | None, Option("--set", metavar="KEY=VALUE", help="Change a value of every scenario. Repeatable.")
     ] = None
-    seeds: Annotated[
-        int | None, typer.Option("--seeds", min=1, help="Repetitions of random runs, with the seeds 0, 1, ...")
-    ] = None
-    out: Annotated[Path | None, typer.Option("--out", help=_OUT)] = None
-    jobs: Annotated[
-        int | None, typer.Option("--jobs", min=1, help="Runs in parallel; by default one per core, in scaling 1.")
-    ] = None
-    quick: Annotated[bool, typer.Option("--quick", help="Few and short runs: a trial, no measurement.")] = False
+    seeds: Annotated[int | None, Option("--seeds", min=1, help="Repetitions of random runs: seeds 0, 1, ...")] = None
+    out: Annotated[Path | None, Option("--out", help=_OUT)] = None
+    jobs: Annotated[int | None, Option("--jobs", min=1, help="Parallel runs; by default all cores, scaling 1.")] = None
+    quick: Annotated[bool, Option("--quick", help="Few and short runs: a trial, no measurement.")] = False
     # Not options, as they are not annotated.
     default_seeds: int = 1
     default_jobs: int | None = None
@@ -59,13 +54,9 @@ class ExperimentOptions:
 class SweepOptions(ExperimentOptions):
     """Options of experiments with any scenario."""
 
-    scenarios: Annotated[list[str] | None, typer.Option("--scenario", help=_SCENARIO)] = None
-    dask: Annotated[
-        str | None, typer.Option("--dask", metavar="ADDRESS", help="Use a Dask cluster, e.g. tcp://host:8786.")
-    ] = None
-    processes: Annotated[
-        bool, typer.Option("--processes", help="Run each as `transport run` does, recorded, one after the other.")
-    ] = False
+    scenarios: Annotated[list[str] | None, Option("--scenario", help=_SCENARIO)] = None
+    dask: Annotated[str | None, Option("--dask", metavar="ADDRESS", help="Dask cluster, e.g. tcp://host:8786.")] = None
+    processes: Annotated[bool, Option("--processes", help="Record each as `transport run` does, one by one.")] = False
     default_scenarios: tuple[str, ...] = ("paper", "resilient")
 
     @property

@@ -4,8 +4,8 @@ import math
 from functools import partial
 from typing import Annotated
 
-import typer
 from rich.console import Console
+from typer import Option
 
 from transport.cli.experiment.conduct import exit_codes, new_folder, show, simulator, trial_note
 from transport.cli.experiment.options import ExperimentOptions
@@ -17,9 +17,7 @@ from transport.experiments.errors import refused
 @with_options(partial(ExperimentOptions, default_seeds=5))
 def paper(
     options: ExperimentOptions,
-    gust: Annotated[
-        float, typer.Option("--gust", help="Standard deviation of the wind's gusts, m/s; 0 for still air only.")
-    ] = 1.0,
+    gust: Annotated[float, Option("--gust", help="Standard deviation of gusts, m/s; 0 for still air only.")] = 1.0,
 ) -> None:
     """The paper's claim: centralized against distributed.
 

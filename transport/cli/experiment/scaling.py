@@ -3,7 +3,7 @@
 from functools import partial
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from transport.cli.experiment.conduct import conduct, exit_codes
 from transport.cli.experiment.options import ExperimentOptions
@@ -21,9 +21,7 @@ _MANEUVER = (
 @with_options(partial(ExperimentOptions, default_jobs=1, maneuver=_MANEUVER))
 def scaling(
     options: ExperimentOptions,
-    largest: Annotated[
-        int | None, typer.Option("--max", help="UAVs of the largest team, 2 to 16; by default 12.")
-    ] = None,
+    largest: Annotated[int | None, Option("--max", help="UAVs of the largest team, 2 to 16; by default 12.")] = None,
 ) -> None:
     """Growth of cost, computation and messages.
 

@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from transport.cli.experiment.conduct import sweep_command
 from transport.cli.experiment.options import SweepOptions
@@ -15,11 +15,9 @@ def sharing(
     options: SweepOptions,
     thresholds: Annotated[
         list[float] | None,
-        typer.Option(
-            "--threshold", help="A plan is sent if it changes by this share of the input's range. Repeatable."
-        ),
+        Option("--threshold", help="Smallest change that is sent, share of the input's range. Repeatable."),
     ] = None,
-    heartbeat: Annotated[float, typer.Option("--heartbeat", help="Longest time between two plans, s.")] = 1.0,
+    heartbeat: Annotated[float, Option("--heartbeat", help="Longest time between two plans, s.")] = 1.0,
 ) -> Experiment:
     """Cost against the number of plans sent.
 

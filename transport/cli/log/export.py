@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Option
 
 from protocol.wire.exit_codes import EXIT_USAGE
 from protocol.wire.messages import KINDS
@@ -22,18 +23,14 @@ from transport.scene.scene import Scenes
 def export(
     path: LogArgument,
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Folder for the tables; created if it does not exist.")
+        Path | None, Option("--out", metavar="DIR", help="Folder for the tables, created if missing.")
     ] = None,
     parquet: Annotated[
-        bool,
-        typer.Option("--parquet/--csv", help="Parquet (needs the extra: pip install 'payload-transport[parquet]')."),
+        bool, Option("--parquet/--csv", help="Parquet (needs the extra: pip install 'payload-transport[parquet]').")
     ] = False,
-    kinds: Annotated[
-        list[str] | None, typer.Option("--kind", help="Only messages of this kind: truth, plan, ... Repeatable.")
-    ] = None,
+    kinds: Annotated[list[str] | None, Option("--kind", help="Kind of message: truth, plan, ... Repeatable.")] = None,
     foxglove: Annotated[
-        Path | None,
-        typer.Option("--foxglove", metavar="FILE", help="Write a copy with transforms and a 3D scene for Foxglove."),
+        Path | None, Option("--foxglove", metavar="FILE", help="Write a copy with a 3D scene for Foxglove.")
     ] = None,
 ) -> None:
     """Write a log as tables, or as a copy for Foxglove.

@@ -3,14 +3,14 @@
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument
 
 from protocol.wire.exit_codes import EXIT_USAGE
 from transport.cli.output import exit_on
 from transport.log.info import LogFile, open_log
 from transport.log.run_log import LogError
 
-LogArgument = Annotated[Path, typer.Argument(metavar="RUN|FILE", help="Run folder, or MCAP file.")]
+LogArgument = Annotated[Path, Argument(metavar="RUN|FILE", help="Run folder, or MCAP file.")]
 
 
 def open_or_fail(path: Path) -> LogFile:
