@@ -18,7 +18,7 @@ def set_links(
     sender: Annotated[
         str | None, Option("--from", help="Sender: number of an agent, or plant; else all agents.")
     ] = None,
-    receiver: Annotated[str | None, Option("--to", help="Receiver, likewise.")] = None,
+    receiver: Annotated[str | None, Option("--to", help="Receiver, in the same way.")] = None,
     delay_s: Annotated[float | None, Option("--delay", min=0.0, help="Fixed delay, s.")] = None,
     jitter_s: Annotated[float | None, Option("--jitter", min=0.0, help="Scale of the random delay, s.")] = None,
     distribution: Annotated[
@@ -29,7 +29,9 @@ def set_links(
         float | None, Option("--duplicate", min=0.0, max=1.0, help="Probability of duplication.")
     ] = None,
     reorder: Annotated[float | None, Option("--reorder", min=0.0, max=1.0, help="Probability of reordering.")] = None,
-    reorder_s: Annotated[float | None, Option("--reorder-s", min=0.0, help="Delay of reordered messages, s.")] = None,
+    reorder_s: Annotated[
+        float | None, Option("--reorder-s", min=0.0, help="Extra delay of reordered messages, s.")
+    ] = None,
     rate_hz: Annotated[float | None, Option("--rate", help="Maximum number of messages per second.")] = None,
 ) -> None:
     """Impair or repair links from the next tick on.

@@ -30,7 +30,7 @@ class ExperimentOptions:
     ] = None
     seeds: Annotated[int | None, Option("--seeds", min=1, help="Repetitions of random runs: seeds 0, 1, ...")] = None
     out: Annotated[Path | None, Option("--out", help=_OUT)] = None
-    jobs: Annotated[int | None, Option("--jobs", min=1, help="Parallel runs; by default all cores, scaling 1.")] = None
+    jobs: Annotated[int | None, Option("--jobs", min=1, help="Parallel runs; default: all cores (scaling: 1).")] = None
     quick: Annotated[bool, Option("--quick", help="Few and short runs: a trial, no measurement.")] = False
     # Not options, as they are not annotated.
     default_seeds: int = 1
