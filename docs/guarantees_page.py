@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 
-from simulations import Flown, Found, Measured, Run, cost, one, renew
+from simulations import Found, Measured, Result, Run, cost, one, renew
 from tables import ROOT, table
 
 from transport.experiments.cases import Team
@@ -21,26 +21,32 @@ NETWORKS: Mapping[str, tuple[str, ...]] = {
 }
 
 
-def outcome(flown: Flown) -> str:
+def outcome(result: Result) -> str:
     """Return how a flight ended, and when if that was early."""
-    return "completes" if flown.completed else f"**diverges** at {flown.end_s:.1f} s ({flown.phase})"
+    return "completes" if result.completed else f"**diverges** at {result.end_s:.1f} s ({result.phase})"
 
 
-def attitude(flown: Flown) -> str:
+def attitude(result: Result) -> str:
     """Return the largest payload attitude; empty for a flight that diverged, where it has no meaning."""
-    return f"{flown.attitude_deg:.1f} deg" if flown.completed else ""
+    return f"{result.attitude_deg:.1f} deg" if result.completed else ""
 
 
-def brief(flown: Flown) -> str:
+def brief(result: Result) -> str:
     """Return outcome and payload attitude in one cell."""
-    return f"completes, {attitude(flown)}" if flown.completed else f"**diverges** at {flown.end_s:.1f} s"
+    return f"completes, {attitude(result)}" if result.completed else f"**diverges** at {result.end_s:.1f} s"
 
 
-def details(flown: Flown) -> list[str]:
+def details(result: Result) -> list[str]:
     """Return the cells of a flight below `DETAILS`."""
-    if not flown.completed:
-        return [outcome(flown), "", "", "", ""]
-    return [outcome(flown), cost(flown), attitude(flown), f"{flown.separation_m:.2f} m", f"{flown.uav_max_m:.2f} m"]
+    if not result.completed:
+        return [outcome(result), "", "", "", ""]
+    return [
+        outcome(result),
+        cost(result),
+        attitude(result),
+        f"{result.separation_m:.2f} m",
+        f"{result.uav_max_m:.2f} m",
+    ]
 
 
 DETAILS = (
@@ -114,8 +120,10 @@ def actuation(found: Found) -> str:
     for setting in ACTUATION:
         row = [f"`{setting}`"]
         for clock in CLOCKS:
-            flown = one(found, _actuated(setting, clock))
-            row.append(f"completes, {cost(flown)}, {flown.separation_m:.2f} m" if flown.completed else outcome(flown))
+            result = one(found, _actuated(setting, clock))
+            row.append(
+                f"completes, {cost(result)}, {result.separation_m:.2f} m" if result.completed else outcome(result)
+            )
         rows.append(row)
     return table(["`transport run resilient --set`", *(f"`{clock}`" for clock in CLOCKS)], rows)
 

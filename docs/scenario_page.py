@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
-from simulations import Flown, Found, Measured, Run, attitude, cost, number, one, renew, significant
+from simulations import Found, Measured, Result, Run, attitude, cost, number, one, renew, significant
 from tables import ROOT, table
 
 from transport.experiments.cases import Team
@@ -15,9 +15,9 @@ LONG_HOVER = "maneuver.phase.5.duration_s=60"
 DIVERGED = "diverged"
 
 
-def or_diverged(flown: Flown, cell: Callable[[Flown], str]) -> str:
+def or_diverged(result: Result, cell: Callable[[Result], str]) -> str:
     """Return a cell, or when the run diverged."""
-    return cell(flown) if flown.completed else f"{DIVERGED} at {flown.end_s:.0f} s ({flown.phase})"
+    return cell(result) if result.completed else f"{DIVERGED} at {result.end_s:.0f} s ({result.phase})"
 
 
 # Collision: setting, and its text.
@@ -37,9 +37,9 @@ def collision(found: Found) -> str:
     """Return the table of the collision."""
     rows = []
     for text, settings in COLLISION.items():
-        flown = one(found, Run("collision", settings))
-        cells = [f"{flown.separation_m:.3f} m", f"{flown.front_m:.3f} m", attitude(flown)]
-        rows.append([text, *(cells if flown.completed else [or_diverged(flown, attitude), "", ""])])
+        result = one(found, Run("collision", settings))
+        cells = [f"{result.separation_m:.3f} m", f"{result.front_m:.3f} m", attitude(result)]
+        rows.append([text, *(cells if result.completed else [or_diverged(result, attitude), "", ""])])
     return table(["", "smallest distance", "front pair, largest x", "payload attitude, largest"], rows)
 
 
@@ -58,12 +58,12 @@ WINDY = (
 
 
 def windy(found: Found) -> str:
-    """Return the table of the flights in wind."""
+    """Return the table of the runs in wind."""
     rows = []
     for text, settings, seeds in WINDY:
         # The first seeds of those that were simulated.
-        flown = next(results for run, results in found.items() if run == _windy(settings))[:seeds]
-        there = [f for f in flown if f.completed]
+        result = next(results for run, results in found.items() if run == _windy(settings))[:seeds]
+        there = [f for f in result if f.completed]
         cells = [text, f"0 to {seeds - 1}", f"{len(there)} of {seeds}"]
         if there:
             cells += [
@@ -105,11 +105,11 @@ def teams(found: Found) -> str:
         cells = [str(uavs)]
         for cell in (
             cost,
-            lambda flown: f"{flown.attitude_deg:.2f}",
-            lambda flown: f"{flown.swing_m:.2f}",
-            lambda flown: f"{flown.separation_m:.3f}",
+            lambda result: f"{result.attitude_deg:.2f}",
+            lambda result: f"{result.swing_m:.2f}",
+            lambda result: f"{result.separation_m:.3f}",
         ):
-            cells.append(", ".join(cell(flown) if flown.completed else DIVERGED for flown in both))
+            cells.append(", ".join(cell(result) if result.completed else DIVERGED for result in both))
         paper = one(found, _team("paper", uavs)) if uavs in PAPER_TEAMS else None
         cells.append("" if paper is None else or_diverged(paper, cost))
         rows.append(cells)
@@ -129,15 +129,15 @@ COMPARED = ("paper", "centralized", "resilient", "centralized_lq", "precise")
 
 def follows(found: Found) -> str:
     """Return the table of the ready scenarios of the paper's maneuver."""
-    cells: Mapping[str, Callable[[Flown], str]] = {
+    cells: Mapping[str, Callable[[Result], str]] = {
         "cost of a tick, mean": cost,
-        "cost of a tick, largest": lambda flown: significant(flown.cost_max),
+        "cost of a tick, largest": lambda result: significant(result.cost_max),
         "payload attitude, largest": attitude,
-        "UAV position error, rms": lambda flown: f"{100 * flown.uav_rms_m:.1f} cm",
-        "payload position error, rms": lambda flown: f"{100 * flown.payload_rms_m:.1f} cm",
-        "payload position error, largest": lambda flown: f"{100 * flown.payload_max_m:.1f} cm",
-        "the same in the last 4 s": lambda flown: f"{100 * flown.swing_m:.1f} cm",
-        "smallest distance of two UAVs": lambda flown: f"{flown.separation_m:.3f} m",
+        "UAV position error, rms": lambda result: f"{100 * result.uav_rms_m:.1f} cm",
+        "payload position error, rms": lambda result: f"{100 * result.payload_rms_m:.1f} cm",
+        "payload position error, largest": lambda result: f"{100 * result.payload_max_m:.1f} cm",
+        "the same in the last 4 s": lambda result: f"{100 * result.swing_m:.1f} cm",
+        "smallest distance of two UAVs": lambda result: f"{result.separation_m:.3f} m",
     }
     rows = [[text, *(or_diverged(one(found, Run(name)), cell) for name in COMPARED)] for text, cell in cells.items()]
     return table(["", *(f"`{name}`" for name in COMPARED)], rows)
@@ -145,9 +145,9 @@ def follows(found: Found) -> str:
 
 def hover(found: Found) -> str:
     """Return the table of a long hover after the maneuver."""
-    cells: Mapping[str, Callable[[Flown], str]] = {
+    cells: Mapping[str, Callable[[Result], str]] = {
         "payload attitude, largest": attitude,
-        "payload position error, last 4 s": lambda flown: _length(flown.swing_m),
+        "payload position error, last 4 s": lambda result: _length(result.swing_m),
     }
     rows = [
         [text, *(or_diverged(one(found, Run(name, (LONG_HOVER,))), cell) for name in COMPARED)]
@@ -216,7 +216,7 @@ def weights(found: Found) -> str:
     return table(["`--set`", "`paper`", "`resilient`"], rows)
 
 
-TRUTHS = {
+PLANTS = {
     "15 % more payload": "plant.payload_mass_factor=1.15",
     "wind of 5 m/s": "plant.wind.speed_mps=[5,0,0]",
 }
@@ -237,12 +237,12 @@ def plant_state(found: Found) -> str:
             *(
                 or_diverged(
                     one(found, Run("resilient", (STILL, setting, *changes))),
-                    lambda flown: f"{_length(flown.uav_last_m)}, {cost(flown)}",
+                    lambda result: f"{_length(result.uav_last_m)}, {cost(result)}",
                 )
                 for changes in ESTIMATES.values()
             ),
         ]
-        for text, setting in TRUTHS.items()
+        for text, setting in PLANTS.items()
     ]
     return table(["", *ESTIMATES], rows)
 
@@ -266,9 +266,9 @@ def terms(found: Found) -> str:
     """Return the table of a term of the cost."""
     rows = []
     for text, run in DAMPED.items():
-        flown = one(found, run)
-        swing = or_diverged(flown, lambda f: f"{100 * f.swing_m:.1f} cm")
-        rows.append([text, swing, f"{100 * flown.payload_rms_m:.1f} cm", cost(flown)])
+        result = one(found, run)
+        swing = or_diverged(result, lambda f: f"{100 * f.swing_m:.1f} cm")
+        rows.append([text, swing, f"{100 * result.payload_rms_m:.1f} cm", cost(result)])
     return table(["", "payload error, last 4 s", "payload error, rms", "mean cost of (21)"], rows)
 
 
@@ -294,7 +294,7 @@ TABLES = (
         "plant_state",
         tuple(
             Run("resilient", (STILL, setting, *changes))
-            for setting in TRUTHS.values()
+            for setting in PLANTS.values()
             for changes in ESTIMATES.values()
         ),
         plant_state,

@@ -28,7 +28,7 @@ RESULTS = ROOT / "runs" / "figures" / "simulations"
 
 
 @dataclass(frozen=True, slots=True)
-class Flown:
+class Result:
     """Result of one simulation.
 
     Attributes:
@@ -62,19 +62,19 @@ class Flown:
 
     @property
     def completed(self) -> bool:
-        """Whether the maneuver was flown to its end."""
+        """Whether the maneuver was completed."""
         return self.outcome == "completed"
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """What is simulated.
+    """Simulations to run.
 
     Attributes:
         scenario: Name.
-        settings: Changes on top of it.
-        team: In place of the scenario's own.
-        seeds: How many, from 0; 1 where nothing is random.
+        settings: Changes to it.
+        team: Team in place of the scenario's own.
+        seeds: Number of seeds, from 0; 1 if nothing is random.
     """
 
     scenario: str
@@ -89,7 +89,7 @@ class Run:
 
 
 # Results by run, in the order of the seeds.
-Found = Mapping[Run, Sequence[Flown]]
+Found = Mapping[Run, Sequence[Result]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,9 +97,9 @@ class Measured:
     """A table of the document.
 
     Attributes:
-        name: Of its markers.
-        runs: What it needs.
-        text: Writes it.
+        name: Name of its markers.
+        runs: Simulations it needs.
+        text: Function that writes it.
     """
 
     name: str
@@ -117,20 +117,20 @@ def significant(value: float, digits: int = 3) -> str:
     return np.format_float_positional(value, precision=digits, fractional=False, unique=False, trim="k").rstrip(".")
 
 
-def attitude(flown: Flown) -> str:
+def attitude(result: Result) -> str:
     """Return the largest payload attitude."""
-    return f"{flown.attitude_deg:.2f} deg"
+    return f"{result.attitude_deg:.2f} deg"
 
 
-def cost(flown: Flown) -> str:
+def cost(result: Result) -> str:
     """Return the mean cost."""
-    return significant(flown.cost_mean)
+    return significant(result.cost_mean)
 
 
-def one(found: Found, run: Run) -> Flown:
+def one(found: Found, run: Run) -> Result:
     """Return the only result of a run."""
-    (flown,) = found[run]
-    return flown
+    (result,) = found[run]
+    return result
 
 
 def renew(document: Path, tables: Sequence[Measured]) -> None:
@@ -148,33 +148,33 @@ def renew(document: Path, tables: Sequence[Measured]) -> None:
 
 
 def _results(title: str, runs: Sequence[Run]) -> tuple[str, Found]:
-    """Simulate what is missing; return the commit and all results."""
+    """Run the missing simulations; return the commit and all results."""
     now = commit()
     kept = None if "changes" in now or now == "unknown" else RESULTS / f"{now}.jsonl"
-    by_key: dict[str, Flown] = {} if kept is None or not kept.exists() else _read(kept)
+    by_key: dict[str, Result] = {} if kept is None or not kept.exists() else _read(kept)
     cases = {run: run.cases() for run in dict.fromkeys(runs)}
     missing = {case.key: case for several in cases.values() for case in several if case.key not in by_key}
-    # Large teams and long flights first: no core is idle while the last of them ends.
+    # Large teams and long runs first: no core is idle while the last of them ends.
     order = sorted(missing.values(), key=_effort, reverse=True)
-    for done, (key, flown) in enumerate(each_on_cores(simulate, order, _jobs()) if order else (), start=1):
-        by_key[key] = flown
+    for done, (key, result) in enumerate(each_on_cores(simulate, order, _jobs()) if order else (), start=1):
+        by_key[key] = result
         if kept is not None:
             kept.parent.mkdir(parents=True, exist_ok=True)
             with kept.open("a", encoding="utf-8") as file:
-                file.write(json.dumps({"key": key, **asdict(flown)}) + "\n")
+                file.write(json.dumps({"key": key, **asdict(result)}) + "\n")
         sys.stderr.write(f"\r{title}: {done} of {len(order)} simulations")
     sys.stderr.write("\n")
     return now, {run: [by_key[case.key] for case in several] for run, several in cases.items()}
 
 
-def _read(kept: Path) -> dict[str, Flown]:
+def _read(kept: Path) -> dict[str, Result]:
     """Return kept results by key, without those that have other fields than today's."""
-    names = {"key", *(field.name for field in fields(Flown))}
+    names = {"key", *(field.name for field in fields(Result))}
     entries = [json.loads(line) for line in kept.read_text(encoding="utf-8").splitlines()]
-    return {entry.pop("key"): Flown(**entry) for entry in entries if entry.keys() == names}
+    return {entry.pop("key"): Result(**entry) for entry in entries if entry.keys() == names}
 
 
-def simulate(case: Case) -> tuple[str, Flown]:
+def simulate(case: Case) -> tuple[str, Result]:
     """Simulate a case in this process; return its key with the result."""
     messages: list[Recorded] = []
 
@@ -194,7 +194,7 @@ def simulate(case: Case) -> tuple[str, Flown]:
             found = found[name]
         return float("nan") if found is None else float(found)  # type: ignore[arg-type]
 
-    return case.key, Flown(
+    return case.key, Result(
         outcome=control.outcome,
         end_s=end_s,
         phase=_phase(setup, end_s),

@@ -20,7 +20,7 @@ def negotiation_iterations(found: Found) -> str:
     rows = []
     for count in ITERATIONS:
         runs = [*(_run(name, count) for name in SCENARIOS), *([CENTRALIZED] if count == 1 else [])]
-        cells = [f"{cost(flown)}, {attitude(flown)}" for flown in (one(found, run) for run in runs)]
+        cells = [f"{cost(result)}, {attitude(result)}" for result in (one(found, run) for run in runs)]
         rows.append([str(count), *cells, *([] if count == 1 else [""])])
     return table(["iterations", *(f"`{name}`" for name in (*SCENARIOS, CENTRALIZED.scenario))], rows)
 

@@ -3,6 +3,7 @@
 import ast
 from collections.abc import Iterator
 from functools import lru_cache
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,21 @@ ROOT = Path(__file__).resolve().parent.parent
 # Imports run downwards only: a module may import its own package and those of smaller numbers.
 LAYERS = {"model": 0, "mpc": 1, "protocol": 2, "agent": 3, "plant": 3, "coordinator": 3, "deploy": 3, "transport": 4}
 
-# What makes a computation depend on more than its arguments.
+# Rooms of the two large packages, floor by floor from the lowest: a room imports its own modules and lower floors only.
+ROOMS = {
+    "protocol": ({"wire"}, {"scenario"}, {"admission"}, {"network"}),
+    "transport": (
+        {"log", "monitor"},
+        {"flight", "analysis", "scene"},
+        {"report", "viewer", "doctor"},
+        {"experiments"},
+        {"cli"},
+    ),
+}
+MOST_ROOMS = 14  # more cannot be taken in at a glance
+MOST_FILES_AT_ROOT = 4  # besides __init__.py and __main__.py
+
+# Modules that make a computation depend on more than its arguments.
 OUTSIDE_WORLD = {
     "asyncio",
     "datetime",
@@ -96,6 +111,82 @@ def test_the_walk_sees_the_project() -> None:
     assert all(path in SOURCES for path in NODES)
     assert ROOT / "model" / "dynamics.py" in reached(ROOT / "agent" / "node.py")
     assert "casadi" in top(imports(ROOT / "model" / "dynamics.py"))
+
+
+def floors(package: str) -> dict[str, int]:
+    """Return the floor of each room of a package, from 0 for the lowest."""
+    return {room: floor for floor, rooms in enumerate(ROOMS[package]) for room in rooms}
+
+
+def room_of(path: Path, package: str) -> str:
+    """Return the room of a file; empty for files of other packages and for files beside the rooms."""
+    folder = ROOT / package
+    return path.relative_to(folder).parts[0] if folder in path.parent.parents else ""
+
+
+def modules_imported(path: Path) -> set[Path]:
+    """Return the files of the project that a file imports itself, also inside functions and for type checking alone."""
+    found: set[Path] = set()
+    for name in imports(path):
+        candidate = ROOT.joinpath(*name.split("."))
+        found |= {file for file in (candidate.with_suffix(".py"), candidate / "__init__.py") if file.exists()}
+    return found - {path}
+
+
+@pytest.mark.parametrize("package", ROOMS)
+def test_rooms_are_few_and_listed(package: str) -> None:
+    """Every folder of the large packages is a room on a floor; hardly a file lies beside them."""
+    folders = {path.parent.name for path in (ROOT / package).glob("*/__init__.py")}
+    assert folders == set(floors(package))
+    assert len(folders) <= MOST_ROOMS
+    files = {path.name for path in (ROOT / package).glob("*.py")} - {"__init__.py", "__main__.py"}
+    assert len(files) <= MOST_FILES_AT_ROOT
+
+
+@pytest.mark.parametrize("package", ROOMS)
+def test_rooms_import_lower_floors_only(package: str) -> None:
+    """No arrow between rooms of a package points up or sideways, lazy imports included."""
+    floor = floors(package)
+    wrong = [
+        f"{named(path)} imports {named(other)}"
+        for path in (ROOT / package).glob("*/**/*.py")
+        for other in modules_imported(path)
+        if room_of(other, package) not in ("", room_of(path, package))
+        and floor[room_of(other, package)] >= floor[room_of(path, package)]
+    ]
+    assert wrong == []
+
+
+def arrows(package: str) -> dict[str, set[str]]:
+    """Return the rooms that each room of a package imports, without those that follow from others."""
+    folder = ROOT / package
+    direct: dict[str, set[str]] = {room: set() for room in floors(package)}
+    for path in folder.glob("*/**/*.py"):
+        own = room_of(path, package)
+        direct[own] |= {room_of(other, package) for other in modules_imported(path)} - {own, ""}
+
+    def below(room: str) -> set[str]:
+        return direct[room].union(*(below(other) for other in direct[room]))
+
+    return {room: direct[room].difference(*(below(other) for other in direct[room])) for room in direct}
+
+
+@pytest.mark.parametrize("package", ROOMS)
+def test_the_picture_shows_the_imports(package: str) -> None:
+    """The picture of the rooms in docs/architecture.md has exactly the arrows of the imports."""
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    picture = text.partition(f"subgraph {package}\n")[2].partition("    end\n")[0]
+    drawn: dict[str, set[str]] = {room: set() for room in floors(package)}
+    for line in picture.splitlines():
+        room, _, other = line.strip().partition(" --> ")
+        drawn[room].add(other)
+    assert drawn == arrows(package)
+
+
+def test_no_circles() -> None:
+    """No file imports itself through others, lazy imports included."""
+    graph = {path: {file for file in modules_imported(path) if file.name != "__init__.py"} for path in SOURCES}
+    assert len(list(TopologicalSorter(graph).static_order())) >= len(SOURCES)
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=named)

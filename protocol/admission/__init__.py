@@ -1,1 +1,1 @@
-"""admission."""
+"""Admission of incoming messages: order, plausibility, membership, rate limit."""

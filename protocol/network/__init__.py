@@ -1,1 +1,1 @@
-"""network."""
+"""Processes on the network: sessions, keys and certificates, joining, signals, health."""

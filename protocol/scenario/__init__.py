@@ -1,1 +1,1 @@
-"""scenario."""
+"""Scenarios: the schema of the file, reading and checking it, the links and faults it describes."""

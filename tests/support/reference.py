@@ -1,10 +1,11 @@
 """Reference accelerations and trajectories from physics engines, in the project's conventions.
 
-The files under `data/` store attitudes as matrices and thrust along +b3 (down); the model takes Euler angles
-and thrust along -b3 (lift). `data/README.md` describes the files.
+The file stores attitudes as matrices and thrust along +b3 (down); the model takes Euler angles and thrust along -b3
+(lift). `tests/model/data/README.md` describes it.
 """
 
 import json
+import lzma
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,15 +16,16 @@ from model.arrays import Array
 from model.parameters import Payload, System, Uav
 from model.rotations import euler_angles
 
-_FOLDER = Path(__file__).parents[1] / "model" / "data"
+_FILE = Path(__file__).parents[1] / "model" / "data" / "engines.json.xz"
+_CASES: dict[str, dict[str, Any]] = json.loads(lzma.decompress(_FILE.read_bytes()))
 
-ACCELERATIONS = sorted(path.stem for path in _FOLDER.glob("accel_*.json"))
-TRAJECTORIES = sorted(path.stem for path in _FOLDER.glob("traj_*.json"))
+ACCELERATIONS = sorted(name for name in _CASES if name.startswith("accel_"))
+TRAJECTORIES = sorted(name for name in _CASES if name.startswith("traj_"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AccelerationCase:
-    """One state, one input, and what the engines say happens.
+    """One state, one input, and the engines' results.
 
     Attributes:
         system: Physical parameters.
@@ -64,8 +66,8 @@ class TrajectoryCase:
 
 
 def acceleration(name: str) -> AccelerationCase:
-    """Load `data/<name>.json`, one of ACCELERATIONS."""
-    content = _read(name)
+    """Return one of ACCELERATIONS."""
+    content = _CASES[name]
     return AccelerationCase(
         system=_system(content["params"]),
         x=_state(_arrays(content["state"])),
@@ -76,8 +78,8 @@ def acceleration(name: str) -> AccelerationCase:
 
 
 def trajectory(name: str) -> TrajectoryCase:
-    """Load `data/<name>.json`, one of TRAJECTORIES."""
-    content = _read(name)
+    """Return one of TRAJECTORIES."""
+    content = _CASES[name]
     states, inputs = _arrays(content["states"]), _arrays(content["input"])
     return TrajectoryCase(
         system=_system(content["params"]),
@@ -88,11 +90,6 @@ def trajectory(name: str) -> TrajectoryCase:
         u=_input(inputs),
         force_I=inputs["thrust_inertial"] if content["input_mode"] == "force_vec" else None,
     )
-
-
-def _read(name: str) -> dict[str, Any]:
-    content: dict[str, Any] = json.loads((_FOLDER / f"{name}.json").read_text(encoding="utf-8"))
-    return content
 
 
 def _arrays(block: dict[str, Any]) -> dict[str, Array]:

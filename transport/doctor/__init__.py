@@ -1,1 +1,1 @@
-"""doctor."""
+"""Checks of this machine for `transport doctor`."""

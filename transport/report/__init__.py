@@ -1,1 +1,1 @@
-"""report."""
+"""Reports of a recorded run: summary, figures, animation, comparison, Foxglove export."""
