@@ -118,6 +118,12 @@ def floors(package: str) -> dict[str, int]:
     return {room: floor for floor, rooms in enumerate(ROOMS[package]) for room in rooms}
 
 
+def room_of(path: Path, package: str) -> str:
+    """Return the room of a file; empty for files of other packages and for files beside the rooms."""
+    folder = ROOT / package
+    return path.relative_to(folder).parts[0] if folder in path.parent.parents else ""
+
+
 def modules_imported(path: Path) -> set[Path]:
     """Return the files of the project that a file imports itself, also inside functions and for type checking alone."""
     found: set[Path] = set()
@@ -143,11 +149,10 @@ def test_rooms_import_lower_floors_only(package: str) -> None:
     floor = floors(package)
     wrong = [
         f"{named(path)} imports {named(other)}"
-        for path in (ROOT / package).glob("*/*.py")
+        for path in (ROOT / package).glob("*/**/*.py")
         for other in modules_imported(path)
-        if other.is_relative_to(ROOT / package)
-        and other.parent not in (path.parent, ROOT / package)
-        and floor[other.relative_to(ROOT / package).parts[0]] >= floor[path.relative_to(ROOT / package).parts[0]]
+        if room_of(other, package) not in ("", room_of(path, package))
+        and floor[room_of(other, package)] >= floor[room_of(path, package)]
     ]
     assert wrong == []
 
@@ -156,9 +161,9 @@ def arrows(package: str) -> dict[str, set[str]]:
     """Return the rooms that each room of a package imports, without those that follow from others."""
     folder = ROOT / package
     direct: dict[str, set[str]] = {room: set() for room in floors(package)}
-    for path in folder.glob("*/*.py"):
-        rooms = {other.parent.name for other in modules_imported(path) if other.parent.parent == folder}
-        direct[path.parent.name] |= rooms - {path.parent.name}
+    for path in folder.glob("*/**/*.py"):
+        own = room_of(path, package)
+        direct[own] |= {room_of(other, package) for other in modules_imported(path)} - {own, ""}
 
     def below(room: str) -> set[str]:
         return direct[room].union(*(below(other) for other in direct[room]))

@@ -5,14 +5,13 @@ import shlex
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, get_args, get_origin
 
 import pytest
-import typer
 from pydantic.fields import FieldInfo
-from typer.core import TyperCommand, TyperGroup
+from typer.core import TyperGroup
 
 from protocol.scenario.file import find_scenario, read_scenario, validate
 from protocol.scenario.link_sections import LinkSection
@@ -20,8 +19,8 @@ from protocol.scenario.schema import Scenario
 from protocol.scenario.sections import Section
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Reason
+from tests.support.command_tree import Command, below, command_of, every_command, root
 from tests.support.runs import PAPER
-from transport.cli.main import app
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("model", "mpc", "protocol", "agent", "plant", "coordinator", "deploy", "transport", "benchmarks", "tests")
@@ -53,8 +52,6 @@ for run in {run for table in tables for run in table.runs}:
     read_scenario(find_scenario(run.scenario), run.settings)
 print(*(table.name for table in tables))
 """
-
-Command = TyperCommand | TyperGroup
 
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 CODE_SPAN = re.compile(r"`([^`\n]+)`")
@@ -230,40 +227,6 @@ def command_lines(document: Path) -> list[list[str]]:
     return [shlex.split(line, comments=True)[1:] for line in lines if line.startswith("transport ")]
 
 
-def commands() -> TyperGroup:
-    """The command line as users have it."""
-    group = typer.main.get_command(app)
-    assert isinstance(group, TyperGroup)
-    return group
-
-
-def below(group: TyperGroup) -> dict[str, Command]:
-    """The commands of a group by name."""
-    found: dict[str, Command] = {}
-    for name, command in group.commands.items():
-        assert isinstance(command, TyperCommand | TyperGroup)
-        found[name] = command
-    return found
-
-
-def command_of(words: Sequence[str]) -> tuple[Command, list[str], list[str]]:
-    """The command that words name, with the names on the way to it and the words left; a group if they name no more."""
-    found: Command = commands()
-    names: list[str] = []
-    rest = list(words)
-    while isinstance(found, TyperGroup) and rest and rest[0] in found.commands:
-        names.append(rest.pop(0))
-        found = below(found)[names[-1]]
-    return found, names, rest
-
-
-def every_command(group: TyperGroup) -> Iterator[Command]:
-    """A group and all commands below it."""
-    yield group
-    for command in below(group).values():
-        yield from every_command(command) if isinstance(command, TyperGroup) else (command,)
-
-
 WRITTEN = [(document.name, arguments) for document in DOCUMENTS for arguments in command_lines(document)]
 
 
@@ -292,7 +255,7 @@ def options_of(*some: Command) -> set[str]:
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
 def test_commands_in_text_exist(document: Path) -> None:
     """`transport ...` within a sentence names commands and options that exist, `--option ...` one of some command."""
-    every = tuple(every_command(commands()))
+    every = tuple(every_command(root()))
     for span in CODE_SPAN.findall(prose(document)):
         words = span.split()
         if words[0] == "transport" and len(words) > 1 and not words[1].isupper():  # capitals are placeholders
@@ -308,7 +271,7 @@ def test_commands_in_text_exist(document: Path) -> None:
 
 def test_help_shows_whole_sentences() -> None:
     """The lists of commands in `--help` cut nothing off on a terminal of 80 columns."""
-    for group in every_command(commands()):
+    for group in every_command(root()):
         if not isinstance(group, TyperGroup):
             continue
         room = 80 - 8 - max(map(len, group.commands))  # 8: blanks before and between the columns, and at the right

@@ -1,6 +1,28 @@
 """The command `transport`, also as `python -m transport`."""
 
-from transport.cli.program import main
+import signal
+import sys
+
+from protocol.network.parent import wake_with_its_end
+from protocol.wire.exit_codes import EXIT_INTERRUPTED
+
+
+def main() -> None:
+    """Run the command; SIGTERM ends it like Ctrl-C, from the first import to the end."""
+    try:
+        wake_with_its_end()
+        signal.signal(signal.SIGTERM, signal.default_int_handler)  # before the imports: they take a while
+        from transport.cli.main import app
+
+        app(prog_name="transport")
+    except KeyboardInterrupt:  # during the imports
+        sys.exit(EXIT_INTERRUPTED)
+    finally:
+        # The exit code is decided. The interpreter restores the default handlers when it shuts down; a signal during
+        # that would still kill the process.
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
+
 
 if __name__ == "__main__":
     main()

@@ -105,9 +105,9 @@ def test_impossible_requests_are_refused(operated: tuple[dict[str, Any], Path, l
         "from: expected one of plant, agent1, agent2, agent3, agent4, got 'agent9'",
         "distribution",
         "expected at least one of --delay, --jitter, --loss, ..., got none",
-        "no run that flies in nowhere; name its folder with --run",
+        "no active run in nowhere; name its folder with --run",
         "agent3 is not running",
-        "no run that flies below runs/",
+        "no active run in runs/",
     ]
     for (code, output, errors), text in zip(operated[2], expected, strict=True):
         assert (code, output) == (USAGE, "")

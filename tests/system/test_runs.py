@@ -33,7 +33,7 @@ from tests.support.keyrings import NAMES, keyring
 from tests.support.logs import flown
 from tests.system.test_intruder import table
 from transport.cli.main import app
-from transport.cli.metrics import asked_places
+from transport.cli.metrics import process_endpoints
 from transport.monitor.exporter import Exporter
 from transport.report.report import write_report
 
@@ -82,7 +82,7 @@ def test_a_run_under_attack(sort: str, tmp_path: Path) -> None:
             # Asked within this process: on a busy host the run would end before a new process has started.
             status = ["status", "--run", str(tmp_path / "out"), "--process"]
             asked, other = (CliRunner().invoke(app, [*status, name]) for name in ("agent2", "agent7"))
-            families = {family.name: family for family in Exporter("out", asked_places(scenario)).collect()}
+            families = {family.name: family for family in Exporter("out", process_endpoints(scenario)).collect()}
             for key in ("plan/2", "tick", "control", "plant_state", "measurement/3", "rejected/agent2"):
                 for _ in range(FORGED):
                     attack.say(forger, f"{keys.prefix}/{key}", b"?")

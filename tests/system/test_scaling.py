@@ -353,7 +353,7 @@ def test_resuming_repeats_no_run(trial: tuple[Path, str], monkeypatch: pytest.Mo
     monkeypatch.setattr("transport.flight.memory.simulate", simulate)
     result = here(*SMALL, "--out", folder)
     assert result.exit_code == DONE, result.output
-    assert f"{FLIGHTS} of {FLIGHTS} flights are done already" in result.stderr
+    assert f"{FLIGHTS} of {FLIGHTS} runs are done already" in result.stderr
     assert result.stdout == printed
     assert tables(folder) == before
     assert kept(folder) == FLIGHTS

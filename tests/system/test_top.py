@@ -104,8 +104,8 @@ def test_no_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without an active run, or with conflicting options, one line says what was expected; exit code 2."""
     monkeypatch.chdir(tmp_path)
     for arguments, text in (
-        ((), "no run that flies below runs/"),
-        (("--run", "nowhere"), "no run that flies in nowhere"),
+        ((), "no active run in runs/"),
+        (("--run", "nowhere"), "no active run in nowhere"),
         (("--format", "json"), "expected it with --once"),
         (("--connect", "tcp/127.0.0.1:7447"), "expected --scenario with it"),
     ):

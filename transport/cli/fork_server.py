@@ -1,4 +1,4 @@
-"""The fork server's program: imports every role once and forks a process for each request.
+"""The fork server: a process that imports all roles once and forks a process of a run for each request.
 
 `transport.flight.fork_server` starts it and sends the requests.
 """
@@ -17,19 +17,20 @@ from typing import Any, NoReturn
 import setproctitle
 
 from protocol.network.parent import wake_with_its_end
-from transport.cli.answers import read_setup
-from transport.cli.program import main
+from protocol.wire.exit_codes import EXIT_INTERRUPTED
+from transport.__main__ import main
+from transport.cli.scenario_setup import read_setup
 from transport.flight.fork_server import REQUEST_BYTES
 
 
 def serve(own: socket.socket) -> None:
-    """Start processes as they are asked for, until nobody can ask any more.
+    """Start a process for each request until the other end is closed.
 
     Args:
-        own: Where requests come in.
+        own: Socket for requests and answers.
     """
     wake_with_its_end()
-    setproctitle.setproctitle("transport fork-server")  # also finds the room for titles, before the environment moves
+    setproctitle.setproctitle("transport fork-server")  # before the environment moves: titles use its memory
     _import_all()
     while True:
         content, descriptors, _, _ = socket.recv_fds(own, REQUEST_BYTES, 2)
@@ -39,26 +40,26 @@ def serve(own: socket.socket) -> None:
         os.chdir(request["folder"])
         _read_scenario(request["arguments"])
         gc.collect()
-        gc.freeze()  # what is collected later would no longer be shared
+        gc.freeze()  # a collection after the fork would copy shared memory
         own.send(b"%d" % _started(request, *descriptors))
         for descriptor in descriptors:
             os.close(descriptor)
 
 
 def _import_all() -> None:
-    """What processes of a run need, down to what their first steps would import."""
-    for name in ("agent.main", "coordinator.main", "plant.main", "transport.cli.main"):
-        importlib.import_module(name)
+    """Import the commands of all roles."""
+    for name in ("main", "agent", "coordinator", "plant"):
+        importlib.import_module(f"transport.cli.{name}")
 
 
 def _read_scenario(arguments: Sequence[str]) -> None:
-    """Read the scenario a process is to have, so that it need not; what is wrong with it is for that process to say."""
+    """Read the scenario of a process before the fork, which caches it; the process reports its errors."""
     with contextlib.suppress(Exception):
         read_setup(arguments[list(arguments).index("--scenario") + 1], None).model  # noqa: B018
 
 
 def _started(request: Mapping[str, Any], stdin: int, output: int) -> int:
-    """Fork twice: whoever has lost its parent becomes a child of the next process above that adopts such ones."""
+    """Fork twice, so that the process that sent the request adopts the new one; return its id."""
     reads, writes = os.pipe()
     between = os.fork()
     if between == 0:
@@ -76,7 +77,7 @@ def _started(request: Mapping[str, Any], stdin: int, output: int) -> int:
 
 
 def _become(request: Mapping[str, Any], stdin: int, output: int) -> NoReturn:
-    """Be the command that was asked for, from its beginning to its end."""
+    """Run the requested command in this process, and end."""
     code = 1
     try:
         os.setsid()
@@ -90,9 +91,9 @@ def _become(request: Mapping[str, Any], stdin: int, output: int) -> NoReturn:
         main()
     except SystemExit as end:
         code = end.code if isinstance(end.code, int) else int(end.code is not None)
-    except KeyboardInterrupt:  # before the command could do anything about it
-        code = 130
-    except BaseException:  # noqa: BLE001  # nothing above this would say it
+    except KeyboardInterrupt:  # before main handles it
+        code = EXIT_INTERRUPTED
+    except BaseException:  # noqa: BLE001  # no caller would report it
         traceback.print_exc()
     finally:
         sys.stdout.flush()

@@ -5,30 +5,28 @@ from collections.abc import Sequence
 from typing import Annotated
 
 import typer
+from typer import Option
 
-from protocol.network.endpoints import Endpoints, default_mesh, process_names, security_of
+from protocol.network.process import default_mesh, process_names, security_of
 from protocol.network.security import SecurityError
-from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
+from protocol.network.session import Endpoints
 from protocol.scenario.schema import Scenario
-from transport.cli.answers import fail
-
-EXIT_USAGE, EXIT_SCENARIO = 2, 3
+from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
+from transport.cli.options import ScenarioOption, SetOption
+from transport.cli.output import exit_on, fail
+from transport.cli.scenario_setup import read_setup
 
 
 def metrics(
-    scenario: Annotated[
-        str, typer.Option("--scenario", help="Scenario file or name that the processes read.")
-    ] = "paper",
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a scenario value. Repeatable.")
-    ] = None,
-    run: Annotated[str | None, typer.Option("--run", help="Name of the run; the scenario's by default.")] = None,
+    scenario: ScenarioOption = "paper",
+    settings: SetOption = None,
+    run: Annotated[str | None, Option("--run", help="Name of the run; the scenario's by default.")] = None,
     connect: Annotated[
-        list[str] | None, typer.Option("--connect", help="Endpoints of coordinator, plant, agent 1, ... in this order.")
+        list[str] | None, Option("--connect", help="Endpoints of coordinator, plant, agent 1, ... in this order.")
     ] = None,
-    port: Annotated[int, typer.Option("--port", min=1, max=65535, help="To serve on, at 127.0.0.1.")] = 9464,
+    port: Annotated[int, Option("--port", min=1, max=65535, help="Port to serve on, at 127.0.0.1.")] = 9464,
 ) -> None:
-    """Serve how the processes of a run are to Prometheus.
+    """Export process metrics to Prometheus.
 
     Example: transport metrics --scenario resilient --port 9464
     """
@@ -38,16 +36,10 @@ def metrics(
         from transport.monitor.exporter import Exporter
     except ModuleNotFoundError as error:
         fail(f"expected the package {error.name}, got none: pip install 'payload-transport[metrics]'", EXIT_USAGE)
-    try:
-        path = find_scenario(scenario)
-        read = read_scenario(path, settings or [])
-        exporter = Exporter(run or read.name, asked_places(read, connect))
-    except ScenarioError as error:
-        fail(str(error.blaming(settings or [])), EXIT_SCENARIO)
-    except SecurityError as error:
-        fail(str(error), EXIT_SCENARIO)
+    described = read_setup(scenario, settings).scenario
     registry = CollectorRegistry()
-    registry.register(exporter)
+    with exit_on(SecurityError, code=EXIT_SCENARIO):
+        registry.register(Exporter(run or described.name, process_endpoints(described, connect)))
     try:
         server, thread = start_http_server(port, "127.0.0.1", registry)
     except OSError as error:
@@ -60,20 +52,20 @@ def metrics(
         thread.join()
 
 
-def asked_places(scenario: Scenario, connect: Sequence[str] | None = None) -> dict[str, Endpoints]:
-    """Where each process of a scenario is asked.
+def process_endpoints(scenario: Scenario, connect: Sequence[str] | None = None) -> dict[str, Endpoints]:
+    """Return the endpoints at which to ask each process of a scenario, by name.
 
     Args:
-        scenario: The one they read.
-        connect: Endpoints in place of the usual ones, in the order of the mesh.
-    Raises: SecurityError: keys that cannot be used.
+        scenario: Scenario of the run.
+        connect: Endpoints in place of the default ones, in the order of the mesh.
+    Raises: SecurityError: the keys cannot be used.
     """
     names = process_names(scenario)
-    usual = default_mesh(scenario)
+    default = default_mesh(scenario)
     if connect is not None and len(connect) != len(names):
         fail(f"--connect: expected {len(names)} endpoints, for {', '.join(names)}, got {len(connect)}", EXIT_USAGE)
     found = {}
     for i, name in enumerate(names):
-        at = connect[i] if connect is not None else [*usual[name].listen, *usual[name].connect][0]
-        found[name] = Endpoints(listen=[], connect=[at], mode=usual[name].mode, security=security_of(scenario))
+        at = connect[i] if connect is not None else [*default[name].listen, *default[name].connect][0]
+        found[name] = Endpoints(listen=[], connect=[at], mode=default[name].mode, security=security_of(scenario))
     return found

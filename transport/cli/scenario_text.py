@@ -1,4 +1,4 @@
-"""A scenario as a file for people: a comment on top, every list on one line."""
+"""A scenario as a readable TOML file: a comment on top, every list on one line."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -7,18 +7,18 @@ import tomli_w
 
 
 def scenario_text(tree: dict[str, Any], comment: Sequence[str]) -> str:
-    """A scenario in TOML.
+    """Return a scenario in TOML.
 
     Args:
         tree: The scenario as plain data; its keys are bare words.
-        comment: Lines for the top. What cannot be printed becomes a question mark: TOML forbids most of it.
+        comment: Lines for the top; TOML forbids most unprintable characters, so each becomes a question mark.
     """
     top = ["# " + "".join(c if c.isprintable() else "?" for c in line) for line in comment]
     return "\n".join([*top, *_table(tree, ""), ""])
 
 
 def _table(tree: dict[str, Any], path: str) -> Iterator[str]:
-    """Values first, then the tables below: what follows a table's heading belongs to it."""
+    """Yield the lines of a table: its values first, as everything after a heading belongs to that heading."""
     tables: list[tuple[str, str, dict[str, Any]]] = []
     for key, value in tree.items():
         name = path + key

@@ -100,7 +100,7 @@ def test_a_case_that_raises_is_a_row(tmp_path: Path, monkeypatch: pytest.MonkeyP
         failing(lambda setup: setup.scenario.links.delay_s == 0.0, patch)
         result = here(*LATE, "--out", tmp_path / "out")
     assert result.exit_code == CASES
-    assert "a flight could not be flown: RuntimeError: the wing fell off" in result.stderr
+    assert "a run raised an error: RuntimeError: the wing fell off" in result.stderr
     assert "0/0 1!" in result.stdout
     assert "1 run could not be simulated" in result.stdout
     points, cases = tables(tmp_path / "out")
@@ -108,7 +108,7 @@ def test_a_case_that_raises_is_a_row(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert b"resilient,0.0,0,0,1,,," in points
     result = here(*LATE, "--out", tmp_path / "out")
     assert result.exit_code == DONE, result.output
-    assert "1 of 2 flights are done already" in result.stderr
+    assert "1 of 2 runs are done already" in result.stderr
     assert kept(tmp_path / "out") == 3
 
 
@@ -125,7 +125,7 @@ def test_more_points_are_added(tmp_path: Path) -> None:
     assert here(*LATE, "--out", tmp_path / "out").exit_code == DONE
     result = here(*LATE, "--delay", "0.2", "--out", tmp_path / "out")
     assert result.exit_code == DONE, result.output
-    assert "2 of 3 flights are done already" in result.stderr
+    assert "2 of 3 runs are done already" in result.stderr
     assert tables(tmp_path / "out")[1].count(b"completed") == 3
 
 

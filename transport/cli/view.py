@@ -1,4 +1,4 @@
-"""`transport view`."""
+"""The command `transport view`."""
 
 import sys
 import time
@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from protocol.scenario.file import ScenarioError
 from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
-from transport.cli.answers import fail
-from transport.cli.operate import RUNS
-from transport.cli.viewer_options import HostOption, PortOption
+from transport.cli.options import RUNS, HostOption, PortOption
+from transport.cli.output import fail
 from transport.flight.live import read as read_live_run
 from transport.log.run_log import LogError
 from transport.viewer.process import parent_ended
@@ -24,11 +24,11 @@ _POLL_S = 0.1
 
 def view(
     folder: Annotated[
-        Path | None, typer.Argument(metavar="RUN", help="Run folder; by default the most recent below runs/.")
+        Path | None, Argument(metavar="RUN", help="Run folder; by default the most recent below runs/.")
     ] = None,
     host: HostOption = "127.0.0.1",
     port: PortOption = 8080,
-    wait: Annotated[float, typer.Option("--wait", min=0.0, help="Time to wait for the run to start, s.")] = 0.0,
+    wait: Annotated[float, Option("--wait", min=0.0, help="Time to wait for the run to start, s.")] = 0.0,
 ) -> None:
     """Show a recorded or live run in the browser.
 
@@ -66,5 +66,5 @@ def _newest() -> Path:
     """Return the folder below runs/ with the most recent log."""
     logs = sorted(RUNS.glob(f"*/{LOG}"), key=lambda path: path.stat().st_mtime)
     if not logs:
-        fail(f"expected a run folder, got none, and there is none below {RUNS}/", EXIT_USAGE)
+        fail(f"expected a run folder, got none, and there is none in {RUNS}/", EXIT_USAGE)
     return logs[-1].parent

@@ -1,0 +1,109 @@
+"""The command line: commands are imported when they are called, and their help texts agree and can be followed."""
+
+import json
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.core import TyperGroup
+from typer.testing import CliRunner
+
+from tests.support.command_tree import below, command_of, root
+from transport.cli.lazy import LazyGroup
+from transport.cli.main import app
+
+# Names the project modules and the top-level packages that a program imports, on its last line.
+IMPORTED = """
+import contextlib, json, sys
+from importlib import import_module
+{program}
+names = {{name for name in sys.modules if name.startswith("transport.cli.")}}
+print("\\n" + json.dumps(sorted(names | {{name.partition(".")[0] for name in sys.modules}})))
+"""
+HELP = """
+from transport.cli.main import app
+with contextlib.suppress(SystemExit):
+    app(["--help"])
+"""
+BASE = {"transport.cli.lazy", "transport.cli.main"}
+# Packages and modules that no process of a run needs.
+FOREIGN = {"matplotlib", "pandas", "viser", "joblib", "distributed", "pyarrow", "mcap", "selenium", "prometheus_client"}
+
+
+def group_of(names: tuple[str, ...]) -> LazyGroup:
+    """Return the group that names lead to."""
+    group, _, _ = command_of(names)
+    assert isinstance(group, LazyGroup)
+    return group
+
+
+GROUPS = [(), ("link",), ("experiment",), ("scenario",), ("log",), ("deploy",)]
+COMMANDS = [(*names, name) for names in GROUPS for name in group_of(names).table]
+
+
+def imported(program: str) -> set[str]:
+    """Return the modules of the command line, and all top-level packages, that a program imports."""
+    code = IMPORTED.format(program=program)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return set(json.loads(done.stdout.splitlines()[-1]))
+
+
+def test_help_imports_no_command() -> None:
+    """`transport --help` imports the table of commands and nothing of the project below the command line."""
+    names = imported(HELP)
+    assert {name for name in names if name.startswith("transport.cli.")} == BASE
+    assert not names & {"numpy", "casadi", "pydantic", "zenoh", "rich", "model", "protocol", "agent", *FOREIGN}
+
+
+@pytest.mark.parametrize("role", ["agent", "plant", "coordinator"])
+def test_processes_of_a_run_import_only_what_they_need(role: str) -> None:
+    """The command of a role imports neither reports, viewer, tables nor another command."""
+    names = imported(f'import_module("transport.cli.{role}")')
+    own = {f"transport.cli.{name}" for name in (role, "options", "output", "process", "scenario_setup")}
+    assert {name for name in names if name.startswith("transport.cli.")} == own
+    assert not names & {"rich", *FOREIGN}
+
+
+def test_every_group_is_seen() -> None:
+    """The tests below go through all groups."""
+    assert {name for name, command in root().commands.items() if isinstance(command, TyperGroup)} == {
+        name for names in GROUPS for name in names
+    }
+
+
+@pytest.mark.parametrize("names", COMMANDS, ids=" ".join)
+def test_the_list_of_commands_repeats_their_docstrings(names: tuple[str, ...]) -> None:
+    """The line of a command in the help of its group is the first line of the command's own help."""
+    group = group_of(names[:-1])
+    help_text = below(group)[names[-1]].help
+    assert help_text is not None
+    assert group.table[names[-1]][1] == help_text.splitlines()[0]
+
+
+def test_docs_list_every_command() -> None:
+    """The table in docs/command-line.md has a row with name and line of each command, and no other."""
+    document = (Path(__file__).resolve().parents[2] / "docs" / "command-line.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `transport ([a-z ]+)` \| (.+?) \|", document, re.MULTILINE)
+    expected = [(" ".join(names), group_of(names[:-1]).table[names[-1]][1]) for names in COMMANDS]
+    assert sorted(rows) == sorted(expected)
+
+
+@pytest.mark.parametrize("names", COMMANDS, ids=" ".join)
+def test_help_has_an_example(names: tuple[str, ...]) -> None:
+    """The help of a command has an example of itself, whose arguments and options parse."""
+    command, _, _ = command_of(names)
+    found = re.search(r"^Example: transport (.+)$", command.help or "", re.MULTILINE)
+    assert found is not None
+    example, path, rest = command_of(shlex.split(found[1]))
+    assert tuple(path) == names
+    assert example.make_context(names[-1], rest).params is not None
+
+
+def test_a_mistyped_command_is_met_with_the_nearest() -> None:
+    """A name that is no command is refused, and the nearest command is named."""
+    result = CliRunner().invoke(app, ["valdate", "paper"])
+    assert result.exit_code == 2
+    assert "'validate'" in result.stderr

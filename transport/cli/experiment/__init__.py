@@ -1,0 +1,1 @@
+"""The commands `transport experiment`: one module for each experiment."""

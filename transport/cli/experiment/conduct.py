@@ -1,0 +1,144 @@
+"""Conducting an experiment: simulations, tables, figures and the exit code of the command."""
+
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from functools import partial, wraps
+from pathlib import Path
+from typing import Any
+
+import joblib
+from rich.console import Console
+from rich.table import Table
+
+from protocol.scenario.file import ScenarioError
+from protocol.wire.exit_codes import EXIT_CASE_FAILED, EXIT_INTERRUPTED, EXIT_SCENARIO
+from transport.cli.experiment.options import ExperimentOptions, SweepOptions
+from transport.cli.options import RUNS, with_options
+from transport.cli.output import exit_on, fail
+from transport.experiments.cases import cases_of
+from transport.experiments.catalogue import Experiment
+from transport.experiments.errors import ExperimentError, refused
+from transport.experiments.findings import findings
+from transport.experiments.flight import Result, simulate_in_processes
+from transport.experiments.growth import growth_findings
+from transport.experiments.results import Results
+from transport.experiments.sweep import Fly, report, sweep
+from transport.experiments.table import WIDTH, WIDTH_OF_VARIANTS, table_of
+from transport.experiments.workers import check_cluster, on_cluster, on_cores
+from transport.flight.run import machine
+
+
+def sweep_command(**defaults: Any) -> Callable[[Callable[..., Experiment]], Callable[..., None]]:
+    """Return a decorator that makes a command of a function that returns an experiment.
+
+    Args:
+        defaults: Those of its `SweepOptions`.
+    """
+
+    def decorate(build: Callable[..., Experiment]) -> Callable[..., None]:
+        @with_options(partial(SweepOptions, **defaults))
+        @wraps(build)
+        def command(options: SweepOptions, **own: Any) -> None:
+            with exit_codes():
+                conduct(build(options, **own), options)
+
+        return command
+
+    return decorate
+
+
+@contextmanager
+def exit_codes() -> Iterator[None]:
+    """End the command with the exit code of an error or interrupt."""
+    try:
+        with exit_on(ExperimentError), exit_on(ScenarioError, code=EXIT_SCENARIO):
+            yield
+    except KeyboardInterrupt:
+        fail("interrupted", EXIT_INTERRUPTED)
+
+
+def conduct(experiment: Experiment, options: ExperimentOptions) -> None:
+    """Simulate the cases of an experiment that have no result yet, and report all of them.
+
+    Raises: ExperimentError: a case raised an error, a worker was lost, or the options are refused.
+    """
+    if isinstance(options, SweepOptions):
+        _check(options)
+    folder = new_folder(options, experiment.name)
+    cases = cases_of(experiment.points, options.changes(), options.repetitions, timed=experiment.timed)
+    console = Console(stderr=True)
+    trial = trial_note(options, console)
+    with Results(folder, experiment.name, machine()) as results:
+        for notice in results.notices:
+            console.print(notice, highlight=False, soft_wrap=True)
+        done = sum(results.done(case.key) for case in cases)
+        if done:
+            console.print(f"{done} of {len(cases)} runs are done already", highlight=False)
+        try:
+            found = sweep(experiment, cases, simulator(options, folder), results, console)
+        except (KeyboardInterrupt, ExperimentError):
+            done = sum(results.done(case.key) for case in cases)
+            hint = f"{done} of {len(cases)} runs are kept; resume with: --out {folder}"
+            console.print(hint, highlight=False, soft_wrap=True)
+            raise
+        measured, files = report(experiment, cases, found, folder)
+    title = f"{experiment.name}: means of completed flights, ± 95 % confidence" + (f" ({trial})" if trial else "")
+    if experiment.timed:
+        phases = cases[0].scenario.maneuver.phase  # the same in all cases
+        title += f"\n{sum(phase.duration_s for phase in phases):g} s of {', '.join(phase.name for phase in phases)}"
+    width = WIDTH_OF_VARIANTS if experiment.drawn_as == "variants" else WIDTH
+    sentences = growth_findings(measured) if experiment.timed else findings(measured)
+    lines = ["", *sentences, "", f"machine: {machine()}", *(f" {path}" for path in files)]
+    show(table_of(title, measured, timed=experiment.timed), width, lines, found)
+
+
+def new_folder(options: ExperimentOptions, name: str) -> Path:
+    """Return the folder of an experiment."""
+    stamp = datetime.now(UTC).strftime("%Y%m%d-%H%M%S")
+    return options.out or RUNS / f"experiment-{name}-{stamp}"
+
+
+def trial_note(options: ExperimentOptions, console: Console) -> str:
+    """Return, and print, a note that `--quick` gives no measurement; empty without it."""
+    if not options.quick:
+        return ""
+    console.print("--quick: a trial, no measurement", highlight=False)
+    return "trial, no measurement"
+
+
+def simulator(options: ExperimentOptions, folder: Path) -> Fly:
+    """Return the function that simulates cases: on a cluster, in processes, or on the cores of this machine."""
+    jobs = options.jobs or options.default_jobs or joblib.cpu_count()
+    if isinstance(options, SweepOptions):
+        if options.dask is not None:
+            return partial(on_cluster, address=options.dask)
+        if options.processes:
+            return lambda cases: (simulate_in_processes(case, folder / "runs") for case in cases)
+    return lambda cases: on_cores(cases, min(jobs, len(cases)))
+
+
+def show(table: Table, width: int, lines: Sequence[str], found: Sequence[Result]) -> None:
+    """Print table and findings, then raise an error if a case has no result.
+
+    Raises: ExperimentError: a run raised an error.
+    """
+    output = Console()
+    output.width = max(output.width, width)
+    output.print(table)
+    sys.stdout.write("\n".join(lines) + "\n")
+    failed = [result for result in found if result.outcome == "error"]
+    if failed:
+        more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
+        raise ExperimentError(f"a run raised an error{more}: {failed[0].reason}", EXIT_CASE_FAILED)
+
+
+def _check(options: SweepOptions) -> None:
+    """Refuse options that exclude each other, and a cluster that does not answer."""
+    given = {"--processes": options.processes, "--dask": options.dask is not None, "--jobs": options.jobs is not None}
+    chosen = [name for name, is_given in given.items() if is_given]
+    if len(chosen) > 1:
+        raise refused(chosen[0], "no other of --processes, --dask, --jobs", f"{chosen[1]} as well")
+    if options.dask is not None:
+        check_cluster(options.dask)

@@ -1,0 +1,25 @@
+"""The command `transport experiment deaths`."""
+
+from typing import Annotated
+
+from typer import Option
+
+from transport.cli.experiment.conduct import sweep_command
+from transport.cli.experiment.options import SweepOptions
+from transport.experiments import deaths as random_deaths
+from transport.experiments.catalogue import Experiment
+
+
+@sweep_command(default_scenarios=("resilient",))
+def deaths(
+    options: SweepOptions,
+    count: Annotated[int | None, Option("--count", min=1, help="Deaths per scenario; by default 20.")] = None,
+    draw: Annotated[int, Option("--draw", min=0, help="Random seed of the times and of the agents killed.")] = 0,
+) -> Experiment:
+    """Random agents killed for good at random times.
+
+    Each run kills one agent and never restarts it, while the others continue.
+
+    Example: transport experiment deaths --processes
+    """
+    return random_deaths.deaths(options.read(), count or (2 if options.quick else 20), draw)

@@ -1,0 +1,21 @@
+"""The command `transport experiment latency`."""
+
+from typing import Annotated
+
+from typer import Option
+
+from transport.cli.experiment.conduct import sweep_command
+from transport.cli.experiment.options import SweepOptions
+from transport.experiments import catalogue
+
+
+@sweep_command()
+def latency(
+    options: SweepOptions,
+    delays: Annotated[list[float] | None, Option("--delay", help="Delay, s; by default 0 to 0.4. Repeatable.")] = None,
+) -> catalogue.Experiment:
+    """Effect of a fixed delay on every link.
+
+    Example: transport experiment latency --delay 0.1 --delay 0.3 --scenario resilient
+    """
+    return catalogue.latency(options.names, delays or ([0.0, 0.2] if options.quick else [0.0, 0.05, 0.1, 0.2, 0.4]))

@@ -1,0 +1,24 @@
+"""The command `transport experiment loss`."""
+
+from typing import Annotated
+
+from typer import Option
+
+from transport.cli.experiment.conduct import sweep_command
+from transport.cli.experiment.options import SweepOptions
+from transport.experiments import catalogue
+
+
+@sweep_command(default_seeds=5)
+def loss(
+    options: SweepOptions,
+    losses: Annotated[
+        list[float] | None, Option("--loss", help="Packet loss; by default 0.1, 0.3, 0.6. Repeatable.")
+    ] = None,
+    burst: Annotated[float, Option("--burst", help="Mean length of a burst, ticks.")] = 5.0,
+) -> catalogue.Experiment:
+    """Effect of packet loss, independent or in bursts.
+
+    Example: transport experiment loss --loss 0.3 --burst 10
+    """
+    return catalogue.loss(options.names, losses or ([0.3] if options.quick else [0.1, 0.3, 0.6]), burst)

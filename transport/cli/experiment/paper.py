@@ -1,0 +1,45 @@
+"""The command `transport experiment paper`."""
+
+import math
+from functools import partial
+from typing import Annotated
+
+from rich.console import Console
+from typer import Option
+
+from transport.cli.experiment.conduct import exit_codes, new_folder, show, simulator, trial_note
+from transport.cli.experiment.options import ExperimentOptions
+from transport.cli.options import with_options
+from transport.experiments import claim, claim_report
+from transport.experiments.errors import refused
+
+
+@with_options(partial(ExperimentOptions, default_seeds=5))
+def paper(
+    options: ExperimentOptions,
+    gust: Annotated[float, Option("--gust", help="Standard deviation of gusts, m/s; 0 for still air only.")] = 1.0,
+) -> None:
+    """The paper's claim: centralized against distributed.
+
+    Runs both controllers at a grid of sampling periods and compares mean cost over processor time, which is measured
+    first.
+
+    Prints a table and a verdict, with its spread, at the same rate and at the same computation; writes figures.
+
+    Example: transport experiment paper --seeds 10
+    """
+    with exit_codes():
+        if not 0.0 <= gust < math.inf:
+            raise refused("--gust", "a speed >= 0 m/s", f"{gust:g}")
+        folder, console = new_folder(options, claim.NAME), Console(stderr=True)
+        trial_note(options, console)
+        lines, table, found = claim_report.conduct(
+            options.changes(),
+            options.repetitions,
+            gust,
+            folder,
+            simulator(options, folder),
+            console,
+            quick=options.quick,
+        )
+        show(table, claim_report.WIDTH, lines, found)

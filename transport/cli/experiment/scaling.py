@@ -1,0 +1,37 @@
+"""The command `transport experiment scaling`."""
+
+from functools import partial
+from typing import Annotated
+
+from typer import Option
+
+from transport.cli.experiment.conduct import conduct, exit_codes
+from transport.cli.experiment.options import ExperimentOptions
+from transport.cli.options import with_options
+from transport.experiments import catalogue
+
+# The paper's speed, 0.5 m/s, in a maneuver of 10 s instead of 25.
+_MANEUVER = (
+    "maneuver.phase=[{name='hover',duration_s=2.0,displacement_m=[0,0,0]},"
+    "{name='climb',duration_s=4.0,displacement_m=[0,0,-2]},"
+    "{name='translate',duration_s=4.0,displacement_m=[2,0,0]}]"
+)
+
+
+@with_options(partial(ExperimentOptions, default_jobs=1, maneuver=_MANEUVER))
+def scaling(
+    options: ExperimentOptions,
+    largest: Annotated[int | None, Option("--max", help="UAVs of the largest team, 2 to 16; by default 12.")] = None,
+) -> None:
+    """Growth of cost, computation and messages.
+
+    Teams of 2 to 12 UAVs made from `resilient`, each with an agent for every UAV, for every pair, and for all.
+
+    Computation is processor time, measured in the same runs. More than one job in parallel
+    disturbs the timing, not costs and messages.
+
+    Example: transport experiment scaling --max 8 --seeds 3
+    """
+    sizes, default = (catalogue.QUICK_SIZES, 6) if options.quick else (catalogue.SIZES, 12)
+    with exit_codes():
+        conduct(catalogue.scaling("resilient", default if largest is None else largest, sizes), options)

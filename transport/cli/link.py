@@ -1,0 +1,74 @@
+"""The commands `transport link`."""
+
+from typing import Annotated
+
+import typer
+from typer import Option
+
+from protocol.wire.exit_codes import EXIT_USAGE
+from transport.cli.active_run import ActiveRun
+from transport.cli.options import with_options
+from transport.cli.output import fail
+from transport.flight.requests import PERFECT
+
+
+@with_options(ActiveRun)
+def set_links(
+    run: ActiveRun,
+    sender: Annotated[
+        str | None, Option("--from", help="Sender: number of an agent, or plant; else all agents.")
+    ] = None,
+    receiver: Annotated[str | None, Option("--to", help="Receiver, in the same way.")] = None,
+    delay_s: Annotated[float | None, Option("--delay", min=0.0, help="Fixed delay, s.")] = None,
+    jitter_s: Annotated[float | None, Option("--jitter", min=0.0, help="Scale of the random delay, s.")] = None,
+    distribution: Annotated[
+        str | None, Option("--distribution", help="Distribution of the random delay (docs/scenario.md).")
+    ] = None,
+    loss: Annotated[float | None, Option("--loss", min=0.0, max=1.0, help="Probability of packet loss.")] = None,
+    duplicate: Annotated[
+        float | None, Option("--duplicate", min=0.0, max=1.0, help="Probability of duplication.")
+    ] = None,
+    reorder: Annotated[float | None, Option("--reorder", min=0.0, max=1.0, help="Probability of reordering.")] = None,
+    reorder_s: Annotated[
+        float | None, Option("--reorder-s", min=0.0, help="Extra delay of reordered messages, s.")
+    ] = None,
+    rate_hz: Annotated[float | None, Option("--rate", help="Maximum number of messages per second.")] = None,
+) -> None:
+    """Impair or repair links from the next tick on.
+
+    Options that are not given keep their values.
+
+    Example: transport link set --from 1 --to 2 --delay 0.1
+    """
+    changes = {
+        "delay_s": delay_s,
+        "jitter_s": jitter_s,
+        "distribution": distribution,
+        "loss": loss,
+        "duplicate": duplicate,
+        "reorder": reorder,
+        "reorder_s": reorder_s,
+        "rate_hz": rate_hz,
+    }
+    settings = {key: value for key, value in changes.items() if value is not None}
+    if not settings:
+        fail("expected at least one of --delay, --jitter, --loss, ..., got none", EXIT_USAGE)
+    ends = {"from": _process_name(sender), "to": _process_name(receiver)}
+    answer = run.ask("coordinator", "link", {**ends, "settings": settings})
+    typer.echo(f"links change with tick {answer['tick']} (t = {answer['t_s']:.2f} s)")
+
+
+@with_options(ActiveRun)
+def clear_links(run: ActiveRun) -> None:
+    """Make all links perfect, including those of the plant.
+
+    Example: transport link clear
+    """
+    for ends in ({}, {"from": "plant"}, {"to": "plant"}):
+        answer = run.ask("coordinator", "link", {**ends, "settings": dict(PERFECT)})
+    typer.echo(f"links are perfect from tick {answer['tick']} on (t = {answer['t_s']:.2f} s)")
+
+
+def _process_name(end: str | None) -> str:
+    """Return the name of a process given as 2, agent2 or plant; empty for all agents."""
+    return "" if end is None else f"agent{end}" if end.isdecimal() else end

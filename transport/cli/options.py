@@ -1,0 +1,57 @@
+"""Options that several commands have, each defined once."""
+
+import inspect
+from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
+from typing import Annotated, Any, get_origin
+
+from typer import Argument, Option
+
+from transport.cli.output import Format
+
+# Runs are recorded here, and an active run is looked for here, unless an option names another folder.
+RUNS = Path("runs")
+
+ScenarioArgument = Annotated[
+    str,
+    Argument(
+        help="Scenario file, or name of a ready-made one: paper, centralized, resilient, windy, collision.",
+        show_default=True,
+    ),
+]
+ScenarioOption = Annotated[str, Option("--scenario", help="Scenario file or name; the same for all processes.")]
+SetOption = Annotated[
+    list[str] | None,
+    Option("--set", metavar="KEY=VALUE", help="Change a scenario value, e.g. controller.horizon=10. Repeatable."),
+]
+FormatOption = Annotated[Format, Option("--format", help="Output format.")]
+FiguresOption = Annotated[bool, Option("--figures/--no-figures", help="Draw the figures.")]
+HostOption = Annotated[
+    str, Option("--host", help="Address to listen on. All who can reach it see the run and can change it.")
+]
+PortOption = Annotated[int, Option("--port", min=0, max=65535, help="Port, or the next free one.")]
+
+
+def with_options(options: Callable[..., Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Return a decorator that gives a command shared options, after its own.
+
+    Args:
+        options: Its annotated parameters become options, and its result the first argument of the command.
+    """
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        _, *own = inspect.signature(command).parameters.values()
+        every = inspect.signature(options).parameters
+        shared = {name: parameter for name, parameter in every.items() if get_origin(parameter.annotation) is Annotated}
+
+        @wraps(command)
+        def with_shared(**given: Any) -> None:
+            command(options(**{name: given.pop(name) for name in shared}), **given)
+
+        parameters = [*own, *shared.values()]
+        with_shared.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        with_shared.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+        return with_shared
+
+    return decorate

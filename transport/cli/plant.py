@@ -1,0 +1,14 @@
+"""The command `transport plant`."""
+
+from plant.main import run
+from transport.cli.options import with_options
+from transport.cli.process import ProcessOptions
+
+
+@with_options(ProcessOptions)
+def plant(options: ProcessOptions) -> None:
+    """Run the plant: the physics and the actuators.
+
+    Example: transport plant --scenario paper
+    """
+    options.run("plant", run)

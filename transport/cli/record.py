@@ -1,0 +1,41 @@
+"""The command `transport record`."""
+
+from pathlib import Path
+from typing import Annotated
+
+from rich.console import Console
+from typer import Option
+
+from transport.cli.options import RUNS, FiguresOption, ScenarioOption, SetOption
+from transport.cli.output import Format, exit_on, fail
+from transport.cli.process import ConnectOption, JoinOption, ProcessOptions, RunNameOption
+from transport.cli.run_report import report
+from transport.flight.run import RunError, new_folder, observe
+
+
+def record(
+    scenario: ScenarioOption = "paper",
+    settings: SetOption = None,
+    run_name: RunNameOption = None,
+    connect: ConnectOption = None,
+    out: Annotated[Path | None, Option("--out", help="Run folder to create.")] = None,
+    join_timeout: JoinOption = None,
+    figures: FiguresOption = True,
+) -> None:
+    """Record and report a run whose processes were started by hand.
+
+    Start it before the first tick; `transport coordinator --observer recorder` waits for it.
+
+    Example: transport record --scenario paper --out runs/by-hand
+    """
+    options = ProcessOptions(
+        scenario=scenario, settings=settings, run_name=run_name, connect=connect, join_timeout=join_timeout
+    )
+    setup = options.setup()
+    place = options.place(setup, "recorder")
+    folder = out if out is not None else new_folder(RUNS, setup.scenario.name)
+    with exit_on(RunError):
+        finished = observe(setup, place, folder, Console(stderr=True))
+    report(folder, Format.text, figures=figures, setup=setup)
+    if finished.exit_code != 0:
+        fail(finished.reason, finished.exit_code)

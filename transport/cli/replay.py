@@ -1,0 +1,147 @@
+"""The command `transport replay`: one agent of a recorded run again, as recorded or with other settings."""
+
+import csv
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from typer import Argument, Option
+
+from agent.node import AgentNode
+from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
+from protocol.scenario.setup import Setup
+from protocol.wire.exit_codes import EXIT_DIFFERENT, EXIT_SCENARIO, EXIT_USAGE
+from protocol.wire.messages import Measurement
+from transport.analysis.replay import Replay
+from transport.analysis.replay_compare import Comparison
+from transport.cli.options import FormatOption
+from transport.cli.output import Format, exit_on, fail, show_json
+from transport.cli.replay_report import ReplayReport
+from transport.log.run_folder import RecordedRun, open_run
+from transport.log.run_log import LogError
+from transport.report.replay_figure import draw_replay
+
+# Fixed values: the recorded messages fit no other number of UAVs, iterations or ticks.
+_FIXED = (
+    ("agents.owned", lambda setup: [[uav + 1 for uav in group] for group in setup.owned]),
+    ("system.uav", lambda setup: f"{setup.system.N} UAVs"),
+    ("controller.sampling_period_s", lambda setup: setup.settings.sampling_period_s),
+    ("controller.negotiation_iterations", lambda setup: setup.scenario.controller.negotiation_iterations),
+    ("clock.mode", lambda setup: setup.scenario.clock.mode),
+    ("clock.actuation", lambda setup: "next_tick" if setup.scenario.clock.next_tick else "immediate"),
+)
+
+
+def replay(
+    folder: Annotated[Path, Argument(metavar="RUN", help="Run folder.")],
+    agent: Annotated[int, Option("--agent", min=1, help="Number of the agent, from 1.")],
+    settings: Annotated[
+        list[str] | None, Option("--set", metavar="KEY=VALUE", help="Replay with this change. Repeatable.")
+    ] = None,
+    against: Annotated[
+        str | None, Option("--against", metavar="SCENARIO", help="Replay with this scenario's controller.")
+    ] = None,
+    begin: Annotated[int, Option("--from", min=0, help="First tick to compare; the agent gets all before too.")] = 0,
+    end: Annotated[int | None, Option("--to", min=0, help="Last tick to compare.")] = None,
+    stop_at: Annotated[
+        int | None, Option("--pdb", min=0, metavar="TICK", help="Open the debugger before this tick.")
+    ] = None,
+    out: Annotated[Path | None, Option("--out", help="Folder for replay.csv and, if plans differ, figures.")] = None,
+    output: FormatOption = Format.text,
+) -> None:
+    """Feed a recorded run to one agent and compare its plans.
+
+    The messages the agent received are taken from the log; its answers are compared with the recorded ones, bit for
+    bit. Without --set or --against the plans of a lockstep run must be identical. With them the result is the tick
+    from which on the agent would have decided otherwise, and by how much; the plant states stay the recorded ones.
+
+    Exit codes: 0 all plans identical, 8 plans differ, 2 nothing can be compared, 3 scenario.
+
+    Example: transport replay runs/20260102-101500-paper --agent 2 --set controller.weights.attitude=6.0
+    """
+    if end is not None and end < begin:
+        fail(f"--to: expected a tick not before --from {begin}, got {end}", EXIT_USAGE)
+    try:
+        with exit_on(LogError, code=EXIT_USAGE):
+            run = open_run(folder)
+            setup = _changed_setup(run, settings or [], against)
+    except ScenarioError as error:
+        fail(str(error.blaming(settings or [])), EXIT_SCENARIO)
+    if agent not in setup.agents:
+        known = f"1 to {len(setup.agents)} of the run"
+        fail(f"--agent: expected an agent from {known}, got {agent}", EXIT_USAGE)
+
+    stopped: list[int] = []
+
+    def before(node: AgentNode, measurement: Measurement) -> None:
+        if measurement.tick == stop_at:
+            stopped.append(measurement.tick)
+            typer.echo(f"{node.name} is about to receive the measurement of tick {measurement.tick}", err=True)
+            breakpoint()  # the next call is node.receive(measurement, 0)
+
+    again = Replay(setup, run.log, agent, before)
+    comparison = Comparison()
+    # In real time the log does not record when the agent noticed a lost message.
+    ignored = ("report.lost",) if setup.scenario.clock.mode == "realtime" else ()
+    for step in again.steps():
+        if end is not None and step.tick > end:
+            break
+        if step.tick >= begin:
+            comparison.add(step, ignored=ignored)
+    if stop_at is not None and not stopped:
+        again.notes.append(f"--pdb: the agent has no measurement of tick {stop_at} that could be replayed")
+    if not comparison.ticks:
+        why = "; ".join(again.notes) or f"the log has no plan of agent {agent} between those ticks"
+        fail(f"{run.folder}: nothing to compare: {why}", EXIT_USAGE)
+    files = [] if out is None else _write(run, comparison, out)
+    report = ReplayReport(run, agent, again, comparison, is_changed=bool(settings or against))
+    if output is Format.json:
+        show_json(report.content())
+    else:
+        report.show()
+        for file in files:
+            typer.echo(f" {file}")
+    raise typer.Exit(0 if comparison.first is None else EXIT_DIFFERENT)
+
+
+def _changed_setup(run: RecordedRun, settings: list[str], against: str | None) -> Setup:
+    """Return the recorded setup with changed values, or with the controller of another scenario.
+
+    Raises: ScenarioError: it is refused, or the recorded messages do not fit it.
+    """
+    if not settings and against is None:
+        return run.setup
+    source = str(run.scenario_file)
+    if against is None:
+        scenario = read_scenario(run.scenario_file, settings)
+    else:
+        stray = [setting for setting in settings if not setting.startswith("controller.")]
+        if stray:
+            fail(f"--set: with --against expected a value of the controller, got {stray[0]!r}", EXIT_USAGE)
+        path = find_scenario(against)
+        source = str(path)
+        scenario = run.setup.scenario.model_copy(update={"controller": read_scenario(path, settings).controller})
+    # Files of measured delays are relative to the run folder.
+    setup = Setup.of(scenario, str(run.scenario_file))
+    for key, value_of in _FIXED:
+        expected, got = value_of(run.setup), value_of(setup)
+        if got != expected:
+            raise ScenarioError(source, key, f"expected {expected} as in the run, got {got}")
+    return setup
+
+
+def _write(run: RecordedRun, comparison: Comparison, out: Path) -> list[Path]:
+    """Write a row for each tick, and a figure of the differences; return the files."""
+    period_s = run.setup.settings.sampling_period_s
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        table = out / "replay.csv"
+        with table.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            first = ("thrust_first_step_N", "moment_first_step_Nm", "thrust_horizon_N", "moment_horizon_Nm")
+            writer.writerow(["tick", "t_s", *first, "differs"])
+            for tick, *apart, differs in comparison.rows:
+                writer.writerow([tick, tick * period_s, *apart, int(differs)])
+    except OSError as error:
+        fail(f"--out: cannot write to {out} ({error.strerror})", EXIT_USAGE)
+    return [table] if comparison.first is None else [table, *draw_replay(run.setup, comparison, out)]

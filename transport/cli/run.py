@@ -1,0 +1,34 @@
+"""The command `transport run`."""
+
+from pathlib import Path
+from typing import Annotated
+
+from typer import Option
+
+from transport.cli.options import FiguresOption, FormatOption, HostOption, PortOption, ScenarioArgument, SetOption
+from transport.cli.output import Format
+from transport.flight.fork_server import fork_server
+
+
+def run(
+    scenario: ScenarioArgument = "paper",
+    settings: SetOption = None,
+    out: Annotated[
+        Path | None, Option("--out", help="Run folder to create; by default runs/<time>-<scenario>.")
+    ] = None,
+    output: FormatOption = Format.text,
+    figures: FiguresOption = True,
+    show: Annotated[bool, Option("--view", help="Show the run in the browser, live and afterwards.")] = False,
+    host: HostOption = "127.0.0.1",
+    port: PortOption = 8080,
+) -> None:
+    """Run a scenario with all its processes; record and report it.
+
+    Starts one process per agent, a plant and a coordinator; writes log, metrics and figures to a run folder.
+
+    Example: transport run paper --set controller.relaxation=0.5 --out runs/relaxed
+    """
+    fork_server()  # imports for the processes of the run while this process imports for itself
+    from transport.cli.run_scenario import run_scenario
+
+    run_scenario(scenario, settings, out, output, figures=figures, viewer_address=(host, port) if show else None)

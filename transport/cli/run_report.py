@@ -1,0 +1,32 @@
+"""The report of a recorded run: summary and figures in its folder, the summary on standard output."""
+
+from pathlib import Path
+
+import typer
+from rich.console import Console
+
+from protocol.scenario.file import ScenarioError
+from protocol.scenario.setup import Setup
+from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
+from transport.cli.output import Format, exit_on, show_json
+from transport.log.run_log import LogError
+from transport.report.report import summary_table, write_report
+
+
+def report(folder: Path, output: Format, *, figures: bool, setup: Setup | None) -> None:
+    """Write the report of a run and print its summary.
+
+    Args:
+        folder: Run folder.
+        output: Format of the printed summary.
+        figures: Whether to draw the figures.
+        setup: Setup of the run; None to read it from the folder.
+    """
+    with exit_on(LogError, code=EXIT_USAGE), exit_on(ScenarioError, code=EXIT_SCENARIO):
+        summary = write_report(folder, figures=figures, setup=setup)
+    if output is Format.json:
+        show_json(summary)
+        return
+    Console().print(summary_table(summary))
+    for file in ["summary.json", "steps.csv", "run.mcap", *[f"figures/{p.name}" for p in folder.glob("figures/*.png")]]:
+        typer.echo(f" {folder / file}")

@@ -1,0 +1,38 @@
+"""The work of `transport run`; its imports take long, so `run` starts the fork server before them."""
+
+from contextlib import nullcontext
+from pathlib import Path
+
+from rich.console import Console
+
+from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_UNREACHABLE
+from transport.cli.options import RUNS
+from transport.cli.output import Format, exit_on, fail
+from transport.cli.run_report import report
+from transport.cli.scenario_setup import read_setup
+from transport.cli.view import viewer_beside
+from transport.flight.harness import HarnessError
+from transport.flight.run import RunError, new_folder, simulate
+
+
+def run_scenario(
+    scenario: str,
+    settings: list[str] | None,
+    out: Path | None,
+    output: Format,
+    *,
+    figures: bool,
+    viewer_address: tuple[str, int] | None,
+) -> None:
+    """Run a scenario, record and report it; arguments are the options of `transport run`."""
+    setup = read_setup(scenario, settings)
+    folder = out if out is not None else new_folder(RUNS, setup.scenario.name)
+    join_timeout_s = setup.scenario.clock.join_timeout_s
+    with viewer_beside(folder, *viewer_address, join_timeout_s) if viewer_address else nullcontext() as linger:
+        with exit_on(RunError), exit_on(HarnessError, code=EXIT_UNREACHABLE):
+            finished = simulate(setup, folder, Console(stderr=True))
+        report(folder, output, figures=figures, setup=setup)
+        if linger is not None and finished.exit_code != EXIT_INTERRUPTED:
+            linger()
+    if finished.exit_code != 0:
+        fail(finished.reason, finished.exit_code)

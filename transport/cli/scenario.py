@@ -1,0 +1,66 @@
+"""The command `transport scenario new`."""
+
+import shlex
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from typer import Option
+
+from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
+from protocol.scenario.setup import Setup
+from protocol.scenario.team import FEWEST, MOST, given, resized
+from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
+from transport.cli.output import exit_on, fail
+from transport.cli.scenario_text import scenario_text
+
+
+def new(
+    uavs: Annotated[int, Option("--uavs", help="Number of UAVs, 2 to 256.")],
+    template: Annotated[str, Option("--from", help="Scenario file or name for all but the system.")] = "resilient",
+    group: Annotated[int | None, Option("--groups", help="UAVs per agent; by default as in --from.")] = None,
+    name: Annotated[str | None, Option("--name", help="Name; by default that of --from and the number.")] = None,
+    out: Annotated[Path | None, Option("--out", help="File to write; by default standard output.")] = None,
+) -> None:
+    """Write a scenario for a team of any size.
+
+    UAVs in a ring, neighbours as far apart as the paper's four, 0.75 kg of payload for each.
+
+    Example: transport scenario new --uavs 6 --out six.toml
+    """
+    if not FEWEST <= uavs <= MOST:
+        why = ": a payload on one rod turns freely about it, and no UAV can turn it back" if uavs == 1 else ""
+        fail(f"--uavs: expected {FEWEST} to {MOST}, got {uavs}{why}", EXIT_USAGE)
+    if group is not None and not 1 <= group <= uavs:
+        fail(f"--groups: expected 1 to {uavs} UAVs per agent, got {group}", EXIT_USAGE)
+    if out is not None and out.exists():
+        fail(f"--out: expected a file that does not exist yet, got {out}", EXIT_USAGE)
+    with exit_on(ScenarioError, code=EXIT_SCENARIO, option="--from"):
+        path = find_scenario(template)
+        ready = read_scenario(path)
+    source = f"--from {template}"
+    try:
+        scenario = resized(ready, path.parent, uavs, group=group, name=name, source=source)
+        setup = Setup.of(scenario, source)
+    except ScenarioError as error:
+        if error.field == "name":
+            fail(f"--name: {error.problem}", EXIT_USAGE)
+        fail(str(error), EXIT_SCENARIO)
+    made_by = ["transport", "scenario", "new", "--uavs", str(uavs), "--from", template]
+    made_by += [] if group is None else ["--groups", str(group)]
+    made_by += [] if name is None else ["--name", name]
+    comment = [
+        f"Made by: {shlex.join(made_by)}",
+        f"{uavs} UAVs in a ring over a payload that fits; all but [system], owned and name is from {ready.name}.",
+    ]
+    text = scenario_text(given(scenario), comment)
+    if out is None:
+        typer.echo(text, nl=False)
+        return
+    try:
+        with out.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except OSError as error:
+        fail(f"--out: cannot write {out} ({error.strerror})", EXIT_USAGE)
+    sizes = f"{setup.system.N} UAVs, {len(setup.agents)} agents, hover thrust {setup.hover.u[0]:.2f} N"
+    typer.echo(f"{sizes}; run it with: transport run {shlex.quote(str(out))}", err=True)

@@ -1,0 +1,39 @@
+"""The scenario that a command is given, read and checked."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+
+from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
+from protocol.scenario.setup import Setup
+from protocol.wire.exit_codes import EXIT_SCENARIO
+from transport.cli.output import fail
+
+
+def read_setup(scenario: str, settings: Sequence[str] | None) -> Setup:
+    """Return the setup of a scenario, or end the command if the scenario is refused.
+
+    Args:
+        scenario: File, or name of a ready-made scenario.
+        settings: Changes, KEY=VALUE.
+    """
+    try:
+        path = find_scenario(scenario)
+        return _setup(path, tuple(settings or ()), _file_version(path))
+    except ScenarioError as error:
+        fail(str(error.blaming(settings or [])), EXIT_SCENARIO)
+
+
+def _file_version(path: Path) -> tuple[int, ...]:
+    """Return numbers that change when a file is rewritten; none if it cannot be read."""
+    try:
+        found = path.stat()
+    except OSError:
+        return ()
+    return found.st_ino, found.st_size, found.st_mtime_ns
+
+
+@lru_cache(maxsize=1)
+def _setup(path: Path, settings: tuple[str, ...], _: tuple[int, ...]) -> Setup:
+    """Read a setup; cached until the file is rewritten, as the fork server reads it for all processes of a run."""
+    return Setup.of(read_scenario(path, settings), str(path))

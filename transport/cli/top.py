@@ -1,0 +1,184 @@
+"""The command `transport top`: follows the messages of an active run and draws a table of its agents."""
+
+import time
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass
+from typing import Annotated, NoReturn
+
+import typer
+from rich.console import Console, Group
+from rich.live import Live
+from typer import Option
+
+from protocol.admission.admission import Admission
+from protocol.network.bus import Bus
+from protocol.network.process import default_mesh, security_of
+from protocol.network.security import SecurityError
+from protocol.network.session import BusError, Endpoints
+from protocol.scenario.setup import Setup
+from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_SCENARIO, EXIT_UNREACHABLE, EXIT_USAGE
+from protocol.wire.keys import RECORDER, WATCHER, Keys
+from protocol.wire.messages import Message, Presence
+from protocol.wire.rejections import Rejections
+from transport.cli.active_run import ConnectOption, RunOption, find_active
+from transport.cli.output import Format, exit_on, fail, show_json
+from transport.cli.scenario_setup import read_setup
+from transport.cli.top_table import table_of
+from transport.monitor.watch import Watch
+
+# Interval between two tables on a terminal, and elsewhere, s.
+_DRAW_S, _PRINT_S = 0.25, 10.0
+# Messages gather for this long before the process wakes up: wake-ups cost the run processor time.
+_GATHER_S = 0.02
+# Time that `--once` waits for reports of all agents.
+_PATIENCE_S = 5.0
+# Time to wait for the outcome of the run after its coordinator has left.
+_OVERTAKEN_S = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """An active run: its name, where to connect, and what it simulates."""
+
+    name: str
+    endpoints: list[str]
+    setup: Setup
+    is_client: bool = False
+
+
+def top(
+    run: RunOption = None,
+    connect: ConnectOption = None,
+    scenario: Annotated[
+        str | None, Option("--scenario", help="Scenario of a run started by hand: file or name.")
+    ] = None,
+    settings: Annotated[
+        list[str] | None, Option("--set", metavar="KEY=VALUE", help="Changes of that scenario.")
+    ] = None,
+    once: Annotated[bool, Option("--once", help="Print one table and exit.")] = False,
+    output: Annotated[Format, Option("--format", help="Output format, with --once.")] = Format.text,
+) -> None:
+    """Watch the agents of an active run.
+
+    A table of tick, step time, slack to the deadline, plan ages, lost messages, faults and rejections, until the run
+    ends. The command only listens: no process waits for it, and a lockstep run computes the same bits without it.
+
+    Exit codes: 0 the run has ended, or --once; 2 no such run; 4 no message from it; 130 Ctrl-C.
+
+    Example: transport top --run runs/20260102-101500-paper
+    """
+    if output is Format.json and not once:
+        fail("--format json: expected it with --once, got it without", EXIT_USAGE)
+    try:
+        with exit_on(SecurityError, code=EXIT_SCENARIO), exit_on(BusError, code=EXIT_UNREACHABLE):
+            active = _find(run, connect, scenario, settings)
+            with closing(_listen(active)) as bus:
+                if once:
+                    _print_once(bus, active, output)
+                else:
+                    _follow(bus, active)
+    except KeyboardInterrupt:
+        raise typer.Exit(EXIT_INTERRUPTED) from None
+
+
+def _find(run: str | None, connect: list[str] | None, scenario: str | None, settings: list[str] | None) -> _Run:
+    if scenario is not None:
+        setup = read_setup(scenario, settings)
+        name = run or setup.scenario.name
+        if not Keys.allows(name):
+            fail(f"--run: expected the name of a run with --scenario, got {name!r}", EXIT_USAGE)
+        router = setup.scenario.network.router
+        default = [endpoint for place in default_mesh(setup.scenario).values() for endpoint in place.listen]
+        return _Run(name, connect or ([router] if router else default), setup, router is not None)
+    if connect:
+        fail("--connect: expected --scenario with it, as the run cannot name its scenario", EXIT_USAGE)
+    if settings:
+        fail("--set: expected --scenario with it, as a run folder has its values", EXIT_USAGE)
+    folder, there = find_active(run, "name its folder with --run, or its scenario with --scenario")
+    setup = read_setup(str(folder / "scenario.toml"), None)
+    endpoints = {at for name, at in there.endpoints.items() if name != RECORDER}
+    return _Run(there.run, sorted(endpoints), setup, there.is_client)
+
+
+def _listen(run: _Run) -> Bus:
+    # Without joining: a liveliness token would make the coordinator expect this process.
+    return Bus(
+        name=WATCHER,
+        incarnation=0,
+        run=run.name,
+        digest=run.setup.scenario.digest(),
+        endpoints=Endpoints(
+            listen=[],
+            connect=run.endpoints,
+            mode="client" if run.is_client else "peer",
+            security=security_of(run.setup.scenario),
+        ),
+        admission=Admission(WATCHER, Keys(run.name), run.setup, Rejections()),
+        gather_s=_GATHER_S,
+    )
+
+
+def _print_once(bus: Bus, run: _Run, output: Format) -> None:
+    watch = Watch(run.setup)
+    _receive_until(bus, watch, lambda: watch.is_whole, _PATIENCE_S)
+    if watch.tick < 0 and watch.plant_state is None and watch.control is None:
+        _fail_silent(run)
+    if output is Format.json:
+        show_json({"run": run.name, **watch.content()})
+    else:
+        Console().print(table_of(watch, run.name))
+
+
+def _follow(bus: Bus, run: _Run) -> None:
+    """Draw tables until the run ends."""
+    watch, console = Watch(run.setup), Console()
+    if console.is_terminal:
+        with Live(table_of(watch, run.name), console=console, auto_refresh=False, transient=True) as shown:
+            _draw_until_end(bus, run, watch, _DRAW_S, lambda table: shown.update(table, refresh=True))
+    else:
+        _draw_until_end(bus, run, watch, _PRINT_S, console.print)
+    console.print(table_of(watch, run.name))
+    if watch.control is None:
+        fail(f"run {run.name}: its coordinator is gone, and its outcome was not received", EXIT_UNREACHABLE)
+
+
+def _draw_until_end(bus: Bus, run: _Run, watch: Watch, interval_s: float, draw: Callable[[Group], None]) -> None:
+    begun = time.monotonic()
+    quiet_s = 0.0
+    while watch.control is None:
+        # The first table is drawn as soon as all agents have reported.
+        is_enough = _never if watch.is_whole else lambda: watch.is_whole
+        received, gone = _receive_until(bus, watch, is_enough, interval_s)
+        if gone and watch.control is None:
+            _receive_until(bus, watch, _never, _OVERTAKEN_S)
+            return
+        quiet_s = 0.0 if received else quiet_s + interval_s
+        waited_s = time.monotonic() - begun
+        if watch.tick < 0 and watch.plant_state is None and waited_s > run.setup.scenario.clock.join_timeout_s:
+            _fail_silent(run)
+        if watch.control is None:
+            draw(table_of(watch, run.name, quiet_s))
+
+
+def _never() -> bool:
+    return False
+
+
+def _fail_silent(run: _Run) -> NoReturn:
+    where = f"at {', '.join(run.endpoints)}"
+    scenario = run.setup.scenario.name
+    fail(f"no message of run {run.name} {where}, or its scenario is not {scenario} as given", EXIT_UNREACHABLE)
+
+
+def _receive_until(bus: Bus, watch: Watch, is_enough: Callable[[], bool], timeout_s: float) -> tuple[int, bool]:
+    """Receive messages for a time; return their number, and whether the coordinator has left."""
+    received, deadline = 0, time.monotonic() + timeout_s
+    while not is_enough() and watch.control is None and (left_s := deadline - time.monotonic()) > 0.0:
+        event = bus.next(left_s)
+        if isinstance(event, Message):
+            watch.take(event, bus.arrived_ns)
+            received += 1
+        elif isinstance(event, Presence) and event.name == "coordinator" and not event.alive:
+            return received, True
+    return received, False
