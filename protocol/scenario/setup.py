@@ -17,8 +17,8 @@ from model.parameters import Payload, System, Uav
 from mpc.regulation import Regulation
 from mpc.rows.user import compile_constraints
 from mpc.settings import Constraint, ControllerSettings, CostTerm, Limits, Separation, Tilt, Weights
-from protocol.scenario.errors import ScenarioError, building
 from mpc.user_costs import UserCosts
+from protocol.scenario.errors import ScenarioError, building
 from protocol.scenario.faults import Fault, scripted
 from protocol.scenario.links import Link, link
 from protocol.scenario.schema import Scenario, UavSection

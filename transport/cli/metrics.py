@@ -7,9 +7,8 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from protocol.network.process import default_mesh, process_names, security_of
+from protocol.network.endpoints import Endpoints, default_mesh, process_names, security_of
 from protocol.network.security import SecurityError
-from protocol.network.session import Endpoints
 from protocol.scenario.schema import Scenario
 from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
 from transport.cli.options import ScenarioOption, SetOption

@@ -9,7 +9,8 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from protocol.network.process import Place, place_of
+from protocol.network.endpoints import endpoints_of
+from protocol.network.process import Place
 from protocol.network.security import SecurityError
 from protocol.network.session import BusError
 from protocol.scenario.setup import Setup
@@ -58,7 +59,7 @@ class ProcessOptions:
                 if not re.fullmatch(r"[a-z0-9-]+/\S+", endpoint):
                     fail(f"{option}: expected an endpoint such as tcp/127.0.0.1:7447, got {endpoint!r}", EXIT_USAGE)
         with exit_on(SecurityError, code=EXIT_SCENARIO):
-            endpoints = place_of(name, setup.scenario, self.listen, self.connect)
+            endpoints = endpoints_of(name, setup.scenario, self.listen, self.connect)
         return Place(
             run=run,
             incarnation=time.time_ns() // 10**6 if self.incarnation is None else self.incarnation,

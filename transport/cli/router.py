@@ -6,9 +6,10 @@ from typing import Annotated
 
 from typer import Option
 
-from protocol.network.process import Journal, refuse_exposed, security_of
+from protocol.network.endpoints import Endpoints, refuse_exposed, security_of
+from protocol.network.journal import Journal
 from protocol.network.security import SecurityError
-from protocol.network.session import BusError, Endpoints, route
+from protocol.network.session import BusError, route
 from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_UNREACHABLE
 from protocol.wire.keys import ROUTER
 from transport.cli.options import ScenarioOption, SetOption
@@ -40,6 +41,6 @@ def router(
         if security is not None:
             security.check(ROUTER, mode="router")
         with route(endpoints):
-            journal.say("listening", at=", ".join(listen))
+            journal.log("listening", at=", ".join(listen))
             over.wait()
-    journal.say("finished")
+    journal.log("finished")

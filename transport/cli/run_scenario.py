@@ -5,14 +5,15 @@ from pathlib import Path
 
 from rich.console import Console
 
-from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_UNREACHABLE
+from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_UNREACHABLE, EXIT_USAGE
 from transport.cli.options import RUNS
 from transport.cli.output import Format, exit_on, fail
 from transport.cli.run_report import report
 from transport.cli.scenario_setup import read_setup
-from transport.cli.view import viewer_beside
 from transport.flight.harness import HarnessError
 from transport.flight.run import RunError, new_folder, simulate
+from transport.viewer.process import viewer_beside
+from transport.viewer.server import ViewerError, require_viser
 
 
 def run_scenario(
@@ -28,6 +29,9 @@ def run_scenario(
     setup = read_setup(scenario, settings)
     folder = out if out is not None else new_folder(RUNS, setup.scenario.name)
     join_timeout_s = setup.scenario.clock.join_timeout_s
+    if viewer_address:
+        with exit_on(ViewerError, code=EXIT_USAGE):
+            require_viser()
     with viewer_beside(folder, *viewer_address, join_timeout_s) if viewer_address else nullcontext() as linger:
         with exit_on(RunError), exit_on(HarnessError, code=EXIT_UNREACHABLE):
             finished = simulate(setup, folder, Console(stderr=True))

@@ -13,9 +13,9 @@ from typer import Option
 
 from protocol.admission.admission import Admission
 from protocol.network.bus import Bus
-from protocol.network.process import default_mesh, security_of
+from protocol.network.endpoints import Endpoints, default_mesh, security_of
 from protocol.network.security import SecurityError
-from protocol.network.session import BusError, Endpoints
+from protocol.network.session import BusError
 from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_SCENARIO, EXIT_UNREACHABLE, EXIT_USAGE
 from protocol.wire.keys import RECORDER, WATCHER, Keys

@@ -11,8 +11,7 @@ import threadpoolctl
 from agent.node import AgentNode
 from protocol.admission.admission import Admission
 from protocol.network.bus import Bus
-from protocol.network.process import default_mesh
-from protocol.network.session import Endpoints
+from protocol.network.endpoints import Endpoints, default_mesh
 from protocol.scenario.setup import Setup
 from protocol.wire.keys import WATCHER, Keys
 from protocol.wire.messages import Request

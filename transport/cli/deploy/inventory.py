@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from deploy.hosts import Inventory, InventoryError, read_inventory
-from protocol.network.process import process_names
+from protocol.network.endpoints import process_names
 from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import EXIT_USAGE
 from transport.cli.output import exit_on, fail

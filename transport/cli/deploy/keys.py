@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from protocol.network.process import process_names
+from protocol.network.endpoints import process_names
 from protocol.wire.exit_codes import EXIT_USAGE
 from protocol.wire.keys import ROUTER
 from transport.cli.deploy.inventory import inventory_of, optional_packages

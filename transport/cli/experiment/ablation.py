@@ -3,7 +3,7 @@
 from transport.cli.experiment.conduct import sweep_command
 from transport.cli.experiment.options import SweepOptions
 from transport.experiments import ablation as variants
-from transport.experiments.catalogue import Experiment
+from transport.experiments.experiment import Experiment
 
 
 @sweep_command(default_seeds=3)

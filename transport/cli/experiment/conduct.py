@@ -18,13 +18,13 @@ from transport.cli.experiment.options import ExperimentOptions, SweepOptions
 from transport.cli.options import RUNS, with_options
 from transport.cli.output import exit_on, fail
 from transport.experiments.cases import cases_of
-from transport.experiments.catalogue import Experiment
+from transport.experiments.conclusions import conclusions
 from transport.experiments.errors import ExperimentError, refused
-from transport.experiments.findings import findings
-from transport.experiments.flight import Result, simulate_in_processes
-from transport.experiments.growth import growth_findings
+from transport.experiments.experiment import Experiment
 from transport.experiments.results import Results
-from transport.experiments.sweep import Fly, report, sweep
+from transport.experiments.scaling import scaling_conclusions
+from transport.experiments.simulation import Result, simulate_in_processes
+from transport.experiments.sweep import Simulate, report, sweep
 from transport.experiments.table import WIDTH, WIDTH_OF_VARIANTS, table_of
 from transport.experiments.workers import check_cluster, on_cluster, on_cores
 from transport.flight.run import machine
@@ -76,20 +76,14 @@ def conduct(experiment: Experiment, options: ExperimentOptions) -> None:
         done = sum(results.done(case.key) for case in cases)
         if done:
             console.print(f"{done} of {len(cases)} runs are done already", highlight=False)
-        try:
-            found = sweep(experiment, cases, simulator(options, folder), results, console)
-        except (KeyboardInterrupt, ExperimentError):
-            done = sum(results.done(case.key) for case in cases)
-            hint = f"{done} of {len(cases)} runs are kept; resume with: --out {folder}"
-            console.print(hint, highlight=False, soft_wrap=True)
-            raise
+        found = sweep(experiment, cases, simulator(options, folder), results, console)
         measured, files = report(experiment, cases, found, folder)
-    title = f"{experiment.name}: means of completed flights, ± 95 % confidence" + (f" ({trial})" if trial else "")
+    title = f"{experiment.name}: means of completed runs, ± 95 % confidence" + (f" ({trial})" if trial else "")
     if experiment.timed:
         phases = cases[0].scenario.maneuver.phase  # the same in all cases
         title += f"\n{sum(phase.duration_s for phase in phases):g} s of {', '.join(phase.name for phase in phases)}"
     width = WIDTH_OF_VARIANTS if experiment.drawn_as == "variants" else WIDTH
-    sentences = growth_findings(measured) if experiment.timed else findings(measured)
+    sentences = scaling_conclusions(measured) if experiment.timed else conclusions(measured)
     lines = ["", *sentences, "", f"machine: {machine()}", *(f" {path}" for path in files)]
     show(table_of(title, measured, timed=experiment.timed), width, lines, found)
 
@@ -108,7 +102,7 @@ def trial_note(options: ExperimentOptions, console: Console) -> str:
     return "trial, no measurement"
 
 
-def simulator(options: ExperimentOptions, folder: Path) -> Fly:
+def simulator(options: ExperimentOptions, folder: Path) -> Simulate:
     """Return the function that simulates cases: on a cluster, in processes, or on the cores of this machine."""
     jobs = options.jobs or options.default_jobs or joblib.cpu_count()
     if isinstance(options, SweepOptions):

@@ -6,8 +6,8 @@ from typer import Option
 
 from transport.cli.experiment.conduct import sweep_command
 from transport.cli.experiment.options import SweepOptions
-from transport.experiments import deaths as random_deaths
-from transport.experiments.catalogue import Experiment
+from transport.experiments import agent_failures
+from transport.experiments.experiment import Experiment
 
 
 @sweep_command(default_scenarios=("resilient",))
@@ -22,4 +22,4 @@ def deaths(
 
     Example: transport experiment deaths --processes
     """
-    return random_deaths.deaths(options.read(), count or (2 if options.quick else 20), draw)
+    return agent_failures.deaths(options.read(), count or (2 if options.quick else 20), draw)

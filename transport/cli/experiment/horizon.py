@@ -6,8 +6,8 @@ from typer import Option
 
 from transport.cli.experiment.conduct import sweep_command
 from transport.cli.experiment.options import SweepOptions
-from transport.experiments import choices
-from transport.experiments.catalogue import Experiment
+from transport.experiments import tuning
+from transport.experiments.experiment import Experiment
 
 
 @sweep_command()
@@ -29,4 +29,4 @@ def horizon(
     Example: transport experiment horizon --horizon 10 --horizon 20 --scenario paper
     """
     steps = horizons or ([10] if options.quick else [5, 10, 20, 30])
-    return choices.horizon(options.read(), steps, terminals or ([5.0] if options.quick else [1.0, 5.0, 20.0]), delay)
+    return tuning.horizon(options.read(), steps, terminals or ([5.0] if options.quick else [1.0, 5.0, 20.0]), delay)

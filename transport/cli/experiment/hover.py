@@ -6,8 +6,8 @@ from typer import Option
 
 from transport.cli.experiment.conduct import sweep_command
 from transport.cli.experiment.options import SweepOptions
-from transport.experiments import choices
-from transport.experiments.catalogue import Experiment
+from transport.experiments import tuning
+from transport.experiments.experiment import Experiment
 
 _SCENARIOS = ("paper", "centralized", "resilient", "centralized_lq", "precise")
 _QUICK_MANEUVER = (
@@ -30,4 +30,4 @@ def hover(
 
     Example: transport experiment hover --duration 60 --scenario resilient
     """
-    return choices.hover(options.read(), durations or ([0.5, 1.0] if options.quick else [5.0, 20.0, 65.0]))
+    return tuning.hover(options.read(), durations or ([0.5, 1.0] if options.quick else [5.0, 20.0, 65.0]))

@@ -6,7 +6,8 @@ from typer import Option
 
 from transport.cli.experiment.conduct import sweep_command
 from transport.cli.experiment.options import SweepOptions
-from transport.experiments import catalogue
+from transport.experiments import network_sweeps
+from transport.experiments.experiment import Experiment
 
 
 @sweep_command(default_seeds=3)
@@ -21,14 +22,14 @@ def jitter(
         Option("--std", help="Standard deviation of the delay, s; by default 0.02, 0.05, 0.08. Repeatable."),
     ] = None,
     mean: Annotated[float, Option("--mean", help="Mean delay, s.")] = 0.16,
-) -> catalogue.Experiment:
+) -> Experiment:
     """Effect of the distribution of random delays.
 
     Several distributions with the same mean and standard deviation.
 
     Example: transport experiment jitter --std 0.05 --distribution lognormal
     """
-    chosen = distributions or (["uniform", "exponential"] if options.quick else list(catalogue.JITTER))
-    return catalogue.jitter(
+    chosen = distributions or (["uniform", "exponential"] if options.quick else list(network_sweeps.JITTER))
+    return network_sweeps.jitter(
         options.names, chosen, deviations or ([0.05] if options.quick else [0.02, 0.05, 0.08]), mean
     )

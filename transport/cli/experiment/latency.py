@@ -6,16 +6,19 @@ from typer import Option
 
 from transport.cli.experiment.conduct import sweep_command
 from transport.cli.experiment.options import SweepOptions
-from transport.experiments import catalogue
+from transport.experiments import network_sweeps
+from transport.experiments.experiment import Experiment
 
 
 @sweep_command()
 def latency(
     options: SweepOptions,
     delays: Annotated[list[float] | None, Option("--delay", help="Delay, s; by default 0 to 0.4. Repeatable.")] = None,
-) -> catalogue.Experiment:
+) -> Experiment:
     """Effect of a fixed delay on every link.
 
     Example: transport experiment latency --delay 0.1 --delay 0.3 --scenario resilient
     """
-    return catalogue.latency(options.names, delays or ([0.0, 0.2] if options.quick else [0.0, 0.05, 0.1, 0.2, 0.4]))
+    return network_sweeps.latency(
+        options.names, delays or ([0.0, 0.2] if options.quick else [0.0, 0.05, 0.1, 0.2, 0.4])
+    )

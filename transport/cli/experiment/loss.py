@@ -6,7 +6,8 @@ from typer import Option
 
 from transport.cli.experiment.conduct import sweep_command
 from transport.cli.experiment.options import SweepOptions
-from transport.experiments import catalogue
+from transport.experiments import network_sweeps
+from transport.experiments.experiment import Experiment
 
 
 @sweep_command(default_seeds=5)
@@ -16,9 +17,9 @@ def loss(
         list[float] | None, Option("--loss", help="Packet loss; by default 0.1, 0.3, 0.6. Repeatable.")
     ] = None,
     burst: Annotated[float, Option("--burst", help="Mean length of a burst, ticks.")] = 5.0,
-) -> catalogue.Experiment:
+) -> Experiment:
     """Effect of packet loss, independent or in bursts.
 
     Example: transport experiment loss --loss 0.3 --burst 10
     """
-    return catalogue.loss(options.names, losses or ([0.3] if options.quick else [0.1, 0.3, 0.6]), burst)
+    return network_sweeps.loss(options.names, losses or ([0.3] if options.quick else [0.1, 0.3, 0.6]), burst)

@@ -6,7 +6,8 @@ from typer import Option
 
 from transport.cli.experiment.conduct import sweep_command
 from transport.cli.experiment.options import SweepOptions
-from transport.experiments import catalogue
+from transport.experiments import network_sweeps
+from transport.experiments.experiment import Experiment
 
 
 @sweep_command(default_seeds=3)
@@ -18,7 +19,7 @@ def matrix(
     losses: Annotated[
         list[float] | None, Option("--loss", help="Packet loss; by default 0, 0.1, 0.3, 0.6. Repeatable.")
     ] = None,
-) -> catalogue.Experiment:
+) -> Experiment:
     """Maps of cost and survival over delay and loss.
 
     One map for each scenario: every delay with every loss.
@@ -26,4 +27,6 @@ def matrix(
     Example: transport experiment matrix --delay 0 --delay 0.2 --loss 0 --loss 0.3
     """
     delays_s = delays or ([0.0, 0.2] if options.quick else [0.0, 0.1, 0.2, 0.4])
-    return catalogue.matrix(options.names, delays_s, losses or ([0.0, 0.3] if options.quick else [0.0, 0.1, 0.3, 0.6]))
+    return network_sweeps.matrix(
+        options.names, delays_s, losses or ([0.0, 0.3] if options.quick else [0.0, 0.1, 0.3, 0.6])
+    )

@@ -10,7 +10,7 @@ from typer import Option
 from transport.cli.experiment.conduct import exit_codes, new_folder, show, simulator, trial_note
 from transport.cli.experiment.options import ExperimentOptions
 from transport.cli.options import with_options
-from transport.experiments import claim, claim_report
+from transport.experiments import comparison, comparison_report
 from transport.experiments.errors import refused
 
 
@@ -31,9 +31,9 @@ def paper(
     with exit_codes():
         if not 0.0 <= gust < math.inf:
             raise refused("--gust", "a speed >= 0 m/s", f"{gust:g}")
-        folder, console = new_folder(options, claim.NAME), Console(stderr=True)
+        folder, console = new_folder(options, comparison.NAME), Console(stderr=True)
         trial_note(options, console)
-        lines, table, found = claim_report.conduct(
+        lines, table, found = comparison_report.compare(
             options.changes(),
             options.repetitions,
             gust,
@@ -42,4 +42,4 @@ def paper(
             console,
             quick=options.quick,
         )
-        show(table, claim_report.WIDTH, lines, found)
+        show(table, comparison_report.WIDTH, lines, found)

@@ -8,7 +8,7 @@ from typer import Option
 from transport.cli.experiment.conduct import conduct, exit_codes
 from transport.cli.experiment.options import ExperimentOptions
 from transport.cli.options import with_options
-from transport.experiments import catalogue
+from transport.experiments import scaling as team_sizes
 
 # The paper's speed, 0.5 m/s, in a maneuver of 10 s instead of 25.
 _MANEUVER = (
@@ -32,6 +32,6 @@ def scaling(
 
     Example: transport experiment scaling --max 8 --seeds 3
     """
-    sizes, default = (catalogue.QUICK_SIZES, 6) if options.quick else (catalogue.SIZES, 12)
+    sizes, default = (team_sizes.QUICK_SIZES, 6) if options.quick else (team_sizes.SIZES, 12)
     with exit_codes():
-        conduct(catalogue.scaling("resilient", default if largest is None else largest, sizes), options)
+        conduct(team_sizes.scaling("resilient", default if largest is None else largest, sizes), options)

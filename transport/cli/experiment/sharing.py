@@ -6,8 +6,8 @@ from typer import Option
 
 from transport.cli.experiment.conduct import sweep_command
 from transport.cli.experiment.options import SweepOptions
-from transport.experiments import sharing as thresholds_of_sharing
-from transport.experiments.catalogue import Experiment
+from transport.experiments import network_sweeps
+from transport.experiments.experiment import Experiment
 
 
 @sweep_command(default_seeds=5, default_scenarios=("resilient",))
@@ -28,4 +28,4 @@ def sharing(
     Example: transport experiment sharing --threshold 0.01 --threshold 0.1
     """
     default = [0.01] if options.quick else [0.002, 0.005, 0.01, 0.02, 0.05]
-    return thresholds_of_sharing.sharing(options.names, thresholds or default, heartbeat)
+    return network_sweeps.sharing(options.names, thresholds or default, heartbeat)

@@ -17,7 +17,7 @@ from transport.log.run_log import LogError
 from transport.log.tables import Row, columns, tables
 from transport.report.foxglove import write_foxglove
 from transport.report.report import write_whole
-from transport.scene.scene import Scenes
+from transport.scene.scene import SceneBuilder
 
 
 def export(
@@ -28,7 +28,9 @@ def export(
     parquet: Annotated[
         bool, Option("--parquet/--csv", help="Parquet (needs the extra: pip install 'payload-transport[parquet]').")
     ] = False,
-    kinds: Annotated[list[str] | None, Option("--kind", help="Kind of message: truth, plan, ... Repeatable.")] = None,
+    kinds: Annotated[
+        list[str] | None, Option("--kind", help="Kind of message: plant_state, plan, ... Repeatable.")
+    ] = None,
     foxglove: Annotated[
         Path | None, Option("--foxglove", metavar="FILE", help="Write a copy with a 3D scene for Foxglove.")
     ] = None,
@@ -82,7 +84,7 @@ def _export_foxglove(path: Path, out: Path) -> None:
         fail(f"--foxglove: {file.path} has lost its scenario, or it is of another version", EXIT_USAGE)
     try:
         with exit_on(LogError, code=EXIT_USAGE, option="--foxglove"):
-            ticks = write_foxglove(Scenes.of(file.setup, file.log), file.path, out)
+            ticks = write_foxglove(SceneBuilder.of(file.setup, file.log), file.path, out)
     except OSError as error:
         fail(f"--foxglove: cannot write {out} ({error.strerror or error})", EXIT_USAGE)
     typer.echo(f" {out}  {ticks} ticks")
