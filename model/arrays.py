@@ -30,17 +30,15 @@ def checked(name: str, value: ArrayLike, shape: Sequence[int | None]) -> Array:
         array = np.array(value, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
         raise ShapeError(f"{name}: expected an array of numbers, got {value!r}") from error
-    if array.shape != shape and not _matches(array.shape, shape):
-        expected = tuple("any" if want is None else want for want in shape)
-        raise ShapeError(f"{name}: expected shape {_text(expected)}, got {_text(array.shape)}")
+    if array.shape != shape:
+        matches = [want in (None, length) for want, length in zip(shape, array.shape, strict=False)]
+        if len(array.shape) != len(shape) or not all(matches):
+            expected = ["any" if want is None else want for want in shape]
+            raise ShapeError(f"{name}: expected shape {_text(expected)}, got {_text(array.shape)}")
     if not np.isfinite(array).all():
         raise NotFiniteError(f"{name}: expected finite numbers, got {array[~np.isfinite(array)][0]}")
     array.setflags(write=False)
     return array
-
-
-def _matches(have: Sequence[int], want: Sequence[int | None]) -> bool:
-    return len(have) == len(want) and all(w is None or h == w for h, w in zip(have, want, strict=True))
 
 
 def _text(shape: Sequence[object]) -> str:

@@ -116,8 +116,7 @@ class Model:
         Returns: State, (n,), and the largest local error estimate of any step and component, SI.
         """
         if steps not in self._steps:
-            chained = self._step.mapaccum(steps)
-            self._steps[steps] = Compiled(_last_and_errors(chained, self.system, steps))
+            self._steps[steps] = Compiled(_last_and_errors(self._step, steps))
         held = self._acting(forces)
         end, errors = self._steps[steps](x, self._effective(u), self._p, held, duration_s / steps)
         return end, float(errors[0])
@@ -152,8 +151,7 @@ def _zeroed(vector: Array, entries: npt.NDArray[np.intp]) -> Array:
     return vector
 
 
-def _last_and_errors(chained: ca.Function, system: System, steps: int) -> ca.Function:
-    x, u = ca.MX.sym("x", system.n), ca.MX.sym("u", system.m)
-    p, F, h = ca.MX.sym("p", 8 + 11 * system.N), ca.MX.sym("F", 3 + 3 * system.N), ca.MX.sym("h")
-    states, errors = chained(x, *[ca.repmat(held, 1, steps) for held in (u, p, F, h)])
-    return ca.Function("integrate", [x, u, p, F, h], [states[:, -1], ca.mmax(ca.fabs(errors))])
+def _last_and_errors(step: ca.Function, steps: int) -> ca.Function:
+    x, *held = (ca.MX.sym(f"argument{i}", step.size1_in(i)) for i in range(step.n_in()))
+    states, errors = step.mapaccum(steps)(x, *[ca.repmat(argument, 1, steps) for argument in held])
+    return ca.Function("integrate", [x, *held], [states[:, -1], ca.mmax(ca.fabs(errors))])

@@ -45,14 +45,7 @@ def zero_order_hold(
 ) -> tuple[float, Array, Array, Array]:
     """Return the growth theta, A, B and f_d; the last three are meaningless if theta > theta_possible or nan.
 
-    Args:
-        A_c: (n, n).
-        B_c: (n, m).
-        f: (n,).
-        period_s: Sampling period, s.
-        theta_max: Growth above which the period is halved.
-        theta_possible: Growth above which nothing is computed.
-        remainder: Largest remainder of the series; see `model.discretisation`.
+    Arguments as in `model.discretisation`; the period is halved above theta_max.
     """
     n, m = B_c.shape
     # Column-major, as CasADi returns them: no copies.

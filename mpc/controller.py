@@ -93,21 +93,13 @@ class Controller:
         Returns: The plan and the solution of its QP. Never raises for a problem without solution.
         Raises: ShapeError: an argument of the wrong shape or not finite.
         """
-        x0, u0, U, y_ref = self.check(x0, u0, U, y_ref)
+        system, steps = self.model.system, self.settings.horizon
+        x0, u0 = checked("x0", x0, (system.n,)), checked("u0", u0, (system.m,))
+        U, y_ref = checked("U", U, (steps, system.m)), checked("y_ref", y_ref, (steps + 1, system.p))
         linear = self.linearise(x0, u0, forces)
         prediction = self.predict(linear, self.discretise(linear), U, law)
         qp = self.condense(linear, prediction, U, y_ref, law, end)
         return self.conclude(self.solve(qp), prediction, U, law, ticks_since_start)
-
-    def check(self, x0: Array, u0: Array, U: Array, y_ref: Array) -> tuple[Array, Array, Array, Array]:
-        """Return the arguments of `step`, shapes and values checked."""
-        system, steps = self.model.system, self.settings.horizon
-        return (
-            checked("x0", x0, (system.n,)),
-            checked("u0", u0, (system.m,)),
-            checked("U", U, (steps, system.m)),
-            checked("y_ref", y_ref, (steps + 1, system.p)),
-        )
 
     def linearise(self, x0: Array, u0: Array, forces: Array | None = None) -> Linear:
         """Linearise the model about (x0, u0), under estimated external forces.
@@ -168,8 +160,8 @@ class Controller:
         Args:
             solution: Of the QP.
             prediction: The one in the QP.
-            U: Announced inputs of all UAVs over the horizon, (N_p, m).
-            law: With closed-loop prediction, the shared law over the horizon.
+            U: Announced inputs, as in `step`.
+            law: As in `step`.
             ticks_since_start: Ticks since this controller joined. In the first ones the relaxation weight is at least
                 1 / (ticks + 1), as there is no previous plan to average with. None for a member from the start.
         Source: docs/equations.md (30a), (36a).

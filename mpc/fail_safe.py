@@ -9,7 +9,7 @@ from model import state
 from model.arrays import Array
 from model.parameters import System
 
-# Of the attitude loop: slow enough for the moment limits of small quadrotors, faster than the pendulum of a rod.
+# Attitude loop: slow enough for the moment limits of small quadrotors, faster than the pendulum of a rod.
 _FREQUENCY_RAD_S = 6.0
 _DAMPING = 0.8
 
