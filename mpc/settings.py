@@ -1,12 +1,10 @@
 """Settings of a controller: rates, horizon, weights, limits."""
 
-import operator
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
-from annotated_types import Ge, Gt, Le, Lt
+from annotated_types import Interval
 
 from model.arrays import Array
 
@@ -16,18 +14,10 @@ TerminalName = Literal["multiple", "riccati"]
 DiscretisationName = Literal["exact", "euler"]
 PenalisedInput = Literal["deviation", "absolute"]
 
-Bound = Gt | Ge | Lt | Le
-_COMPARED: dict[type[Bound], tuple[str, Callable[[Any, Any], bool], str]] = {
-    Gt: (">", operator.gt, "gt"),
-    Ge: (">=", operator.ge, "ge"),
-    Lt: ("<", operator.lt, "lt"),
-    Le: ("<=", operator.le, "le"),
-}
-
 # Limits stand here alone: settings check them, and the scenario's schema is built from them.
-Positive = Annotated[float, Gt(0.0)]
-NotNegative = Annotated[float, Ge(0.0)]
-Horizon = Annotated[int, Ge(1)]
+Positive = Annotated[float, Interval(gt=0.0)]
+NotNegative = Annotated[float, Interval(ge=0.0)]
+Horizon = Annotated[int, Interval(ge=1)]
 
 
 class SettingsError(ValueError):
@@ -130,7 +120,7 @@ class Tilt:
         penalty: Weight of the largest violation over the horizon, per radian.
     """
 
-    limit_deg: Annotated[float, Gt(0.0), Lt(90.0)]
+    limit_deg: Annotated[float, Interval(gt=0.0, lt=90.0)]
     penalty: Positive = 10.0
 
 
@@ -193,7 +183,7 @@ class ControllerSettings:
     terminal: TerminalName = "multiple"
     preview: bool = False
     discretisation: DiscretisationName = "exact"
-    relaxation: Annotated[float, Gt(0.0), Le(1.0)] = 1.0
+    relaxation: Annotated[float, Interval(gt=0.0, le=1.0)] = 1.0
     solver: SolverName = "daqp"
 
     def __post_init__(self) -> None:
@@ -212,25 +202,23 @@ def _check(settings: object) -> None:
         if get_origin(entry) is Literal and value not in get_args(entry):
             raise SettingsError(f"{name}: expected one of {', '.join(get_args(entry))}, got {value!r}")
         if get_origin(entry) is Annotated:
-            kind, *bounds = get_args(entry)
-            if not all(_is_within(one, kind, bounds) for one in (value if is_tuple else (value,))):
+            kind, limits = get_args(entry)
+            if not all(_is_within(one, kind, limits) for one in (value if is_tuple else (value,))):
                 noun = "an integer" if kind is int else "numbers" if is_tuple else "a number"
                 got = list(value) if is_tuple else value
-                raise SettingsError(f"{name}: expected {noun} {_range(*bounds)}, got {got}")
+                raise SettingsError(f"{name}: expected {noun} {_range(limits)}, got {got}")
 
 
-def _is_within(value: Any, kind: type, bounds: Sequence[Bound]) -> bool:
+def _is_within(value: Any, kind: type, limits: Any) -> bool:
     if (kind is int and not isinstance(value, int)) or not np.isfinite(value):
         return False
-    return all(_COMPARED[type(bound)][1](value, _limit(bound)) for bound in bounds)
+    above = value >= limits.ge if limits.gt is None else value > limits.gt
+    return bool(above and (limits.le is None or value <= limits.le) and (limits.lt is None or value < limits.lt))
 
 
-def _range(bound: Bound, upper: Bound | None = None) -> str:
-    if upper is None:
-        return f"{_COMPARED[type(bound)][0]} {_limit(bound):g}"
-    opening, closing = "(" if isinstance(bound, Gt) else "[", ")" if isinstance(upper, Lt) else "]"
-    return f"in {opening}{_limit(bound):g}, {_limit(upper):g}{closing}"
-
-
-def _limit(bound: Bound) -> Any:
-    return getattr(bound, _COMPARED[type(bound)][2])
+def _range(limits: Any) -> str:
+    """Return limits as text, such as ">= 1" or "in (0, 1]"."""
+    if limits.le is limits.lt is None:
+        return f">= {limits.ge:g}" if limits.gt is None else f"> {limits.gt:g}"
+    low = f"[{limits.ge:g}" if limits.gt is None else f"({limits.gt:g}"
+    return f"in {low}, {limits.lt:g})" if limits.le is None else f"in {low}, {limits.le:g}]"

@@ -60,7 +60,8 @@ class Setup:
             source: Its file, for error texts.
         Raises: ScenarioError: a body, path or setting is impossible; naming file, field, expected, got.
         """
-        payload = building(source, "system.payload", lambda: _payload(scenario))
+        body = scenario.system.payload
+        payload = building(source, "system.payload", lambda: Payload(mass=body.mass_kg, inertia=body.inertia_kgm2))
         uavs = [building(source, f"system.uav.{section.id}", partial(_uav, section)) for section in scenario.system.uav]
         system = building(
             source, "system", lambda: System(payload=payload, uavs=uavs, gravity=scenario.system.gravity_mps2)
@@ -209,11 +210,6 @@ def _samples(scenario: Scenario, source: str) -> dict[str, tuple[float, ...]]:
             raise ScenarioError(source, "links.samples", f"{path}: expected delays >= 0 s, got {values[:3]}")
         found[section.samples] = tuple(sorted(values))
     return found
-
-
-def _payload(scenario: Scenario) -> Payload:
-    section = scenario.system.payload
-    return Payload(mass=section.mass_kg, inertia=section.inertia_kgm2)
 
 
 def _uav(section: UavSection) -> Uav:

@@ -115,6 +115,15 @@ _id_list = integers(1, MAX_UAVS)
 
 
 def _ids(field: str, value: Any, message: Any) -> tuple[int, ...]:
+    if type(value) is tuple:  # the usual case in one pass: several lists of ids come with every message
+        last = 0
+        for i in value:
+            if type(i) is not int or i <= last:
+                break
+            last = i
+        else:
+            if last <= MAX_UAVS:
+                return value
     ids: tuple[int, ...] = _id_list(field, value, message)
     if any(map(operator.ge, ids, ids[1:])):
         raise MessageError("out_of_range", f"{field}: expected ascending ids, got {list(ids)}")

@@ -92,12 +92,11 @@ class Keys:
     def subscriptions(self, name: str) -> list[str]:
         """Return the key expressions a process subscribes to."""
         role, agent = role_of(name), name.removeprefix(AGENT)
-        found = []
-        for kind, route in ((kind, cls.route) for kind, cls in KINDS.items() if role in cls.route.receivers):
-            # An agent receives what other processes send to it, and from the other agents everything.
-            end = agent if role == AGENT and route.sender != AGENT else "*"
-            keys = [route.key or kind, *([route.unshared_key] if route.unshared_key and role != AGENT else [])]
-            found += [f"{self.prefix}/{key}/{end}" if route.each else f"{self.prefix}/{key}" for key in keys]
+        found: list[str] = []
+        for cls in (cls for cls in KINDS.values() if role in cls.route.receivers):
+            # An agent receives what other processes send to it, and from the other agents everything they share.
+            end = agent if role == AGENT and cls.route.sender != AGENT else "*"
+            found += self._under(cls, end, unshared=role != AGENT)
         return [*dict.fromkeys(found)]
 
     def publications(self, name: str) -> list[str]:
@@ -105,12 +104,16 @@ class Keys:
         role = role_of(name)
         if role not in (COORDINATOR, PLANT, AGENT):
             return []
-        found = []
-        for kind, route in ((kind, cls.route) for kind, cls in KINDS.items() if cls.route.sender in (role, None)):
-            end = name if route.each == "sender" else name.removeprefix(AGENT) if role == AGENT else "*"
-            keys = [route.key or kind, *([route.unshared_key] if route.unshared_key else [])]
-            found += [f"{self.prefix}/{key}/{end}" if route.each else f"{self.prefix}/{key}" for key in keys]
+        found: list[str] = []
+        for cls in (cls for cls in KINDS.values() if cls.route.sender in (role, None)):
+            end = name if cls.route.each == "sender" else name.removeprefix(AGENT) if role == AGENT else "*"
+            found += self._under(cls, end, unshared=True)
         return [*dict.fromkeys(found)]
+
+    def _under(self, cls: type[Message], end: str, *, unshared: bool) -> list[str]:
+        """Return the key expressions of a kind of message for one end or all."""
+        keys = [cls.route.key or cls.kind, *([cls.route.unshared_key] if unshared and cls.route.unshared_key else [])]
+        return [f"{self.prefix}/{key}/{end}" if cls.route.each else f"{self.prefix}/{key}" for key in keys]
 
     def alive(self, name: str, incarnation: int, digest: str, version: int) -> str:
         """Return the liveliness token of a process that is up, with scenario digest and protocol version."""

@@ -23,37 +23,6 @@ from protocol.wire.message import KINDS, Message
 from protocol.wire.names import MAX_UAVS, agent_name, is_name
 from protocol.wire.records import STAGES, FaultNote, FaultOrigin, PlantState, Rejected, StepReport
 
-__all__ = [
-    "KINDS",
-    "MAX_HORIZON",
-    "MAX_NEGOTIATION_ITERATIONS",
-    "MAX_TEXT",
-    "MAX_TICK",
-    "MAX_UAVS",
-    "STAGES",
-    "Control",
-    "Event",
-    "FaultNote",
-    "FaultOrigin",
-    "LinkChange",
-    "Measurement",
-    "Message",
-    "MessageError",
-    "Outcome",
-    "Plan",
-    "PlanStatus",
-    "PlantState",
-    "Presence",
-    "Reason",
-    "Rejected",
-    "Request",
-    "Roster",
-    "StepReport",
-    "Tick",
-    "agent_name",
-    "is_name",
-]
-
 
 @dataclass(frozen=True, slots=True)
 class Presence:

@@ -1,11 +1,12 @@
 """Validation of every field of every message at construction."""
 
 import dataclasses
-from typing import Any
+from typing import Any, Literal, get_origin, get_type_hints
 
 import numpy as np
 import pytest
 
+from protocol.wire.fields import Age, Agent, Count, End, Finite, Flag, Ids, Name, Number, Text
 from protocol.wire.messages import (
     KINDS,
     MAX_HORIZON,
@@ -133,6 +134,26 @@ ENTRIES = {
     (StepReport, "state_ages"): "age",
     (PlantState, "plan_ticks"): "source",
 }
+
+# Messages that are not in the table are tested by the types of their fields.
+SORT_OF_TYPE = {
+    Name: "name",
+    End: "end",
+    Count: "count",
+    Number: "number",
+    Age: "age",
+    Agent: "agent",
+    Ids: "ids",
+    Finite: "float",
+    Flag: "flag",
+    Text: "text",
+}
+for other in set(KINDS.values()) - set(SORTS):
+    hints = get_type_hints(other, include_extras=True)
+    own = [field.name for field in dataclasses.fields(other) if field.name not in HEAD]
+    SORTS[other] = {
+        name: "word" if get_origin(hints[name]) is Literal else SORT_OF_TYPE.get(hints[name], "array") for name in own
+    }
 
 CASES = [
     pytest.param(kind, field, value, id=f"{kind.kind}-{field}-{number}")
