@@ -253,8 +253,10 @@ class View3D:
         return node
 
     def _add_lines(self, name: str, width_px: float) -> Any:
+        # A colour per point from the start: viser draws lines white that get them after their first drawing.
+        colours = np.zeros(_NO_SEGMENTS.shape, dtype=np.uint8)
         return self._server.scene.add_line_segments(
-            name, _NO_SEGMENTS, (0, 0, 0), thickness=width_px, thickness_units="screen"
+            name, _NO_SEGMENTS, colours, thickness=width_px, thickness_units="screen"
         )
 
 
