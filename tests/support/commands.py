@@ -1,4 +1,4 @@
-"""Running the command `transport` as a person would: as a process."""
+"""The command `transport`, run as a process."""
 
 import os
 import socket
@@ -17,7 +17,7 @@ SHORT = (
     "{name='hover', duration_s=0.5, displacement_m=[0.0, 0.0, 0.0]},"
     "{name='climb', duration_s=1.0, displacement_m=[0.0, 0.0, -0.5]}]"
 )
-# One that goes on until somebody ends it: paced to real time.
+# Settings of a run paced to real time, which lasts until it is ended.
 ENDLESS = ("clock.speed=1.0",)
 
 # Starting six processes on a busy machine of two cores.
@@ -101,7 +101,7 @@ def free_base() -> int:
 
 
 def is_free(port: int) -> bool:
-    """Whether nobody listens on a port."""
+    """Return whether a port is free."""
     with closing(socket.socket()) as probe:
         try:
             probe.bind(("127.0.0.1", port))

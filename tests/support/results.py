@@ -1,4 +1,4 @@
-"""A small experiment that the tests fly in several ways."""
+"""A small experiment that the tests run in several ways."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,7 +8,7 @@ from typer.testing import CliRunner, Result
 from tests.support.runs import ticks
 from transport.cli.main import app
 
-# Half a second of hover over links that lose plans: 5 flights, 2 of which are random and flown with two seeds.
+# Half a second of hover with packet loss: 5 runs, two of them random with two seeds each.
 TICKS = 10
 FLIGHTS = 5
 SMALL = (
@@ -23,11 +23,11 @@ def here(*arguments: str | Path) -> Result:
 
 
 def tables(folder: Path) -> Sequence[bytes]:
-    """The tables of an experiment's folder."""
+    """Return the tables in an experiment's folder."""
     return [(folder / name).read_bytes() for name in ("points.csv", "cases.csv")]
 
 
 def kept(folder: Path) -> int:
-    """How many flights an experiment's folder keeps."""
+    """Return the number of results in an experiment's folder."""
     path = folder / "results.jsonl"
     return path.read_bytes().count(b"\n") if path.exists() else 0

@@ -1,4 +1,4 @@
-"""What cannot be flown is refused before anything starts: one line, the documented exit code, nothing left behind."""
+"""Refused scenarios, options and addresses: one line and the documented exit code, before any process starts."""
 
 import socket
 from pathlib import Path
@@ -29,7 +29,7 @@ REFUSED_SCENARIOS = [
 def test_scenario_that_cannot_be_is_refused_in_one_line(
     change: str, expected: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A wrong value ends with exit code 3 and one line of setting, expected and got; no run folder appears."""
+    """A wrong value ends with exit code 3 and one line of setting, expected and got, without a run folder."""
     monkeypatch.chdir(tmp_path)
     result = here("run", "paper", *settings(change), "--out", "out")
     assert result.exit_code == SCENARIO
@@ -41,7 +41,7 @@ def test_scenario_that_cannot_be_is_refused_in_one_line(
 
 
 def test_missing_file_is_refused(tmp_path: Path) -> None:
-    """A scenario file that is not there is named."""
+    """A missing scenario file is named."""
     result = transport("run", "nowhere.toml", cwd=tmp_path)
     assert (result.returncode, result.stderr) == (SCENARIO, "transport: nowhere.toml: no such file\n")
 
@@ -63,7 +63,7 @@ def test_agent_that_is_not_in_the_scenario_is_refused(tmp_path: Path) -> None:
 
 
 def test_existing_run_folder_is_not_touched(tmp_path: Path) -> None:
-    """A run folder that exists is refused, and what is in it stays."""
+    """An existing run folder is refused, and its content stays."""
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "keep.txt").write_text("mine")
     result = transport("run", "paper", "--out", "out", cwd=tmp_path)
@@ -73,7 +73,7 @@ def test_existing_run_folder_is_not_touched(tmp_path: Path) -> None:
 
 
 def test_port_in_use_is_named(tmp_path: Path) -> None:
-    """A port somebody listens on is named before anything starts, for the whole run and for one process."""
+    """A port in use is named before any process starts, for the whole run and for one process."""
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
@@ -90,19 +90,19 @@ def test_port_in_use_is_named(tmp_path: Path) -> None:
 
 
 def test_connecting_to_nothing_ends_by_name(tmp_path: Path) -> None:
-    """An agent that finds nobody says whom it waited for and where it called, within the join timeout."""
-    options = ["--listen", "tcp/127.0.0.1:0", "--connect", "tcp/127.0.0.1:9", "--join-timeout", "1", "--run", "nobody"]
+    """An agent without peers names the missing processes and its endpoints within the join timeout."""
+    options = ["--listen", "tcp/127.0.0.1:0", "--connect", "tcp/127.0.0.1:9", "--join-timeout", "1", "--run", "alone"]
     result = transport("agent", "--id", "1", *options, cwd=tmp_path)
     assert result.returncode == LOST
     last = result.stderr.strip().splitlines()[-1]
     assert "no sign of agent2, agent3, agent4, coordinator, plant within 1 s" in last
     assert "connecting to tcp/127.0.0.1:9" in last
     assert "Traceback" not in result.stderr
-    assert processes_of("nobody") == {}
+    assert processes_of("alone") == {}
 
 
 def test_a_folder_without_a_run_cannot_be_plotted(tmp_path: Path) -> None:
-    """Plotting a folder that is no run folder says so."""
+    """Plotting a folder without a run is refused on one line."""
     result = transport("plot", ".", cwd=tmp_path)
     assert result.returncode == USAGE
     assert "Traceback" not in result.stderr

@@ -1,4 +1,4 @@
-"""`transport scenario new`: files that fly, and refusals that say option, expected and got."""
+"""`transport scenario new`: files that run, and refusals with option, expected and got."""
 
 import shlex
 from pathlib import Path
@@ -69,7 +69,7 @@ def folder_with_templates(tmp_path: Path) -> Path:
 def test_refusals(
     options: tuple[str, ...], code: int, text: str, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What cannot be made is refused on one line with the documented code, and no file is written or changed."""
+    """A refusal is one line with the documented exit code; no file is written or changed."""
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     monkeypatch.chdir(folder)
     result = here(*NEW, *options)
@@ -104,7 +104,7 @@ def test_the_file_says_how_it_was_made(tmp_path: Path) -> None:
 
 
 def test_resilient_is_the_default(tmp_path: Path) -> None:
-    """Without --from a team flies with the settings of `resilient`, the ones that carry over to other sizes."""
+    """Without --from a team runs with the settings of `resilient`, the ones that carry over to other sizes."""
     text = transport(*NEW, "--uavs", "6", cwd=tmp_path).stdout
     (tmp_path / "six.toml").write_text(text, encoding="utf-8")
     scenario = read_scenario(tmp_path / "six.toml")

@@ -13,6 +13,12 @@ _PLAIN: dict[str, Any] = {"add_completion": False, "pretty_exceptions_enable": F
 Table = Mapping[str, tuple[str, str]]
 
 
+def import_function(target: str) -> Any:
+    """Return the function of a text "module:function", importing the module."""
+    module, _, function = target.partition(":")
+    return getattr(import_module(module), function)
+
+
 class LazyGroup(TyperGroup):
     """Group whose `commands` are stand-ins with a name and one line of help until one of them is called."""
 
@@ -32,9 +38,8 @@ class LazyGroup(TyperGroup):
 
     def load(self, name: str) -> Any:
         """Import the command of a name in the table."""
-        module, function = self.table[name][0].split(":")
         single = typer.Typer(**_PLAIN)
-        single.command(name)(getattr(import_module(module), function))
+        single.command(name)(import_function(self.table[name][0]))
         return typer.main.get_command(single)
 
 

@@ -1,14 +1,18 @@
-"""The work of `transport run`; its imports take long, so `run` starts the fork server before them."""
+"""The work of `transport run`: its imports take long, so `run` starts the fork server before them.
 
-from contextlib import nullcontext
+For the same reason the report is imported after the simulation.
+"""
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 from rich.console import Console
 
 from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_UNREACHABLE, EXIT_USAGE
+from transport.cli.lazy import import_function
 from transport.cli.options import RUNS
 from transport.cli.output import Format, exit_on, fail
-from transport.cli.run_report import report
 from transport.cli.scenario_setup import read_setup
 from transport.flight.harness import HarnessError
 from transport.flight.run import RunError, new_folder, simulate
@@ -28,13 +32,15 @@ def run_scenario(
     """Run a scenario, record and report it; arguments are the options of `transport run`."""
     setup = read_setup(scenario, settings)
     folder = out if out is not None else new_folder(RUNS, setup.scenario.name)
-    join_timeout_s = setup.scenario.clock.join_timeout_s
-    if viewer_address:
+    viewer: AbstractContextManager[Callable[[], None] | None] = nullcontext()
+    if viewer_address is not None:
         with exit_on(ViewerError, code=EXIT_USAGE):
             require_viser()
-    with viewer_beside(folder, *viewer_address, join_timeout_s) if viewer_address else nullcontext() as linger:
+        viewer = viewer_beside(folder, *viewer_address, setup.scenario.clock.join_timeout_s)
+    with viewer as linger:
         with exit_on(RunError), exit_on(HarnessError, code=EXIT_UNREACHABLE):
             finished = simulate(setup, folder, Console(stderr=True))
+        report = import_function("transport.cli.run_report:report")
         report(folder, output, figures=figures, setup=setup)
         if linger is not None and finished.exit_code != EXIT_INTERRUPTED:
             linger()
