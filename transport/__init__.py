@@ -1,4 +1,4 @@
-"""What a person touches: command line, local harness, recording, metrics, figures."""
+"""Command line, simulation, log, analysis, report, viewer and experiments of the transport of one payload by UAVs."""
 
 from importlib.util import find_spec
 from pathlib import Path
