@@ -30,10 +30,10 @@ def view(
     port: PortOption = 8080,
     wait: Annotated[float, Option("--wait", min=0.0, help="Time to wait for the run to start, s.")] = 0.0,
 ) -> None:
-    """Show a recorded or live run in the browser.
+    """Show a recorded or active run in the browser.
 
     Payload, rods, UAVs with attitude and thrust, flown and predicted paths, links by age of plans and packet loss.
-    Links of a live run can be changed, its agents killed and restarted. Ctrl-C ends the viewer, not the run.
+    Links of an active run can be changed, its agents killed and restarted. Ctrl-C ends the viewer, not the run.
 
     Example: transport view runs/20260102-101500-paper
     """
