@@ -19,7 +19,7 @@ from tests.support.coordinator_clock import (
     started,
     tell,
 )
-from tests.support.runs import EVERYBODY, plan, plant_state, refused, setup
+from tests.support.runs import ALL, plan, plant_state, refused, setup
 
 BARRIER_NS = round(TIMEOUT_S * S)
 PACED = "clock.speed=1"
@@ -34,9 +34,9 @@ def test_waits_for_all_and_the_observers() -> None:
         assert node.tick == -1
         roster, tick = tell(node, [ready(last)])
         assert isinstance(roster, Roster)
-        assert (roster.version, roster.agents, roster.incarnations) == (1, EVERYBODY, (1, 1, 1, 1))
+        assert (roster.version, roster.agents, roster.incarnations) == (1, ALL, (1, 1, 1, 1))
         assert isinstance(tick, Tick)
-        assert (tick.tick, tick.members, tick.answered, tick.roster) == (0, EVERYBODY, (), 1)
+        assert (tick.tick, tick.members, tick.answered, tick.roster) == (0, ALL, (), 1)
 
 
 def test_a_whole_run() -> None:
@@ -230,10 +230,10 @@ def test_a_restarted_agent_joins_at_the_next_tick() -> None:
     assert tell(node, [plan(setup(), 2, 0, incarnation=2)]) == []
     joined, tick = tell(node, answers(0, (1, 3, 4)))
     assert isinstance(joined, Roster)
-    assert (joined.tick, joined.agents, joined.incarnations) == (1, EVERYBODY, (1, 2, 1, 1))
+    assert (joined.tick, joined.agents, joined.incarnations) == (1, ALL, (1, 2, 1, 1))
     assert joined.reason == "agent2 joined at t = 0.05 s"
     assert isinstance(tick, Tick)
-    assert (tick.tick, tick.members, tick.answered, tick.roster) == (1, EVERYBODY, (1, 3, 4), 3)
+    assert (tick.tick, tick.members, tick.answered, tick.roster) == (1, ALL, (1, 3, 4), 3)
     assert tell(node, [gone("agent2", 1)]) == []
     assert node.finished is None
 

@@ -9,7 +9,7 @@ from coordinator.node import CoordinatorNode
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Control, Message, Plan, PlantState, Roster, Tick
 from tests.support.coordinator_clock import CONTINUE, MS, START_NS, S, gone, kinds, ready, started, tell
-from tests.support.runs import EVERYBODY, plan, plant_state, setup, ticks
+from tests.support.runs import ALL, plan, plant_state, setup, ticks
 
 REALTIME = ("clock.mode=realtime", "clock.speed=1")
 PERIOD_NS = 50 * MS
@@ -23,12 +23,12 @@ def realtime(*settings: str, length: int = 400) -> tuple[Setup, CoordinatorNode]
     return run, started(CoordinatorNode(run))
 
 
-def answers(run: Setup, k: int, agents: Sequence[int] = EVERYBODY) -> list[Message]:
+def answers(run: Setup, k: int, agents: Sequence[int] = ALL) -> list[Message]:
     """Plans of tick k for the next."""
     return [plan(run, agent, k, delay=1) for agent in agents]
 
 
-def answers_now(run: Setup, k: int, agents: Sequence[int] = EVERYBODY) -> list[Message]:
+def answers_now(run: Setup, k: int, agents: Sequence[int] = ALL) -> list[Message]:
     """Plans of tick k that start at tick k, as in lockstep."""
     return [plan(run, agent, k) for agent in agents]
 
@@ -93,7 +93,7 @@ def test_the_coordinators_own_absence_restarts_the_timeouts(mode: tuple[str, ...
             node.poll(now_ns)
         else:
             node.receive(plan(run, 1, 0, delay=delay), now_ns)
-        tell(node, [plan(run, agent, 0, delay=delay) for agent in EVERYBODY], now_ns + MS)
+        tell(node, [plan(run, agent, 0, delay=delay) for agent in ALL], now_ns + MS)
         tell(node, [plant_state(run, 0)], now_ns + MS)
         node.poll(now_ns + 2 * MS)
         assert node.finished is None
@@ -139,7 +139,7 @@ def test_hold() -> None:
     assert node.poll(due(1)) == ()
     assert node.poll(due(1) + 69 * MS) == ()
     first = only_tick(tell(node, answers(run, 0, (4,)), due(1) + 70 * MS))
-    assert (first.tick, first.answered, first.late_ns, first.overrun_ns) == (1, EVERYBODY, 70 * MS, 70 * MS)
+    assert (first.tick, first.answered, first.late_ns, first.overrun_ns) == (1, ALL, 70 * MS, 70 * MS)
     assert tell(node, answers(run, 1), due(1) + 80 * MS) == []
     assert node.wake_ns == due(2) + 70 * MS
     assert only_tick(node.poll(due(2) + 70 * MS)).late_ns == 0
@@ -197,7 +197,7 @@ def test_abort_by_a_late_tick() -> None:
 def run_until(run: Setup, node: CoordinatorNode, until_ns: int, silent: Sequence[str]) -> tuple[list[Message], int]:
     """Let all but the silent processes answer every tick at once; return the first messages besides ticks, and when."""
     sent_else: list[Message] = []
-    agents = [agent for agent in EVERYBODY if f"agent{agent}" not in silent]
+    agents = [agent for agent in ALL if f"agent{agent}" not in silent]
     while node.finished is None and node.wake_ns is not None and node.wake_ns < until_ns:
         now_ns = node.wake_ns
         sent = list(node.poll(now_ns))
@@ -267,7 +267,7 @@ def test_a_dead_agent_comes_back() -> None:
     joined, tick = node.poll(due(1))
     assert isinstance(joined, Roster)
     assert isinstance(tick, Tick)
-    assert (joined.incarnations, tick.members, tick.roster) == ((1, 2, 1, 1), EVERYBODY, joined.version)
+    assert (joined.incarnations, tick.members, tick.roster) == ((1, 2, 1, 1), ALL, joined.version)
     tell(node, [plan(run, 2, 1, delay=1, incarnation=2)], due(1) + MS)
     assert only_tick(node.poll(due(2))).answered == (2,)
 

@@ -8,7 +8,7 @@ import pytest
 from coordinator.node import CoordinatorNode
 from protocol.wire.messages import Control, Message, Roster, Tick
 from tests.support.coordinator_clock import CONTINUE, MS, START_NS, TIMEOUT_S, S, gone, kinds, ready, started, tell
-from tests.support.runs import EVERYBODY, plan, plant_state, setup, ticks
+from tests.support.runs import ALL, plan, plant_state, setup, ticks
 
 BARRIER_NS = round(TIMEOUT_S * S)
 JOIN_NS = 30 * S  # clock.join_timeout_s, the default
@@ -18,7 +18,7 @@ ROUNDS = "controller.negotiation_iterations=3"
 LEFT = (1, 3, 4)
 
 
-def answers(k: int, agents: Sequence[int] = EVERYBODY, incarnation: int = 1) -> list[Message]:
+def answers(k: int, agents: Sequence[int] = ALL, incarnation: int = 1) -> list[Message]:
     """Plans of tick k."""
     return [plan(setup(SIX), agent, k, incarnation=incarnation) for agent in agents]
 
@@ -40,9 +40,9 @@ def test_a_tick_waits_for_agents_that_return_at_it() -> None:
     assert node.poll(START_NS + JOIN_NS - 1) == ()
     joined, tick = tell(node, [ready("agent2", 2)], START_NS + 10 * MS)
     assert isinstance(joined, Roster)
-    assert (joined.tick, joined.agents, joined.incarnations) == (3, EVERYBODY, (1, 2, 1, 1))
+    assert (joined.tick, joined.agents, joined.incarnations) == (3, ALL, (1, 2, 1, 1))
     assert isinstance(tick, Tick)
-    assert (tick.tick, tick.members, tick.answered, tick.roster) == (3, EVERYBODY, LEFT, joined.version)
+    assert (tick.tick, tick.members, tick.answered, tick.roster) == (3, ALL, LEFT, joined.version)
 
 
 def test_an_early_return_holds_no_tick() -> None:
@@ -112,7 +112,7 @@ def proposals(agents: Sequence[int], negotiation: int) -> list[Message]:
 def test_only_agents_behind_in_a_negotiation_are_dropped(negotiation: int) -> None:
     """A frozen agent blocks the others' next iteration: it alone is dropped, and their timeout restarts."""
     node = started(CoordinatorNode(setup(SIX, ROUNDS, CONTINUE)))
-    tell(node, proposals(EVERYBODY if negotiation < 2 else LEFT, 2))
+    tell(node, proposals(ALL if negotiation < 2 else LEFT, 2))
     if negotiation < 2:
         tell(node, proposals(LEFT, 1))
     expired_ns = START_NS + BARRIER_NS
@@ -126,7 +126,7 @@ def test_only_agents_behind_in_a_negotiation_are_dropped(negotiation: int) -> No
 def test_proposals_are_no_answers() -> None:
     """A tick is closed by the last plans of all agents, not by the proposals before them."""
     node = started(CoordinatorNode(setup(SIX, ROUNDS)))
-    assert tell(node, [*proposals(EVERYBODY, 2), *proposals(EVERYBODY, 1)]) == []
+    assert tell(node, [*proposals(ALL, 2), *proposals(ALL, 1)]) == []
     assert tell(node, answers(0, LEFT)) == []
     assert kinds(tell(node, answers(0, (2,)))) == ["tick 1"]
 
@@ -134,7 +134,7 @@ def test_proposals_are_no_answers() -> None:
 def test_all_agents_stuck_in_a_negotiation() -> None:
     """When all agents are equally far behind, the plant is the likely cause and the run ends."""
     node = started(CoordinatorNode(setup(SIX, ROUNDS, CONTINUE)))
-    tell(node, proposals(EVERYBODY, 2))
+    tell(node, proposals(ALL, 2))
     (end,) = node.poll(START_NS + BARRIER_NS)
     assert isinstance(end, Control)
     assert end.reason == "no agent answered tick 0 in time: is the plant alive?"

@@ -6,7 +6,7 @@ import pytest
 from model.arrays import Array
 from plant.node import PlantNode
 from protocol.wire.messages import PlantState
-from tests.support.runs import EVERYBODY, plan, roster, setup, tick
+from tests.support.runs import ALL, plan, roster, setup, tick
 
 HOVER = np.array([22.0725, 0.0, 0.0, 0.0])  # N: 1.5 kg and a quarter of the payload's 3 kg, under 9.81 m/s^2
 
@@ -18,7 +18,7 @@ def last_state(settings: tuple[str, ...], shoves: dict[int, Array], ticks: int =
     messages = list(node.receive(roster(), 0))
     for k in range(ticks):
         messages += node.receive(tick(k), 0)
-        for agent in EVERYBODY:
+        for agent in ALL:
             inputs = np.tile(shoves.get(agent, run.hover.u[:4]), (2, 1))
             messages += node.receive(plan(run, agent, k, inputs=inputs), 0)
     found = [message for message in messages if isinstance(message, PlantState)][-1]
@@ -65,7 +65,7 @@ def test_payload_attitude() -> None:
 def test_position() -> None:
     """A payload too far from its reference ends the flight; the reason has the distance."""
     more = HOVER + np.array([10.0, 0.0, 0.0, 0.0])
-    found = last_state(("plant.max_error_m=0.5",), dict.fromkeys(EVERYBODY, more), ticks=10)
+    found = last_state(("plant.max_error_m=0.5",), dict.fromkeys(ALL, more), ticks=10)
     # 40 N more on 9 kg: 0.5 m after 0.47 s, in the tenth interval of 50 ms.
     assert (found.tick, found.diverged) == (9, "payload position error of 0.6 m exceeds 0.5 m")
 

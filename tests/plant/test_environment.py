@@ -12,7 +12,7 @@ from plant.environment import Environment
 from plant.node import PlantNode
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Measurement, Message
-from tests.support.runs import EVERYBODY, measurement, plan, roster, setup, tick
+from tests.support.runs import ALL, measurement, plan, roster, setup, tick
 
 MEAN = "plant.wind.speed_mps=[3.0,-1.0,0.5]"
 GUSTS = "plant.wind.gust_mps=[2.0,1.0,0.5]"
@@ -46,7 +46,7 @@ def flown(run: Setup, ticks: int) -> list[Message]:
     messages = list(node.receive(roster(), 0))
     for k in range(ticks):
         messages += node.receive(tick(k), 0)
-        for agent in EVERYBODY:
+        for agent in ALL:
             messages += node.receive(plan(run, agent, k), 0)
     return [*messages, *node.receive(tick(ticks), 0)]
 

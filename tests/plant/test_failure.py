@@ -8,7 +8,7 @@ from plant.node import PlantNode
 from plant.schedule import MOTOR_OFF
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Measurement, Message, PlantState, Roster
-from tests.support.runs import EVERYBODY, plan, roster, setup, tick
+from tests.support.runs import ALL, plan, roster, setup, tick
 
 TICKS = 6
 UAV = 2
@@ -23,7 +23,7 @@ def flown(run: Setup) -> list[Message]:
     messages = list(node.receive(roster(), 0))
     for k in range(TICKS):
         messages += node.receive(tick(k), 0)
-        for agent in EVERYBODY:
+        for agent in ALL:
             messages += node.receive(plan(run, agent, k), 0)
     return messages
 
@@ -84,6 +84,6 @@ def test_the_roster_is_no_source_of_the_plants() -> None:
     lying = Roster(agents=said.agents, incarnations=said.incarnations, off=(3,), released=(3,), reason="", **claim)
     messages = list(node.receive(lying, 0))
     messages += node.receive(tick(0), 0)
-    for agent in EVERYBODY:
+    for agent in ALL:
         messages += node.receive(plan(setup(), agent, 0), 0)
     assert plant_states(messages)[0].u[state.input_slice(UAV)].any()

@@ -10,7 +10,7 @@ from plant.node import PlantNode
 from plant.schedule import BEFORE_ANY_PLAN, FAIL_SAFE
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Measurement, Message, PlantState, Presence
-from tests.support.runs import EVERYBODY, end, integrated, measurement, plan, refused, roster, setup, tick
+from tests.support.runs import ALL, end, integrated, measurement, plan, refused, roster, setup, tick
 
 IMMEDIATE, NEXT_TICK = "clock.actuation=immediate", "clock.actuation=next_tick"
 
@@ -57,19 +57,19 @@ def test_forwards_who_answered() -> None:
     """The agents that answered and the roster in force are forwarded with the measurements."""
     node = ready(setup())
     run = setup()
-    tell(node, tick(0), *[plan(run, agent, 0) for agent in EVERYBODY])
+    tell(node, tick(0), *[plan(run, agent, 0) for agent in ALL])
     found = tell(node, roster({1: 1, 2: 1, 3: 1}, version=2), tick(1, answered=(1, 3), members=(1, 2, 3), version=2))
     assert kinds(found) == measured(1, 3)
     assert {(m.answered, m.roster) for m in found if isinstance(m, Measurement)} == {((1, 3), 2)}
 
 
-@pytest.mark.parametrize("last", EVERYBODY)
+@pytest.mark.parametrize("last", ALL)
 def test_immediate_integrates_with_all_plans(last: int) -> None:
     """Actuation "immediate": [t_k, t_k+1) is integrated once the last member's plan of tick k is in."""
     run = setup(IMMEDIATE)
     node = ready(run)
     tell(node, tick(0))
-    for agent in EVERYBODY:
+    for agent in ALL:
         if agent != last:
             assert tell(node, plan(run, agent, 0)) == []
     assert tell(node, tick(1)) == []
@@ -81,7 +81,7 @@ def test_immediate_integrates_before_the_next_tick_opens() -> None:
     run = setup(IMMEDIATE)
     node = ready(run)
     tell(node, tick(0))
-    assert kinds(tell(node, *[plan(run, agent, 0) for agent in EVERYBODY])) == ["plant_state 0"]
+    assert kinds(tell(node, *[plan(run, agent, 0) for agent in ALL])) == ["plant_state 0"]
     assert kinds(tell(node, tick(1))) == measured(1)
 
 
@@ -143,7 +143,7 @@ def test_truth_is_the_integrated_state() -> None:
     node = ready(run)
     tell(node, tick(0))
     x, u = run.initial_state(), run.hover.u + np.tile([1.0, 0.1, -0.1, 0.05], 4) * np.repeat([1.0, 2.0, 3.0, 0.5], 4)
-    plans = [plan(run, a, 0, inputs=np.tile(u[4 * a - 4 : 4 * a], (20, 1))) for a in EVERYBODY]
+    plans = [plan(run, a, 0, inputs=np.tile(u[4 * a - 4 : 4 * a], (20, 1))) for a in ALL]
     (record,) = tell(node, *plans)
     assert isinstance(record, PlantState)
     np.testing.assert_array_equal(record.x, x)
@@ -152,7 +152,7 @@ def test_truth_is_the_integrated_state() -> None:
     assert record.diverged == ""
     assert 0.0 < record.local_error < 1e-9
     ahead = integrated(run, x, u)
-    for message, agent in zip(tell(node, tick(1)), EVERYBODY, strict=True):
+    for message, agent in zip(tell(node, tick(1)), ALL, strict=True):
         assert isinstance(message, Measurement)
         np.testing.assert_array_equal(message.payload, ahead[:12])
         np.testing.assert_array_equal(message.uav_states, ahead[None, state.uav_slice(agent - 1)])
@@ -166,7 +166,7 @@ def test_integration_steps(step_s: float, steps: int) -> None:
     node = ready(run)
     tell(node, tick(0))
     shove = np.tile([25.0, 0.1, 0.2, 0.1], (20, 1))
-    tell(node, *[plan(run, agent, 0, inputs=shove) for agent in EVERYBODY])
+    tell(node, *[plan(run, agent, 0, inputs=shove) for agent in ALL])
     ahead, _ = run.model.integrate(run.initial_state(), np.tile(shove[0], 4), 0.05, steps)
     first = tell(node, tick(1))[0]
     assert isinstance(first, Measurement)
@@ -177,7 +177,7 @@ def test_lost_agents_uav_plays_on() -> None:
     """The UAV of an agent that left follows its last plan to the end, then the fail-safe."""
     run = setup(IMMEDIATE, "controller.horizon=3")
     node = ready(run)
-    tell(node, tick(0), *[plan(run, agent, 0) for agent in EVERYBODY])
+    tell(node, tick(0), *[plan(run, agent, 0) for agent in ALL])
     tell(node, roster({1: 1, 2: 1, 3: 1}, version=2))
     sources = []
     for k in range(1, 5):

@@ -8,7 +8,7 @@ import pytest
 from plant.node import PlantNode
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Measurement, Message, PlantState
-from tests.support.runs import EVERYBODY, plan, roster, setup, tick
+from tests.support.runs import ALL, plan, roster, setup, tick
 
 S, MS = 10**9, 10**6  # ns
 START_NS = 3 * S
@@ -25,7 +25,7 @@ def realtime(*settings: str, speed: float = 1.0) -> tuple[Setup, PlantNode]:
 def flown(node: PlantNode, k: int, now_ns: int) -> PlantState:
     """Open tick k: all agents get a measurement, and the next interval is integrated."""
     *measured, plant_state = node.receive(tick(k), now_ns)
-    assert [message.agent for message in measured if isinstance(message, Measurement)] == list(EVERYBODY)
+    assert [message.agent for message in measured if isinstance(message, Measurement)] == list(ALL)
     assert isinstance(plant_state, PlantState)
     assert plant_state.tick == k
     return plant_state
@@ -74,7 +74,7 @@ def test_a_delayed_plan_is_held_back(speed: float, held_ms: int) -> None:
     run, node = realtime("links.actuation.delay_s=0.12", speed=speed)
     flown(node, 0, START_NS)
     arrived_ns = START_NS + 5 * MS
-    tell(node, [plan(run, agent, 0, delay=1) for agent in EVERYBODY], arrived_ns)
+    tell(node, [plan(run, agent, 0, delay=1) for agent in ALL], arrived_ns)
     assert flown(node, 1, arrived_ns + held_ms * MS - 1).plan_ticks == (-1,) * 4
     assert flown(node, 2, arrived_ns + held_ms * MS).plan_ticks == (0,) * 4
 

@@ -13,11 +13,11 @@ from protocol.wire.keys import Keys
 from protocol.wire.messages import MAX_TEXT, LinkChange, Message, MessageError, Plan, Rejected, StepReport, agent_name
 from protocol.wire.rejections import Rejections
 from tests.support import runs
-from tests.support.runs import EVERYBODY, INCARNATION, setup
+from tests.support.runs import ALL, INCARNATION, setup
 from tests.support.samples import sample
 
 KEYS = Keys("paper")
-TEAM = {"coordinator": 0, "plant": 0, **{agent_name(agent): INCARNATION for agent in EVERYBODY}}
+TEAM = {"coordinator": 0, "plant": 0, **{agent_name(agent): INCARNATION for agent in ALL}}
 AHEAD = 16  # ticks of the future that a slow connection may be behind another
 
 

@@ -11,7 +11,7 @@ from protocol.admission.plausibility import Plausibility, check_moment, window
 from protocol.wire.messages import Message, MessageError
 from tests.support import runs
 from tests.support.logs import report
-from tests.support.runs import EVERYBODY, setup, ticks
+from tests.support.runs import ALL, setup, ticks
 from tests.support.samples import sample
 from transport.flight.memory import simulate
 
@@ -95,7 +95,7 @@ def test_implausible_messages_are_refused(message: Message, changes: dict[str, A
         (PLAN, {"uav_states": PITCHED}),  # a prediction may diverge, a measurement cannot
         (PLAN, {"corrections": np.full((5, 4), 1e6)}),
         (runs.roster({}), {}),
-        (runs.tick(3), {"members": EVERYBODY, "answered": ()}),
+        (runs.tick(3), {"members": ALL, "answered": ()}),
     ],
 )
 def test_limits_themselves_are_allowed(message: Message, changes: dict[str, Any]) -> None:

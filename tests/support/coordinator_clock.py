@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 
 from coordinator.node import CoordinatorNode
 from protocol.wire.messages import Message, Presence, agent_name
-from tests.support.runs import EVERYBODY, INCARNATION, plan, plant_state, setup, ticks
+from tests.support.runs import ALL, INCARNATION, plan, plant_state, setup, ticks
 
 THREE = ticks(3)
 CONTINUE = "clock.on_agent_loss=continue"
@@ -35,12 +35,12 @@ def tell(node: CoordinatorNode, events: Iterable[Message | Presence], now_ns: in
 
 def started(node: CoordinatorNode, now_ns: int = START_NS) -> CoordinatorNode:
     """The coordinator once all processes are ready: tick 0 is open."""
-    tell(node, [ready(name) for name in ("plant", *map(agent_name, EVERYBODY))], now_ns)
+    tell(node, [ready(name) for name in ("plant", *map(agent_name, ALL))], now_ns)
     assert node.tick == 0
     return node
 
 
-def answers(k: int, agents: Sequence[int] = EVERYBODY) -> list[Message]:
+def answers(k: int, agents: Sequence[int] = ALL) -> list[Message]:
     """Plans of tick k."""
     return [plan(setup(THREE), agent, k) for agent in agents]
 

@@ -36,7 +36,7 @@ SHORT = (
     "{name='climb',duration_s=1.0,displacement_m=[0,0,-0.5]}]"
 )
 
-EVERYBODY = (1, 2, 3, 4)
+ALL = (1, 2, 3, 4)
 INCARNATION = 1  # of every agent; 0 is then a start of it that is over, 2 one to come
 
 
@@ -75,7 +75,7 @@ def reproducible(message: Message) -> Message:
     return replace(message, times_ms=np.zeros(len(STAGES))) if isinstance(message, StepReport) else message
 
 
-def tick(k: int, answered: Sequence[int] = EVERYBODY, members: Sequence[int] = EVERYBODY, version: int = 1) -> Tick:
+def tick(k: int, answered: Sequence[int] = ALL, members: Sequence[int] = ALL, version: int = 1) -> Tick:
     """The coordinator opens tick k."""
     return Tick(
         sender="coordinator",
@@ -93,7 +93,7 @@ def tick(k: int, answered: Sequence[int] = EVERYBODY, members: Sequence[int] = E
 
 def roster(incarnations: dict[int, int] | None = None, k: int = 0, version: int = 1) -> Roster:
     """Who takes part, all four agents by default."""
-    taking_part = dict.fromkeys(EVERYBODY, INCARNATION) if incarnations is None else incarnations
+    taking_part = dict.fromkeys(ALL, INCARNATION) if incarnations is None else incarnations
     return Roster(
         sender="coordinator",
         incarnation=0,
@@ -124,7 +124,7 @@ def measurement(
     k: int,
     *,
     x: Array | None = None,
-    answered: Sequence[int] = EVERYBODY,
+    answered: Sequence[int] = ALL,
     shared: Sequence[int] | None = None,
     version: int = 1,
 ) -> Measurement:

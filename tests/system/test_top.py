@@ -71,7 +71,7 @@ def test_faults_are_shown() -> None:
     watch = watched()
     watch.take(runs.roster(), 0)
     watch.take(replace(runs.roster({1: 1, 2: 1, 4: 1}, k=5, version=2), reason="agent3 is gone"), 0)
-    assert [watch.state_of(agent) for agent in runs.EVERYBODY] == ["-", "-", "off", "-"]
+    assert [watch.state_of(agent) for agent in runs.ALL] == ["-", "-", "off", "-"]
     watch.take(replace(runs.plant_state(watch.setup, 9), plan_ticks=(9, 9, -2, 9)), 0)
     assert watch.state_of(3) == "fail-safe"
     assert watch.content()["agents"][2]["off_the_roster"] == 1
