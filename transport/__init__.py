@@ -1,8 +1,4 @@
-<<<<<<< HEAD
 """Running, recording, analysing and showing runs of the project. Import fails if another file hides a package."""
-=======
-"""Command line, simulation, log, analysis, report, viewer and experiments of the transport of one payload by UAVs."""
->>>>>>> e6620d0844673851cd665fa8b1ef0f731a85598b
 
 from importlib.util import find_spec
 from pathlib import Path
