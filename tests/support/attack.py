@@ -42,13 +42,13 @@ def tls(folder: Path | None, name: str, authority: Path | None = None) -> dict[s
 def session(
     endpoints: Sequence[str], secure: dict[str, Any] | None, timeout_s: float = 10.0
 ) -> Iterator[zenoh.Session]:
-    """Open a session connected to all endpoints.
+    """Open a session with connections to all endpoints.
 
     Args:
         endpoints: Endpoints of the processes of a run.
         secure: Zenoh's TLS section, or None.
         timeout_s: Timeout of the connections, s.
-    Raises: zenoh.ZError: one of them refuses it.
+    Raises: zenoh.ZError: one of them refuses the connection.
     """
     configuration: dict[str, Any] = {
         "mode": "peer",

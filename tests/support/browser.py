@@ -60,7 +60,7 @@ _CAMERA: bytes = msgpack.packb(
     }
 )
 
-# Calls back after the next drawing with its image, and with what was drawn: the matrix of every node by name, and the
+# Calls back after the next drawing with its image and its geometry: the matrix of every node by name, and the
 # points of the lines directly below it, all in the coordinates of three.js.
 _NEXT_DRAWING = """
 const done = arguments[arguments.length - 1], canvas = document.querySelector('canvas');

@@ -1,4 +1,4 @@
-"""The command `transport`, run as a process."""
+"""The command `transport` as a separate process."""
 
 import os
 import socket
@@ -17,20 +17,20 @@ SHORT = (
     "{name='hover', duration_s=0.5, displacement_m=[0.0, 0.0, 0.0]},"
     "{name='climb', duration_s=1.0, displacement_m=[0.0, 0.0, -0.5]}]"
 )
-# Settings of a run paced to real time, which lasts until it is ended.
+# Settings of a run paced to real time that lasts until a test ends it.
 ENDLESS = ("clock.speed=1.0",)
 
-# Starting six processes on a busy machine of two cores.
+# Time to start six processes on a busy machine with two cores, s.
 PATIENCE_S = 60.0
 
 
 def command(*arguments: str | Path) -> list[str]:
-    """Argument list of the command."""
+    """Return the argument list of the command."""
     return [sys.executable, "-m", "transport", *map(str, arguments)]
 
 
 def transport(*arguments: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
-    """Run the command to its end."""
+    """Run the command to its end and return the result."""
     return subprocess.run(
         command(*arguments), cwd=cwd, capture_output=True, text=True, timeout=PATIENCE_S * 2, check=False
     )
@@ -50,12 +50,12 @@ def start(*arguments: str | Path, cwd: Path) -> subprocess.Popen[str]:
 
 
 def settings(*changes: str) -> list[str]:
-    """`--set` options."""
+    """Return `--set` options for settings."""
     return [part for change in changes for part in ("--set", change)]
 
 
 def processes_of(run: str) -> dict[str, int]:
-    """Names and pids of the living processes of a run, from the system's own table."""
+    """Return names and pids of the living processes of a run, read from the system's process table."""
     found = {}
     for entry in Path("/proc").iterdir():
         if not entry.name.isdigit():
@@ -73,7 +73,7 @@ def processes_of(run: str) -> dict[str, int]:
 
 
 def wait_for(condition: Callable[[], bool], timeout_s: float = PATIENCE_S) -> bool:
-    """Poll a condition; whether it came true in time."""
+    """Poll a condition; return whether it came true in time."""
     deadline = time.monotonic() + timeout_s
     while not condition():
         if time.monotonic() > deadline:
@@ -83,7 +83,7 @@ def wait_for(condition: Callable[[], bool], timeout_s: float = PATIENCE_S) -> bo
 
 
 def is_flying(folder: Path, names: Sequence[str]) -> Callable[[], bool]:
-    """Whether every process of a run has joined, by what they have logged so far."""
+    """Return whether every process of a run has joined, according to their logs so far."""
 
     def joined(name: str) -> bool:
         log = folder / "logs" / f"{name}.log"
@@ -93,7 +93,7 @@ def is_flying(folder: Path, names: Sequence[str]) -> Callable[[], bool]:
 
 
 def free_base() -> int:
-    """Return a base port with room for a run above it; test runs at the same time begin to look at different ones."""
+    """Return a base port with free ports for a run above it; simultaneous test runs start their search at different ports."""
     bases = range(20_000, 30_000, 16)
     first = os.getpid() % len(bases)
     candidates: list[int] = [*bases[first:], *bases[:first]]

@@ -1,9 +1,9 @@
-"""The same system in MuJoCo, as independent physics.
+"""The system in MuJoCo, as an independent physics engine.
 
-Rods are bodies on ball joints. MuJoCo's compiler refuses bodies without mass, so each rod is compiled with some
-and emptied afterwards, down to a moment of inertia about its own axis: a rod with e . Omega = 0 has no angular
-momentum from it and nothing turns it, so the engine's accelerations are those of a massless rod, with no small
-mass to make excuses for. Every other ball joint carries the UAV, with its full inertia.
+Rods are bodies on ball joints. MuJoCo's compiler refuses bodies without mass, so each rod is compiled with a mass that
+is set to zero afterwards, except for a moment of inertia about the rod's own axis. With e . Omega = 0 this inertia has
+no angular momentum and no torque acts on it, so the engine's accelerations are exactly those of a massless rod. A
+second ball joint carries the UAV with its full inertia.
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from model.parameters import System
 from model.state import StateView
 from tests.support.paper_form import K, attitude, thrust_forces
 
-_ROD_SPIN_INERTIA = 1.0  # kg m^2; any value gives the same motion, this one keeps the mass matrix well conditioned
+_ROD_SPIN_INERTIA = 1.0  # kg m^2; the motion does not depend on it, and this value keeps the mass matrix well conditioned
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,10 +26,10 @@ class Accelerations:
     """The engine's results.
 
     Attributes:
-        payload_I: Of the payload's centre of mass, (3,), inertial frame, m/s^2.
+        payload_I: Acceleration of the payload's centre of mass, (3,), inertial frame, m/s^2.
         payload_turn_I: Angular acceleration of the payload, (3,), inertial frame, rad/s^2.
         rods_turn_I: Angular accelerations of the rods, (N, 3), inertial frame, rad/s^2.
-        uavs_I: Of the UAVs' centres of mass, (N, 3), inertial frame, m/s^2.
+        uavs_I: Accelerations of the UAVs' centres of mass, (N, 3), inertial frame, m/s^2.
         uavs_turn_I: Angular accelerations of the UAVs, (N, 3), inertial frame, rad/s^2.
     """
 
@@ -60,7 +60,7 @@ def accelerations(system: System, x: Array, u: Array, forces: Array | None = Non
     def of(name: str) -> tuple[Array, Array]:
         spatial = np.zeros(6)
         mujoco.mj_objectAcceleration(engine, data, mujoco.mjtObj.mjOBJ_BODY, engine.body(name).id, spatial, 0)
-        # MuJoCo reports what an accelerometer would: gravity counts as an acceleration of the world.
+        # MuJoCo reports accelerometer values: gravity counts as an acceleration of the world.
         return spatial[:3], spatial[3:] + system.gravity * K
 
     payload = of("payload")
@@ -91,7 +91,7 @@ def _place(system: System, engine: mujoco.MjModel, data: mujoco.MjData, x: Array
 
 
 def _rotation_to(e: Array) -> Array:
-    """Some rotation that turns the z axis onto e, (3, 3): the third column is e."""
+    """Return a rotation that turns the z axis onto e, (3, 3): the third column is e."""
     least = np.eye(3)[np.argmin(np.abs(e))]  # the axis farthest from e, so that the product is far from zero
     first = np.cross(least, e) / np.linalg.norm(np.cross(least, e))
     return np.column_stack([first, np.cross(e, first), e])

@@ -30,13 +30,13 @@ from tests.support.runs import INCARNATION
 
 T = TypeVar("T")
 
-# Beyond what any process takes for the present.
+# Ticks ahead of the present: more than any process accepts.
 FAR = 40
 
-# Delivered messages to choose from.
+# Number of delivered messages to choose from.
 REMEMBERED = 60
 
-# In the place of any field: all that msgpack knows and some that nobody needs.
+# Replacements for any field: values of every msgpack type, extension types included.
 VALUES: list[Any] = [
     None, True, -1, 0.5, float("nan"), float("inf"), 2**48 + 1, 2**63, 2**64 - 1, -(2**63), "", "x" * 2000, "plant2",
     b"", b"\xff" * 9, [], [[]], [None], {}, {"a": {"b": []}}, [1] * 300, [2, 1], [0], msgpack.Timestamp(1, 2),
@@ -47,19 +47,19 @@ NOT_FINITE = [np.nan, np.inf, -np.inf]
 
 
 class Garbage:
-    """A source of messages for one receiver.
+    """Generator of bad messages for one receiver.
 
     Args:
-        name: The receiver's.
-        keys: Of the run.
+        name: Name of the receiver.
+        keys: Keys of the run.
         setup: The run.
-        max_bytes: Size of the largest message it reads.
-        rng: Where chance comes from.
-        incarnation: Of every process.
-        delay: How many messages later what was heard has surely been heard by everybody.
+        max_bytes: Size of the largest message that the receiver reads.
+        rng: Random number generator.
+        incarnation: Incarnation of every process.
+        delay: Number of later messages after which all processes have received a message.
 
     Attributes:
-        tick: Newest one that everybody has heard of.
+        tick: Newest tick known to all processes.
     """
 
     def __init__(
@@ -75,11 +75,11 @@ class Garbage:
     ) -> None:
         self._name, self._keys, self._setup, self._max_bytes, self._rng = name, keys, setup, max_bytes, rng
         self._incarnation, self._delay = incarnation, delay
-        self._coming: deque[tuple[str, bytes]] = deque()  # messages of the flight that are on their way
+        self._coming: deque[tuple[str, bytes]] = deque()  # messages of the run in transit
         self._delivered: deque[tuple[str, bytes]] = deque(maxlen=REMEMBERED)
-        self._first: dict[str, bytes] = {}  # message delivered under each key
+        self._first: dict[str, bytes] = {}  # first delivered message of each key
         self.tick = 0
-        self._sequence = 10**6  # of what pretends to be new
+        self._sequence = 10**6  # of forged new messages
         self._keys_here = [expression.replace("*", "2") for expression in keys.subscriptions(name)]
         self.sorts: dict[str, Callable[[], tuple[str, bytes]]] = {
             "noise": self._noise,
@@ -106,7 +106,7 @@ class Garbage:
         }
 
     def heard(self, key: str, data: bytes) -> None:
-        """Take note of a message of the flight that is about to be delivered."""
+        """Note a message of the run before its delivery."""
         self._coming.append((key, data))
         if len(self._coming) > self._delay:
             delivered = self._coming.popleft()
@@ -115,7 +115,7 @@ class Garbage:
             self.tick = max(self.tick, decode(delivered[1]).tick)
 
     def next(self) -> tuple[str, str, bytes]:
-        """What sort it is, key, bytes."""
+        """Return sort, key and bytes of the next bad message."""
         sort = self._one_of(list(self.sorts))
         return sort, *self.sorts[sort]()
 
@@ -124,13 +124,13 @@ class Garbage:
         return choice[int(self._rng.integers(len(choice)))]
 
     def _old(self) -> tuple[str, bytes]:
-        """A message that was delivered."""
+        """Return key and bytes of a delivered message."""
         if not self._delivered:
             return self._keys_here[0], b""
         return self._one_of(self._first.items() if self._rng.random() < 0.1 else self._delivered)
 
     def _message(self, *kinds: type[Message]) -> tuple[str, Message] | None:
-        """A delivered message of one of some kinds, of any if none are named."""
+        """Return a delivered message of one of the given kinds, or of any kind if none is given."""
         names = {kind.kind for kind in kinds}
         for _ in range(20):
             key, data = self._old()
@@ -235,7 +235,7 @@ class Garbage:
         return self._old()
 
     def _past(self) -> tuple[str, bytes]:
-        """As new as can be, but of a tick that is over."""
+        """Return a message with a new sequence number and a past tick."""
         found = self._message(Tick, Measurement, Plan, PlantState, StepReport, Roster)
         if found is None:
             return self._noise()
@@ -243,7 +243,7 @@ class Garbage:
         return key, encode(self._new(message))
 
     def _future(self) -> tuple[str, bytes]:
-        """As new as can be, but of a tick that is not yet."""
+        """Return a message with a new sequence number and a future tick."""
         found = self._message(Tick, Measurement, Plan, PlantState, StepReport)
         if found is None:
             return self._noise()
@@ -253,7 +253,7 @@ class Garbage:
         return key, encode(self._new(message, tick=tick, **start))
 
     def _far_future(self) -> tuple[str, bytes]:
-        """The coordinator's words from another time, or numbers as large as they may be."""
+        """Return a message of the coordinator with the largest allowed numbers or a tick far ahead."""
         if not self._delivered:
             return self._noise()
         tick = self._one_of([2**48, 2**40, self.tick + FAR, self._setup.ticks])
@@ -282,7 +282,7 @@ class Garbage:
         return key, encode(self._new(message, tick=self.tick, incarnation=incarnation))
 
     def _other_key(self) -> tuple[str, bytes]:
-        """A message that is right under another key."""
+        """Return a message under another message's key."""
         found = self._message()
         if found is None:
             return self._noise()
@@ -302,7 +302,7 @@ class Garbage:
         return key, encode(self._new(message, sender=sender, tick=self.tick + 1))
 
     def _absurd(self) -> tuple[str, bytes]:
-        """The very next message there could be, but what it says cannot be."""
+        """Return the next expected message with impossible content."""
         found = self._message(Tick, Measurement, Plan, PlantState, Roster, StepReport)
         if found is None:
             return self._noise()
@@ -348,7 +348,7 @@ class Garbage:
         return key, encode(self._new(message, tick=tick, **self._one_of(changes)))
 
     def _unheard_of(self) -> tuple[str, bytes]:
-        """Well-formed, from agents there are none of, or of a kind nobody sends here."""
+        """Return a well-formed message of an unknown agent, or of a kind that this receiver does not expect."""
         found = self._message(Plan, Measurement, StepReport)
         notice = Rejected(
             sender="agent9",

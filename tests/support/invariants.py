@@ -1,4 +1,4 @@
-"""Energy, linear and angular momentum of the whole system, by sums over the bodies."""
+"""Energy, linear and angular momentum of the whole system, as sums over the bodies."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from tests.support.paper_form import attitude
 
 
 def vehicle_motion(system: System, x: Array) -> tuple[Array, Array]:
-    """UAV positions by paper (1) and velocities by paper (4), each (N, 3), inertial frame, m and m/s."""
+    """Return UAV positions by paper (1) and velocities by paper (4), each (N, 3), inertial frame, m and m/s."""
     view = StateView(x)
     R0 = attitude(view.Theta0)
     rho = np.array([uav.rho for uav in system.uavs])
@@ -20,7 +20,7 @@ def vehicle_motion(system: System, x: Array) -> tuple[Array, Array]:
 
 
 def energy(system: System, x: Array) -> float:
-    """Kinetic energy of all bodies plus potential energy -m g z (z is down), J."""
+    """Return the kinetic energy of all bodies plus potential energy -m g z (z is down), J."""
     view = StateView(x)
     r, v = vehicle_motion(system, x)
     payload = system.payload
@@ -51,7 +51,7 @@ def angular_momentum(system: System, x: Array) -> Array:
 
 
 def spin(system: System, x: Array) -> Array:
-    """Angular momentum of each UAV about its own centre of mass, (N, 3), inertial frame, kg m^2/s."""
+    """Return the angular momentum of each UAV about its own centre of mass, (N, 3), inertial frame, kg m^2/s."""
     view = StateView(x)
     turns = zip(system.uavs, view.Theta, view.omega_B, strict=True)
     return np.array([attitude(Theta) @ uav.inertia @ omega for uav, Theta, omega in turns])

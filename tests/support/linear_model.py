@@ -1,4 +1,4 @@
-"""The linear model about hover as a model of its own: where the theorems of the shared control law hold exactly."""
+"""The linear model about hover as a plant model, for which the theorems of the shared control law hold exactly."""
 
 from dataclasses import dataclass
 
@@ -16,11 +16,11 @@ PERIOD_S = 0.05
 
 
 class LinearModel(Model):
-    """Everywhere the A_c, B_c and C of hover, and constant forces with their effect at hover.
+    """Model with the A_c, B_c and C of hover at every state, and constant forces with their effect at hover.
 
     Args:
         system: Physical parameters.
-        at: Its equilibrium.
+        at: Equilibrium of the system.
     """
 
     def __init__(self, system: System, at: Hover) -> None:
@@ -29,12 +29,12 @@ class LinearModel(Model):
         self._by_forces = self.force_effect(at.x, at.u)
 
     def outputs(self, x: Array) -> Array:
-        """y = h(x_hover) + C (x - x_hover)."""
+        """Return y = h(x_hover) + C (x - x_hover)."""
         y: Array = self._about.y + self._about.C @ (x - self._at.x)
         return y
 
     def linearise(self, x: Array, u: Array, *, forces: Array | None = None) -> Linearisation:
-        """The expansion about hover, written about (x, u)."""
+        """Return the expansion about hover, written about (x, u)."""
         about = self._about
         f = about.f + about.A_c @ (x - self._at.x) + about.B_c @ (u - self._at.u)
         if forces is not None:
@@ -52,14 +52,14 @@ class Difference:
 
 
 def difference(system: System, at: Hover) -> Difference:
-    """A, B and C of a system about hover."""
+    """Return A, B and C of a system about hover."""
     linear = Model(system).linearise(at.x, at.u)
     discrete = zero_order_hold(linear, PERIOD_S)
     return Difference(discrete.A, discrete.B, linear.C)
 
 
 def uneven() -> System:
-    """Five unequal UAVs on unequal rods around an unsymmetric payload: nothing cancels by symmetry."""
+    """Return five unequal UAVs on unequal rods around an unsymmetric payload, so that no term cancels by symmetry."""
     angles = 2.0 * np.pi * np.arange(5) / 5 + np.array([0.0, 0.2, -0.1, 0.15, 0.05])
     return System(
         payload=Payload(mass=4.0, inertia=[0.5, 0.7, 0.9]),
@@ -76,7 +76,7 @@ def uneven() -> System:
 
 
 def reference_states(system: System, at: Hover, profile: Profile, instants: int, start_I: Array | None = None) -> Array:
-    """Reference states of a move in all directions, at rest well before the last instant, (instants, n)."""
+    """Return reference states of a move in all directions that ends well before the last instant, (instants, n)."""
     start = np.array([1.0, -2.0, -10.0]) if start_I is None else start_I
     legs = [("hover", 0.5, [0.0, 0.0, 0.0]), ("there", 0.7, [0.1, -0.05, 0.08]), ("on", 0.5, [0.0, 0.1, -0.05])]
     phases = [Phase(name=name, duration_s=duration, displacement_I=way) for name, duration, way in legs]
@@ -85,12 +85,12 @@ def reference_states(system: System, at: Hover, profile: Profile, instants: int,
 
 
 def reference_outputs(model: Model, X_ref: Array) -> Array:
-    """Outputs of reference states, (instants, 4 N + 9)."""
+    """Return outputs of reference states, (instants, 4 N + 9)."""
     return np.array([model.outputs(x) for x in X_ref])
 
 
 def small_state(at: Hover, rng: np.random.Generator, size: float) -> Array:
-    """A deviation from hover by about `size` along the manifold, headings included, (n,)."""
+    """Return a deviation from hover of about `size` on the constraint manifold, headings included, (n,)."""
     T = tangent(at.x)
     deviation: Array = T @ (size * rng.standard_normal(T.shape[1]))
     return deviation

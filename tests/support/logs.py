@@ -27,8 +27,8 @@ HEADER = {
     "command_started_ns": "0",
 }
 
-# One UAV above the payload's centre of mass.
-ALONE = (
+# A single UAV above the payload's centre of mass.
+SINGLE_UAV = (
     "system.uav=[{id=1,mass_kg=1.5,inertia_kgm2=[0.029,0.029,0.055],rho_m=[0.0,0.0,-0.125],rod_length_m=3.2}]",
     "agents.owned=[[1]]",
     "controller.limits.thrust_N=[0.0,90.0]",
@@ -99,7 +99,7 @@ def plant_state(run: Setup, k: int, change: Callable[[Array, Array], None] = lam
     return replace(runs.plant_state(run, k), x=x, u=u)
 
 
-def flown(run: Setup, folder: Path) -> list[Message]:
+def record_run(run: Setup, folder: Path) -> list[Message]:
     """Simulate a run in this process, write its run folder as `transport run` does, and return all messages."""
     folder.mkdir(parents=True, exist_ok=True)
     text = tomli_w.dumps(run.scenario.tree())

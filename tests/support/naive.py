@@ -1,7 +1,7 @@
-"""The paper's stacked matrices, built block by block: slow, and read straight off section III.
+"""The paper's stacked matrices, built block by block as in section III: slow, but a direct transcription.
 
-Every stack has N_p + 1 block rows, one more than the paper prints in (16): the last is step k + N_p, which
-the terminal cost of (17) and (25) needs.
+Every stack has N_p + 1 block rows, one more than (16) as published: the last one is step k + N_p, which the terminal
+cost of (17) and (25) needs.
 """
 
 import numpy as np
@@ -13,10 +13,10 @@ from model.linearisation import Linearisation
 
 
 def exact_hold(linear: Linearisation, period_s: float) -> tuple[Array, Array, Array]:
-    """A, B and the drift per step of (14) from the exponential of the augmented matrix.
+    """Return A, B and the drift per step of (14) from the exponential of the augmented matrix.
 
-    The paper prints f(x0, u0) T_s for the drift, which belongs to an Euler step; beside A and B of a
-    zero-order hold the drift is the integral that the same exponential contains.
+    The published drift f(x0, u0) T_s belongs to an Euler step. With A and B of a zero-order hold the drift is the
+    integral that the same exponential contains.
     """
     n, m = linear.B_c.shape
     augmented = np.zeros((n + m + 1, n + m + 1))
@@ -26,7 +26,7 @@ def exact_hold(linear: Linearisation, period_s: float) -> tuple[Array, Array, Ar
 
 
 def stacked_drift(A: Array, f_d: Array, steps: int) -> Array:
-    """F of (16): block k is sum_{j=1}^{k} A^(j-1) f_d, ((steps + 1) n,)."""
+    """Return F of (16): block k is sum_{j=1}^{k} A^(j-1) f_d, ((steps + 1) n,)."""
     blocks = [
         sum((np.linalg.matrix_power(A, j - 1) @ f_d for j in range(1, k + 1)), start=np.zeros(len(f_d)))
         for k in range(steps + 1)
@@ -35,27 +35,27 @@ def stacked_drift(A: Array, f_d: Array, steps: int) -> Array:
 
 
 def stacked_state(A: Array, steps: int) -> Array:
-    """G of (16): block k is A^k, ((steps + 1) n, n)."""
+    """Return G of (16): block k is A^k, ((steps + 1) n, n)."""
     return np.vstack([np.linalg.matrix_power(A, k) for k in range(steps + 1)])
 
 
 def stacked_input(A: Array, B: Array, steps: int) -> Array:
-    """H of (16), and H_i of (24) for the columns B_i: block (k, j) is A^(k-1-j) B below the diagonal."""
+    """Return H of (16), or H_i of (24) for the columns B_i: block (k, j) is A^(k-1-j) B below the diagonal."""
     return naive.stacked_input(naive.powers_of(A, steps), B)
 
 
 def stacked_output(C: Array, steps: int) -> Array:
-    """C-bar of (16), block diagonal over steps 0..N_p."""
+    """Return C-bar of (16), block diagonal over steps 0..N_p."""
     return np.asarray(block_diag(*[C] * (steps + 1)))
 
 
 def stacked_weight(Q: Array, Q_f: Array, steps: int) -> Array:
-    """Q-bar of (17) with the terminal weight as its last block; the weights come as diagonals."""
+    """Return Q-bar of (17) with the terminal weight as its last block; weights are given as diagonals."""
     return np.diag(np.concatenate([np.tile(Q, steps), Q_f]))
 
 
 def simulate(A: Array, B: Array, f_d: Array, dU: Array) -> Array:
-    """dx(0) = 0, dx(k+1) = f_d + A dx(k) + B du(k), as in (14), one step after the other, (steps + 1, n)."""
+    """Return dx with dx(0) = 0 and dx(k+1) = f_d + A dx(k) + B du(k) of (14), step by step, (steps + 1, n)."""
     dX = [np.zeros(len(f_d))]
     for du in dU:
         dX.append(f_d + A @ dX[-1] + B @ du)

@@ -1,7 +1,7 @@
-"""The accelerations as the paper states them: one linear system in (v0', omega0', Omega_1', ..., Omega_N').
+"""The accelerations in the paper's form: one linear system in (v0', omega0', Omega_1', ..., Omega_N').
 
-An oracle that shares nothing with `model/` but the order of the state: numpy instead of CasADi, the full mass
-matrix instead of rod tensions, SciPy's rotations instead of the project's.
+An oracle that shares only the order of the state with `model/`: it uses numpy instead of CasADi, the full mass matrix
+instead of rod tensions, and SciPy's rotations instead of the project's.
 """
 
 from typing import Any
@@ -18,23 +18,23 @@ K = np.array([0.0, 0.0, 1.0])  # direction of gravity, inertial frame
 
 
 def attitude(Theta: Array) -> Array:
-    """Rotation matrix of roll, pitch, yaw by SciPy, (3, 3)."""
+    """Return the rotation matrix of roll, pitch, yaw by SciPy, (3, 3)."""
     return np.asarray(Rotation.from_euler("ZYX", Theta[::-1]).as_matrix())
 
 
 def cross(a: Array) -> Array:
-    """Matrix of a x (.), (3, 3)."""
+    """Return the matrix of a x (.), (3, 3)."""
     return np.cross(a, np.eye(3)).T
 
 
 def thrust_forces(x: Array, u: Array) -> Array:
-    """f_i of the paper, (N, 3), inertial frame, N: along -b3 of each UAV, because our thrust is lift."""
+    """Return f_i of the paper, (N, 3), inertial frame, N: along -b3 of each UAV, because our thrust is lift."""
     attitudes = StateView(x).Theta
     return np.array([-u[state.INPUTS * i] * (attitude(Theta) @ K) for i, Theta in enumerate(attitudes)])
 
 
 def mass_matrix(system: System, x: Array) -> Array:
-    """M_0q of paper (11), (6 + 3 N, 6 + 3 N)."""
+    """Return M_0q of paper (11), (6 + 3 N, 6 + 3 N)."""
     N, rods = system.N, StateView(x).e_P
     M = np.zeros((6 + 3 * N, 6 + 3 * N))
     M[:3, :3] = system.total_mass * np.eye(3)
@@ -53,15 +53,15 @@ def mass_matrix(system: System, x: Array) -> Array:
 
 
 def effective_inertia(system: System) -> Array:
-    """The barred J_0 below paper (10): the payload with every UAV's mass moved to its attachment point, (3, 3)."""
+    """Return the barred J_0 below paper (10): the payload with each UAV's mass at its attachment point, (3, 3)."""
     return system.payload.inertia - sum(uav.mass * cross(uav.rho) @ cross(uav.rho) for uav in system.uavs)
 
 
 def right_hand_side(system: System, x: Array, force_I: Array) -> Array:
-    """f_0q of paper (11), (6 + 3 N,).
+    """Return f_0q of paper (11), (6 + 3 N,).
 
-    Paper (7) is printed with m_i l_i |Omega_i|^2 e_i behind the sum; with its free index i it can only belong
-    inside, and there (11) has it.
+    Paper (7) as published has m_i l_i |Omega_i|^2 e_i behind the sum. Its free index i requires it inside the sum, as
+    in (11).
     """
     view = StateView(x)
     v0, omega0 = view.v0_P, view.omega0_P
@@ -81,7 +81,7 @@ def right_hand_side(system: System, x: Array, force_I: Array) -> Array:
 
 
 def accelerations(system: System, x: Array, force_I: Array) -> tuple[Array, Array, Array]:
-    """v0' (3,), omega0' (3,) and Omega_i' (N, 3), payload frame, by paper (11).
+    """Return v0' (3,), omega0' (3,) and Omega_i' (N, 3), payload frame, by paper (11).
 
     Args:
         system: Physical parameters.
@@ -95,21 +95,21 @@ def accelerations(system: System, x: Array, force_I: Array) -> tuple[Array, Arra
 
 
 def vehicle_accelerations(system: System, x: Array, derivative: Array) -> Array:
-    """Second derivative of paper (1), (N, 3), inertial frame, m/s^2, from x' = derivative."""
+    """Return the second derivative of paper (1), (N, 3), inertial frame, m/s^2, from x' = derivative."""
     view, rate = StateView(x), StateView(derivative)
     w, R0 = cross(view.omega0_P), attitude(view.Theta0)
     a0 = rate.v0_P + w @ view.v0_P
     result = []
     for uav, e, Omega, Omega_dot in zip(system.uavs, view.e_P, view.Omega_P, rate.Omega_P, strict=True):
         attachment = a0 + np.cross(rate.omega0_P, uav.rho) + w @ w @ uav.rho
-        # The rod turns with the absolute rate Omega, of which Omega' + omega0 x Omega is the absolute derivative.
+        # The rod turns with the absolute rate Omega; its absolute derivative is Omega' + omega0 x Omega.
         swing = np.cross(Omega_dot + w @ Omega, e) + np.cross(Omega, np.cross(Omega, e))
         result.append(R0 @ (attachment - uav.rod_length * swing))
     return np.array(result)
 
 
 def rod_tensions(system: System, x: Array, force_I: Array, acceleration_I: Array) -> Array:
-    """Pull of each rod by Newton's law of its UAV, m_i a_i = f_i + m_i g k + T_i R0 e_i, (N,), N."""
+    """Return the tension of each rod by Newton's law of its UAV, m_i a_i = f_i + m_i g k + T_i R0 e_i, (N,), N."""
     view = StateView(x)
     masses = np.array([[uav.mass] for uav in system.uavs])
     pull_I = masses * (acceleration_I - system.gravity * K) - force_I

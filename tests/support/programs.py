@@ -1,4 +1,4 @@
-"""Quadratic programs that the tests of the solvers share: random ones, ones without solution, and real ones."""
+"""Quadratic programs for the tests of the solvers: random, infeasible, and from simulated runs."""
 
 from functools import lru_cache
 
@@ -11,7 +11,7 @@ from tests.support.systems import paper_setup, situations, team
 
 
 def random_qp(seed: int) -> QP:
-    """Strictly convex, with a feasible point, one-sided and missing bounds, ranges and equalities among the rows."""
+    """Return a strictly convex, feasible program with one-sided and missing bounds, and ranges and equalities as rows."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(1, 16))
     r = int(rng.integers(0, 2 * n))
@@ -38,7 +38,7 @@ def random_qp(seed: int) -> QP:
 
 
 def without_solution() -> dict[str, QP]:
-    """Programs whose rows contradict each other, the bounds, or another equality."""
+    """Return programs whose rows contradict each other, the bounds, or another equality."""
     free = {"H": np.eye(2), "g": np.ones(2), "lower": np.full(2, -np.inf), "upper": np.full(2, np.inf)}
     twice = np.array([[1.0, 1.0], [1.0, 1.0]])
     return {
@@ -54,9 +54,9 @@ def without_solution() -> dict[str, QP]:
 
 @lru_cache
 def collected(minimum_m: float) -> list[QP]:
-    """Programs of a short climb of the paper's system, centralized and distributed, every constraint kind in use.
+    """Return programs of a short climb of the paper's system, centralized and distributed, with every kind of constraint.
 
-    The UAVs start 0.5 m apart, so a larger minimum distance is paid for by its slack from the first step on.
+    The UAVs start 0.5 m apart, so a larger minimum distance needs its slack from the first step on.
     """
     setup = paper_setup()
     settings = ControllerSettings(

@@ -1,4 +1,4 @@
-"""The expansion of the paper's own equations (7)-(11), no unknown eliminated: an oracle for the expansion in use.
+"""The linearisation of the paper's equations (7)-(11), without elimination of unknowns: an oracle for the model's.
 
 No term assumes |e_i| = 1, as an elimination before the derivative may do.
 """
@@ -36,15 +36,15 @@ class PublishedModel(Model):
         self._slope = ca.Function("slope", [*held, q], [ca.densify(slope), ca.densify(ca.jacobian(motion, x))])
         self._rows = np.concatenate([np.arange(3, 6), np.arange(9, 12), *_rod_rates(system.N)])
         self._moving = np.array(rows)
-        self._newest: tuple[bytes, Array] | None = None  # agents that know the same state ask for the same A_c
+        self._newest: tuple[bytes, Array] | None = None  # agents with the same state need the same A_c
 
     def accelerations(self, x: Array, u: Array) -> Array:
-        """(v0', omega0', Omega_1', .., Omega_N'), (6 + 3 N,), SI, at any rod lengths."""
+        """Return (v0', omega0', Omega_1', .., Omega_N'), (6 + 3 N,), SI, at any rod lengths."""
         M, b = self._system(x, u, self._vector)
         return np.asarray(np.linalg.solve(np.asarray(M), np.asarray(b)[:, 0]))
 
     def linearise(self, x: Array, u: Array, *, forces: Array | None = None) -> Linearisation:
-        """As that of the model, with A_c = df/dx of the published equations; without external forces."""
+        """Linearise as the model does, with A_c = df/dx of the published equations, without external forces."""
         found = super().linearise(x, u, forces=forces)
         at = np.concatenate([x, u]).tobytes()
         if self._newest is None or self._newest[0] != at:
@@ -65,7 +65,7 @@ def _rod_rates(N: int) -> list[Array]:
 
 
 def published(symbols: Symbols) -> tuple[ca.SX, ca.SX]:
-    """M_0q and f_0q of paper (11), with the index of (7) inside its sum as (11) has it (`tests.support.paper_form`)."""
+    """Return M_0q and f_0q of paper (11), with the term of (7) inside its sum (`tests.support.paper_form`)."""
     x, N = symbols.x, symbols.N
     v0, w = x[state.V0], ca.skew(x[state.OMEGA0])
     R0, g = rotation(x[state.THETA0]), symbols.gravity
@@ -100,7 +100,7 @@ def published(symbols: Symbols) -> tuple[ca.SX, ca.SX]:
 
 
 def kinematics(symbols: Symbols) -> tuple[list[int], ca.SX]:
-    """Rows of the state whose derivative (11) does not hold, and that derivative: paper (2), (5), (6), (10)."""
+    """Return the rows of the state without derivative in (11), and their derivative by paper (2), (5), (6), (10)."""
     x = symbols.x
     omega0 = x[state.OMEGA0]
     rows = [*range(3), *range(6, 9)]

@@ -1,4 +1,4 @@
-"""Random systems, states and inputs with nothing symmetric in them: what tests of the equations of motion draw from."""
+"""Random systems, states and inputs without symmetry, for tests of the equations of motion."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -7,12 +7,12 @@ from model import state
 from model.arrays import Array
 from model.parameters import GRAVITY, Payload, System, Uav
 
-# rad; keeps Euler rates away from their singularity at 90 deg, where every comparison loses digits.
+# rad; keeps Euler rates away from their singularity at 90 deg, where comparisons lose digits.
 PITCH_MAX = 1.2
 
 
 def random_inertia(rng: np.random.Generator, scale: float) -> Array:
-    """Inertia matrix of some real body in a frame turned at random, (3, 3), around `scale` kg m^2."""
+    """Return the inertia matrix of a physical body in a random frame, (3, 3), around `scale` kg m^2."""
     a, b, c = scale * rng.uniform(0.3, 1.0, 3)
     R = Rotation.random(rng=rng).as_matrix()
     # Second moments a, b, c of a mass distribution give principal moments that obey the triangle inequality.
@@ -21,7 +21,7 @@ def random_inertia(rng: np.random.Generator, scale: float) -> Array:
 
 
 def random_system(rng: np.random.Generator, N: int, gravity: float = GRAVITY) -> System:
-    """N unequal UAVs on unequal rods at irregular attachment points."""
+    """Return a system of N unequal UAVs on unequal rods at irregular attachment points."""
     uavs = [
         Uav(
             mass=rng.uniform(0.5, 2.0),
@@ -37,7 +37,7 @@ def random_system(rng: np.random.Generator, N: int, gravity: float = GRAVITY) ->
 
 
 def random_state(rng: np.random.Generator, N: int, rate: float = 2.0) -> Array:
-    """State far from hover, with velocities around `rate` (m/s, rad/s) that satisfy e . Omega = 0, (12 + 12 N,)."""
+    """Return a state far from hover, with velocities around `rate` (m/s, rad/s) that satisfy e . Omega = 0, (12 + 12 N,)."""
     x = np.zeros(12 + 12 * N)
     x[state.R0] = rng.normal(0.0, 5.0, 3)
     x[state.V0] = rng.normal(0.0, rate, 3)
@@ -56,15 +56,15 @@ def random_state(rng: np.random.Generator, N: int, rate: float = 2.0) -> Array:
 
 
 def random_attitude(rng: np.random.Generator) -> Array:
-    """Roll, pitch and yaw in every direction, pitch short of the singularity, (3,), rad."""
+    """Return random roll, pitch and yaw, with pitch away from the singularity, (3,), rad."""
     return rng.uniform([-np.pi, -PITCH_MAX, -np.pi], [np.pi, PITCH_MAX, np.pi])
 
 
 def random_forces(rng: np.random.Generator, N: int) -> Array:
-    """External forces of around 5 N on payload and UAVs in all directions, (3 + 3 N,), inertial frame."""
+    """Return external forces of around 5 N on payload and UAVs in all directions, (3 + 3 N,), inertial frame."""
     return rng.normal(0.0, 5.0, 3 + 3 * N)
 
 
 def random_input(rng: np.random.Generator, N: int) -> Array:
-    """Thrusts of up to 30 N and moments around 0.3 N m, (4 N,)."""
+    """Return thrusts of up to 30 N and moments around 0.3 N m, (4 N,)."""
     return np.column_stack([rng.uniform(0.0, 30.0, N), rng.normal(0.0, 0.3, (N, 3))]).reshape(-1)

@@ -25,14 +25,14 @@ TRAJECTORIES = sorted(name for name in _CASES if name.startswith("traj_"))
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AccelerationCase:
-    """One state, one input, and the engines' results.
+    """One state, one input, and the accelerations by the physics engines.
 
     Attributes:
         system: Physical parameters.
         x: State, (12 + 12 N,), SI.
         u: Input, (4 N,), SI.
         R0: Payload attitude as stored, (3, 3).
-        expected: The file's block of that name; derivatives, tensions, energy and momenta by name.
+        expected: Derivatives, tensions, energy and momenta by name, as in the file's block `expected`.
     """
 
     system: System
@@ -105,14 +105,14 @@ def _system(params: dict[str, Any]) -> System:
 
 
 def _state(fields: dict[str, Array]) -> Array:
-    """The state vector of one sample, (n,), or of several, (k, n)."""
+    """Return the state vector of one sample, (n,), or of several, (k, n)."""
     payload = np.concatenate([fields["r0"], fields["v0"], euler_angles(fields["R0"]), fields["omega0"]], axis=-1)
     uavs = np.concatenate([fields["e"], fields["Omega"], euler_angles(fields["R_i"]), fields["omega_i"]], axis=-1)
     return np.concatenate([payload, uavs.reshape(*payload.shape[:-1], -1)], axis=-1)
 
 
 def _input(fields: dict[str, Array]) -> Array:
-    """The input vector of one sample, (m,), or of several, (k, m)."""
+    """Return the input vector of one sample, (m,), or of several, (k, m)."""
     tau = fields["tau_i"]
     thrust = -fields["f_i"] if "f_i" in fields else np.zeros(tau.shape[:-1])
     return np.concatenate([thrust[..., None], tau], axis=-1).reshape(*tau.shape[:-2], -1)

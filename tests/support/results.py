@@ -1,4 +1,4 @@
-"""A small experiment that the tests run in several ways."""
+"""A small experiment that tests run with different executors."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -37,28 +37,28 @@ SHORT = (
 )
 
 ALL = (1, 2, 3, 4)
-INCARNATION = 1  # of every agent; 0 is then a start of it that is over, 2 one to come
+INCARNATION = 1  # Of every agent: 0 is an earlier incarnation, 2 a later one.
 
 
 @lru_cache
 def setup(*settings: str) -> Setup:
-    """The paper's scenario with some settings changed, ready to fly."""
+    """Return the run of the paper's scenario with some settings changed."""
     return Setup.of(read_scenario(PAPER, settings), PAPER.name)
 
 
 def integrated(run: Setup, x: Array, u: Array) -> Array:
-    """The state one sampling period later, by the fewest equal steps no longer than the scenario's `plant.step_s`."""
+    """Return the state one sampling period later, by the fewest equal steps of at most `plant.step_s`."""
     period_s, step_s = run.settings.sampling_period_s, run.scenario.plant.step_s
     return run.model.integrate(x, u, period_s, math.ceil(period_s / step_s - 1e-9))[0]
 
 
 def ticks(count: int) -> str:
-    """Setting: a maneuver of that many sampling periods of hover."""
+    """Return the setting of a hover of that many sampling periods."""
     return f"maneuver.phase=[{{name='hover',duration_s={0.05 * count},displacement_m=[0,0,0]}}]"
 
 
 def recorded(run: Setup, flight: Callable[[Setup, Callable[[Message], None]], Control] = simulate) -> list[Message]:
-    """Every message of a flight, in the order sent."""
+    """Return all messages of a run, in the order sent."""
     messages: list[Message] = []
     control = flight(run, messages.append)
     assert control.outcome == "completed", control
@@ -66,17 +66,17 @@ def recorded(run: Setup, flight: Callable[[Setup, Callable[[Message], None]], Co
 
 
 def plant_states(messages: Sequence[Message]) -> list[PlantState]:
-    """The plant's record, in its order."""
+    """Return the plant states among messages, in order."""
     return [message for message in messages if isinstance(message, PlantState)]
 
 
 def reproducible(message: Message) -> Message:
-    """The message without its wall-clock times, the one thing that differs between two equal runs."""
+    """Return a message without its wall-clock times, the only difference between two equal runs."""
     return replace(message, times_ms=np.zeros(len(STAGES))) if isinstance(message, StepReport) else message
 
 
 def tick(k: int, answered: Sequence[int] = ALL, members: Sequence[int] = ALL, version: int = 1) -> Tick:
-    """The coordinator opens tick k."""
+    """Return the coordinator's message that opens tick k."""
     return Tick(
         sender="coordinator",
         incarnation=0,
@@ -92,7 +92,7 @@ def tick(k: int, answered: Sequence[int] = ALL, members: Sequence[int] = ALL, ve
 
 
 def roster(incarnations: dict[int, int] | None = None, k: int = 0, version: int = 1) -> Roster:
-    """Who takes part, all four agents by default."""
+    """Return the roster of some agents, by default of all four."""
     taking_part = dict.fromkeys(ALL, INCARNATION) if incarnations is None else incarnations
     return Roster(
         sender="coordinator",
@@ -109,12 +109,12 @@ def roster(incarnations: dict[int, int] | None = None, k: int = 0, version: int 
 
 
 def end(k: int = 0) -> Control:
-    """The coordinator ends the run at tick k."""
+    """Return the coordinator's message that ends the run at tick k."""
     return Control(sender="coordinator", incarnation=0, sequence=9, tick=k, outcome="completed", reason="", exit_code=0)
 
 
 def refused(node: Node) -> list[tuple[str, str, int]]:
-    """What a node has refused: sender, reason, how many."""
+    """Return a node's rejections as sender, reason and count."""
     return [(entry.sender, entry.reason, entry.count) for entry in node.rejected]
 
 
@@ -128,7 +128,7 @@ def measurement(
     shared: Sequence[int] | None = None,
     version: int = 1,
 ) -> Measurement:
-    """What the plant measures for an agent at tick k: the given state, or the initial one, at hover inputs."""
+    """Return an agent's measurement of tick k: the given or the initial state, at hover inputs."""
     owned = list(run.owned[agent - 1])
     x = run.initial_state() if x is None else x
     return Measurement(
@@ -158,7 +158,7 @@ def plan(
     incarnation: int = INCARNATION,
     shared: bool = True,
 ) -> Plan:
-    """An agent's plan of tick k for k + delay on: the given inputs, or hover; its state from x or the initial one."""
+    """Return an agent's plan of tick k that starts at k + delay, by default with hover inputs and the initial state."""
     owned = run.owned[agent - 1]
     x = run.initial_state() if x is None else x
     hover = np.tile(run.hover.u[state.input_indices(owned)], (run.settings.horizon, 1))
@@ -180,7 +180,7 @@ def plan(
 
 
 def plant_state(run: Setup, k: int, diverged: str = "") -> PlantState:
-    """The plant's record of tick k at hover."""
+    """Return the plant state of tick k at hover."""
     return PlantState(
         sender="plant",
         incarnation=0,

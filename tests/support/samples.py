@@ -26,7 +26,7 @@ from protocol.wire.names import AGENT
 
 HEAD: dict[str, Any] = {"incarnation": 1, "sequence": 7, "tick": 3}
 
-# A valid value of each type of field; other integers and lists of them are small.
+# A valid value of each field type; other integers and lists of integers are small.
 BY_TYPE: dict[Any, Any] = {
     Name: "agent2",
     End: "agent1",
@@ -43,7 +43,7 @@ BY_TYPE: dict[Any, Any] = {
     tuple: (3, -2),
 }
 
-# Fields of one kind whose values tests rely on.
+# Fields of single message kinds whose values tests rely on.
 OWN: dict[type[Message], dict[str, Any]] = {
     Roster: {"agents": (1, 3), "off": (2, 3), "released": (3,)},
     LinkChange: {"target": "", "settings": '{"delay_s": 0.1}'},
@@ -53,12 +53,12 @@ OWN: dict[type[Message], dict[str, Any]] = {
     Control: {"outcome": "aborted", "exit_code": 4},
 }
 
-# Rows of an array that may have any number of them.
+# Number of rows of an array of any length.
 ROWS = 3
 
 
 def type_of_field(kind: type[Message], field: str) -> Any:
-    """Type of a field: one of `protocol.wire.fields`, or its plain type."""
+    """Return the type of a field: one of `protocol.wire.fields`, or its plain type."""
     hint = get_type_hints(kind, include_extras=True)[field]
     if hint in BY_TYPE or get_origin(hint) is Literal:
         return hint
@@ -67,13 +67,13 @@ def type_of_field(kind: type[Message], field: str) -> Any:
 
 
 def array_of(check: Check, values: dict[str, Any], rows: int = ROWS) -> tuple[int, ...]:
-    """Shape of an array among the other fields of a message."""
+    """Return the shape of an array field, given the other fields of the message."""
     assert isinstance(check, Shape)
     return tuple(rows if length is None else length for length in check.of(SimpleNamespace(**values)))
 
 
 def fields(kind: type[Message]) -> dict[str, Any]:
-    """Valid fields of a message class, fresh on every call."""
+    """Return valid fields of a message class, new objects on every call."""
     sender = kind.route.sender
     values = HEAD | {"sender": "agent2" if sender in (AGENT, None) else sender} | OWN.get(kind, {})
     for field, check in checks(kind):
@@ -89,10 +89,10 @@ def fields(kind: type[Message]) -> dict[str, Any]:
 
 
 def sample(kind: type[Message], **changes: Any) -> Message:
-    """A valid message, some of its fields changed."""
+    """Return a valid message with some fields changed."""
     return kind(**fields(kind) | changes)
 
 
 def samples() -> list[Message]:
-    """One of every kind."""
+    """Return one message of every kind."""
     return [sample(kind) for kind in KINDS.values()]

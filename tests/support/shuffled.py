@@ -1,4 +1,4 @@
-"""The in-memory runtime on a network whose connections differ in speed, by orders of magnitude and by chance."""
+"""The in-memory runtime with connections of random speeds that differ by orders of magnitude."""
 
 import time
 from collections import deque
@@ -11,18 +11,18 @@ from protocol.wire.messages import Control, LinkChange, Message, Presence
 from tests.support.runs import end
 from transport.flight import memory
 
-# Stands in the runtime's queue for "one delivery more"; which one, chance decides.
+# Placeholder in the runtime's queue for one more delivery; the message is drawn at random.
 _SOMETHING = end()
 
-# In the place of a key.
+# Replaces the key for presence events.
 _PRESENCE = "alive"
 
-# Of channels: moves when nothing else does.
+# Speed of a channel that delivers only when no other channel has messages.
 _SLOWEST = 1e-9
 
 
 class _Shuffled(memory.InMemoryRun):
-    """A flight whose messages arrive in random order; one sender's under one key in that of sending, as with Zenoh."""
+    """A run whose messages arrive in random order; Zenoh's order per sender and key is kept."""
 
     def __init__(self, setup: Setup, record: Callable[[Message], None], seed: int) -> None:
         super().__init__(setup, record, time.perf_counter_ns)
@@ -40,7 +40,7 @@ class _Shuffled(memory.InMemoryRun):
 
     def _tell(self, event: Presence) -> None:
         self._put(event.name, self._coordinator.name, event)
-        if not event.alive:  # everybody sees the connection close, each in its own time
+        if not event.alive:  # each process sees the connection close, at its own time
             for name in self._nodes.keys() - {self._coordinator.name, event.name}:
                 self._put(event.name, name, event)
 
@@ -49,7 +49,7 @@ class _Shuffled(memory.InMemoryRun):
         if failed:
             for (_, receiver, _), waiting in self._channels.items():
                 if receiver == name:
-                    waiting.clear()  # it is not there any more to hear them
+                    waiting.clear()  # the failed process no longer receives them
         return failed
 
     def _put(self, sender: str, receiver: str, event: Message | Presence) -> None:
@@ -59,7 +59,7 @@ class _Shuffled(memory.InMemoryRun):
         if channel not in self._channels:
             self._channels[channel], self._speeds[channel] = deque(), 10.0 ** self._rng.uniform(-3.0, 0.0)
         if isinstance(event, LinkChange):
-            self._speeds[channel] = _SLOWEST  # so that whatever could overtake it does
+            self._speeds[channel] = _SLOWEST  # so that every message that can overtake it does
         self._channels[channel].append(event)
         self._queue.append(_SOMETHING)
 
@@ -67,7 +67,7 @@ class _Shuffled(memory.InMemoryRun):
         assert message is _SOMETHING
         waiting = [channel for channel, events in self._channels.items() if events]
         talking = {(sender, receiver) for sender, receiver, key in waiting if key != _PRESENCE}
-        # The end of a process comes after all it said.
+        # The end of a process arrives after all its messages.
         busy = [channel for channel in waiting if channel[2] != _PRESENCE or channel[:2] not in talking]
         if not busy:
             return
@@ -80,11 +80,11 @@ class _Shuffled(memory.InMemoryRun):
 
 
 def fly_shuffled(setup: Setup, record: Callable[[Message], None], seed: int) -> Control:
-    """Fly with messages delivered in random order, one sender's under one key in that of sending.
+    """Simulate with messages delivered in random order, except that the order per sender and key is kept.
 
     Args:
         setup: The run.
         record: Called with every message as it is sent.
-        seed: Of the order.
+        seed: Random seed of the order.
     """
     return _Shuffled(setup, record, seed).run()

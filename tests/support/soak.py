@@ -222,7 +222,7 @@ def _sampled(run: subprocess.Popen[bytes], folder: Path, every_s: float, stolen:
         for name, process in processes_of(run.pid).items():
             used, memory_bytes = usage(process), _anonymous_bytes(process)
             if memory_bytes is None or used["threads"] is None or used["open_files"] is None:
-                continue  # it has just ended
+                continue  # the process has just ended
             record = records.setdefault(name, Record())
             record.memory.append(memory_bytes)
             record.threads.append(float(used["threads"]))
@@ -273,5 +273,5 @@ def _cell(resource: str, first: float, last: float) -> str:
 
 
 if __name__ == "__main__":
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: the run ends with it
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C, which ends the run
     sys.exit(main())

@@ -38,7 +38,7 @@ from protocol.wire.messages import (
 from protocol.wire.names import COORDINATOR, PLANT, RECORDER
 from tests.support.samples import array_of
 
-# Sizes that keep an example cheap; larger ones take the same path.
+# Sizes that keep an example fast; larger sizes take the same code path.
 _UAVS, _STEPS = 4, 5
 
 _agent = st.integers(1, MAX_UAVS)
@@ -63,7 +63,7 @@ _BY_TYPE: dict[Any, SearchStrategy[Any]] = {
     Text: _text,
 }
 
-# Fields with a range of their own.
+# Fields with their own range.
 _OWN: dict[tuple[type[Message], str], SearchStrategy[Any]] = {
     (Plan, "negotiation"): st.integers(0, MAX_NEGOTIATION_ITERATIONS - 1),
     (PlantState, "plan_ticks"): st.lists(st.integers(-3, MAX_TICK), max_size=_UAVS),
@@ -79,7 +79,7 @@ def _field(kind: type[Message], field: str) -> SearchStrategy[Any]:
 
 
 def _relate(draw: DrawFn, kind: type[Message], values: dict[str, Any]) -> None:
-    """Replace the lists whose lengths follow from another field."""
+    """Replace the lists whose lengths depend on another field."""
 
     def listed(like: str, entries: SearchStrategy[int]) -> list[int]:
         return draw(st.lists(entries, min_size=len(values[like]), max_size=len(values[like])))

@@ -1,4 +1,4 @@
-"""Systems, states and flights that the tests of the controller share."""
+"""Systems, states and closed-loop simulations for the tests of the controller."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from mpc.settings import ControllerSettings
 
 INTEGRATION_STEPS = 5  # Dormand-Prince steps per 0.05 s: the local error is then far below every tolerance here
 
-# Altitude of every start, m up: away from zero, so that a lost offset shows.
+# Initial altitude, m up: not zero, so that a missing offset is detected.
 START_I = (0.0, 0.0, -10.0)
 
 
@@ -37,7 +37,7 @@ class Setup:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Situation:
-    """The arguments of one controller step, at one instant of a flight."""
+    """The arguments of one controller step."""
 
     x: Array
     u: Array
@@ -46,7 +46,7 @@ class Situation:
 
 
 def ring(N: int) -> System:
-    """N UAVs on vertical rods around the payload's centre of mass; one alone hangs the payload from its axis."""
+    """Return N UAVs on vertical rods around the payload's centre of mass; a single UAV is above the centre of mass."""
     angles = 2.0 * np.pi * np.arange(N) / N
     radius = 0.0 if N == 1 else 0.5
     return System(
@@ -65,13 +65,13 @@ def ring(N: int) -> System:
 
 @lru_cache
 def ring_setup(N: int) -> Setup:
-    """A ring of N, ready to control."""
+    """Return a ring of N UAVs with model and equilibrium."""
     return _setup(ring(N))
 
 
 @lru_cache
 def paper_setup() -> Setup:
-    """The system of the paper's Table I, ready to control."""
+    """Return the system of the paper's Table I with model and equilibrium."""
     return _setup(table_1())
 
 
@@ -84,7 +84,7 @@ def _setup(system: System) -> Setup:
 
 
 def disturbed(setup: Setup, rng: np.random.Generator, size: float) -> Array:
-    """Hover at START_I with every state moved by about `size`, the rods kept at |e| = 1 and e . Omega = 0."""
+    """Return hover at START_I with every state disturbed by about `size`, with |e| = 1 and e . Omega = 0 kept."""
     x = setup.x + size * rng.standard_normal(setup.system.n)
     for i in range(setup.system.N):
         block = x[state.uav_slice(i)]
@@ -95,7 +95,7 @@ def disturbed(setup: Setup, rng: np.random.Generator, size: float) -> Array:
 
 
 def situation(setup: Setup, settings: ControllerSettings, seed: int, size: float = 0.05) -> Situation:
-    """A step away from equilibrium: disturbed state, inputs in force, announced plans and reference, all different."""
+    """Return a step away from equilibrium: state, current inputs, announced plans and reference are disturbed differently."""
     rng = np.random.default_rng(seed)
     steps, u_hover = settings.horizon, setup.hover.u
     half = (settings.limits.upper(setup.system.N) - settings.limits.lower(setup.system.N)) / 2.0
@@ -107,29 +107,29 @@ def situation(setup: Setup, settings: ControllerSettings, seed: int, size: float
 
 
 def controller(setup: Setup, settings: ControllerSettings, owned: Sequence[int]) -> Controller:
-    """A controller of some UAVs of the system."""
+    """Return a controller of some UAVs of the system."""
     return Controller(setup.model, setup.hover, settings, owned)
 
 
 def team(setup: Setup, settings: ControllerSettings, teams: Sequence[Sequence[int]]) -> list[Controller]:
-    """One controller per set of owned UAVs."""
+    """Return one controller for each set of owned UAVs."""
     return [controller(setup, settings, owned) for owned in teams]
 
 
 def step(owner: Controller, at: Situation) -> StepResult:
-    """One controller step in a situation."""
+    """Run one controller step and return its result."""
     return owner.step(at.x, at.u, at.U, at.y_ref)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Flight:
-    """The result of a closed loop.
+    """The result of a closed-loop simulation.
 
     Attributes:
         X: States, (steps + 1, n).
         U: Applied inputs, (steps, m).
-        mean_cost: Mean stage cost of the whole system over the flight.
-        statuses: Of every solve.
+        mean_cost: Mean stage cost of the whole system over the simulation.
+        statuses: Statuses of all solves.
     """
 
     X: Array
@@ -139,7 +139,7 @@ class Flight:
 
 
 def simulate(setup: Setup, controllers: Sequence[Controller], start_s: float, steps: int) -> Flight:
-    """The paper's maneuver from `start_s` on, for that many sampling periods, from rest at START_I."""
+    """Simulate the paper's maneuver from `start_s` on for that many sampling periods, from rest at START_I."""
     X, U, costs, statuses = [setup.x], [], [], set()
     cost = controllers[0].cost
     for at, optima, x in _loop(setup, controllers, start_s, steps):
@@ -154,7 +154,7 @@ def simulate(setup: Setup, controllers: Sequence[Controller], start_s: float, st
 
 
 def situations(setup: Setup, controllers: Sequence[Controller], start_s: float, steps: int) -> Iterator[Situation]:
-    """The arguments the controllers meet on such a flight."""
+    """Yield the arguments of the controllers in such a simulation."""
     for at, _, _ in _loop(setup, controllers, start_s, steps):
         yield at
 
@@ -176,13 +176,13 @@ def _loop(
             announced[:, owner.own] = optimum.U
         u = announced[0]
         x, _ = setup.model.integrate(x, u, period, INTEGRATION_STEPS)
-        # The paper's shift: every plan moves on by one step, its end is held.
+        # The paper's shift: every plan moves on by one step, and its last input is held.
         U = np.vstack([announced[1:], announced[-1:]])
         yield at, optima, x
 
 
 def paper_maneuver() -> Maneuver:
-    """Hover, climb 2.5 m, translate 2.5 m in +x, descend 2.5 m, hover: 5 s each. Source: paper, section V."""
+    """Return the maneuver of section V: hover, climb 2.5 m, translate 2.5 m in +x, descend 2.5 m, hover, 5 s each."""
     legs = {"hover": (0, 0, 0), "climb": (0, 0, -2.5), "translate": (2.5, 0, 0), "descend": (0, 0, 2.5)}
     order = ["hover", "climb", "translate", "descend", "hover"]
     return Maneuver(

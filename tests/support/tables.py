@@ -1,10 +1,10 @@
-"""Helpers for the tables of the benchmarks."""
+"""Helpers for tests of the tables of the benchmarks."""
 
 from benchmarks.page import Table
 
 
 def silent(_: str) -> None:
-    """No progress."""
+    """Ignore progress messages."""
 
 
 def first_cells(table: Table) -> list[str]:

@@ -1,9 +1,9 @@
-"""Settings of flights in which everything goes wrong that can, and that yet end well."""
+"""Settings of runs with all link impairments and faults at once, which are still completed."""
 
-# Only the shared law flies over a bad network.
+# Only the shared control law tolerates a bad network.
 RESILIENT = ("controller.prediction=closed_loop", "controller.relaxation=0.25")
 
-# Everything at once that links can do, to all kinds of messages, within 1.5 s.
+# All link impairments at once, for all kinds of messages, within 1.5 s.
 HEAVY = (
     "links={delay_s=0.06,jitter_s=0.1,loss=0.15,duplicate=0.2,reorder=0.2,reorder_s=0.1,rate_hz=15.0,"
     "gilbert_elliott={enter=0.1,leave=0.4},"
@@ -15,8 +15,8 @@ HEAVY = (
 )
 NEXT_TICK, ROUNDS = "clock.actuation=next_tick", "controller.negotiation_iterations=2"
 
-# One agent frozen and thawed, another killed and started anew, for a while both of them away. Who is frozen is given up
-# after the usual 5 s and no sooner: a busy host lets any process stand still for a second.
+# One agent is frozen and continued, another is killed and restarted; for a while both are away. The timeout for a frozen
+# agent stays at its default of 5 s: a busy host can stop any process for a second.
 FAULTS = (
     "clock.on_agent_loss=continue",
     "faults.event=[{at_s=0.3,do='stop',target='agent2'},{at_s=0.7,do='continue',target='agent2'},"

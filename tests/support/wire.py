@@ -1,4 +1,4 @@
-"""A flight in one process whose messages travel as bytes: each receiver reads them through its own gate."""
+"""A run in one process whose messages travel as bytes: each receiver reads them through its own admission."""
 
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -21,51 +21,51 @@ Before = Callable[["Wire", str, str, bytes], None]
 
 
 class Receiver(Protocol):
-    """Whatever has a gate and something behind it."""
+    """A process that receives messages through its admission."""
 
     admission: Admission
     rejected: Rejections
 
     def hear(self, message: Message) -> Sequence[Message]:
-        """Take in a message that was let in and return the answers."""
+        """Process an admitted message and return the answers."""
 
 
 class NodeReceiver:
-    """A node behind its gate."""
+    """A node with its admission."""
 
     def __init__(self, node: Node, keys: Keys, setup: Setup) -> None:
         self._node, self.rejected = node, node.rejected
         self.admission = Admission(node.name, keys, setup, node.rejected)
 
     def hear(self, message: Message) -> Sequence[Message]:
-        """What the node answers."""
+        """Return the answers of the node."""
         return self._node.receive(message, 0)
 
 
 class RecordingReceiver:
-    """A recorder behind its gate: it never answers."""
+    """A recorder with its admission; it never answers."""
 
     def __init__(self, recorder: Recorder) -> None:
         self._recorder, self.admission, self.rejected = recorder, recorder.admission, recorder.rejected
 
     def hear(self, message: Message) -> Sequence[Message]:
-        """Nothing, but the recorder has heard it."""
+        """Record the message and return no answers."""
         self._recorder.receive(message)
         return ()
 
 
 class Wire:
-    """One flight, every process in its `INCARNATION`, delivered in the order sent.
+    """One run of processes in incarnation `INCARNATION`; messages are delivered in the order sent.
 
     Args:
         setup: The run.
-        recorder: Records it; its bus is never used.
-        before: Called before each delivery with the flight, the receiver's name, the key and the bytes.
+        recorder: Recorder of the run; its bus is never used.
+        before: Called before each delivery with this object, the receiver's name, the key and the bytes.
 
     Attributes:
-        keys: Of the run.
-        receivers: By name.
-        sent: Every message of the flight, in order.
+        keys: Keys of the run.
+        receivers: Receivers by name.
+        sent: Every message of the run, in order.
     """
 
     def __init__(self, setup: Setup, recorder: Recorder, before: Before = lambda *_: None) -> None:
@@ -83,7 +83,7 @@ class Wire:
                 receiver.admission.announce(name, INCARNATION)
 
     def simulate(self) -> Control:
-        """Fly to the end."""
+        """Simulate to the end and return the coordinator's last message."""
         for name in self.receivers:
             if name not in ("coordinator", "recorder"):
                 self._send(self._coordinator.receive(Presence(name, INCARNATION, alive=True), 0))
@@ -99,17 +99,17 @@ class Wire:
         return self._coordinator.finished
 
     def listeners(self, key: str) -> list[str]:
-        """Who would get a message under a key."""
+        """Return the names of the receivers subscribed to a key."""
         return [name for name in self.receivers if any(matches(e, key) for e in self.keys.subscriptions(name))]
 
     def disturb(self, name: str, key: str, data: bytes) -> Sequence[Message]:
-        """Let a receiver read something that is no message of this flight; what it answers."""
+        """Let a receiver read bytes that are no message of this run, and return its answers."""
         receiver = self.receivers[name]
         message = receiver.admission.read(key, data)
         return () if message is None else receiver.hear(message)
 
     def tell_rejected(self) -> None:
-        """Everybody tells the recorder what it has refused, as at the end of a run; the recorder comes last."""
+        """Send each receiver's rejections to the recorder, as at the end of a run; the recorder's own come last."""
         recorder = self.receivers["recorder"]
         for name, receiver in self.receivers.items():
             receiver.admission.close()

@@ -1,7 +1,7 @@
-"""Two pytest workers share the tests: one runs those that start processes or open sockets, the other one the rest.
+"""Distribution of tests to two pytest workers: one runs tests that start processes or open sockets, one the others.
 
-Tests of the first kind use both processors, ports, and names of runs that the whole machine sees, and wait for much of
-their time: two of them at once would disturb each other. The rest compute in one process.
+Tests of the first kind use both processors, ports, and run names that are visible on the whole machine: two of them at
+once would disturb each other, and they spend much of their time waiting. The other tests compute in one process.
 """
 
 import pytest
@@ -10,8 +10,8 @@ from xdist.scheduler import LoadFileScheduling
 # Folder of the test files for the first worker.
 SYSTEM = "tests/system/"
 
-# Begins before all others: its two minutes are mostly waiting, which leaves room for style and types beside the tests,
-# and its deadlines are missed less often, not more often, when they are done.
+# Runs before all other tests: it mostly waits for two minutes, which leaves processor time for the style and type checks
+# beside the tests. When these end, it misses fewer deadlines, which cannot fail it.
 FIRST = "tests/system/test_soak.py"
 
 
@@ -28,7 +28,7 @@ def is_serial(file: str) -> bool:
 def in_order(items: list[pytest.Item]) -> list[pytest.Item]:
     """Return the soak first, then the other tests with processes, then files with slow tests, then the rest.
 
-    Long files last would leave one worker waiting for the other at the end.
+    A long file at the end would leave one worker idle.
     """
     slow = {file_of(item.nodeid) for item in items if item.get_closest_marker("slow")}
 

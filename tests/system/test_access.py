@@ -66,7 +66,7 @@ class Guarded:
 
     @property
     def reached(self) -> int:
-        """Number of messages that reached it: refused, or kept for a token to come."""
+        """Return the number of messages that reached the bus: refused, or kept until a token arrives."""
         self.admission.count_unread()
         return self.rejections.total + self.admission.kept
 
@@ -118,7 +118,7 @@ def test_impostors_are_refused(plant: Guarded, impostor: str) -> None:
     forged = {f"{KEYS.prefix}/plan/2": b"?", f"{KEYS.prefix}/tick": b"?", f"{KEYS.prefix}/control": b"?"}
     with session_of(plant, keyring("one"), impostor) as session:
         if impostor == "agent1":
-            assert reaches(plant, session, f"{KEYS.prefix}/plan/1")  # it is connected: its own messages arrive
+            assert reaches(plant, session, f"{KEYS.prefix}/plan/1")  # the session is connected: its own messages arrive
         else:
             time.sleep(0.3)
         plant.accepted(0.1)
@@ -155,7 +155,7 @@ def test_the_same_messages_from_the_owner(plant: Guarded) -> None:
 
 
 def test_rights_to_request() -> None:
-    """All with keys may ask a process for its health; only an operator may ask for a change of links."""
+    """All key holders may request the health of a process; only an operator may request a change of links."""
     port = free_base()
     coordinator = Guarded("coordinator", port)
 
@@ -199,7 +199,7 @@ def test_rights_to_put() -> None:
     for kind in KINDS.values():
         message = sample(kind)
         if message.sender == "recorder":
-            continue  # written into the log only
+            continue  # only written into the log
         key = KEYS.of(message)
         owners = [name for name, keys in may_put.items() if key in keys or f"{key.rpartition('/')[0]}/*" in keys]
         assert owners == [message.sender], kind

@@ -47,7 +47,7 @@ def test_missing_file_is_refused(tmp_path: Path) -> None:
 
 
 def test_mistyped_scenario_name_is_met_with_the_nearest(tmp_path: Path) -> None:
-    """A name that is neither a file nor a ready scenario is met with the nearest one."""
+    """A name that is neither a file nor a ready scenario is refused with the nearest name."""
     result = transport("run", "papr", cwd=tmp_path)
     assert result.returncode == SCENARIO
     assert "did you mean 'paper'?" in result.stderr
@@ -73,7 +73,7 @@ def test_existing_run_folder_is_not_touched(tmp_path: Path) -> None:
 
 
 def test_port_in_use_is_named(tmp_path: Path) -> None:
-    """A port in use is named before any process starts, for the whole run and for one process."""
+    """A port in use is named before any process starts, for a whole run and for a single process."""
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
@@ -90,7 +90,7 @@ def test_port_in_use_is_named(tmp_path: Path) -> None:
 
 
 def test_connecting_to_nothing_ends_by_name(tmp_path: Path) -> None:
-    """An agent without peers names the missing processes and its endpoints within the join timeout."""
+    """An agent without connections names the missing processes and its endpoints within the join timeout."""
     options = ["--listen", "tcp/127.0.0.1:0", "--connect", "tcp/127.0.0.1:9", "--join-timeout", "1", "--run", "alone"]
     result = transport("agent", "--id", "1", *options, cwd=tmp_path)
     assert result.returncode == LOST

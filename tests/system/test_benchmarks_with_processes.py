@@ -1,4 +1,4 @@
-"""The benchmark that starts processes: the loop measures what it says. No time is judged."""
+"""The benchmark with processes: its table has the documented rows. Times are not judged."""
 
 import pytest
 
@@ -9,7 +9,7 @@ from tests.support.tables import first_cells, numbers, silent
 
 @pytest.mark.slow
 def test_the_loop_has_its_rows() -> None:
-    """Teams, the maneuver and recording, flown with processes; times are more than the floor beneath them."""
+    """The table has rows for teams, maneuver and recording; the times of a run exceed the network's own time."""
     teams, maneuver, recording = loop.measure(QUICK, silent)
     assert first_cells(teams) == [str(uavs) for uavs in QUICK.processes]
     assert first_cells(maneuver) == ["processes", "in memory"]

@@ -1,4 +1,4 @@
-"""The bus against a stranger on its network, whose messages are counted and do not disturb it."""
+"""The bus with an unknown session on its network: its messages are counted and have no other effect."""
 
 import json
 import os
@@ -29,7 +29,7 @@ KEYS = Keys("bus")
 DIGEST = "0123456789ab"
 ROOT = Path(__file__).resolve().parents[2]
 
-# For what takes milliseconds, on a busy machine.
+# Timeout on a busy machine for actions of milliseconds, s.
 PATIENCE_S = 20.0
 
 
@@ -49,11 +49,11 @@ class Plant:
         )
 
     def counts(self) -> dict[tuple[str, str], int]:
-        """Numbers of refused messages, by sender and reason."""
+        """Return the numbers of refused messages by sender and reason."""
         return {(entry.sender, entry.reason): entry.count for entry in self.rejections}
 
     def waits_for(self, condition: Callable[[], bool]) -> bool:
-        """Take in messages, none of which is an event, until a condition holds."""
+        """Read messages until a condition holds; none of them may be an event."""
         deadline = time.monotonic() + PATIENCE_S
         while not condition():
             assert self.bus.next(0.01) is None
@@ -64,7 +64,7 @@ class Plant:
 
 @contextmanager
 def stranger(port: int) -> Iterator[zenoh.Session]:
-    """A session that is connected to a port, and is no process of the run."""
+    """Open a session to a port; it is no process of the run."""
     configuration = {
         "mode": "peer",
         "connect": {"endpoints": [f"tcp/127.0.0.1:{port}"], "exit_on_failure": True, "timeout_ms": 10_000},
@@ -77,7 +77,7 @@ def stranger(port: int) -> Iterator[zenoh.Session]:
 
 @pytest.fixture
 def network() -> Iterator[tuple[Plant, zenoh.Session]]:
-    """A plant and a stranger that is connected to it."""
+    """A plant and an unknown session that is connected to the plant."""
     port = free_base()
     plant = Plant(port)
     try:
@@ -96,7 +96,7 @@ def network() -> Iterator[tuple[Plant, zenoh.Session]]:
 
 
 def test_time_of_arrival(network: tuple[Plant, zenoh.Session]) -> None:
-    """The time of arrival is taken by the receiving thread, however late the message is read."""
+    """The receiving thread takes the time of arrival, regardless of when the message is read."""
     plant, session = network
     refused, sent_ns = plant.rejections.total, time.time_ns()
     session.put(f"{KEYS.prefix}/plan/2", encode(runs.tick(0)), congestion_control=zenoh.CongestionControl.BLOCK)
@@ -137,7 +137,7 @@ def test_a_stranger_is_counted(network: tuple[Plant, zenoh.Session]) -> None:
 
 
 def test_messages_of_announced_processes_are_accepted(network: tuple[Plant, zenoh.Session]) -> None:
-    """A message is accepted once its sender's token of the same scenario is here, even if it came before."""
+    """A message is accepted once its sender's token of the same scenario has arrived, also if the message came first."""
     plant, session = network
     block = zenoh.CongestionControl.BLOCK
     session.put(f"{KEYS.prefix}/tick", encode(runs.tick(0)), congestion_control=block)
@@ -195,7 +195,7 @@ bus.close()
 
 @pytest.mark.parametrize(("name", "speaks"), [("plant", True), ("recorder", False)])
 def test_standard_output_belongs_to_results(name: str, speaks: bool) -> None:
-    """Zenoh writes errors to standard output in a process of the run, whose output is a log, but not in a command."""
+    """Zenoh may write errors to standard output in a process of the run, but not in a command."""
     environment = {key: value for key, value in os.environ.items() if key != "RUST_LOG"}
     with subprocess.Popen(
         [sys.executable, "-c", SPEAKS, name, str(free_base())],
@@ -209,7 +209,7 @@ def test_standard_output_belongs_to_results(name: str, speaks: bool) -> None:
         assert process.stderr is not None
         line = process.stderr.readline()
         assert line == "open\n", line + process.stderr.read()
-        if speaks:  # however long that takes: the test has a timeout
+        if speaks:  # no timeout here: the test has one
             assert any("ERROR" in line for line in process.stdout)
         else:
             time.sleep(1.0)
@@ -222,7 +222,7 @@ def test_another_version_is_refused_by_name(network: tuple[Plant, zenoh.Session]
     """A process with another version of the protocol is not joined; the error names both versions and the remedy."""
     plant, session = network
     for version in (VERSION + 1, 2):
-        end = f"/{version}" if version > VERSION else ""  # tokens of version 2 did not say so
+        end = f"/{version}" if version > VERSION else ""  # tokens of version 2 did not contain the version
         token = session.liveliness().declare_token(f"{KEYS.prefix}/alive/coordinator/0/{DIGEST}{end}")
         expected = f"coordinator speaks version {version} of the protocol, plant version {VERSION}: install the same"
         with pytest.raises(BusError, match=expected):

@@ -1,4 +1,4 @@
-"""The crash fuzzer: runs drawn from their numbers, each kind of problem found, and eight runs executed."""
+"""The crash fuzzer: runs are drawn from numbers, each kind of problem is found, and eight runs succeed."""
 
 import os
 import signal
@@ -19,7 +19,7 @@ from tests.support.fuzz_runs import COMMAND, FuzzRun, Injection, random_run
 ROOT = Path(__file__).parents[2]
 MANY = 300
 HOVER = ("maneuver.phase=[{name='hover',duration_s=0.5,displacement_m=[0,0,0]}]",)
-# Eight runs, two at a time, on a slow machine: each may wait ten seconds for a process to be given up.
+# Eight runs, two at a time, on a slow machine: each may wait ten seconds until the network gives up a process.
 PATIENCE_S = 240.0
 
 
@@ -31,7 +31,7 @@ def test_runs_are_drawn_from_their_number() -> None:
 
 
 def test_every_process_gets_every_signal() -> None:
-    """Many runs send every signal to every process, freeze with and without end, one or two processes."""
+    """Many runs send every signal to every process, freeze for a time and for good, and affect one or two processes."""
     runs = [random_run(0, number) for number in range(MANY)]
     injections = [injection for run in runs for injection in run.injections]
     names = {"coordinator", "plant", "agent1", "agent2", "agent3", "agent4", COMMAND}
@@ -79,7 +79,7 @@ def test_an_exit_code_that_does_not_fit_is_found(tmp_path: Path) -> None:
 
 
 def test_an_orphan_is_found_and_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A left-over process of the run is named and killed; an unreadable log is named."""
+    """A remaining process of the run is named and killed; an unreadable log is named."""
     monkeypatch.setattr(crash_fuzzer, "_ORPHANS_S", 0.5)
     name = f"fault-3-{os.getpid()}"
     (tmp_path / name).mkdir()  # the command refuses an existing folder and starts nothing

@@ -1,4 +1,4 @@
-"""A person's own files in the current folder: they neither break a run nor hide a package without a word."""
+"""The user's own files in the current folder: they neither break a run nor hide a package without a message."""
 
 import subprocess
 import sys
@@ -13,7 +13,7 @@ TRAP = 'raise RuntimeError("imported from the current folder")\n'
 
 @pytest.fixture(params=["model.py", "agent/__init__.py", "protocol.py"])
 def folder(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
-    """A folder with a file that has the name of one of our packages."""
+    """Return a folder with a file named like one of our packages."""
     file = tmp_path / request.param
     file.parent.mkdir(exist_ok=True)
     file.write_text(TRAP, encoding="utf-8")
@@ -36,7 +36,7 @@ def test_a_run_does_not_import_from_the_current_folder(folder: Path) -> None:
 
 
 def test_an_import_names_the_file_that_hides_a_package(folder: Path) -> None:
-    """Where the current folder is on the path, importing the project says which file hides which package."""
+    """With the current folder on the path, importing the project names the file and the package that it hides."""
     done = imported(folder)
     (file,) = folder.rglob("*.py")
     assert done.returncode == 1
@@ -46,7 +46,7 @@ def test_an_import_names_the_file_that_hides_a_package(folder: Path) -> None:
 
 
 def test_a_folder_without_code_hides_nothing_unnamed(tmp_path: Path) -> None:
-    """A plain folder named like a package is either no obstacle or named as one."""
+    """A folder without code that is named like a package either has no effect or is named in the error."""
     (tmp_path / "plant").mkdir()
     done = imported(tmp_path)
     named = f"payload-transport: {tmp_path / 'plant'} hides its package 'plant'"

@@ -1,4 +1,4 @@
-"""`transport doctor`: problems of a machine are found, named, and come with advice."""
+"""`transport doctor`: problems of a machine are found and named, with advice."""
 
 import json
 import socket
@@ -125,7 +125,7 @@ def test_ports() -> None:
 
 
 def test_command() -> None:
-    """All checks are made, the network's with real sessions, and the exit code says whether any fails."""
+    """The command makes all checks, with real network sessions, and its exit code is that of a failure if any fails."""
     result = CliRunner().invoke(app, ["doctor", "resilient", "--format", "json"])
     content = json.loads(result.stdout)
     checks = {check["name"]: check for check in content["checks"]}

@@ -1,4 +1,4 @@
-"""An agent that shares no code with the others flies UAV 3 among real processes: the protocol page is enough."""
+"""An agent without code of the project controls UAV 3 among real processes: the protocol page suffices."""
 
 import ast
 import json
@@ -20,7 +20,7 @@ EXAMPLE = Path(__file__).resolve().parents[2] / "docs" / "examples" / "foreign_a
 
 
 def simulate(folder: Path, *changes: str) -> dict[str, Any]:
-    """`resilient` with the foreign agent in the place of agent 3; the summary of the recorder."""
+    """Run `resilient` with the foreign agent as agent 3 and return the recorder's summary."""
     base = free_base()
     given = [*changes, f"network.base_port={base}"]
     digest = read_scenario(find_scenario("resilient"), given).digest()
@@ -50,7 +50,7 @@ def simulate(folder: Path, *changes: str) -> dict[str, Any]:
 
 
 def test_a_foreign_agent_takes_part(tmp_path: Path) -> None:
-    """A second and a half: it joins, every plan of its is played, and all end in order."""
+    """In a run of 1.5 s the agent joins, the plant applies each of its plans, and all processes end in order."""
     summary = simulate(tmp_path, SHORT)
     assert summary["ticks"] == 30
     assert summary["messages"]["late"] == 0
@@ -59,7 +59,7 @@ def test_a_foreign_agent_takes_part(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_foreign_agent_flies_the_maneuver(tmp_path: Path) -> None:
-    """The paper's 25 s, of which it knows nothing but what the others do: the load stays level, and all apart."""
+    """In the paper's 25 s the agent knows only the others' plans: the payload stays level and the UAVs keep their distance."""
     summary = simulate(tmp_path)
     assert summary["ticks"] == 500
     assert summary["attitude_max_deg"] < 5.0
@@ -67,7 +67,7 @@ def test_a_foreign_agent_flies_the_maneuver(tmp_path: Path) -> None:
 
 
 def test_it_imports_nothing_of_the_project() -> None:
-    """What the example knows of the others it has from the document."""
+    """The example imports no package of the project."""
     names: set[str] = set()
     for node in ast.walk(ast.parse(EXAMPLE.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
@@ -79,7 +79,7 @@ def test_it_imports_nothing_of_the_project() -> None:
 
 
 def test_its_numbers_are_those_of_the_scenario() -> None:
-    """Version, mass, inertia, share of the load and corner, which it has as literals."""
+    """The example's literals equal the scenario: version, mass, inertia, share of the payload and attachment point."""
     values: dict[str, Any] = {}
     for node in ast.parse(EXAMPLE.read_text(encoding="utf-8")).body:
         if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Tuple):

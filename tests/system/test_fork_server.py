@@ -1,4 +1,4 @@
-"""Forked processes equal started ones."""
+"""Processes of the fork server behave like started ones."""
 
 import os
 import signal
@@ -22,7 +22,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are f
 # An agent that waits for agents that never join.
 LONELY = ("agent", "--id", "1", "--scenario", "paper", "--run", "lonely", "--listen", "tcp/127.0.0.1:0")
 
-_PIPES: list[IO[bytes]] = []  # to close at the end of a test: processes end with them
+_PIPES: list[IO[bytes]] = []  # closed at the end of a test, which ends the processes
 
 
 @pytest.fixture
@@ -62,7 +62,7 @@ def test_as_if_started(server: ForkServer, tmp_path: Path) -> None:
         expected = subprocess.run(command(*arguments), capture_output=True, text=True, check=False)
         assert process.wait(60.0) == expected.returncode
         assert (tmp_path / f"{k}.log").read_text() == expected.stdout + expected.stderr
-        assert not Path(f"/proc/{process.pid}").exists()  # waited for, for good
+        assert not Path(f"/proc/{process.pid}").exists()  # already waited for
 
 
 def test_place_of_its_own(server: ForkServer, tmp_path: Path) -> None:
@@ -84,12 +84,12 @@ def test_place_of_its_own(server: ForkServer, tmp_path: Path) -> None:
         process.wait(0.05)
     process.terminate()
     assert process.wait(20.0) == 130
-    process.send_signal(signal.SIGTERM)  # must not hit another process
+    process.send_signal(signal.SIGTERM)  # the signal must not reach another process
     assert process.poll() == 130
 
 
 def test_killed(server: ForkServer, tmp_path: Path) -> None:
-    """The signal that ends a process is its exit code, also for simultaneous calls."""
+    """The exit code names the signal that ended the process, also for simultaneous calls."""
     log = tmp_path / "agent.log"
     process = begin(server, log, *LONELY)
     assert wait_for(lambda: waits(log))
@@ -104,7 +104,7 @@ def test_killed(server: ForkServer, tmp_path: Path) -> None:
 
 
 def test_orphans_end(server: ForkServer, tmp_path: Path) -> None:
-    """Forked processes end with the pipe from their parent, also after the end of the server."""
+    """Forked processes end when their parent's pipe closes, also after the end of the server."""
     log = tmp_path / "agent.log"
     process = begin(server, log, *LONELY)
     assert wait_for(lambda: waits(log))
@@ -117,7 +117,7 @@ def test_orphans_end(server: ForkServer, tmp_path: Path) -> None:
 
 
 def test_server_ends_with_its_process(tmp_path: Path) -> None:
-    """The server of a killed process ends."""
+    """The server ends when its process is killed."""
     code = (
         "import time\nfrom transport.flight.fork_server import fork_server\n"
         "print(fork_server()._process.pid, flush=True)\ntime.sleep(60)\n"

@@ -1,4 +1,4 @@
-"""Somebody on the network who talks nonsense on every key: the flight and its record are those without him."""
+"""An intruder that sends invalid messages on every key changes neither a run nor its record."""
 
 import csv
 import json
@@ -22,7 +22,7 @@ from protocol.wire.messages import agent_name
 from protocol.wire.rejections import Rejections
 from tests.support.commands import PATIENCE_S, free_base, settings, start
 from tests.support.garbage import Garbage
-from tests.support.logs import flown
+from tests.support.logs import record_run
 from tests.system.test_processes import SCHEMA
 from transport.analysis.steps import WALL_CLOCK
 from transport.report.report import write_report
@@ -30,7 +30,7 @@ from transport.report.report import write_report
 SEED = 20240611
 RUN = "disturbed"
 
-# Paced to real time, so that there is time to disturb it.
+# Paced to real time, so that the intruder has time to send.
 TICKS = 120
 FLIGHT = (
     f"maneuver.phase=[{{name='climb',duration_s={0.05 * TICKS},displacement_m=[0.0,0.0,-1.0]}}]",
@@ -38,22 +38,22 @@ FLIGHT = (
     "clock.speed=1.0",
 )
 
-# Bad messages, and how many at a time; the last of them well before the end of the flight.
+# Number of bad messages, in total and at a time; the last are sent well before the end of the run.
 SHOTS, BURST, LAST_TICK = 4000, 40, 100
 
-# Messages of three ticks: what is older has reached everybody.
+# Messages of three ticks: older ones have reached all processes.
 DELAY = 60
 
-# Tokens of processes that cannot be.
+# Tokens of processes that cannot exist.
 STRANGE_TOKENS = ("alive/agent1/soon/0123456789ab", "alive/agent1", "ready/agent1/x")
 
 
 class Mesh:
-    """A session with every process of a run, and what it hears.
+    """A session with connections to every process of a run, and the messages it receives.
 
     Args:
-        session: Connected to all.
-        keys: Of the run.
+        session: Session with connections to all processes.
+        keys: Keys of the run.
     """
 
     def __init__(self, session: zenoh.Session, keys: Keys) -> None:
@@ -62,20 +62,20 @@ class Mesh:
         self._subscriber = session.declare_subscriber(f"{keys.prefix}/**", self._inbox.put)
 
     def heard(self) -> Iterator[tuple[str, bytes]]:
-        """Key and bytes of what has come since the last time."""
+        """Return keys and bytes of the messages received since the last call."""
         while not self._inbox.empty():
             sample = self._inbox.get()
             yield str(sample.key_expr), sample.payload.to_bytes()
 
     def put(self, key: str, data: bytes) -> None:
-        """Say something to whoever else listens, and wait rather than lose it."""
+        """Send bytes to all subscribers of a key; wait rather than lose them."""
         remote, block = zenoh.Locality.REMOTE, zenoh.CongestionControl.BLOCK
         self.session.put(key, data, congestion_control=block, allowed_destination=remote)
 
 
 @contextmanager
 def intruding(keys: Keys, ports: Sequence[int]) -> Iterator[Mesh]:
-    """Connect to every process of a run as an observer does."""
+    """Connect to every process of a run like an observer."""
     configuration = {
         "mode": "peer",
         "connect": {
@@ -91,7 +91,7 @@ def intruding(keys: Keys, ports: Sequence[int]) -> Iterator[Mesh]:
 
 
 def table(folder: Path) -> list[dict[str, str]]:
-    """The step table without its wall-clock columns."""
+    """Return the step table without its wall-clock columns."""
     with (folder / "steps.csv").open(encoding="utf-8", newline="") as stream:
         rows = list(csv.DictReader(stream))
     return [{name: value for name, value in row.items() if not name.endswith(WALL_CLOCK)} for row in rows]
@@ -99,23 +99,23 @@ def table(folder: Path) -> list[dict[str, str]]:
 
 @pytest.mark.slow
 def test_an_intruder(tmp_path: Path) -> None:
-    """Thousands of bad messages on every key change nothing in steps.csv, and all are in the summary, by sender."""
+    """Thousands of bad messages on every key change no value in steps.csv, and the summary counts all by sender."""
     base = free_base()
     run = Setup.of(read_scenario(find_scenario("paper"), FLIGHT), "paper")
     agents = [agent_name(agent) for agent in run.agents]
-    everybody = ["coordinator", "plant", *agents]  # the recorder listens nowhere: no stranger reaches it
+    receivers = ["coordinator", "plant", *agents]  # no intruder reaches the recorder, which has no listening port
     keys = Keys(RUN)
-    hears = {name: keys.subscriptions(name) for name in everybody}
+    hears = {name: keys.subscriptions(name) for name in receivers}
     command = ["run", "paper", *settings(*FLIGHT, f"network.base_port={base}"), "--out", RUN, "--no-figures"]
     process = start(*command, "--format", "json", cwd=tmp_path)
 
-    expected = dict.fromkeys(everybody, 0)
+    expected = dict.fromkeys(receivers, 0)
     max_bytes = Admission("recorder", keys, run, Rejections()).max_bytes
     rng = np.random.default_rng(SEED)
     source = Garbage("recorder", keys, run, max_bytes, rng, incarnation=0, delay=DELAY)
-    with intruding(keys, range(base, base + len(everybody))) as mesh:
+    with intruding(keys, range(base, base + len(receivers))) as mesh:
         shots, tokens = 0, list[zenoh.LivelinessToken]()
-        # Whoever is heard is connected; the coordinator speaks of each tick, the plant of what comes of it.
+        # A received message proves the connection: coordinator, plant and agents publish at every tick.
         everything = {
             f"{keys.prefix}/{end}" for end in ("tick", "plant_state", *(f"plan/{agent}" for agent in run.agents))
         }
@@ -147,7 +147,7 @@ def test_an_intruder(tmp_path: Path) -> None:
     jsonschema.validate(summary, SCHEMA)
     assert summary["outcome"] == "completed"
     assert summary["ticks"] == TICKS
-    counts = dict.fromkeys(everybody, 0)
+    counts = dict.fromkeys(receivers, 0)
     for entry in summary["rejections"]:
         counts[entry["by"]] += entry["count"]
     assert counts == expected
@@ -156,6 +156,6 @@ def test_an_intruder(tmp_path: Path) -> None:
     reasons = {entry["reason"] for entry in summary["rejections"]}
     assert {"malformed", "oversized", "not_finite", "replayed", "past", "future", "wrong_sender"} <= reasons
 
-    flown(run, tmp_path / "calm")
+    record_run(run, tmp_path / "calm")
     write_report(tmp_path / "calm", figures=False)
     assert table(tmp_path / RUN) == table(tmp_path / "calm")

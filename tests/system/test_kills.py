@@ -15,7 +15,7 @@ from transport.log.run_log import read_log
 TEAM = ["coordinator", "plant", "agent1", "agent2", "agent3", "agent4"]
 USAGE, LOST, INTERRUPTED = 2, 4, 130
 
-# A command, and signals that come when it has ended: on its way out, and while the interpreter takes itself apart.
+# A command, and signals after its end: while it returns, and while the interpreter shuts down.
 SIGNALLED_AFTERWARDS = """
 import atexit, os, sys
 from transport.__main__ import main
@@ -85,7 +85,7 @@ def test_a_killed_harness_leaves_no_orphans(tmp_path: Path) -> None:
 
 
 def test_a_frozen_agent_is_noticed_by_the_barrier(tmp_path: Path) -> None:
-    """SIGSTOP leaves the token in place; the barrier timeout names the agent and the run ends, no process left."""
+    """SIGSTOP keeps the token alive; the barrier timeout names the agent and the run ends, with no process left."""
     process = take_off(tmp_path, "frozen")
     os.kill(processes_of("frozen")["agent2"], signal.SIGSTOP)
     _, errors = process.communicate(timeout=PATIENCE_S)
@@ -95,7 +95,7 @@ def test_a_frozen_agent_is_noticed_by_the_barrier(tmp_path: Path) -> None:
 
 
 def test_the_others_continue_if_configured(tmp_path: Path) -> None:
-    """With `on_agent_loss = "continue"` the clock goes on without the killed agent, and the record says so."""
+    """With `on_agent_loss = "continue"` the clock goes on without the killed agent, and the record names it."""
     process = take_off(tmp_path, "continued", "clock.on_agent_loss=continue")
     os.kill(processes_of("continued")["agent3"], signal.SIGKILL)
     assert wait_for(lambda: "agent3" not in processes_of("continued"))

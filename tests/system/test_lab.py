@@ -17,7 +17,7 @@ from tests.support.lab import EXIT_UNAVAILABLE, Cut, unavailable
 from transport.log.run_log import read_log
 
 NAMES = [*process_names(read_scenario(find_scenario("resilient"))), "recorder"]
-# Late agents are waited for: with fourteen processes starting at once on few cores the run would diverge otherwise.
+# The clock waits for late agents: with fourteen processes starting at once on few cores the run would diverge.
 REAL_TIME = ("clock.mode=realtime", "clock.speed=1", "clock.on_overrun=hold")
 
 pytestmark = pytest.mark.skipif(bool(unavailable()), reason=f"no lab: {unavailable()}")
@@ -64,8 +64,8 @@ def belonging_to(folder: Path) -> list[int]:
 
 @pytest.mark.slow
 def test_cables(tmp_path: Path) -> None:
-    """A run survives and records a second without cable; without coordinator all processes end, with a whole log."""
-    # Both at once: the second one mostly waits for the timeout of a connection.
+    """A run is completed and recorded despite a second without cable; without coordinator all processes end with a whole log."""
+    # Both labs at once: the second one mostly waits for a connection timeout.
     with lab(tmp_path / "b", "coordinator:2", duration_s=30.0) as second:
         with lab(tmp_path / "a", "agent2:8:1", duration_s=12.0) as first:
             briefly = ended(first)

@@ -44,7 +44,7 @@ def members() -> list[int]:
 def operated(
     tmp_path_factory: pytest.TempPathFactory,
 ) -> Iterator[tuple[dict[str, Any], Path, list[tuple[int, str, str]]]]:
-    """A paced run after every kind of request, then ended: summary, folder, refusals."""
+    """Return summary, folder and refusals of a paced run that received every kind of request and then ended."""
     home = tmp_path_factory.mktemp("operated")
     process = start("run", "resilient", *settings(*PACED), "--out", "runs/live", "--no-figures", cwd=home)
     with pytest.MonkeyPatch.context() as patch:
@@ -89,7 +89,7 @@ def operated(
 
 @pytest.fixture(scope="module")
 def log(operated: tuple[dict[str, Any], Path, list[tuple[int, str, str]]]) -> RunLog:
-    """The log of that run."""
+    """Return the log of that run."""
     found = read_log(operated[1] / "run.mcap")
     assert not found.cut
     return found
@@ -131,7 +131,7 @@ def test_links_by_hand(log: RunLog) -> None:
     measured = {report.tick: report.measurement_age for report in log.of(StepReport) if report.agent == 1}
     assert {measured[k] for k in range(seen + 2, seen_again)} == {2}
     assert {measured[k] for k in range(seen_again, seen_again + 5)} == {0}
-    # An agent that came back received the two active changes.
+    # The returning agent received the two active changes.
     assert [change.number for change in changes if change not in first.values()] == [1, 2] * 2
 
 
@@ -152,7 +152,7 @@ def test_faults_by_hand(operated: tuple[dict[str, Any], Path, list[tuple[int, st
 def test_a_killed_agent_delays_no_other(log: RunLog) -> None:
     """The tick at which an agent is killed lasts no longer than its detection and a sampling period.
 
-    Both from the log; a slow machine may take for that tick what it takes for the slowest without a fault.
+    Both times are from the log. On a slow machine the tick may last as long as the slowest tick without a fault.
     """
     opened_s = {tick: at / 1e9 for tick, at in log.received_ns(Tick).items()}
     durations_s = {k: opened_s[k + 1] - opened_s[k] for k in opened_s if k + 1 in opened_s}
@@ -168,5 +168,5 @@ def test_a_killed_agent_delays_no_other(log: RunLog) -> None:
 
 
 def test_ticks_come_one_after_the_other(log: RunLog) -> None:
-    """No tick is left out or opened twice, in spite of all faults."""
+    """No tick is omitted or opened twice, despite all faults."""
     assert all(after.tick == before.tick + 1 for before, after in pairwise(log.of(Tick)))

@@ -1,4 +1,4 @@
-"""Ports of simultaneous runs: all different, and given to no other process."""
+"""Ports of simultaneous runs: all are different, and no other process gets one."""
 
 import socket
 import sys
@@ -10,7 +10,7 @@ from transport.flight.harness import HarnessError, free_ports
 
 HOST = "127.0.0.1"
 
-# Simultaneous runs, ports of each, and requests for any port meanwhile; Linux has 28 000 such ports.
+# Simultaneous runs, ports of each, and concurrent requests for any port; Linux has 28 000 such ports.
 RUNS, PORTS, OTHERS = 20, 8, 10_000
 
 
@@ -19,7 +19,7 @@ linux = pytest.mark.skipif(sys.platform != "linux", reason="only Linux shares a 
 
 
 def any_port(shares: bool) -> int:
-    """Return the port given to a process that asks for any."""
+    """Return the port that the system assigns to a process without a preference."""
     with closing(socket.socket()) as other:
         other.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, int(shares))
         other.bind((HOST, 0))

@@ -1,4 +1,4 @@
-"""A run across real processes: complete, documented, equal to the in-memory one, and equal to itself."""
+"""A run across real processes: complete, documented, reproducible, and equal to the in-memory run."""
 
 import json
 import subprocess
@@ -18,12 +18,12 @@ from transport.log.run_log import read_log
 
 SCHEMA = json.loads((Path(__file__).parents[2] / "transport" / "analysis" / "summary.schema.json").read_text())
 
-# DAQP and Clarabel meet the same optimality conditions to 1e-6; the cost of a whole flight then agrees to this.
+# DAQP and Clarabel meet the same optimality conditions to 1e-6; the cost of a run then agrees to this.
 SOLVER_TOLERANCE = 1e-3
 
 
 def run_json(folder: Path, *arguments: str) -> dict[str, Any]:
-    """Fly and return the summary printed on standard output."""
+    """Run a scenario and return the summary printed on standard output."""
     options = ["--out", folder.name, "--format", "json", "--no-figures"]
     result = transport("run", *arguments, *options, cwd=folder.parent)
     assert result.returncode == 0, result.stderr
@@ -33,7 +33,7 @@ def run_json(folder: Path, *arguments: str) -> dict[str, Any]:
 
 
 def reproducible(messages: list[Message]) -> dict[tuple[str, str], list[bytes]]:
-    """Messages by sender and kind, in the order sent, without the wall-clock reports."""
+    """Return messages by sender and kind, in the order sent, without the wall-clock reports."""
     streams: dict[tuple[str, str], list[bytes]] = {}
     for message in sorted(messages, key=lambda m: (m.sender, m.sequence)):
         if not isinstance(message, StepReport):
@@ -42,7 +42,7 @@ def reproducible(messages: list[Message]) -> dict[tuple[str, str], list[bytes]]:
 
 
 def steps_without_times(folder: Path) -> list[list[str]]:
-    """The step table without its wall-clock columns."""
+    """Return the step table without its wall-clock columns."""
     rows = [line.split(",") for line in (folder / "steps.csv").read_text().splitlines()]
     kept = [i for i, name in enumerate(rows[0]) if not name.endswith("_ms")]
     assert len(kept) < len(rows[0])
@@ -67,7 +67,7 @@ def short(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any
 
 @pytest.mark.slow
 def test_the_papers_maneuver_across_processes(paper: tuple[Path, dict[str, Any]]) -> None:
-    """Section V: four agents, plant and coordinator fly all 25 s; attitude within 2.5 deg, separation kept."""
+    """Section V: four agents, plant and coordinator complete 25 s; attitude within 2.5 deg, separation kept."""
     folder, summary = paper
     assert summary["outcome"] == "completed"
     assert summary["processes"] == 6
@@ -86,7 +86,7 @@ def test_the_papers_maneuver_across_processes(paper: tuple[Path, dict[str, Any]]
 
 @pytest.mark.slow
 def test_centralized_costs_less(paper: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
-    """One agent that owns all UAVs completes the maneuver, at a lower mean cost than the four (section V-C)."""
+    """A single agent that owns all UAVs completes the maneuver at a lower mean cost than the four (section V-C)."""
     _, distributed = paper
     centralized = run_json(tmp_path / "centralized", "centralized")
     assert centralized["outcome"] == "completed"
@@ -112,7 +112,7 @@ def test_two_runs_are_equal(short: tuple[Path, dict[str, Any]], tmp_path: Path) 
 
 @pytest.mark.parametrize("change", ["clock.actuation=next_tick", "agents.owned=[[1, 2], [3, 4]]"])
 def test_network_equals_memory(change: str, tmp_path: Path) -> None:
-    """Every message but the wall-clock reports is the same, bit for bit, on the network and in memory."""
+    """Every message except the wall-clock reports is bitwise equal on the network and in memory."""
     run_json(tmp_path / "run", "paper", *settings(SHORT, change))
     setup = Setup.of(read_scenario(find_scenario("paper"), [SHORT, change]), "paper")
     memory: list[Message] = []
@@ -122,7 +122,7 @@ def test_network_equals_memory(change: str, tmp_path: Path) -> None:
 
 
 def test_started_by_hand_in_any_order(tmp_path: Path) -> None:
-    """Six processes and a recorder, started one by one in a strange order, find each other and fly."""
+    """Six processes and a recorder, started one by one in an unusual order, join and complete the run."""
     options = ["--run", "by-hand", *settings(SHORT, f"network.base_port={free_base()}")]
     roles = [
         ["agent", "--id", "3"],
@@ -149,7 +149,7 @@ def test_started_by_hand_in_any_order(tmp_path: Path) -> None:
 
 
 def test_processes_with_different_scenarios_refuse_each_other(tmp_path: Path) -> None:
-    """An agent started with other settings is refused by name instead of flying something else."""
+    """An agent started with other settings is refused by name."""
     base = f"network.base_port={free_base()}"
     options = ["--run", "mixed", "--join-timeout", "20"]
     plant = subprocess.Popen(

@@ -25,7 +25,7 @@ def hover(duration_s: float) -> str:
 
 
 def flown(folder: Path, *changes: str) -> dict[str, Any]:
-    """Return the summary of a completed run with the shared control law, which tolerates late plans."""
+    """Return the summary of a completed run with the shared control law, which tolerates delayed plans."""
     result = transport("run", "resilient", *settings(*changes), "--out", "run", "--no-figures", cwd=folder)
     assert result.returncode == 0, result.stderr
     assert processes_of("run") == {}
@@ -37,7 +37,7 @@ def test_twice_as_fast(tmp_path: Path) -> None:
     """At speed 2 a run of 3 s takes 1.5 s of wall time, and the summary counts missed deadlines."""
     summary = flown(tmp_path, hover(3.0), REALTIME, "clock.speed=2")
     assert (summary["outcome"], summary["ticks"]) == ("completed", 60)
-    # It ends a period after its last tick was opened, or with the last truth if that comes later.
+    # The run ends one period after its last tick was opened, or with the last plant state if that comes later.
     assert 1.5 - PERIOD_S <= summary["wall_time_s"] <= 1.5 + SLACK_S
     deadline = summary["deadline"]
     assert deadline["plans"] == 59 * 4
@@ -46,14 +46,14 @@ def test_twice_as_fast(tmp_path: Path) -> None:
     assert 0.0 <= deadline["tick_late_ms"]["p50"] <= deadline["tick_late_ms"]["max"]
     opened = [tick for tick in read_log(tmp_path / "run" / "run.mcap").of(Tick) if tick.tick]
     assert 1e3 * max(tick.late_ns for tick in opened) / 1e9 == deadline["tick_late_ms"]["max"]
-    # Deadlines are absolute: nothing that happens on the way adds up. Sums of lateness would.
+    # Deadlines are absolute, so delays of ticks do not add up.
     assert opened[-1].late_ns / 1e9 <= SLACK_S
 
 
 def test_delayed_plans_are_late(tmp_path: Path) -> None:
-    """Over links that delay by 0.12 s plans are used at an age of three ticks, held back by every agent's own clock.
+    """Over links with 120 ms delay plans are used at an age of three ticks, held back by each agent's own clock.
 
-    At half the speed a tick has to be worked on 40 ms late for a plan to make it a tick sooner.
+    At half speed a tick must be processed 40 ms late before a plan can be used one tick earlier.
     """
     summary = flown(tmp_path, hover(1.5), REALTIME, "clock.speed=0.5", "links.delay_s=0.12")
     with (tmp_path / "run" / "steps.csv").open(newline="") as stream:
@@ -64,7 +64,7 @@ def test_delayed_plans_are_late(tmp_path: Path) -> None:
 
 
 def test_an_impossible_speed(tmp_path: Path) -> None:
-    """With "abort" a sampling period of a millisecond, less than a step takes, ends the run with exit code 5."""
+    """With "abort" a sampling period of 1 ms, shorter than a step, ends the run with exit code 5."""
     changes = settings(hover(5.0), REALTIME, "clock.speed=50", "clock.on_overrun=abort", "clock.overrun_limit=2")
     result = transport("run", "resilient", *changes, "--out", "run", "--no-figures", cwd=tmp_path)
     assert result.returncode == OVERRUN, result.stderr
@@ -77,7 +77,7 @@ def test_an_impossible_speed(tmp_path: Path) -> None:
 
 
 def test_interrupted(tmp_path: Path) -> None:
-    """Ctrl-C ends a run in real time like any other: exit code 130, a complete log, no process left."""
+    """Ctrl-C ends a run in real time like any other run: exit code 130, a complete log, no process left."""
     changes = settings(hover(60.0), REALTIME, "clock.speed=1")
     process = start("run", "resilient", *changes, "--out", "run", "--no-figures", cwd=tmp_path)
     log = tmp_path / "run" / "run.mcap"

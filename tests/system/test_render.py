@@ -107,7 +107,7 @@ def test_bad_inventories(change: tuple[str, str], expected: str, tmp_path: Path)
 
 
 def test_each_host_gets_its_own(tmp_path: Path) -> None:
-    """A host gets its own units and keys only, and the same scenario: the digest does not depend on the host."""
+    """A host gets only its own units and keys, and the common scenario: the digest does not depend on the host."""
     ground, remote = render(RUN, inventory(MESH, tmp_path), keyring("one"), tmp_path / "out")
     keys = {file.name for file in (remote / "keys").iterdir()}
     assert keys == {"ca.pem", "agent3.pem", "agent3.key", "agent4.pem", "agent4.key"}

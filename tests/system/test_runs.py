@@ -1,4 +1,4 @@
-"""Whole runs with keys: under attack, through routers, and their health meanwhile."""
+"""Complete runs with keys: under attack, through routers, and their health during the run."""
 
 import json
 import subprocess
@@ -37,7 +37,7 @@ from transport.cli.metrics import process_endpoints
 from transport.monitor.exporter import Exporter
 from transport.report.report import write_report
 
-# Paced, so that there is time for attacks; 6 s.
+# Paced to real time, so that attackers have time; 6 s.
 FLIGHT = (
     "maneuver.phase=[{name='climb',duration_s=6.0,displacement_m=[0.0,0.0,-1.0]}]",
     "controller.horizon=5",
@@ -46,7 +46,7 @@ FLIGHT = (
 # As fast as possible.
 BRIEF = ("maneuver.phase=[{name='climb',duration_s=2.0,displacement_m=[0.0,0.0,-0.5]}]", "controller.horizon=5")
 FORGED, RATE_HZ = 1000, 10_000
-# Fewest flood messages at each process: the free burst, on any host.
+# Minimum number of flood messages at each process, on any host: the free burst.
 FLOODED = 500
 
 
@@ -60,10 +60,10 @@ def calm(folder: Path, *changes: str) -> list[dict[str, str]]:
 @pytest.mark.slow
 @pytest.mark.parametrize("sort", ["replayed", "renumbered"])
 def test_a_run_under_attack(sort: str, tmp_path: Path) -> None:
-    """Wrong keys, forgery and a flood of 10,000 messages a second on agent 1's key change no bit of a lockstep run.
+    """Wrong keys, forgery and a flood of 10,000 messages a second on agent 1's key do not change a lockstep run.
 
-    Forged messages reach no process. The flood does and is counted; agent 1's own messages are still accepted, although
-    the flood has higher sequence numbers.
+    Forged messages reach no process. The flood reaches all and is counted; agent 1's own messages are still accepted,
+    although the flood has higher sequence numbers.
     """
     base, keys = free_base(), Keys("out")
     secure = (f"network.base_port={base}", f"network.keys={keyring('one')}")
@@ -150,7 +150,7 @@ def routers(folder: Path, *each: Sequence[str]) -> Iterator[None]:
 
 @pytest.mark.slow
 def test_passwords_through_a_router(tmp_path: Path) -> None:
-    """Clients of a router with passwords run the same flight; a wrong password is refused."""
+    """Clients of a router with passwords give the same run; a wrong password is refused."""
     make_passwords(tmp_path / "keys", NAMES)
     at = f"tcp/127.0.0.1:{free_base()}"
     changes = settings(*BRIEF, f"network.router={at}", "network.keys=keys")
@@ -166,7 +166,7 @@ def test_passwords_through_a_router(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_routers_on_both_sides(tmp_path: Path) -> None:
-    """Coordinator, plant and recorder here, agents behind a router of their own: the same flight, bit for bit."""
+    """With coordinator, plant and recorder at one router and the agents at another, the run is bitwise the same."""
     base = free_base()
     here, there = f"tls/127.0.0.1:{base}", f"tls/127.0.0.1:{base + 1}"
     keys = f"network.keys={keyring('one')}"

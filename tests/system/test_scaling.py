@@ -33,7 +33,7 @@ PERIOD_S = 0.05
 SMALL = ("experiment", "scaling", "--quick", "--max", "4", "--set", ticks(TICKS))
 FLIGHTS = 5  # 2 and 4 UAVs distributed and centralized, 4 in pairs
 
-# What rounding leaves of an exponent that synthetic data have exactly.
+# Rounding error of an exponent that synthetic data have exactly.
 ROUNDING = 1e-12
 
 
@@ -51,13 +51,13 @@ def simulated(uavs: int, ownership: str) -> tuple[Setup, list[Message]]:
 
 
 def logged(messages: list[Message], received_ns: Callable[[Message], int] = lambda _: 0) -> RunLog:
-    """A log of messages."""
+    """Return a log of messages."""
     recorded = tuple(Recorded(message=message, received_ns=received_ns(message)) for message in messages)
     return RunLog(header={}, messages=recorded, cut="")
 
 
 def test_sizes_and_ownerships() -> None:
-    """Up to the largest team asked for, also an unusual size; pairs only for even numbers above two."""
+    """Sizes go up to the largest team requested, also an unusual one; pairs exist only for even numbers above two."""
     points = scaling.scaling("resilient", 9, scaling.SIZES).points
     sizes = {
         name: [point.labels["uavs"] for point in points if point.labels["ownership"] == name]
@@ -78,14 +78,14 @@ def test_deterministic_runs_are_repeated() -> None:
 
 
 # Bytes of a plan by docs/protocol.md and the msgpack specification, for identities, ticks and sequences below 128.
-# One each: version, list of 14, incarnation, sequence, tick, agent, start tick, negotiation.
+# One byte each: version, list of 14, incarnation, sequence, tick, agent, start tick, negotiation.
 HEADS, SHARED = 8, 1
 KIND, SENDER, STATUS = 1 + len("plan"), 1 + len("agent1"), 1 + len("solved")
 STATES, INPUTS, HORIZON, FLOAT, ARRAY = 12, 4, 20, 8, 16
 
 
 def bytes_of_plan(owned: int) -> int:
-    """Bytes of a plan for some UAVs over the horizon, with corrections."""
+    """Return the bytes of a plan for some UAVs over the horizon, with corrections."""
 
     def extension(size: int) -> int:
         return size + (3 if size < 256 else 4)  # type and tag, and one byte of length or two
@@ -109,9 +109,9 @@ def test_bytes_are_those_of_the_protocol(uavs: int, ownership: str, owned: int) 
 
 
 def test_computation_is_summed_over_the_team() -> None:
-    """Median and tail over all steps of all agents, sums over those of a tick, and the run from its first tick."""
+    """Times are median and tail over all steps, the sum over a tick's steps, and the duration from the first tick on."""
     setup, messages = simulated(3, "distributed")
-    # Agent i takes i ms of solving and as much in all; the last tick of agent 3 takes a second.
+    # Agent i takes i ms to solve and in total; agent 3 takes a second for its last tick.
     slow_ms, per_message_ns = 1_000.0, 1_000_000
 
     def timed(message: Message) -> Message:
@@ -136,7 +136,7 @@ def test_computation_is_summed_over_the_team() -> None:
 
 
 def test_the_stopwatch_is_the_processor(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Waiting is not counted: a delayed process uses no more processor time."""
+    """Processor time excludes waiting: a delayed process uses no more of it."""
     waited_ms = 50.0
     case = cases_of(scaling.scaling("resilient", 2, []).points, [ticks(TICKS)], 1, timed=True)[0]
     monkeypatch.setattr("mpc.controller.Controller.solve", _held_up(waited_ms / 1e3))
@@ -176,7 +176,7 @@ def test_exponent_is_the_least_squares_slope() -> None:
 
 
 def test_one_size_has_no_exponent() -> None:
-    """A slope takes two sizes; repetitions of one are not."""
+    """A slope needs two sizes; repetitions of one size give none."""
     assert exponent([], []) is None
     assert exponent([4, 4], [1.0, 2.0]) is None
 
@@ -202,7 +202,7 @@ def invented(point: Point) -> list[Result]:
 
 
 def test_conclusions_name_the_growth() -> None:
-    """Exponents from 4 to 12 UAVs with the values there, none of what is not there; the largest team compared."""
+    """Conclusions give the exponents from 4 to 12 UAVs, omit missing values, and compare the largest team."""
     lines = scaling_conclusions(made(invented))
     assert lines[0] == (
         "distributed: completes all 8 points (8 of 8 runs); "
@@ -220,7 +220,7 @@ def test_conclusions_name_the_growth() -> None:
 
 
 def test_costs_are_compared_within_teams_of_a_size() -> None:
-    """The ratio of a team's cost is to that of as many UAVs with one agent."""
+    """The cost ratio refers to the centralized controller of the same number of UAVs."""
     ratios = {str(m.point.labels["ownership"]): m.cost_ratio for m in made(invented)}
     assert ratios == {"distributed": 1.5, "pairs": 1.5, "centralized": 1.0}
 
@@ -231,7 +231,7 @@ def _diverged(point: Point) -> list[Result]:
 
 
 def _times(factor: float, results: list[Result]) -> list[Result]:
-    """Results on a slower machine."""
+    """Return results on a slower machine."""
     return [
         replace(result, numbers={name: factor * (value or 0.0) for name, value in result.numbers.items()})
         for result in results
@@ -302,7 +302,7 @@ def test_what_cannot_be_is_refused(
 
 @pytest.fixture(scope="module")
 def trial(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """A trial with one run at a time, and its output."""
+    """Return a trial with one run at a time, and its output."""
     folder = tmp_path_factory.mktemp("scaling") / "one"
     result = here(*SMALL, "--out", folder)
     assert result.exit_code == DONE, result.output
@@ -311,7 +311,7 @@ def trial(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
 
 
 def rows_of(path: Path) -> list[dict[str, str]]:
-    """A table's rows without timing."""
+    """Return a table's rows without timing."""
     with path.open(newline="") as file:
         rows = list(csv.DictReader(file))
     return [{name: cell for name, cell in row.items() if not name.startswith("cpu_")} for row in rows]
@@ -360,7 +360,7 @@ def test_resuming_repeats_no_run(trial: tuple[Path, str], monkeypatch: pytest.Mo
 
 
 def test_costs_and_messages_do_not_depend_on_jobs(trial: tuple[Path, str]) -> None:
-    """Two runs at a time give the same numbers, bit for bit, but for the timing."""
+    """Two runs at a time give bitwise the same numbers, except for the timing."""
     folder, _ = trial
     result = transport(*SMALL, "--jobs", "2", "--out", "two", cwd=folder.parent)
     assert result.returncode == DONE, result.stderr

@@ -52,7 +52,7 @@ REFUSED = [
 
 @pytest.fixture(name="folder")
 def folder_with_templates(tmp_path: Path) -> Path:
-    """A folder with an empty file and two templates that fit no ring of three."""
+    """Return a folder with an empty file and two templates that fit no ring of three."""
     paper = PAPER.read_text(encoding="utf-8")
     (tmp_path / "there.toml").touch()
     wide = (
@@ -80,7 +80,7 @@ def test_refusals(
 
 
 def test_a_file_and_standard_output_are_the_same(tmp_path: Path) -> None:
-    """With and without --out the text is the same; the file reads as the team the options ask for."""
+    """The text is the same with and without --out, and the file gives the team of the options."""
     options = ("--uavs", "5", "--from", "paper", "--groups", "2", "--name", "five")
     printed = transport(*NEW, *options, cwd=tmp_path)
     written = transport(*NEW, *options, "--out", "five.toml", cwd=tmp_path)
@@ -94,7 +94,7 @@ def test_a_file_and_standard_output_are_the_same(tmp_path: Path) -> None:
 
 
 def test_the_file_says_how_it_was_made(tmp_path: Path) -> None:
-    """The first line of a file is the command that makes it again, also from a template with an awkward name."""
+    """The first line of a file is the command that created it, also from a template with an unusual name."""
     (tmp_path / "my team's.toml").write_text((SCENARIOS / "resilient.toml").read_text(encoding="utf-8"))
     text = transport(*NEW, "--uavs", "3", "--from", "my team's.toml", cwd=tmp_path).stdout
     first = text.splitlines()[0]
@@ -104,7 +104,7 @@ def test_the_file_says_how_it_was_made(tmp_path: Path) -> None:
 
 
 def test_resilient_is_the_default(tmp_path: Path) -> None:
-    """Without --from a team runs with the settings of `resilient`, the ones that carry over to other sizes."""
+    """Without --from a team has the settings of `resilient`, which are valid for other team sizes."""
     text = transport(*NEW, "--uavs", "6", cwd=tmp_path).stdout
     (tmp_path / "six.toml").write_text(text, encoding="utf-8")
     scenario = read_scenario(tmp_path / "six.toml")

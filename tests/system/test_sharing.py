@@ -1,4 +1,4 @@
-"""Flights in which agents share a plan only when it matters: who gets what, and the same bits everywhere."""
+"""Runs in which agents share a plan only on a relevant change: receivers, and bitwise reproducibility."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -27,23 +27,23 @@ RETURN = (
 
 
 def run_of(*changes: str) -> Setup:
-    """The ready scenario with the shared law, flown for 1.5 s."""
+    """Return a run of 1.5 s of the ready scenario with the shared control law."""
     return Setup.of(read_scenario(SCENARIOS / "resilient.toml", [SHORT, *ON_CHANGE, *changes]), "resilient")
 
 
 def log_of(messages: Sequence[Message]) -> RunLog:
-    """As the recorder would have it."""
+    """Return the log that the recorder would write."""
     return RunLog(header={}, messages=tuple(Recorded(message=m, received_ns=i) for i, m in enumerate(messages)), cut="")
 
 
 def of(kind: type[Message], messages: Sequence[Message]) -> list[bytes]:
-    """What was said of a kind, by sender and number, without wall-clock times."""
+    """Return the messages of a kind by sender and sequence number, without wall-clock times."""
     found = sorted((m for m in messages if isinstance(m, kind)), key=lambda m: (m.sender, m.sequence))
     return [encode(reproducible(m)) for m in found]
 
 
 def test_unshared_plans_reach_no_other_agent(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An agent hears exactly the shared plans of the others; plant and coordinator hear all; ticks say which."""
+    """An agent receives only the others' shared plans; plant and coordinator receive all; ticks name the shared ones."""
     heard: dict[str, set[tuple[int, int, bool]]] = {}
     deliver = memory.InMemoryRun._deliver
 
@@ -68,7 +68,7 @@ def test_unshared_plans_reach_no_other_agent(monkeypatch: pytest.MonkeyPatch) ->
 
 @pytest.mark.parametrize("changes", [(), (*BAD, *RETURN)], ids=["perfect", "bad, with a return"])
 def test_arrival_order_makes_no_difference(changes: tuple[str, ...]) -> None:
-    """Whatever the order in which messages arrive, the plans and what is done with them are the same bits."""
+    """The order of arrival does not change a bit of the plans, the reports or the plant states."""
     run = run_of(*changes)
     straight = recorded(run)
     shuffled = recorded(run, lambda setup, record: fly_shuffled(setup, record, seed=7))
@@ -77,7 +77,7 @@ def test_arrival_order_makes_no_difference(changes: tuple[str, ...]) -> None:
 
 
 def test_plans_grow_old_and_say_so() -> None:
-    """Reports have the true age of the newest plan heard; a heartbeat bounds it on a perfect network."""
+    """Reports have the age of the newest plan received; on a perfect network the heartbeat bounds it."""
     messages = recorded(run_of("controller.share_threshold=1000.0"))
     reports = [m for m in messages if isinstance(m, StepReport)]
     assert max(age for report in reports for age in report.plan_ages) == 8
@@ -90,7 +90,7 @@ def test_plans_grow_old_and_say_so() -> None:
 
 
 def test_all_share_when_an_agent_goes_and_when_it_returns() -> None:
-    """Under a new roster every agent shares its first plan: who returns knows of the others one tick later."""
+    """Under a new roster every agent shares its first plan: a returning agent knows the others one tick later."""
     run = run_of(*RETURN, "controller.share_threshold=1000.0", "controller.share_heartbeat_s=100.0")
     messages = recorded(run)
     shared = {(m.agent, m.tick) for m in messages if isinstance(m, Plan) and m.shared}
@@ -104,7 +104,7 @@ def test_all_share_when_an_agent_goes_and_when_it_returns() -> None:
 
 
 def test_a_replay_hears_what_the_agent_heard() -> None:
-    """An agent of the flight, fed from its log alone, says the same bits again."""
+    """An agent replayed from the log alone publishes bitwise the same messages."""
     run = run_of(*BAD)
     replay = Replay(run, counted(run, log_of(recorded(run))), 2)
     steps = list(replay.steps())
@@ -117,7 +117,7 @@ def test_a_replay_hears_what_the_agent_heard() -> None:
 
 
 def test_processes_give_the_same_bits(tmp_path: Path) -> None:
-    """The same flight across real processes: every plan, tick and truth equal to those in memory."""
+    """Across real processes every plan, tick and plant state equals that of the in-memory run."""
     changes = [SHORT, *ON_CHANGE, *BAD]
     result = transport("run", "resilient", *settings(*changes), "--out", "run", "--no-figures", cwd=tmp_path)
     assert result.returncode == 0, result.stderr

@@ -12,12 +12,12 @@ from benchmarks.page import BenchmarkError
 from tests.support import soak
 from tests.support.soak import GROWTH_BYTES, Record, judge
 
-# A late process is waited for: on a host busy with other tests the run would diverge otherwise. Bounds are wider than
+# The clock waits for late processes: on a host busy with other tests the run would diverge. Bounds are wider than
 # for thirty minutes, because the host's load may differ between the thirds; a leak of 3 kB a tick is still found.
 MINUTES = 2
 SOAK = ("--minutes", str(MINUTES), "--misses", "0.25", "--growth", "4", "--set", "clock.on_overrun=hold")
 
-# Time for start and report, on a host that cannot keep up with the clock.
+# Time for start and report on a slow host, s.
 PATIENCE_S = 240
 
 
@@ -37,7 +37,7 @@ def test_nothing_grows() -> None:
         try:
             table, errors = process.communicate()
         finally:
-            process.terminate()  # when interrupted; it ends its run first
+            process.terminate()  # only after an interrupt; the soak test ends its run first
     assert process.returncode == 0, errors
     assert all(f"| {name} |" in table for name in ("recorder", "coordinator", "plant", "agent1", "agent4"))
 

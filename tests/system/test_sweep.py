@@ -1,4 +1,4 @@
-"""Experiments as a person flies them: the same tables whatever flies, whatever is killed in between."""
+"""Experiments from the command line: the tables depend neither on the executor nor on interruptions."""
 
 import csv
 import os
@@ -16,13 +16,13 @@ from tests.support.runs import ticks
 
 DONE, LOST, INTERRUPTED = 0, 4, 130
 
-# Flights long enough to be killed in.
+# Runs long enough to be killed.
 LONG = ("experiment", "latency", "--set", ticks(200), "--delay", "0.1", "--delay", "0.2", "--delay", "0.3")
 
 
 @pytest.fixture(scope="module")
 def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The small experiment, flown one by one in the command itself."""
+    """Return the small experiment, run one by one in the command's own process."""
     folder = tmp_path_factory.mktemp("experiments") / "one"
     result = here(*SMALL, "--jobs", "1", "--out", folder)
     assert result.exit_code == DONE, result.output
@@ -30,7 +30,7 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def members(session: int) -> list[int]:
-    """Living processes of a session."""
+    """Return the living processes of a session."""
     found = []
     for entry in Path("/proc").iterdir():
         try:
@@ -67,7 +67,7 @@ def test_the_output_is_whole(reference: Path) -> None:
 
 
 def test_jobs_do_not_matter(reference: Path) -> None:
-    """Two at a time give the same tables as one by one, byte for byte."""
+    """Two runs at a time give byte for byte the same tables as one by one."""
     result = transport(*SMALL, "--jobs", "2", "--out", "two", cwd=reference.parent)
     assert result.returncode == DONE, result.stderr
     assert tables(reference.parent / "two") == tables(reference)
@@ -93,7 +93,7 @@ def test_a_killed_experiment_is_resumed(reference: Path) -> None:
 
 @pytest.fixture
 def cluster() -> Iterator[str]:
-    """Address of a cluster of two workers on this machine."""
+    """Return the address of a cluster of two workers on this machine."""
     with LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address="127.0.0.1:0"
     ) as found:
@@ -108,7 +108,7 @@ def test_a_cluster_gives_the_same(reference: Path, cluster: str) -> None:
 
 
 def test_processes_give_the_same(tmp_path: Path) -> None:
-    """Processes over a network, recorded into a run folder, give the same tables, byte for byte."""
+    """Runs across processes, recorded into run folders, give the same tables, byte for byte."""
     one = ("experiment", "latency", "--scenario", "resilient", "--delay", "0", "--set", "links.loss=0.5")
     for name, how in (("memory", ("--jobs", "1")), ("processes", ("--processes",))):
         result = here(*one, "--set", ticks(10), *how, "--out", tmp_path / name)
@@ -120,7 +120,7 @@ def test_processes_give_the_same(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("number", "jobs"), [(signal.SIGINT, "2"), (signal.SIGTERM, "1")])
 def test_an_interrupted_experiment_leaves_nothing_running(number: signal.Signals, jobs: str, tmp_path: Path) -> None:
-    """Ctrl-C, which in a terminal reaches all processes, and SIGTERM: exit code 130, results kept, no process left."""
+    """Ctrl-C, which a terminal sends to all processes, and SIGTERM give exit code 130, keep results and leave no process."""
     process = start(*LONG, "--jobs", jobs, "--out", "out", cwd=tmp_path)
     assert wait_for(lambda: kept(tmp_path / "out") >= 1)
     if number == signal.SIGINT:
@@ -135,7 +135,7 @@ def test_an_interrupted_experiment_leaves_nothing_running(number: signal.Signals
 
 
 def test_a_killed_experiment_leaves_nothing_running(tmp_path: Path) -> None:
-    """SIGKILL of the command: its workers notice and end."""
+    """After SIGKILL of the command its workers end."""
     process = start(*LONG, "--jobs", "2", "--out", "out", cwd=tmp_path)
     assert wait_for(lambda: len(members(process.pid)) > 3)
     process.kill()

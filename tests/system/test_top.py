@@ -1,4 +1,4 @@
-"""`transport top`: the table follows from the messages, and a watched run is the same to the last bit."""
+"""`transport top`: the table follows from the messages, and watching does not change a bit of the run."""
 
 import json
 import signal
@@ -33,7 +33,7 @@ def watched(*settings_: str) -> Watch:
 
 
 def test_reports_are_added_up() -> None:
-    """Losses, late plans and solver troubles add up over reports; times, ages and tick are the newest."""
+    """Losses, late plans and solver failures add up over reports; times, ages and tick are the newest."""
     watch = watched()
     run = watch.setup
     watch.take(runs.tick(3), 0)
@@ -43,7 +43,7 @@ def test_reports_are_added_up() -> None:
     assert (agent["lost"], agent["late"], agent["fallbacks"], agent["failures"]) == (4, 2, 2, 1)
     assert (agent["tick"], agent["plan_ages"]) == (4, {"agent1": 1, "agent3": -1, "agent4": 4})
     assert (agent["step_ms"], agent["worst_step_ms"]) == (1.5, 1.5)
-    assert agent["slack_ms"] is None  # nothing paces a lockstep run
+    assert agent["slack_ms"] is None  # a lockstep run is not paced
     assert watch.state_of(2) == "flies"
     assert watch.state_of(1) == "-"
     watch.take(runs.tick(30), 0)
@@ -67,7 +67,7 @@ def test_slack_and_deadlines() -> None:
 
 
 def test_faults_are_shown() -> None:
-    """Agents off the roster are shown with the reason, fail-safes too; rejections are counted by receiver."""
+    """Agents off the roster and in fail-safe mode are shown with the reason; rejections are counted by receiver."""
     watch = watched()
     watch.take(runs.roster(), 0)
     watch.take(replace(runs.roster({1: 1, 2: 1, 4: 1}, k=5, version=2), reason="agent3 is gone"), 0)
@@ -88,7 +88,7 @@ def test_faults_are_shown() -> None:
 
 
 def test_strangers_are_not_shown() -> None:
-    """A report of an unknown agent changes nothing and raises nothing, regardless of its sender."""
+    """A report of an unknown agent changes no row and raises no error, regardless of its sender."""
     watch = watched()
     stranger = replace(logs.report(watch.setup, 1, 3), peers=(2, 3, 77))
     watch.take(stranger, 0)
@@ -126,7 +126,7 @@ def test_a_run_that_is_watched(tmp_path: Path) -> None:
         interrupted = start("top", "--run", "seen", cwd=tmp_path)
         for process in (to_the_end, interrupted):
             assert process.stdout is not None
-            assert process.stdout.readline() == "seen\n"  # its first table: it watches
+            assert process.stdout.readline() == "seen\n"  # the first table shows that the command watches
         once = transport("top", "--once", "--format", "json", cwd=tmp_path)
         interrupted.send_signal(signal.SIGINT)
         _, errors = interrupted.communicate(timeout=PATIENCE_S)
@@ -150,5 +150,5 @@ def test_a_run_that_is_watched(tmp_path: Path) -> None:
 
 
 def bits(messages: Sequence[Message]) -> list[bytes]:
-    """Return the plant states in the order of time, as encoded on the network."""
+    """Return the encoded plant states in the order of time."""
     return [encode(plant_state) for plant_state in runs.plant_states(messages)]

@@ -1,4 +1,4 @@
-"""Faults across real processes: what is scripted happens at its tick, what dies is survived, and the record says so."""
+"""Faults across real processes: scripted faults occur at their ticks, runs survive them, and the record names them."""
 
 import json
 import shutil
@@ -25,7 +25,7 @@ def messages(log: RunLog) -> list[Message]:
 
 
 def steps(folder: Path) -> list[list[str]]:
-    """The step table without its wall-clock columns."""
+    """Return the step table without its wall-clock columns."""
     rows = [line.split(",") for line in (folder / "steps.csv").read_text().splitlines()]
     kept = [i for i, name in enumerate(rows[0]) if not name.endswith("_ms")]
     return [[row[i] for i in kept] for row in rows]
@@ -33,7 +33,7 @@ def steps(folder: Path) -> list[list[str]]:
 
 @pytest.fixture(scope="module")
 def troubled(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Run folder with all faults at once: bad links of all kinds, two iterations, a kill and a freeze."""
+    """Return the folder of a run with all faults at once: impaired links, two iterations, a kill and a freeze."""
     folder = tmp_path_factory.mktemp("troubled")
     changes = settings(SHORT, HEAVY, ROUNDS, NEXT_TICK, *FAULTS)
     result = transport("run", "resilient", *changes, "--out", "run", "--no-figures", cwd=folder)
@@ -94,7 +94,7 @@ def test_a_return_is_a_new_start(troubled: Path) -> None:
     for agent, (left, back) in {2: (6, 14), 4: (10, 18)}.items():
         plans = {(plan.incarnation, plan.tick) for plan in found if isinstance(plan, Plan) and plan.agent == agent}
         assert {tick for incarnation, tick in plans if incarnation == 1} == set(range(back, 30))
-        # A continued process may still send the plan of the tick at which it was stopped; that is no answer.
+        # A continued process may still send the plan of the tick at which it was stopped; this plan is no answer.
         assert {tick for incarnation, tick in plans if incarnation == 0} - {left} == set(range(left))
     answered = {tick.tick: tick.answered for tick in found if isinstance(tick, Tick)}
     assert [k for k in range(1, 30) if 2 not in answered[k]] == list(range(7, 15))
@@ -104,7 +104,7 @@ def test_a_return_is_a_new_start(troubled: Path) -> None:
 
 
 def test_old_starts_are_refused(troubled: Path) -> None:
-    """Messages of a continued process with its old incarnation are rejected, and counted by reason."""
+    """Messages of a continued process with its old incarnation are rejected and counted by reason."""
     summary = json.loads((troubled / "summary.json").read_text())
     strangers = {entry["sender"] for entry in summary["rejections"] if entry["reason"] == "wrong_incarnation"}
     assert strangers <= {"agent2", "agent4"}
@@ -137,8 +137,8 @@ def test_a_run_needs_plant_and_coordinator(victim: str, tmp_path: Path) -> None:
     (noted,) = (event for event in summary["faults"] if event["kind"] == "fault")
     assert (noted["what"], noted["tick"]) == (f"{victim} killed by script", 10)
     assert "end" in {event["kind"] for event in summary["faults"]}
-    # The victim goes on the message that opens tick 10. What a plant said last may go with it, still unsent; and a
-    # plant that hears of the coordinator's death before the last plan of tick 9 does not integrate that period.
+    # The process is killed on the message that opens tick 10. A killed plant may not have sent its last messages, and
+    # a plant that notices the coordinator's death before the last plan of tick 9 does not integrate that period.
     assert summary["ticks"] in (9, 10)
     found = messages(read_log(tmp_path / victim / "run.mcap"))
     assert sum(isinstance(message, Control) for message in found) == 1
@@ -151,7 +151,7 @@ def test_a_frozen_plant(tmp_path: Path) -> None:
 
 
 def test_a_frozen_coordinator(tmp_path: Path) -> None:
-    """A coordinator stopped for good is given up at the end of the network's lease of 10 s."""
+    """The network gives up a coordinator that is stopped for good at the end of its lease of 10 s."""
     summary = aborted(tmp_path, "coordinator", "stop")
     assert summary["reason"] == "coordinator is gone"
     assert summary["ticks"] == 10
@@ -159,14 +159,14 @@ def test_a_frozen_coordinator(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("mode", ["lockstep", "realtime"])
 def test_a_coordinator_that_wakes_up(mode: str, tmp_path: Path) -> None:
-    """A coordinator frozen for longer than the barrier drops no agent for its own absence: the run goes on."""
+    """A coordinator frozen for longer than the barrier timeout drops no agent for its own absence: the run goes on."""
     hover = "maneuver.phase=[{name='hover',duration_s=3.5,displacement_m=[0,0,0]}]"
     pace = (f"clock.mode={mode}", "clock.speed=1.0", "clock.barrier_timeout_s=2.0")
     event = "faults.event=[{at_s=0.3,do='stop',target='coordinator'},{at_s=3.0,do='continue',target='coordinator'}]"
     result = transport("run", "resilient", *settings(hover, *pace, event), "--out", "run", "--no-figures", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     log = read_log(tmp_path / "run" / "run.mcap")
-    assert [roster.reason for roster in log.of(Roster)] == ["everybody is ready"]
+    assert [roster.reason for roster in log.of(Roster)] == ["all processes are ready"]
     opened_s = {tick: at / 1e9 for tick, at in log.received_ns(Tick).items()}
-    assert max(opened_s[k + 1] - opened_s[k] for k in range(69)) > 2.0  # it really was away
+    assert max(opened_s[k + 1] - opened_s[k] for k in range(69)) > 2.0  # the coordinator was away
     assert processes_of("run") == {}

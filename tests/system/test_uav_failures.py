@@ -1,4 +1,4 @@
-"""A whole UAV gone in flight: what those that are left fly, what they do not, and what the record says of it."""
+"""Failure of a whole UAV in flight: cases the remaining team survives, cases it does not, and the record."""
 
 import json
 import shutil
@@ -23,7 +23,7 @@ from transport.flight.memory import simulate
 from transport.log.run_log import LogWriter, read_log
 from transport.report.report import write_report
 
-# The parts of the paper's maneuver at its speeds, shortened: the fault comes in the climb, a corner after it.
+# The paper's maneuver at its speeds, shortened: the fault is in the climb, before a corner.
 MANEUVER = (
     "maneuver.phase=[{name='hover',duration_s=0.5,displacement_m=[0,0,0]},"
     "{name='climb',duration_s=1.0,displacement_m=[0,0,-0.5]},"
@@ -42,7 +42,7 @@ LATE = ("links.delay_s=0.2", "links.loss=0.3")
 
 @dataclass(frozen=True)
 class Flight:
-    """A flight in memory."""
+    """An in-memory run."""
 
     control: Control
     series: Series
@@ -50,17 +50,17 @@ class Flight:
 
     @property
     def attitude_deg(self) -> float:
-        """Largest roll or pitch of the payload, deg."""
+        """Return the largest roll or pitch of the payload, deg."""
         return float(np.abs(self.series.attitude_deg[:, :2]).max())
 
     @property
     def payload_error_m(self) -> Array:
-        """Distance of the payload from its reference, (T,), m."""
+        """Return the distance of the payload from its reference, (T,), m."""
         return np.asarray(np.linalg.norm(self.series.payload_error_I, axis=1))
 
 
 def failures(*events: tuple[float, str]) -> str:
-    """Setting: what happens to UAV 3, and how long after `AT_S`."""
+    """Return the setting of the failures of UAV 3, with times after `AT_S`."""
     listed = ",".join(f"{{at_s={AT_S + after_s},do='{do}',target='uav3'}}" for after_s, do in events)
     return f"faults.event=[{listed}]"
 
@@ -70,8 +70,8 @@ RELEASED, OFF = failures((0.0, "release")), failures((0.0, "motor_off"))
 
 @lru_cache
 def flown(uavs: int, template: str, *changes: str) -> Flight:
-    """A team of some size, controlled as in a ready scenario, over the short maneuver."""
-    # Names of UAVs and agents are of the larger team, so they come after it has grown.
+    """Simulate the short maneuver with a team of some size and the settings of a ready scenario."""
+    # Names of UAVs and agents refer to the larger team, so these settings apply after it is resized.
     ready = read_scenario(SCENARIOS / f"{template}.toml", [MANEUVER, *changes])
     if uavs != len(ready.system.uav):
         ready = resized(ready, SCENARIOS, uavs, group=None, name=None, source=template)
@@ -83,7 +83,7 @@ def flown(uavs: int, template: str, *changes: str) -> Flight:
 
 @pytest.mark.parametrize("template", ["resilient", "precise", "centralized_lq", "centralized"])
 def test_four_fly_on_without_the_released_one(template: str) -> None:
-    """Cut loose at once, UAV 3 is hardly missed: three complete the maneuver with the payload level."""
+    """With UAV 3 released at once, the other three complete the maneuver with the payload level."""
     flight = flown(4, template, RELEASED)
     assert flight.control.outcome == "completed"
     assert flight.attitude_deg < 1.0  # measured: 0.3 to 0.4
@@ -92,14 +92,14 @@ def test_four_fly_on_without_the_released_one(template: str) -> None:
 
 @pytest.mark.parametrize("changes", [LATE, ("clock.actuation=next_tick",), ("agents.owned=[[1,2],[3,4]]",)])
 def test_on_a_bad_network_too(changes: Sequence[str]) -> None:
-    """200 ms of delay and 30 % loss, one period of computing, agents of two UAVs each: three fly on as well."""
+    """Three UAVs also complete with 200 ms delay and 30 % loss, with next-tick actuation, or with two UAVs per agent."""
     flight = flown(4, "resilient", RELEASED, *changes)
     assert flight.control.outcome == "completed"
     assert flight.attitude_deg < 3.0  # measured: 0.4 to 1.7
 
 
 def test_its_agent_may_die_with_it() -> None:
-    """The agent of a released UAV says nothing that counts: killed at the same tick it is not missed either."""
+    """The agent of a released UAV has no influence: its death at the same tick has no further effect."""
     both = f"{RELEASED[:-1]},{{at_s={AT_S},do='kill',target='agent3'}}]"
     flight = flown(4, "resilient", both, "clock.on_agent_loss=continue")
     assert flight.control.outcome == "completed"
@@ -107,7 +107,7 @@ def test_its_agent_may_die_with_it() -> None:
 
 
 def test_four_do_not_fly_with_the_dead_one_on_its_rod() -> None:
-    """It falls over, and nothing that the other three can do reaches it: docs/guarantees.md."""
+    """The failed UAV falls over on its rod, and the other three cannot control it: docs/guarantees.md."""
     flight = flown(4, "resilient", OFF, LONGER)
     assert flight.control.outcome == "diverged"
     assert 2.0 < flight.series.times_s[-1] - AT_S < 5.0  # measured: 3.6
@@ -115,7 +115,7 @@ def test_four_do_not_fly_with_the_dead_one_on_its_rod() -> None:
 
 @pytest.mark.parametrize(("after_s", "limit_deg"), [(0.05, 4.0), (0.25, 12.0)])
 def test_a_late_release_of_the_dead_one(after_s: float, limit_deg: float) -> None:
-    """Some periods on its rod are survived, the payload tilts meanwhile: measured 2.3 and 8.8 deg."""
+    """The team survives some periods with the failed UAV on its rod; the payload tilts by 2.3 and 8.8 deg (measured)."""
     flight = flown(4, "resilient", failures((0.0, "motor_off"), (after_s, "release")))
     assert flight.control.outcome == "completed"
     assert 1.0 < flight.attitude_deg < limit_deg
@@ -123,7 +123,7 @@ def test_a_late_release_of_the_dead_one(after_s: float, limit_deg: float) -> Non
 
 @pytest.mark.parametrize("uavs", [5, 6])
 def test_five_and_six_balance_the_dead_one(uavs: int) -> None:
-    """With a UAV more the dead one stays upright on its rod, held in balance by the payload under it."""
+    """With one UAV more the failed one stays upright on its rod, balanced by the motion of the payload below."""
     flight = flown(uavs, "resilient", OFF, CLIMB)
     assert flight.control.outcome == "completed"
     assert flight.attitude_deg < 4.0  # measured: 2.5 and 1.6
@@ -131,24 +131,24 @@ def test_five_and_six_balance_the_dead_one(uavs: int) -> None:
 
 
 def test_six_do_not_balance_it_shortly_before_a_corner() -> None:
-    """A corner of the path 0.5 s after the failure, while the payload still tilts: the dead one falls."""
+    """With a corner of the path 0.5 s after the failure, while the payload still tilts, the failed UAV falls over."""
     assert flown(6, "resilient", OFF).control.outcome == "diverged"
 
 
 def test_six_do_not_balance_it_on_a_late_network() -> None:
-    """What falls over at 2 rad/s cannot wait for plans that are 200 ms late."""
+    """With 200 ms delay of plans the team cannot balance an instability of 2 rad/s."""
     assert flown(6, "resilient", OFF, CLIMB, *LATE).control.outcome == "diverged"
 
 
 def test_six_fly_on_without_the_released_one() -> None:
-    """Cut loose, the sixth is hardly missed even then."""
+    """With the failed UAV released, the payload stays level even with that delay."""
     flight = flown(6, "resilient", RELEASED, *LATE)
     assert flight.control.outcome == "completed"
     assert flight.attitude_deg < 2.0  # measured: 1.0
 
 
 def test_the_cost_is_that_of_the_team_that_is_left() -> None:
-    """A bob 6.4 m below its reference and thrusts beside hover have no weight once the UAV is gone; nor a distance."""
+    """The released UAV, 6.4 m below its reference, has no part in cost or separation, nor have its hover inputs."""
     flight = flown(4, "precise", RELEASED)
     assert flight.series.cost[-1] < 1e-3
     assert 0.4 < flight.series.separation_m.min() < 0.5
@@ -156,8 +156,8 @@ def test_the_cost_is_that_of_the_team_that_is_left() -> None:
     assert flight.payload_error_m[-1] < 0.03
 
 
-def test_nobody_knows_before_it_happens() -> None:
-    """Until the tick of the fault every message is that of a flight without: no controller looks ahead."""
+def test_no_controller_anticipates_the_fault() -> None:
+    """Until the tick of the fault every message equals that of a run without the fault."""
     at = round(AT_S / 0.05)
 
     def said(flight: Flight) -> list[tuple[str, int, int]]:
@@ -169,13 +169,13 @@ def test_nobody_knows_before_it_happens() -> None:
     np.testing.assert_array_equal(with_fault.series.u[:at], without.series.u[:at])
     rosters = [m for m in with_fault.messages if isinstance(m, Roster)]
     assert [(r.tick, r.off, r.released, r.reason) for r in rosters] == [
-        (0, (), (), "everybody is ready"),
+        (0, (), (), "all processes are ready"),
         (at, (3,), (3,), "uav3 released at t = 1.00 s"),
     ]
 
 
 def test_processes_fly_the_same(tmp_path: Path) -> None:
-    """Across processes a motor that stops and a rod that is released give the flight of the memory, bit for bit."""
+    """Across processes a motor failure and a release give bitwise the in-memory run."""
     event = "faults.event=[{at_s=0.5,do='motor_off',target='uav3'},{at_s=0.55,do='release',target='uav3'}]"
     result = transport("run", "resilient", *settings(SHORT, event), "--out", "run", "--no-figures", cwd=tmp_path)
     assert result.returncode == 0, result.stderr

@@ -37,13 +37,13 @@ from transport.viewer.viewer import Viewer, open_viewer
 
 M = TypeVar("M", bound=Message)
 
-# A climb of half a metre is seen.
+# Visible change in pixels of a climb of half a metre.
 SEEN_M = 0.2
-PIXELS = 0.002  # share of those that change when the team moves
+PIXELS = 0.002  # share of pixels that change when the team moves
 CUT = 0.6
 INTERRUPTED = 130
-OTHER_LOOPBACK = "127.0.0.2"  # also this host, but not where the viewer listens
-# The first seconds pass while the browser opens; the test ends it.
+OTHER_LOOPBACK = "127.0.0.2"  # an address of this host on which the viewer does not listen
+# The first seconds pass while the browser opens; the test ends the run.
 LONG = (
     "maneuver.phase=[{name='hover',duration_s=8.0,displacement_m=[0,0,0]},"
     "{name='climb',duration_s=300.0,displacement_m=[0,0,-20.0]}]"
@@ -55,7 +55,7 @@ SIDEWAYS = (
 )
 SLOWLY = "clock.speed=0.25"  # real time has to keep up on a busy machine
 DRAWINGS = 12
-ROD_M = 1e-3  # poses and points are single precision, at some hundred metres
+ROD_M = 1e-3  # poses and points have single precision, at some hundred metres
 DELAY_STEPS = 10  # of 10 ms
 AGENTS, VICTIM = 4, 2
 WANTED = {"delay_s": 0.1, "loss": 0.0}
@@ -63,7 +63,7 @@ WANTED = {"delay_s": 0.1, "loss": 0.0}
 
 @contextmanager
 def shown(folder: Path) -> Iterator[Viewer]:
-    """Show a run as the command does."""
+    """Show a run like the command."""
     stop = threading.Event()
     with open_viewer(folder, "127.0.0.1", 0) as viewer:
         thread = threading.Thread(target=viewer.show_until, args=(stop.is_set,))
@@ -230,7 +230,7 @@ def test_a_live_run_is_shown_and_changed(tmp_path: Path, window: Browser) -> Non
         assert window.console() == []
 
     whole = read_log(folder / "run.mcap")
-    *_, last = changes = list(whole.of(LinkChange))  # a slow browser may rest on the way
+    *_, last = changes = list(whole.of(LinkChange))  # a slow browser may release the slider on the way
     assert json.loads(last.settings) == WANTED
     assert last.tick + 10 < until
     tables = (f"{{at_s={c.tick * 0.05!r},delay_s={json.loads(c.settings)['delay_s']!r},loss=0.0}}" for c in changes)
@@ -285,7 +285,7 @@ def bits(messages: Iterable[Message]) -> Iterator[tuple[int, str, bytes]]:
 
 
 def test_the_command_listens_here_alone_until_ctrl_c(recorded: Path) -> None:
-    """It prints one address of this host; the next viewer takes the next port; Ctrl-C ends it without an error."""
+    """The command prints one address of this host; the next viewer takes the next port; Ctrl-C ends it without an error."""
     process = start("view", recorded, "--port", "0", cwd=recorded)
     try:
         assert process.stdout is not None
@@ -303,7 +303,7 @@ def test_the_command_listens_here_alone_until_ctrl_c(recorded: Path) -> None:
 
 
 def test_playback_pauses_plays_and_follows() -> None:
-    """Paused it stays, playing it advances at its speed and stops at the end, following it is the newest tick."""
+    """Paused playback stays, playing advances at its speed and stops at the end, following shows the newest tick."""
     playback = Playback(0.05, follows=False)
     assert playback.advance(1.0, 0, 100) == 0
     playback.toggle()
@@ -345,7 +345,7 @@ def test_what_cannot_be_shown_is_refused(tmp_path: Path, recorded: Path) -> None
 def test_what_is_missing_is_named(
     recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str]
 ) -> None:
-    """Without viser both commands say what to install, before a run starts."""
+    """Without viser both commands name the package to install, before a run starts."""
     monkeypatch.setattr("transport.viewer.server.find_spec", lambda _: None)
     folder = recorded if arguments == ["view"] else tmp_path / "out"
     result = CliRunner().invoke(app, [*arguments, str(folder)])

@@ -24,7 +24,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         ("late", (runs.SHORT, "links.delay_s=0.1", "controller.received_plans='by_age'")),
         ("other", (runs.ticks(10), "controller.weights.attitude=6.0")),
     ):
-        logs.flown(runs.setup(*settings), parent / name)
+        logs.record_run(runs.setup(*settings), parent / name)
     return {path.name: path for path in parent.iterdir()}
 
 

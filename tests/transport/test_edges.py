@@ -6,7 +6,7 @@ from protocol.scenario.file import ScenarioError, read_scenario
 from protocol.scenario.setup import Setup
 from protocol.scenario.team import resized
 from protocol.wire.messages import Control
-from tests.support.logs import ALONE
+from tests.support.logs import SINGLE_UAV
 from tests.support.runs import PAPER, SCENARIOS, SHORT
 from transport.flight.memory import simulate
 
@@ -35,8 +35,8 @@ def phase(duration_s: float, x: float, z: float = 0.0) -> str:
 
 def test_one_uav() -> None:
     """N = 1: flown open loop; no law can turn a payload about its only rod, so closed-loop prediction is refused."""
-    assert flown("paper", SHORT, *ALONE).outcome == "completed"
-    text = refusal("resilient", SHORT, *ALONE)
+    assert flown("paper", SHORT, *SINGLE_UAV).outcome == "completed"
+    text = refusal("resilient", SHORT, *SINGLE_UAV)
     assert "controller.prediction: expected a team that a linear law can stabilise about hover, got a Riccati" in text
 
 

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from protocol.wire.messages import PlantState
 from tests.support import runs
-from tests.support.logs import flown
+from tests.support.logs import record_run
 from transport.cli.main import app
 from transport.log.run_log import read_log
 from transport.log.salvage import Salvage
@@ -28,7 +28,7 @@ TICKS = 6
 def copied(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a run folder with the copy beside its log."""
     folder = tmp_path_factory.mktemp("foxglove")
-    flown(runs.setup(runs.ticks(TICKS)), folder)
+    record_run(runs.setup(runs.ticks(TICKS)), folder)
     result = CliRunner().invoke(app, ["log", "export", str(folder), "--foxglove", str(folder / "foxglove.mcap")])
     assert result.exit_code == 0, result.stderr
     assert f"{TICKS} ticks" in result.stdout

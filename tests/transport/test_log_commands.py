@@ -25,7 +25,7 @@ KILL = (
 def flight(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Message]]:
     """A run folder and its messages."""
     folder = tmp_path_factory.mktemp("log") / "run"
-    return folder, logs.flown(runs.setup(runs.SHORT, *KILL), folder)
+    return folder, logs.record_run(runs.setup(runs.SHORT, *KILL), folder)
 
 
 def ask(*arguments: str | Path) -> Result:

@@ -13,7 +13,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from protocol.wire import messages as protocol
 from tests.support import runs
-from tests.support.logs import flown
+from tests.support.logs import record_run
 from transport.log import tail as log_tail
 from transport.log.json_messages import to_json
 from transport.log.run_log import read_log
@@ -26,7 +26,7 @@ from transport.scene.run_history import KINDS, LATER, RunHistory
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The log of a short run."""
     folder = tmp_path_factory.mktemp("tail")
-    flown(runs.setup(runs.ticks(8)), folder)
+    record_run(runs.setup(runs.ticks(8)), folder)
     return folder / "run.mcap"
 
 

@@ -164,7 +164,7 @@ def test_continued_agent_is_the_same_process() -> None:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run folder."""
     path = tmp_path_factory.mktemp("replay") / "run"
-    logs.flown(runs.setup(runs.SHORT), path)
+    logs.record_run(runs.setup(runs.SHORT), path)
     return path
 
 

@@ -13,7 +13,7 @@ from model.arrays import Array
 from model.rotations import rotation
 from protocol.wire.messages import LinkChange, Message
 from tests.support import runs
-from tests.support.logs import flown
+from tests.support.logs import record_run
 from transport.scene.geometry import (
     age_colour,
     link_segments,
@@ -44,7 +44,7 @@ def builder_of(folder: Path, *settings: str) -> SceneBuilder:
     """Return the scene builder of a short run."""
     run = runs.setup(runs.SHORT, *settings)
     history = RunHistory(run)
-    history.add(flown(run, folder))
+    history.add(record_run(run, folder))
     return SceneBuilder(run, history)
 
 
