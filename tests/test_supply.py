@@ -1,4 +1,4 @@
-"""What is installed is pinned, and its licence listed."""
+"""Dependencies are pinned and their licences are listed."""
 
 import re
 import tomllib
@@ -17,7 +17,7 @@ def pinned(lock: str) -> list[tuple[str, str]]:
 
 
 def asked_for(*extras: str) -> list[Requirement]:
-    """What the project asks for, with some extras."""
+    """Return the requirements of the project with some extras."""
     texts = [*PROJECT["dependencies"], *[text for extra in extras for text in PROJECT["optional-dependencies"][extra]]]
     return [found for text in texts if (found := Requirement(text)).name != "payload-transport"]
 

@@ -14,7 +14,7 @@ BARRIER_NS = round(TIMEOUT_S * S)
 JOIN_NS = 30 * S  # clock.join_timeout_s, the default
 KILLED = "faults.event=[{at_s=0.05,do='kill',target='agent2'},{at_s=0.15,do='restart',target='agent2'}]"
 SIX = ticks(6)
-ROUNDS = "controller.negotiation_iterations=3"
+ITERATIONS = "controller.negotiation_iterations=3"
 LEFT = (1, 3, 4)
 
 
@@ -105,13 +105,13 @@ def test_with_policy_abort_a_new_incarnation_ends_the_run() -> None:
 
 def proposals(agents: Sequence[int], negotiation: int) -> list[Message]:
     """Plans of tick 0 that are still negotiated."""
-    return [replace(plan(setup(SIX, ROUNDS), agent, 0), negotiation=negotiation) for agent in agents]
+    return [replace(plan(setup(SIX, ITERATIONS), agent, 0), negotiation=negotiation) for agent in agents]
 
 
 @pytest.mark.parametrize("negotiation", [2, 1])
 def test_only_agents_behind_in_a_negotiation_are_dropped(negotiation: int) -> None:
     """A frozen agent blocks the others' next iteration: it alone is dropped, and their timeout restarts."""
-    node = started(CoordinatorNode(setup(SIX, ROUNDS, CONTINUE)))
+    node = started(CoordinatorNode(setup(SIX, ITERATIONS, CONTINUE)))
     tell(node, proposals(ALL if negotiation < 2 else LEFT, 2))
     if negotiation < 2:
         tell(node, proposals(LEFT, 1))
@@ -125,7 +125,7 @@ def test_only_agents_behind_in_a_negotiation_are_dropped(negotiation: int) -> No
 
 def test_proposals_are_no_answers() -> None:
     """A tick is closed by the last plans of all agents, not by the proposals before them."""
-    node = started(CoordinatorNode(setup(SIX, ROUNDS)))
+    node = started(CoordinatorNode(setup(SIX, ITERATIONS)))
     assert tell(node, [*proposals(ALL, 2), *proposals(ALL, 1)]) == []
     assert tell(node, answers(0, LEFT)) == []
     assert kinds(tell(node, answers(0, (2,)))) == ["tick 1"]
@@ -133,7 +133,7 @@ def test_proposals_are_no_answers() -> None:
 
 def test_all_agents_stuck_in_a_negotiation() -> None:
     """When all agents are equally far behind, the plant is the likely cause and the run ends."""
-    node = started(CoordinatorNode(setup(SIX, ROUNDS, CONTINUE)))
+    node = started(CoordinatorNode(setup(SIX, ITERATIONS, CONTINUE)))
     tell(node, proposals(ALL, 2))
     (end,) = node.poll(START_NS + BARRIER_NS)
     assert isinstance(end, Control)

@@ -1,4 +1,4 @@
-"""Heads of messages, what is refused by them alone, and the brake for who sends too many of those."""
+"""Headers of messages, refusals by the header alone, and the rate limit for a flood of refused messages."""
 
 import time
 from contextlib import suppress
@@ -21,12 +21,12 @@ from tests.support.garbage import VALUES
 from tests.support.runs import setup
 from tests.support.samples import sample
 
-KEYS = Keys("head")
+KEYS = Keys("header")
 
 
 @pytest.mark.parametrize("kind", KINDS.values(), ids=list(KINDS))
-def test_heads_are_those_of_the_messages(kind: type) -> None:
-    """What the head says is what the message says, of every kind."""
+def test_header_equals_the_fields_of_the_message(kind: type) -> None:
+    """The header of an encoded message of any kind has the values of the message's own fields."""
     message = sample(kind)
     expected = Header(
         message.kind, message.sender, message.incarnation, message.sequence, message.tick, place_of(message)
@@ -34,13 +34,16 @@ def test_heads_are_those_of_the_messages(kind: type) -> None:
     assert header_of(encode(message)) == expected
 
 
-def test_what_is_no_head() -> None:
-    """Nothing, another version and no msgpack are refused; what needs more than the head to judge is left alone."""
+def test_invalid_headers_are_refused() -> None:
+    """Empty data, another version and invalid msgpack are refused; data that need more than the header are not judged."""
     for data, reason in (
         (b"", "malformed"),
         (b"\xffabc", "wrong_version"),
         (bytes([VERSION, 0x95, 0xC1]), "malformed"),
-        (bytes([VERSION, 0x95, 0xDD, 0x05, 0xF5, 0xE1, 0x00]), "malformed"),  # a list of 10^8 that does not come
+        (
+            bytes([VERSION, 0x95, 0xDD, 0x05, 0xF5, 0xE1, 0x00]),
+            "malformed",
+        ),  # a list of 10^8 entries without its entries
     ):
         with pytest.raises(MessageError) as caught:
             header_of(data)
@@ -56,8 +59,8 @@ def test_what_is_no_head() -> None:
                 header_of(bytes([VERSION]) + msgpack.packb(values))
 
 
-class Door:
-    """The plant's gate with agent 1's plan of tick 5 behind it."""
+class PlantAdmission:
+    """The plant's admission after agent 1's plan of tick 5."""
 
     def __init__(self) -> None:
         self.rejections = Rejections()
@@ -66,55 +69,55 @@ class Door:
         self.plan = runs.plan(setup(), 1, 5)
         self.key = KEYS.of(self.plan)
         assert self.hears(self.plan)
-        assert self.admission.released() is None  # it has been heard
+        assert self.admission.released() is None  # the plan has been read
 
     def hears(self, plan: Plan) -> bool:
-        """Whether a plan is let in."""
+        """Return whether a plan is admitted."""
         heard = self.admission.read(self.key, encode(plan))
         return heard is not None and encode(heard) == encode(plan)
 
 
 def test_only_what_is_over_has_passed() -> None:
-    """A replay, and a tick that has been said: counted unread. The next tick, another start, another sender: read."""
-    door = Door()
-    over = [door.plan, replace(door.plan, sequence=99), replace(door.plan, sequence=98, tick=4, start_tick=4)]
+    """A replay or an earlier tick is counted unread; the next tick, another incarnation or another sender is read."""
+    plant = PlantAdmission()
+    over = [plant.plan, replace(plant.plan, sequence=99), replace(plant.plan, sequence=98, tick=4, start_tick=4)]
     for message in [*over, over[0]]:
-        assert door.admission.has_passed(door.key, encode(message))
+        assert plant.admission.has_passed(plant.key, encode(message))
     news = [
         runs.plan(setup(), 1, 6),
-        replace(door.plan, incarnation=2),
-        replace(door.plan, sender="agent2", agent=1),
+        replace(plant.plan, incarnation=2),
+        replace(plant.plan, sender="agent2", agent=1),
     ]
     for message in news:
-        assert not door.admission.has_passed(door.key, encode(message))
-    assert not door.admission.has_passed(KEYS.of(runs.plan(setup(), 2, 5)), encode(runs.plan(setup(), 2, 5)))
-    assert door.rejections.total == 0  # the thread that reads counts
-    door.admission.count_unread()
-    assert {(entry.sender, entry.reason): entry.count for entry in door.rejections} == {
+        assert not plant.admission.has_passed(plant.key, encode(message))
+    assert not plant.admission.has_passed(KEYS.of(runs.plan(setup(), 2, 5)), encode(runs.plan(setup(), 2, 5)))
+    assert plant.rejections.total == 0  # only the reading thread counts
+    plant.admission.count_unread()
+    assert {(entry.sender, entry.reason): entry.count for entry in plant.rejections} == {
         ("agent1", "replayed"): 2,
         ("agent1", "past"): 2,
     }
-    assert door.hears(news[0])
+    assert plant.hears(news[0])
 
 
 def test_what_has_passed_would_be_refused() -> None:
-    """Whatever is refused unread, reading refuses as well, now and after all that may come in between."""
+    """A message refused unread is also refused when read, now and after any messages in between."""
     for between in ((), (6,), (6, 7)):
         for sequence in (0, 10, 11, 99):
             for tick, negotiation in ((4, 0), (5, 0), (5, 1), (6, 0), (6, 1)):
-                door = Door()
-                message = replace(door.plan, sequence=sequence, tick=tick, start_tick=tick, negotiation=negotiation)
-                passed = door.admission.has_passed(door.key, encode(message))
+                plant = PlantAdmission()
+                message = replace(plant.plan, sequence=sequence, tick=tick, start_tick=tick, negotiation=negotiation)
+                passed = plant.admission.has_passed(plant.key, encode(message))
                 for k in between:
-                    assert door.hears(runs.plan(setup(), 1, k))
+                    assert plant.hears(runs.plan(setup(), 1, k))
                 if passed:
-                    assert not door.hears(message)
+                    assert not plant.hears(message)
                 else:
-                    assert door.hears(message) == (not between and sequence != door.plan.sequence)
+                    assert plant.hears(message) == (not between and sequence != plant.plan.sequence)
 
 
-def test_rosters_and_changes_of_links_do_not_count_for_each_other() -> None:
-    """Under the key they share a roster has passed by its version, a change of links by its number."""
+def test_rosters_and_link_changes_are_counted_separately() -> None:
+    """Under their common key a roster is refused unread by its version, a link change by its number."""
     admission = Admission("plant", KEYS, setup(), Rejections())
     admission.announce("coordinator", 0)
     first, second = (replace(runs.roster(version=version), sequence=version) for version in (1, 2))
@@ -132,7 +135,7 @@ def test_rosters_and_changes_of_links_do_not_count_for_each_other() -> None:
 
 
 def test_one_negotiation_is_not_another() -> None:
-    """Within a tick agents exchange several plans: the second of them is not the first said again."""
+    """Agents send several plans within a tick: the second one is not a repetition of the first."""
     run = setup("controller.negotiation_iterations=2")
     admission = Admission("plant", KEYS, run, Rejections())
     admission.announce("agent1", 1)
@@ -144,7 +147,7 @@ def test_one_negotiation_is_not_another() -> None:
 
 
 class FakeTime:
-    """A clock that only sleeping and the test itself move."""
+    """A clock that advances only by sleeping and by the test."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now_s, self.slept_s = 100.0, 0.0
@@ -156,8 +159,8 @@ class FakeTime:
         self.now_s += length_s
 
 
-def test_the_brake(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A burst is free; after that one message takes as long as its share of the rate, whoever had the burst."""
+def test_rate_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A burst is free; each later message takes its share of the rate, whichever sender used the burst."""
     clock, held = FakeTime(monkeypatch), RateLimit()
     for _ in range(int(BURST)):
         held.hold()
@@ -165,18 +168,18 @@ def test_the_brake(monkeypatch: pytest.MonkeyPatch) -> None:
     for _ in range(10 * int(BURST)):
         held.hold()
     assert clock.slept_s == pytest.approx(10 * BURST / rate_limit.RATE_HZ, rel=0.2)
-    clock.now_s += 10.0  # peace
+    clock.now_s += 10.0  # a pause without messages
     before_s = clock.slept_s
     held.hold()
     assert clock.slept_s == before_s
 
 
 def test_a_flood_that_is_slowed_down_is_still_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    """More than any run sends is a flood, for as long as it comes as fast as it is let; no run is."""
+    """A rate above that of any run is a flood until the sender slows down by itself; the rate of a run is none."""
     clock, held = FakeTime(monkeypatch), RateLimit()
     flooded = []
     for _ in range(20 * WINDOW):
-        clock.now_s += 1e-5  # what waits in the socket is there at once
+        clock.now_s += 1e-5  # messages that wait in the socket arrive at once
         flooded.append(held.flooded())
         if flooded[-1]:
             held.hold()
@@ -192,7 +195,7 @@ def test_a_flood_that_is_slowed_down_is_still_one(monkeypatch: pytest.MonkeyPatc
 
 
 def test_clock_offset() -> None:
-    """Equal ways give the offset exactly; the error is at most half of what the ways take together (RFC 5905)."""
+    """Equal delays of both ways give the exact offset; the error is at most half of the round-trip delay (RFC 5905)."""
     assert offset(1_000, 6_500, 6_600, 2_100) == Offset(5e-6, 5e-7)
     for there_ns in (0, 100, 900):
         true_ns, way_ns = -3_000, 1_000
@@ -204,7 +207,7 @@ def test_clock_offset() -> None:
 
 
 def test_usage() -> None:
-    """What a process uses is told in bytes, counts and seconds, and of one that is not there nothing is."""
+    """Resource use of a process is in bytes, counts and seconds; every value is None for an unknown process."""
     used = usage()
     assert 1e7 < (used["memory_bytes"] or 0) < 1e11
     assert (used["threads"] or 0) >= 1

@@ -18,7 +18,9 @@ from model.parameters import System
 from model.state import StateView
 from tests.support.paper_form import K, attitude, thrust_forces
 
-_ROD_SPIN_INERTIA = 1.0  # kg m^2; the motion does not depend on it, and this value keeps the mass matrix well conditioned
+_ROD_SPIN_INERTIA = (
+    1.0  # kg m^2; the motion does not depend on it, and this value keeps the mass matrix well conditioned
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

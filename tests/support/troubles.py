@@ -13,7 +13,7 @@ HEAVY = (
     "partition=[{between=['agent3','plant'],start_s=0.4,end_s=0.6}],"
     "change=[{at_s=0.8,loss=0.3,rate_hz=20.0},{at_s=0.9,from='plant',delay_s=0.0}]}"
 )
-NEXT_TICK, ROUNDS = "clock.actuation=next_tick", "controller.negotiation_iterations=2"
+NEXT_TICK, ITERATIONS = "clock.actuation=next_tick", "controller.negotiation_iterations=2"
 
 # One agent is frozen and continued, another is killed and restarted; for a while both are away. The timeout for a frozen
 # agent stays at its default of 5 s: a busy host can stop any process for a second.

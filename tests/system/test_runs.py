@@ -30,7 +30,7 @@ from tests.support.commands import (
     wait_for,
 )
 from tests.support.keyrings import NAMES, keyring
-from tests.support.logs import flown
+from tests.support.logs import record_run
 from tests.system.test_intruder import table
 from transport.cli.main import app
 from transport.cli.metrics import process_endpoints
@@ -52,7 +52,7 @@ FLOODED = 500
 
 def calm(folder: Path, *changes: str) -> list[dict[str, str]]:
     """Return the steps of the same run in memory."""
-    flown(Setup.of(read_scenario(find_scenario("paper"), changes), "paper"), folder)
+    record_run(Setup.of(read_scenario(find_scenario("paper"), changes), "paper"), folder)
     write_report(folder, figures=False)
     return table(folder)
 

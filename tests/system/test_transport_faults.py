@@ -11,7 +11,7 @@ from protocol.scenario.file import read_scenario
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Control, FaultNote, Message, Plan, Roster, Tick
 from tests.support.commands import PATIENCE_S, SHORT, processes_of, settings, start, transport
-from tests.support.troubles import FAULTS, HEAVY, NEXT_TICK, ROUNDS
+from tests.support.troubles import FAULTS, HEAVY, NEXT_TICK, ITERATIONS
 from transport.flight.memory import simulate
 from transport.log.run_log import LogWriter, RunLog, read_log
 from transport.report.report import write_report
@@ -35,7 +35,7 @@ def steps(folder: Path) -> list[list[str]]:
 def troubled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of a run with all faults at once: impaired links, two iterations, a kill and a freeze."""
     folder = tmp_path_factory.mktemp("troubled")
-    changes = settings(SHORT, HEAVY, ROUNDS, NEXT_TICK, *FAULTS)
+    changes = settings(SHORT, HEAVY, ITERATIONS, NEXT_TICK, *FAULTS)
     result = transport("run", "resilient", *changes, "--out", "run", "--no-figures", cwd=folder)
     assert result.returncode == 0, result.stderr
     assert processes_of("run") == {}

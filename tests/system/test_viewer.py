@@ -23,7 +23,7 @@ from protocol.wire.messages import FaultNote, LinkChange, Message, Plan, PlantSt
 from tests.support import runs
 from tests.support.browser import END, RIGHT, Browser, Drawing, browser, connected_pages, needs_browser
 from tests.support.commands import PATIENCE_S, processes_of, settings, start, wait_for
-from tests.support.logs import flown
+from tests.support.logs import record_run
 from transport.cli.main import app
 from transport.flight.live import LiveRun
 from transport.flight.memory import simulate
@@ -37,7 +37,7 @@ from transport.viewer.viewer import Viewer, open_viewer
 
 M = TypeVar("M", bound=Message)
 
-# Visible change in pixels of a climb of half a metre.
+# A climb of half a metre moves the payload by at least this, m.
 SEEN_M = 0.2
 PIXELS = 0.002  # share of pixels that change when the team moves
 CUT = 0.6
@@ -79,7 +79,7 @@ def shown(folder: Path) -> Iterator[Viewer]:
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of a short run."""
     folder = tmp_path_factory.mktemp("recorded")
-    flown(runs.setup(runs.SHORT), folder)
+    record_run(runs.setup(runs.SHORT), folder)
     return folder
 
 

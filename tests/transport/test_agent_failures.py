@@ -1,4 +1,4 @@
-"""An agent that dies for good: the others bring the load home, also when they did not have its last plan."""
+"""Permanent failure of an agent: the others complete the maneuver, also without its last plan."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ QUIET = (
 
 
 def flown(*settings: str) -> tuple[Control, np.ndarray]:
-    """A run of `resilient` in memory: its end, and the largest roll or pitch of the payload at each tick, deg."""
+    """Simulate `resilient`; return the end, and the largest roll or pitch of the payload at each tick, deg."""
     run = Setup.of(read_scenario(find_scenario("resilient"), [CONTINUE, *settings]), "resilient")
     messages: list[Message] = []
     end = simulate(run, messages.append)
@@ -32,7 +32,7 @@ def flown(*settings: str) -> tuple[Control, np.ndarray]:
 
 
 def killed(agent: int, at_s: float) -> str:
-    """The setting of a death for good."""
+    """Return the setting of a permanent failure of an agent."""
     return f"faults.event=[{{at_s={at_s},do='kill',target='agent{agent}'}}]"
 
 
@@ -46,10 +46,11 @@ def test_three_bring_the_load_home(agent: int, at_s: float) -> None:
 
 
 @pytest.mark.parametrize("network", [(), POOR], ids=["perfect", "poor"])
-def test_an_agent_whose_last_plan_nobody_has(network: tuple[str, ...]) -> None:
-    """With plans sent on change the last plan of a dead agent is unshared: what it plays on is foreseen, (32b).
+def test_an_agent_whose_last_plan_was_not_shared(network: tuple[str, ...]) -> None:
+    """With plans sent on change the last plan of a failed agent is not shared; the others predict its inputs by (32b).
 
-    Killed shortly after the first hover, in which nothing is sent; the payload comes to rest as if all were sent.
+    The agent is killed shortly after the first hover, in which it sends no plans. The payload comes to rest as with all
+    plans sent.
     """
     for share in ("controller.share=always", ON_CHANGE):
         end, attitude_deg = flown(QUIET, killed(2, 1.0), share, *network)

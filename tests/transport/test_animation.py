@@ -10,7 +10,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from tests.support import runs
-from tests.support.logs import flown
+from tests.support.logs import record_run
 from transport.analysis.series import series_of
 from transport.cli.main import app
 from transport.log.run_log import read_log
@@ -37,7 +37,7 @@ def drawn(folder: Path, name: str) -> Path:
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of a short run."""
     folder = tmp_path_factory.mktemp("moving")
-    flown(runs.setup(runs.SHORT), folder)
+    record_run(runs.setup(runs.SHORT), folder)
     return folder
 
 

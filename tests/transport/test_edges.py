@@ -1,4 +1,4 @@
-"""At the edges of what can be asked for: refused with the reason and the numbers, or flown to a clear outcome."""
+"""Extreme scenarios: refused with the reason and the numbers, or simulated to a defined outcome."""
 
 import pytest
 
@@ -14,13 +14,13 @@ LIGHT = "system.payload={{mass_kg={0},inertia_kgm2=[{1},{1},{1}]}}"
 
 
 def flown(name: str, *given: str) -> Control:
-    """How a ready scenario with some settings ends, in memory."""
+    """Return the outcome of a ready scenario with some settings, simulated in memory."""
     path = SCENARIOS / f"{name}.toml"
     return simulate(Setup.of(read_scenario(path, given), path.name))
 
 
 def refusal(name: str, *given: str) -> str:
-    """What a ready scenario with some settings is refused with, in one line."""
+    """Return the one-line error for a ready scenario with some settings."""
     path = SCENARIOS / f"{name}.toml"
     with pytest.raises(ScenarioError) as caught:
         Setup.of(read_scenario(path, given), path.name)
@@ -34,7 +34,7 @@ def phase(duration_s: float, x: float, z: float = 0.0) -> str:
 
 
 def test_one_uav() -> None:
-    """N = 1: flown open loop; no law can turn a payload about its only rod, so closed-loop prediction is refused."""
+    """N = 1 runs with open-loop prediction; no control law can turn a payload about its only rod, so closed-loop prediction is refused."""
     assert flown("paper", SHORT, *SINGLE_UAV).outcome == "completed"
     text = refusal("resilient", SHORT, *SINGLE_UAV)
     assert "controller.prediction: expected a team that a linear law can stabilise about hover, got a Riccati" in text
@@ -52,12 +52,12 @@ def test_sixteen_uavs() -> None:
 
 @pytest.mark.parametrize("name", ["paper", "resilient"])
 def test_a_payload_far_lighter_than_the_uavs(name: str) -> None:
-    """100 g on four rods under 1.5 kg each: flown as any other."""
+    """A payload of 100 g below four UAVs of 1.5 kg each completes like any other."""
     assert flown(name, SHORT, LIGHT.format(0.1, 0.02)).outcome == "completed"
 
 
 def test_hardly_a_payload() -> None:
-    """A gram is flown or said not to be; drag, which only wind makes, is in nobody's way."""
+    """A payload of 1 g runs open loop or is refused; drag is checked only with wind."""
     assert flown("paper", SHORT, LIGHT.format(1e-3, 1e-4)).outcome == "completed"
     assert "expected a team that a linear law can stabilise" in refusal("resilient", SHORT, LIGHT.format(1e-3, 1e-4))
     windy = refusal("resilient", SHORT, LIGHT.format(1e-3, 1e-4), "plant.wind.gust_mps=[1,1,1]")
@@ -65,26 +65,26 @@ def test_hardly_a_payload() -> None:
 
 
 def test_no_payload_to_speak_of() -> None:
-    """A microgram is beyond the arithmetic: the flight ends as diverged and says so, without an exception."""
+    """A payload of 1 ug exceeds the arithmetic: the run ends as diverged with a reason, without an exception."""
     end = flown("paper", SHORT, LIGHT.format(1e-9, 1e-12))
     assert (end.outcome, end.exit_code) == ("diverged", 6)
     assert "t = " in end.reason
 
 
 def test_thrust_too_weak_to_hover() -> None:
-    """A Newton short of hover is refused with the thrust that it takes."""
+    """A thrust limit 1 N below hover is refused with the required thrust."""
     text = refusal("paper", "controller.limits.thrust_N=[0.0,21.0]")
     assert "expected a range that contains the hover thrust 22.07 N of UAV1, got [0.0, 21.0]" in text
 
 
 def test_thrust_just_enough_to_hover() -> None:
-    """A tenth of a Newton more than hover is a team that can fly, slowly."""
+    """A thrust limit 0.1 N above hover suffices for hovering."""
     assert flown("resilient", phase(2.0, 0.0), "controller.limits.thrust_N=[0.0,22.2]").outcome == "completed"
 
 
 @pytest.mark.parametrize("given", [("controller.horizon=60",), ("maneuver.phase.1.duration_s=0.05",)])
 def test_horizon_longer_than_the_maneuver(given: tuple[str, ...]) -> None:
-    """Two and forty times as far ahead as there is to fly: beyond its end the path is held."""
+    """Horizons two and forty times longer than the maneuver complete: the reference holds the end of the path."""
     assert flown("resilient", SHORT, *given).outcome == "completed"
 
 
@@ -93,7 +93,7 @@ UNREACHABLE = [(200.0, 0.0), (0.0, -200.0), (0.0, 200.0), (9e4, 0.0)]
 
 @pytest.mark.parametrize(("x", "z"), UNREACHABLE)
 def test_way_points_no_vehicle_reaches(x: float, z: float) -> None:
-    """100 m/s and more, sideways, up and down: warned of, and flown to the bound on the error, with the numbers."""
+    """Paths of 100 m/s and more give a warning, and the run diverges at the error bound, with the numbers."""
     path = SCENARIOS / "resilient.toml"
     run = Setup.of(read_scenario(path, [phase(2.0, x, z)]), path.name)
     (doubt,) = run.doubts()
@@ -105,10 +105,10 @@ def test_way_points_no_vehicle_reaches(x: float, z: float) -> None:
 
 
 def test_ready_maneuvers_raise_no_doubt() -> None:
-    """What comes with the package can be flown, and a way is doubted just when its time is below the bound."""
+    """Ready scenarios give no warning; a segment does exactly if its time is below the bound."""
     for path in SCENARIOS.glob("*.toml"):
         assert Setup.of(read_scenario(path), path.name).doubts() == []
-    # Up: 45 N each on 2.25 kg each are 20 m/s^2, less gravity 10.19; half of 20 m and half again, 2 sqrt(20 / 10.19).
+    # Upwards 45 N on 2.25 kg per UAV give 20 m/s^2, less gravity 10.19 m/s^2; two halves of 20 m take 2 sqrt(20 / 10.19).
     doubts = [Setup.of(read_scenario(PAPER, [phase(t, 0.0, -20.0)]), PAPER.name).doubts() for t in (2.79, 2.81)]
     assert doubts == [["phase 'dash': 20 m in 2.79 s; from rest to rest all thrust takes 2.8 s"], []]
 
@@ -129,7 +129,7 @@ def test_ready_maneuvers_raise_no_doubt() -> None:
     ],
 )
 def test_paths_out_of_this_world(given: str, text: str) -> None:
-    """Positions that measurements could not carry are refused before anything starts."""
+    """Positions outside the range of measurements are refused before any process starts."""
     assert text in refusal("paper", given)
 
 

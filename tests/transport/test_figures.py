@@ -11,7 +11,7 @@ import pytest
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Message
 from tests.support import runs
-from tests.support.logs import ALONE, flown, log_of, plant_state
+from tests.support.logs import SINGLE_UAV, record_run, log_of, plant_state
 from transport.log.run_log import RunLog, read_log
 from transport.report.figures import draw
 from transport.report.report import write_report
@@ -37,7 +37,7 @@ def assert_drawn(paths: Sequence[Path], names: Sequence[str] = NAMES) -> None:
 def logged(folder: Path, *settings: str) -> tuple[Setup, RunLog]:
     """Return a short run and its log."""
     run = runs.setup(runs.SHORT, *settings)
-    flown(run, folder)
+    record_run(run, folder)
     return run, read_log(folder / "run.mcap")
 
 
@@ -52,7 +52,7 @@ def test_figures_are_drawn_with_the_report(tmp_path: Path) -> None:
 
 def test_one_uav_is_drawn(tmp_path: Path) -> None:
     """A team of one UAV has all figures."""
-    run, log = logged(tmp_path, *ALONE)
+    run, log = logged(tmp_path, *SINGLE_UAV)
     assert_drawn(draw(run, log, tmp_path))
 
 

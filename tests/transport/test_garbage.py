@@ -31,18 +31,18 @@ from transport.log.run_log import LogWriter, read_log
 
 SEED = 20240611
 
-# A step of a millisecond, and so many ticks that a message of another time is far from now.
+# A step of 1 ms, and enough ticks that messages of other times are outside the accepted window.
 SETTINGS = ("controller.horizon=5", runs.ticks(60))
 
-# Bad messages before each delivery of a flight, and how many that are at least.
+# Bad messages before each delivery, and their minimum number in total.
 PER_DELIVERY, FEWEST = 24, 50_000
 
-# Of thousands of messages: nothing but what the allocator keeps, and a few hundred examples.
+# Memory after thousands of messages: the allocator's reserve and a few hundred examples.
 LEFT_BEHIND_BYTES, MOST_BYTES = 20_000, 2_000_000
 
 
 class NoBus:
-    """In the place of a bus that nobody listens to."""
+    """Substitute for the bus, without a network."""
 
     def __init__(self, **_: object) -> None:
         pass
@@ -50,14 +50,14 @@ class NoBus:
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Where a recorder without a network writes."""
+    """Return the folder of a recorder without a network."""
     monkeypatch.setattr(recorder_module, "Bus", NoBus)
     return tmp_path
 
 
 @contextmanager
 def recording(run: Setup, path: Path) -> Iterator[Recorder]:
-    """A recorder whose messages come from the test."""
+    """Open a recorder that receives its messages from the test."""
     writer = LogWriter(path, HEADER, period_ns=run.period_ns)
     recorder = Recorder(run, run.scenario.name, writer, Endpoints(listen=[], connect=[]), 1.0)
     yield recorder
@@ -66,22 +66,22 @@ def recording(run: Setup, path: Path) -> Iterator[Recorder]:
 
 
 def said(messages: Iterable[Message]) -> list[bytes]:
-    """What was said, in order, but for wall-clock times."""
+    """Return the encoded messages in order, without wall-clock times."""
     return [encode(reproducible(message)) for message in messages]
 
 
 def recorded(path: Path) -> list[bytes]:
-    """The same from a log, without what is about messages that were refused."""
+    """Return the encoded messages of a log, without those about rejections."""
     log = read_log(path)
     assert log.cut == ""
     return said(entry.message for entry in log.messages if not isinstance(entry.message, Rejected))
 
 
 class Fire:
-    """Bad messages for every receiver of a flight, before each message that is delivered to it.
+    """Sends bad messages to every receiver of a run before each delivery to it.
 
     Attributes:
-        shot: How many, by receiver and sort.
+        shot: Numbers of bad messages by receiver and sort.
     """
 
     def __init__(self, run: Setup, seed: int) -> None:
@@ -108,7 +108,7 @@ class Fire:
 @pytest.mark.slow
 @pytest.mark.parametrize("settings", [(), ("clock.actuation=next_tick", "controller.prediction=closed_loop")])
 def test_a_flight_under_fire(folder: Path, settings: tuple[str, ...]) -> None:
-    """Fifty thousand bad messages to everybody change no bit of a flight or of its record; each is counted once."""
+    """Fifty thousand bad messages to all receivers change no bit of a run or of its log; each is counted once."""
     run = setup(*SETTINGS, *settings)
     with recording(run, folder / "calm.mcap") as witness:
         calm = Wire(run, witness)
@@ -142,7 +142,7 @@ def test_a_flight_under_fire(folder: Path, settings: tuple[str, ...]) -> None:
 
 
 def test_fire_costs_no_memory() -> None:
-    """What has been refused leaves no more behind the longer it goes on."""
+    """Memory held for refused messages does not grow with their number."""
     run = setup(*SETTINGS)
     keys, rejections = Keys(run.scenario.name), Rejections()
     admission = Admission("recorder", keys, run, rejections)
@@ -167,7 +167,7 @@ def test_fire_costs_no_memory() -> None:
         used = [refuse_all() for _ in range(4)]
     finally:
         tracemalloc.stop()
-    assert rejections.total + admission.kept > 15_900  # some are for a node to see through
+    assert rejections.total + admission.kept > 15_900  # only a node can refuse the others
     assert admission.kept <= 256
     assert used[-1] - used[-2] < LEFT_BEHIND_BYTES
     assert used[-1] < MOST_BYTES

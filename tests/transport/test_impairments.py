@@ -13,7 +13,7 @@ from protocol.wire.codec import encode
 from protocol.wire.messages import LinkChange, Measurement, Message, Plan, Request, StepReport, agent_name
 from tests.support.runs import SHORT, plant_states, recorded, reproducible, setup
 from tests.support.shuffled import fly_shuffled
-from tests.support.troubles import FAULTS, HEAVY, NEXT_TICK, RESILIENT, ROUNDS
+from tests.support.troubles import FAULTS, HEAVY, NEXT_TICK, RESILIENT, ITERATIONS
 from transport.flight import memory
 
 PERIOD_S, TICKS = 0.05, 30
@@ -43,14 +43,14 @@ def newest(run: Setup, ends: tuple[str, str], tick: int, after: int) -> int:
     return max(usable, default=-1)
 
 
-@pytest.mark.parametrize("settings", [(HEAVY,), (HEAVY, NEXT_TICK), (HEAVY, ROUNDS, NEXT_TICK)])
-def test_everybody_works_with_what_the_links_let_through(settings: tuple[str, ...]) -> None:
-    """Ages of plans, states and measurements in every report are those that follow from the links and nothing else."""
+@pytest.mark.parametrize("settings", [(HEAVY,), (HEAVY, NEXT_TICK), (HEAVY, ITERATIONS, NEXT_TICK)])
+def test_agents_use_exactly_the_messages_that_links_deliver(settings: tuple[str, ...]) -> None:
+    """Ages of plans, states and measurements in every report follow from the links alone."""
     run, messages = setup(SHORT, *RESILIENT, *settings), flight(*settings)
     ages = []
     for agent in run.agents:
         found = reports(messages, agent)
-        assert len(found) == TICKS  # lost or late, no message keeps the clock
+        assert len(found) == TICKS  # no lost or delayed message stops the clock
         for report in found:
             k = report.tick
             sent = {name: newest(run, (name, agent_name(agent)), k, 1) for name in map(agent_name, report.peers)}
@@ -63,7 +63,7 @@ def test_everybody_works_with_what_the_links_let_through(settings: tuple[str, ..
 
 
 @pytest.mark.parametrize(("settings", "after"), [((HEAVY,), 0), ((HEAVY, NEXT_TICK), 1)])
-def test_the_plant_plays_what_the_links_let_through(settings: tuple[str, ...], after: int) -> None:
+def test_the_plant_uses_exactly_the_plans_that_links_deliver(settings: tuple[str, ...], after: int) -> None:
     """`PlantState.plan_ticks` names the newest plan that reached the plant for each UAV, -1 before the first."""
     run, messages = setup(SHORT, *RESILIENT, *settings), flight(*settings)
     for plant_state in plant_states(messages):
@@ -144,7 +144,7 @@ def test_one_uav_cut_off_from_its_controller() -> None:
 
 
 def test_partition_that_names_the_plant() -> None:
-    """Plant and agent 2 on one side, the others on the other: they hear nothing of each other, both ways."""
+    """A partition between plant with agent 2 and the other agents blocks messages in both directions."""
     messages = flight("links.partition=[{between=['agent2','plant'],start_s=0.5,end_s=0.8}]")
     apart = range(10, 16)
     for plant_state in plant_states(messages):
@@ -168,7 +168,7 @@ def test_rate_limit_in_flight() -> None:
 
 
 def test_a_scripted_change_in_flight() -> None:
-    """Links that change at an instant treat what is sent from then on otherwise, for all alike."""
+    """A scripted link change applies to all messages sent from its instant on, for all processes."""
     messages = flight("links.change=[{at_s=0.5,delay_s=0.15},{at_s=1.0,delay_s=0.0}]")
     for agent in (1, 2, 3, 4):
         ages = [report.plan_ages[0] for report in reports(messages, agent)]
@@ -176,15 +176,15 @@ def test_a_scripted_change_in_flight() -> None:
 
 
 def said(messages: Sequence[Message]) -> dict[tuple[str, int, int], bytes]:
-    """What everybody said, by sender, incarnation and number, but for wall-clock times."""
+    """Return the encoded messages by sender, incarnation and sequence number, without wall-clock times."""
     return {(m.sender, m.incarnation, m.sequence): encode(reproducible(m)) for m in messages}
 
 
 ALL_AT_ONCE = [
     (HEAVY,),
     (HEAVY, NEXT_TICK),
-    (HEAVY, ROUNDS),
-    (HEAVY, ROUNDS, NEXT_TICK, *FAULTS),
+    (HEAVY, ITERATIONS),
+    (HEAVY, ITERATIONS, NEXT_TICK, *FAULTS),
     (HEAVY, *FAULTS),
     FAULTS,
 ]
@@ -194,7 +194,7 @@ ALL_AT_ONCE = [
     "settings", ALL_AT_ONCE, ids=["plain", "next-tick", "negotiation_iterations", "all", "faults", "only-faults"]
 )
 def test_order_of_delivery_does_not_matter(settings: tuple[str, ...]) -> None:
-    """Whatever links and faults do, everybody says the same bit for bit however the connections race each other."""
+    """With any links and faults, the order of arrival does not change a bit of any process's messages."""
     in_order = flight(*settings)
     for seed in range(2):
         run = setup(SHORT, *RESILIENT, *settings)
@@ -204,7 +204,7 @@ def test_order_of_delivery_does_not_matter(settings: tuple[str, ...]) -> None:
 
 
 class ChangesLinks(CoordinatorNode):
-    """A coordinator whom somebody asks for another change of links in each of some ticks."""
+    """A coordinator that receives a request for a link change in every fifth tick."""
 
     def _open(self, now_ns: int) -> list[Message]:
         opened = super()._open(now_ns)
@@ -216,7 +216,7 @@ class ChangesLinks(CoordinatorNode):
 
 @pytest.mark.parametrize("settings", [(), (NEXT_TICK, *FAULTS)], ids=["plain", "faults"])
 def test_a_change_by_hand_is_known_in_time(settings: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
-    """However its messages race each other, a change of links holds for everybody from the same tick on."""
+    """A requested link change takes effect at the same tick in all processes, in any order of arrival."""
     monkeypatch.setattr(memory, "CoordinatorNode", ChangesLinks)
     run = setup(SHORT, *RESILIENT, *settings)
     in_order = recorded(run)
@@ -228,7 +228,7 @@ def test_a_change_by_hand_is_known_in_time(settings: tuple[str, ...], monkeypatc
 
 
 def test_two_flights_are_equal() -> None:
-    """Two flights with everything at once send the same bytes in the same order, but for wall-clock times."""
+    """Two runs with all faults at once send the same bytes in the same order, except wall-clock times."""
     settings = ALL_AT_ONCE[3]
     again = recorded(setup(SHORT, *RESILIENT, *settings))
     assert [encode(reproducible(m)) for m in again] == [encode(reproducible(m)) for m in flight(*settings)]

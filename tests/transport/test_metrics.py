@@ -10,7 +10,7 @@ from model import state
 from model.arrays import Array
 from protocol.wire.messages import Control, Message, Outcome, Plan, Reason, Rejected, StepReport
 from tests.support import runs
-from tests.support.logs import ALONE, log_of, plan, plant_state, report
+from tests.support.logs import SINGLE_UAV, log_of, plan, plant_state, report
 from transport.analysis.metrics import rest_of_tick_ms, summarise
 from transport.analysis.series import series_of
 from transport.analysis.steps import steps_columns, steps_rows
@@ -114,8 +114,8 @@ def test_separation_is_the_closest_pair() -> None:
     """The UAVs of Table I hover 0.5 m apart; a single UAV has no separation."""
     run = runs.setup(HOVER)
     assert summarise(run, log_of([plant_state(run, 0)]))["separation_min_m"] == pytest.approx(0.5, rel=ROUNDING)
-    alone = runs.setup(HOVER, *ALONE)
-    assert summarise(alone, log_of([plant_state(alone, 0)]))["separation_min_m"] is None
+    single = runs.setup(HOVER, *SINGLE_UAV)
+    assert summarise(single, log_of([plant_state(single, 0)]))["separation_min_m"] is None
 
 
 def test_violations_are_shares_of_the_range() -> None:
@@ -368,5 +368,5 @@ def test_one_row_for_each_agent_and_tick() -> None:
 
 def test_a_log_of_another_team_has_no_flight() -> None:
     """Plant states of another number of UAVs than the scenario's are left out."""
-    run, alone = runs.setup(HOVER), runs.setup(HOVER, *ALONE)
-    assert summarise(run, log_of([plant_state(alone, 0)]))["ticks"] == 0
+    run, single = runs.setup(HOVER), runs.setup(HOVER, *SINGLE_UAV)
+    assert summarise(run, log_of([plant_state(single, 0)]))["ticks"] == 0

@@ -1,4 +1,4 @@
-"""Several rounds within a tick: they bring the team towards the centralized optimum; only the last plan is flown."""
+"""Several negotiation iterations within a tick approach the centralized optimum; the plant uses only the last plan."""
 
 from functools import lru_cache
 
@@ -10,7 +10,7 @@ from tests.support.logs import log_of
 from tests.support.runs import plant_states, recorded, setup
 from transport.analysis.metrics import summarise
 
-# Sideways and up along a smooth path: the UAVs' interests differ, no limit is reached.
+# Sideways and up along a smooth path: the UAVs' objectives differ, no limit is reached.
 MOVE = (
     "maneuver.phase=[{name='hover',duration_s=0.5,displacement_m=[0,0,0]},"
     "{name='move',duration_s=1.0,displacement_m=[0.3,0,-0.5]}]",
@@ -25,26 +25,26 @@ SAME_OPTIMUM = 1e-6
 
 @lru_cache
 def flight(*settings: str) -> tuple[Message, ...]:
-    """Every message of a flight of that maneuver."""
+    """Return all messages of a run of that maneuver."""
     return tuple(recorded(setup(*MOVE, *settings)))
 
 
 def cost(*settings: str) -> float:
-    """Mean cost of a tick."""
+    """Return the mean cost of a tick."""
     found = summarise(setup(*MOVE, *settings), log_of(flight(*settings)))["cost"]["mean"]
     assert isinstance(found, float)
     return found
 
 
 def plans(*settings: str) -> dict[tuple[int, int, int], Plan]:
-    """All plans by tick, agent and exchanges to come."""
+    """Return all plans by tick, agent and number of remaining exchanges."""
     return {(m.tick, m.agent, m.negotiation): m for m in flight(*settings) if isinstance(m, Plan)}
 
 
-def test_rounds_approach_the_centralized_optimum() -> None:
-    """As in the paper, with more rounds the cost comes down to that of one agent that owns all UAVs.
+def test_iterations_approach_the_centralized_optimum() -> None:
+    """With more iterations the cost approaches that of a single agent that owns all UAVs, as in the paper.
 
-    Of what distributed control costs more, measured: 36 % are left with two rounds, 5 % with five.
+    Measured excess cost relative to one iteration: 36 % with two iterations, 5 % with five.
     """
     centralized = cost(ALL)
     excess = {
@@ -56,8 +56,8 @@ def test_rounds_approach_the_centralized_optimum() -> None:
     assert 0.0 < excess[5] < 0.1 * excess[1]
 
 
-def test_rounds_mean_nothing_to_one_agent() -> None:
-    """Who owns all UAVs has nobody to exchange plans with: its second plan of a tick is its first."""
+def test_iterations_have_no_effect_with_one_agent() -> None:
+    """An agent that owns all UAVs has no partner for exchange: its second plan of a tick equals its first."""
     found = plans(ALL, "controller.negotiation_iterations=2")
     assert len(found) == 2 * TICKS
     for k in range(TICKS):
@@ -65,15 +65,15 @@ def test_rounds_mean_nothing_to_one_agent() -> None:
 
 
 def test_every_exchange_is_a_plan_of_its_own() -> None:
-    """Each agent sends as many plans per tick as there are rounds, counting down; there is one report of them."""
+    """Each agent sends one plan per iteration, with a decreasing counter, and one report per tick."""
     found = plans("controller.negotiation_iterations=3")
     assert set(found) == {(k, agent, left) for k in range(TICKS) for agent in (1, 2, 3, 4) for left in (2, 1, 0)}
     reports = [(m.tick, m.agent) for m in flight("controller.negotiation_iterations=3") if isinstance(m, StepReport)]
     assert sorted(reports) == [(k, agent) for k in range(TICKS) for agent in (1, 2, 3, 4)]
 
 
-def test_only_the_last_plan_is_flown() -> None:
-    """The plant plays the plan a tick ends with; those before it, which differ, are for the others alone."""
+def test_the_plant_uses_only_the_last_plan() -> None:
+    """The plant applies the last plan of a tick; earlier plans, which differ, are only for the other agents."""
     found = plans("controller.negotiation_iterations=2")
     differ = 0
     for plant_state in plant_states(flight("controller.negotiation_iterations=2")):
@@ -85,15 +85,15 @@ def test_only_the_last_plan_is_flown() -> None:
     assert differ > 3 * TICKS
 
 
-def test_the_first_round_is_the_flight_without_rounds() -> None:
-    """Up to the first exchange nothing is different: the first plans of the first tick are those of one round."""
+def test_the_first_iteration_equals_a_run_with_one() -> None:
+    """Before the first exchange the plans of the first tick equal those of a run with one iteration."""
     once, twice = plans(), plans("controller.negotiation_iterations=2")
     for agent in (1, 2, 3, 4):
         np.testing.assert_array_equal(once[0, agent, 0].inputs, twice[0, agent, 1].inputs)
 
 
 def test_delayed_links_do_not_negotiate() -> None:
-    """Over links with any delay no plan arrives within its tick: a further round has nothing new to go by."""
+    """Over links with any delay no plan arrives within its tick: a further iteration has no new information."""
     found = plans("controller.negotiation_iterations=2", "links.delay_s=0.001")
     for k in range(TICKS):
         for agent in (1, 2, 3, 4):
@@ -102,7 +102,7 @@ def test_delayed_links_do_not_negotiate() -> None:
 
 
 def test_lost_proposals() -> None:
-    """Each plan within a tick has a fate of its own; whoever misses one keeps what it knew, and nobody waits."""
+    """Each plan within a tick is lost or delivered separately; an agent without it keeps the older one and does not wait."""
     lossy = ("controller.negotiation_iterations=2", "links.override=[{to='agent1',loss=1.0}]")
     found, perfect = plans(*lossy), plans("controller.negotiation_iterations=2")
     np.testing.assert_allclose(found[0, 1, 0].inputs, found[0, 1, 1].inputs, rtol=0.0, atol=SAME_OPTIMUM)

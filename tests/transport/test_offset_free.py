@@ -35,7 +35,7 @@ DRAG_N = 0.4 * np.array([5.0, 2.0])
 
 
 class Flown:
-    """What a flight of `resilient` did."""
+    """Results of a run of `resilient`."""
 
     def __init__(self, *settings: str) -> None:
         path = SCENARIOS / "resilient.toml"
@@ -63,12 +63,12 @@ class Flown:
 
 @lru_cache
 def flown(*settings: str) -> Flown:
-    """A flight, flown once."""
+    """Return the results of a run, simulated once."""
     return Flown(*settings)
 
 
 def mean(values: Array) -> Array:
-    """Over the last swing."""
+    """Return the mean over the last swing."""
     return np.asarray(values[-TAIL:].mean(axis=0))
 
 

@@ -93,7 +93,7 @@ def record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Record:
 
 
 def flight(ticks: int) -> list[Message]:
-    """What the coordinator and the plant say in a flight of some ticks that ends well."""
+    """Return the messages of coordinator and plant in a completed run of some ticks."""
     said: list[Message] = [runs.roster()]
     for k in range(ticks):
         said += [replace(runs.tick(k), sequence=k + 1), runs.plant_state(RUN, k)]
@@ -101,12 +101,12 @@ def flight(ticks: int) -> list[Message]:
 
 
 def changed(message: Message, **changes: Any) -> Message:
-    """A message that was never sent, with a number of its own."""
+    """Return a changed message with its own sequence number."""
     return replace(message, **{"sequence": 10**6, **changes})
 
 
-def test_who_was_only_out_of_reach(record: Record) -> None:
-    """After a standstill that connections do not outlive the processes are there again, and the record goes on."""
+def test_processes_that_were_unreachable_return(record: Record) -> None:
+    """Recording goes on when all processes reconnect after a pause that closed their connections."""
     said = flight(6)
     gone, back = ([Presence(name, 0, alive=alive) for name in PROCESSES] for alive in (False, True))
     found = record(*said[:5], *gone, *back, None, *said[5:])
@@ -124,7 +124,7 @@ def test_nothing_to_say(record: Record) -> None:
 
 
 def test_a_pause_is_used_to_write(record: Record, tmp_path: Path) -> None:
-    """When nothing has come for a while, what came is in the file for who watches, and recording goes on."""
+    """After a pause without messages all earlier ones are in the file for readers, and recording goes on."""
     said, seen = flight(5), []
 
     def look() -> None:
@@ -136,7 +136,7 @@ def test_a_pause_is_used_to_write(record: Record, tmp_path: Path) -> None:
 
 
 def test_a_note_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is done to a process after the log has failed ends nothing at once: why recording ended is said."""
+    """A fault note after a failure of the log raises no error; the recorder keeps the reason of the failure."""
     monkeypatch.setattr(recorder_module, "Bus", ScriptedBus)
     writer = LogWriter(tmp_path / "run.mcap", HEADER, period_ns=RUN.period_ns)
     recorder = Recorder(RUN, KEYS.run, writer, Endpoints(listen=[], connect=[]), 1.0)
@@ -148,7 +148,7 @@ def test_a_note_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 def test_refusals_are_on_record(record: Record) -> None:
-    """What the recorder itself refuses is in the log, and nothing else of it."""
+    """The recorder logs its own rejections, but not the refused messages."""
     said = flight(30)
     wrong = [
         (f"{KEYS.prefix}/plan/2", b"nonsense"),
@@ -172,7 +172,7 @@ def test_refusals_are_on_record(record: Record) -> None:
 
 
 def test_the_end_is_believed_when_it_comes(record: Record) -> None:
-    """An end that overtakes the last ticks is the end all the same."""
+    """An end message that overtakes the last ticks ends the recording."""
     said = flight(12)
     messages = record(*said[:15], said[-1])
     assert encode(messages[-1]) == encode(said[-1])

@@ -13,7 +13,7 @@ from rich.console import Console
 
 from protocol.wire.messages import Message, Reason
 from tests.support import runs
-from tests.support.logs import ALONE, flown
+from tests.support.logs import SINGLE_UAV, record_run
 from transport.analysis.steps import WALL_CLOCK
 from transport.log.run_log import LogError
 from transport.report.report import summary_table, write_report
@@ -44,7 +44,7 @@ def printed(summary: dict[str, Any]) -> str:
 def flight(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Message]]:
     """Return a run folder of the shortened `paper` scenario and the messages in its log."""
     folder = tmp_path_factory.mktemp("run")
-    return folder, flown(runs.setup(runs.SHORT), folder)
+    return folder, record_run(runs.setup(runs.SHORT), folder)
 
 
 def test_the_schema_is_complete() -> None:
@@ -81,7 +81,7 @@ def test_a_run_is_summarised(flight: tuple[Path, list[Message]]) -> None:
 @pytest.mark.parametrize(
     ("settings", "outcome"),
     [
-        ((runs.SHORT, *ALONE), "completed"),
+        ((runs.SHORT, *SINGLE_UAV), "completed"),
         ((runs.SHORT, "agents.owned=[[1,2,3,4]]"), "completed"),
         ((runs.SHORT, "plant.max_error_m=0.05", "clock.actuation=next_tick"), "diverged"),
     ],
@@ -90,7 +90,7 @@ def test_a_run_is_summarised(flight: tuple[Path, list[Message]]) -> None:
 def test_other_runs_keep_the_schema(tmp_path: Path, settings: tuple[str, ...], outcome: str) -> None:
     """One UAV, one agent for all, and a run that ends early have summaries of the same schema."""
     run = runs.setup(*settings)
-    flown(run, tmp_path)
+    record_run(run, tmp_path)
     summary = checked(tmp_path)
     assert summary["outcome"] == outcome
     assert (summary["separation_min_m"] is None) == (run.system.N == 1)
@@ -116,7 +116,7 @@ def test_equal_runs_have_equal_tables(tmp_path: Path) -> None:
     run = runs.setup(runs.SHORT)
     tables = []
     for folder in (tmp_path / "a", tmp_path / "b"):
-        flown(run, folder)
+        record_run(run, folder)
         write_report(folder, figures=False)
         with (folder / "steps.csv").open(encoding="utf-8", newline="") as stream:
             tables.append(list(csv.DictReader(stream)))

@@ -24,7 +24,7 @@ EVERYTHING = (
 @pytest.mark.parametrize("settings", [(), EVERYTHING])
 @pytest.mark.parametrize("ready", ["paper", "centralized", "resilient"])
 def test_text_reads_back(ready: str, settings: tuple[str, ...], tmp_path: Path) -> None:
-    """What is written reads back as an equal scenario with the same keys given."""
+    """Written text reads back as an equal scenario with the same explicit keys."""
     scenario = read_scenario(SCENARIOS / f"{ready}.toml", settings)
     path = tmp_path / "scenario.toml"
     path.write_text(scenario_text(given(scenario), ["by a test"]), encoding="utf-8")

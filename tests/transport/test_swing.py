@@ -13,7 +13,7 @@ from protocol.scenario.file import find_scenario, read_scenario
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import PlantState
 from tests.support import runs
-from tests.support.logs import ALONE, log_of, plant_state
+from tests.support.logs import SINGLE_UAV, log_of, plant_state
 from transport.analysis.metrics import summarise
 from transport.analysis.series import series_of
 from transport.analysis.swing import AT_REST_M, Swing, swing_of
@@ -151,7 +151,7 @@ def test_holds_in_a_row_are_one() -> None:
 @pytest.mark.parametrize("phase", PHASES)
 def test_windows_are_as_long_as_the_rods_need(phase: float) -> None:
     """On a rod of 6 m half a period is 2.46 s: the windows cover it, so that no phase looks like a decay."""
-    run = runs.setup(HOLD, ALONE[0].replace("3.2", "6.0"), *ALONE[1:])
+    run = runs.setup(HOLD, SINGLE_UAV[0].replace("3.2", "6.0"), *SINGLE_UAV[1:])
     assert swinging(run, phase=phase, omega=math.sqrt(9.81 / 6.0)).decays is False
 
 
