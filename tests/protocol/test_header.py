@@ -35,7 +35,7 @@ def test_header_equals_the_fields_of_the_message(kind: type) -> None:
 
 
 def test_invalid_headers_are_refused() -> None:
-    """Empty data, another version and invalid msgpack are refused; data that need more than the header are not judged."""
+    """Empty data, another version and invalid msgpack are refused; data beyond the header are not judged."""
     for data, reason in (
         (b"", "malformed"),
         (b"\xffabc", "wrong_version"),

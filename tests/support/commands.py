@@ -93,7 +93,7 @@ def is_flying(folder: Path, names: Sequence[str]) -> Callable[[], bool]:
 
 
 def free_base() -> int:
-    """Return a base port with free ports for a run above it; simultaneous test runs start their search at different ports."""
+    """Return a base port with free ports for a run above it; simultaneous test runs start at different ports."""
     bases = range(20_000, 30_000, 16)
     first = os.getpid() % len(bases)
     candidates: list[int] = [*bases[first:], *bases[:first]]

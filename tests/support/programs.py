@@ -11,7 +11,7 @@ from tests.support.systems import paper_setup, situations, team
 
 
 def random_qp(seed: int) -> QP:
-    """Return a strictly convex, feasible program with one-sided and missing bounds, and ranges and equalities as rows."""
+    """Return a strictly convex, feasible program with one-sided and missing bounds, ranges and equalities."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(1, 16))
     r = int(rng.integers(0, 2 * n))
@@ -54,7 +54,7 @@ def without_solution() -> dict[str, QP]:
 
 @lru_cache
 def collected(minimum_m: float) -> list[QP]:
-    """Return programs of a short climb of the paper's system, centralized and distributed, with every kind of constraint.
+    """Return programs of a short climb of the paper's system, centralized and distributed, with all constraints.
 
     The UAVs start 0.5 m apart, so a larger minimum distance needs its slack from the first step on.
     """

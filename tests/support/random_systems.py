@@ -37,7 +37,7 @@ def random_system(rng: np.random.Generator, N: int, gravity: float = GRAVITY) ->
 
 
 def random_state(rng: np.random.Generator, N: int, rate: float = 2.0) -> Array:
-    """Return a state far from hover, with velocities around `rate` (m/s, rad/s) that satisfy e . Omega = 0, (12 + 12 N,)."""
+    """Return a state far from hover with velocities around `rate` (m/s, rad/s) and e . Omega = 0, (12 + 12 N,)."""
     x = np.zeros(12 + 12 * N)
     x[state.R0] = rng.normal(0.0, 5.0, 3)
     x[state.V0] = rng.normal(0.0, rate, 3)

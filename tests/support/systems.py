@@ -95,7 +95,7 @@ def disturbed(setup: Setup, rng: np.random.Generator, size: float) -> Array:
 
 
 def situation(setup: Setup, settings: ControllerSettings, seed: int, size: float = 0.05) -> Situation:
-    """Return a step away from equilibrium: state, current inputs, announced plans and reference are disturbed differently."""
+    """Return a step away from equilibrium: state, inputs, announced plans and reference are disturbed differently."""
     rng = np.random.default_rng(seed)
     steps, u_hover = settings.horizon, setup.hover.u
     half = (settings.limits.upper(setup.system.N) - settings.limits.lower(setup.system.N)) / 2.0

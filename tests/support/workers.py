@@ -10,8 +10,8 @@ from xdist.scheduler import LoadFileScheduling
 # Folder of the test files for the first worker.
 SYSTEM = "tests/system/"
 
-# Runs before all other tests: it mostly waits for two minutes, which leaves processor time for the style and type checks
-# beside the tests. When these end, it misses fewer deadlines, which cannot fail it.
+# Runs before all other tests: it mostly waits for two minutes, which leaves processor time for the style and type
+# checks beside the tests. After these it misses fewer deadlines, which cannot fail the test.
 FIRST = "tests/system/test_soak.py"
 
 

@@ -137,7 +137,7 @@ def test_a_stranger_is_counted(network: tuple[Plant, zenoh.Session]) -> None:
 
 
 def test_messages_of_announced_processes_are_accepted(network: tuple[Plant, zenoh.Session]) -> None:
-    """A message is accepted once its sender's token of the same scenario has arrived, also if the message came first."""
+    """A message is accepted once its sender's token of the same scenario has arrived, even after the message."""
     plant, session = network
     block = zenoh.CongestionControl.BLOCK
     session.put(f"{KEYS.prefix}/tick", encode(runs.tick(0)), congestion_control=block)

@@ -59,7 +59,7 @@ def test_a_foreign_agent_takes_part(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_foreign_agent_flies_the_maneuver(tmp_path: Path) -> None:
-    """In the paper's 25 s the agent knows only the others' plans: the payload stays level and the UAVs keep their distance."""
+    """In the paper's 25 s the agent knows only the others' plans; payload attitude and separation stay in bounds."""
     summary = simulate(tmp_path)
     assert summary["ticks"] == 500
     assert summary["attitude_max_deg"] < 5.0

@@ -64,7 +64,7 @@ def belonging_to(folder: Path) -> list[int]:
 
 @pytest.mark.slow
 def test_cables(tmp_path: Path) -> None:
-    """A run is completed and recorded despite a second without cable; without coordinator all processes end with a whole log."""
+    """A run survives and records a second without cable; without coordinator all processes end with a whole log."""
     # Both labs at once: the second one mostly waits for a connection timeout.
     with lab(tmp_path / "b", "coordinator:2", duration_s=30.0) as second:
         with lab(tmp_path / "a", "agent2:8:1", duration_s=12.0) as first:

@@ -109,7 +109,7 @@ def test_bytes_are_those_of_the_protocol(uavs: int, ownership: str, owned: int) 
 
 
 def test_computation_is_summed_over_the_team() -> None:
-    """Times are median and tail over all steps, the sum over a tick's steps, and the duration from the first tick on."""
+    """Times are median and tail over all steps, sums over a tick's steps, and the duration from the first tick."""
     setup, messages = simulated(3, "distributed")
     # Agent i takes i ms to solve and in total; agent 3 takes a second for its last tick.
     slow_ms, per_message_ns = 1_000.0, 1_000_000

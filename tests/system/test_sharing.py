@@ -43,7 +43,7 @@ def of(kind: type[Message], messages: Sequence[Message]) -> list[bytes]:
 
 
 def test_unshared_plans_reach_no_other_agent(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An agent receives only the others' shared plans; plant and coordinator receive all; ticks name the shared ones."""
+    """An agent receives only the others' shared plans, plant and coordinator all; ticks name the shared ones."""
     heard: dict[str, set[tuple[int, int, bool]]] = {}
     deliver = memory.InMemoryRun._deliver
 

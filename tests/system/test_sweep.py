@@ -120,7 +120,7 @@ def test_processes_give_the_same(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("number", "jobs"), [(signal.SIGINT, "2"), (signal.SIGTERM, "1")])
 def test_an_interrupted_experiment_leaves_nothing_running(number: signal.Signals, jobs: str, tmp_path: Path) -> None:
-    """Ctrl-C, which a terminal sends to all processes, and SIGTERM give exit code 130, keep results and leave no process."""
+    """Ctrl-C, sent to all processes, and SIGTERM give exit code 130, keep results and leave no process."""
     process = start(*LONG, "--jobs", jobs, "--out", "out", cwd=tmp_path)
     assert wait_for(lambda: kept(tmp_path / "out") >= 1)
     if number == signal.SIGINT:

@@ -11,7 +11,7 @@ from protocol.scenario.file import read_scenario
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Control, FaultNote, Message, Plan, Roster, Tick
 from tests.support.commands import PATIENCE_S, SHORT, processes_of, settings, start, transport
-from tests.support.troubles import FAULTS, HEAVY, NEXT_TICK, ITERATIONS
+from tests.support.troubles import FAULTS, HEAVY, ITERATIONS, NEXT_TICK
 from transport.flight.memory import simulate
 from transport.log.run_log import LogWriter, RunLog, read_log
 from transport.report.report import write_report

@@ -92,7 +92,7 @@ def test_four_fly_on_without_the_released_one(template: str) -> None:
 
 @pytest.mark.parametrize("changes", [LATE, ("clock.actuation=next_tick",), ("agents.owned=[[1,2],[3,4]]",)])
 def test_on_a_bad_network_too(changes: Sequence[str]) -> None:
-    """Three UAVs also complete with 200 ms delay and 30 % loss, with next-tick actuation, or with two UAVs per agent."""
+    """Three UAVs also complete with 200 ms delay and 30 % loss, next-tick actuation, or two UAVs per agent."""
     flight = flown(4, "resilient", RELEASED, *changes)
     assert flight.control.outcome == "completed"
     assert flight.attitude_deg < 3.0  # measured: 0.4 to 1.7
@@ -115,7 +115,7 @@ def test_four_do_not_fly_with_the_dead_one_on_its_rod() -> None:
 
 @pytest.mark.parametrize(("after_s", "limit_deg"), [(0.05, 4.0), (0.25, 12.0)])
 def test_a_late_release_of_the_dead_one(after_s: float, limit_deg: float) -> None:
-    """The team survives some periods with the failed UAV on its rod; the payload tilts by 2.3 and 8.8 deg (measured)."""
+    """The team survives some periods with the failed UAV on its rod; measured tilts are 2.3 and 8.8 deg."""
     flight = flown(4, "resilient", failures((0.0, "motor_off"), (after_s, "release")))
     assert flight.control.outcome == "completed"
     assert 1.0 < flight.attitude_deg < limit_deg

@@ -285,7 +285,7 @@ def bits(messages: Iterable[Message]) -> Iterator[tuple[int, str, bytes]]:
 
 
 def test_the_command_listens_here_alone_until_ctrl_c(recorded: Path) -> None:
-    """The command prints one address of this host; the next viewer takes the next port; Ctrl-C ends it without an error."""
+    """The command prints a loopback address; the next viewer takes the next port; Ctrl-C ends it without an error."""
     process = start("view", recorded, "--port", "0", cwd=recorded)
     try:
         assert process.stdout is not None

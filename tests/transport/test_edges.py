@@ -34,7 +34,7 @@ def phase(duration_s: float, x: float, z: float = 0.0) -> str:
 
 
 def test_one_uav() -> None:
-    """N = 1 runs with open-loop prediction; no control law can turn a payload about its only rod, so closed-loop prediction is refused."""
+    """N = 1 runs with open-loop prediction only: no control law can turn a payload about its single rod."""
     assert flown("paper", SHORT, *SINGLE_UAV).outcome == "completed"
     text = refusal("resilient", SHORT, *SINGLE_UAV)
     assert "controller.prediction: expected a team that a linear law can stabilise about hover, got a Riccati" in text
@@ -108,7 +108,7 @@ def test_ready_maneuvers_raise_no_doubt() -> None:
     """Ready scenarios give no warning; a segment does exactly if its time is below the bound."""
     for path in SCENARIOS.glob("*.toml"):
         assert Setup.of(read_scenario(path), path.name).doubts() == []
-    # Upwards 45 N on 2.25 kg per UAV give 20 m/s^2, less gravity 10.19 m/s^2; two halves of 20 m take 2 sqrt(20 / 10.19).
+    # Upwards 45 N on 2.25 kg per UAV give 20 m/s^2, less gravity 10.19; both halves of 20 m take 2 sqrt(20 / 10.19) s.
     doubts = [Setup.of(read_scenario(PAPER, [phase(t, 0.0, -20.0)]), PAPER.name).doubts() for t in (2.79, 2.81)]
     assert doubts == [["phase 'dash': 20 m in 2.79 s; from rest to rest all thrust takes 2.8 s"], []]
 

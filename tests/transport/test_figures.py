@@ -11,7 +11,7 @@ import pytest
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Message
 from tests.support import runs
-from tests.support.logs import SINGLE_UAV, record_run, log_of, plant_state
+from tests.support.logs import SINGLE_UAV, log_of, plant_state, record_run
 from transport.log.run_log import RunLog, read_log
 from transport.report.figures import draw
 from transport.report.report import write_report

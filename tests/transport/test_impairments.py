@@ -13,7 +13,7 @@ from protocol.wire.codec import encode
 from protocol.wire.messages import LinkChange, Measurement, Message, Plan, Request, StepReport, agent_name
 from tests.support.runs import SHORT, plant_states, recorded, reproducible, setup
 from tests.support.shuffled import fly_shuffled
-from tests.support.troubles import FAULTS, HEAVY, NEXT_TICK, RESILIENT, ITERATIONS
+from tests.support.troubles import FAULTS, HEAVY, ITERATIONS, NEXT_TICK, RESILIENT
 from transport.flight import memory
 
 PERIOD_S, TICKS = 0.05, 30

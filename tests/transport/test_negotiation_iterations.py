@@ -102,7 +102,7 @@ def test_delayed_links_do_not_negotiate() -> None:
 
 
 def test_lost_proposals() -> None:
-    """Each plan within a tick is lost or delivered separately; an agent without it keeps the older one and does not wait."""
+    """Plans within a tick are lost separately; an agent without one keeps the older one and does not wait."""
     lossy = ("controller.negotiation_iterations=2", "links.override=[{to='agent1',loss=1.0}]")
     found, perfect = plans(*lossy), plans("controller.negotiation_iterations=2")
     np.testing.assert_allclose(found[0, 1, 0].inputs, found[0, 1, 1].inputs, rtol=0.0, atol=SAME_OPTIMUM)
