@@ -1,7 +1,7 @@
-"""Two pytest workers share the tests: one runs those that start processes or open sockets, the other one the rest.
+"""Scheduling of the pytest workers: one runs the tests that start processes or open sockets, the others the rest.
 
-Tests of the first kind use both processors, ports, and names of runs that the whole machine sees, and wait for much of
-their time: two of them at once would disturb each other. The rest compute in one process.
+Tests of the first kind use ports and deadlines and wait for much of their time: two of them at once would disturb each
+other. The rest compute in one process.
 """
 
 import pytest
@@ -10,8 +10,7 @@ from xdist.scheduler import LoadFileScheduling
 # Folder of the test files for the first worker.
 SYSTEM = "tests/system/"
 
-# Begins before all others: its two minutes are mostly waiting, which leaves room for style and types beside the tests,
-# and its deadlines are missed less often, not more often, when they are done.
+# First of all tests: its two minutes are mostly waiting, which leaves room for style and types beside the tests.
 FIRST = "tests/system/test_soak.py"
 
 
