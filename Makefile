@@ -4,21 +4,26 @@ VENV := .venv
 BIN := $(VENV)/bin
 SCENARIO ?= paper
 
-.PHONY: run test bench figures lint format lock audit licences clean help
+.PHONY: run test test-slow test-all bench figures lint format lock audit licences clean help
 
 help: ## show this
-	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1 \t/'
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1 \t/'
 
-run: $(VENV)/.installed ## set up and fly the paper's maneuver (SCENARIO=name for another)
+run: $(VENV)/.installed ## set up and run the paper's maneuver (SCENARIO=name for another)
 	@$(BIN)/transport run $(SCENARIO)
 
-test: $(VENV)/.installed-test ## set up and run all tests, on two processors
-	@$(BIN)/python -m pytest --numprocesses 2
+test: $(VENV)/.installed-test ## set up and run the tests, without the slow ones (4 minutes on two processors)
+	@$(BIN)/python -m pytest --numprocesses 3 -m "not slow"
 
-bench: $(VENV)/.installed-bench ## measure what computing, coding and flying take, and renew docs/performance.md (an hour)
+test-slow: $(VENV)/.installed-test ## run the slow tests: long runs, browsers, two minutes in real time
+	@$(BIN)/python -m pytest --numprocesses 3 -m slow
+
+test-all: test test-slow ## run all tests
+
+bench: $(VENV)/.installed-bench ## measure steps, solvers, messages and runs, and renew docs/performance.md (an hour)
 	@$(BIN)/python -m benchmarks
 
-figures: $(VENV)/.installed ## fly every experiment and renew figures and tables of README and docs (50 minutes)
+figures: $(VENV)/.installed ## run every experiment and renew figures and tables of README and docs (50 minutes)
 	@$(BIN)/python docs/scenario_page.py
 	@$(BIN)/python docs/guarantees_page.py
 	@$(BIN)/python docs/time_page.py
@@ -29,7 +34,7 @@ lint: $(VENV)/.installed-dev ## style and types, as continuous integration sees 
 	@$(BIN)/ruff format --check .
 	@$(BIN)/mypy
 
-format: $(VENV)/.installed-dev ## let ruff put the source in order
+format: $(VENV)/.installed-dev ## format the source
 	@$(BIN)/ruff check --fix .
 	@$(BIN)/ruff format .
 

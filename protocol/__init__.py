@@ -1,1 +1,1 @@
-"""What processes say to each other: messages, codec, key expressions, the scenario, and the bus that carries them."""
+"""Communication between the processes: messages, scenario, admission of messages, network."""

@@ -1,7 +1,7 @@
-"""Distribution of tests to two pytest workers: one runs tests that start processes or open sockets, one the others.
+"""Scheduling of the pytest workers: one runs the tests that start processes or open sockets, the others the rest.
 
-Tests of the first kind use both processors, ports, and run names that are visible on the whole machine: two of them at
-once would disturb each other, and they spend much of their time waiting. The other tests compute in one process.
+Tests of the first kind use ports and deadlines and spend much of their time waiting: two of them at once would disturb
+each other. The other tests compute in one process.
 """
 
 import pytest
@@ -10,8 +10,7 @@ from xdist.scheduler import LoadFileScheduling
 # Folder of the test files for the first worker.
 SYSTEM = "tests/system/"
 
-# Runs before all other tests: it mostly waits for two minutes, which leaves processor time for the style and type
-# checks beside the tests. After these it misses fewer deadlines, which cannot fail the test.
+# Runs before all other tests: it mostly waits for two minutes, which leaves processor time for style and type checks.
 FIRST = "tests/system/test_soak.py"
 
 
