@@ -36,6 +36,7 @@ def asked() -> list[QP]:
     return [qp for settings in ((), TIGHT) for qp in programs(setup("paper", QUICK.climb, *settings), QUICK.programs)]
 
 
+@pytest.mark.slow
 def test_the_naive_step_makes_the_same_plans() -> None:
     """The naive step forms the controller's program: equal plans to 1e-9, and with Clarabel to its own error."""
     assert len(met()) == QUICK.programs
@@ -77,6 +78,7 @@ def test_aims_have_their_rows() -> None:
     assert min(numbers(table, "median, ms")) > 0.0
 
 
+@pytest.mark.slow
 def test_steps_have_their_rows() -> None:
     """The table has every team at every horizon, and the scenarios with four UAVs."""
     (table,) = step.measure(QUICK, silent)

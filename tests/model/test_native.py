@@ -107,6 +107,7 @@ def bits(built: dict[str, ca.Function], N: int) -> list[bytes]:
     return found
 
 
+@pytest.mark.slow
 @needs_compiler
 @pytest.mark.parametrize("N", [1, 2])
 def test_compiled_functions_give_the_same_bits(N: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

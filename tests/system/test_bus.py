@@ -150,6 +150,7 @@ def test_messages_of_announced_processes_are_accepted(network: tuple[Plant, zeno
     assert plant.bus.next(PATIENCE_S) == Presence("coordinator", 0, alive=False)
 
 
+@pytest.mark.slow
 def test_a_flood_delays_no_timeout(network: tuple[Plant, zenoh.Session]) -> None:
     """An endless flood of bad messages does not delay the end of a wait for events."""
     plant, session = network

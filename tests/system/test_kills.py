@@ -84,6 +84,7 @@ def test_a_killed_harness_leaves_no_orphans(tmp_path: Path) -> None:
     assert summary["log_cut"]
 
 
+@pytest.mark.slow
 def test_a_frozen_agent_is_noticed_by_the_barrier(tmp_path: Path) -> None:
     """SIGSTOP keeps the token alive; the barrier timeout names the agent and the run ends, with no process left."""
     process = take_off(tmp_path, "frozen")

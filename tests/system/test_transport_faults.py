@@ -144,12 +144,14 @@ def test_a_run_needs_plant_and_coordinator(victim: str, tmp_path: Path) -> None:
     assert sum(isinstance(message, Control) for message in found) == 1
 
 
+@pytest.mark.slow
 def test_a_frozen_plant(tmp_path: Path) -> None:
     """A plant stopped for good is noticed by the barrier, as no agent can answer without it."""
     summary = aborted(tmp_path, "plant", "stop")
     assert summary["reason"] == "no agent answered tick 10 in time: is the plant alive?"
 
 
+@pytest.mark.slow
 def test_a_frozen_coordinator(tmp_path: Path) -> None:
     """The network gives up a coordinator that is stopped for good at the end of its lease of 10 s."""
     summary = aborted(tmp_path, "coordinator", "stop")

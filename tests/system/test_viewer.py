@@ -90,6 +90,7 @@ def window() -> Iterator[Browser]:
         yield opened
 
 
+@pytest.mark.slow
 @needs_browser
 def test_a_recorded_run_is_shown(recorded: Path, window: Browser) -> None:
     """The slider moves the payload, in the scene and in pixels; no console errors, no requests to other hosts."""
@@ -166,6 +167,7 @@ def live_run(folder: Path, *settings_: str) -> Iterator[str]:
     assert processes_of(folder.name) == {}
 
 
+@pytest.mark.slow
 @needs_browser
 @pytest.mark.parametrize("mode", ["lockstep", "realtime"])
 def test_frames_of_a_live_run_are_whole(tmp_path: Path, window: Browser, mode: str) -> None:
@@ -204,6 +206,7 @@ def rod_error_m(drawing: Drawing, attachments: Array) -> float:
     return float(np.linalg.norm(errors, axis=-1).max())
 
 
+@pytest.mark.slow
 @needs_browser
 def test_a_live_run_is_shown_and_changed(tmp_path: Path, window: Browser) -> None:
     """A slider delays every link of a live run, buttons kill and restart an agent, and the log holds the changes.

@@ -190,6 +190,7 @@ ALL_AT_ONCE = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "settings", ALL_AT_ONCE, ids=["plain", "next-tick", "negotiation_iterations", "all", "faults", "only-faults"]
 )
@@ -214,6 +215,7 @@ class ChangesLinks(CoordinatorNode):
         return [*opened, *self.receive(Request("link", {"settings": settings}, lambda _: None), now_ns)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("settings", [(), (NEXT_TICK, *FAULTS)], ids=["plain", "faults"])
 def test_a_change_by_hand_is_known_in_time(settings: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
     """A requested link change takes effect at the same tick in all processes, in any order of arrival."""

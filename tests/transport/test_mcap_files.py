@@ -94,6 +94,7 @@ def test_other_readers_seek_by_the_indexes() -> None:
     assert len(found) > 100
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow(tmp_path: Path) -> None:
     """A hundred thousand messages in ten thousand chunks take no more memory than ten thousand messages."""
     messages = cycle(list(islice(entries(), 1000)))

@@ -72,6 +72,7 @@ def mean(values: Array) -> Array:
     return np.asarray(values[-TAIL:].mean(axis=0))
 
 
+@pytest.mark.slow
 def test_a_heavier_payload_hangs_low() -> None:
     """Without the estimate 15 % more payload cost some centimetres of height."""
     flight = flown(CLIMB, HEAVY)
@@ -80,6 +81,7 @@ def test_a_heavier_payload_hangs_low() -> None:
     assert not flight.force_I.any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("links", [(), LATE], ids=["perfect", "late and lossy"])
 def test_a_heavier_payload_is_held(links: tuple[str, ...]) -> None:
     """With it the payload is where it should be, and every agent knows what pulls at it, however bad the network."""
@@ -89,6 +91,7 @@ def test_a_heavier_payload_is_held(links: tuple[str, ...]) -> None:
     assert np.abs(flight.force_I - [0.0, 0.0, EXCESS_N]).max() < 0.02 * EXCESS_N
 
 
+@pytest.mark.slow
 def test_wind_pushes_the_formation_away() -> None:
     """Without the estimate a wind blows the UAVs off their places, and tilts the payload."""
     flight = flown(CLIMB, WIND)
@@ -97,6 +100,7 @@ def test_wind_pushes_the_formation_away() -> None:
     assert np.abs(mean(flight.attitude_deg)).max() > 0.02
 
 
+@pytest.mark.slow
 def test_wind_is_held_against() -> None:
     """With it the UAVs are where they should be and the payload is level; it hangs downwind by the lean of its rods."""
     calm, windy = flown(CLIMB, WIND), flown(CLIMB, WIND, ESTIMATE)
@@ -110,12 +114,14 @@ def test_wind_is_held_against() -> None:
     assert with_it < without - 0.02
 
 
+@pytest.mark.slow
 def test_perfect_knowledge_costs_nothing() -> None:
     """Where the truth is what the controller knows there is nothing to estimate, on a perfect network."""
     assert flown(WAY, ESTIMATE).cost == pytest.approx(flown(WAY).cost, rel=0.01)
     assert np.abs(flown(WAY, ESTIMATE).force_I).max() < 1e-3
 
 
+@pytest.mark.slow
 def test_noise_of_late_plans_costs_little() -> None:
     """On a late and lossy one the estimate errs by what is not known of the others; it costs a few per cent."""
     assert flown(WAY, ESTIMATE, *LATE).cost == pytest.approx(flown(WAY, *LATE).cost, rel=0.05)

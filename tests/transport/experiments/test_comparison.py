@@ -244,6 +244,7 @@ def test_a_diverged_reference_takes_its_seed_away() -> None:
     assert curve.cost_range(PeriodRange(0.05, 0.05)) is None
 
 
+@pytest.mark.slow
 def test_the_whole_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """All files are written; resuming uses the measured times and refuses other settings."""
     out = tmp_path / "out"
