@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks import __main__ as command
-from benchmarks import aims, parts, solvers, step, structured
+from benchmarks import aims, parts, solvers, step
 from benchmarks.effort import FULL, QUICK, Effort
 from benchmarks.flights import Situation, programs, setup, situations
 from benchmarks.page import BenchmarkError, Table, check, write
@@ -54,16 +54,6 @@ def test_solvers_agree(solver: Solver) -> None:
     if solver.name in ACTIVE_SETS:
         assert outcome.from_daqp < solvers.SAME
     assert outcome.times.median > 0.0
-
-
-@pytest.mark.parametrize("name", ["paper", "centralized"])
-def test_both_ways_find_the_same_decision(name: str) -> None:
-    """Both solve the same problem: the condensed program and the recursion have one optimum."""
-    at = situations(setup(name, QUICK.climb), 1)[0]
-    for steps in (1, 2, 7):
-        one, other = structured.condensed(at, steps), structured.riccati(at, steps)
-        assert np.abs(one - other).max() < 1e-6 * max(1.0, np.abs(one).max())
-        assert np.abs(one).max() > 0.0
 
 
 def test_aims_have_their_rows() -> None:

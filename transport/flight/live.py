@@ -50,12 +50,6 @@ def read(folder: Path) -> LiveRun | None:
     return run
 
 
-def newest(parent: Path) -> LiveRun | None:
-    """Return the most recent active run below a folder."""
-    folder = newest_folder(parent)
-    return None if folder is None else read(folder)
-
-
 def newest_folder(parent: Path) -> Path | None:
     """Return the folder of the most recent active run below a folder."""
     folders = sorted(parent.glob(f"*/{_FILE}"), key=lambda path: path.stat().st_mtime, reverse=True)

@@ -1,7 +1,6 @@
 """Progress of a run on the console: simulated time, real-time factor, cost, attitude."""
 
 import time
-from types import TracebackType
 from typing import Self
 
 import numpy as np
@@ -35,9 +34,7 @@ class ConsoleProgress:
             self._bar.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._bar is not None:
             self._bar.stop()
 
