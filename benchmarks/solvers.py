@@ -82,7 +82,7 @@ def compare(compared: Sequence[Solver], qps: Sequence[QP], repetitions: int) -> 
     """Call all solvers in turns, program by program; return the outcomes by name."""
     outcomes = {solver.name: Outcome() for solver in compared}
     for qp in qps:
-        clarabel, daqp = solve_clarabel(qp).z, _daqp(qp)
+        clarabel, daqp = np.asarray(solve_clarabel(qp).z), np.asarray(_daqp(qp))
         tasks = {solver.name: partial(solver.solve, qp) for solver in compared}
         for name, times in in_turns(tasks, repetitions).items():
             outcome, z = outcomes[name], tasks[name]()

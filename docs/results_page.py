@@ -13,7 +13,7 @@ import sys
 from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 
-from results_sections import COMPARED_AT, HOVER_TITLE, SECTIONS, Columns, Row, Section, cost_range, number, periods
+from results_sections import HOVER_TITLE, SECTIONS, Columns, Row, Section, compared_at, cost_range, number, periods
 from tables import ROOT, commit, put, table
 
 RUNS, IMAGES = ROOT / "runs" / "figures", ROOT / "docs" / "images"
@@ -66,7 +66,8 @@ def section_of(name: str) -> Section:
 
 def listed(columns: Columns, rows: Iterable[Row]) -> str:
     """Return rows as a table in Markdown."""
-    return table(columns, ([cell(row) for cell in columns.values()] for row in rows))
+    cells = columns.values()
+    return table(columns, ([row[cell] if isinstance(cell, str) else cell(row) for cell in cells] for row in rows))
 
 
 def page(sections: Sequence[tuple[Section, list[str], str]]) -> str:
@@ -169,7 +170,7 @@ def claim() -> str:
         ]
         period = periods(found[weathers[0]])
         where = f" (T_s {period} ms)" if period != "none of the grid" else ""
-        lines.append(f"| at {COMPARED_AT[key]}{where} | {' | '.join(cells)} |")
+        lines.append(f"| at {compared_at(found[weathers[0]])}{where} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 

@@ -29,14 +29,7 @@ class HarnessError(RuntimeError):
 
 @dataclass(slots=True)
 class Child:
-    """One started process.
-
-    Attributes:
-        name: Process name.
-        process: Its handle.
-        log: File with its output.
-        incarnation: Number of this start.
-    """
+    """One started process: its name, handle, file with its output, and number of this start."""
 
     name: str
     process: Started

@@ -15,7 +15,7 @@ class LiveRun:
     """An active run.
 
     Attributes:
-        run: Name of the run.
+        run: Its name.
         endpoints: Endpoints of its processes, by name.
         pid: Process id of their parent.
         keys: Folder of their keys; empty without keys.

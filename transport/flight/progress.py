@@ -64,12 +64,7 @@ class RunProgress(ConsoleProgress):
             self._task = self._bar.add_task("starting", total=self._duration_s, status="waiting for the processes")
 
     def show(self, plant_state: PlantState | None, started_s: float | None) -> None:
-        """Draw the newest state.
-
-        Args:
-            plant_state: Newest state, or None before the first.
-            started_s: Steady-clock time of the first state, s.
-        """
+        """Draw the newest state, None before the first, given the steady-clock time of the first, s."""
         if plant_state is None or started_s is None:
             return
         t_s = plant_state.tick * self._setup.settings.sampling_period_s

@@ -212,12 +212,7 @@ class Recorder:
         return self._bus.next(timeout_s)
 
     def receive(self, message: Message, at_ns: int | None = None) -> None:
-        """Record a message from the network, unless it is refused.
-
-        Args:
-            message: Any message.
-            at_ns: Arrival, ns since 1970; now by default.
-        """
+        """Record a message from the network that arrived at a time, ns since 1970, now by default, unless refused."""
         self._reception.receive(message, time.time_ns() if at_ns is None else at_ns)
 
     def _handle(self, message: Message, at_ns: int) -> None:

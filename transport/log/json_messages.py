@@ -37,11 +37,8 @@ def to_json(message: Message) -> bytes:
 
 
 def from_json(kind: str, data: bytes) -> Message:
-    """Return the message in a JSON object of `to_json`.
+    """Return the message of a kind (key of `protocol.wire.messages.KINDS`) in a JSON object of `to_json`.
 
-    Args:
-        kind: Key of `protocol.wire.messages.KINDS`.
-        data: The JSON object.
     Raises: ValueError, TypeError: it is not a message of that kind.
     """
     content = orjson.loads(data)

@@ -43,12 +43,7 @@ class LogError(RuntimeError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recorded:
-    """A message and when the recorder received it.
-
-    Attributes:
-        message: As it was sent.
-        received_ns: Wall-clock time, ns since 1970.
-    """
+    """A message as it was sent, and the wall-clock time at which the recorder received it, ns since 1970."""
 
     message: Message
     received_ns: int
@@ -122,11 +117,8 @@ class LogWriter:
         return self._closed or not self._pending_bytes
 
     def write(self, message: Message, received_ns: int) -> None:
-        """Append a message.
+        """Append a message that arrived at a wall-clock time, ns since 1970.
 
-        Args:
-            message: Of any kind.
-            received_ns: Wall-clock time of its arrival, ns since 1970.
         Raises: LogError: the file cannot be written, or is closed.
         """
         if self._closed:

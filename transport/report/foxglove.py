@@ -55,13 +55,12 @@ Json = dict[str, Any]
 
 
 def write_foxglove(builder: SceneBuilder, log: Path, out: Path) -> int:
-    """Write the copy of a log.
+    """Write the copy of a log, complete or cut; return the number of ticks with a scene.
 
     Args:
         builder: Scenes of the run, its whole log read.
-        log: The run's log, complete or cut.
+        log: The run's log.
         out: File to write or replace.
-    Returns: Number of ticks with a scene.
     Raises: OSError: it cannot be written.
     """
     with log.open("rb") as original:
@@ -148,8 +147,7 @@ def _bodies(builder: SceneBuilder, at_ns: int) -> Iterator[Json]:
         "indices": faces.reshape(-1).tolist(),
     }
     yield _entity("payload", PAYLOAD, at_ns, locked=True, triangles=[mesh])
-    start = builder.setup.reference.outputs(np.zeros(1))[0, : 3 * system.N].reshape(system.N, 3)
-    span = uav_span(start)
+    span = uav_span(builder.start_I)
     for i in range(system.N):
         parts = [(2.0 * BODY, BODY, np.zeros(3), uav_colour(i))]
         parts += [(ROTOR, 0.02, c, _DARK if c[0] > 0.0 else uav_colour(i)) for c in rotor_centres()]
@@ -187,10 +185,8 @@ def _now(builder: SceneBuilder, scene: Scene, at_ns: int) -> Iterator[Json]:
     setup = builder.setup
     rods = np.stack([scene.uavs_I, scene.attachments_I], axis=1).reshape(-1, 3)
     yield _entity("rods", INERTIAL, at_ns, lines=[_line(rods, _GREY)])
-    hover = float(np.mean(setup.hover.u[::4]))
-    arrows = [
-        _arrow(*row, hover, uav_colour(i)) for i, row in enumerate(zip(scene.uavs_I, scene.thrusts_I, strict=True))
-    ]
+    thrusts = enumerate(zip(scene.uavs_I, scene.thrusts_I, strict=True))
+    arrows = [_arrow(tail, thrust, builder.hover_N, uav_colour(i)) for i, (tail, thrust) in thrusts]
     yield _entity("thrust", INERTIAL, at_ns, arrows=arrows)
     for prediction in scene.predictions:
         own = setup.owned[prediction.agent - 1]

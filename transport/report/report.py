@@ -56,11 +56,7 @@ def write_report(folder: Path, *, figures: bool = True, setup: Setup | None = No
 
 
 def summary_table(summary: Mapping[str, Any]) -> Table:
-    """Return the table printed at the end of a run.
-
-    Args:
-        summary: Result of `write_report`.
-    """
+    """Return the table printed at the end of a run, from the result of `write_report`."""
     table = Table(box=None, show_header=False, title=_title(summary), title_justify="left")
     table.add_column(style="cyan", no_wrap=True)
     table.add_column()

@@ -16,7 +16,7 @@ class Commands:
 
     Args:
         run: The live run.
-        on_result: Called with a sentence about each result and whether the request was refused.
+        on_result: Function called with a sentence about each result and whether the request was refused.
     """
 
     def __init__(self, run: LiveRun, on_result: Callable[[str, bool], None]) -> None:

@@ -2,7 +2,6 @@
 
 import threading
 from collections.abc import Callable
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from protocol.wire.messages import agent_name
@@ -27,8 +26,7 @@ class Panel:
     """Widgets of one viewer.
 
     Args:
-        server: The viser server.
-        builder: Scenes of the run.
+        server, builder: Web server, and scenes of the run.
         playback: Playback state that the widgets change.
         show_layer: Called with a layer's name and whether to show it.
         look: Called with whether to look at the team, or else at the whole maneuver.
@@ -70,7 +68,7 @@ class Panel:
         with gui.add_folder("Show", expand_by_default=commands is None):
             for name, shown in LAYERS.items():
                 box = gui.add_checkbox(name, shown)
-                box.on_update(partial(_switch, show_layer, name))
+                box.on_update(lambda event, name=name: show_layer(name, bool(event.target.value)))
             gui.add_html(html.legend())
         self._time.on_update(_from_browser(lambda: playback.seek(round(self._time.value / self._period_s))))
         self._play.on_click(lambda _: playback.toggle())
@@ -115,7 +113,8 @@ class Panel:
         with self._processes:
             for agent in agents:
                 buttons = gui.add_button_group(f"agent {agent}", ("kill", "restart"))
-                buttons.on_click(partial(_request_fault, commands, agent_name(int(agent))))
+                target = agent_name(int(agent))
+                buttons.on_click(lambda event, target=target: commands.fault(str(event.target.value), target))
         self._link.on_update(_from_browser(self._show_chosen_link))
         for widget in (self._delay, self._loss, self._partition):
             widget.on_update(_from_browser(self._change_link_after_rest))
@@ -161,14 +160,6 @@ class Panel:
 def _from_browser(act: Callable[[], None]) -> Callable[[Any], None]:
     """Return a callback for changes made in a browser; viser also reports those of this process."""
     return lambda event: None if event.client_id is None else act()
-
-
-def _switch(show_layer: Callable[[str, bool], None], name: str, event: Any) -> None:
-    show_layer(name, bool(event.target.value))
-
-
-def _request_fault(commands: Commands, target: str, event: Any) -> None:
-    commands.fault(str(event.target.value), target)
 
 
 def _set(widget: Any, value: float | bool) -> None:

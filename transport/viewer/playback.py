@@ -23,13 +23,7 @@ class Playback:
         self.follows, self.playing = follows, False
 
     def advance(self, elapsed_s: float, first: int, last: int) -> int:
-        """Return the tick to show now.
-
-        Args:
-            elapsed_s: Wall time since the previous call, s.
-            first: First tick that can be shown.
-            last: Last tick that can be shown.
-        """
+        """Return the tick to show now, of those that can be shown, given the wall time since the previous call, s."""
         with self._lock:
             self._last = last
             if self.follows:

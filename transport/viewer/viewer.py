@@ -156,12 +156,8 @@ class Viewer:
 
 
 def open_viewer(folder: Path, host: str, port: int) -> Viewer:
-    """Return the viewer of the run in a folder, live or recorded.
+    """Return the viewer of the run in a folder, live or recorded, that listens on the first free port from `port` on.
 
-    Args:
-        folder: Run folder.
-        host: Address to listen on.
-        port: First port to try; 0 for any.
     Raises: ViewerError, LogError: it cannot listen, or there is nothing to show; ScenarioError: the folder's scenario
         cannot be read.
     """
