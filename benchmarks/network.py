@@ -11,9 +11,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from benchmarks.effort import Effort
-from benchmarks.flights import setup
 from benchmarks.page import BenchmarkError, Table
 from benchmarks.processes import recorded
+from benchmarks.runs import setup
 from deploy.keys import LOOPBACK, OTHERS, make_certificates
 from protocol.network.endpoints import process_names
 

@@ -14,8 +14,8 @@ import numpy as np
 from scipy import sparse
 
 from benchmarks.effort import Effort
-from benchmarks.flights import programs, setup
 from benchmarks.page import Table
+from benchmarks.runs import programs, setup
 from benchmarks.timing import Times, in_turns, joined
 from model.arrays import Array
 from mpc.qp import QP, Solution

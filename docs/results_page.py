@@ -36,9 +36,7 @@ def transport(*arguments: str) -> str:
 def simulate(section: Section, renewed: Collection[str]) -> list[str]:
     """Run an experiment as far as this commit has not run it, and return the sentences it ends with.
 
-    Args:
-        section: Section of the experiment.
-        renewed: Experiments to repeat if their results are of another commit; none for all.
+    Results of another commit are replaced if the experiment is among the renewed ones, or if there are none.
     """
     sys.stderr.write(f"experiment {section.name}\n")
     folder, now = RUNS / section.name, commit()

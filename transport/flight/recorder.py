@@ -65,10 +65,8 @@ class Recorder:
         admission: Admission of messages.
 
     Args:
-        setup: The run.
-        run: Name of the run.
-        writer: Open log.
-        endpoints: Endpoints to connect to.
+        setup, run: The run, and its name.
+        writer, endpoints: Open log, and endpoints to connect to.
         join_timeout_s: Time to wait for the processes, s.
         incarnation: Number of this start of the recorder.
         has_ended: Returns whether the coordinator is known to have ended in order.

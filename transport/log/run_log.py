@@ -12,13 +12,12 @@ from pathlib import Path
 from tempfile import TemporaryFile
 from typing import TypeVar
 
-import orjson
 from mcap.writer import Writer
 
 from protocol.wire.keys import Keys
 from protocol.wire.messages import KINDS, Control, FaultNote, LinkChange, Message, Plan
 from transport.log.chunk_indexes import ChunkIndexes
-from transport.log.json_messages import from_json, json_schema, to_json
+from transport.log.json_messages import JsonChannels, from_json, to_json
 from transport.log.salvage import NotMcapError, Salvage
 
 # A chunk ends at this size, before compression (about three ticks of four agents), or at this age. A kill loses at most
@@ -89,8 +88,6 @@ class LogWriter:
     def __init__(self, path: Path, header: Mapping[str, str], *, period_ns: int) -> None:
         self._path = path
         self._period_ns = period_ns
-        self._channels: dict[str, int] = {}
-        self._schemas: dict[str, int] = {}
         self._pending_bytes = 0  # JSON in the unfinished chunk
         self._pending_since_ns = 0  # arrival of its first message
         self._closed = False
@@ -100,6 +97,7 @@ class LogWriter:
             indexes = opened.enter_context(TemporaryFile(dir=path.parent))
             self._writer = Writer(file, chunk_size=2 * CHUNK_BYTES, enable_data_crcs=True)
             ChunkIndexes(indexes).attach(self._writer)
+            self._channels = JsonChannels(self._writer)
             self._writer.start(library="payload-transport")
             self._writer.add_metadata(_METADATA, dict(header))
             self._finish_chunk()
@@ -131,7 +129,7 @@ class LogWriter:
                 self._pending_since_ns = received_ns
             self._pending_bytes += len(data)
             self._writer.add_message(
-                self._channel(message),
+                self._channels.of_message(topic_of(message), message.kind),
                 log_time=min(message.tick * self._period_ns, _LAST_TIME_NS),
                 publish_time=min(max(received_ns, 0), _LAST_TIME_NS),
                 sequence=message.sequence % _SEQUENCES,
@@ -165,16 +163,6 @@ class LogWriter:
     def _finish_chunk(self) -> None:
         self._writer.flush()  # type: ignore[no-untyped-call]
         self._pending_bytes = 0
-
-    def _channel(self, message: Message) -> int:
-        topic = topic_of(message)
-        if topic not in self._channels:
-            if message.kind not in self._schemas:
-                schema = orjson.dumps(json_schema(message.kind))
-                name = f"transport.{type(message).__name__}"
-                self._schemas[message.kind] = self._writer.register_schema(name, "jsonschema", schema)
-            self._channels[topic] = self._writer.register_channel(topic, "json", self._schemas[message.kind])
-        return self._channels[topic]
 
     @contextmanager
     def _guarded(self) -> Iterator[None]:

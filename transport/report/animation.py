@@ -55,14 +55,8 @@ def animate_run(folder: Path, out: Path) -> Path:
 
 
 def animate(builder: SceneBuilder, series: Series, out: Path, *, speed: float = SPEED) -> Path:
-    """Animate a run as far as its log goes.
+    """Animate a run of at least one tick as far as its log goes, at a multiple of real time; return the file.
 
-    Args:
-        builder: Scenes of the run, its whole log read.
-        series: Series of the same run; at least one tick.
-        out: File to write, .gif or .mp4.
-        speed: Playback speed in multiples of real time.
-    Returns: The file.
     Raises: AnimationError: another kind of file, or an MP4 without ffmpeg.
     """
     check_animation(out)

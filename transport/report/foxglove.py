@@ -14,7 +14,7 @@ from mcap.writer import CompressionType, Writer
 
 from model.arrays import Array
 from protocol.wire.messages import KINDS
-from transport.log.json_messages import json_schema
+from transport.log.json_messages import JsonChannels
 from transport.log.run_log import DERIVED
 from transport.log.salvage import Salvage
 from transport.report.foxglove_schemas import NUMBERS, SCHEMAS
@@ -68,53 +68,38 @@ def write_foxglove(builder: SceneBuilder, log: Path, out: Path) -> int:
         entries = list(salvage.entries())
     partial = out.with_name(out.name + ".partial")
     with partial.open("wb") as file:
-        copy = _CopyWriter(Writer(file, compression=CompressionType.ZSTD))
+        copy = Writer(file, compression=CompressionType.ZSTD)
+        channels = JsonChannels(copy)
+        copy.start(library="payload-transport")
         for name, values in {**salvage.metadata, DERIVED: dict(CHANNELS)}.items():
-            copy.writer.add_metadata(name, values)
+            copy.add_metadata(name, values)
         for topic, entry in entries:
             kind = topic.lstrip("/").split("/", 1)[0]
             if kind in KINDS:
-                channel = copy.channel(topic, f"transport.{KINDS[kind].__name__}", json_schema(kind))
-                copy.writer.add_message(
+                channel = channels.of_message(topic, kind)
+                copy.add_message(
                     channel, entry.log_time, entry.data, publish_time=entry.publish_time, sequence=entry.sequence
                 )
+
+        def put(topic: str, at_ns: int, content: Json) -> None:
+            name = CHANNELS[topic]
+            data = orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY)
+            channel = channels.number(topic, name, lambda: SCHEMAS[name])
+            copy.add_message(channel, at_ns, data, publish_time=at_ns)
+
         ticks = sorted(builder.history.plant_states)
         period_ns = builder.setup.period_ns
         for tick in ticks:
             scene, at_ns = builder.at(tick), tick * period_ns
             if tick == ticks[0]:
-                copy.put("/scene/bodies", at_ns, _update(_bodies(builder, at_ns)))
-                copy.put("/scene/reference", at_ns, _update(_reference(builder, at_ns)))
-            copy.put("/tf", at_ns, {"transforms": list(_transforms(scene, at_ns))})
-            copy.put("/scene/now", at_ns, _update(_now(builder, scene, at_ns)))
-            copy.put("/numbers", at_ns, _numbers(scene))
-        copy.writer.finish()  # type: ignore[no-untyped-call]
+                put("/scene/bodies", at_ns, _update(_bodies(builder, at_ns)))
+                put("/scene/reference", at_ns, _update(_reference(builder, at_ns)))
+            put("/tf", at_ns, {"transforms": list(_transforms(scene, at_ns))})
+            put("/scene/now", at_ns, _update(_now(builder, scene, at_ns)))
+            put("/numbers", at_ns, _numbers(scene))
+        copy.finish()  # type: ignore[no-untyped-call]
     partial.replace(out)
     return len(ticks)
-
-
-class _CopyWriter:
-    """MCAP writer that registers channels and schemas on first use."""
-
-    def __init__(self, writer: Writer) -> None:
-        self.writer = writer
-        self._channels: dict[str, int] = {}
-        self._schemas: dict[str, int] = {}
-        writer.start(library="payload-transport")
-
-    def channel(self, topic: str, name: str, schema: Mapping[str, Any]) -> int:
-        """Return the channel id of a topic."""
-        if topic not in self._channels:
-            if name not in self._schemas:
-                self._schemas[name] = self.writer.register_schema(name, "jsonschema", orjson.dumps(schema))
-            self._channels[topic] = self.writer.register_channel(topic, "json", self._schemas[name])
-        return self._channels[topic]
-
-    def put(self, topic: str, at_ns: int, content: Json) -> None:
-        """Write a message to one of `CHANNELS`."""
-        name = CHANNELS[topic]
-        data = orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY)
-        self.writer.add_message(self.channel(topic, name, SCHEMAS[name]), at_ns, data, publish_time=at_ns)
 
 
 def _transforms(scene: Scene, at_ns: int) -> Iterator[Json]:

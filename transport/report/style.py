@@ -107,7 +107,7 @@ def label_decades(axis: Axis) -> None:
 
 
 def scale_cost(axes: Axes, top: float, decades: int) -> None:
-    """Set a logarithmic axis for costs up to `top` that shows so many decades; a run without cost keeps the linear one."""
+    """Set a logarithmic axis that shows so many decades of costs up to `top`; a run without cost keeps its axis."""
     if 0.0 < top < np.inf:
         axes.set_yscale("log")
         axes.set_ylim(top * 10.0**-decades, top * 2.0)
