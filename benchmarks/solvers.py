@@ -64,13 +64,7 @@ class Solver:
 
 @dataclass(slots=True)
 class Outcome:
-    """Results of a solver on some programs.
-
-    Attributes:
-        times: Times of all calls.
-        from_clarabel, from_daqp: Largest difference of a decision from theirs.
-        unsolved: Number of programs not solved.
-    """
+    """Results of a solver: times, largest differences of its decisions from others', number of programs not solved."""
 
     times: Times = field(default_factory=lambda: Times(np.zeros(0)))
     from_clarabel: float = 0.0

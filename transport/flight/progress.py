@@ -17,7 +17,7 @@ _LINE_EVERY_S = 10.0
 
 
 class ConsoleProgress:
-    """A progress bar on a terminal, a line every 10 s elsewhere; on standard error, as results go to standard output."""
+    """A progress bar on a terminal, a line every 10 s elsewhere; on standard error, as results go to stdout."""
 
     def __init__(self, console: Console, *columns: ProgressColumn) -> None:
         self._console = console

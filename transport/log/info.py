@@ -20,13 +20,7 @@ _REGULAR = (Tick.kind, PlantState.kind, Measurement.kind, Plan.kind, StepReport.
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LogFile:
-    """A log without its run folder.
-
-    Attributes:
-        path: The file.
-        log: Its readable content.
-        setup: The run, from the scenario in the log; None if that is missing or of another version.
-    """
+    """Readable content of a log file, and the run, None if the scenario in the log is missing or of another version."""
 
     path: Path
     log: RunLog

@@ -1,7 +1,7 @@
 """The log of a run: every message in one MCAP file that viewers open and that survives a kill.
 
 Messages are JSON, one channel per key and one schema per kind. `log_time` is scenario time, so that viewers show the
-flight and not the host; `publish_time` is when the recorder received the message. The metadata record "run", ahead of
+run and not the host; `publish_time` is when the recorder received the message. The metadata record "run", ahead of
 all messages, describes the run.
 """
 

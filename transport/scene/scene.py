@@ -114,7 +114,7 @@ class SceneBuilder:
         history = RunHistory(setup)
         history.add(entry.message for entry in log.messages)
         if history.last < 0:
-            raise LogError("the log: expected the states of a flight, got none that can be read")
+            raise LogError("the log: expected the states of a run, got none that can be read")
         return cls(setup, history)
 
     def at(self, tick: int) -> Scene:

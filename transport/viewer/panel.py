@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from protocol.wire.messages import agent_name
@@ -56,7 +57,7 @@ class Panel:
         speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="1 x")
         self._follow = gui.add_checkbox("follow the run", playback.follows, visible=commands is not None)
         camera = gui.add_button_group("camera", (_WHOLE, _TEAM))
-        camera.on_click(lambda event: look(event.target.value == _TEAM))
+        camera.on_click(_with_value(lambda value: look(value == _TEAM)))
         with gui.add_folder("Flight"):
             self._flight = gui.add_html("")
         with gui.add_folder("Agents"):
@@ -68,7 +69,7 @@ class Panel:
         with gui.add_folder("Show", expand_by_default=commands is None):
             for name, shown in LAYERS.items():
                 box = gui.add_checkbox(name, shown)
-                box.on_update(lambda event, name=name: show_layer(name, bool(event.target.value)))
+                box.on_update(_with_value(partial(show_layer, name)))
             gui.add_html(html.legend())
         self._time.on_update(_from_browser(lambda: playback.seek(round(self._time.value / self._period_s))))
         self._play.on_click(lambda _: playback.toggle())
@@ -113,8 +114,7 @@ class Panel:
         with self._processes:
             for agent in agents:
                 buttons = gui.add_button_group(f"agent {agent}", ("kill", "restart"))
-                target = agent_name(int(agent))
-                buttons.on_click(lambda event, target=target: commands.fault(str(event.target.value), target))
+                buttons.on_click(_with_value(partial(commands.fault, target=agent_name(int(agent)))))
         self._link.on_update(_from_browser(self._show_chosen_link))
         for widget in (self._delay, self._loss, self._partition):
             widget.on_update(_from_browser(self._change_link_after_rest))
@@ -160,6 +160,11 @@ class Panel:
 def _from_browser(act: Callable[[], None]) -> Callable[[Any], None]:
     """Return a callback for changes made in a browser; viser also reports those of this process."""
     return lambda event: None if event.client_id is None else act()
+
+
+def _with_value(act: Callable[[Any], None]) -> Callable[[Any], None]:
+    """Return a callback that passes the new value of a widget."""
+    return lambda event: act(event.target.value)
 
 
 def _set(widget: Any, value: float | bool) -> None:
