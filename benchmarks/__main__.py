@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from benchmarks import aims, loop, parts, solvers, step, structured
+from benchmarks import aims, loop, network, solvers, step
 from benchmarks.effort import FULL, QUICK, Effort
 from benchmarks.page import BenchmarkError, Table, check, write
 from protocol.wire.exit_codes import EXIT_INTERRUPTED
@@ -21,9 +21,8 @@ SECTIONS: Mapping[str, Callable[[Effort, Callable[[str], None]], list[Table]]] =
     "aims": aims.measure,
     "step": step.measure,
     "solvers": solvers.measure,
-    "structured": structured.measure,
-    "parts": parts.measure,
     "loop": loop.measure,
+    "network": network.measure,
 }
 
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from benchmarks import naive
 from benchmarks.effort import Effort
-from benchmarks.flights import Situation, setup, situations, step_times
 from benchmarks.page import Table
+from benchmarks.runs import Situation, setup, situations, step_times
 from benchmarks.solvers import EXACT, SAME
 from benchmarks.timing import Times, in_turns, joined
 from model import native

@@ -17,15 +17,15 @@ class Effort:
         turns: Runs in memory of each controller compared.
         teams: Numbers of UAVs whose step is measured.
         horizons: N_p of the same.
-        structured: N_p at which condensed and structured solution are compared.
         steps: Fewest steps of each kind.
-        repetitions: Repetitions of each program, and of calls that take microseconds.
+        repetitions: Repetitions of each program.
         programs: Most programs taken from a run, evenly spaced.
         large_programs: The same for the centralized controller; 0 for none.
         maneuver: Scenario and settings of the run compared with processes and in memory.
         processes: Numbers of UAVs of the runs with processes.
         process_climb: Their maneuver.
         recordings: Runs with and without recorder.
+        floods: Runs with keys and under floods.
         round_trips: Messages over the bare pipe, before and after each run.
     """
 
@@ -33,7 +33,6 @@ class Effort:
     turns: int = 9
     teams: tuple[int, ...] = (2, 4, 8, 16)
     horizons: tuple[int, ...] = (10, 20, 40, 80)
-    structured: tuple[int, ...] = (10, 20, 40, 80)
     steps: int = 400
     repetitions: int = 5
     programs: int = 30
@@ -42,6 +41,7 @@ class Effort:
     processes: tuple[int, ...] = (4, 8, 16)
     process_climb: str = _climb(5.0, 1.0)
     recordings: int = 3
+    floods: int = 5
     round_trips: int = 2000
 
 
@@ -52,7 +52,6 @@ QUICK = Effort(
     turns=1,
     teams=(2, 4),
     horizons=(10, 20),
-    structured=(5,),
     steps=1,
     repetitions=1,
     programs=4,
@@ -61,5 +60,6 @@ QUICK = Effort(
     processes=(2,),
     process_climb=_climb(4.0, 0.5),
     recordings=1,
+    floods=1,
     round_trips=50,
 )

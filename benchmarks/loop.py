@@ -9,8 +9,8 @@ import numpy as np
 
 from benchmarks import processes
 from benchmarks.effort import Effort
-from benchmarks.flights import messages, setup
 from benchmarks.page import Table
+from benchmarks.runs import messages, setup
 from benchmarks.timing import Times, digits, joined, quiet, round_trips
 from protocol.wire.codec import encode
 from protocol.wire.keys import RECORDER

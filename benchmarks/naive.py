@@ -7,8 +7,8 @@ of A are used, computed once. For open-loop prediction without user constraints.
 import numpy as np
 from scipy.linalg import block_diag
 
-from benchmarks.flights import Situation
 from benchmarks.page import BenchmarkError
+from benchmarks.runs import Situation
 from model.arrays import Array
 from mpc.qp import QP
 from mpc.rows.rate import rate_rows
@@ -20,9 +20,6 @@ from mpc.solvers import solve
 def step(at: Situation, solver: SolverName = "clarabel") -> Array:
     """Return the inputs of the owned UAVs, as `Controller.step` does, (N_p, m_own).
 
-    Args:
-        at: Arguments of the step.
-        solver: Solver of the program.
     Raises: BenchmarkError: the program is not solved.
     Source: docs/equations.md (22)-(30); paper (13)-(27).
     """

@@ -13,13 +13,7 @@ class BenchmarkError(RuntimeError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Table:
-    """A table of results.
-
-    Attributes:
-        text: Content and method of measurement.
-        columns: Headings.
-        rows: Cells.
-    """
+    """A table of results, below a text about content and method of measurement."""
 
     text: str
     columns: Sequence[str]

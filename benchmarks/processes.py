@@ -25,13 +25,7 @@ _LOOK_EVERY_S = 0.2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Run:
-    """Result of a recorded run.
-
-    Attributes:
-        summary: Its summary.json.
-        tick_ms: Wall-clock time of a tick, mean.
-        memory_MB: Peak memory by process, shared memory by its share.
-    """
+    """Summary of a recorded run, mean wall-clock time of a tick, and peak memory by process (shared by its share)."""
 
     summary: dict[str, Any]
     tick_ms: float
@@ -39,11 +33,8 @@ class Run:
 
 
 def recorded(setup: Setup, folder: Path) -> Run:
-    """Run a scenario by `transport run`.
+    """Run a scenario by `transport run` into a new folder.
 
-    Args:
-        setup: The run.
-        folder: Run folder to create.
     Raises: BenchmarkError: the command fails or does not end.
     """
     scenario = _written(setup, folder)

@@ -1,22 +1,21 @@
-"""Solvers compared on the programs of simulated flights: time, and differences of the solutions.
+"""Solvers compared on the programs of simulated runs: time, and differences of the solutions.
 
 Each solver is given a dense program as the controller forms it and starts anew: between two steps all matrices change.
 The time includes the conversion to the solver's form.
 """
 
-import importlib
-import importlib.util
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from importlib import import_module
+from importlib.util import find_spec
 
 import numpy as np
 from scipy import sparse
 
 from benchmarks.effort import Effort
-from benchmarks.flights import programs, setup
 from benchmarks.page import Table
+from benchmarks.runs import programs, setup
 from benchmarks.timing import Times, in_turns, joined
 from model.arrays import Array
 from mpc.qp import QP, Solution
@@ -48,7 +47,7 @@ class Solver:
     Attributes:
         name: As in the table.
         package: Package that has to be installed.
-        solve: Returns the decision, or None for a program reported as not solved.
+        solve: Function that returns the decision, or None for a program reported as not solved.
         tolerance: Largest difference of its decisions from Clarabel's.
     """
 
@@ -60,51 +59,34 @@ class Solver:
     @property
     def installed(self) -> bool:
         """Return whether the package is installed."""
-        return importlib.util.find_spec(self.package) is not None
+        return find_spec(self.package) is not None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True)
 class Outcome:
-    """Results of a solver on some programs.
+    """Results of a solver: times, largest differences of its decisions from others', number of programs not solved."""
 
-    Attributes:
-        times: Times of all calls.
-        from_clarabel, from_daqp: Largest difference of a decision from theirs.
-        unsolved: Number of programs not solved.
-    """
-
-    times: Times
-    from_clarabel: float
-    from_daqp: float
-    unsolved: int
+    times: Times = field(default_factory=lambda: Times(np.zeros(0)))
+    from_clarabel: float = 0.0
+    from_daqp: float = 0.0
+    unsolved: int = 0
 
 
 def compare(compared: Sequence[Solver], qps: Sequence[QP], repetitions: int) -> dict[str, Outcome]:
     """Call all solvers in turns, program by program; return the outcomes by name."""
-    taken: dict[str, list[Times]] = {solver.name: [] for solver in compared}
-    differences = {name: np.zeros(2) for name in taken}
-    unsolved = dict.fromkeys(taken, 0)
+    outcomes = {solver.name: Outcome() for solver in compared}
     for qp in qps:
-        references = np.array([solve_clarabel(qp).z, _daqp(qp)])
-        for solver in compared:
-            z = solver.solve(qp)
-            if z is None:
-                unsolved[solver.name] += 1
-            else:
-                largest = np.abs(z - references).max(axis=1)
-                differences[solver.name] = np.maximum(differences[solver.name], largest)
+        clarabel, daqp = np.asarray(solve_clarabel(qp).z), np.asarray(_daqp(qp))
         tasks = {solver.name: partial(solver.solve, qp) for solver in compared}
         for name, times in in_turns(tasks, repetitions).items():
-            taken[name].append(times)
-    return {
-        name: Outcome(
-            times=joined(times),
-            from_clarabel=float(differences[name][0]),
-            from_daqp=float(differences[name][1]),
-            unsolved=unsolved[name],
-        )
-        for name, times in taken.items()
-    }
+            outcome, z = outcomes[name], tasks[name]()
+            outcome.times = joined([outcome.times, times])
+            if z is None:
+                outcome.unsolved += 1
+                continue
+            outcome.from_clarabel = max(outcome.from_clarabel, float(np.abs(z - clarabel).max()))
+            outcome.from_daqp = max(outcome.from_daqp, float(np.abs(z - daqp).max()))
+    return outcomes
 
 
 def measure(effort: Effort, log: Callable[[str], None]) -> list[Table]:
@@ -139,7 +121,7 @@ def _decision(solution: Solution) -> Array | None:
 
 def _daqp(qp: QP) -> Array | None:
     lower, upper = _all_bounds(qp)
-    z, _, flag, _ = _module("daqp").solve(
+    z, _, flag, _ = import_module("daqp").solve(
         np.ascontiguousarray(qp.H),
         qp.g,
         np.ascontiguousarray(qp.A),
@@ -158,7 +140,7 @@ def _quadprog(qp: QP) -> Array | None:
     below, above = np.isfinite(lower), np.isfinite(upper)
     C, b = np.concatenate([rows[below], -rows[above]]), np.concatenate([lower[below], -upper[above]])
     try:
-        z: Array = _module("quadprog").solve_qp(qp.H, -qp.g, C.T, b)[0]
+        z: Array = import_module("quadprog").solve_qp(qp.H, -qp.g, C.T, b)[0]
     except ValueError:  # infeasible constraints, or a matrix that is not positive definite
         return None
     return z
@@ -166,7 +148,7 @@ def _quadprog(qp: QP) -> Array | None:
 
 def _osqp(qp: QP) -> Array | None:
     lower, upper = _all_bounds(qp)
-    solver = _module("osqp").OSQP()
+    solver = import_module("osqp").OSQP()
     solver.setup(
         P=sparse.triu(sparse.csc_matrix(qp.H), format="csc"),
         q=qp.g,
@@ -184,7 +166,7 @@ def _osqp(qp: QP) -> Array | None:
 
 
 def _piqp(qp: QP) -> Array | None:
-    piqp = _module("piqp")
+    piqp = import_module("piqp")
     solver = piqp.DenseSolver()
     solver.settings.verbose = False
     solver.settings.eps_abs = solver.settings.eps_rel = 1e-8
@@ -193,7 +175,7 @@ def _piqp(qp: QP) -> Array | None:
 
 
 def _proxqp(qp: QP) -> Array | None:
-    proxqp = _module("proxsuite").proxqp
+    proxqp = import_module("proxsuite").proxqp
     solver = proxqp.dense.QP(len(qp.g), 0, len(qp.A), True)
     solver.settings.eps_abs, solver.settings.eps_rel = 1e-8, 0.0
     solver.init(qp.H, qp.g, None, None, qp.A, qp.row_lower, qp.row_upper, qp.lower, qp.upper)
@@ -205,11 +187,6 @@ def _proxqp(qp: QP) -> Array | None:
 def _all_bounds(qp: QP) -> tuple[Array, Array]:
     """Return the bounds of decisions and rows."""
     return np.concatenate([qp.lower, qp.row_lower]), np.concatenate([qp.upper, qp.row_upper])
-
-
-def _module(name: str) -> Any:
-    """Return an optional package."""
-    return importlib.import_module(name)
 
 
 SOLVERS = (

@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 
 from benchmarks.effort import Effort
-from benchmarks.flights import setup, step_times
 from benchmarks.page import Table
+from benchmarks.runs import setup, step_times
 from benchmarks.timing import Times, digits
 from model.arrays import Array
 from protocol.wire.messages import STAGES

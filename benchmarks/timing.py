@@ -22,11 +22,7 @@ _ECHO = "import os\nwhile data := os.read(0, {size}):\n    os.write(1, data)\n"
 
 @dataclass(frozen=True, slots=True)
 class Times:
-    """Durations of one kind.
-
-    Attributes:
-        ms: (count,), ms.
-    """
+    """Durations of one kind, (count,), ms."""
 
     ms: Array
 
@@ -72,9 +68,7 @@ def quiet() -> Iterator[None]:
 def in_turns(tasks: Mapping[str, Callable[[], object]], repetitions: int) -> dict[str, Times]:
     """Call each task once, then each again, and so on; return the processor time of this thread by task.
 
-    Args:
-        tasks: By name.
-        repetitions: Calls of each, after `WARM_UP` that are not counted.
+    The first `WARM_UP` calls of each come on top of the repetitions and are not counted.
     """
     taken: dict[str, list[int]] = {name: [] for name in tasks}
     with quiet():
@@ -89,9 +83,7 @@ def in_turns(tasks: Mapping[str, Callable[[], object]], repetitions: int) -> dic
 def round_trips(count: int, size: int) -> Times:
     """Measure the wall-clock time of messages to another process and back over pipes: the floor of any exchange.
 
-    Args:
-        count: Messages, one after the other.
-        size: Bytes of each, at most what a pipe takes at once (4096).
+    Messages go one after the other and have at most the bytes that a pipe takes at once (4096).
     """
     command = [sys.executable, "-S", "-c", _ECHO.format(size=size)]
     taken: list[int] = []

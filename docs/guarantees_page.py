@@ -22,12 +22,12 @@ NETWORKS: Mapping[str, tuple[str, ...]] = {
 
 
 def outcome(result: Result) -> str:
-    """Return how a flight ended, and when if that was early."""
+    """Return how a run ended, and when if that was early."""
     return "completes" if result.completed else f"**diverges** at {result.end_s:.1f} s ({result.phase})"
 
 
 def attitude(result: Result) -> str:
-    """Return the largest payload attitude; empty for a flight that diverged, where it has no meaning."""
+    """Return the largest payload attitude; empty for a run that diverged, where it has no meaning."""
     return f"{result.attitude_deg:.1f} deg" if result.completed else ""
 
 
@@ -37,16 +37,11 @@ def brief(result: Result) -> str:
 
 
 def details(result: Result) -> list[str]:
-    """Return the cells of a flight below `DETAILS`."""
+    """Return the cells of a run below `DETAILS`."""
     if not result.completed:
         return [outcome(result), "", "", "", ""]
-    return [
-        outcome(result),
-        cost(result),
-        attitude(result),
-        f"{result.separation_m:.2f} m",
-        f"{result.uav_max_m:.2f} m",
-    ]
+    distances = (result.separation_m, result.uav_max_m)
+    return [outcome(result), cost(result), attitude(result), *(f"{distance:.2f} m" for distance in distances)]
 
 
 DETAILS = (
@@ -58,10 +53,13 @@ DETAILS = (
 )
 
 
-def network(found: Found) -> str:
-    """Return the table of impaired networks."""
-    rows = [[text, *details(one(found, Run("resilient", settings)))] for text, settings in NETWORKS.items()]
-    return table(["network", *DETAILS], rows)
+def detailed(name: str, heading: str, runs: Mapping[str, Run]) -> Measured:
+    """Return a table with a run in each row."""
+
+    def text(found: Found) -> str:
+        return table([heading, *DETAILS], [[row, *details(one(found, run))] for row, run in runs.items()])
+
+    return Measured(name, tuple(runs.values()), text)
 
 
 CONTINUE = "clock.on_agent_loss=continue"
@@ -83,12 +81,6 @@ RETURNS = {f"{back_s:g} s": killed("resilient", 3, back_s=back_s) for back_s in 
 RETURNS |= {"never": killed("resilient", 3), "10 s, `paper`": killed("paper", 3, back_s=10.0)}
 
 
-def returns(found: Found) -> str:
-    """Return the table of an agent that is killed and restarted."""
-    rows = [[text, *details(one(found, run))] for text, run in RETURNS.items()]
-    return table(["restarted at", *DETAILS], rows)
-
-
 DEATHS = {
     **{f"{a}, at {at_s:g} s": killed("resilient", a, at_s=at_s) for at_s in (1.0, KILLED_S, 16.0) for a in (1, 3)},
     "3 and 4 (neighbours), at 8 s": killed("resilient", 3, 4),
@@ -97,12 +89,6 @@ DEATHS = {
         killed("resilient", 3), settings=(*killed("resilient", 3).settings, "controller.separation.minimum_m=0.001")
     ),
 }
-
-
-def deaths(found: Found) -> str:
-    """Return the table of agents that are killed and do not return."""
-    rows = [[text, *details(one(found, run))] for text, run in DEATHS.items()]
-    return table(["agent killed", *DETAILS], rows)
 
 
 ACTUATION = ("links.actuation.delay_s=0.05", "links.actuation.delay_s=0.1", "links.actuation.loss=0.3")
@@ -187,11 +173,11 @@ def instants(found: Found) -> str:
 
 
 TABLES = (
-    Measured("network", tuple(Run("resilient", settings) for settings in NETWORKS.values()), network),
+    detailed("network", "network", {text: Run("resilient", settings) for text, settings in NETWORKS.items()}),
     Measured("failures", tuple(run for runs in FAILURES.values() for run in runs.values()), failures),
     Measured("instants", tuple(map(_at, INSTANTS)), instants),
-    Measured("deaths", tuple(DEATHS.values()), deaths),
-    Measured("returns", tuple(RETURNS.values()), returns),
+    detailed("deaths", "agent killed", DEATHS),
+    detailed("returns", "restarted at", RETURNS),
     Measured("actuation", tuple(_actuated(setting, clock) for setting in ACTUATION for clock in CLOCKS), actuation),
 )
 

@@ -13,7 +13,7 @@ DOCUMENT = ROOT / "docs" / "licences.md"
 LOCKS = {"to run": "requirements.lock", "to develop and test": "requirements-dev.lock"}
 PINNED = re.compile(r"^([A-Za-z0-9_.-]+)==(\S+)", re.MULTILINE)
 
-# What packages leave out of their metadata, or say in a whole page of text: read in their own files.
+# Licences missing in the metadata of packages, or given there as a page of text: read in their own files.
 TOLD = {
     "casadi": "LGPL-3.0-or-later",
     "clarabel": "Apache-2.0",

@@ -13,7 +13,7 @@ import sys
 from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 
-from results_sections import COMPARED_AT, HOVER_TITLE, SECTIONS, Columns, Row, Section, cost_range, number, periods
+from results_sections import HOVER_TITLE, SECTIONS, Columns, Row, Section, compared_at, cost_range, number, periods
 from tables import ROOT, commit, put, table
 
 RUNS, IMAGES = ROOT / "runs" / "figures", ROOT / "docs" / "images"
@@ -36,9 +36,7 @@ def transport(*arguments: str) -> str:
 def simulate(section: Section, renewed: Collection[str]) -> list[str]:
     """Run an experiment as far as this commit has not run it, and return the sentences it ends with.
 
-    Args:
-        section: Section of the experiment.
-        renewed: Experiments to repeat if their results are of another commit; none for all.
+    Results of another commit are replaced if the experiment is among the renewed ones, or if there are none.
     """
     sys.stderr.write(f"experiment {section.name}\n")
     folder, now = RUNS / section.name, commit()
@@ -66,7 +64,8 @@ def section_of(name: str) -> Section:
 
 def listed(columns: Columns, rows: Iterable[Row]) -> str:
     """Return rows as a table in Markdown."""
-    return table(columns, ([cell(row) for cell in columns.values()] for row in rows))
+    cells = columns.values()
+    return table(columns, ([row[cell] if isinstance(cell, str) else cell(row) for cell in cells] for row in rows))
 
 
 def page(sections: Sequence[tuple[Section, list[str], str]]) -> str:
@@ -169,7 +168,7 @@ def claim() -> str:
         ]
         period = periods(found[weathers[0]])
         where = f" (T_s {period} ms)" if period != "none of the grid" else ""
-        lines.append(f"| at {COMPARED_AT[key]}{where} | {' | '.join(cells)} |")
+        lines.append(f"| at {compared_at(found[weathers[0]])}{where} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 Row = Mapping[str, str]
 
-# Columns of a table: heading and cell.
-Columns = Mapping[str, Callable[[Row], str]]
+# Columns of a table: heading, and field of a row or function of it.
+Columns = Mapping[str, str | Callable[[Row], str]]
 
 
 def number(name: str, factor: float = 1.0, digits: int = 2) -> Callable[[Row], str]:
@@ -23,9 +23,9 @@ def number(name: str, factor: float = 1.0, digits: int = 2) -> Callable[[Row], s
     return cell
 
 
-def plain(name: str) -> Callable[[Row], str]:
-    """Return a cell with a field of a row."""
-    return lambda row: row[name]
+def mean(name: str, factor: float = 1.0, digits: int = 2) -> Callable[[Row], str]:
+    """Return a cell with a number of a row alone."""
+    return lambda row: number(name, factor, digits)(row).partition(" ")[0]
 
 
 def share(name: str) -> Callable[[Row], str]:
@@ -69,15 +69,13 @@ def cost_range(row: Row) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-# Rows of the paper's comparison: common quantity of both controllers, and constant quantity of the horizon.
-COMPARED_AT = {
-    ("same rate", "steps"): "the same rate",
-    ("same rate", "seconds"): "the same rate",
-    ("whole team", "steps"): "the same computation of the whole team, as many steps of horizon",
-    ("whole team", "seconds"): "the same computation of the whole team, as many seconds of horizon",
-    ("one agent", "steps"): "the same computation of one agent, as many steps of horizon",
-    ("one agent", "seconds"): "the same computation of one agent, as many seconds of horizon",
-}
+def compared_at(row: Row) -> str:
+    """Return what both controllers of a comparison have in common."""
+    if row["budget"] == "same rate":
+        return "the same rate"
+    whose = "the whole team" if row["budget"] == "whole team" else row["budget"]
+    return f"the same computation of {whose}, as many {row['kept']} of horizon"
+
 
 OUTCOME: Columns = {
     "completed": done,
@@ -88,41 +86,41 @@ OUTCOME: Columns = {
 }
 
 COMPARED: Columns = {
-    "weather": plain("weather"),
-    "controller": plain("controller"),
-    "horizon kept": plain("kept"),
+    "weather": "weather",
+    "controller": "controller",
+    "horizon kept": "kept",
     "T_s, ms": milliseconds("period_s"),
-    "N_p": plain("horizon"),
+    "N_p": "horizon",
     "completed": done,
-    "cost, 1e-3": lambda row: number("cost_mean", 1e3, 3)(row).partition(" ")[0],
+    "cost, 1e-3": mean("cost_mean", 1e3, 3),
     "over centralized": number("cost_mean_ratio", digits=3),
     "peak over centralized": number("cost_max_ratio", digits=3),
-    "attitude, deg": lambda row: number("attitude_max_deg")(row).partition(" ")[0],
-    "swing, m": lambda row: number("swing_m")(row).partition(" ")[0],
+    "attitude, deg": mean("attitude_max_deg"),
+    "swing, m": mean("swing_m"),
     "CPU of a step, ms": spread("cpu_step_ms"),
     "of an agent, s/s": spread("cpu_agent_s_per_s", digits=3),
     "of the team, s/s": spread("cpu_team_s_per_s", digits=3),
 }
 
 VERDICT: Columns = {
-    "weather": plain("weather"),
-    "controller": plain("controller"),
-    "compared at": lambda row: COMPARED_AT[row["budget"], row["kept"]],
+    "weather": "weather",
+    "controller": "controller",
+    "compared at": compared_at,
     "T_s, ms": periods,
     "cost over centralized": cost_range,
-    "verdict": plain("verdict"),
+    "verdict": "verdict",
 }
 
 GROWTH: Columns = {
-    "UAVs": plain("uavs"),
-    "agents": plain("ownership"),
+    "UAVs": "uavs",
+    "agents": "ownership",
     "CPU of a step, ms": number("cpu_step_p50_ms"),
-    "99th percentile": lambda row: number("cpu_step_p99_ms")(row).partition(" ")[0],
+    "99th percentile": mean("cpu_step_p99_ms"),
     "team per tick, ms": number("cpu_team_tick_ms", digits=1),
-    "plans, kB/s": lambda row: number("plan_bytes_per_s", 1e-3, 0)(row).partition(" ")[0],
-    "cost, 1e-3": lambda row: number("cost_mean", 1e3)(row).partition(" ")[0],
+    "plans, kB/s": mean("plan_bytes_per_s", 1e-3, 0),
+    "cost, 1e-3": mean("cost_mean", 1e3),
     "over centralized": number("cost_ratio"),
-    "swing, m": lambda row: number("swing_m")(row).partition(" ")[0],
+    "swing, m": mean("swing_m"),
 }
 
 
@@ -155,7 +153,7 @@ class Section:
     arguments: tuple[str, ...] = ()
 
 
-SCENARIO: Columns = {"scenario": plain("scenario")}
+SCENARIO: Columns = {"scenario": "scenario"}
 
 HOVER_TITLE = "Is a long hover stable?"
 
@@ -193,7 +191,7 @@ SECTIONS = (
         name="loss",
         title="How much packet loss is tolerated?",
         text="Independent losses, and the same share of losses in bursts of five ticks on average (Gilbert-Elliott).",
-        columns={**SCENARIO, "losses": plain("model"), "lost": share("loss"), **OUTCOME},
+        columns={**SCENARIO, "losses": "model", "lost": share("loss"), **OUTCOME},
         alt="Survival, mean cost and payload attitude over the share of lost plans",
     ),
     Section(
@@ -202,7 +200,7 @@ SECTIONS = (
         text="Random delays with a mean of 160 ms from four distributions.",
         columns={
             **SCENARIO,
-            "distribution": plain("distribution"),
+            "distribution": "distribution",
             "mean, ms": milliseconds("mean_s"),
             "std, ms": milliseconds("std_s"),
             **OUTCOME,
@@ -220,7 +218,7 @@ SECTIONS = (
         name="kill",
         title="An agent killed, restarted or not",
         text="Each agent killed at 8 s, and restarted at 10 s or never.",
-        columns={**SCENARIO, "killed": plain("agent"), "back at, s": plain("restart_s"), **OUTCOME},
+        columns={**SCENARIO, "killed": "agent", "back at, s": "restart_s", **OUTCOME},
         alt="Survival, mean cost and payload attitude for each agent killed",
     ),
     Section(
@@ -228,7 +226,7 @@ SECTIONS = (
         title="An agent killed for good, at any time",
         text="Random agents killed at random times, one in each run, never restarted. Their UAVs play the last plan "
         "and then hold hover thrust and level attitude.",
-        columns={**SCENARIO, "killed": plain("agent"), "at, s": plain("killed_s"), **OUTCOME},
+        columns={**SCENARIO, "killed": "agent", "at, s": "killed_s", **OUTCOME},
         alt="Survival, mean cost and payload attitude over the time of death",
     ),
     Section(
@@ -239,8 +237,8 @@ SECTIONS = (
         "costs on each network are over those of that row.",
         columns={
             **SCENARIO,
-            "network": plain("network"),
-            "threshold": plain("share_threshold"),
+            "network": "network",
+            "threshold": "share_threshold",
             "plans sent, %": number("plans_shared_share", 100.0, 1),
             "completed": done,
             "cost over all sent": number("cost_ratio", digits=3),
@@ -256,8 +254,8 @@ SECTIONS = (
         text="One setting changed at a time, on a perfect network and on one with 200 ms delay and 30 % loss.",
         columns={
             **SCENARIO,
-            "network": plain("network"),
-            "changed": plain("part"),
+            "network": "network",
+            "changed": "part",
             "to": lambda row: f"`{row['value']}`" if row["value"] else "",
             **OUTCOME,
         },
@@ -270,8 +268,8 @@ SECTIONS = (
         "the prediction is open loop, on a perfect network and with a delay of 200 ms.",
         columns={
             **SCENARIO,
-            "network": plain("network"),
-            "N_p": plain("horizon"),
+            "network": "network",
+            "N_p": "horizon",
             "terminal weight": lambda row: f"{float(row['terminal']):g}",
             **OUTCOME,
         },

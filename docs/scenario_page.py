@@ -113,23 +113,23 @@ def teams(found: Found) -> str:
         paper = one(found, _team("paper", uavs)) if uavs in PAPER_TEAMS else None
         cells.append("" if paper is None else or_diverged(paper, cost))
         rows.append(cells)
-    headings = [
-        "UAVs",
-        "mean cost",
-        "payload attitude, deg",
-        "swing, m",
-        "smallest distance, m",
-        "mean cost with `--from paper`",
-    ]
-    return table(headings, rows)
+    quantities = ("mean cost", "payload attitude, deg", "swing, m", "smallest distance, m")
+    return table(["UAVs", *quantities, "mean cost with `--from paper`"], rows)
 
 
 COMPARED = ("paper", "centralized", "resilient", "centralized_lq", "precise")
 
 
+def _compared(found: Found, settings: tuple[str, ...], cells: Mapping[str, Callable[[Result], str]]) -> str:
+    """Return a table with a row for each quantity and a column for each scenario."""
+    runs = {name: Run(name, settings) for name in COMPARED}
+    rows = [[text, *(or_diverged(one(found, run), cell) for run in runs.values())] for text, cell in cells.items()]
+    return table(["", *(f"`{name}`" for name in runs)], rows)
+
+
 def follows(found: Found) -> str:
     """Return the table of the ready scenarios of the paper's maneuver."""
-    cells: Mapping[str, Callable[[Result], str]] = {
+    cells: dict[str, Callable[[Result], str]] = {
         "cost of a tick, mean": cost,
         "cost of a tick, largest": lambda result: significant(result.cost_max),
         "payload attitude, largest": attitude,
@@ -139,21 +139,13 @@ def follows(found: Found) -> str:
         "the same in the last 4 s": lambda result: f"{100 * result.swing_m:.1f} cm",
         "smallest distance of two UAVs": lambda result: f"{result.separation_m:.3f} m",
     }
-    rows = [[text, *(or_diverged(one(found, Run(name)), cell) for name in COMPARED)] for text, cell in cells.items()]
-    return table(["", *(f"`{name}`" for name in COMPARED)], rows)
+    return _compared(found, (), cells)
 
 
 def hover(found: Found) -> str:
     """Return the table of a long hover after the maneuver."""
-    cells: Mapping[str, Callable[[Result], str]] = {
-        "payload attitude, largest": attitude,
-        "payload position error, last 4 s": lambda result: _length(result.swing_m),
-    }
-    rows = [
-        [text, *(or_diverged(one(found, Run(name, (LONG_HOVER,))), cell) for name in COMPARED)]
-        for text, cell in cells.items()
-    ]
-    return table(["", *(f"`{name}`" for name in COMPARED)], rows)
+    swing = {"payload position error, last 4 s": lambda result: _length(result.swing_m)}
+    return _compared(found, (LONG_HOVER,), {"payload attitude, largest": attitude, **swing})
 
 
 SCALE = 128.0
@@ -170,49 +162,41 @@ def levels(found: Found) -> str:
     return table(["weights times 128", "the paper", "`centralized`", "`paper`"], rows)
 
 
-# One setting changed: in `paper`, and in `resilient`. None: refused there, or without effect.
-WEIGHTS: Mapping[str, tuple[bool, bool]] = {
-    "controller.weights.attitude=0.5": (True, True),
-    "controller.weights.attitude=50": (True, True),
-    "controller.weights.thrust=1e-4": (True, True),
-    "controller.weights.thrust=1e-2": (True, True),
-    "controller.weights.moments=[1e-3,1e-3,1e-3]": (True, True),
-    "controller.weights.moments=[1e-1,1e-1,1e-1]": (True, True),
-    "controller.weights.terminal=1": (True, False),
-    "controller.weights.terminal=25": (True, False),
-    "controller.horizon=5": (True, True),
-    "controller.horizon=10": (True, True),
-    "controller.horizon=30": (True, True),
-    "maneuver.profile=min_jerk": (True, True),
-    "maneuver.profile=step": (True, True),
-}
+WEIGHTS = (
+    "controller.weights.attitude=0.5",
+    "controller.weights.attitude=50",
+    "controller.weights.thrust=1e-4",
+    "controller.weights.thrust=1e-2",
+    "controller.weights.moments=[1e-3,1e-3,1e-3]",
+    "controller.weights.moments=[1e-1,1e-1,1e-1]",
+    "controller.weights.terminal=1",
+    "controller.weights.terminal=25",
+    "controller.horizon=5",
+    "controller.horizon=10",
+    "controller.horizon=30",
+    "maneuver.profile=min_jerk",
+    "maneuver.profile=step",
+)
 
 
-def _changed() -> list[tuple[str, str, tuple[str, ...]]]:
-    """Return every run of the table of weights: setting, scenario, and the setting as it is given."""
-    return [
-        (setting, name, (setting,))
-        for setting, where in WEIGHTS.items()
-        for name, used in zip(("paper", "resilient"), where, strict=True)
-        if used
-    ]
+def _changed(setting: str) -> list[Run | None]:
+    """Return the runs with one setting changed in `paper` and `resilient`; None where it has no effect."""
+    without_effect = setting.startswith("controller.weights.terminal")  # `resilient` has the cost-to-go
+    return [Run("paper", (setting,)), None if without_effect else Run("resilient", (setting,))]
+
+
+CHANGED = {"nothing": [Run("paper"), Run("resilient")], **{f"`{setting}`": _changed(setting) for setting in WEIGHTS}}
 
 
 def weights(found: Found) -> str:
     """Return the table of how much weights matter."""
 
-    def cells(settings: tuple[str, ...], where: tuple[bool, bool]) -> list[str]:
-        row = []
-        for name, used in zip(("paper", "resilient"), where, strict=True):
-            row.append(
-                or_diverged(one(found, Run(name, settings)), lambda f: f"{attitude(f)}, {100 * f.swing_m:.0f} cm")
-                if used
-                else "no effect"
-            )
-        return row
+    def cell(run: Run | None) -> str:
+        if run is None:
+            return "no effect"
+        return or_diverged(one(found, run), lambda f: f"{attitude(f)}, {100 * f.swing_m:.0f} cm")
 
-    rows = [["nothing", *cells((), (True, True))]]
-    rows += [[f"`{setting}`", *cells((setting,), where)] for setting, where in WEIGHTS.items()]
+    rows = [[text, *map(cell, runs)] for text, runs in CHANGED.items()]
     return table(["`--set`", "`paper`", "`resilient`"], rows)
 
 
@@ -227,24 +211,19 @@ ESTIMATES: Mapping[str, tuple[str, ...]] = {
     "with estimate": (ESTIMATE,),
     "with estimate, 100 ms delay, 30 % loss": (ESTIMATE, *LATE_AND_LOSSY),
 }
+UNMODELLED = {
+    text: [Run("resilient", (STILL, setting, *changes)) for changes in ESTIMATES.values()]
+    for text, setting in PLANTS.items()
+}
 
 
 def plant_state(found: Found) -> str:
     """Return the table of unmodelled mass and wind."""
-    rows = [
-        [
-            text,
-            *(
-                or_diverged(
-                    one(found, Run("resilient", (STILL, setting, *changes))),
-                    lambda result: f"{_length(result.uav_last_m)}, {cost(result)}",
-                )
-                for changes in ESTIMATES.values()
-            ),
-        ]
-        for text, setting in PLANTS.items()
-    ]
-    return table(["", *ESTIMATES], rows)
+
+    def cell(run: Run) -> str:
+        return or_diverged(one(found, run), lambda f: f"{_length(f.uav_last_m)}, {cost(f)}")
+
+    return table(["", *ESTIMATES], [[text, *map(cell, runs)] for text, runs in UNMODELLED.items()])
 
 
 def _length(value_m: float) -> str:
@@ -286,19 +265,9 @@ TABLES = (
     ),
     Measured("follows", tuple(Run(name) for name in COMPARED), follows),
     Measured("levels", (Run("centralized"), Run("paper")), levels),
-    Measured(
-        "weights", (Run("paper"), Run("resilient"), *(Run(name, given) for _, name, given in _changed())), weights
-    ),
+    Measured("weights", tuple(run for runs in CHANGED.values() for run in runs if run is not None), weights),
     Measured("hover", tuple(Run(name, (LONG_HOVER,)) for name in COMPARED), hover),
-    Measured(
-        "plant_state",
-        tuple(
-            Run("resilient", (STILL, setting, *changes))
-            for setting in PLANTS.values()
-            for changes in ESTIMATES.values()
-        ),
-        plant_state,
-    ),
+    Measured("plant_state", tuple(run for runs in UNMODELLED.values() for run in runs), plant_state),
 )
 
 

@@ -94,13 +94,7 @@ Found = Mapping[Run, Sequence[Result]]
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """A table of the document.
-
-    Attributes:
-        name: Name of its markers.
-        runs: Simulations it needs.
-        text: Function that writes it.
-    """
+    """A table of the document: name of its markers, simulations it needs, and the function that writes it."""
 
     name: str
     runs: tuple[Run, ...]

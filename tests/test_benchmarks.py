@@ -5,14 +5,13 @@ from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from benchmarks import __main__ as command
-from benchmarks import aims, parts, solvers, step, structured
+from benchmarks import aims, solvers, step
 from benchmarks.effort import FULL, QUICK, Effort
-from benchmarks.flights import Situation, programs, setup, situations
 from benchmarks.page import BenchmarkError, Table, check, write
+from benchmarks.runs import Situation, programs, setup, situations
 from benchmarks.solvers import SOLVERS, TIGHT, Solver
 from mpc.qp import QP
 from tests.support.tables import first_cells, numbers, silent
@@ -57,16 +56,6 @@ def test_solvers_agree(solver: Solver) -> None:
     assert outcome.times.median > 0.0
 
 
-@pytest.mark.parametrize("name", ["paper", "centralized"])
-def test_both_ways_find_the_same_decision(name: str) -> None:
-    """Both solve the same problem: the condensed program and the recursion have one optimum."""
-    at = situations(setup(name, QUICK.climb), 1)[0]
-    for steps in (1, 2, 7):
-        one, other = structured.condensed(at, steps), structured.riccati(at, steps)
-        assert np.abs(one - other).max() < 1e-6 * max(1.0, np.abs(one).max())
-        assert np.abs(one).max() > 0.0
-
-
 def test_aims_have_their_rows() -> None:
     """The table has steps, naive step and ratios, each with its aim."""
     (table,) = aims.measure(QUICK, silent)
@@ -95,14 +84,6 @@ def test_solvers_have_their_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     assert [row[1] for row in table.rows] == [*(solver.name for solver in SOLVERS[:2]), "missing"]
     assert table.rows[-1][2] == "not installed"
     assert all(row[2] != "not installed" for row in table.rows[:-1])
-
-
-def test_parts_have_their_rows() -> None:
-    """The table has the plant of every team, and encoding and decoding of a plan."""
-    (table,) = parts.measure(QUICK, silent)
-    plants = [f"plant, one period, {uavs} UAVs" for uavs in QUICK.teams]
-    assert first_cells(table) == [*plants, "plan to bytes", "bytes to plan", "bytes to plan, all checks"]
-    assert min(numbers(table, "median")) > 0.0
 
 
 def test_only_what_was_measured_is_written(tmp_path: Path) -> None:

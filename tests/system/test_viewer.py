@@ -341,7 +341,7 @@ def test_what_cannot_be_shown_is_refused(tmp_path: Path, recorded: Path) -> None
         assert result.stderr.startswith("transport: ")
         assert text in result.stderr
     (empty / "run.mcap").write_bytes((recorded / "run.mcap").read_bytes()[:300])
-    assert "expected the states of a flight" in CliRunner().invoke(app, ["view", str(empty)]).stderr
+    assert "expected the states of a run" in CliRunner().invoke(app, ["view", str(empty)]).stderr
 
 
 @pytest.mark.parametrize("arguments", [["view"], ["run", "paper", "--view", "--out"]])

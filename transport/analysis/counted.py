@@ -13,11 +13,8 @@ from transport.log.run_log import Recorded, RunLog
 def counted(setup: Setup, log: RunLog) -> RunLog:
     """Return a log without plans and reports from incarnations of an agent that were not on the roster.
 
-    In lockstep each tick also names the agents that answered the one before; later answers do not count.
-
-    Args:
-        setup: The run.
-        log: Its log; messages whose tick or roster is missing count.
+    In lockstep each tick also names the agents that answered the one before; later answers do not count. Messages whose
+    tick or roster is missing count.
     """
     rosters = {roster.version: dict(zip(roster.agents, roster.incarnations, strict=True)) for roster in log.of(Roster)}
     ticks = {tick.tick: tick for tick in log.of(Tick)}

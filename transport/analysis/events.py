@@ -11,13 +11,7 @@ _ORIGIN = {"script": " by script", "person": " by hand", "unknown": ""}
 
 
 def events(setup: Setup, log: RunLog, control: Control | None) -> list[dict[str, Any]]:
-    """Return the events in order, as JSON data with the fields of `faults` in summary.schema.json.
-
-    Args:
-        setup: The run.
-        log: Its log.
-        control: End of the run; None if it is not recorded.
-    """
+    """Return the events in order, as JSON data with the fields of `faults` in summary.schema.json."""
     found: list[dict[str, Any]] = []
     began_ns = min(log.received_ns(Tick).values(), default=None)
 

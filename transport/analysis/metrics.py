@@ -16,12 +16,7 @@ from transport.log.run_log import RunLog
 
 
 def summarise(setup: Setup, log: RunLog) -> dict[str, Any]:
-    """Return the summary of a run as JSON data with the fields of summary.schema.json.
-
-    Args:
-        setup: The run.
-        log: Its log; None stands for what an incomplete log does not tell.
-    """
+    """Return the summary of a run as JSON data (summary.schema.json); None for anything the log does not tell."""
     series = series_of(setup, log)
     control = next(log.of(Control), None)
     reports = list(log.of(StepReport))

@@ -74,7 +74,7 @@ class Replay:
     Args:
         setup: The run, or the same run with another controller.
         log: Its log.
-        agent: Which agent, 1-based.
+        agent: The agent, 1-based.
         before_measurement: Called with the node and each measurement before the node receives it.
 
     Attributes:
@@ -270,6 +270,6 @@ def _by_tick(messages: Iterator[Message]) -> Iterator[tuple[Answer, ...]]:
 
 
 def _identity(message: Answer) -> tuple[str, int, int, int]:
-    """Return what distinguishes a message from the agent's others."""
+    """Return the fields that distinguish a message from the agent's others."""
     negotiation = message.negotiation if isinstance(message, Plan) else 0
     return message.kind, message.incarnation, message.tick, negotiation

@@ -50,13 +50,7 @@ class Difference:
 
 @dataclass(slots=True)
 class Tally:
-    """The differences of one field over a run.
-
-    Attributes:
-        first: First difference.
-        largest: Largest difference.
-        ticks: Number of ticks with a difference.
-    """
+    """The first and the largest difference of one field over a run, and the number of ticks with one."""
 
     first: Difference
     largest: Difference
@@ -95,12 +89,7 @@ class Comparison:
         return next((tick for tick, *apart, _ in self.rows if max(apart) > size), None)
 
     def add(self, step: Step, *, ignored: Iterable[str] = ()) -> None:
-        """Compare one tick.
-
-        Args:
-            step: Replayed and recorded messages.
-            ignored: Fields not to compare, e.g. report.lost.
-        """
+        """Compare the replayed and recorded messages of one tick, except for ignored fields, e.g. report.lost."""
         if None in step.recorded:
             self.unrecorded.append(step.tick)
             return

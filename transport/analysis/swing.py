@@ -39,12 +39,7 @@ class Swing:
 
 
 def swing_of(setup: Setup, series: Series) -> Swing:
-    """Measure the payload swing at the end of a run.
-
-    Args:
-        setup: The run.
-        series: Its plant states and references.
-    """
+    """Measure the payload swing at the end of a run."""
     if not len(series.ticks):
         return Swing(largest_m=None, decays=None)
     begin = int(series.ticks[-1]) + 1 - _periods(setup, SWING_S)

@@ -58,10 +58,8 @@ class Forked:
             return self.returncode
 
     def wait(self, timeout: float | None = None) -> int:
-        """Wait for the end of the process and return its exit code.
+        """Wait for the end of the process, s, or without limit for None; return its exit code.
 
-        Args:
-            timeout: Longest wait, s; None for no limit.
         Raises: subprocess.TimeoutExpired: the process still runs.
         """
         code = self.poll()
@@ -129,13 +127,7 @@ class ForkServer:
         self._socket = own
 
     def start(self, arguments: Sequence[str], output: IO[bytes], extra: Mapping[str, str]) -> Started:
-        """Start `transport` as a child of this process.
-
-        Args:
-            arguments: Arguments of the command.
-            output: File for standard output and error.
-            extra: Additions to the environment of this process.
-        """
+        """Start `transport` as a child with an output file and additions to the environment of this process."""
         environment = {**ENVIRONMENT, **os.environ, **extra}
         if self._socket is not None and _at_import(os.environ) == self._imported:
             try:

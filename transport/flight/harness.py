@@ -9,7 +9,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
 from typing import IO
 
 from protocol.network.endpoints import Endpoints
@@ -30,14 +29,7 @@ class HarnessError(RuntimeError):
 
 @dataclass(slots=True)
 class Child:
-    """One started process.
-
-    Attributes:
-        name: Process name.
-        process: Its handle.
-        log: File with its output.
-        incarnation: Number of this start.
-    """
+    """One started process: its name, handle, file with its output, and number of this start."""
 
     name: str
     process: Started
@@ -88,9 +80,7 @@ class Harness:
     def __enter__(self) -> "Harness":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.end()
 
     def start(self, observers: Sequence[str] = ()) -> None:

@@ -15,7 +15,7 @@ class LiveRun:
     """An active run.
 
     Attributes:
-        run: Name of the run.
+        run: Its name.
         endpoints: Endpoints of its processes, by name.
         pid: Process id of their parent.
         keys: Folder of their keys; empty without keys.
@@ -48,12 +48,6 @@ def read(folder: Path) -> LiveRun | None:
     except (OSError, ValueError, TypeError):
         return None
     return run
-
-
-def newest(parent: Path) -> LiveRun | None:
-    """Return the most recent active run below a folder."""
-    folder = newest_folder(parent)
-    return None if folder is None else read(folder)
 
 
 def newest_folder(parent: Path) -> Path | None:

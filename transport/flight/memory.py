@@ -32,7 +32,7 @@ def simulate(
 
     Args:
         setup: The run.
-        record: Called with every message, as the recorder would receive it.
+        record: Function called with every message, as the recorder would receive it.
         stopwatch: Steady clock of the step reports, ns.
     Raises: RuntimeError: deadlock of the nodes, which is a bug.
     """

@@ -1,7 +1,6 @@
 """Progress of a run on the console: simulated time, real-time factor, cost, attitude."""
 
 import time
-from types import TracebackType
 from typing import Self
 
 import numpy as np
@@ -18,12 +17,7 @@ _LINE_EVERY_S = 10.0
 
 
 class ConsoleProgress:
-    """A progress bar on a terminal, a line every 10 s elsewhere.
-
-    Args:
-        console: Standard error, as standard output is for results.
-        columns: Columns of the bar.
-    """
+    """A progress bar on a terminal, a line every 10 s elsewhere; on standard error, as results go to stdout."""
 
     def __init__(self, console: Console, *columns: ProgressColumn) -> None:
         self._console = console
@@ -35,9 +29,7 @@ class ConsoleProgress:
             self._bar.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._bar is not None:
             self._bar.stop()
 
@@ -67,12 +59,7 @@ class RunProgress(ConsoleProgress):
             self._task = self._bar.add_task("starting", total=self._duration_s, status="waiting for the processes")
 
     def show(self, plant_state: PlantState | None, started_s: float | None) -> None:
-        """Draw the newest state.
-
-        Args:
-            plant_state: Newest state, or None before the first.
-            started_s: Steady-clock time of the first state, s.
-        """
+        """Draw the newest state, None before the first, given the steady-clock time of the first, s."""
         if plant_state is None or started_s is None:
             return
         t_s = plant_state.tick * self._setup.settings.sampling_period_s

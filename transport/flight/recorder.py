@@ -65,10 +65,8 @@ class Recorder:
         admission: Admission of messages.
 
     Args:
-        setup: The run.
-        run: Name of the run.
-        writer: Open log.
-        endpoints: Endpoints to connect to.
+        setup, run: The run, and its name.
+        writer, endpoints: Open log, and endpoints to connect to.
         join_timeout_s: Time to wait for the processes, s.
         incarnation: Number of this start of the recorder.
         has_ended: Returns whether the coordinator is known to have ended in order.
@@ -212,12 +210,7 @@ class Recorder:
         return self._bus.next(timeout_s)
 
     def receive(self, message: Message, at_ns: int | None = None) -> None:
-        """Record a message from the network, unless it is refused.
-
-        Args:
-            message: Any message.
-            at_ns: Arrival, ns since 1970; now by default.
-        """
+        """Record a message from the network that arrived at a time, ns since 1970, now by default, unless refused."""
         self._reception.receive(message, time.time_ns() if at_ns is None else at_ns)
 
     def _handle(self, message: Message, at_ns: int) -> None:

@@ -37,12 +37,7 @@ _POLL_S = 0.05
 
 
 class RunError(RuntimeError):
-    """A run that could not be started.
-
-    Args:
-        text: One line for the user.
-        exit_code: Exit code of the command.
-    """
+    """A run that could not be started: one line for the user, and the exit code of the command."""
 
     def __init__(self, text: str, exit_code: int) -> None:
         super().__init__(text)
@@ -51,13 +46,7 @@ class RunError(RuntimeError):
 
 @dataclass(frozen=True, slots=True)
 class Finished:
-    """End of a run.
-
-    Attributes:
-        folder: Run folder, complete except for the report.
-        exit_code: Exit code of the command.
-        reason: One line; empty when completed.
-    """
+    """End of a run: its folder, complete except for the report, exit code, and reason in a line, empty if completed."""
 
     folder: Path
     exit_code: int
@@ -75,12 +64,8 @@ def new_folder(parent: Path, name: str) -> Path:
 
 
 def simulate(setup: Setup, folder: Path, console: Console) -> Finished:
-    """Start the processes of a run, record it, and wait for its end.
+    """Start the processes of a run, record it in a new folder, and wait for its end.
 
-    Args:
-        setup: The run.
-        folder: Run folder to create.
-        console: For progress.
     Returns: The end of the run; every process has ended and the log is complete.
     Raises: RunError: the folder exists, or a process ended before the run began. HarnessError: no free port.
     """
@@ -145,13 +130,8 @@ def _simulate(
 
 
 def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finished:
-    """Record a run whose processes are started elsewhere.
+    """Record a run whose processes are started elsewhere, in a new folder.
 
-    Args:
-        setup: The run.
-        place: Its network.
-        folder: Run folder to create.
-        console: For progress.
     Raises: RunError: the folder exists, or the processes did not join.
     """
     names = process_names(setup.scenario)

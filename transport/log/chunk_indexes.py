@@ -12,10 +12,7 @@ class ChunkIndexes:
     """Chunk indexes of one writer, encoded in a file until the writer's `finish` copies them.
 
     The library has no interface for this, so `attach` replaces the private list of mcap 1.x; a test on the memory of
-    a long log fails if a later release does not use it.
-
-    Args:
-        file: Empty, open for reading and writing.
+    a long log fails if a later release does not use it. The file is empty and open for reading and writing.
     """
 
     def __init__(self, file: BinaryIO) -> None:

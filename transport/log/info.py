@@ -20,35 +20,11 @@ _REGULAR = (Tick.kind, PlantState.kind, Measurement.kind, Plan.kind, StepReport.
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LogFile:
-    """A log without its run folder.
-
-    Attributes:
-        path: The file.
-        log: Its readable content.
-        setup: The run, from the scenario in the log; None if that is missing or of another version.
-    """
+    """Readable content of a log file, and the run, None if the scenario in the log is missing or of another version."""
 
     path: Path
     log: RunLog
     setup: Setup | None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Channel:
-    """One channel of a log.
-
-    Attributes:
-        topic: Its name.
-        messages: Number of messages.
-        first, last: Ticks of its first and last message.
-        ticks_without: First and last tick of each span in between that has no message.
-    """
-
-    topic: str
-    messages: int
-    first: int
-    last: int
-    ticks_without: tuple[tuple[int, int], ...]
 
 
 def open_log(path: Path) -> LogFile:
@@ -65,24 +41,6 @@ def open_log(path: Path) -> LogFile:
     except (ScenarioError, tomllib.TOMLDecodeError):
         setup = None
     return LogFile(path=file, log=log, setup=setup)
-
-
-def channels(log: RunLog) -> list[Channel]:
-    """Return the channels, sorted by name."""
-    ticks: dict[str, list[int]] = {}
-    for entry in log.messages:
-        ticks.setdefault(topic_of(entry.message), []).append(entry.message.tick)
-    return [
-        Channel(
-            topic=topic,
-            messages=len(found),
-            first=min(found),
-            last=max(found),
-            # Only channels with a message at every tick can have gaps.
-            ticks_without=_gaps(found) if kind_of(topic) in _REGULAR else (),
-        )
-        for topic, found in sorted(ticks.items(), key=lambda item: _natural(item[0]))
-    ]
 
 
 def describe(file: LogFile) -> dict[str, Any]:
@@ -111,16 +69,7 @@ def describe(file: LogFile) -> dict[str, Any]:
         "complete": not log.cut and not missing(log),
         "cut": log.cut or None,
         "lost": lost(file),
-        "channels": [
-            {
-                "topic": channel.topic,
-                "messages": channel.messages,
-                "first_tick": channel.first,
-                "last_tick": channel.last,
-                "ticks_without": [list(gap) for gap in channel.ticks_without],
-            }
-            for channel in channels(log)
-        ],
+        "channels": _channels(log),
     }
 
 
@@ -148,9 +97,27 @@ def lost(file: LogFile) -> list[str]:
     return found
 
 
-def _gaps(ticks: Iterable[int]) -> tuple[tuple[int, int], ...]:
+def _channels(log: RunLog) -> list[dict[str, Any]]:
+    """Return the channels, sorted by name, each with the spans of ticks in between that have no message."""
+    ticks: dict[str, list[int]] = {}
+    for entry in log.messages:
+        ticks.setdefault(topic_of(entry.message), []).append(entry.message.tick)
+    return [
+        {
+            "topic": topic,
+            "messages": len(found),
+            "first_tick": min(found),
+            "last_tick": max(found),
+            # Only channels with a message at every tick can have gaps.
+            "ticks_without": _gaps(found) if kind_of(topic) in _REGULAR else [],
+        }
+        for topic, found in sorted(ticks.items(), key=lambda item: _natural(item[0]))
+    ]
+
+
+def _gaps(ticks: Iterable[int]) -> list[list[int]]:
     """Return the spans missing between the smallest and the largest tick."""
-    return tuple((a + 1, b - 1) for a, b in pairwise(sorted(set(ticks))) if b > a + 1)
+    return [[a + 1, b - 1] for a, b in pairwise(sorted(set(ticks))) if b > a + 1]
 
 
 def _natural(topic: str) -> tuple[str, int]:

@@ -5,10 +5,13 @@ but few plot a list of lists. A float64 is written with the fewest digits that r
 """
 
 import dataclasses
+from collections.abc import Callable
+from functools import partial
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 import orjson
+from mcap.writer import Writer
 
 from model.arrays import Array
 from protocol.wire.messages import KINDS, Message
@@ -37,11 +40,8 @@ def to_json(message: Message) -> bytes:
 
 
 def from_json(kind: str, data: bytes) -> Message:
-    """Return the message in a JSON object of `to_json`.
+    """Return the message of a kind (key of `protocol.wire.messages.KINDS`) in a JSON object of `to_json`.
 
-    Args:
-        kind: Key of `protocol.wire.messages.KINDS`.
-        data: The JSON object.
     Raises: ValueError, TypeError: it is not a message of that kind.
     """
     content = orjson.loads(data)
@@ -73,6 +73,27 @@ def json_schema(kind: str) -> dict[str, Any]:
         "properties": properties,
         "required": list(properties),
     }
+
+
+class JsonChannels:
+    """Channels and schemas of one MCAP writer, registered on first use."""
+
+    def __init__(self, writer: Writer) -> None:
+        self._writer = writer
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
+
+    def number(self, topic: str, name: str, schema: Callable[[], dict[str, Any]]) -> int:
+        """Return the channel number of a topic, whose messages have the JSON Schema of a name."""
+        if topic not in self._channels:
+            if name not in self._schemas:
+                self._schemas[name] = self._writer.register_schema(name, "jsonschema", orjson.dumps(schema()))
+            self._channels[topic] = self._writer.register_channel(topic, "json", self._schemas[name])
+        return self._channels[topic]
+
+    def of_message(self, topic: str, kind: str) -> int:
+        """Return the channel number of a topic with messages of one kind."""
+        return self.number(topic, f"transport.{KINDS[kind].__name__}", partial(json_schema, kind))
 
 
 def _shape_of(name: str) -> str:

@@ -30,12 +30,8 @@ class RecordedRun:
 
 
 def open_run(folder: Path, *, horizons: bool = True, setup: Setup | None = None) -> RecordedRun:
-    """Read a run folder.
+    """Read run.mcap of a run folder, with `horizons` as in `read_log`, and the run from scenario.toml unless given.
 
-    Args:
-        folder: Contains run.mcap and scenario.toml.
-        horizons: As in `read_log`.
-        setup: The run, if known; read from the folder otherwise.
     Raises: LogError: the log cannot be read; ScenarioError: the scenario cannot be read.
     """
     log = read_log(folder / "run.mcap", horizons=horizons)

@@ -1,7 +1,7 @@
 """The log of a run: every message in one MCAP file that viewers open and that survives a kill.
 
 Messages are JSON, one channel per key and one schema per kind. `log_time` is scenario time, so that viewers show the
-flight and not the host; `publish_time` is when the recorder received the message. The metadata record "run", ahead of
+run and not the host; `publish_time` is when the recorder received the message. The metadata record "run", ahead of
 all messages, describes the run.
 """
 
@@ -10,16 +10,14 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryFile
-from types import TracebackType
 from typing import TypeVar
 
-import orjson
 from mcap.writer import Writer
 
 from protocol.wire.keys import Keys
 from protocol.wire.messages import KINDS, Control, FaultNote, LinkChange, Message, Plan
 from transport.log.chunk_indexes import ChunkIndexes
-from transport.log.json_messages import from_json, json_schema, to_json
+from transport.log.json_messages import JsonChannels, from_json, to_json
 from transport.log.salvage import NotMcapError, Salvage
 
 # A chunk ends at this size, before compression (about three ticks of four agents), or at this age. A kill loses at most
@@ -44,12 +42,7 @@ class LogError(RuntimeError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recorded:
-    """A message and when the recorder received it.
-
-    Attributes:
-        message: As it was sent.
-        received_ns: Wall-clock time, ns since 1970.
-    """
+    """A message as it was sent, and the wall-clock time at which the recorder received it, ns since 1970."""
 
     message: Message
     received_ns: int
@@ -95,8 +88,6 @@ class LogWriter:
     def __init__(self, path: Path, header: Mapping[str, str], *, period_ns: int) -> None:
         self._path = path
         self._period_ns = period_ns
-        self._channels: dict[str, int] = {}
-        self._schemas: dict[str, int] = {}
         self._pending_bytes = 0  # JSON in the unfinished chunk
         self._pending_since_ns = 0  # arrival of its first message
         self._closed = False
@@ -106,6 +97,7 @@ class LogWriter:
             indexes = opened.enter_context(TemporaryFile(dir=path.parent))
             self._writer = Writer(file, chunk_size=2 * CHUNK_BYTES, enable_data_crcs=True)
             ChunkIndexes(indexes).attach(self._writer)
+            self._channels = JsonChannels(self._writer)
             self._writer.start(library="payload-transport")
             self._writer.add_metadata(_METADATA, dict(header))
             self._finish_chunk()
@@ -114,9 +106,7 @@ class LogWriter:
     def __enter__(self) -> "LogWriter":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     @property
@@ -125,11 +115,8 @@ class LogWriter:
         return self._closed or not self._pending_bytes
 
     def write(self, message: Message, received_ns: int) -> None:
-        """Append a message.
+        """Append a message that arrived at a wall-clock time, ns since 1970.
 
-        Args:
-            message: Of any kind.
-            received_ns: Wall-clock time of its arrival, ns since 1970.
         Raises: LogError: the file cannot be written, or is closed.
         """
         if self._closed:
@@ -142,7 +129,7 @@ class LogWriter:
                 self._pending_since_ns = received_ns
             self._pending_bytes += len(data)
             self._writer.add_message(
-                self._channel(message),
+                self._channels.of_message(topic_of(message), message.kind),
                 log_time=min(message.tick * self._period_ns, _LAST_TIME_NS),
                 publish_time=min(max(received_ns, 0), _LAST_TIME_NS),
                 sequence=message.sequence % _SEQUENCES,
@@ -176,16 +163,6 @@ class LogWriter:
     def _finish_chunk(self) -> None:
         self._writer.flush()  # type: ignore[no-untyped-call]
         self._pending_bytes = 0
-
-    def _channel(self, message: Message) -> int:
-        topic = topic_of(message)
-        if topic not in self._channels:
-            if message.kind not in self._schemas:
-                schema = orjson.dumps(json_schema(message.kind))
-                name = f"transport.{type(message).__name__}"
-                self._schemas[message.kind] = self._writer.register_schema(name, "jsonschema", schema)
-            self._channels[topic] = self._writer.register_channel(topic, "json", self._schemas[message.kind])
-        return self._channels[topic]
 
     @contextmanager
     def _guarded(self) -> Iterator[None]:

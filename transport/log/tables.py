@@ -25,11 +25,7 @@ def tables(log: RunLog, period_s: float | None) -> dict[str, list[Row]]:
     """Return the messages of a log by kind, each row as values by column (docs/log.md).
 
     Measurements and plans have one row per UAV, other messages one row. Tuples of numbers become text with blanks in
-    between.
-
-    Args:
-        log: Whole or not.
-        period_s: Sampling period, s; None if unknown, which leaves `t_s` empty.
+    between. An unknown sampling period, s, leaves `t_s` empty.
     """
     found: dict[str, list[Row]] = {kind: [] for kind in KINDS}
     for entry in log.messages:

@@ -27,23 +27,14 @@ _CACHED_CHUNKS = 8
 
 
 class Chunks:
-    """Decompressed chunks of one log, read from the file on demand.
-
-    Args:
-        path: The file.
-    """
+    """Decompressed chunks of one log file, read on demand."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._cache: OrderedDict[tuple[int, int], bytes] = OrderedDict()
 
     def content(self, offset: int, size: int) -> bytes | None:
-        """Return the content of a chunk; None if it cannot be read any more.
-
-        Args:
-            offset: Where the body of its record begins in the file, bytes.
-            size: Size of the body, bytes.
-        """
+        """Return the content of the chunk whose body lies at an offset, bytes; None if it cannot be read any more."""
         data = self._cache.pop((offset, size), None)
         if data is None:
             try:

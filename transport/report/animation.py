@@ -1,7 +1,7 @@
 """Animation of a run as GIF or MP4."""
 
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from PIL import Image
 from rich.console import Console
-from rich.progress import Progress
+from rich.progress import track
 
 from model.arrays import Array
 from transport.analysis.series import Series, series_of
@@ -46,42 +46,17 @@ def check_animation(out: Path | None) -> None:
 
 
 def animate_run(folder: Path, out: Path) -> Path:
-    """Animate the run in a folder, with a progress bar on a terminal.
+    """Animate the run in a folder as a .gif or .mp4 file, with a progress bar on a terminal; return the file.
 
-    Args:
-        folder: Run folder.
-        out: File to write, .gif or .mp4.
-    Returns: The file.
     Raises: AnimationError: another kind of file, an MP4 without ffmpeg; LogError: no state to draw.
     """
     run = open_run(folder)
-    builder = SceneBuilder.of(run.setup, run.log)
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("animation")
-
-        def progress(done: int, total: int) -> None:
-            bar.update(task, completed=done, total=total)
-
-        return animate(builder, series_of(run.setup, run.log), out, progress=progress)
+    return animate(SceneBuilder.of(run.setup, run.log), series_of(run.setup, run.log), out)
 
 
-def animate(
-    builder: SceneBuilder,
-    series: Series,
-    out: Path,
-    *,
-    speed: float = SPEED,
-    progress: Callable[[int, int], None] | None = None,
-) -> Path:
-    """Animate a run as far as its log goes.
+def animate(builder: SceneBuilder, series: Series, out: Path, *, speed: float = SPEED) -> Path:
+    """Animate a run of at least one tick as far as its log goes, at a multiple of real time; return the file.
 
-    Args:
-        builder: Scenes of the run, its whole log read.
-        series: Series of the same run; at least one tick.
-        out: File to write, .gif or .mp4.
-        speed: Playback speed in multiples of real time.
-        progress: Called with the numbers of frames drawn and of all frames.
-    Returns: The file.
     Raises: AnimationError: another kind of file, or an MP4 without ffmpeg.
     """
     check_animation(out)
@@ -93,11 +68,9 @@ def animate(
     def frames() -> Iterator[Figure]:
         with mpl.rc_context(RC):
             page = AnimationPage(builder, series)
-            for number, tick in enumerate(shown, start=1):
+            for tick in track(shown, "animation", console=Console(stderr=True), transient=True):
                 page.show(builder.at(tick))
                 yield page.figure
-                if progress is not None:
-                    progress(number, len(shown))
 
     (_write_gif if out.suffix == ".gif" else _write_mp4)(frames(), out)
     return out

@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 from model.arrays import Array
 from transport.analysis.series import Series
 from transport.report.figures_3d import frame, line
-from transport.report.style import COMPONENTS, PAYLOAD, REFERENCE, shade_phases
+from transport.report.style import COMPONENTS, PAYLOAD, REFERENCE, scale_cost, shade_phases
 from transport.scene.colours import uav_style
 from transport.scene.geometry import agent_positions, link_segments, rotor_centres, uav_span
 from transport.scene.scene import Scene, SceneBuilder
@@ -25,12 +25,7 @@ _DECADES = 4
 
 
 class AnimationPage:
-    """Figure whose moving parts are redrawn for every frame.
-
-    Args:
-        builder: Scenes of the run.
-        series: Series of the same run; at least one tick.
-    """
+    """Figure of one run, of at least one tick, whose moving parts are redrawn for every frame."""
 
     def __init__(self, builder: SceneBuilder, series: Series) -> None:
         self._setup, self._series = builder.setup, series
@@ -40,9 +35,8 @@ class AnimationPage:
         self._above = self.figure.add_axes((0.54, 0.42, 0.44, 0.47))
         self._cost, self._attitude = (self.figure.add_axes((0.62, y, 0.36, 0.11)) for y in (0.25, 0.10))
         self._moving: list[Any] = []
-        start = self._setup.reference.outputs(np.zeros(1))[0, : 3 * self._N].reshape(self._N, 3)
-        self._span_m = uav_span(start)
-        self._reach_m = float(np.ptp(start[:, :2], axis=0).max(initial=0.0)) / 2.0 + 0.4
+        self._hover_N, self._span_m = builder.hover_N, uav_span(builder.start_I)
+        self._reach_m = float(np.ptp(builder.start_I[:, :2], axis=0).max(initial=0.0)) / 2.0 + 0.4
         self._draw_fixed_parts()
 
     def show(self, scene: Scene) -> None:
@@ -79,10 +73,7 @@ class AnimationPage:
         self._time_axes(self._cost, "cost")
         self._time_axes(self._attitude, "attitude\n(deg)")
         self._cost.tick_params(labelbottom=False)
-        top = float(series.cost.max())
-        if top > 0.0:
-            self._cost.set_yscale("log")
-            self._cost.set_ylim(top * 10.0**-_DECADES, top * 2.0)
+        scale_cost(self._cost, float(series.cost.max()), _DECADES)
         largest = 1.05 * max(0.05, float(series.attitude_max_deg.max()))
         self._attitude.set_ylim(-largest, largest)
         for k, (name, colour) in enumerate(zip(("roll", "pitch", "yaw"), COMPONENTS, strict=True)):
@@ -120,8 +111,7 @@ class AnimationPage:
         colour = uav_style(i)["color"]
         for pair in (tips[[0, 2]], tips[[1, 3]]):
             self._keep(*line(self._space, pair, color=colour, linewidth=2.4))
-        hover = float(np.mean(self._setup.hover.u[::4]))
-        arrow = np.array([scene.uavs_I[i], scene.uavs_I[i] + 0.5 * scene.thrusts_I[i] / hover])
+        arrow = np.array([scene.uavs_I[i], scene.uavs_I[i] + 0.5 * scene.thrusts_I[i] / self._hover_N])
         self._keep(*line(self._space, arrow, color=colour, linewidth=0.8))
 
     def _draw_above(self, scene: Scene) -> None:

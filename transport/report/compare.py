@@ -16,14 +16,7 @@ Summary = dict[str, Any]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Compared:
-    """One of the compared runs.
-
-    Attributes:
-        label: Name in tables and figures.
-        run: Its log and setup.
-        summary: Summary regenerated from the log (docs/summary.md).
-        series: Plant states and reference over time.
-    """
+    """One of the compared runs: its label in tables and figures, its summary (docs/summary.md) and its series."""
 
     label: str
     run: RecordedRun
@@ -42,7 +35,7 @@ class Row:
     """One quantity of all runs.
 
     Attributes:
-        name: Name of the quantity.
+        name: Quantity.
         unit: Its unit, empty for none.
         values: Value of each run; None if its log does not tell.
         percent: Difference from the first run, %; None if not defined.

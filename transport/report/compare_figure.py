@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from transport.report.compare import Compared, same_maneuver
-from transport.report.style import CURVES, RC, WIDTH_IN, line_width, save, shade_phases
+from transport.report.style import CURVES, RC, WIDTH_IN, line_width, save, scale_cost, shade_phases
 
 # Shown decades of the cost.
 _COST_DECADES = 5
@@ -17,13 +17,7 @@ _HEIGHT_IN, _LEGEND_IN = 5.6, 0.2
 
 
 def draw_compared(runs: Sequence[Compared], folder: Path) -> list[Path]:
-    """Draw compare.png and compare.svg.
-
-    Args:
-        runs: Runs, at least one of them with a tick.
-        folder: Existing folder.
-    Returns: The files.
-    """
+    """Draw compare.png and compare.svg of runs, at least one of them with a tick, in a folder; return the files."""
     with mpl.rc_context(RC):
         figure = Figure(figsize=(WIDTH_IN, _HEIGHT_IN + _LEGEND_IN * len(runs)), layout="constrained")
         panels = list(figure.subplots(3, 1, sharex=True))
@@ -42,9 +36,7 @@ def draw_compared(runs: Sequence[Compared], folder: Path) -> list[Path]:
             for panel, values in zip(panels, (positive, series.attitude_max_deg, error_m), strict=True):
                 panel.plot(series.times_s, values, label=compared.label, **style)
             top = max(top, float(np.nanmax(np.append(series.cost, 0.0))))
-        if 0.0 < top < np.inf:
-            panels[0].set_yscale("log")
-            panels[0].set_ylim(top * 10.0**-_COST_DECADES, top * 2.0)
+        scale_cost(panels[0], top, _COST_DECADES)
         for panel, label in zip(panels, _PANELS, strict=True):
             panel.set_ylabel(label)
         for panel in panels[1:]:

@@ -12,7 +12,7 @@ from transport.analysis.series import Series, series_of
 from transport.log.run_log import RunLog
 from transport.report.figures_3d import draw_trajectories
 from transport.report.figures_timing import draw_timing
-from transport.report.style import COMPONENTS, RC, WIDTH_IN, line_width, save_both, shade_phases
+from transport.report.style import COMPONENTS, RC, WIDTH_IN, line_width, save_both, scale_cost, shade_phases
 from transport.scene.colours import uav_style
 
 # Labels of the four panels of the performance figure.
@@ -31,10 +31,6 @@ _SMALLEST_M, _SMALLEST_DEG = 1e-3, 1e-2
 def draw(setup: Setup, log: RunLog, folder: Path) -> list[Path]:
     """Draw performance, trajectories and timing of a run as PNG and SVG, as far as its log goes.
 
-    Args:
-        setup: The run.
-        log: Its log, complete or cut.
-        folder: Folder to create or to replace figures in.
     Returns: The PNG files, without those that have no data.
     """
     series = series_of(setup, log)
@@ -84,7 +80,4 @@ def plot_performance(setup: Setup, series: Series, panels: list[Axes]) -> None:
         panel.set_ylim(min(low, -smallest), max(high, smallest))
 
     panels[3].plot(t, np.where(series.cost > 0.0, series.cost, np.nan), color="#000000")
-    top = float(series.cost.max())
-    if top > 0.0:
-        panels[3].set_yscale("log")
-        panels[3].set_ylim(top * 10.0**-_COST_DECADES, top * 2.0)
+    scale_cost(panels[3], float(series.cost.max()), _COST_DECADES)

@@ -14,7 +14,7 @@ from mcap.writer import CompressionType, Writer
 
 from model.arrays import Array
 from protocol.wire.messages import KINDS
-from transport.log.json_messages import json_schema
+from transport.log.json_messages import JsonChannels
 from transport.log.run_log import DERIVED
 from transport.log.salvage import Salvage
 from transport.report.foxglove_schemas import NUMBERS, SCHEMAS
@@ -55,13 +55,12 @@ Json = dict[str, Any]
 
 
 def write_foxglove(builder: SceneBuilder, log: Path, out: Path) -> int:
-    """Write the copy of a log.
+    """Write the copy of a log, complete or cut; return the number of ticks with a scene.
 
     Args:
         builder: Scenes of the run, its whole log read.
-        log: The run's log, complete or cut.
+        log: The run's log.
         out: File to write or replace.
-    Returns: Number of ticks with a scene.
     Raises: OSError: it cannot be written.
     """
     with log.open("rb") as original:
@@ -69,53 +68,38 @@ def write_foxglove(builder: SceneBuilder, log: Path, out: Path) -> int:
         entries = list(salvage.entries())
     partial = out.with_name(out.name + ".partial")
     with partial.open("wb") as file:
-        copy = _CopyWriter(Writer(file, compression=CompressionType.ZSTD))
+        copy = Writer(file, compression=CompressionType.ZSTD)
+        channels = JsonChannels(copy)
+        copy.start(library="payload-transport")
         for name, values in {**salvage.metadata, DERIVED: dict(CHANNELS)}.items():
-            copy.writer.add_metadata(name, values)
+            copy.add_metadata(name, values)
         for topic, entry in entries:
             kind = topic.lstrip("/").split("/", 1)[0]
             if kind in KINDS:
-                channel = copy.channel(topic, f"transport.{KINDS[kind].__name__}", json_schema(kind))
-                copy.writer.add_message(
+                channel = channels.of_message(topic, kind)
+                copy.add_message(
                     channel, entry.log_time, entry.data, publish_time=entry.publish_time, sequence=entry.sequence
                 )
+
+        def put(topic: str, at_ns: int, content: Json) -> None:
+            name = CHANNELS[topic]
+            data = orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY)
+            channel = channels.number(topic, name, lambda: SCHEMAS[name])
+            copy.add_message(channel, at_ns, data, publish_time=at_ns)
+
         ticks = sorted(builder.history.plant_states)
         period_ns = builder.setup.period_ns
         for tick in ticks:
             scene, at_ns = builder.at(tick), tick * period_ns
             if tick == ticks[0]:
-                copy.put("/scene/bodies", at_ns, _update(_bodies(builder, at_ns)))
-                copy.put("/scene/reference", at_ns, _update(_reference(builder, at_ns)))
-            copy.put("/tf", at_ns, {"transforms": list(_transforms(scene, at_ns))})
-            copy.put("/scene/now", at_ns, _update(_now(builder, scene, at_ns)))
-            copy.put("/numbers", at_ns, _numbers(scene))
-        copy.writer.finish()  # type: ignore[no-untyped-call]
+                put("/scene/bodies", at_ns, _update(_bodies(builder, at_ns)))
+                put("/scene/reference", at_ns, _update(_reference(builder, at_ns)))
+            put("/tf", at_ns, {"transforms": list(_transforms(scene, at_ns))})
+            put("/scene/now", at_ns, _update(_now(builder, scene, at_ns)))
+            put("/numbers", at_ns, _numbers(scene))
+        copy.finish()  # type: ignore[no-untyped-call]
     partial.replace(out)
     return len(ticks)
-
-
-class _CopyWriter:
-    """MCAP writer that registers channels and schemas on first use."""
-
-    def __init__(self, writer: Writer) -> None:
-        self.writer = writer
-        self._channels: dict[str, int] = {}
-        self._schemas: dict[str, int] = {}
-        writer.start(library="payload-transport")
-
-    def channel(self, topic: str, name: str, schema: Mapping[str, Any]) -> int:
-        """Return the channel id of a topic."""
-        if topic not in self._channels:
-            if name not in self._schemas:
-                self._schemas[name] = self.writer.register_schema(name, "jsonschema", orjson.dumps(schema))
-            self._channels[topic] = self.writer.register_channel(topic, "json", self._schemas[name])
-        return self._channels[topic]
-
-    def put(self, topic: str, at_ns: int, content: Json) -> None:
-        """Write a message to one of `CHANNELS`."""
-        name = CHANNELS[topic]
-        data = orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY)
-        self.writer.add_message(self.channel(topic, name, SCHEMAS[name]), at_ns, data, publish_time=at_ns)
 
 
 def _transforms(scene: Scene, at_ns: int) -> Iterator[Json]:
@@ -148,8 +132,7 @@ def _bodies(builder: SceneBuilder, at_ns: int) -> Iterator[Json]:
         "indices": faces.reshape(-1).tolist(),
     }
     yield _entity("payload", PAYLOAD, at_ns, locked=True, triangles=[mesh])
-    start = builder.setup.reference.outputs(np.zeros(1))[0, : 3 * system.N].reshape(system.N, 3)
-    span = uav_span(start)
+    span = uav_span(builder.start_I)
     for i in range(system.N):
         parts = [(2.0 * BODY, BODY, np.zeros(3), uav_colour(i))]
         parts += [(ROTOR, 0.02, c, _DARK if c[0] > 0.0 else uav_colour(i)) for c in rotor_centres()]
@@ -187,10 +170,8 @@ def _now(builder: SceneBuilder, scene: Scene, at_ns: int) -> Iterator[Json]:
     setup = builder.setup
     rods = np.stack([scene.uavs_I, scene.attachments_I], axis=1).reshape(-1, 3)
     yield _entity("rods", INERTIAL, at_ns, lines=[_line(rods, _GREY)])
-    hover = float(np.mean(setup.hover.u[::4]))
-    arrows = [
-        _arrow(*row, hover, uav_colour(i)) for i, row in enumerate(zip(scene.uavs_I, scene.thrusts_I, strict=True))
-    ]
+    thrusts = enumerate(zip(scene.uavs_I, scene.thrusts_I, strict=True))
+    arrows = [_arrow(tail, thrust, builder.hover_N, uav_colour(i)) for i, (tail, thrust) in thrusts]
     yield _entity("thrust", INERTIAL, at_ns, arrows=arrows)
     for prediction in scene.predictions:
         own = setup.owned[prediction.agent - 1]

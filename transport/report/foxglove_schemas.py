@@ -15,6 +15,10 @@ def _list(items: Schema) -> Schema:
     return {"type": "array", "items": items}
 
 
+def _numbers(*names: str) -> dict[str, Schema]:
+    return {name: {"type": "number"} for name in names}
+
+
 _NUMBER: Schema = {"type": "number"}
 _INTEGER: Schema = {"type": "integer", "minimum": 0}
 _TEXT: Schema = {"type": "string"}
@@ -24,28 +28,21 @@ _EMPTY: Schema = {"type": "array", "items": {"type": "object"}, "maxItems": 0}
 
 _TIME = _object("time", sec=_INTEGER, nsec={**_INTEGER, "maximum": 999_999_999})
 _DURATION = _object("duration", sec={"type": "integer"}, nsec={**_INTEGER, "maximum": 999_999_999})
-_VECTOR = _object("foxglove.Vector3", x=_NUMBER, y=_NUMBER, z=_NUMBER)
-_POINT = _object("foxglove.Point3", x=_NUMBER, y=_NUMBER, z=_NUMBER)
-_QUATERNION = _object("foxglove.Quaternion", x=_NUMBER, y=_NUMBER, z=_NUMBER, w=_NUMBER)
+_VECTOR = _object("foxglove.Vector3", **_numbers("x", "y", "z"))
+_POINT = _object("foxglove.Point3", **_numbers("x", "y", "z"))
+_QUATERNION = _object("foxglove.Quaternion", **_numbers("x", "y", "z", "w"))
 _POSE = _object("foxglove.Pose", position=_VECTOR, orientation=_QUATERNION)
-_COLOUR = _object("foxglove.Color", r=_NUMBER, g=_NUMBER, b=_NUMBER, a=_NUMBER)
+_COLOUR = _object("foxglove.Color", **_numbers("r", "g", "b", "a"))
+_POINTS = {"points": _list(_POINT), "color": _COLOUR, "colors": _list(_COLOUR), "indices": _list(_INTEGER)}
 
 _ARROW = _object(
     "foxglove.ArrowPrimitive",
     pose=_POSE,
-    shaft_length=_NUMBER,
-    shaft_diameter=_NUMBER,
-    head_length=_NUMBER,
-    head_diameter=_NUMBER,
+    **_numbers("shaft_length", "shaft_diameter", "head_length", "head_diameter"),
     color=_COLOUR,
 )
 _CYLINDER = _object(
-    "foxglove.CylinderPrimitive",
-    pose=_POSE,
-    size=_VECTOR,
-    bottom_scale=_NUMBER,
-    top_scale=_NUMBER,
-    color=_COLOUR,
+    "foxglove.CylinderPrimitive", pose=_POSE, size=_VECTOR, **_numbers("bottom_scale", "top_scale"), color=_COLOUR
 )
 _LINE = _object(
     "foxglove.LinePrimitive",
@@ -53,19 +50,9 @@ _LINE = _object(
     pose=_POSE,
     thickness=_NUMBER,
     scale_invariant=_SWITCH,
-    points=_list(_POINT),
-    color=_COLOUR,
-    colors=_list(_COLOUR),
-    indices=_list(_INTEGER),
+    **_POINTS,
 )
-_TRIANGLES = _object(
-    "foxglove.TriangleListPrimitive",
-    pose=_POSE,
-    points=_list(_POINT),
-    color=_COLOUR,
-    colors=_list(_COLOUR),
-    indices=_list(_INTEGER),
-)
+_TRIANGLES = _object("foxglove.TriangleListPrimitive", pose=_POSE, **_POINTS)
 _LABEL = _object(
     "foxglove.TextPrimitive",
     pose=_POSE,
@@ -111,7 +98,7 @@ SCHEMAS: dict[str, Schema] = {
     NUMBERS: _object(
         NUMBERS,
         cost=_NUMBER,
-        attitude_deg=_object("roll, pitch, yaw", roll=_NUMBER, pitch=_NUMBER, yaw=_NUMBER),
+        attitude_deg=_object("roll, pitch, yaw", **_numbers("roll", "pitch", "yaw")),
         payload_error_m=_NUMBER,
         phase=_TEXT,
         step_ms=_list(_MAYBE),

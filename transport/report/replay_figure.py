@@ -12,14 +12,7 @@ from transport.report.style import COMPONENTS, RC, WIDTH_IN, label_decades, save
 
 
 def draw_replay(setup: Setup, comparison: Comparison, folder: Path) -> list[Path]:
-    """Draw replay.png and replay.svg: largest difference of thrust and of moments at each tick.
-
-    Args:
-        setup: The run.
-        comparison: Comparison of at least one tick.
-        folder: Existing folder.
-    Returns: The files.
-    """
+    """Draw replay.png and replay.svg: largest difference of thrust and of moments at each tick; return the files."""
     ticks = np.array([row[0] for row in comparison.rows])
     differences = np.array([row[1:5] for row in comparison.rows])
     times_s = ticks * setup.settings.sampling_period_s

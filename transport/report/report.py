@@ -31,13 +31,10 @@ _COLOURS = {"completed": "green", "diverged": "red", "aborted": "red", "unknown"
 
 
 def write_report(folder: Path, *, figures: bool = True, setup: Setup | None = None) -> dict[str, Any]:
-    """Write or replace summary.json, steps.csv and the figures of a recorded run.
+    """Write or replace summary.json, steps.csv and the figures of a recorded run; return the summary.
 
-    Args:
-        folder: Run folder with run.mcap and scenario.toml.
-        figures: Whether to draw figures, which takes most of the time.
-        setup: The run, if known; otherwise read from the folder.
-    Returns: The summary.
+    Figures take most of the time. The run is read from the folder unless it is given.
+
     Raises: LogError: there is no readable log; ScenarioError: the folder's scenario cannot be read.
     """
     run = open_run(folder, horizons=False, setup=setup)
@@ -56,11 +53,7 @@ def write_report(folder: Path, *, figures: bool = True, setup: Setup | None = No
 
 
 def summary_table(summary: Mapping[str, Any]) -> Table:
-    """Return the table printed at the end of a run.
-
-    Args:
-        summary: Result of `write_report`.
-    """
+    """Return the table printed at the end of a run, from the result of `write_report`."""
     table = Table(box=None, show_header=False, title=_title(summary), title_justify="left")
     table.add_column(style="cyan", no_wrap=True)
     table.add_column()

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
@@ -66,7 +67,7 @@ def shade_phases(setup: Setup, panels: list[Axes], until_s: float, *, named: boo
     Args:
         setup: The run.
         panels: Axes over time in s, from top to bottom.
-        until_s: End of the time axis.
+        until_s: End of the time axis, s.
         named: Whether to name them.
     """
     begin = 0.0
@@ -103,6 +104,13 @@ def label_decades(axis: Axis) -> None:
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.set_major_formatter(FormatStrFormatter("%g"))
     axis.set_minor_locator(NullLocator())
+
+
+def scale_cost(axes: Axes, top: float, decades: int) -> None:
+    """Set a logarithmic axis that shows so many decades of costs up to `top`; a run without cost keeps its axis."""
+    if 0.0 < top < np.inf:
+        axes.set_yscale("log")
+        axes.set_ylim(top * 10.0**-decades, top * 2.0)
 
 
 def save(figure: Figure, path: Path, *, cropped: bool = False) -> Path:

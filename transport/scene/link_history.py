@@ -28,11 +28,7 @@ class LinkState:
 
 
 class LinkHistory:
-    """Link states of one run. Losses are drawn again from the scenario, whose random generator is counter-based.
-
-    Args:
-        setup: The run.
-    """
+    """Link states of one run. Losses are drawn again from the scenario, whose random generator is counter-based."""
 
     def __init__(self, setup: Setup) -> None:
         self._period_s = setup.settings.sampling_period_s
@@ -55,12 +51,7 @@ class LinkHistory:
         self._lost = {key: lost for key, lost in self._lost.items() if key[2] < message.tick}
 
     def states(self, tick: int, reports: Sequence[StepReport]) -> tuple[LinkState, ...]:
-        """Return the state of every directed link at a tick.
-
-        Args:
-            tick: k.
-            reports: Reports of the agents of that tick.
-        """
+        """Return the state of every directed link at a tick, given the reports of the agents of that tick."""
         ages = {
             (peer, report.agent): age * self._period_s
             for report in reports

@@ -23,9 +23,6 @@ class Predictor:
 
     With closed-loop prediction every agent applies u = u_hover + K (x - x_ref) + feedforward + c with its announced
     corrections c; with open-loop prediction it applies its announced inputs.
-
-    Args:
-        setup: The run.
     """
 
     def __init__(self, setup: Setup) -> None:
@@ -35,12 +32,8 @@ class Predictor:
         self._rollout = Compiled(_rollout(setup, self._regulation))
 
     def states(self, history: RunHistory, agent: int, tick: int) -> Array | None:
-        """Return the states an agent predicted with its plan of a tick.
+        """Return the states an agent predicted with its plan of a tick, k.
 
-        Args:
-            history: Messages of the run.
-            agent: 1-based.
-            tick: k.
         Returns: States at ticks k..k + N_p, (N_p + 1, n); None if the agent made no plan at k, or an agent or UAV was
             off the roster.
         Source: docs/equations.md (32), (35).

@@ -2,10 +2,13 @@
 
 from bisect import bisect_right
 from collections.abc import Iterable
+from typing import TypeVar
 
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Control, FaultNote, LinkChange, Message, Plan, PlantState, Roster, StepReport
 from transport.log.tail import Unread
+
+M = TypeVar("M", Plan, StepReport)
 
 # Kinds of messages that a history keeps.
 KINDS = frozenset(kind.kind for kind in (PlantState, Plan, StepReport, LinkChange, Roster, FaultNote, Control))
@@ -15,9 +18,6 @@ LATER = frozenset(kind.kind for kind in (Plan, StepReport))
 
 class RunHistory:
     """Messages of one run; grows while a live run is read.
-
-    Args:
-        setup: The run.
 
     Attributes:
         plant_states: Plant states by tick; a tick can be shown once its plant state is here.
@@ -67,23 +67,11 @@ class RunHistory:
 
     def plan(self, agent: int, tick: int) -> Plan | None:
         """Return the plan an agent made at a tick, if there is one."""
-        plan = self._plans.get((agent, tick))
-        if isinstance(plan, Unread):
-            message = plan.message()
-            if not isinstance(message, Plan):
-                return None
-            plan = self._plans[agent, tick] = message
-        return plan
+        return _read(self._plans, (agent, tick), Plan)
 
     def report(self, agent: int, tick: int) -> StepReport | None:
         """Return an agent's report of a tick, if there is one."""
-        report = self._reports.get((agent, tick))
-        if isinstance(report, Unread):
-            message = report.message()
-            if not isinstance(message, StepReport):
-                return None
-            report = self._reports[agent, tick] = message
-        return report
+        return _read(self._reports, (agent, tick), StepReport)
 
     def nearest(self, tick: int) -> int:
         """Return the newest recorded tick up to `tick`, or the first one; at least one must be recorded."""
@@ -105,3 +93,14 @@ class RunHistory:
     def _roster(self, tick: int) -> Roster | None:
         known = [roster for since, roster in self._rosters if since <= tick]
         return max(known, key=lambda roster: roster.version, default=None)
+
+
+def _read(found: dict[tuple[int, int], M | Unread], key: tuple[int, int], kind: type[M]) -> M | None:
+    """Return the message of a key, read from the file the first time; None if there is none, or it is damaged."""
+    message = found.get(key)
+    if isinstance(message, Unread):
+        read = message.message()
+        if not isinstance(read, kind):
+            return None
+        message = found[key] = read
+    return message

@@ -34,13 +34,7 @@ class PredictedPaths:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AgentState:
-    """One agent at a tick.
-
-    Attributes:
-        agent: 1-based.
-        takes_part: Whether it is on the roster.
-        report: Report of its step, if it made one.
-    """
+    """One agent, 1-based, at a tick: whether it is on the roster, and the report of its step, if it made one."""
 
     agent: int
     takes_part: bool
@@ -94,16 +88,18 @@ class Scene:
 
 
 class SceneBuilder:
-    """Builder of the scenes of one run.
+    """Builder of the scenes of one run, whose history may grow.
 
-    Args:
-        setup: The run.
-        history: Its messages; may grow.
+    Attributes:
+        start_I: Positions of the UAVs at the start of the reference, (N, 3), inertial frame, m.
+        hover_N: Mean thrust of a UAV at hover, N.
     """
 
     def __init__(self, setup: Setup, history: RunHistory) -> None:
         self.setup, self.history = setup, history
         self.link_history = LinkHistory(setup)
+        self.start_I = setup.reference.outputs(np.zeros(1))[0, : 3 * setup.system.N].reshape(-1, 3)
+        self.hover_N = float(np.mean(setup.hover.u[::INPUTS]))
         self._cost = Cost(setup.settings.weights, setup.hover)
         self._predictor: Predictor | None = None
         self._applied_changes = 0
@@ -118,7 +114,7 @@ class SceneBuilder:
         history = RunHistory(setup)
         history.add(entry.message for entry in log.messages)
         if history.last < 0:
-            raise LogError("the log: expected the states of a flight, got none that can be read")
+            raise LogError("the log: expected the states of a run, got none that can be read")
         return cls(setup, history)
 
     def at(self, tick: int) -> Scene:
@@ -158,11 +154,8 @@ class SceneBuilder:
         )
 
     def paths(self, tick: int, points: int) -> tuple[Array, Array]:
-        """Return the flown paths until a tick.
+        """Return the flown paths until a tick, with about so many points.
 
-        Args:
-            tick: k.
-            points: Approximate number of points.
         Returns: Payload (k, 3) and UAVs (k, N, 3), inertial frame, m.
         """
         ticks = sorted(k for k in self.history.plant_states if k <= tick)

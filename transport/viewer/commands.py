@@ -14,9 +14,7 @@ from transport.flight.requests import PERFECT, RefusedError, UnansweredError, re
 class Commands:
     """Queue of requests to one live run, sent one after the other by a thread.
 
-    Args:
-        run: The live run.
-        on_result: Called with a sentence about each result and whether the request was refused.
+    It calls `on_result` with a sentence about each result and whether the request was refused.
     """
 
     def __init__(self, run: LiveRun, on_result: Callable[[str, bool], None]) -> None:

@@ -27,8 +27,7 @@ class Panel:
     """Widgets of one viewer.
 
     Args:
-        server: The viser server.
-        builder: Scenes of the run.
+        server, builder: Web server, and scenes of the run.
         playback: Playback state that the widgets change.
         show_layer: Called with a layer's name and whether to show it.
         look: Called with whether to look at the team, or else at the whole maneuver.
@@ -58,7 +57,7 @@ class Panel:
         speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="1 x")
         self._follow = gui.add_checkbox("follow the run", playback.follows, visible=commands is not None)
         camera = gui.add_button_group("camera", (_WHOLE, _TEAM))
-        camera.on_click(lambda event: look(event.target.value == _TEAM))
+        camera.on_click(_with_value(lambda value: look(value == _TEAM)))
         with gui.add_folder("Flight"):
             self._flight = gui.add_html("")
         with gui.add_folder("Agents"):
@@ -70,7 +69,7 @@ class Panel:
         with gui.add_folder("Show", expand_by_default=commands is None):
             for name, shown in LAYERS.items():
                 box = gui.add_checkbox(name, shown)
-                box.on_update(partial(_switch, show_layer, name))
+                box.on_update(_with_value(partial(show_layer, name)))
             gui.add_html(html.legend())
         self._time.on_update(_from_browser(lambda: playback.seek(round(self._time.value / self._period_s))))
         self._play.on_click(lambda _: playback.toggle())
@@ -115,7 +114,7 @@ class Panel:
         with self._processes:
             for agent in agents:
                 buttons = gui.add_button_group(f"agent {agent}", ("kill", "restart"))
-                buttons.on_click(partial(_request_fault, commands, agent_name(int(agent))))
+                buttons.on_click(_with_value(partial(commands.fault, target=agent_name(int(agent)))))
         self._link.on_update(_from_browser(self._show_chosen_link))
         for widget in (self._delay, self._loss, self._partition):
             widget.on_update(_from_browser(self._change_link_after_rest))
@@ -163,12 +162,9 @@ def _from_browser(act: Callable[[], None]) -> Callable[[Any], None]:
     return lambda event: None if event.client_id is None else act()
 
 
-def _switch(show_layer: Callable[[str, bool], None], name: str, event: Any) -> None:
-    show_layer(name, bool(event.target.value))
-
-
-def _request_fault(commands: Commands, target: str, event: Any) -> None:
-    commands.fault(str(event.target.value), target)
+def _with_value(act: Callable[[Any], None]) -> Callable[[Any], None]:
+    """Return a callback that passes the new value of a widget."""
+    return lambda event: act(event.target.value)
 
 
 def _set(widget: Any, value: float | bool) -> None:

@@ -8,12 +8,7 @@ SPEEDS: Mapping[str, float] = {"0.1 x": 0.1, "0.25 x": 0.25, "0.5 x": 0.5, "1 x"
 
 
 class Playback:
-    """The tick to show; advanced by the drawing thread, changed by widgets on other threads.
-
-    Args:
-        period_s: Sampling period, s.
-        follows: Whether to start by following a live run.
-    """
+    """The tick to show; advanced by the drawing thread, changed by widgets on other threads."""
 
     def __init__(self, period_s: float, *, follows: bool) -> None:
         self._period_s = period_s
@@ -23,13 +18,7 @@ class Playback:
         self.follows, self.playing = follows, False
 
     def advance(self, elapsed_s: float, first: int, last: int) -> int:
-        """Return the tick to show now.
-
-        Args:
-            elapsed_s: Wall time since the previous call, s.
-            first: First tick that can be shown.
-            last: Last tick that can be shown.
-        """
+        """Return the tick to show now, of those that can be shown, given the wall time since the previous call, s."""
         with self._lock:
             self._last = last
             if self.follows:

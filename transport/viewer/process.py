@@ -17,11 +17,8 @@ _EXIT_S = 5.0
 def viewer_beside(folder: Path, host: str, port: int, wait_s: float) -> Iterator[Callable[[], None]]:
     """Start a viewer process that shows the run in a folder as soon as it is live, and end it afterwards.
 
-    Args:
-        folder: Run folder, which need not exist yet.
-        host: Address to listen on.
-        port: First port to try.
-        wait_s: How long the viewer waits for the run, s.
+    The folder need not exist yet: the viewer waits `wait_s` seconds for it.
+
     Yields: A function that waits until the user ends the viewer.
     """
     arguments = ["view", str(folder), "--host", host, "--port", str(port), "--wait", str(wait_s)]

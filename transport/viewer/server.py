@@ -26,11 +26,8 @@ def require_viser() -> None:
 
 
 def start_server(host: str, port: int) -> "viser.ViserServer":
-    """Start a viser server on the first free port.
+    """Start a viser server on the first free port from `port` on, or on any for 0.
 
-    Args:
-        host: Address to listen on.
-        port: First port to try; 0 for any.
     Raises: ViewerError: viser is not installed, the address is not usable, or no port is free.
     """
     require_viser()

@@ -57,24 +57,17 @@ _NO_SEGMENTS = np.zeros((1, 2, 3))
 
 
 class View3D:
-    """3D view of one run.
-
-    Args:
-        server: The viser server.
-        builder: Scenes of the run.
-    """
+    """3D view of one run."""
 
     def __init__(self, server: "viser.ViserServer", builder: SceneBuilder) -> None:
         self._server, self._builder = server, builder
         self._setup = setup = builder.setup
         self._N = setup.system.N
         self._shown = dict(LAYERS)
-        self._hover_N = float(np.mean(setup.hover.u[::4]))
         scene = server.scene
         scene.set_up_direction("-z")
         self._add_surroundings()
-        start_I = setup.reference.outputs(np.zeros(1))[0, : 3 * self._N].reshape(self._N, 3)
-        self._span_m = uav_span(start_I)
+        self._span_m = uav_span(builder.start_I)
         self._payload = self._add_body("/payload")
         vertices, faces = payload_mesh(setup.system)
         scene.add_mesh_simple("/payload/body", vertices, faces, color=_PAYLOAD, flat_shading=True, side="double")
@@ -84,7 +77,7 @@ class View3D:
             scene.add_label(
                 f"/uav{i + 1}/name", f"UAV{i + 1}", anchor="bottom-center", font_screen_scale=0.9, position=offset
             )
-            for i, offset in enumerate(name_offsets(start_I))
+            for i, offset in enumerate(name_offsets(builder.start_I))
         ]
         self._goal = scene.add_icosphere("/goal", radius=0.07, color=_REFERENCE, cast_shadow=False)
         self._paths = self._add_lines("/paths", 2.0)
@@ -134,7 +127,7 @@ class View3D:
         for node in (self._team, self._load, self._payload, *self._uavs):
             node.visible = True
         if self._shown["thrust"]:
-            tips_I = scene.uavs_I + scene.thrusts_I * (_ARROW_M / self._hover_N)
+            tips_I = scene.uavs_I + scene.thrusts_I * (_ARROW_M / self._builder.hover_N)
             self._thrust.points = (np.stack([scene.uavs_I, tips_I], axis=1) - centre_I).astype(np.float32)
             self._thrust.colors = _linear([uav_colour(i) for i in range(self._N)])
         if self._shown["links"]:

@@ -12,7 +12,6 @@ import time
 from collections.abc import Callable
 from contextlib import redirect_stdout, suppress
 from pathlib import Path
-from types import TracebackType
 
 from transport.flight.live import LiveRun
 from transport.flight.live import read as read_live_run
@@ -83,9 +82,7 @@ class Viewer:
     def __enter__(self) -> "Viewer":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def update(self) -> None:
@@ -159,12 +156,8 @@ class Viewer:
 
 
 def open_viewer(folder: Path, host: str, port: int) -> Viewer:
-    """Return the viewer of the run in a folder, live or recorded.
+    """Return the viewer of the run in a folder, live or recorded, that listens on the first free port from `port` on.
 
-    Args:
-        folder: Run folder.
-        host: Address to listen on.
-        port: First port to try; 0 for any.
     Raises: ViewerError, LogError: it cannot listen, or there is nothing to show; ScenarioError: the folder's scenario
         cannot be read.
     """
