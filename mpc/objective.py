@@ -48,9 +48,7 @@ class Objective:
         """Return H, g and the effect of the scaled decision on the outputs, (N_p, p', m_own).
 
         The UAVs' positions, which always have a weight, are the first of these outputs. Arguments as those of
-        `Controller.step`.
-
-        Source: docs/equations.md (26)-(27), (48); paper (25).
+        `Controller.step`. Source: docs/equations.md (26)-(27), (48); paper (25).
         """
         C, error_0 = linear.model.C[self._weighted], (linear.model.y - y_ref)[1:, self._weighted]
         Q, terminal = self._Q, self._terminal

@@ -76,9 +76,7 @@ class Regulation:
 
         The shared law depends on nothing else, so all agents have the same. UAVs without an agent follow the fail-safe.
         If the remaining UAVs have no hover or cannot stabilise the team, the regulator ignores the lost agents, else
-        the failures, else both.
-
-        Source: docs/equations.md (40), (45), (50), (51).
+        the failures, else both. Source: docs/equations.md (40), (45), (50), (51).
         """
         none: frozenset[int] = frozenset()
         gone, off, released = frozenset(gone), frozenset(off), frozenset(released)

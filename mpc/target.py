@@ -47,9 +47,7 @@ def target(
     rods lean in parallel or pull in proportion, a remaining moment tilts the payload, and thrusts balance their rods.
 
     Attitudes of UAVs without motors and all states of released UAVs are not part of the target. Arguments as those of
-    `mpc.feedback.regulator`.
-
-    Source: docs/equations.md (40).
+    `mpc.feedback.regulator`. Source: docs/equations.md (40).
     """
     linear = model.linearise(hover.x, hover.u)
     E = model.force_effect(hover.x, hover.u)
