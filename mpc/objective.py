@@ -18,13 +18,8 @@ from mpc.user_costs import UserCosts
 class Objective:
     """Tracking error, effort, the user's terms, the cost after the horizon and the penalties of the slacks.
 
-    Solvers minimise 1/2 z' H z + g' z: all costs are doubled.
-
-    Args:
-        decision: Owned inputs.
-        cost: Weights of the team.
-        user_costs: The user's terms.
-        penalties: Of the slacks, linear and quadratic, (slacks,).
+    Solvers minimise 1/2 z' H z + g' z: all costs are doubled. Penalties of the slacks, (slacks,), are linear and
+    quadratic.
     """
 
     def __init__(self, decision: Decision, cost: Cost, user_costs: UserCosts, penalties: Array) -> None:

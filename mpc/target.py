@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from model import state
-from model.arrays import Array
+from model.arrays import Array, frozen
 from model.hover import Hover
 from model.linearisation import Model
 from mpc.cost import Cost
@@ -68,6 +68,5 @@ def target(
         z += free @ Vt[:rank].T @ ((U[:, :rank].T @ (h - G @ z)) / s[:rank, None])
         free = free @ Vt[rank:].T
     M_x, M_u = T @ z[:states], z[states:]
-    M_x.setflags(write=False)
-    M_u.setflags(write=False)
+    frozen(M_x, M_u)
     return Target(M_x=M_x, M_u=M_u)

@@ -25,9 +25,6 @@ _SAME = 1e-9  # tolerance, in intervals
 class Environment:
     """Physics of the plant.
 
-    Args:
-        setup: The run.
-
     Attributes:
         model: Equations of motion with the actual masses.
     """
@@ -35,11 +32,8 @@ class Environment:
     def __init__(self, setup: Setup) -> None:
         section = setup.scenario.plant
         nominal = section.payload_mass_factor == section.uav_mass_factor == 1.0
-        self.model = (
-            setup.model
-            if nominal
-            else Model(_scaled(setup.system, section.payload_mass_factor, section.uav_mass_factor))
-        )
+        system = _scaled(setup.system, section.payload_mass_factor, section.uav_mass_factor)
+        self.model = setup.model if nominal else Model(system)
         self._seed = setup.scenario.seed
         wind = section.wind
         self._mean_I, self._gust_I = np.array(wind.speed_mps), np.array(wind.gust_mps)

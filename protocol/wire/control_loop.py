@@ -5,17 +5,8 @@ from typing import Annotated, ClassVar, Literal
 
 from model.arrays import Array
 from model.state import INPUTS, PAYLOAD, PER_UAV
-from protocol.wire.fields import (
-    MAX_HORIZON,
-    MAX_NEGOTIATION_ITERATIONS,
-    Agent,
-    Count,
-    Flag,
-    Ids,
-    MessageError,
-    Shape,
-    integer,
-)
+from protocol.wire import fields
+from protocol.wire.fields import Agent, Count, Flag, Ids, MessageError, Shape, integer
 from protocol.wire.message import Message, Route
 from protocol.wire.names import AGENT, COORDINATOR, PLANT, RECORDER
 
@@ -82,7 +73,7 @@ class Plan(Message):
 
     agent: Agent
     start_tick: Count
-    negotiation: Annotated[int, integer(0, MAX_NEGOTIATION_ITERATIONS - 1)]
+    negotiation: Annotated[int, integer(0, fields.MAX_NEGOTIATION_ITERATIONS - 1)]
     shared: Flag
     uavs: Ids
     uav_states: _UavStates
@@ -92,8 +83,8 @@ class Plan(Message):
 
     def _check_relations(self) -> None:
         steps = len(self.inputs)
-        if not 1 <= steps <= MAX_HORIZON:
-            raise MessageError("out_of_range", f"inputs: expected 1 to {MAX_HORIZON} steps, got {steps}")
+        if not 1 <= steps <= fields.MAX_HORIZON:
+            raise MessageError("out_of_range", f"inputs: expected 1 to {fields.MAX_HORIZON} steps, got {steps}")
         if len(self.corrections) not in (0, steps):
             text = f"corrections: expected none or {steps} steps, got {len(self.corrections)}"
             raise MessageError("wrong_shape", text)
