@@ -156,13 +156,10 @@ class Controller:
     ) -> StepResult:
         """Return the plan to announce: the relaxed solution, or the previous plan after a failure.
 
-        Args:
-            solution: Of the QP.
-            prediction: The one in the QP.
-            U: Announced inputs, as in `step`.
-            law: As in `step`.
-            ticks_since_start: Ticks since this controller joined. In the first ones the relaxation weight is at least
-                1 / (ticks + 1), as there is no previous plan to average with. None for a member from the start.
+        Announced inputs and law are those of `step`, the prediction that of the QP. In the first ticks since this
+        controller joined the relaxation weight is at least 1 / (ticks + 1), as there is no previous plan to average
+        with; `ticks_since_start` is None for a member from the start.
+
         Source: docs/equations.md (30a), (36a).
         """
         w = self._relaxation

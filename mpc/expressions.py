@@ -34,9 +34,10 @@ _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
 # Added under the root of a norm: the slope at zero is then zero instead of undefined, the value off by 1e-9.
 _NORM_FLOOR = 1e-18
 
+_CASADI_FUNCTIONS = ("dot", "cross", "sin", "cos", "tan", "sqrt", "exp", "fabs", "fmin", "fmax")
 _FUNCTIONS: dict[str, Callable[..., Any]] = {
     "norm": lambda a: ca.sqrt(ca.sumsqr(a) + _NORM_FLOOR),
-    **{name: getattr(ca, name) for name in "dot cross sin cos tan sqrt exp fabs fmin fmax".split()},
+    **{name: getattr(ca, name) for name in _CASADI_FUNCTIONS},
 }
 
 

@@ -42,8 +42,6 @@ class Regulation:
 
     Args:
         model: The system as the controller knows it.
-        hover: Its equilibrium.
-        settings: Of the controllers.
         X_ref: Reference states at instants 0..K-1, (K, n), for the preview; the last one is held.
     Raises: FeedbackError: the settings need a regulator and none stabilises the team.
 

@@ -75,13 +75,9 @@ class Environment:
         return self._gusts[interval]
 
     def forces(self, tick: int, x: Array) -> Array | None:
-        """Return the drag of the bodies over [t_k, t_{k+1}), None without wind.
+        """Return the drag of the bodies over [t_k, t_{k+1}) at a state x(t_k), (n,); None without wind.
 
-        Args:
-            tick: k.
-            x: State at t_k, (n,).
-        Returns: Forces on payload and UAVs, (3 + 3 N,), inertial frame, N.
-        Source: docs/equations.md (42).
+        Returns: Forces on payload and UAVs, (3 + 3 N,), inertial frame, N. Source: docs/equations.md (42).
         """
         if not self._is_windy:
             return None
@@ -89,14 +85,9 @@ class Environment:
         return forces
 
     def measured(self, tick: int, agent: int, x: Array) -> Array:
-        """Return a state as measured by an agent's sensors, with independent normal errors.
+        """Return a state x(t_k), (n,), as measured by the sensors of an agent, 1-based, with independent normal errors.
 
-        Args:
-            tick: k.
-            agent: 1-based.
-            x: State at t_k, (n,).
-        Returns: (n,), with |e| = 1 and e . Omega = 0; x itself without noise.
-        Source: docs/equations.md (44).
+        Returns: (n,), with |e| = 1 and e . Omega = 0; x itself without noise. Source: docs/equations.md (44).
         """
         if not self._is_noisy:
             return x

@@ -53,16 +53,11 @@ def run_node(
     on_interrupt: Callable[[str], Any] | None = None,
     linger_for: Collection[str] = (),
 ) -> int:
-    """Join the run, drive the node until it is finished, leave.
+    """Join the run with the expected processes, drive the node until it is finished, leave; return the exit code.
 
-    Args:
-        node: The state machine.
-        place: Where it runs.
-        setup: The run.
-        expected: Processes to wait for before starting.
-        on_interrupt: Returns the node's last messages when a signal ends it.
-        linger_for: Processes that leave before this one, so that its last messages reach them.
-    Returns: Exit code.
+    `on_interrupt` returns the node's last messages when a signal ends it. Processes to `linger_for` leave before this
+    one, so that its last messages reach them.
+
     Raises: BusError: the network cannot be used, or an expected process did not appear.
     """
     journal = Journal(place.run, node.name)
