@@ -1,1 +1,1 @@
-"""What processes say to each other: messages, codec, key expressions, the scenario, and the bus that carries them."""
+"""Communication of the processes: messages, codec, key expressions, the scenario, and the bus that carries them."""
