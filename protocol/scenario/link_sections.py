@@ -35,7 +35,8 @@ class LinkSection(Section):
     duplicate: Probability = 0.0  # that a message arrives twice, each time with a delay of its own
     reorder: Probability = 0.0  # that a message is held back by `reorder_s` more
     reorder_s: NotNegative = 0.0
-    rate_hz: Positive | None = None  # messages per second of scenario time carried at most; those beyond are dropped
+    # Messages per second of scenario time carried at most; those beyond are dropped.
+    rate_hz: Positive | None = None
 
     @property
     def perfect(self) -> bool:
