@@ -29,6 +29,8 @@ KEPT_PLANS = 256
 class AnnouncedInputs:
     """Plans of all agents as one agent knows them.
 
+    Where a method takes a tick `before`, only plans made before it count, even if later ones are here already.
+
     Args:
         owned: 0-based UAVs of agent 1, agent 2, ...
         u_hover: Inputs assumed before an agent's first plan arrives, (4 N,).
@@ -87,12 +89,8 @@ class AnnouncedInputs:
         self._assumed.pop(agent, None)
 
     def assume(self, agent: int, start: int, inputs: Array) -> None:
-        """Assume the inputs of an agent that has left and whose last plan is not here.
+        """Assume inputs, (N_p, 4 N), from tick `start` on for an agent that has left and whose last plan is not here.
 
-        Args:
-            agent: 1-based.
-            start: First tick of the inputs.
-            inputs: Inputs of all UAVs, (N_p, 4 N).
         Source: docs/equations.md (32b).
         """
         self._assumed[agent] = start, inputs[:, self._columns[agent]]
@@ -106,11 +104,7 @@ class AnnouncedInputs:
 
         Hover follows the last plan of an agent off the roster.
 
-        Args:
-            start: First tick.
-            steps: N_p.
-            before: Only plans made before this tick count, even if later ones are here already.
-        Returns: (N_p, 4 N).
+        Returns: Inputs over N_p steps from tick `start` on, (N_p, 4 N).
         Source: docs/equations.md (32); paper, section IV-A.
         """
         U = np.repeat(self._u_hover[None], steps, axis=0)
@@ -141,12 +135,7 @@ class AnnouncedInputs:
     def corrections(self, start: int, steps: int, before: int) -> Array:
         """Return the announced corrections to the shared control law over the horizon, zero after their end.
 
-        Args:
-            start: First tick.
-            steps: N_p.
-            before: Only plans made before this tick count.
-        Returns: (N_p, 4 N); zero where none were announced.
-        Source: docs/equations.md (32).
+        Returns: Corrections over N_p steps from tick `start` on, (N_p, 4 N). Source: docs/equations.md (32).
         """
         c = np.zeros((steps, len(self._u_hover)))
         for agent, columns in self._columns.items():
@@ -163,10 +152,8 @@ class AnnouncedInputs:
         a shared control law they are the first one plus the change of that law since then, with the state and the
         announced corrections; the sender's estimate of external forces cancels out of the difference.
 
-        Args:
-            tick: k.
-            before: Only plans made before this tick count.
-            x: State at t_k, (n,), to evaluate control law and fail-safe; None to leave both out.
+        The state x at t_k, (n,), serves to evaluate control law and fail-safe; None leaves both out.
+
         Returns: (4 N,).
         Source: docs/equations.md (32), (32a).
         """
@@ -197,12 +184,8 @@ class AnnouncedInputs:
         return u if self._bounds is None else np.clip(u, *self._bounds)
 
     def _by_law(self, plan: Plan, tick: int, x: Array) -> Array | None:
-        """Return an agent's inputs by the shared control law after the first step of its plan.
+        """Return an agent's inputs by the shared control law after the first step of its plan, at the state x, (n,).
 
-        Args:
-            plan: The agent's.
-            tick: The present one.
-            x: State at it, (n,).
         Returns: (4 N,), valid in the agent's columns only; None where there is no such law.
         Source: docs/equations.md (32a).
         """

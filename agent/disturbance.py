@@ -44,13 +44,7 @@ class DisturbanceEstimator:
         self.rebuild(model, hover, owned)
 
     def rebuild(self, model: Model, hover: Hover, owned: Sequence[int]) -> None:
-        """Take another model of the team and keep the estimated forces.
-
-        Args:
-            model: The system as the controller knows it now.
-            hover: Its equilibrium.
-            owned: UAVs whose motion the agent measures, 0-based, at least one.
-        """
+        """Take another model of the team, its hover and at least one owned UAV; keep the estimated forces."""
         self._model, self._bodies, period_s = model, [1 + uav for uav in owned], self._period_s
         N = model.system.N
         spread = np.vstack([np.eye(3, _UNKNOWNS), np.tile(np.eye(3, _UNKNOWNS, k=3), (N, 1))])
@@ -66,11 +60,9 @@ class DisturbanceEstimator:
     def learn(self, predicted: Array, measured: Array) -> None:
         """Correct the estimate by the prediction error of a period.
 
-        An error that implies a force above the team's weight is ignored: the prediction was wrong.
+        Given are the state at its end predicted with the estimate, (n,), and the same with the measured entries
+        replaced. An error that implies a force above the team's weight is ignored: the prediction was wrong.
 
-        Args:
-            predicted: State at the end of the period, predicted with the estimate, (n,).
-            measured: The same state with the measured entries replaced, (n,).
         Source: docs/equations.md (41).
         """
         error = self._model.velocities(measured) - self._model.velocities(predicted)
@@ -79,10 +71,8 @@ class DisturbanceEstimator:
             self.forces = self.forces + self._gain @ force
 
     def _observed(self, velocities: Array) -> Array:
-        """Return the payload's velocity and the mean horizontal velocity of the own UAVs.
+        """Return the payload's velocity and the own UAVs' mean horizontal velocity, (5, ...).
 
-        Args:
-            velocities: (1 + N, 3, ...), inertial frame.
-        Returns: (5, ...).
+        Given are those of all bodies, (1 + N, 3, ...), inertial frame.
         """
         return np.concatenate([velocities[0], velocities[self._bodies, :2].mean(axis=0)])

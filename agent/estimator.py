@@ -70,23 +70,17 @@ class StateEstimator:
             self._changed(measurement.tick - (self._disturbance is not None))
 
     def change(self, tick: int, model: Model, moved: Callable[[Array], Array]) -> None:
-        """Change the system from a tick on, and its state at that tick.
+        """Change the system from a tick on, not before that of the previous change.
 
-        Args:
-            tick: Not before that of the previous change.
-            model: Model from then on.
-            moved: Map from the state before the change to the state after it, (n,) to (n,).
+        `moved` maps the state before the change to the state after it, (n,) to (n,).
         """
         self._breaks.append((tick, model, moved))
         self._changed(tick - 1)
 
     def estimate(self, k: int, announced: AnnouncedInputs) -> Array:
-        """Return the estimate at a tick.
+        """Return the estimate at tick k, (n,), read-only, with the announced inputs between the ticks as known now.
 
-        Args:
-            k: The tick; ticks come in order, gaps are bridged by prediction.
-            announced: Inputs in force between the ticks, as known now.
-        Returns: x at tick k, (n,), read-only.
+        Ticks come in order; gaps are bridged by prediction.
         """
         if not self._estimates:
             self._first = k

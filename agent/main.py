@@ -11,15 +11,7 @@ from protocol.wire.messages import agent_name
 
 
 def run(setup: Setup, place: Place, agent: int) -> int:
-    """Control the owned UAVs until the run ends.
-
-    Args:
-        setup: The run.
-        place: Where this process runs.
-        agent: 1-based.
-    Returns: Exit code.
-    Raises: BusError: see `protocol.network.process.run_node`.
-    """
+    """Control the UAVs of an agent, 1-based, until the run ends; see `protocol.network.process.run_node`."""
     node = AgentNode(setup, agent, place.incarnation, time.perf_counter_ns)
     node.warm_up()
     if not stand_by():

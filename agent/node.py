@@ -33,14 +33,7 @@ from protocol.wire.outbox import Outbox, lost
 
 
 class AgentNode:
-    """One agent of a run.
-
-    Args:
-        setup: The run.
-        agent: 1-based.
-        incarnation: Number of the start of this process.
-        stopwatch: Nanoseconds of a steady clock, for the step report only.
-    """
+    """One agent, 1-based, of a run; the stopwatch counts ns of a steady clock, for the step report only."""
 
     def __init__(
         self, setup: Setup, agent: int, incarnation: int = 0, stopwatch: Callable[[], int] = lambda: 0
@@ -103,7 +96,7 @@ class AgentNode:
         return () if self._waits else self._work(now_ns)
 
     def warm_up(self) -> None:
-        """Compute a step and discard it, so that the first step of the flight is not slower than the others."""
+        """Compute a step and discard it, so that the first step of the run is not slower than the others."""
         self._planner.warm_up()
 
     def _handle(self, message: Message, now_ns: int) -> None:

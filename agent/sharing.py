@@ -35,14 +35,8 @@ class Sharing:
         """Decide whether to share a plan; the others assume a shared plan from then on.
 
         Shared are the first plan, the first one under each roster (law or receivers may be new), one that is a
-        heartbeat newer than the last shared one, and one whose corrections have changed by more than the threshold.
-
-        Args:
-            tick: Tick of the plan.
-            start: First tick of the corrections.
-            c: Corrections to the shared law, (N_p, 4 owned).
-            roster: Version in force.
-        Source: docs/equations.md (49).
+        heartbeat newer than the last shared one, and one whose corrections c to the shared law, (N_p, 4 owned), from
+        tick `start` on, have changed by more than the threshold. Source: docs/equations.md (49).
         """
         shared = (
             self._always
@@ -58,9 +52,7 @@ class Sharing:
     def change(self, start: int, c: Array) -> float:
         """Return the largest difference of corrections from those the others assume, as a share of the input's range.
 
-        Args:
-            start: First tick of the corrections.
-            c: Corrections, (N_p, 4 owned).
+        The corrections c, (N_p, 4 owned), begin at tick `start`.
         """
         assumed = np.zeros_like(c)
         left = self._c[start - self._start :][: len(c)]

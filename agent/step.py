@@ -58,13 +58,7 @@ class Step:
 
 
 class Planner:
-    """Estimator and controller of one agent.
-
-    Args:
-        setup: The run.
-        agent: 1-based.
-        stopwatch: Nanoseconds of a steady clock, for the step report only.
-    """
+    """Estimator and controller of one agent, 1-based; the stopwatch counts ns of a steady clock."""
 
     def __init__(self, setup: Setup, agent: int, stopwatch: Callable[[], int]) -> None:
         self._setup, self._agent, self._stopwatch = setup, agent, stopwatch
@@ -75,7 +69,7 @@ class Planner:
         self._reset_sharing()
 
     def restart(self) -> None:
-        """Forget the flight so far; the controller stays as it is."""
+        """Forget the run so far; the controller stays as it is."""
         self._team.restart()
         self._reset_sharing()
 
@@ -85,7 +79,7 @@ class Planner:
         self._idle_since_ns = self._stopwatch()
 
     def warm_up(self) -> None:
-        """Compute a step and discard it, so that the first step of the flight is not slower than the others."""
+        """Compute a step and discard it, so that the first step of the run is not slower than the others."""
         controller, hover = self._controller, self._setup.hover
         forces = self._team.forces
         U = np.tile(hover.u, (self._setup.settings.horizon, 1))
@@ -143,10 +137,7 @@ class Planner:
     def plan(self, step: Step, out: Outbox, publish_ns: int) -> list[Message]:
         """Solve a step's problem and return a proposal to the others, or at the end the tick's plan and report.
 
-        Args:
-            step: The step; its `negotiation` counts down, 0 once it is concluded.
-            out: For the messages.
-            publish_ns: Time that the last step's messages took to publish, for the report.
+        The step's `negotiation` counts down to 0; the last step's messages took `publish_ns` to publish.
         """
         result = step.result = self._solved(step)
         step.negotiation -= 1

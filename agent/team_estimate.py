@@ -20,40 +20,22 @@ from protocol.wire.messages import Measurement, Plan
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Known:
-    """Information of an agent at a tick.
+    """Information of an agent at a tick."""
 
-    Attributes:
-        measurement: The tick's own.
-        measurements: Those that have become usable since the last step, in order.
-        plans: Plans of the others that have become usable since the last step, in order.
-        lost: Plans known since then to be lost on their links.
-        agents: Agents on the roster, 1-based.
-        off: UAVs whose motors are off, 0-based.
-        released: Those of them that are released.
-        failed_since: Tick of the newest failure of a UAV.
-        ticks_since_start: Ticks since this process joined.
-        started_ns: Begin of the step on the stopwatch.
-    """
-
-    measurement: Measurement
-    measurements: Sequence[Measurement]
-    plans: Sequence[Plan]
-    lost: int
-    agents: Set[int]
-    off: frozenset[int]
-    released: frozenset[int]
-    failed_since: int
-    ticks_since_start: int
-    started_ns: int
+    measurement: Measurement  # the tick's own
+    measurements: Sequence[Measurement]  # those that have become usable since the last step, in order
+    plans: Sequence[Plan]  # plans of the others that have become usable since the last step, in order
+    lost: int  # plans known since then to be lost on their links
+    agents: Set[int]  # on the roster, 1-based
+    off: frozenset[int]  # UAVs whose motors are off, 0-based
+    released: frozenset[int]  # those of them that are released
+    failed_since: int  # tick of the newest failure of a UAV
+    ticks_since_start: int  # since this process joined
+    started_ns: int  # begin of the step on the stopwatch
 
 
 class TeamEstimate:
     """Estimate of one agent; the controller is kept up to date with the team.
-
-    Args:
-        setup: The run.
-        agent: 1-based.
-        controller: Of this agent.
 
     Attributes:
         announced: Inputs announced by all agents.
@@ -68,7 +50,7 @@ class TeamEstimate:
         self.restart()
 
     def restart(self) -> None:
-        """Forget the flight so far; the controller stays as it is, and with it the agents that it leaves out."""
+        """Forget the run so far; the controller stays as it is, and with it the agents that it leaves out."""
         setup, section = self._setup, self._setup.scenario.controller
         period_s = setup.settings.sampling_period_s
         self._disturbance: DisturbanceEstimator | None = None

@@ -21,9 +21,6 @@ class Clock(ABC):
     All times are ns on a clock that only goes forward. `missing` are the agents on the roster that have not answered
     the open tick; `awaits_plant` says that only the plant's last state is outstanding.
 
-    Args:
-        setup: The run.
-
     Attributes:
         counts_late_plans: Whether a plan of an earlier tick than the open one shows that its agent is alive.
         waiting_since_ns: Start of the barrier timeout.

@@ -11,12 +11,7 @@ from protocol.wire.outbox import Outbox
 
 
 class RequestedLinkChanges:
-    """The link changes of a run so far: checked, numbered, and repeated for agents that join.
-
-    Args:
-        setup: The run.
-        out: Stamps the coordinator's messages.
-    """
+    """The link changes of a run so far: checked, numbered, and repeated for agents that join."""
 
     def __init__(self, setup: Setup, out: Outbox) -> None:
         self._out, self._samples = out, sorted(setup.samples_s)
@@ -26,9 +21,8 @@ class RequestedLinkChanges:
     def change(self, given: Mapping[str, Any], tick: int) -> LinkChange:
         """Return the message of a change that holds from a tick on.
 
-        Args:
-            given: Sender "from" and receiver "to", each left out for any agent, and the "settings" to change.
-            tick: First tick of the change.
+        Given are sender "from" and receiver "to", each left out for any agent, and the "settings" to change.
+
         Raises: LinkError, MessageError: the request is refused.
         """
         source, target = (str(given.get(end, "")) for end in ("from", "to"))

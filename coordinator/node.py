@@ -22,10 +22,7 @@ from protocol.wire.outbox import Outbox
 class CoordinatorNode:
     """Sampling clock and roster of one run.
 
-    Args:
-        setup: The run.
-        incarnation: Which start of this process.
-        observers: Names that must be ready besides the plant and the agents, such as "recorder".
+    The observers, such as "recorder", must be ready before the first tick, like the plant and the agents.
 
     Attributes:
         state: State of the run.

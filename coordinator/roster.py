@@ -11,10 +11,6 @@ from protocol.wire.outbox import Outbox
 class TeamRoster:
     """The agents that take part in a run, and the messages that announce them.
 
-    Args:
-        setup: The run.
-        out: Stamps the coordinator's messages.
-
     Attributes:
         agents: All agents of the run, by process name.
         members: Agents on the roster.

@@ -26,25 +26,15 @@ Address = Annotated[str, Field(pattern=r"^[A-Za-z0-9.:_-]{1,253}$")]
 
 
 class Host(_Section):
-    """One host.
+    """One host."""
 
-    Attributes:
-        name: Name of its folder.
-        address: Address that the other hosts connect to.
-        runs: Names of processes: coordinator, plant, agent1, ..., recorder, router.
-        listen: Address to listen on, if it is not `address` (in a container 0.0.0.0).
-        router: Name of the host whose router its processes connect to.
-        cpus: Processors by process name.
-        priority: SCHED_FIFO priority of its processes, 0 for none.
-    """
-
-    name: Name
-    address: Address
-    runs: Annotated[list[Name], Field(min_length=1)]
-    listen: Address | None = None
-    router: Name | None = None
-    cpus: dict[Name, list[Annotated[int, Field(ge=0, le=4095)]]] = {}
-    priority: Annotated[int, Field(ge=0, le=50)] = 0
+    name: Name  # of its folder
+    address: Address  # that the other hosts connect to
+    runs: Annotated[list[Name], Field(min_length=1)]  # processes: coordinator, plant, agent1, ..., recorder, router
+    listen: Address | None = None  # if it is not `address` (in a container 0.0.0.0)
+    router: Name | None = None  # host whose router its processes connect to
+    cpus: dict[Name, list[Annotated[int, Field(ge=0, le=4095)]]] = {}  # processors by process
+    priority: Annotated[int, Field(ge=0, le=50)] = 0  # SCHED_FIFO priority of its processes, 0 for none
 
 
 class Inventory(_Section):
@@ -73,13 +63,7 @@ class Inventory(_Section):
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """Placement of a process.
-
-    Attributes:
-        process: Name of the process.
-        host: Host that runs it.
-        endpoints: Endpoints to listen on and to connect to.
-    """
+    """Placement of a process on a host."""
 
     process: str
     host: Host
@@ -110,13 +94,7 @@ def read_inventory(path: Path, processes: Sequence[str]) -> Inventory:
 
 
 def placements(inventory: Inventory, processes: Sequence[str], scheme: str) -> list[Placement]:
-    """Return the placement of every process of a run, recorder and routers included.
-
-    Args:
-        inventory: Read for these processes.
-        processes: Names in the order of the mesh.
-        scheme: tls or tcp.
-    """
+    """Return the placement of every process of a run, recorder and routers included; processes in the mesh's order."""
 
     def endpoint(address: str, port: int) -> str:
         return f"{scheme}/[{address}]:{port}" if address.count(":") > 1 else f"{scheme}/{address}:{port}"

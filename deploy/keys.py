@@ -40,12 +40,9 @@ class KeysError(ValueError):
 def make_certificates(folder: Path, addresses: Mapping[str, Sequence[str]], days: int) -> None:
     """Make an authority, unless there is one, and a certificate for each name that has none.
 
-    Keys are ECDSA on P-256, which every TLS library accepts.
+    Keys are ECDSA on P-256, which every TLS library accepts. Existing files are kept. Addresses are those of the
+    process, and host names; new certificates are valid for `days`.
 
-    Args:
-        folder: Folder to write to; existing files are kept.
-        addresses: Addresses and host names, by name.
-        days: Validity of the new certificates.
     Raises: KeysError: the folder cannot be written to, or holds half of a pair.
     """
     with _writing(folder):
@@ -72,9 +69,6 @@ def make_certificates(folder: Path, addresses: Mapping[str, Sequence[str]], days
 def make_passwords(folder: Path, names: Iterable[str]) -> None:
     """Make a password for each name that has none, and the list of passwords for the router.
 
-    Args:
-        folder: Folder to write to; existing passwords are kept.
-        names: Names of processes.
     Raises: KeysError: the folder cannot be written to.
     """
     with _writing(folder):

@@ -36,15 +36,11 @@ class RenderError(ValueError):
 
 
 def render(setup: Setup, inventory: Inventory, keys: Path | None, out: Path, *, in_place: bool = False) -> list[Path]:
-    """Write the folders of all hosts.
+    """Write the folders of all hosts into a new folder, and return them.
 
-    Args:
-        setup: The run.
-        inventory: Its hosts.
-        keys: Folder of keys; each host gets those of its processes. None only for an `insecure` inventory.
-        out: Folder to create.
-        in_place: Use the folders where they are, not as /etc/transport.
-    Returns: The folders.
+    Each host gets the keys of its processes; only an `insecure` inventory has none. With `in_place` the folders are
+    used where they are, not as /etc/transport.
+
     Raises: RenderError: the folder exists, or hosts without keys would accept any connection.
         KeysError: a key is missing.
     """
@@ -64,13 +60,9 @@ def render(setup: Setup, inventory: Inventory, keys: Path | None, out: Path, *, 
 
 
 def unit(placement: Placement, inventory: Inventory, after: Sequence[str], etc: Path = ETC) -> str:
-    """Return the systemd unit of a process.
+    """Return the systemd unit of a process, started after some of its host and stopped before them.
 
-    Args:
-        placement: Of the process.
-        inventory: The deployment.
-        after: Processes of the same host started before it and stopped after it.
-        etc: Folder of its scenario.
+    `etc` is the folder of its scenario.
     """
     host, name = placement.host, placement.process
     return Template((_TEMPLATES / "process.service").read_text(encoding="utf-8")).substitute(
@@ -85,14 +77,7 @@ def unit(placement: Placement, inventory: Inventory, after: Sequence[str], etc: 
 
 
 def command(placement: Placement, inventory: Inventory, program: Path = PROGRAM, etc: Path = ETC) -> list[str]:
-    """Return the command line of a process.
-
-    Args:
-        placement: Of the process.
-        inventory: The deployment.
-        program: The command `transport` on its host.
-        etc: Folder of its scenario.
-    """
+    """Return the command line of a process; `program` is `transport` on its host, `etc` the folder of its scenario."""
     name = placement.process
     role = ["agent", "--id", name.removeprefix("agent")] if name.startswith("agent") else [name]
     if name == RECORDER:

@@ -1,6 +1,7 @@
 """Arrays of the project: float64, checked at construction, read-only from then on."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,12 +19,8 @@ class NotFiniteError(ShapeError):
 
 
 def checked(name: str, value: ArrayLike, shape: Sequence[int | None]) -> Array:
-    """Return a C-contiguous, read-only float64 copy of the given shape.
+    """Return a C-contiguous, read-only float64 copy of the given shape, None for an axis of any length.
 
-    Args:
-        name: In the error text.
-        value: To copy.
-        shape: Expected length per axis; None accepts any length.
     Raises: ShapeError: wrong number of axes, wrong length, not numeric; NotFiniteError: not finite.
     """
     try:
@@ -37,8 +34,14 @@ def checked(name: str, value: ArrayLike, shape: Sequence[int | None]) -> Array:
             raise ShapeError(f"{name}: expected shape {_text(expected)}, got {_text(array.shape)}")
     if not np.isfinite(array).all():
         raise NotFiniteError(f"{name}: expected finite numbers, got {array[~np.isfinite(array)][0]}")
-    array.setflags(write=False)
+    frozen(array)
     return array
+
+
+def frozen(*arrays: npt.NDArray[Any]) -> None:
+    """Make arrays read-only."""
+    for array in arrays:
+        array.setflags(write=False)
 
 
 def _text(shape: Sequence[object]) -> str:

@@ -38,11 +38,7 @@ _DP_FOURTH = (5179 / 57600, 0.0, 7571 / 16695, 393 / 640, -92097 / 339200, 187 /
 
 
 class Compiled:
-    """A CasADi function behind preallocated buffers: arrays in, arrays out.
-
-    Args:
-        function: The CasADi function; inputs and outputs are treated as dense.
-    """
+    """A CasADi function behind preallocated buffers, arrays in, arrays out; inputs and outputs are dense."""
 
     def __init__(self, function: ca.Function) -> None:
         self._buffer, self._evaluate = function.buffer()
@@ -58,10 +54,8 @@ class Compiled:
             self._buffer.set_res(i, result.reshape(-1, order="A").data)  # type: ignore[call-arg]
 
     def __call__(self, *arguments: Array | float) -> list[Array]:
-        """Return one new array per output; matrices with one column become vectors.
+        """Return one new array per output from one array (or float) per input; matrices with one column become vectors.
 
-        Args:
-            arguments: One array (or float) per input, with that input's number of elements.
         Raises: ShapeError: an argument of the wrong length.
         """
         for own, argument in zip(self._arguments, arguments, strict=True):

@@ -41,11 +41,8 @@ class Discrete:
 
 
 def zero_order_hold(linear: Linearisation, period_s: float) -> Discrete:
-    """Discretise with the input held over the period, exact but for rounding.
+    """Discretise with the input held over the sampling period T_s > 0, s, exact but for rounding.
 
-    Args:
-        linear: Expansion about (x0, u0).
-        period_s: Sampling period T_s, > 0, s.
     Raises: ShapeError: A_c or its exponential is not finite.
     Source: docs/equations.md (16)-(17).
     """
@@ -79,11 +76,8 @@ def _zero_order_hold(linear: Linearisation, period_s: float) -> Discrete:
 
 
 def euler(linear: Linearisation, period_s: float) -> Discrete:
-    """Discretise by one step of Euler's method, for comparison; error per step of order T_s^2.
+    """Discretise by one step of Euler's method, for comparison; error per step of order T_s^2, T_s > 0, s.
 
-    Args:
-        linear: Expansion about (x0, u0).
-        period_s: Sampling period T_s, > 0, s.
     Raises: ShapeError: A_c is not finite.
     """
     if not np.isfinite(linear.A_c).all():

@@ -31,9 +31,8 @@ class Symbols:
     @staticmethod
     def of(N: int) -> "Symbols":
         """Return new symbols for N UAVs."""
-        return Symbols(
-            N, ca.SX.sym("x", 12 + 12 * N), ca.SX.sym("u", 4 * N), ca.SX.sym("p", 8 + 11 * N), ca.SX.sym("F", 3 + 3 * N)
-        )
+        sizes = {"x": 12 + 12 * N, "u": 4 * N, "p": 8 + 11 * N, "F": 3 + 3 * N}
+        return Symbols(N, **{name: ca.SX.sym(name, size) for name, size in sizes.items()})
 
     @property
     def gravity(self) -> ca.SX:

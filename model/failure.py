@@ -30,10 +30,7 @@ def with_released(system: System, released: Collection[int]) -> System:
 
 
 def failed_model(system: System, off: Collection[int], released: Collection[int]) -> Model:
-    """Return the model of a team with motor failures; arguments as those of `failed_hover`.
-
-    Source: docs/equations.md (50).
-    """
+    """Return the model of a team with motor failures, as in `failed_hover`. Source: docs/equations.md (50)."""
     return Model(with_released(system, released), off=off, released=released)
 
 

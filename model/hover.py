@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from model import state
-from model.arrays import Array, ArrayLike, checked
+from model.arrays import Array, ArrayLike, checked, frozen
 from model.parameters import ParameterError, System
 from model.rotations import euler_angles
 
@@ -81,8 +81,7 @@ def hover(system: System, rods_P: ArrayLike | None = None, thrusts: Mapping[int,
         block[state.E] = e[i]
         block[state.THETA] = _level_attitude(force_I, thrust)
         u[state.input_slice(i)][0] = thrust
-    for array in (x, u, tensions):
-        array.setflags(write=False)
+    frozen(x, u, tensions)
     return Hover(x=x, u=u, tensions=tensions)
 
 

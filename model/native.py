@@ -15,19 +15,16 @@ from model.arrays import Array
 
 _FLAGS = ("-O3", "-march=native", "-fno-math-errno")
 
-_address, _number = ctypes.c_void_p, ctypes.c_ssize_t
+_address, _number, _double = ctypes.c_void_p, ctypes.c_ssize_t, ctypes.c_double
 _SIGNATURES: dict[str, tuple[Any, Sequence[Any]]] = {
     "along_manifold": (None, [_number] * 3 + [_address] * 2),
     "zero_order_hold_work": (_number, [_number] * 2),
-    "zero_order_hold": (ctypes.c_double, [_number] * 2 + [_address] * 3 + [ctypes.c_double] * 4 + [_address] * 4),
+    "zero_order_hold": (_double, [_number] * 2 + [_address] * 3 + [_double] * 4 + [_address] * 4),
     "responses_work": (_number, [_number] * 2),
     "responses": (None, [_number] * 3 + [_address] * 6),
     "free_response": (None, [_number] * 2 + [_address] * 3),
     "condense_work": (_number, [_number] * 3),
-    "condense": (
-        None,
-        [_number] * 3 + [_address] * 2 + [ctypes.c_double] + [_address] * 2 + [_number] + [_address] * 2,
-    ),
+    "condense": (None, [_number] * 3 + [_address] * 2 + [_double] + [_address] * 2 + [_number] + [_address] * 2),
     "toeplitz": (None, [_number] * 3 + [_address] * 2 + [_number]),
     "within_bounds_work": (_number, [_number]),
     "within_bounds": (ctypes.c_int, [_number] + [_address] * 4 + [ctypes.c_int] + [_address] * 3),

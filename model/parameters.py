@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from model import state
-from model.arrays import Array, ArrayLike, ShapeError, checked
+from model.arrays import Array, ArrayLike, ShapeError, checked, frozen
 
 GRAVITY = 9.81  # m/s^2; the paper gives none
 
@@ -107,7 +107,7 @@ class System:
         for uav in self.uavs:
             parts += [np.array([uav.mass]), _upper(uav.inertia), uav.rho, np.array([uav.rod_length])]
         vector = np.concatenate(parts)
-        vector.setflags(write=False)
+        frozen(vector)
         return vector
 
 
@@ -143,7 +143,7 @@ def _inertia(name: str, value: ArrayLike) -> Array:
             f"{name}: no body has principal moments {moments.tolist()} kg m^2: "
             "the largest exceeds the sum of the other two"
         )
-    J.setflags(write=False)
+    frozen(J)
     return J
 
 

@@ -1,7 +1,7 @@
 """A primal-dual active-set method for QPs with bounds only (Hintermueller, Ito, Kunisch 2003).
 
 Guess the active bounds; solve the remaining equations; release bounds whose multiplier has the wrong sign, add violated
-ones; repeat until the guess is consistent. Each guess costs one factorisation, and most QPs of a flight need one guess.
+ones; repeat until the guess is consistent. Each guess costs one factorisation, and most QPs of a run need one guess.
 The method may cycle; it then reports failure.
 """
 

@@ -41,8 +41,7 @@ class Controller:
 
     Attributes:
         model: The system, with motor failures reported to `fail`.
-        owned: The owned UAVs, 0-based.
-        own: Positions of their inputs in u, (m_own,).
+        owned, own: The owned UAVs, 0-based, and the positions of their inputs in u, (m_own,).
         regulation: Shared control law (`law`), cost-to-go (`end`) and target of the team.
         cost: Weights of the team.
     """
@@ -157,13 +156,10 @@ class Controller:
     ) -> StepResult:
         """Return the plan to announce: the relaxed solution, or the previous plan after a failure.
 
-        Args:
-            solution: Of the QP.
-            prediction: The one in the QP.
-            U: Announced inputs, as in `step`.
-            law: As in `step`.
-            ticks_since_start: Ticks since this controller joined. In the first ones the relaxation weight is at least
-                1 / (ticks + 1), as there is no previous plan to average with. None for a member from the start.
+        Announced inputs and law are those of `step`, the prediction that of the QP. In the first ticks since this
+        controller joined the relaxation weight is at least 1 / (ticks + 1), as there is no previous plan to average
+        with; `ticks_since_start` is None for a member from the start.
+
         Source: docs/equations.md (30a), (36a).
         """
         w = self._relaxation
@@ -193,13 +189,10 @@ class Controller:
         self._form()
 
     def fail(self, off: Collection[int], released: Collection[int]) -> None:
-        """Set the UAVs without motors, 0-based, and those of them that are no longer on their rods.
+        """Set the UAVs without motors, 0-based, and those of them that are released from their rods.
 
         If the remaining UAVs cannot stabilise the team, cost and control law ignore the failure; the model has it.
 
-        Args:
-            off: UAVs without motors, the released ones among them.
-            released: UAVs cut loose.
         Source: docs/equations.md (50), (51).
         """
         self._off, self._released = frozenset(off), frozenset(released)

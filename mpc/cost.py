@@ -39,11 +39,7 @@ class Cost:
     def stage(self, y: Array, y_ref: Array, u: Array) -> float:
         """Return the cost of one sampling instant, (y - y_ref)' Q (y - y_ref) + (u - u_target)' R (u - u_target).
 
-        Args:
-            y: Output, (p,).
-            y_ref: Reference output, (p,).
-            u: Input, (m,).
-        Source: docs/equations.md (21); paper (17).
+        Output y and its reference, (p,); input u, (m,). Source: docs/equations.md (21); paper (17).
         """
         error, effort = y - y_ref, u - self.u_target
         return float(error @ (self.Q * error) + effort @ (self.R * effort))

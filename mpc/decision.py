@@ -13,14 +13,9 @@ from mpc.settings import ControllerSettings
 class Decision:
     """Positions, limits and scale of the owned inputs.
 
-    Args:
-        system: The whole team.
-        settings: Of the controller.
-        owned: UAVs this controller decides for, 0-based, ascending.
-
     Attributes:
-        system, settings: As given.
-        uavs: The owned UAVs, 0-based.
+        system, settings: Whole team and settings of the controller.
+        uavs: The owned UAVs, 0-based, ascending.
         own: Positions of the owned inputs in u, (m_own,).
         others: Positions of all other inputs, (m - m_own,).
         shape: (N_p, m_own).

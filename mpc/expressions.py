@@ -34,44 +34,26 @@ _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
 # Added under the root of a norm: the slope at zero is then zero instead of undefined, the value off by 1e-9.
 _NORM_FLOOR = 1e-18
 
+_CASADI_FUNCTIONS = ("dot", "cross", "sin", "cos", "tan", "sqrt", "exp", "fabs", "fmin", "fmax")
 _FUNCTIONS: dict[str, Callable[..., Any]] = {
     "norm": lambda a: ca.sqrt(ca.sumsqr(a) + _NORM_FLOOR),
-    "dot": ca.dot,
-    "cross": ca.cross,
-    "sin": ca.sin,
-    "cos": ca.cos,
-    "tan": ca.tan,
-    "sqrt": ca.sqrt,
-    "exp": ca.exp,
-    "fabs": ca.fabs,
-    "fmin": ca.fmin,
-    "fmax": ca.fmax,
+    **{name: getattr(ca, name) for name in _CASADI_FUNCTIONS},
 }
 
 
 @dataclass(frozen=True, slots=True)
 class Relation:
-    """One constraint as an expression that must be <= 0 or = 0.
+    """One constraint as an expression that must be <= 0 or = 0."""
 
-    Attributes:
-        text: As written.
-        value: Scalar expression over the symbols it was read with.
-        on: States or inputs; never both, as in paper (18)-(19).
-        kind: "inequality" (value <= 0) or "equality" (value = 0).
-    """
-
-    text: str
-    value: ca.SX
-    on: Literal["state", "input"]
-    kind: Literal["inequality", "equality"]
+    text: str  # as written
+    value: ca.SX  # scalar expression over the symbols it was read with
+    on: Literal["state", "input"]  # never both, as in paper (18)-(19)
+    kind: Literal["inequality", "equality"]  # value <= 0, value = 0
 
 
 def read(text: str, symbols: Symbols) -> Relation:
-    """Read one constraint.
+    """Read one constraint, two sides and one of <=, >=, ==, as an expression of the system's symbols.
 
-    Args:
-        text: Two sides and one of <=, >=, ==.
-        symbols: The system's symbols the expression is built on.
     Raises: SettingsError: not readable, an unknown name, not scalar, or states and inputs mixed.
     """
     what = f"constraint {text!r}"
@@ -96,12 +78,8 @@ def read(text: str, symbols: Symbols) -> Relation:
 
 
 def read_term(text: str, symbols: Symbols) -> ca.SX:
-    """Read the expression of a cost term.
+    """Read a cost term as a scalar expression of the system's symbols.
 
-    Args:
-        text: An expression of states.
-        symbols: The system's symbols the expression is built on.
-    Returns: Scalar expression.
     Raises: SettingsError: not readable, an unknown name, not scalar, or not of states alone.
     """
     what = f"cost {text!r}"
@@ -129,11 +107,7 @@ class Affine:
 class Expressions:
     """Scalar expressions of the user, compiled with exact derivatives.
 
-    Args:
-        values: Over the symbols below.
-        variable: State or input.
-        parameters: Of the system.
-        p: Their values.
+    They depend on a variable, state or input, and on the parameters of the system, whose values are p.
 
     Attributes:
         depends: Which elements of the variable occur in each expression, (c, n) or (c, m).

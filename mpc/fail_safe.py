@@ -38,11 +38,8 @@ class FailSafe:
         return self._gains[uav]
 
     def inputs(self, uav: int, x: Array) -> Array:
-        """Return the inputs of one UAV before limits, (4,), N and N m.
+        """Return the inputs of one UAV, 0-based, at a state of the system, (n,), before limits, (4,), N and N m.
 
-        Args:
-            uav: 0-based.
-            x: State of the system, (n,).
         Source: docs/equations.md (31).
         """
         hover: Array = self._u_hover[state.input_slice(uav)] * np.array([1.0, 0.0, 0.0, 0.0])

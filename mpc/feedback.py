@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model import state
-from model.arrays import Array
+from model.arrays import Array, frozen
 from model.discretisation import zero_order_hold
 from model.hover import Hover
 from model.linearisation import Model
@@ -155,8 +155,7 @@ def regulator(
     gain = float(np.abs(K).max()) / math.sqrt(cost.Q.max() / cost.R.min())
     if not gain < _GAIN:
         raise FeedbackError(f"{expected}, got a gain {gain:.3g} times that of an integrator")
-    for array in (K, P, root, T, controlled, A, A_closed, preview_gain):
-        array.setflags(write=False)
+    frozen(K, P, root, T, controlled, A, A_closed, preview_gain)
     return Regulator(K=K, P=P, root=root, T=T, controlled=controlled, A=A, A_closed=A_closed, preview_gain=preview_gain)
 
 

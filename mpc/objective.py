@@ -18,13 +18,8 @@ from mpc.user_costs import UserCosts
 class Objective:
     """Tracking error, effort, the user's terms, the cost after the horizon and the penalties of the slacks.
 
-    Solvers minimise 1/2 z' H z + g' z: all costs are doubled.
-
-    Args:
-        decision: Owned inputs.
-        cost: Weights of the team.
-        user_costs: The user's terms.
-        penalties: Of the slacks, linear and quadratic, (slacks,).
+    Solvers minimise 1/2 z' H z + g' z: all costs are doubled. Penalties of the slacks, (slacks,), are linear and
+    quadratic.
     """
 
     def __init__(self, decision: Decision, cost: Cost, user_costs: UserCosts, penalties: Array) -> None:
@@ -48,9 +43,7 @@ class Objective:
         """Return H, g and the effect of the scaled decision on the outputs, (N_p, p', m_own).
 
         The UAVs' positions, which always have a weight, are the first of these outputs. Arguments as those of
-        `Controller.step`.
-
-        Source: docs/equations.md (26)-(27), (48); paper (25).
+        `Controller.step`. Source: docs/equations.md (26)-(27), (48); paper (25).
         """
         C, error_0 = linear.model.C[self._weighted], (linear.model.y - y_ref)[1:, self._weighted]
         Q, terminal = self._Q, self._terminal

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from model.arrays import Array
+from model.arrays import Array, frozen
 from mpc.feedback import Regulator
 
 
@@ -56,8 +56,7 @@ def preview(regulator: Regulator, X_ref: Array, pull: Array) -> Preview:
         slope[k] = h @ A_closed + pulled[k]
         p = slope[k]
     slope = slope @ T.T
-    for array in (feedforward, slope):
-        array.setflags(write=False)
+    frozen(feedforward, slope)
     return Preview(feedforward=feedforward, slope=slope)
 
 

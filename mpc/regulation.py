@@ -42,8 +42,6 @@ class Regulation:
 
     Args:
         model: The system as the controller knows it.
-        hover: Its equilibrium.
-        settings: Of the controllers.
         X_ref: Reference states at instants 0..K-1, (K, n), for the preview; the last one is held.
     Raises: FeedbackError: the settings need a regulator and none stabilises the team.
 
@@ -76,9 +74,7 @@ class Regulation:
 
         The shared law depends on nothing else, so all agents have the same. UAVs without an agent follow the fail-safe.
         If the remaining UAVs have no hover or cannot stabilise the team, the regulator ignores the lost agents, else
-        the failures, else both.
-
-        Source: docs/equations.md (40), (45), (50), (51).
+        the failures, else both. Source: docs/equations.md (40), (45), (50), (51).
         """
         none: frozenset[int] = frozenset()
         gone, off, released = frozenset(gone), frozenset(off), frozenset(released)

@@ -14,6 +14,7 @@ from mpc.settings import SolverName
 
 _ITERATIONS = 2000  # DAQP needs about as many as active constraints; the limit ends a cycle
 _INFINITY = 1e30  # DAQP's own
+_NO_RESIDUALS = Residuals(stationarity=np.inf, primal=np.inf, complementarity=np.inf)
 _CLARABEL: dict[str, Status] = {
     "Solved": "solved", "PrimalInfeasible": "infeasible", "MaxIterations": "limit", "MaxTime": "limit"
 }  # fmt: skip
@@ -31,17 +32,16 @@ def solve(qp: QP, solver: SolverName) -> Solution:
 
 def unsolved(n: int, rows: int, solver: str) -> Solution:
     """Return the failure of a QP that is not solved because its numbers are out of range."""
-    none = Residuals(stationarity=np.inf, primal=np.inf, complementarity=np.inf)
     return Solution(
         status="numerical", z=np.zeros(n), bound_multipliers=np.zeros(n), row_multipliers=np.zeros(rows),
-        residuals=none, iterations=0, solver=solver,
+        residuals=_NO_RESIDUALS, iterations=0, solver=solver,
     )  # fmt: skip
 
 
 def solve_daqp(qp: QP) -> Solution:
     """Dual active-set method (Arnstrom, Bemporad, Axehill 2022).
 
-    Most QPs of a flight have no active row, and preparing the rows is most of the work: the QP with bounds alone is
+    Most QPs of a run have no active row, and preparing the rows is most of the work: the QP with bounds alone is
     solved first, and its solution is accepted if it passes the residual check of the whole QP.
     """
     if not (qp.row_lower == qp.row_upper).any():
@@ -105,7 +105,7 @@ def _checked(
     qp: QP, z: Array, bound_multipliers: Array, row_multipliers: Array, status: Status, iterations: int, solver: str
 ) -> Solution:
     """Return the solution, with status "solved" only if the residuals pass."""
-    found = Residuals(stationarity=np.inf, primal=np.inf, complementarity=np.inf)
+    found = _NO_RESIDUALS
     if status == "solved":
         found = residuals(qp, z, bound_multipliers, row_multipliers)
         if found.worst > RESIDUAL_TOLERANCE:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from model import state
-from model.arrays import Array
+from model.arrays import Array, frozen
 from model.hover import Hover
 from model.linearisation import Model
 from mpc.cost import Cost
@@ -47,9 +47,7 @@ def target(
     rods lean in parallel or pull in proportion, a remaining moment tilts the payload, and thrusts balance their rods.
 
     Attitudes of UAVs without motors and all states of released UAVs are not part of the target. Arguments as those of
-    `mpc.feedback.regulator`.
-
-    Source: docs/equations.md (40).
+    `mpc.feedback.regulator`. Source: docs/equations.md (40).
     """
     linear = model.linearise(hover.x, hover.u)
     E = model.force_effect(hover.x, hover.u)
@@ -70,6 +68,5 @@ def target(
         z += free @ Vt[:rank].T @ ((U[:, :rank].T @ (h - G @ z)) / s[:rank, None])
         free = free @ Vt[rank:].T
     M_x, M_u = T @ z[:states], z[states:]
-    M_x.setflags(write=False)
-    M_u.setflags(write=False)
+    frozen(M_x, M_u)
     return Target(M_x=M_x, M_u=M_u)

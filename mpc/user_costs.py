@@ -14,9 +14,6 @@ from mpc.settings import CostTerm, SettingsError
 class UserCosts:
     """Weighted squares of the user's expressions of the state, with exact derivatives.
 
-    Args:
-        terms: As written.
-        model: The system.
     Raises: SettingsError: one cannot be read; the text says which and why.
 
     Attributes:
@@ -45,8 +42,7 @@ class UserCosts:
         at = self.at(x)
         for term, value, slope in zip(self._terms, at.value, at.slope, strict=True):
             if not np.isfinite([value, *slope]).all():
-                raise SettingsError(
-                    f"cost {term.expression!r}: expected a finite value and slope at hover, got {value}"
-                )
+                expected = "expected a finite value and slope at hover"
+                raise SettingsError(f"cost {term.expression!r}: {expected}, got {value}")
         roots: Array = np.sqrt(self.weights)[:, None] * at.slope
         return roots

@@ -25,9 +25,6 @@ _SAME = 1e-9  # tolerance, in intervals
 class Environment:
     """Physics of the plant.
 
-    Args:
-        setup: The run.
-
     Attributes:
         model: Equations of motion with the actual masses.
     """
@@ -35,11 +32,8 @@ class Environment:
     def __init__(self, setup: Setup) -> None:
         section = setup.scenario.plant
         nominal = section.payload_mass_factor == section.uav_mass_factor == 1.0
-        self.model = (
-            setup.model
-            if nominal
-            else Model(_scaled(setup.system, section.payload_mass_factor, section.uav_mass_factor))
-        )
+        system = _scaled(setup.system, section.payload_mass_factor, section.uav_mass_factor)
+        self.model = setup.model if nominal else Model(system)
         self._seed = setup.scenario.seed
         wind = section.wind
         self._mean_I, self._gust_I = np.array(wind.speed_mps), np.array(wind.gust_mps)
@@ -81,13 +75,9 @@ class Environment:
         return self._gusts[interval]
 
     def forces(self, tick: int, x: Array) -> Array | None:
-        """Return the drag of the bodies over [t_k, t_{k+1}), None without wind.
+        """Return the drag of the bodies over [t_k, t_{k+1}) at a state x(t_k), (n,); None without wind.
 
-        Args:
-            tick: k.
-            x: State at t_k, (n,).
-        Returns: Forces on payload and UAVs, (3 + 3 N,), inertial frame, N.
-        Source: docs/equations.md (42).
+        Returns: Forces on payload and UAVs, (3 + 3 N,), inertial frame, N. Source: docs/equations.md (42).
         """
         if not self._is_windy:
             return None
@@ -95,14 +85,9 @@ class Environment:
         return forces
 
     def measured(self, tick: int, agent: int, x: Array) -> Array:
-        """Return a state as measured by an agent's sensors, with independent normal errors.
+        """Return a state x(t_k), (n,), as measured by the sensors of an agent, 1-based, with independent normal errors.
 
-        Args:
-            tick: k.
-            agent: 1-based.
-            x: State at t_k, (n,).
-        Returns: (n,), with |e| = 1 and e . Omega = 0; x itself without noise.
-        Source: docs/equations.md (44).
+        Returns: (n,), with |e| = 1 and e . Omega = 0; x itself without noise. Source: docs/equations.md (44).
         """
         if not self._is_noisy:
             return x

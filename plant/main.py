@@ -7,14 +7,7 @@ from protocol.wire.messages import agent_name
 
 
 def run(setup: Setup, place: Place) -> int:
-    """Simulate the plant until the run ends.
-
-    Args:
-        setup: The run.
-        place: Where this process runs.
-    Returns: Exit code.
-    Raises: BusError: see `protocol.network.process.run_node`.
-    """
+    """Simulate the plant until the run ends; see `protocol.network.process.run_node`."""
     node = PlantNode(setup, place.incarnation)
     # The first integration compiles the chain of steps: do that before the first tick.
     node.environment.model.integrate(setup.initial_state(), setup.hover.u, setup.settings.sampling_period_s, node.steps)

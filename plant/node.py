@@ -42,12 +42,7 @@ from protocol.wire.outbox import Outbox, lost
 
 
 class PlantNode:
-    """Plant of one run.
-
-    Args:
-        setup: The run.
-        incarnation: Number of the start of this process.
-    """
+    """Plant of one run."""
 
     name = "plant"
     wake_ns = None

@@ -37,12 +37,11 @@ class ActuatorSchedule:
             plans.sort(key=lambda p: (p.start_tick, p.tick))
 
     def inputs(self, tick: int, x: Array, u_before: Array) -> tuple[Array, tuple[int, ...]]:
-        """Return the inputs over [t_k, t_{k+1}) and their sources.
+        """Return the inputs over [t_k, t_{k+1}) and their sources; forget plans before tick k.
 
-        Args:
-            tick: k; earlier plans are forgotten.
-            x: State at t_k, (n,), for the fail-safe.
-            u_before: Inputs until t_k, (4 N,), from which the fail-safe changes at the actuators' rate at most.
+        The fail-safe takes the state x at t_k, (n,), and changes the inputs until t_k, (4 N,), at the actuators' rate
+        at most.
+
         Returns: u (4 N,); the tick of the plan of each UAV, or `BEFORE_ANY_PLAN`, `FAIL_SAFE`.
         """
         u = self._u_hover.copy()

@@ -1,1 +1,1 @@
-"""Communication between the processes: messages, scenario, admission of messages, network."""
+"""Communication of the processes: messages, codec, key expressions, the scenario, and the bus that carries them."""

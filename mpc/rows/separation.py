@@ -50,9 +50,8 @@ def separation_rows(positions: Array, pairs: npt.NDArray[np.intp]) -> tuple[Arra
     |r_i - r_j| is replaced by d' (r_i - r_j), d the present direction: a lower bound, so that keeping it
     above the limit keeps the actual distance above it too.
 
-    Args:
-        positions: Of the UAVs at the linearisation point, (3 N,), m.
-        pairs: UAVs, 0-based, (pairs, 2).
+    The positions are those at the linearisation point, (3 N,), m; the pairs are UAVs, 0-based, (pairs, 2).
+
     Returns: Distances now, (pairs,), m; rows with distance = row . positions, (pairs, 3 N).
     Source: docs/equations.md (29).
     """

@@ -51,14 +51,8 @@ class Admission:
     A message counts for the order of later ones only if the node has not refused it by the time the next one is read:
     a forged message that the node sees through must not block the true one.
 
-    Args:
-        name: Name of the process.
-        keys: Key expressions of the run.
-        setup: The run.
-        rejections: Counts refused messages, also those that the node refuses.
-
     Attributes:
-        rejections: These counts.
+        rejections: Counts of refused messages, also those that the node refuses.
         max_bytes: Upper bound of the size of the run's messages.
         tick: Newest tick of an admitted message.
         window: How many ticks from `tick` a present message can be.

@@ -39,12 +39,7 @@ class Arrivals(Generic[M]):
         self._lost += not delays
 
     def take(self, tick: int, now_ns: int) -> tuple[list[M], int]:
-        """Return the messages that have become usable, sorted by tick and sender, and the number of newly lost ones.
-
-        Args:
-            tick: The present tick.
-            now_ns: Now, on the clock of `put`.
-        """
+        """Return the messages that have become usable, sorted by tick and sender, and the number of newly lost ones."""
         for message in [message for message in self._sent if message.tick + self._after <= tick]:
             ticks = self.links[message.sender].usable_ticks(message.tick, self._after)
             self._held += [(usable, message) for usable in ticks]

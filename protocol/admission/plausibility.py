@@ -8,17 +8,8 @@ import numpy as np
 from model import state
 from model.arrays import Array
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import (
-    Measurement,
-    Message,
-    MessageError,
-    Plan,
-    PlantState,
-    Roster,
-    StepReport,
-    Tick,
-    agent_name,
-)
+from protocol.wire.messages import Measurement, Message, MessageError, Plan, PlantState, Roster, StepReport, Tick
+from protocol.wire.names import agent_name
 
 # Deviation of a rod direction's length from 1 that sensor noise can cause.
 _OFF_UNIT = 0.2
@@ -47,11 +38,7 @@ def check_moment(message: Message, first: int, last: int) -> None:
 
 
 class Plausibility:
-    """Checks of messages that need the run alone, not the present tick.
-
-    Args:
-        setup: The run.
-    """
+    """Checks of messages that need the run alone, not the present tick."""
 
     def __init__(self, setup: Setup) -> None:
         clock, limits = setup.scenario.clock, setup.settings.limits

@@ -11,10 +11,8 @@ from protocol.wire.rejections import Rejections
 class Reception:
     """Checks the messages of one receiver, hands them to its handler, and counts those that either refuses.
 
-    Args:
-        setup: The run.
-        handle: Takes in a checked message and the time (ns); raises MessageError to refuse the message.
-        newest_tick: Returns the newest tick the receiver knows of, or None while it knows none.
+    `handle` takes in a checked message and the time (ns), and raises MessageError to refuse the message; `newest_tick`
+    returns the newest tick the receiver knows of, or None while it knows none.
 
     Attributes:
         rejected: Counts of refused messages.

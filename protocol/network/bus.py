@@ -53,11 +53,7 @@ class Bus:
 
     Args:
         name: Process name: "coordinator", "plant", "agent1", "recorder".
-        incarnation: Which start of this process.
-        run: Name of the run, part of every key.
         digest: Fingerprint of the scenario; processes with different ones refuse each other.
-        endpoints: Where to listen and which endpoints to connect to.
-        admission: Refuses and counts messages.
         serves: Whether its node answers requests; every process answers for its health.
         patience_s: How long sending may wait for a peer that does not read before the link to it is closed.
         gather_s: How long an arrival may wait for more: one wake-up for many messages costs less processor time.

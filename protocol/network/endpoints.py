@@ -15,19 +15,12 @@ DEFAULT_BASE_PORT = 7447
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Endpoints:
-    """Where a process listens, and which others it connects to.
+    """Where a process listens, and which others it connects to: Zenoh endpoints such as "tcp/127.0.0.1:7447"."""
 
-    Attributes:
-        listen: Zenoh endpoints such as "tcp/127.0.0.1:7447"; none for an observer or a client.
-        connect: Endpoints of the processes it connects to; each pair of processes is connected once.
-        mode: A peer of the mesh, the client of a router, or a router.
-        security: Keys and what they allow; None: every process that can connect may send everything.
-    """
-
-    listen: Sequence[str]
-    connect: Sequence[str]
+    listen: Sequence[str]  # none for an observer or a client
+    connect: Sequence[str]  # each pair of processes is connected once
     mode: Literal["peer", "client", "router"] = "peer"
-    security: Security | None = None
+    security: Security | None = None  # None: every process that can connect may send everything
 
 
 def process_names(scenario: Scenario) -> list[str]:
@@ -55,13 +48,10 @@ def mesh(
 def endpoints_of_all(
     names: Sequence[str], scenario: Scenario, ports: Sequence[int], *, check: bool = True
 ) -> dict[str, Endpoints]:
-    """Return the endpoints of a scenario's processes: a mesh on its host, or clients of its router.
+    """Return the endpoints of a scenario's processes, with a port each: a mesh on its host, or clients of its router.
 
-    Args:
-        names: Process names, in the mesh's order.
-        scenario: The scenario; its `network` section counts.
-        ports: One for each process.
-        check: Whether all of them start on this host: then each must have its keys, and listen where it may.
+    `check` if all of them start on this host: then each must have its keys, and listen where it may.
+
     Raises: SecurityError: keys that one of them cannot use, or an endpoint that is open to all.
     """
     network, security = scenario.network, security_of(scenario)
@@ -95,11 +85,8 @@ def endpoints_of(
 ) -> Endpoints:
     """Return the endpoints of a process that is started by itself: those of its scenario, or the given ones.
 
-    Args:
-        name: Process name; one that the mesh lacks listens nowhere and connects to all.
-        scenario: The scenario.
-        listen: Endpoints to listen on in place of the scenario's.
-        connect: Endpoints to connect to in place of the scenario's.
+    A process that the mesh lacks listens nowhere and connects to all.
+
     Raises: SecurityError: keys that it cannot use, or an endpoint that is open to all.
     """
     usual = default_mesh(scenario)

@@ -15,22 +15,15 @@ _EXCHANGES = 4
 
 @dataclass(frozen=True, slots=True)
 class Offset:
-    """Offset of another host's wall clock, for comparing logs of several hosts; no run compares two clocks.
+    """Offset of another host's wall clock, for comparing logs of several hosts; no run compares two clocks."""
 
-    Attributes:
-        ahead_s: How much the other clock is ahead, s.
-        uncertainty_s: Bound of the error, s: half of the exchange's travel time.
-    """
-
-    ahead_s: float
-    uncertainty_s: float
+    ahead_s: float  # how much the other clock is ahead, s
+    uncertainty_s: float  # bound of the error, s: half of the exchange's travel time
 
     @staticmethod
     def measured(ask: Callable[[], Mapping[str, Any] | None]) -> "Offset | None":
-        """Measure the offset as NTP does, by the four times of an exchange; return None without an answer.
+        """Measure the offset as NTP does, by the four times of an exchange (`offset`); return None without an answer.
 
-        Args:
-            ask: Performs an exchange; its answer has `asked_ns` and `answered_ns` by the other clock.
         Source: RFC 5905, section 8.
         """
         best: Offset | None = None
@@ -49,11 +42,8 @@ class Offset:
 def offset(sent_ns: int, asked_ns: int, answered_ns: int, received_ns: int) -> Offset:
     """Return the offset of the other clock from the times of one exchange.
 
-    Args:
-        sent_ns: When the request left, own clock.
-        asked_ns: When it arrived, the other clock.
-        answered_ns: When the answer left, the other clock.
-        received_ns: When it arrived, own clock.
+    The request left at `sent_ns` and the answer arrived at `received_ns` by the own clock; the request arrived at
+    `asked_ns` and the answer left at `answered_ns` by the other clock.
     """
     ahead_ns = ((asked_ns - sent_ns) + (answered_ns - received_ns)) / 2
     way_ns = (received_ns - sent_ns) - (answered_ns - asked_ns)
@@ -61,11 +51,7 @@ def offset(sent_ns: int, asked_ns: int, answered_ns: int, received_ns: int) -> O
 
 
 def usage(process: str = "self") -> dict[str, float | int | None]:
-    """Return a process's memory (bytes), threads, open files and processor time (s); None where they are not known.
-
-    Args:
-        process: Process id.
-    """
+    """Return a process's memory (bytes), threads, open files and processor time (s); None where they are not known."""
     root = Path("/proc") / process
     try:
         fields = (root / "stat").read_text(encoding="utf-8").rsplit(")", 1)[1].split()
@@ -87,11 +73,7 @@ def give_back_memory() -> None:
 
 
 def command_of(process: str) -> list[str]:
-    """Return the words of a process's command line, or of its title if it has set one; none when it has ended.
-
-    Args:
-        process: Process id.
-    """
+    """Return the words of a process's command line, or of its title if it has set one; none when it has ended."""
     try:
         content = (Path("/proc") / process / "cmdline").read_bytes()
     except OSError:

@@ -17,12 +17,7 @@ _ASK_EVERY_S = 0.5
 class Peers:
     """The processes of a run that are up, by their liveliness tokens.
 
-    Args:
-        name: Name of this process.
-        incarnation: Which start of it.
-        digest: Fingerprint of its scenario.
-        keys: Key expressions of the run.
-        admission: Learns of each new incarnation of a process, and counts bad tokens.
+    The admission learns of each new incarnation of a process, and counts bad tokens.
 
     Attributes:
         alive: Incarnations of the processes that are up, by name.
@@ -83,11 +78,7 @@ class Expected:
     """The processes that a joining process waits for.
 
     A run that has begun goes on without processes that are gone for good; the coordinator knows which take part.
-
-    Args:
-        name: Name of the joining process.
-        expected: Names of all processes it knows of.
-        status: Asks the coordinator for the status of the run; returns None without an answer.
+    `status` asks it for the status of the run, and returns None without an answer.
 
     Attributes:
         update_every_s: How often to call `update` while waiting.

@@ -6,12 +6,7 @@ import time
 
 
 class Journal:
-    """Log events with key-value context on standard error: JSON lines, or plain text on a terminal.
-
-    Args:
-        run: Name of the run, in every line.
-        role: Process name, in every line.
-    """
+    """Log events with run, role and key-value context on standard error: JSON lines, or plain text on a terminal."""
 
     def __init__(self, run: str, role: str) -> None:
         self._run, self._role = run, role

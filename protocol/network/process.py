@@ -37,19 +37,12 @@ _ORPHAN_GRACE_S = 5.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Place:
-    """A process's place in a run.
-
-    Attributes:
-        run: Name of the run.
-        incarnation: Which start of this process.
-        endpoints: Where it listens, and which endpoints it connects to.
-        join_timeout_s: How long it waits for the other processes.
-    """
+    """A process's place in a run."""
 
     run: str
-    incarnation: int
+    incarnation: int  # which start of this process
     endpoints: Endpoints
-    join_timeout_s: float
+    join_timeout_s: float  # how long it waits for the other processes
 
 
 def run_node(
@@ -60,16 +53,11 @@ def run_node(
     on_interrupt: Callable[[str], Any] | None = None,
     linger_for: Collection[str] = (),
 ) -> int:
-    """Join the run, drive the node until it is finished, leave.
+    """Join the run with the expected processes, drive the node until it is finished, leave; return the exit code.
 
-    Args:
-        node: The state machine.
-        place: Where it runs.
-        setup: The run.
-        expected: Processes to wait for before starting.
-        on_interrupt: Returns the node's last messages when a signal ends it.
-        linger_for: Processes that leave before this one, so that its last messages reach them.
-    Returns: Exit code.
+    `on_interrupt` returns the node's last messages when a signal ends it. Processes to `linger_for` leave before this
+    one, so that its last messages reach them.
+
     Raises: BusError: the network cannot be used, or an expected process did not appear.
     """
     journal = Journal(place.run, node.name)
@@ -125,13 +113,7 @@ def run_node(
 
 
 def _drive(node: Node, bus: Bus, faults: Sequence[Fault]) -> Interrupted | None:
-    """Feed events and time to a node until it is finished or interrupted.
-
-    Args:
-        node: The state machine.
-        bus: Its connection to the network.
-        faults: Scripted faults; this process executes its own.
-    """
+    """Feed events and time to a node until it is finished or interrupted; execute its own scripted faults."""
     handled = 0
     while node.finished is None:
         wake_ns = node.wake_ns

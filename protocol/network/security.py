@@ -36,15 +36,10 @@ class SecurityError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Security:
-    """The keys of this host and the processes of the run.
+    """The keys of this host and the processes of the run."""
 
-    Args:
-        folder: Certificates or passwords made by `transport deploy keys`.
-        names: Processes that take part: coordinator, plant, agent1, ..., recorder.
-    """
-
-    folder: Path
-    names: tuple[str, ...]
+    folder: Path  # certificates or passwords made by `transport deploy keys`
+    names: tuple[str, ...]  # processes that take part: coordinator, plant, agent1, ..., recorder
 
     @property
     def kind(self) -> Literal["certificates", "passwords"]:
@@ -65,11 +60,8 @@ class Security:
         return "tls" if self.kind == "certificates" else "tcp"
 
     def check(self, name: str, *, mode: str) -> None:
-        """Refuse keys with which a process cannot take part.
+        """Refuse keys with which a process cannot take part in Zenoh's mode peer, client or router.
 
-        Args:
-            name: Name of the process.
-            mode: Zenoh's mode: peer, client or router.
         Raises: SecurityError: naming the file, what was expected and what came.
         """
         if self.kind == "passwords":
@@ -94,13 +86,7 @@ class Security:
             raise SecurityError(f"network.keys: {certificate}: {expected}, got {problem}") from error
 
     def configuration(self, name: str, prefix: str, *, mode: str) -> dict[str, Any]:
-        """Return the security part of Zenoh's configuration of a process.
-
-        Args:
-            name: Name of the process.
-            prefix: Prefix of its run's key expressions.
-            mode: Zenoh's mode: peer, client or router.
-        """
+        """Return the security part of Zenoh's configuration of a process; `prefix` is that of its key expressions."""
         self.check(name, mode=mode)
         if self.kind == "passwords":
             auth: dict[str, Any] = {"user": name, "password": self._password(name)}

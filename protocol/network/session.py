@@ -29,14 +29,10 @@ class BusError(RuntimeError):
 
 
 def open_session(endpoints: Endpoints, patience_s: float, name: str, keys: Keys, reach_s: float) -> zenoh.Session:
-    """Open a session.
+    """Open the session of a process.
 
-    Args:
-        endpoints: Where it listens, and which endpoints it connects to.
-        patience_s: How long sending may wait for a peer that does not read.
-        name: Name of the process.
-        keys: Key expressions of its run.
-        reach_s: How long a client looks for its router.
+    Sending waits for a peer that does not read for `patience_s`, a client looks for its router for `reach_s`.
+
     Raises: BusError: the endpoint cannot be listened on, the router not reached, or the keys not used.
     """
     try:
@@ -107,13 +103,13 @@ def ask(
     timeout_s: float = 5.0,
     security: Security | None = None,
 ) -> Mapping[str, Any]:
-    """Send a request to a process from outside its run; return the answer.
+    """Send a request to a process from outside its run (docs/protocol.md); return the answer.
 
     Args:
         run: Name of the run.
         connect: Endpoints of its processes, or of their router.
         name: Process to ask.
-        what: Kind of request; see docs/protocol.md.
+        what: Kind of request.
         given: Arguments of the request.
         timeout_s: How long to look for the process, and how long to wait for its answer.
         security: Keys of an operator or, for requests that change nothing, a watcher.
@@ -142,8 +138,6 @@ def ask(
 def route(endpoints: Endpoints) -> Iterator[None]:
     """Route the messages of the clients of any run while the context is open.
 
-    Args:
-        endpoints: Where to listen, and other routers to connect to.
     Raises: BusError: the endpoint cannot be listened on, or the keys not used.
     """
     log_errors(to_output=True)

@@ -10,11 +10,7 @@ Key = npt.NDArray[np.uint64]
 
 
 def draw_key(*purpose: object) -> Key:
-    """Return the key of an independent stream of random numbers, (2,) uint64.
-
-    Args:
-        purpose: Seed of the run, and what the numbers are for.
-    """
+    """Return the key of an independent stream of random numbers for the seed of a run and a purpose, (2,) uint64."""
     digest = hashlib.sha256("/".join(map(str, purpose)).encode()).digest()
     return np.frombuffer(digest[:16], dtype="<u8")
 

@@ -16,12 +16,9 @@ T = TypeVar("T")
 
 
 class ScenarioError(ValueError):
-    """An invalid scenario: `file: field: expected ..., got ...`.
+    """An invalid scenario: `file or option: field: expected ..., got ...`.
 
-    Args:
-        source: File of the scenario, or the option.
-        field: Dotted path of the key, list entries counted from 1; may be empty.
-        problem: What was expected and what came.
+    The field is the dotted path of the key, list entries counted from 1; it may be empty.
     """
 
     def __init__(self, source: str, field: str, problem: str) -> None:
@@ -30,11 +27,7 @@ class ScenarioError(ValueError):
         self.field, self.problem = field, problem
 
     def blaming(self, settings: Sequence[str]) -> "ScenarioError":
-        """Return the same error, with the settings in place of the file if they gave the field or part of it.
-
-        Args:
-            settings: As `read_scenario` takes them.
-        """
+        """Return the same error, with the settings in place of the file if they gave the field or part of it."""
         given: list[str] = []
         for setting in reversed(settings):
             key = key_of(setting)

@@ -20,16 +20,13 @@ Action = Literal["kill", "stop", "continue", "start", "motor_off", "release"]
 class Fault:
     """One fault.
 
-    Attributes:
-        tick: When.
-        do: "kill" and "stop" happen when the tick opens for the target; "continue" and "start" bring it back
-            before the tick opens; "motor_off" and "release" apply from the tick on.
-        target: Process name; for "motor_off" and "release" the name of a UAV, such as "uav3".
+    "kill" and "stop" happen when the tick opens for the target; "continue" and "start" bring it back before the tick
+    opens; "motor_off" and "release" apply from the tick on.
     """
 
     tick: int
     do: Action
-    target: str
+    target: str  # process name; for "motor_off" and "release" the name of a UAV, such as "uav3"
 
 
 def uav_name(uav: int) -> str:
@@ -73,13 +70,7 @@ def scripted(scenario: Scenario) -> tuple[Fault, ...]:
 
 
 def due(faults: Sequence[Fault], name: str, message: Message) -> Literal["kill", "stop"] | None:
-    """Return the fault a process is to inject into itself on a message, if any.
-
-    Args:
-        faults: Of the run.
-        name: The process.
-        message: Received, or about to be sent.
-    """
+    """Return the fault a process is to inject into itself on a message received or about to be sent, if any."""
     if not faults or not isinstance(message, Measurement | Tick):
         return None
     for fault in faults:

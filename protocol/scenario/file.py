@@ -62,9 +62,7 @@ def read_scenario(path: Path, settings: Sequence[str] = ()) -> Scenario:
 def validate(tree: dict[str, Any], source: str) -> Scenario:
     """Check a tree of plain data against the scenario's schema, then the relations between its fields.
 
-    Args:
-        tree: The data; files of its maneuver are read here.
-        source: The scenario's file; paths in it are relative to its folder.
+    Files of its maneuver are read here; their paths are relative to the folder of `source`, the scenario's file.
     """
     try:
         tree = with_paths(tree, Path(source).parent)

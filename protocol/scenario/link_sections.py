@@ -22,27 +22,20 @@ class GilbertElliottSection(Section):
 class LinkSection(Section):
     """Impairments of a link: all random, in scenario time, independent for each message (but for bursts).
 
-    Attributes:
-        delay_s: Fixed part of the delay.
-        jitter_s: Scale of the random part: width (uniform), standard deviation (normal, lognormal), mean
-            (exponential). The delay is never negative.
-        samples: File of measured delays, which replace both parts with distribution "empirical".
-        loss: Probability that a message is lost.
-        gilbert_elliott: Bursts of loss.
-        duplicate: Probability that a message arrives twice, each time with a delay of its own.
-        reorder: Probability that a message is held back by `reorder_s` more.
-        rate_hz: Messages per second of scenario time carried at most; those beyond are dropped.
+    The scale of the delay's random part is a width (uniform), standard deviation (normal, lognormal) or mean
+    (exponential). The delay is never negative.
     """
 
-    delay_s: NotNegative = 0.0
-    jitter_s: NotNegative = 0.0
+    delay_s: NotNegative = 0.0  # fixed part of the delay
+    jitter_s: NotNegative = 0.0  # scale of its random part
     distribution: Literal["uniform", "normal", "exponential", "lognormal", "empirical"] = "uniform"
-    samples: str | None = None
-    loss: Probability = 0.0
-    gilbert_elliott: GilbertElliottSection | None = None
-    duplicate: Probability = 0.0
-    reorder: Probability = 0.0
+    samples: str | None = None  # file of measured delays, which replace both parts with distribution "empirical"
+    loss: Probability = 0.0  # that a message is lost
+    gilbert_elliott: GilbertElliottSection | None = None  # bursts of loss
+    duplicate: Probability = 0.0  # that a message arrives twice, each time with a delay of its own
+    reorder: Probability = 0.0  # that a message is held back by `reorder_s` more
     reorder_s: NotNegative = 0.0
+    # Messages per second of scenario time carried at most; those beyond are dropped.
     rate_hz: Positive | None = None
 
     @property

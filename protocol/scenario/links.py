@@ -162,32 +162,14 @@ class Link:
         return max(0.0, section.delay_s + random)
 
 
-def link(
-    section: LinksSection,
-    sender: str,
-    receiver: str,
-    *,
-    kind: str,
-    seed: int,
-    period_s: float,
-    samples_s: Mapping[str, tuple[float, ...]],
-) -> Link:
+def link(section: LinksSection, sender: str, receiver: str, *, period_s: float, **given: Any) -> Link:
     """Return one directed link of a scenario: the general keys or the last override of it, partitions, changes.
 
-    Args:
-        section: Links of the scenario.
-        sender: Process name.
-        receiver: Process name.
-        kind: Message kind.
-        seed: Of the run.
-        period_s: Sampling period, s.
-        samples_s: Measured delays by file name.
+    The sampling period, s, and all further arguments are those of `Link`.
     """
     chosen: LinkSection = section
-    if sender == PLANT:
-        chosen = section.measurement
-    elif receiver == PLANT:
-        chosen = section.actuation
+    if PLANT in (sender, receiver):
+        chosen = section.measurement if sender == PLANT else section.actuation
     for override in section.override:
         if override.covers(sender, receiver):
             chosen = override
@@ -197,28 +179,14 @@ def link(
         for p in section.partition
         if (sender in p.between) != (receiver in p.between) and (PLANT in p.between or PLANT not in (sender, receiver))
     )
-    found = Link(
-        chosen,
-        seed=seed,
-        sender=sender,
-        receiver=receiver,
-        kind=kind,
-        period_s=period_s,
-        samples_s=samples_s,
-        partitions=partitions,
-    )
+    found = Link(chosen, sender=sender, receiver=receiver, period_s=period_s, partitions=partitions, **given)
     for change in sorted(section.change, key=lambda change: change.at_s):
         found.change(math.ceil(change.at_s / period_s - _SLACK), change)
     return found
 
 
 class LinkChanges:
-    """Changes of links during a run, each applied once and in order.
-
-    Args:
-        links: The links of one receiver.
-        samples_s: Measured delays by file name.
-    """
+    """Changes of the links of one receiver during a run, each applied once and in order."""
 
     def __init__(self, links: Iterable[Link], samples_s: Mapping[str, tuple[float, ...]]) -> None:
         self._links, self._samples_s = tuple(links), samples_s
@@ -239,11 +207,8 @@ class LinkChanges:
 
 
 def told_change(message: LinkChange, samples_s: Mapping[str, tuple[float, ...]]) -> LinkOverrideSection:
-    """Return the change of links in a message of the coordinator.
+    """Return the change of links in a message of the coordinator; measured delays are given by file name.
 
-    Args:
-        message: The message.
-        samples_s: Measured delays by file name.
     Raises: MessageError: it cannot be applied.
     """
     try:
@@ -256,18 +221,14 @@ def told_change(message: LinkChange, samples_s: Mapping[str, tuple[float, ...]])
 
 
 def link_change(source: str, target: str, settings: str) -> LinkOverrideSection:
-    """Return a change of links from its text.
+    """Return a change of links: both ends, empty for any agent, and a JSON object of a link's keys and new values.
 
-    Args:
-        source: Process name, empty for any agent.
-        target: Process name, empty for any agent.
-        settings: Keys of a link and their new values, a JSON object.
     Raises: LinkError: it is invalid.
     """
     try:
         given = json.loads(settings)
-    except (ValueError, RecursionError) as error:
-        raise LinkError(f"expected a JSON object of a link's keys, got {settings[:60]!r}") from error
+    except (ValueError, RecursionError):
+        given = None
     if not isinstance(given, dict):
         raise LinkError(f"expected a JSON object of a link's keys, got {settings[:60]!r}")
     ends = {key: name for key, name in (("from", source), ("to", target)) if name}

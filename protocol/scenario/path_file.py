@@ -19,11 +19,10 @@ class PathFileError(ValueError):
 
 
 def way_of(path: Path) -> list[list[float]]:
-    """Return the path in a file.
+    """Return the path in a CSV file as rows of time and position, both relative to the first row.
 
-    Args:
-        path: CSV with the columns `COLUMNS`, at least two rows, times growing. Positions may count from anywhere.
-    Returns: Rows of time and position, both relative to the first row.
+    It has the columns `COLUMNS`, at least two rows, and growing times. Positions may count from anywhere.
+
     Raises: PathFileError: it cannot be read, or is invalid.
     """
     try:
@@ -46,11 +45,10 @@ def way_of(path: Path) -> list[list[float]]:
 
 
 def with_paths(tree: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return a scenario's tree with tables in place of the files that its phases name.
+    """Return a scenario's tree, as read from TOML, with tables in place of the files that its phases name.
 
-    Args:
-        tree: As read from TOML; left as it is where it is no valid scenario.
-        folder: Of the scenario.
+    The tree is left as it is where it is no valid scenario; `folder` is that of the scenario.
+
     Raises: PathFileError: as `way_of`, its text preceded by the number of the phase and a blank.
     """
     maneuver = tree.get("maneuver")

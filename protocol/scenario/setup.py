@@ -31,41 +31,27 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Setup:
-    """A scenario turned into a system, a maneuver and controller settings.
-
-    Attributes:
-        scenario: As validated.
-        system: Physical parameters.
-        hover: Equilibrium at the origin.
-        maneuver: The payload's path.
-        settings: The same for every agent.
-        owned: 0-based UAVs of agent 1, agent 2, ...
-        samples_s: Measured delays of the links, by file.
-    """
+    """A scenario turned into a system, a maneuver and controller settings."""
 
     scenario: Scenario
     system: System
-    hover: Hover
+    hover: Hover  # at the origin
     maneuver: Maneuver
-    settings: ControllerSettings
-    owned: tuple[tuple[int, ...], ...]
-    samples_s: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    settings: ControllerSettings  # the same for every agent
+    owned: tuple[tuple[int, ...], ...]  # 0-based UAVs of agent 1, agent 2, ...
+    samples_s: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # measured delays of the links, by file
 
     @staticmethod
     def of(scenario: Scenario, source: str) -> "Setup":
-        """Return everything a scenario describes.
+        """Return everything a scenario describes; `source` is its file, for error texts.
 
-        Args:
-            scenario: Validated scenario.
-            source: Its file, for error texts.
         Raises: ScenarioError: a body, path or setting is impossible; naming file, field, expected, got.
         """
         body = scenario.system.payload
         payload = building(source, "system.payload", lambda: Payload(mass=body.mass_kg, inertia=body.inertia_kgm2))
         uavs = [building(source, f"system.uav.{section.id}", partial(_uav, section)) for section in scenario.system.uav]
-        system = building(
-            source, "system", lambda: System(payload=payload, uavs=uavs, gravity=scenario.system.gravity_mps2)
-        )
+        gravity = scenario.system.gravity_mps2
+        system = building(source, "system", lambda: System(payload=payload, uavs=uavs, gravity=gravity))
         equilibrium = building(source, "system.uav", lambda: hover(system))
         maneuver = building(source, "maneuver", lambda: _maneuver(scenario))
         settings = building(source, "controller", lambda: _settings(scenario))
@@ -169,11 +155,8 @@ class Setup:
         for i, thrust in enumerate(self.hover.u[::4]):
             low, high = limits.thrust_N
             if not low <= thrust <= high:
-                raise ScenarioError(
-                    source,
-                    "controller.limits.thrust_N",
-                    f"expected a range that contains the hover thrust {thrust:.2f} N of UAV{i + 1}, got {[low, high]}",
-                )
+                expected = f"expected a range that contains the hover thrust {thrust:.2f} N of UAV{i + 1}"
+                raise ScenarioError(source, "controller.limits.thrust_N", f"{expected}, got {[low, high]}")
         separation = self.settings.separation
         if separation is None or self.system.N < 2:
             return
@@ -182,12 +165,8 @@ class Setup:
             (float(np.linalg.norm(r[i] - r[j])), i, j) for i in range(len(r)) for j in range(i + 1, len(r))
         )
         if distance < separation.minimum_m:
-            raise ScenarioError(
-                source,
-                "controller.separation.minimum_m",
-                f"expected at most the {distance:.3f} m between UAV{i + 1} and UAV{j + 1} at hover, "
-                f"got {separation.minimum_m}",
-            )
+            expected = f"expected at most the {distance:.3f} m between UAV{i + 1} and UAV{j + 1} at hover"
+            raise ScenarioError(source, "controller.separation.minimum_m", f"{expected}, got {separation.minimum_m}")
 
 
 def _samples(scenario: Scenario, source: str) -> dict[str, tuple[float, ...]]:

@@ -200,7 +200,7 @@ Number = Annotated[int, integer(1)]
 # In ticks; -1 where nothing was ever received.
 Age = Annotated[int, integer(-1)]
 Agent = Annotated[int, integer(1, MAX_UAVS)]
-# Of agents or UAVs, 1-based, ascending.
+# Ids of agents or UAVs, 1-based, ascending.
 Ids = Annotated[tuple[int, ...], _ids]
 Counts = Annotated[tuple[int, ...], integers()]
 Ages = Annotated[tuple[int, ...], integers(-1)]

@@ -36,34 +36,20 @@ class RunNameError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Token:
-    """Content of a liveliness token.
-
-    Attributes:
-        name: Process name.
-        incarnation: Which start of it.
-        digest: Of its scenario; None in a `ready` token.
-        version: Of the protocol it speaks; None in a `ready` token.
-    """
+    """Content of a liveliness token; a `ready` token has neither digest nor version."""
 
     name: str
-    incarnation: int
-    digest: str | None
-    version: int | None
+    incarnation: int  # which start of the process
+    digest: str | None  # fingerprint of its scenario
+    version: int | None  # of the protocol it speaks
 
 
 @dataclass(frozen=True, slots=True)
 class Keys:
-    """Key expressions of one run.
+    """Key expressions of one run."""
 
-    Args:
-        run: Name of the run: letters, digits, underscore, dot, dash.
-
-    Attributes:
-        prefix: Beginning of all keys of this run.
-    """
-
-    run: str
-    prefix: str = field(init=False)
+    run: str  # its name: letters, digits, underscore, dot, dash
+    prefix: str = field(init=False)  # beginning of all its keys
 
     def __post_init__(self) -> None:
         if not self.allows(self.run):

@@ -11,45 +11,28 @@ KINDS: dict[str, type["Message"]] = {}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Route:
-    """Keys, publishers, subscribers and order of a kind of message.
+    """Keys, publishers, subscribers and order of a kind of message."""
 
-    Attributes:
-        sender: Role that publishes it; None for any process.
-        receivers: Roles that subscribe to it.
-        key: Beginning of its key: the kind, unless it shares the key, and so the order, of another kind.
-        each: Field that ends the key, "agent" or "sender"; empty where there is one key for all.
-        unshared_key: Beginning of the key if its field `shared` is false; agents do not subscribe to that.
-        grows: Field that grows from each message under a key to the next: "sequence", "tick" or one of its own.
-        falls: Field that falls while the other stays the same.
-    """
-
-    sender: str | None
-    receivers: tuple[str, ...]
-    key: str = ""
-    each: str = ""
-    unshared_key: str = ""
-    grows: str = "sequence"
-    falls: str = ""
+    sender: str | None  # role that publishes it; None for any process
+    receivers: tuple[str, ...]  # roles that subscribe to it
+    key: str = ""  # beginning of its key: the kind, unless it shares the key, and so the order, of another kind
+    each: str = ""  # field that ends the key, "agent" or "sender"; empty where there is one key for all
+    unshared_key: str = ""  # beginning of the key if its field `shared` is false; agents do not subscribe to that
+    grows: str = "sequence"  # field that grows under a key: "sequence", "tick" or one of its own
+    falls: str = ""  # field that falls while the other stays the same
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Message:
-    """Fields of every message. The types of fields are those of `protocol.wire.fields`, or `Literal`.
-
-    Attributes:
-        sender: Process name.
-        incarnation: Which start of that process, growing with every restart.
-        sequence: Number of the message among all its sender sent in this incarnation, from 0.
-        tick: The sampling instant it belongs to, from 0.
-    """
+    """Fields of every message. The types of fields are those of `protocol.wire.fields`, or `Literal`."""
 
     kind: ClassVar[str]
     route: ClassVar[Route]
 
-    sender: Name
-    incarnation: Count
-    sequence: Count
-    tick: Count
+    sender: Name  # process name
+    incarnation: Count  # which start of that process, growing with every restart
+    sequence: Count  # number of the message among all its sender sent in this incarnation, from 0
+    tick: Count  # the sampling instant it belongs to, from 0
 
     def __init_subclass__(cls) -> None:
         KINDS[cls.kind] = cls  # twice, as slots=True makes the class anew: the second one stays

@@ -11,14 +11,7 @@ from typing import Any
 
 from protocol.wire.control_loop import Measurement, Plan, PlanStatus
 from protocol.wire.coordination import Control, LinkChange, Outcome, Roster, Tick
-from protocol.wire.fields import (
-    MAX_HORIZON,
-    MAX_NEGOTIATION_ITERATIONS,
-    MAX_TEXT,
-    MAX_TICK,
-    MessageError,
-    Reason,
-)
+from protocol.wire.fields import MAX_HORIZON, MAX_NEGOTIATION_ITERATIONS, MAX_TEXT, MAX_TICK, MessageError, Reason
 from protocol.wire.message import KINDS, Message
 from protocol.wire.names import MAX_UAVS, agent_name, is_name
 from protocol.wire.records import STAGES, FaultNote, FaultOrigin, PlantState, Rejected, StepReport
@@ -26,32 +19,20 @@ from protocol.wire.records import STAGES, FaultNote, FaultOrigin, PlantState, Re
 
 @dataclass(frozen=True, slots=True)
 class Presence:
-    """Event for a node, made from liveliness tokens: a process is there, or gone.
-
-    Attributes:
-        name: Process name.
-        incarnation: Which start of it.
-        alive: True when it is ready to take part, False when its token is gone.
-    """
+    """Event for a node, made from liveliness tokens: a process is there, or gone."""
 
     name: str
-    incarnation: int
-    alive: bool
+    incarnation: int  # which start of it
+    alive: bool  # ready to take part; False when its token is gone
 
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """Event for a node: a client asks for something and waits for the answer.
+    """Event for a node: a client asks for something and waits for the answer."""
 
-    Attributes:
-        what: Such as "status" or "link".
-        given: Its arguments.
-        reply: To be called once, with the answer.
-    """
-
-    what: str
-    given: Mapping[str, Any]
-    reply: Callable[[Mapping[str, Any]], None]
+    what: str  # such as "status" or "link"
+    given: Mapping[str, Any]  # its arguments
+    reply: Callable[[Mapping[str, Any]], None]  # to be called once, with the answer
 
 
 Event = Message | Presence | Request

@@ -10,12 +10,7 @@ M = TypeVar("M", bound=Message)
 
 
 class Outbox:
-    """Source of a process's messages, with sender, incarnation and a sequence number that grows by one.
-
-    Args:
-        sender: Process name.
-        incarnation: Which start of it.
-    """
+    """Source of a process's messages, with sender, incarnation and a sequence number that grows by one."""
 
     def __init__(self, sender: str, incarnation: int) -> None:
         self.sender, self.incarnation = sender, incarnation
@@ -29,9 +24,8 @@ class Outbox:
 
     def again(self, message: M) -> M:
         """Return a message that was sent before, under a new sequence number, for processes that joined since."""
-        again = replace(message, sequence=self._sequence)
         self._sequence += 1
-        return again
+        return replace(message, sequence=self._sequence - 1)
 
 
 def lost(outbox: Outbox, tick: int, reason: str) -> Control:

@@ -33,22 +33,10 @@ STAGES = ("wait", "estimate", "linearise", "discretise", "condense", "solve", "p
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepReport(Message):
-    """Agent to the record: one step.
+    """Agent to the record: one step, with the result of its solve.
 
-    Attributes:
-        agent: The agent that reports.
-        status, solver, fallback, iterations, residual: Of the solve; residual is the worst KKT residual,
-            or -1 when there is none.
-        peers: The other agents, ascending.
-        plan_ages: Age in ticks of the newest plan used of each of `peers`; -1 where none was ever received.
-        state_ages: The same for the newest state of each.
-        measurement_age: The same for the newest measurement used.
-        delivered: Plans of others that became usable at this tick.
-        lost: Plans of earlier ticks that are known from now on to be lost on their link.
-        late: How many of the delivered ones were older than one tick.
-        force: Estimated external force on the payload, (3,), inertial frame, N; zero without an estimate.
-        times_ms: Wall-clock per stage, in the order of `STAGES`, (8,); "publish" is that of the step before.
-            Not reproducible, unlike the rest.
+    `times_ms` has the wall-clock time per stage, in the order of `STAGES`, (8,); "publish" is that of the step before.
+    These times are not reproducible, unlike the rest.
     """
 
     kind: ClassVar[str] = "report"
@@ -59,15 +47,15 @@ class StepReport(Message):
     solver: Text
     fallback: Flag
     iterations: Count
-    residual: Finite
-    peers: Ids
-    plan_ages: Ages
-    state_ages: Ages
-    measurement_age: Age
-    delivered: Count
-    lost: Count
-    late: Count
-    force: Annotated[Array, Shape(lambda _: (3,))]
+    residual: Finite  # the worst KKT residual, or -1 when there is none
+    peers: Ids  # the other agents, ascending
+    plan_ages: Ages  # age in ticks of the newest plan used of each of `peers`; -1 where none was ever received
+    state_ages: Ages  # the same for the newest state of each
+    measurement_age: Age  # the same for the newest measurement used
+    delivered: Count  # plans of others that became usable at this tick
+    lost: Count  # plans of earlier ticks that are known from now on to be lost on their link
+    late: Count  # delivered plans that were older than one tick
+    force: Annotated[Array, Shape(lambda _: (3,))]  # estimated, on the payload, inertial frame, N; or zero
     times_ms: Annotated[Array, Shape(lambda _: (len(STAGES),))]
 
     def _check_relations(self) -> None:
@@ -81,13 +69,8 @@ class StepReport(Message):
 class PlantState(Message):
     """Plant to the record and the coordinator: the true state at tick k and the inputs until k + 1.
 
-    Attributes:
-        x: State at t_k, (12 + 12 N,), SI.
-        u: Inputs applied over [t_k, t_{k+1}), (4 N,), N and N m.
-        plan_ticks: Tick of the plan each UAV's actuators followed, (N): -1 before any plan, -2 for the fail-safe,
-            -3 with the motors off.
-        local_error: Largest local error estimate of the integration over the interval, SI.
-        diverged: Empty, or why the run ends after this interval.
+    State x, (12 + 12 N,), SI; inputs u over [t_k, t_{k+1}), (4 N,), N and N m. `plan_ticks` has the tick of the plan
+    each UAV's actuators followed, (N,): -1 before any plan, -2 for the fail-safe, -3 with the motors off.
     """
 
     kind: ClassVar[str] = "plant_state"
@@ -96,26 +79,20 @@ class PlantState(Message):
     x: Annotated[Array, Shape(lambda message: (PAYLOAD + PER_UAV * len(message.plan_ticks),))]
     u: Annotated[Array, Shape(lambda message: (INPUTS * len(message.plan_ticks),))]
     plan_ticks: Annotated[tuple[int, ...], integers(-3)]
-    local_error: Finite
-    diverged: Text
+    local_error: Finite  # largest local error estimate of the integration over the interval, SI
+    diverged: Text  # empty, or why the run ends after this interval
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FaultNote(Message):
-    """In the log alone, never sent: a fault was injected into a process, or a process ended by itself.
-
-    Attributes:
-        target: The process.
-        what: "killed", "stopped", "continued", "started" or how it ended.
-        origin: The scenario's script, a person, or unknown to the recorder.
-    """
+    """In the log alone, never sent: a fault was injected into a process, or a process ended by itself."""
 
     kind: ClassVar[str] = "fault"
     route: ClassVar[Route] = Route(sender=RECORDER, receivers=())
 
-    target: Name
-    what: Text
-    origin: FaultOrigin
+    target: Name  # the process
+    what: Text  # "killed", "stopped", "continued", "started" or how it ended
+    origin: FaultOrigin  # the scenario's script, a person, or unknown to the recorder
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -123,18 +100,12 @@ class Rejected(Message):
     """Any process to the record: it has refused messages. Sent only when there were any; not reproducible.
 
     Its sequence numbers count messages of this kind alone, so that they do not change those of the others.
-
-    Attributes:
-        offender: Sender according to the messages, or the key they came under.
-        reason: Why they were refused.
-        count: How many since the last message about this offender and reason.
-        example: The error of the first of all of them, for people.
     """
 
     kind: ClassVar[str] = "rejected"
     route: ClassVar[Route] = Route(sender=None, receivers=(RECORDER, WATCHER), each="sender")
 
-    offender: Text
-    reason: Reason
-    count: Number
-    example: Text
+    offender: Text  # sender according to the messages, or the key they came under
+    reason: Reason  # why they were refused
+    count: Number  # how many since the last message about this offender and reason
+    example: Text  # the error of the first of all of them, for people

@@ -18,19 +18,12 @@ _EVERY_NS = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class Rejection:
-    """Messages of one sender refused for one reason.
+    """Messages of one sender refused for one reason."""
 
-    Attributes:
-        sender: Sender according to the messages, or the end of their key where that cannot be read.
-        reason: Why they were refused.
-        count: How many so far.
-        example: Error of the first of them.
-    """
-
-    sender: str
+    sender: str  # according to the messages, or the end of their key where that cannot be read
     reason: Reason
     count: int
-    example: str
+    example: str  # error of the first of them
 
 
 class Rejections:
@@ -53,13 +46,7 @@ class Rejections:
             yield Rejection(sender, reason, count, self._examples[sender, reason])
 
     def add(self, sender: str, error: MessageError, count: int = 1) -> None:
-        """Count messages.
-
-        Args:
-            sender: Their sender, or the key they came under.
-            error: Why the first of them is refused.
-            count: How many there are.
-        """
+        """Count messages of a sender, or under a key, by the error of the first of them."""
         sender = sender[:_LONGEST_SENDER]
         if sender not in self._senders:
             if len(self._senders) < MAX_SENDERS:
@@ -83,12 +70,7 @@ class Rejections:
 
 
 class Notices:
-    """`Rejected` messages of a process: none without news, and at most one batch a second.
-
-    Args:
-        name: Process name.
-        rejections: Its counts.
-    """
+    """`Rejected` messages of a process: none without news, and at most one batch a second."""
 
     def __init__(self, name: str, rejections: Rejections) -> None:
         self._name, self._rejections = name, rejections
@@ -97,13 +79,7 @@ class Notices:
         self._next_ns: int | None = None
 
     def due(self, now_ns: int, incarnation: int, tick: int) -> list[Rejected]:
-        """Return the messages to send now.
-
-        Args:
-            now_ns: Of a monotonic clock.
-            incarnation: Of the process.
-            tick: Newest known to it.
-        """
+        """Return the messages to send now, by a monotonic clock; the tick is the newest one the process knows."""
         if self._rejections.total == self._reported or (self._next_ns is not None and now_ns < self._next_ns):
             return []
         self._next_ns = now_ns + _EVERY_NS
@@ -112,19 +88,18 @@ class Notices:
     def rest(self, incarnation: int, tick: int) -> list[Rejected]:
         """Return all messages not sent yet, at the end of a run."""
         self._reported = self._rejections.total
-        messages = []
-        for entry in self._rejections.news():
-            messages.append(
-                Rejected(
-                    sender=self._name,
-                    incarnation=incarnation,
-                    sequence=self._sent,
-                    tick=tick,
-                    offender=entry.sender,
-                    reason=entry.reason,
-                    count=entry.count,
-                    example=entry.example,
-                )
+        messages = [
+            Rejected(
+                sender=self._name,
+                incarnation=incarnation,
+                sequence=sequence,
+                tick=tick,
+                offender=entry.sender,
+                reason=entry.reason,
+                count=entry.count,
+                example=entry.example,
             )
-            self._sent += 1
+            for sequence, entry in enumerate(self._rejections.news(), start=self._sent)
+        ]
+        self._sent += len(messages)
         return messages
