@@ -24,11 +24,7 @@ from transport.flight.fork_server import REQUEST_BYTES
 
 
 def serve(own: socket.socket) -> None:
-    """Start a process for each request until the other end is closed.
-
-    Args:
-        own: Socket for requests and answers.
-    """
+    """Start a process for each request from a socket until its other end is closed."""
     wake_with_its_end()
     setproctitle.setproctitle("transport fork-server")  # before the environment moves: titles use its memory
     _import_all()

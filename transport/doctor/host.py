@@ -23,12 +23,7 @@ _SLOW_SOURCES = ("hpet", "acpi_pm", "jiffies", "refined-jiffies")
 
 
 def host_checks(setup: Setup, root: Path = Path("/")) -> Iterator[tuple[str, Finding]]:
-    """Yield every check of the host with its name.
-
-    Args:
-        setup: The run.
-        root: Folder of /proc and /sys.
-    """
+    """Yield every check of the host with its name; root is the folder of /proc and /sys."""
     yield "clock", clock(root)
     yield "wake-up", wake_up()
     yield "time of day", time_of_day()

@@ -115,12 +115,7 @@ def _scenario(path: Path, point: Point, settings: Sequence[str]) -> Scenario:
 
 
 def key_of(scenario: Scenario, samples_s: Mapping[str, tuple[float, ...]]) -> str:
-    """Return the fingerprint of what determines a result: scenario without addresses, measured delays, version.
-
-    Args:
-        scenario: Scenario with its seed.
-        samples_s: Measured delays of its links by file, s.
-    """
+    """Return the fingerprint of what determines a result: scenario without addresses, measured delays, version."""
     tree = {name: part for name, part in scenario.tree().items() if name != "network"}
     content = [tree, sorted(samples_s.items()), version("payload-transport")]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]

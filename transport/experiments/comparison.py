@@ -123,12 +123,6 @@ def processor_times(
 ) -> Loads:
     """Return the processor time of every cell, measured once for each folder.
 
-    Args:
-        folder: Folder of the experiment.
-        settings: Changes of every scenario.
-        cells: The cells.
-        quick: Few repetitions of a short run.
-        notify: Called with a line of progress.
     Raises: ExperimentError: the folder was measured with other settings, or by another version of this package.
     """
     maneuver, repeats = (QUICK_MANEUVER, QUICK_REPEATS) if quick else (MANEUVER, REPEATS)
@@ -161,13 +155,7 @@ def _measured(path: Path, settings: Sequence[str], cells: Sequence[Cell]) -> Loa
 
 
 def experiment(cells: Sequence[Cell], reference: Cell, gust_mps: float) -> Experiment:
-    """Return the sweep: every cell in still air and in gusts.
-
-    Args:
-        cells: The cells.
-        reference: The cell among them that the others are compared to.
-        gust_mps: Standard deviation of the gusts, m/s; 0 for still air alone.
-    """
+    """Return the sweep: every cell in still air and, unless their standard deviation in m/s is zero, in gusts."""
     weathers = {STILL: "plant.wind.gust_mps=[0.0,0.0,0.0]"}
     if gust_mps > 0.0:
         weathers[GUSTS] = f"plant.wind.gust_mps=[{gust_mps!r},{gust_mps!r},{gust_mps!r}]"

@@ -53,14 +53,6 @@ def compare(
 ) -> tuple[list[str], Table, list[Result]]:
     """Measure processor time, simulate every controller at every period, and write all files.
 
-    Args:
-        settings: Changes of every scenario.
-        seeds: Number of runs of each cell in gusts.
-        gust_mps: Standard deviation of the gusts, m/s; 0 for still air alone.
-        folder: Folder of the experiment.
-        simulate: Returns the results of cases.
-        console: For progress.
-        quick: A trial with few periods and short measurements.
     Returns: Lines for the console, the table above them, and the results.
     Raises: ScenarioError: wrong settings. ExperimentError: unusable folder.
     """

@@ -81,13 +81,7 @@ def grade(ratio: float) -> str:
 
 
 def verdicts(curves: Sequence[Curve], loads: Loads, reference: Cell) -> list[Verdict]:
-    """Return the verdicts on every distributed curve, at the same rate and at the same computation.
-
-    Args:
-        curves: Cost curves of all controllers.
-        loads: Processor time of every cell.
-        reference: The centralized cell.
-    """
+    """Return the verdicts on every distributed curve, at the same rate and at the same computation."""
     found: list[Verdict] = []
     compared = set()
     for curve in curves:

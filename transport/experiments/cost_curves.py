@@ -112,14 +112,7 @@ def _interval(ratios: Sequence[float]) -> tuple[float, float] | None:
 def cost_curves(
     curves: Curves, points: Sequence[Point], cases: Iterable[Case], results: Iterable[Result]
 ) -> list[Curve]:
-    """Return the curves in each weather, each run relative to the reference's with the same seed.
-
-    Args:
-        curves: Cells by controller and kept horizon.
-        points: Points of the experiment.
-        cases: Its cases.
-        results: Result of each case.
-    """
+    """Return the curves in each weather, each run relative to the reference's with the same seed."""
     completed: list[dict[int, Mapping[str, float | None]]] = [{} for _ in points]
     diverged: list[list[float]] = [[] for _ in points]
     for case, result in zip(cases, results, strict=True):

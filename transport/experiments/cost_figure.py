@@ -27,11 +27,8 @@ _HIGHEST = 3.0
 def draw_costs(curves: Sequence[Curve], loads: Loads, reference: Cell, folder: Path) -> list[Path]:
     """Draw a row of panels for each weather: cost over the computation of the team and of one agent.
 
-    Args:
-        curves: Cost curves.
-        loads: Processor time of every cell.
-        reference: The centralized cell; a vertical line marks its computation.
-        folder: Output folder.
+    A vertical line marks the computation of the reference, the centralized cell.
+
     Returns: figure.png and figure.svg.
     """
     weathers = list(dict.fromkeys(curve.weather for curve in curves))

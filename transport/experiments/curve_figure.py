@@ -34,13 +34,7 @@ _MOST_TICKS = 10
 
 
 def draw_curves(figure: Figure, experiment: Experiment, measured: Sequence[PointStatistics]) -> None:
-    """Draw a column of panels for each scenario, or one column if each scenario is a single curve.
-
-    Args:
-        figure: Empty.
-        experiment: The experiment.
-        measured: Statistics of its points.
-    """
+    """Draw a column of panels for each scenario, or one column if each scenario is a single curve."""
     scenarios = list(dict.fromkeys(m.point.scenario for m in measured))
     columns = [scenarios] if experiment.curves is None else [[scenario] for scenario in scenarios]
     any_diverged = any(m.completed < m.runs for m in measured)

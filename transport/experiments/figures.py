@@ -17,13 +17,7 @@ from transport.report.style import RC, save
 
 
 def draw(experiment: Experiment, measured: Sequence[PointStatistics], folder: Path) -> list[Path]:
-    """Draw an experiment to figure.png and figure.svg, and return these files.
-
-    Args:
-        experiment: The experiment.
-        measured: Statistics of its points.
-        folder: Output folder; older figures are replaced.
-    """
+    """Draw an experiment to figure.png and figure.svg, which replace older ones; return these files."""
     with mpl.rc_context({**RC, "svg.hashsalt": experiment.name}):
         figure = Figure(layout="constrained")
         if experiment.drawn_as == "scaling":

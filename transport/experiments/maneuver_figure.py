@@ -21,9 +21,6 @@ _DECADES = 1e-5
 def draw_maneuver(runs: Sequence[tuple[str, Setup]], folder: Path) -> list[Path]:
     """Simulate each run again and draw all side by side on the same axes.
 
-    Args:
-        runs: Heading and setup of each column; deterministic, so the run equals the measured one.
-        folder: Output folder.
     Returns: maneuver.png and maneuver.svg.
     """
     with mpl.rc_context({**RC, "svg.hashsalt": "maneuver"}):

@@ -7,14 +7,7 @@ from transport.flight.progress import ConsoleProgress
 
 
 class SweepProgress(ConsoleProgress):
-    """Progress of a sweep.
-
-    Args:
-        name: Name of the experiment.
-        done: Number of runs finished before.
-        total: Number of all runs.
-        console: Standard error, as standard output is for results.
-    """
+    """Progress of a sweep."""
 
     def __init__(self, name: str, done: int, total: int, console: Console) -> None:
         status = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[last]}"))
@@ -24,11 +17,7 @@ class SweepProgress(ConsoleProgress):
             self._task = self._bar.add_task(name, total=total, completed=done, last="")
 
     def advance(self, last: str) -> None:
-        """Count one more finished run.
-
-        Args:
-            last: The run and its outcome.
-        """
+        """Count one more finished run, described with its outcome."""
         self._done += 1
         if self._bar is not None:
             self._bar.update(self._task, completed=self._done, last=last)

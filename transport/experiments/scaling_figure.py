@@ -41,12 +41,7 @@ _PANELS = (
 
 
 def draw_scaling(figure: Figure, measured: Sequence[PointStatistics]) -> None:
-    """Draw four panels over the number of UAVs, with a curve for each ownership.
-
-    Args:
-        figure: Empty.
-        measured: Statistics of the points.
-    """
+    """Draw four panels over the number of UAVs, with a curve for each ownership."""
     figure.set_size_inches(WIDTH_IN, _HEIGHT_IN)
     panels = figure.subplots(2, 2, sharex=True)
     ownerships = list(dict.fromkeys(m.point.labels["ownership"] for m in measured))

@@ -79,11 +79,6 @@ def statistics_of(
     """Return the statistics of each point.
 
     Costs of diverged runs are left out: they cover only part of the maneuver.
-
-    Args:
-        points: Points of the sweep.
-        results: Results of each point, in the order of the seeds.
-        names: Numbers to estimate.
     """
     baselines = {
         _comparable(point): cost.mean

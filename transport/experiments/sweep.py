@@ -23,15 +23,7 @@ Simulate = Callable[[Sequence[Case]], Iterable[Result]]
 def sweep(
     experiment: Experiment, cases: Sequence[Case], simulate: Simulate, results: Results, console: Console
 ) -> list[Result]:
-    """Simulate the cases without a result and keep each result at once; return all in the order of the cases.
-
-    Args:
-        experiment: The experiment.
-        cases: All of its cases.
-        simulate: Returns the results of cases in any order.
-        results: Results so far, to which the others are added.
-        console: For progress, and for how to resume an interrupted sweep.
-    """
+    """Simulate the cases without a result and keep each result at once; return all in the order of the cases."""
     every = {case.key: case for case in cases}
     missing = [case for key, case in every.items() if not results.done(key)]
     # Seed by seed: a slow period of the machine affects the timing of all points alike.
@@ -54,14 +46,7 @@ def sweep(
 def report(
     experiment: Experiment, cases: Sequence[Case], found: Sequence[Result], folder: Path
 ) -> tuple[list[PointStatistics], list[Path]]:
-    """Write the tables and the figure of an experiment; return the statistics of its points, and the files.
-
-    Args:
-        experiment: The experiment.
-        cases: Its cases.
-        found: Result of each case.
-        folder: Folder of the experiment; older files are replaced.
-    """
+    """Write the tables and the figure of an experiment; return the statistics of its points, and the files."""
     by_point: list[list[Result]] = [[] for _ in experiment.points]
     for case, result in zip(cases, found, strict=True):
         by_point[case.point].append(result)

@@ -67,14 +67,7 @@ _TIMED_COLUMNS = [
 def cases_csv(
     points: Sequence[Point], cases: Iterable[Case], results: Iterable[Result], numbers: Sequence[str] = NUMBERS
 ) -> bytes:
-    """Return one row for each run, in the order of the sweep; floats are written without loss.
-
-    Args:
-        points: Points of the sweep.
-        cases: Its cases.
-        results: Result of each case.
-        numbers: Names of the numbers.
-    """
+    """Return one row for each run, in the order of the sweep; floats are written without loss."""
     rows: list[dict[str, Any]] = []
     for case, result in zip(cases, results, strict=True):
         point = points[case.point]
@@ -105,13 +98,7 @@ def points_csv(measured: Sequence[PointStatistics]) -> bytes:
 
 
 def table_of(title: str, measured: Sequence[PointStatistics], *, timed: bool = False) -> Table:
-    """Return the table for the console, `WIDTH` characters wide.
-
-    Args:
-        title: Title above the table.
-        measured: Points in the order of the sweep.
-        timed: Whether to show computation and messages; then all points have one scenario.
-    """
+    """Return the table for the console, `WIDTH` characters wide; timed points have one scenario and more columns."""
     sharing = "share_threshold" in measured[0].point.labels
     columns, named = (_TIMED_COLUMNS, False) if timed else (_SHARING_COLUMNS if sharing else _COLUMNS, True)
     table = Table(box=None, title=title, title_justify="left", title_style="bold", padding=(0, 1, 0, 0))

@@ -31,12 +31,8 @@ def on_cores(cases: Sequence[Case], jobs: int) -> Iterator[Result]:
 
 
 def each_on_cores(do: Callable[[Case], T], cases: Sequence[Case], jobs: int) -> Iterator[T]:
-    """Apply a function to each case, in processes of this machine; yield the values in any order.
+    """Apply a function to each case and yield the values in any order; one job is done in this process.
 
-    Args:
-        do: Called once for each case.
-        cases: The cases.
-        jobs: Number of processes; 1 for this process.
     Raises: ExperimentError: a worker process has died.
     """
     if jobs == 1:
@@ -76,9 +72,6 @@ def check_cluster(address: str) -> None:
 def on_cluster(cases: Sequence[Case], address: str) -> Iterator[Result]:
     """Simulate cases on a Dask cluster; the cases of a worker that dies are repeated by the others.
 
-    Args:
-        cases: The cases.
-        address: Address of the scheduler.
     Raises: ExperimentError: no cluster, or one without suitable workers.
     """
     from distributed import Client, as_completed

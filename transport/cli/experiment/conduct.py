@@ -31,11 +31,7 @@ from transport.flight.run import machine
 
 
 def sweep_command(**defaults: Any) -> Callable[[Callable[..., Experiment]], Callable[..., None]]:
-    """Return a decorator that makes a command of a function that returns an experiment.
-
-    Args:
-        defaults: Those of its `SweepOptions`.
-    """
+    """Return a decorator that makes a command of a function that returns an experiment; defaults of `SweepOptions`."""
 
     def decorate(build: Callable[..., Experiment]) -> Callable[..., None]:
         @with_options(partial(SweepOptions, **defaults))
