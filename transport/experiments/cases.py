@@ -78,11 +78,8 @@ class Case:
 def cases_of(points: Sequence[Point], settings: Sequence[str], seeds: int, *, timed: bool = False) -> list[Case]:
     """Return every run of a sweep: each point with the seeds 0, 1, ...; one seed for a deterministic point.
 
-    Args:
-        points: Points of the sweep.
-        settings: Changes of every scenario, applied before those of the points.
-        seeds: Number of seeds.
-        timed: Whether processor time is measured; then every point is repeated.
+    The settings are applied before those of the points. Every point is repeated if processor time is measured.
+
     Raises: ScenarioError: a point that cannot be simulated, naming file, field, expected, got.
     """
     cases = []

@@ -65,10 +65,7 @@ Loads = Mapping[Cell, Load]
 def curves_of(period_s: float, horizon: int, *, quick: bool = False) -> Curves:
     """Return the cells of each curve by controller and kept horizon, from the longest period to the shortest.
 
-    Args:
-        period_s: Sampling period of the reference, s.
-        horizon: Its N_p, steps.
-        quick: Two periods only.
+    Sampling period, s, and horizon, steps, are those of the reference; quick gives two periods only.
     """
     return {
         (controller, kept): [

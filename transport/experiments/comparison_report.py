@@ -14,10 +14,9 @@ from protocol.scenario.setup import Setup
 from transport.experiments import comparison
 from transport.experiments.cases import Case, Point, cases_of
 from transport.experiments.comparison import Cell, Loads
+from transport.experiments.comparison_figures import draw_costs, draw_maneuver
 from transport.experiments.comparison_verdict import SAME_RATE, Verdict, lines, statements, verdicts
 from transport.experiments.cost_curves import Curve, Node, cost_curves
-from transport.experiments.cost_figure import draw_costs
-from transport.experiments.maneuver_figure import draw_maneuver
 from transport.experiments.processor_time import AGENT, TEAM, Load
 from transport.experiments.results import Results
 from transport.experiments.simulation import NUMBERS, Result

@@ -50,11 +50,7 @@ class Node:
 class Curve:
     """Cost of a controller over the sampling period, in one weather.
 
-    Attributes:
-        controller: Name of the controller.
-        kept: What its horizon has in common with the reference's: "steps" or "seconds".
-        weather: Still air or gusts.
-        nodes: From the longest period to the shortest.
+    Its horizon keeps the reference's "steps" or "seconds". The nodes are from the longest period to the shortest.
     """
 
     controller: str

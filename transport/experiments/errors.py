@@ -16,6 +16,6 @@ class ExperimentError(RuntimeError):
         self.exit_code = exit_code
 
 
-def refused(option: str, expected: str, got: object) -> ExperimentError:
+def refused(option: str, expected: str, got: object, exit_code: int = EXIT_USAGE) -> ExperimentError:
     """Return the error for a wrong option."""
-    return ExperimentError(f"{option}: expected {expected}, got {got}")
+    return ExperimentError(f"{option}: expected {expected}, got {got}", exit_code)

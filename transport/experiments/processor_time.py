@@ -108,14 +108,10 @@ def measure_in_turns(
 ) -> list[Load]:
     """Measure all candidates once, then all again, so that a slow period of the machine affects all alike.
 
-    The reference is measured immediately before each candidate, so that both of a ratio see the same machine.
+    The reference is measured immediately before each candidate, so that both of a ratio see the same machine. A
+    candidate is the name and run of a controller at one of its periods. The function notify gets the number of each
+    finished repetition, from 1; measure returns the processor time of an agent's step, ms.
 
-    Args:
-        reference: Run of the reference controller.
-        candidates: Name and run of each controller at each of its periods.
-        repeats: Repetitions.
-        notify: Called with the number of each finished repetition, from 1.
-        measure: Processor time of an agent's step, ms.
     Returns: The load of each candidate, in the same order.
     """
     pairs: list[list[tuple[float, float]]] = [[] for _ in candidates]

@@ -84,11 +84,8 @@ def simulate_in_memory(case: Case) -> Result:
 
 
 def simulate_in_processes(case: Case, folder: Path) -> Result:
-    """Simulate a case as `transport run` does, recorded into its own run folder.
+    """Simulate a case as `transport run` does, recorded into its own run folder below a folder.
 
-    Args:
-        case: The case.
-        folder: Parent of the run folders.
     Raises: KeyboardInterrupt: the run was interrupted.
     """
     own = folder / case.key
@@ -127,7 +124,7 @@ def _result(case: Case, simulate: Callable[[Setup], tuple[dict[str, Any], RunLog
     return Result(key=case.key, outcome=control.outcome, reason=control.reason, numbers=numbers)
 
 
-def _numbers(summary: dict[str, Any]) -> dict[str, float | None]:
+def _numbers(summary: Any) -> dict[str, float | None]:
     messages = summary["messages"]
     return {
         **{name: reduce(getitem, place, summary) for name, place in _FROM_SUMMARY.items()},

@@ -108,24 +108,17 @@ def table_of(title: str, measured: Sequence[PointStatistics], *, timed: bool = F
     for heading in ["done", *[shown.heading for shown in columns]]:
         table.add_column(heading, justify="right", no_wrap=True)
     for m in measured:
-        labels = [*[m.point.scenario] * named, *(_label(value) for value in m.point.labels.values())]
-        table.add_row(*labels, _done(m), *(_cell(m, shown) for shown in columns))
+        texts = (value if isinstance(value, str) else f"{value:g}" for value in m.point.labels.values())
+        labels = [*[m.point.scenario] * named, *texts]
+        done = f"{m.completed}/{m.runs}" + (f" {m.errors}!" if m.errors else "")
+        table.add_row(*labels, done, *(_cell(m, shown) for shown in columns))
     return table
-
-
-def _done(m: PointStatistics) -> str:
-    errors = f" {m.errors}!" if m.errors else ""
-    return f"{m.completed}/{m.runs}{errors}"
 
 
 def _number(value: float | None, digits: int) -> str:
     if value is None:
         return "-"
     return f"{value:.{digits}f}" if abs(value) < _LARGE else f"{value:.0f}"
-
-
-def _label(value: str | float) -> str:
-    return value if isinstance(value, str) else f"{value:g}"
 
 
 def _cell(m: PointStatistics, shown: _Column) -> str:

@@ -79,8 +79,7 @@ def on_cluster(cases: Sequence[Case], address: str) -> Iterator[Result]:
     try:
         client = Client(address, timeout=_ANSWER_S, set_as_default=False)
     except (OSError, ValueError) as error:
-        text = refused("--dask", f"a scheduler at {address}", f"no answer ({error})")
-        raise ExperimentError(str(text), EXIT_UNREACHABLE) from error
+        raise refused("--dask", f"a scheduler at {address}", f"no answer ({error})", EXIT_UNREACHABLE) from error
     with client:
         _check_workers(client.scheduler_info(n_workers=-1)["workers"], address)
         futures = {client.submit(simulate_in_memory, case, pure=False): case for case in cases}
@@ -100,8 +99,7 @@ def on_cluster(cases: Sequence[Case], address: str) -> Iterator[Result]:
 
 def _check_workers(workers: dict[str, dict[str, object]], address: str) -> None:
     if not workers:
-        text = refused("--dask", f"workers at {address} (dask worker {address} --nthreads 1)", "none")
-        raise ExperimentError(str(text), EXIT_UNREACHABLE)
+        raise refused("--dask", f"workers at {address} (dask worker {address} --nthreads 1)", "none", EXIT_UNREACHABLE)
     for name, worker in workers.items():
         if worker["nthreads"] != 1:
             raise refused("--dask", "workers with one thread each (--nthreads 1)", f"{name} with {worker['nthreads']}")

@@ -30,13 +30,15 @@ from transport.experiments.workers import check_cluster, on_cluster, on_cores
 from transport.flight.run import machine
 
 
-def sweep_command(**defaults: Any) -> Callable[[Callable[..., Experiment]], Callable[..., None]]:
-    """Return a decorator that makes a command of a function that returns an experiment; defaults of `SweepOptions`."""
+def sweep_command(
+    kind: type[ExperimentOptions] = SweepOptions, **defaults: Any
+) -> Callable[[Callable[..., Experiment]], Callable[..., None]]:
+    """Return a decorator that makes a command of a function that returns an experiment; defaults are its options."""
 
     def decorate(build: Callable[..., Experiment]) -> Callable[..., None]:
-        @with_options(partial(SweepOptions, **defaults))
+        @with_options(partial(kind, **defaults))
         @wraps(build)
-        def command(options: SweepOptions, **own: Any) -> None:
+        def command(options: ExperimentOptions, **own: Any) -> None:
             with exit_codes():
                 conduct(build(options, **own), options)
 

@@ -1,4 +1,4 @@
-"""Cost figure of the comparison: mean cost over processor time, a curve for each controller and horizon."""
+"""Figures of the comparison: mean cost over processor time, and one maneuver under different controllers."""
 
 import math
 from collections.abc import Sequence
@@ -10,9 +10,13 @@ import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from protocol.scenario.setup import Setup
+from transport.analysis.series import series_of
 from transport.experiments.comparison import CENTRALIZED, CLOSED_LOOP, PAPER, STEPS, Cell, Loads
 from transport.experiments.cost_curves import COST, Curve
 from transport.experiments.processor_time import AGENT, TEAM
+from transport.experiments.simulation import run_in_memory
+from transport.report.figures import PERFORMANCE, plot_performance
 from transport.report.style import RC, REFERENCE, WIDTH_IN, label_decades, save
 
 # Colour (Okabe and Ito 2008) and marker of each controller; solid lines keep the steps of the horizon, dashed lines
@@ -22,6 +26,10 @@ _ROW_IN, _AROUND_IN = 2.1, 1.0
 
 # Larger cost ratios, and diverged runs, are drawn at the upper edge of the panel.
 _HIGHEST = 3.0
+
+# Maneuver figure: size of a column; smallest visible share of the highest cost, below which values are rounding errors.
+_COLUMN_IN, _HEIGHT_IN = 3.0, 7.4
+_DECADES = 1e-5
 
 
 def draw_costs(curves: Sequence[Curve], loads: Loads, reference: Cell, folder: Path) -> list[Path]:
@@ -75,3 +83,29 @@ def _draw(axes: Axes, curve: Curve, loads: Loads, budget: str) -> None:
     label = f"{curve.controller}, as many {curve.kept}"
     filled = colour if curve.kept == STEPS else "white"
     axes.plot(x, y, marker=marker, markersize=4.0, markerfacecolor=filled, label=label, **style)
+
+
+def draw_maneuver(runs: Sequence[tuple[str, Setup]], folder: Path) -> list[Path]:
+    """Simulate each run again and draw all side by side on the same axes.
+
+    Returns: maneuver.png and maneuver.svg.
+    """
+    with mpl.rc_context({**RC, "svg.hashsalt": "maneuver"}):
+        figure = Figure(figsize=(_COLUMN_IN * len(runs), _HEIGHT_IN), layout="constrained")
+        panels = figure.subplots(len(PERFORMANCE), len(runs), sharex=True, squeeze=False)
+        for index, (title, setup) in enumerate(runs):
+            column = list(panels[:, index])
+            plot_performance(setup, series_of(setup, run_in_memory(setup)), column)
+            column[0].set_title(title, pad=18.0)
+            column[-1].set_xlabel("time (s)")
+        for label, row in zip(PERFORMANCE, panels, strict=True):
+            row[0].set_ylabel(label)
+            low = min(panel.get_ylim()[0] for panel in row)
+            high = max(panel.get_ylim()[1] for panel in row)
+            for panel in row:
+                panel.set_ylim(max(low, high * _DECADES) if panel.get_yscale() == "log" else low, high)
+                panel.label_outer()
+        for panel in panels[:-1, -1]:
+            panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
+        figure.align_ylabels(panels[:, 0])
+        return [save(figure, folder / f"maneuver.{kind}") for kind in ("png", "svg")]
