@@ -22,7 +22,7 @@ from transport.experiments.results import Results
 from transport.experiments.simulation import NUMBERS, Result
 from transport.experiments.statistics import Estimate
 from transport.experiments.sweep import Simulate, sweep
-from transport.experiments.table import cases_csv, csv_bytes
+from transport.experiments.table import cases_csv, csv_bytes, empty_table
 from transport.flight.run import machine
 from transport.report.report import write_whole
 
@@ -131,12 +131,9 @@ def _maneuver_runs(
 
 def table_of(costs: Sequence[Curve], loads: Loads) -> Table:
     """Return the table for the console, `WIDTH` characters wide."""
-    table = Table(box=None, title=TITLE, title_justify="left", title_style="bold", padding=(0, 1, 0, 0))
-    for heading in ("weather", "controller", "horizon\nkept"):
-        table.add_column(heading, no_wrap=True)
     times = ("CPU step\n(ms)", "agent\n(s/s)", "team\n(s/s)")
-    for heading in ("T_s\n(ms)", "N_p", "done", *(heading for heading, *_ in _COLUMNS), *times):
-        table.add_column(heading, justify="right", no_wrap=True)
+    right = ("T_s\n(ms)", "N_p", "done", *(heading for heading, *_ in _COLUMNS), *times)
+    table = empty_table(TITLE, ("weather", "controller", "horizon\nkept"), right)
     before: tuple[str, ...] = ("", "", "")
     for curve in costs:
         for node in curve.nodes:

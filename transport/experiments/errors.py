@@ -4,12 +4,7 @@ from protocol.wire.exit_codes import EXIT_USAGE
 
 
 class ExperimentError(RuntimeError):
-    """An experiment that cannot be started or completed.
-
-    Args:
-        text: One line for the user.
-        exit_code: Exit code of the process (docs/command-line.md).
-    """
+    """An experiment that cannot be started or completed: one line for the user, and exit code of the process."""
 
     def __init__(self, text: str, exit_code: int = EXIT_USAGE) -> None:
         super().__init__(text)

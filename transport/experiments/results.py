@@ -18,14 +18,9 @@ _IDENTITY, _RESULTS = "experiment.json", "results.jsonl"
 class Results:
     """Results of an experiment, written to disk at once.
 
-    Attributes:
-        folder: Folder of the experiment.
-        notices: Lines of the file that were ignored, with the reason.
+    The folder is created unless it exists; the machine is noted for the reader. Lines of the file that were ignored
+    are in `notices`, with the reason.
 
-    Args:
-        folder: Created unless it exists.
-        experiment: Name of the experiment.
-        machine: Machine on which it is begun, for the reader.
     Raises: ExperimentError: the folder contains something else, is in use, or cannot be written.
     """
 

@@ -101,17 +101,23 @@ def table_of(title: str, measured: Sequence[PointStatistics], *, timed: bool = F
     """Return the table for the console, `WIDTH` characters wide; timed points have one scenario and more columns."""
     sharing = "share_threshold" in measured[0].point.labels
     columns, named = (_TIMED_COLUMNS, False) if timed else (_SHARING_COLUMNS if sharing else _COLUMNS, True)
-    table = Table(box=None, title=title, title_justify="left", title_style="bold", padding=(0, 1, 0, 0))
     headings = [name.replace("_", "\n", 1) for name in measured[0].point.labels]
-    for heading in [*["scenario"] * named, *headings]:
-        table.add_column(heading, no_wrap=True)
-    for heading in ["done", *[shown.heading for shown in columns]]:
-        table.add_column(heading, justify="right", no_wrap=True)
+    table = empty_table(title, [*["scenario"] * named, *headings], ["done", *[shown.heading for shown in columns]])
     for m in measured:
         texts = (value if isinstance(value, str) else f"{value:g}" for value in m.point.labels.values())
         labels = [*[m.point.scenario] * named, *texts]
         done = f"{m.completed}/{m.runs}" + (f" {m.errors}!" if m.errors else "")
         table.add_row(*labels, done, *(_cell(m, shown) for shown in columns))
+    return table
+
+
+def empty_table(title: str, left: Sequence[str], right: Sequence[str]) -> Table:
+    """Return a table for the console with columns aligned left, then columns aligned right."""
+    table = Table(box=None, title=title, title_justify="left", title_style="bold", padding=(0, 1, 0, 0))
+    for heading in left:
+        table.add_column(heading, no_wrap=True)
+    for heading in right:
+        table.add_column(heading, justify="right", no_wrap=True)
     return table
 
 

@@ -41,46 +41,26 @@ _COUNTS = (
 
 @dataclass(slots=True)
 class AgentStatus:
-    """Status of one agent; counts are since the start of watching.
+    """Status of one agent; counts are since the start of watching."""
 
-    Attributes:
-        report: Newest step report; None before the first.
-        slack_ms: Rest of the period at the arrival of that report, ms; None in an unpaced run.
-        recent_ms: Times of the latest steps, ms.
-        counts: Number of each of `_COUNTS`.
-    """
-
-    report: StepReport | None = None
-    slack_ms: float | None = None
-    recent_ms: deque[float] = field(default_factory=lambda: deque(maxlen=_RECENT))
+    report: StepReport | None = None  # newest, None before the first
+    slack_ms: float | None = None  # rest of the period at the arrival of that report, ms; None in an unpaced run
+    recent_ms: deque[float] = field(default_factory=lambda: deque(maxlen=_RECENT))  # times of the latest steps, ms
     counts: Counter[str] = field(default_factory=lambda: Counter(dict.fromkeys(_COUNTS, 0)))
 
 
 @dataclass(slots=True)
 class Watch:
-    """Status of a run since the start of watching.
-
-    Args:
-        setup: The run.
-
-    Attributes:
-        agents: Status of each agent by number.
-        members: Agents on the roster; None while unknown.
-        tick: Newest open tick, -1 before the first.
-        plant_state: Newest plant state.
-        control: End of the run; None before it.
-        notices: Latest changes of the roster.
-        rejections: Number of rejected messages by receiver.
-    """
+    """Status of a run since the start of watching."""
 
     setup: Setup
-    agents: dict[int, AgentStatus] = field(init=False)
-    members: frozenset[int] | None = None
-    tick: int = -1
-    plant_state: PlantState | None = None
-    control: Control | None = None
-    notices: deque[str] = field(default_factory=lambda: deque(maxlen=_NOTICES))
-    rejections: Counter[str] = field(default_factory=Counter)
+    agents: dict[int, AgentStatus] = field(init=False)  # by number
+    members: frozenset[int] | None = None  # agents on the roster; None while unknown
+    tick: int = -1  # newest open tick, -1 before the first
+    plant_state: PlantState | None = None  # newest
+    control: Control | None = None  # end of the run
+    notices: deque[str] = field(default_factory=lambda: deque(maxlen=_NOTICES))  # latest changes of the roster
+    rejections: Counter[str] = field(default_factory=Counter)  # rejected messages by receiver
     _opened: Tick | None = None
     _opened_ns: int = 0
     _first: tuple[int, int] | None = None  # tick and time
