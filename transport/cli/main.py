@@ -11,14 +11,14 @@ from transport.cli.lazy import lazy_group
 app = lazy_group(
     {
         "run": ("transport.cli.run:run", "Run a scenario with all its processes; record and report it."),
-        "validate": ("transport.cli.validate:validate", "Check a scenario and print it with every default."),
+        "validate": ("transport.cli.scenario:validate", "Check a scenario and print it with every default."),
         "plot": ("transport.cli.plot:plot", "Regenerate metrics and figures of a recorded run."),
         "view": ("transport.cli.view:view", "Show a recorded or active run in the browser."),
         "compare": ("transport.cli.compare:compare", "Compare recorded runs in a table and in figures."),
         "replay": ("transport.cli.replay:replay", "Feed a recorded run to one agent and compare its plans."),
         "top": ("transport.cli.top:top", "Watch the agents of an active run."),
-        "status": ("transport.cli.status:status", "Show the progress of a run, or the health of one process."),
-        "fault": ("transport.cli.fault:fault", "Kill, stop, continue or restart a process of an active run."),
+        "status": ("transport.cli.operate:status", "Show the progress of a run, or the health of one process."),
+        "fault": ("transport.cli.operate:fault", "Kill, stop, continue or restart a process of an active run."),
         "doctor": ("transport.cli.doctor:doctor", "Check this machine for what a run needs."),
         "agent": ("transport.cli.agent:agent", "Run one agent: the controller of the UAVs it owns."),
         "plant": ("transport.cli.plant:plant", "Run the plant: the physics and the actuators."),
@@ -36,8 +36,8 @@ app = lazy_group(
 app.add_typer(
     lazy_group(
         {
-            "set": ("transport.cli.link:set_links", "Impair or repair links from the next tick on."),
-            "clear": ("transport.cli.link:clear_links", "Make all links perfect, including those of the plant."),
+            "set": ("transport.cli.operate:set_links", "Impair or repair links from the next tick on."),
+            "clear": ("transport.cli.operate:clear_links", "Make all links perfect, including those of the plant."),
         },
         help="Change the links of an active run.",
     ),

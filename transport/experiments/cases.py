@@ -22,15 +22,10 @@ _TEAM_SECTIONS = ("system", "agents")
 
 @dataclass(frozen=True, slots=True)
 class Team:
-    """A team that replaces the scenario's own, made as by `transport scenario new`.
+    """A team that replaces the scenario's own, made as by `transport scenario new`."""
 
-    Attributes:
-        uavs: Number of UAVs.
-        group: UAVs per agent.
-    """
-
-    uavs: int
-    group: int
+    uavs: int  # number of UAVs
+    group: int  # UAVs per agent
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,21 +53,13 @@ class Point:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
-    """One run of a point.
+    """One run of a point."""
 
-    Attributes:
-        point: Index of the point.
-        scenario: Scenario with the changes and the seed.
-        source: File the scenario comes from.
-        key: Fingerprint of everything that determines the result.
-        timed: Whether processor time and messages are measured as well.
-    """
-
-    point: int
-    scenario: Scenario
-    source: str
-    key: str
-    timed: bool = False
+    point: int  # index of the point
+    scenario: Scenario  # with the changes and the seed
+    source: str  # file the scenario comes from
+    key: str  # fingerprint of everything that determines the result
+    timed: bool = False  # whether processor time and messages are measured as well
 
 
 def cases_of(points: Sequence[Point], settings: Sequence[str], seeds: int, *, timed: bool = False) -> list[Case]:

@@ -45,17 +45,11 @@ _COMPUTATION = "computation.json"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cell:
-    """A controller at one sampling period.
-
-    Attributes:
-        controller: Name of the controller.
-        period_s: Sampling period T_s.
-        horizon: Horizon N_p, steps.
-    """
+    """A controller at one sampling period."""
 
     controller: str
-    period_s: float
-    horizon: int
+    period_s: float  # T_s
+    horizon: int  # N_p, steps
 
 
 Curves = Mapping[tuple[str, str], Sequence[Cell]]

@@ -19,19 +19,14 @@ COST = "cost_mean"
 class Node:
     """Runs of a cell in one weather.
 
-    Attributes:
-        cell: Controller, period and horizon.
-        runs: Number of runs, without those that could not be simulated.
-        diverged_s: Scenario times at which runs diverged, ascending, s.
-        numbers: Means over the completed runs, by name (simulation.NUMBERS).
-        ratios: Number of each seed over the reference's with the same seed (the same wind), by name.
+    Runs, times of divergence, and numbers are as in `PointStatistics`.
     """
 
     cell: Cell
     runs: int
     diverged_s: tuple[float, ...]
     numbers: Mapping[str, Estimate | None]
-    ratios: Mapping[str, Mapping[int, float]]
+    ratios: Mapping[str, Mapping[int, float]]  # by name, of each seed over the reference's with that seed (same wind)
 
     @property
     def completed(self) -> int:

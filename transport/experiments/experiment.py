@@ -18,17 +18,11 @@ SMALLEST = math.ulp(0.0)  # lower bound of numbers that must be positive
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """Axis of a figure.
+    """Axis of a figure."""
 
-    Attributes:
-        label: Name of the column along the axis.
-        title: Title with unit.
-        factor: Conversion from the column to that unit.
-    """
-
-    label: str
-    title: str
-    factor: float = 1.0
+    label: str  # name of the column along the axis
+    title: str  # with unit
+    factor: float = 1.0  # conversion from the column to that unit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -49,19 +49,12 @@ NUMBERS = ("lost_s", *_FROM_SUMMARY, *_SHARES)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Result:
-    """Result of a case.
+    """Result of a case."""
 
-    Attributes:
-        key: Key of the case.
-        outcome: As in a summary, or "error" for a case that could not be simulated.
-        reason: One line; empty when completed.
-        numbers: Numbers by name; empty for an error.
-    """
-
-    key: str
-    outcome: str
-    reason: str
-    numbers: dict[str, float | None]
+    key: str  # of the case
+    outcome: str  # as in a summary, or `ERROR` for a case that could not be simulated
+    reason: str  # one line; empty when completed
+    numbers: dict[str, float | None]  # by name; empty for an error
 
 
 def run_in_memory(setup: Setup, clock: Callable[[], int] = lambda: 0) -> RunLog:

@@ -14,17 +14,11 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A mean with its uncertainty.
-
-    Attributes:
-        mean: Mean of the repetitions.
-        half_width: Half the 95 % confidence interval of the mean; None for a single value.
-        n: Number of repetitions.
-    """
+    """A mean with its uncertainty."""
 
     mean: float
-    half_width: float | None
-    n: int
+    half_width: float | None  # half the 95 % confidence interval of the mean; None for a single value
+    n: int  # number of repetitions
 
 
 def estimate(values: Sequence[float]) -> Estimate | None:
