@@ -32,23 +32,16 @@ class Team:
 class Point:
     """A point of a sweep: a scenario and its changes.
 
-    Attributes:
-        scenario: File or name.
-        labels: Values by column that tell the point from the scenario's others.
-        text: The same in words, such as "200 ms".
-        settings: Changes of the scenario, as for `--set`.
-        baseline: Whether the scenario's other points with the same group and number of UAVs are compared to it.
-        group: Name of points that share a baseline of their own.
-        team: Replaces the scenario's own team.
+    A baseline is what the scenario's other points with the same group and number of UAVs are compared to.
     """
 
-    scenario: str
-    labels: Mapping[str, str | float]
-    text: str
-    settings: tuple[str, ...] = ()
+    scenario: str  # file or name
+    labels: Mapping[str, str | float]  # values by column that tell the point from the scenario's others
+    text: str  # the same in words, such as "200 ms"
+    settings: tuple[str, ...] = ()  # changes of the scenario, as for `--set`
     baseline: bool = False
-    group: str = ""
-    team: Team | None = None
+    group: str = ""  # name of points that share a baseline of their own
+    team: Team | None = None  # replaces the scenario's own team
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -31,23 +31,16 @@ QUICK_MANEUVER = "maneuver.phase=[{name='climb',duration_s=0.4,displacement_m=[0
 class Load:
     """Measured processor time of a controller at one sampling period, beside that of the reference.
 
-    Attributes:
-        controller: Name of the controller.
-        period_s: Its sampling period T_s.
-        horizon: Its horizon N_p, steps.
-        agents: Number of agents.
-        reference_period_s: Sampling period of the reference, whose single agent computes for the team.
-        step_ms: Mean processor time of an agent's step in each repetition, ms.
-        reference_step_ms: The same of the reference, measured immediately before, ms.
+    The single agent of the reference computes for the team.
     """
 
     controller: str
-    period_s: float
-    horizon: int
-    agents: int
+    period_s: float  # sampling period T_s
+    horizon: int  # N_p, steps
+    agents: int  # number of agents
     reference_period_s: float
-    step_ms: Sequence[float]
-    reference_step_ms: Sequence[float]
+    step_ms: Sequence[float]  # mean processor time of an agent's step in each repetition, ms
+    reference_step_ms: Sequence[float]  # the same of the reference, measured immediately before, ms
 
     def seconds_per_second(self, budget: str) -> list[float]:
         """Return processor time per simulated second in each repetition, s/s."""

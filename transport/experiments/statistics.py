@@ -42,23 +42,16 @@ def estimate(values: Sequence[float]) -> Estimate | None:
 class PointStatistics:
     """Statistics of the runs of one point.
 
-    Attributes:
-        point: The point.
-        runs: Number of simulated runs, without errors.
-        completed: Number of runs that reached the end of the maneuver.
-        errors: Number of runs that could not be simulated.
-        diverged_s: Scenario times at which the other runs ended, ascending, s.
-        numbers: Estimates over the completed runs, by name (simulation.NUMBERS).
-        cost_ratio: Mean cost over that of the baseline, if both are known. The baseline has the same scenario, group
-            and number of UAVs.
+    The cost ratio is the mean cost over that of the baseline, if both are known. The baseline has the same scenario,
+    group and number of UAVs.
     """
 
     point: Point
-    runs: int
-    completed: int
-    errors: int
-    diverged_s: tuple[float, ...]
-    numbers: Mapping[str, Estimate | None]
+    runs: int  # number of simulated runs, without errors
+    completed: int  # number of runs that reached the end of the maneuver
+    errors: int  # number of runs that could not be simulated
+    diverged_s: tuple[float, ...]  # scenario times at which the other runs ended, ascending, s
+    numbers: Mapping[str, Estimate | None]  # over the completed runs, by name (simulation.NUMBERS)
     cost_ratio: float | None
 
     @property
