@@ -48,9 +48,8 @@ def draw_costs(curves: Sequence[Curve], loads: Loads, reference: Cell, folder: P
             for axes, budget in zip(row, (TEAM, AGENT), strict=True):
                 for curve in own:
                     _draw(axes, curve, loads, budget)
-                axes.axvline(
-                    median(loads[reference].seconds_per_second(budget)), color=REFERENCE, linewidth=0.8, zorder=0
-                )
+                x = median(loads[reference].seconds_per_second(budget))
+                axes.axvline(x, color=REFERENCE, linewidth=0.8, zorder=0)
                 axes.set_xscale("log")
                 label_decades(axes.xaxis)
             row[0].set_ylabel(f"{weather}\nmean cost over centralized")
@@ -72,9 +71,8 @@ def _draw(axes: Axes, curve: Curve, loads: Loads, budget: str) -> None:
         x.append(median(times))
         y.append(math.nan if beyond or ratio is None else ratio.mean)
         if beyond:
-            axes.plot(
-                [x[-1]], [_HIGHEST], marker="x" if node.diverged_s else "$\\uparrow$", color=colour, markersize=5.0
-            )
+            sign = "x" if node.diverged_s else "$\\uparrow$"
+            axes.plot([x[-1]], [_HIGHEST], marker=sign, color=colour, markersize=5.0)
         elif ratio is not None:
             spread = [[x[-1] - min(times)], [max(times) - x[-1]]]
             axes.errorbar(

@@ -84,11 +84,8 @@ def compare(
     for name, content in written.items():
         write_whole(folder / name, content)
     shown = list(_maneuver_runs(costs, judged, reference, experiment.points, cases))
-    files = [
-        *(folder / name for name in written),
-        *draw_costs(costs, loads, reference, folder),
-        *draw_maneuver(shown, folder),
-    ]
+    figures = [*draw_costs(costs, loads, reference, folder), *draw_maneuver(shown, folder)]
+    files = [*(folder / name for name in written), *figures]
     output = ["", *text, "", f"machine: {machine()}", *(f" {path}" for path in files)]
     return output, table_of(costs, loads), found
 
@@ -105,18 +102,17 @@ def _maneuver_runs(
     These are the centralized controller, the paper's algorithm at the same rate, and at the period of the grid
     nearest to the same computation of one agent.
     """
-    curve = next(
-        c for c in costs if (c.controller, c.kept, c.weather) == (comparison.PAPER, comparison.STEPS, comparison.STILL)
-    )
+    wanted = (comparison.PAPER, comparison.STEPS, comparison.STILL)
+    curve = next(curve for curve in costs if (curve.controller, curve.kept, curve.weather) == wanted)
     own = [node.cell for node in curve.nodes]
     shown = {
         reference: f"{comparison.CENTRALIZED}\n",
         **{cell: f"{comparison.PAPER}\nsame rate, " for cell in own if cell.period_s == reference.period_s},
     }
     for verdict in judged:
-        wanted = (verdict.controller, verdict.weather, verdict.budget, verdict.kept)
+        found = (verdict.controller, verdict.kept, verdict.weather)
         low_s, high_s = verdict.periods.low_s, verdict.periods.high_s
-        if wanted == (comparison.PAPER, comparison.STILL, AGENT, comparison.STEPS) and not verdict.periods.is_open:
+        if found == wanted and verdict.budget == AGENT and not verdict.periods.is_open:
             middle_s = math.sqrt(low_s * high_s)
             nearest = min(own, key=lambda cell: abs(math.log(cell.period_s / middle_s)))
             shown.setdefault(nearest, f"{comparison.PAPER}\nsame computation, ")

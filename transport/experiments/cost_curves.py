@@ -123,13 +123,8 @@ def cost_curves(
             ratios={name: _ratios(name, found, references[weather]) for name in names},
         )
     return [
-        Curve(
-            controller=controller,
-            kept=kept,
-            weather=str(weather),
-            nodes=tuple(nodes[str(weather), cell] for cell in cells),
-        )
-        for weather in references
+        Curve(controller=controller, kept=kept, weather=weather, nodes=tuple(nodes[weather, cell] for cell in cells))
+        for weather in map(str, references)
         for (controller, kept), cells in curves.items()
     ]
 

@@ -57,11 +57,10 @@ class Load:
 
 @dataclass(frozen=True, slots=True)
 class PeriodRange:
-    """Range of sampling periods over several repetitions.
+    """Range of sampling periods, s, over several repetitions.
 
-    Attributes:
-        low_s: Shortest period; 0 if a repetition computes less than the reference even at the shortest measured period.
-        high_s: Longest period; infinite if a repetition computes more even at the longest measured period.
+    The low end is 0 if a repetition computes less than the reference even at the shortest measured period; the high end
+    is infinite if one computes more even at the longest.
     """
 
     low_s: float

@@ -4,7 +4,6 @@ import fcntl
 import os
 from dataclasses import asdict
 from pathlib import Path
-from types import TracebackType
 
 import orjson
 
@@ -43,9 +42,7 @@ class Results:
     def __enter__(self) -> "Results":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         os.close(self._file)
 
     def __getitem__(self, key: str) -> Result:

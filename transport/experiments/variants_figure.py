@@ -26,9 +26,7 @@ def draw_variants(figure: Figure, measured: Sequence[PointStatistics]) -> None:
     rows = [list(dict.fromkeys(_name(m) for m in measured if m.point.scenario == name)) for name in scenarios]
     figure.set_size_inches(WIDTH_IN, _FRAME_IN + _ROW_IN * sum(len(names) + 2 for names in rows))
     heights = [len(names) + 1 for names in rows]
-    panels = figure.subplots(len(scenarios), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": heights})[
-        :, 0
-    ]
+    panels = figure.subplots(len(scenarios), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
     ratios = [m.cost_ratio for m in measured if m.cost_ratio is not None]
     low, high = min([1.0, *ratios]), min(max([1.0, *ratios]), _HIGHEST)
     for panel, scenario, names in zip(panels, scenarios, rows, strict=True):
