@@ -67,8 +67,6 @@ def compare(
     experiment = comparison.experiment(cells, reference, gust_mps)
     cases = cases_of(experiment.points, settings, seeds)  # refuses wrong cases before the measurement
     with Results(folder, comparison.NAME, machine()) as results:
-        for notice in results.notices:
-            notify(notice)
         loads = comparison.processor_times(folder, settings, cells, quick=quick, notify=notify)
         found = sweep(experiment, cases, simulate, results, console)
     costs = cost_curves(curves, experiment.points, cases, found)

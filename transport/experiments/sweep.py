@@ -25,6 +25,8 @@ def sweep(
     experiment: Experiment, cases: Sequence[Case], simulate: Simulate, results: Results, console: Console
 ) -> list[Result]:
     """Simulate the cases without a result and keep each result at once; return all in the order of the cases."""
+    for notice in results.notices:
+        console.print(notice, highlight=False, soft_wrap=True)
     every = {case.key: case for case in cases}
     missing = [case for key, case in every.items() if not results.done(key)]
     # Seed by seed: a slow period of the machine affects the timing of all points alike.

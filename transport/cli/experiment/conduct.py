@@ -69,8 +69,6 @@ def conduct(experiment: Experiment, options: ExperimentOptions) -> None:
     console = Console(stderr=True)
     trial = trial_note(options, console)
     with Results(folder, experiment.name, machine()) as results:
-        for notice in results.notices:
-            console.print(notice, highlight=False, soft_wrap=True)
         done = sum(results.done(case.key) for case in cases)
         if done:
             console.print(f"{done} of {len(cases)} runs are done already", highlight=False)
