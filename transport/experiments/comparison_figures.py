@@ -84,7 +84,9 @@ def _draw(axes: Axes, curve: Curve, loads: Loads, budget: str) -> None:
 
 
 def draw_maneuver(runs: Sequence[tuple[str, Setup]], folder: Path) -> list[Path]:
-    """Simulate each run again and draw all side by side on the same axes.
+    """Simulate each run again and draw all side by side on the same axes, each under its heading.
+
+    The runs are deterministic, so they equal the measured ones.
 
     Returns: maneuver.png and maneuver.svg.
     """
