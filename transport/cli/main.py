@@ -11,14 +11,14 @@ from transport.cli.lazy import lazy_group
 app = lazy_group(
     {
         "run": ("transport.cli.run:run", "Run a scenario with all its processes; record and report it."),
-        "validate": ("transport.cli.scenario:validate", "Check a scenario and print it with every default."),
+        "validate": ("transport.cli.validate:validate", "Check a scenario and print it with every default."),
         "plot": ("transport.cli.plot:plot", "Regenerate metrics and figures of a recorded run."),
         "view": ("transport.cli.view:view", "Show a recorded or active run in the browser."),
         "compare": ("transport.cli.compare:compare", "Compare recorded runs in a table and in figures."),
         "replay": ("transport.cli.replay:replay", "Feed a recorded run to one agent and compare its plans."),
         "top": ("transport.cli.top:top", "Watch the agents of an active run."),
-        "status": ("transport.cli.operate:status", "Show the progress of a run, or the health of one process."),
-        "fault": ("transport.cli.operate:fault", "Kill, stop, continue or restart a process of an active run."),
+        "status": ("transport.cli.status:status", "Show the progress of a run, or the health of one process."),
+        "fault": ("transport.cli.fault:fault", "Kill, stop, continue or restart a process of an active run."),
         "doctor": ("transport.cli.doctor:doctor", "Check this machine for what a run needs."),
         "agent": ("transport.cli.agent:agent", "Run one agent: the controller of the UAVs it owns."),
         "plant": ("transport.cli.plant:plant", "Run the plant: the physics and the actuators."),
@@ -36,8 +36,8 @@ app = lazy_group(
 app.add_typer(
     lazy_group(
         {
-            "set": ("transport.cli.operate:set_links", "Impair or repair links from the next tick on."),
-            "clear": ("transport.cli.operate:clear_links", "Make all links perfect, including those of the plant."),
+            "set": ("transport.cli.link:set_links", "Impair or repair links from the next tick on."),
+            "clear": ("transport.cli.link:clear_links", "Make all links perfect, including those of the plant."),
         },
         help="Change the links of an active run.",
     ),
@@ -46,16 +46,16 @@ app.add_typer(
 app.add_typer(
     lazy_group(
         {
-            "latency": ("transport.cli.experiment.network:latency", "Effect of a fixed delay on every link."),
-            "loss": ("transport.cli.experiment.network:loss", "Effect of packet loss, independent or in bursts."),
-            "jitter": ("transport.cli.experiment.network:jitter", "Effect of the distribution of random delays."),
-            "kill": ("transport.cli.experiment.failures:kill", "Effect of the death of each agent."),
-            "deaths": ("transport.cli.experiment.failures:deaths", "Random agents killed for good at random times."),
-            "matrix": ("transport.cli.experiment.network:matrix", "Maps of cost and survival over delay and loss."),
-            "ablation": ("transport.cli.experiment.tuning:ablation", "Contribution of each part of the algorithm."),
-            "horizon": ("transport.cli.experiment.tuning:horizon", "Effect of horizon and terminal weight."),
-            "hover": ("transport.cli.experiment.tuning:hover", "Stability in a long hover after the maneuver."),
-            "sharing": ("transport.cli.experiment.network:sharing", "Cost against the number of plans sent."),
+            "latency": ("transport.cli.experiment.latency:latency", "Effect of a fixed delay on every link."),
+            "loss": ("transport.cli.experiment.loss:loss", "Effect of packet loss, independent or in bursts."),
+            "jitter": ("transport.cli.experiment.jitter:jitter", "Effect of the distribution of random delays."),
+            "kill": ("transport.cli.experiment.kill:kill", "Effect of the death of each agent."),
+            "deaths": ("transport.cli.experiment.deaths:deaths", "Random agents killed for good at random times."),
+            "matrix": ("transport.cli.experiment.matrix:matrix", "Maps of cost and survival over delay and loss."),
+            "ablation": ("transport.cli.experiment.ablation:ablation", "Contribution of each part of the algorithm."),
+            "horizon": ("transport.cli.experiment.horizon:horizon", "Effect of horizon and terminal weight."),
+            "hover": ("transport.cli.experiment.hover:hover", "Stability in a long hover after the maneuver."),
+            "sharing": ("transport.cli.experiment.sharing:sharing", "Cost against the number of plans sent."),
             "paper": ("transport.cli.experiment.paper:paper", "The paper's claim: centralized against distributed."),
             "scaling": ("transport.cli.experiment.scaling:scaling", "Growth of cost, computation and messages."),
         },
@@ -75,8 +75,8 @@ app.add_typer(
 app.add_typer(
     lazy_group(
         {
-            "info": ("transport.cli.log:info", "Describe the content of a log, and its gaps."),
-            "export": ("transport.cli.log:export", "Write a log as tables, or as a copy for Foxglove."),
+            "info": ("transport.cli.log.info:info", "Describe the content of a log, and its gaps."),
+            "export": ("transport.cli.log.export:export", "Write a log as tables, or as a copy for Foxglove."),
         },
         help="Describe and export the log of a run.",
         epilog="Exit codes: 0 done, also for an incomplete log; 2 the log cannot be read.",
@@ -86,8 +86,8 @@ app.add_typer(
 app.add_typer(
     lazy_group(
         {
-            "keys": ("transport.cli.deploy:keys", "Make an authority and a certificate for each process."),
-            "render": ("transport.cli.deploy:render", "Write a folder for each host, with all it needs."),
+            "keys": ("transport.cli.deploy.keys:keys", "Make an authority and a certificate for each process."),
+            "render": ("transport.cli.deploy.render:render", "Write a folder for each host, with all it needs."),
         },
         help="Deploy a run to several hosts.",
     ),

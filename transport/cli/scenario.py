@@ -1,10 +1,9 @@
-"""The commands `transport validate` and `transport scenario new`."""
+"""The command `transport scenario new`."""
 
 import shlex
 from pathlib import Path
 from typing import Annotated
 
-import tomli_w
 import typer
 from typer import Option
 
@@ -12,24 +11,8 @@ from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
 from protocol.scenario.setup import Setup
 from protocol.scenario.team import FEWEST, MOST, given, resized
 from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
-from transport.cli.options import ScenarioArgument, SetOption
 from transport.cli.output import exit_on, fail
-from transport.cli.scenario_setup import read_setup
 from transport.cli.scenario_text import scenario_text
-
-
-def validate(scenario: ScenarioArgument, settings: SetOption = None) -> None:
-    """Check a scenario and print it with every default.
-
-    Example: transport validate paper --set controller.horizon=10
-    """
-    setup = read_setup(scenario, settings)
-    typer.echo(tomli_w.dumps(setup.scenario.tree()), nl=False)
-    for doubt in setup.doubts():
-        typer.echo(f"warning: {doubt}", err=True)
-    hover = ", ".join(f"{thrust:.2f}" for thrust in setup.hover.u[::4])
-    sizes = f"{setup.system.N} UAVs, {len(setup.agents)} agents, {setup.ticks} ticks"
-    typer.echo(f"valid: {sizes}, hover thrust {hover} N, digest {setup.scenario.digest()}", err=True)
 
 
 def new(

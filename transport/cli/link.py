@@ -1,47 +1,15 @@
-"""The commands that ask an active run: `transport status`, `fault` and `link`."""
+"""The commands `transport link`."""
 
-import json
 from typing import Annotated
 
 import typer
-from typer import Argument, Option
+from typer import Option
 
 from protocol.wire.exit_codes import EXIT_USAGE
 from transport.cli.active_run import ActiveRun
 from transport.cli.options import with_options
 from transport.cli.output import fail
 from transport.flight.requests import PERFECT
-
-
-@with_options(ActiveRun)
-def status(
-    run: ActiveRun,
-    process: Annotated[str | None, Option("--process", help="Process, such as plant, agent1 or recorder.")] = None,
-) -> None:
-    """Show the progress of a run, or the health of one process.
-
-    Prints JSON: tick and roster; with --process its resource use and the messages it rejected.
-
-    Example: transport status --process agent2
-    """
-    name, what = ("coordinator", "status") if process is None else (process, "health")
-    typer.echo(json.dumps(run.ask(name, what, {})))
-
-
-@with_options(ActiveRun)
-def fault(
-    run: ActiveRun,
-    action: Annotated[str, Argument(help="kill, stop, continue or restart.")],
-    target: Annotated[str, Argument(help="Process: agent1, agent2, ..., plant, coordinator.")],
-) -> None:
-    """Kill, stop, continue or restart a process of an active run.
-
-    The fault is written to the log of the run.
-
-    Example: transport fault kill agent3
-    """
-    answer = run.ask("recorder", "fault", {"do": action, "target": target})
-    typer.echo(f"{action} {target}: done at tick {answer['tick']}")
 
 
 @with_options(ActiveRun)

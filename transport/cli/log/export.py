@@ -1,84 +1,23 @@
-"""The commands `transport log`: describe and export the log of a run."""
+"""The command `transport log export`."""
 
 import csv
 import io
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
-from typer import Argument, Option
+from typer import Option
 
 from protocol.wire.exit_codes import EXIT_USAGE
 from protocol.wire.messages import KINDS
-from transport.cli.options import FormatOption
-from transport.cli.output import Format, exit_on, fail, show_json
-from transport.log.gaps import ranges
-from transport.log.info import LogFile, describe, lost, open_log
+from transport.cli.log.opening import LogArgument, open_or_fail
+from transport.cli.output import exit_on, fail
+from transport.log.info import LogFile, lost
 from transport.log.run_log import LogError
 from transport.log.tables import Row, columns, tables
 from transport.report.foxglove import write_foxglove
 from transport.report.report import write_whole
 from transport.scene.scene import SceneBuilder
-
-LogArgument = Annotated[Path, Argument(metavar="RUN|FILE", help="Run folder, or MCAP file.")]
-
-
-def info(path: LogArgument, output: FormatOption = Format.text) -> None:
-    """Describe the content of a log, and its gaps.
-
-    Reads a truncated or damaged log as far as possible.
-
-    Example: transport log info runs/20260102-101500-paper
-    """
-    content = describe(_open(path))
-    if output is Format.json:
-        show_json(content)
-        return
-    console = Console()
-    console.print(_summary(content))
-    if content["channels"]:
-        console.print(_channels(content["channels"]))
-
-
-def _summary(content: dict[str, Any]) -> Table:
-    whole = Text("whole", "bold green") if content["complete"] else Text("not whole", "bold red")
-    table = Table(box=None, show_header=False, title=Text.assemble((content["file"], "bold"), " ", whole))
-    table.title_justify = "left"
-    table.add_column(style="cyan", no_wrap=True)
-    table.add_column()
-    period_s, last, ticks = content["sampling_period_s"], content["last_tick"], content["ticks_of_the_run"]
-    span = "no message is readable" if last is None else f"{content['first_tick']} to {last}"
-    if last is not None and ticks is not None:
-        flown = content["ticks_flown"]
-        span += f"; {flown} of {ticks} flown ({flown * period_s:.2f} of {ticks * period_s:.2f} s of scenario time)"
-    reason = f": {content['reason']}" if content["reason"] else ""
-    lines = [
-        ("run", f"{content['run_id'] or 'unknown'}, scenario {content['scenario'] or 'unknown'}"),
-        ("ended", f"{content['outcome']}{reason}"),
-        ("ticks", span),
-        ("received", "-" if content["wall_time_s"] is None else f"within {content['wall_time_s']:.2f} s of wall time"),
-        ("size", f"{content['bytes'] / 1e3:.0f} kB, {content['messages']} messages"),
-        ("recorded with", content["versions"] or "unknown"),
-        ("on", content["machine"] or "unknown"),
-        *([("log", content["cut"])] if content["cut"] else []),
-        *[("lost", sentence) for sentence in content["lost"]],
-    ]
-    for name, text in lines:
-        table.add_row(name, Text(text, "yellow" if name in ("log", "lost") else ""))
-    return table
-
-
-def _channels(channels: list[dict[str, Any]]) -> Table:
-    table = Table(box=None)
-    for column in ("channel", "messages", "first tick", "last tick", "ticks without"):
-        table.add_column(column, justify="left" if column in ("channel", "ticks without") else "right")
-    for channel in channels:
-        counts = (channel["messages"], channel["first_tick"], channel["last_tick"])
-        table.add_row(channel["topic"], *map(str, counts), ranges(channel["ticks_without"]))
-    return table
 
 
 def export(
@@ -119,7 +58,7 @@ def _export_tables(path: Path, out: Path, kinds: list[str], *, parquet: bool) ->
             import pyarrow.parquet  # noqa: F401 - before the log is read, which may take minutes
         except ImportError:
             fail("--parquet: needs pyarrow; pip install 'payload-transport[parquet]', or take --csv", EXIT_USAGE)
-    file = _open(path)
+    file = open_or_fail(path)
     period_s = None if file.setup is None else file.setup.settings.sampling_period_s
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -140,7 +79,7 @@ def _export_tables(path: Path, out: Path, kinds: list[str], *, parquet: bool) ->
 def _export_foxglove(path: Path, out: Path) -> None:
     if out.exists():
         fail(f"--foxglove: expected a file that does not exist yet, got {out}", EXIT_USAGE)
-    file = _open(path)
+    file = open_or_fail(path)
     if file.setup is None:
         fail(f"--foxglove: {file.path} has lost its scenario, or it is of another version", EXIT_USAGE)
     try:
@@ -180,9 +119,3 @@ def _write_parquet(rows: list[Row], path: Path, file: LogFile) -> None:
     partial = path.with_name(path.name + ".partial")
     pq.write_table(table.replace_schema_metadata(about), partial)
     partial.replace(path)
-
-
-def _open(path: Path) -> LogFile:
-    """Open a log, or end the command if it cannot be read."""
-    with exit_on(LogError, code=EXIT_USAGE):
-        return open_log(path)

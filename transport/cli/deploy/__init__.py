@@ -1,0 +1,1 @@
+"""The commands `transport deploy`: keys and folders for a run on several hosts."""

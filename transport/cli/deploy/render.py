@@ -1,0 +1,41 @@
+"""The command `transport deploy render`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from typer import Option
+
+from protocol.wire.exit_codes import EXIT_USAGE
+from transport.cli.deploy.inventory import inventory_of, optional_packages
+from transport.cli.options import ScenarioOption, SetOption
+from transport.cli.output import exit_on, fail
+from transport.cli.scenario_setup import read_setup
+
+
+def render(
+    hosts: Annotated[Path, Option("--hosts", help="Inventory: the processes of each host (docs/deploy.md).")],
+    out: Annotated[Path, Option("--out", help="Folder to create, with one for each host.")],
+    scenario: ScenarioOption = "paper",
+    settings: SetOption = None,
+    keys: Annotated[Path | None, Option("--keys", help="Folder of keys (transport deploy keys).")] = None,
+) -> None:
+    """Write a folder for each host, with all it needs.
+
+    Example: transport deploy render --hosts hosts.toml --keys keys --out deployment
+    """
+    setup = read_setup(scenario, settings)
+    inventory = inventory_of(hosts, setup)
+    with optional_packages():
+        from deploy.keys import KeysError
+        from deploy.render import RenderError
+        from deploy.render import render as render_folders
+    try:
+        with exit_on(RenderError, KeysError, code=EXIT_USAGE):
+            folders = render_folders(setup, inventory, keys, out)
+    except OSError as error:
+        fail(f"--out: cannot write {error.filename or out} ({error.strerror})", EXIT_USAGE)
+    if keys is None:
+        typer.echo("warning: without keys, all who can reach these hosts can read and send every message", err=True)
+    for folder in folders:
+        typer.echo(f" {folder}")

@@ -1,0 +1,1 @@
+"""The commands `transport log`: describe and export the log of a run."""
