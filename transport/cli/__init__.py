@@ -1,1 +1,1 @@
-"""The command line: one module for each command, imported when the command is called."""
+"""The command line: a module for each command or family of commands, imported when a command is called."""

@@ -25,12 +25,7 @@ KeysOption = Annotated[
 
 
 def find_active(run: str | None, advice: str) -> tuple[Path, live.LiveRun]:
-    """Return folder and addresses of an active run, or end the command.
-
-    Args:
-        run: Run folder, or its name in runs/; None for the most recent active run there.
-        advice: Options that would find one.
-    """
+    """Return folder and addresses of an active run, the most recent one by default; or end the command with advice."""
     folders = [live.newest_folder(RUNS)] if run is None else [Path(run), RUNS / run]
     found = next(((at, there) for at in folders if at is not None and (there := live.read(at)) is not None), None)
     if found is None:
@@ -47,13 +42,7 @@ class ActiveRun:
     keys: KeysOption = None
 
     def ask(self, name: str, what: str, arguments: dict[str, Any]) -> dict[str, Any]:
-        """Return the answer of a process to a request, or end the command.
-
-        Args:
-            name: Process.
-            what: Request (docs/protocol.md).
-            arguments: Arguments of the request.
-        """
+        """Return the answer of a process to a request (docs/protocol.md), or end the command."""
         keys = self.keys
         if self.connect:
             if not (self.run and Keys.allows(self.run)):

@@ -1,7 +1,7 @@
 """The command `transport doctor`."""
 
+from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict
 from typing import Annotated
 
 import typer
@@ -14,7 +14,8 @@ from protocol.wire.exit_codes import EXIT_CHECK_FAILED
 from transport.cli.options import FormatOption, SetOption
 from transport.cli.output import Format, show_json
 from transport.cli.scenario_setup import read_setup
-from transport.doctor.checks import Check, checks
+from transport.doctor.checks import checks
+from transport.doctor.finding import Finding
 
 _COLOURS = {"ok": "green", "warn": "yellow", "fail": "bold red"}
 
@@ -35,26 +36,27 @@ def doctor(
     """
     setup = read_setup(scenario, settings)
     found = list(checks(setup) if output is Format.json else _shown(checks(setup)))
-    failed = [check for check in found if check.status == "fail"]
+    count = Counter(finding.status for _, finding in found)
+    failed = count["fail"]
     if output is Format.json:
-        show_json({"scenario": setup.scenario.name, "ok": not failed, "checks": [asdict(check) for check in found]})
+        content = [{"name": name, **finding._asdict()} for name, finding in found]
+        show_json({"scenario": setup.scenario.name, "ok": not failed, "checks": content})
     else:
-        warned = sum(check.status == "warn" for check in found)
-        typer.echo(f"{len(found)} checks: {len(failed)} fail, {warned} warn")
+        typer.echo(f"{len(found)} checks: {failed} fail, {count['warn']} warn")
     if failed:
         raise typer.Exit(EXIT_CHECK_FAILED)
 
 
-def _shown(found: Iterable[Check]) -> Iterator[Check]:
+def _shown(found: Iterable[tuple[str, Finding]]) -> Iterator[tuple[str, Finding]]:
     """Print each check as soon as its result is known."""
     console = Console()
-    for check in found:
+    for name, finding in found:
         grid = Table.grid(padding=(0, 1))
         grid.add_column(width=4)
         grid.add_column(width=12)
         grid.add_column(ratio=1)
-        grid.add_row(Text(check.status, _COLOURS[check.status]), Text(check.name, "cyan"), Text(check.found))
-        if check.advice:
-            grid.add_row("", "", Text(f"-> {check.advice}"))
+        grid.add_row(Text(finding.status, _COLOURS[finding.status]), Text(name, "cyan"), Text(finding.found))
+        if finding.advice:
+            grid.add_row("", "", Text(f"-> {finding.advice}"))
         console.print(grid)
-        yield check
+        yield name, finding

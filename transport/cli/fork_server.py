@@ -11,7 +11,7 @@ import os
 import socket
 import sys
 import traceback
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, NoReturn
 
 import setproctitle
@@ -24,38 +24,25 @@ from transport.flight.fork_server import REQUEST_BYTES
 
 
 def serve(own: socket.socket) -> None:
-    """Start a process for each request until the other end is closed.
-
-    Args:
-        own: Socket for requests and answers.
-    """
+    """Start a process for each request from a socket until its other end is closed."""
     wake_with_its_end()
     setproctitle.setproctitle("transport fork-server")  # before the environment moves: titles use its memory
-    _import_all()
+    for name in ("main", "agent", "coordinator", "plant"):
+        importlib.import_module(f"transport.cli.{name}")
     while True:
         content, descriptors, _, _ = socket.recv_fds(own, REQUEST_BYTES, 2)
         if not content:
             return
         request = json.loads(content)
         os.chdir(request["folder"])
-        _read_scenario(request["arguments"])
+        arguments = request["arguments"]
+        with contextlib.suppress(Exception):  # reads the scenario into the cache; the process reports its errors
+            read_setup(arguments[arguments.index("--scenario") + 1], None).model  # noqa: B018
         gc.collect()
         gc.freeze()  # a collection after the fork would copy shared memory
         own.send(b"%d" % _started(request, *descriptors))
         for descriptor in descriptors:
             os.close(descriptor)
-
-
-def _import_all() -> None:
-    """Import the commands of all roles."""
-    for name in ("main", "agent", "coordinator", "plant"):
-        importlib.import_module(f"transport.cli.{name}")
-
-
-def _read_scenario(arguments: Sequence[str]) -> None:
-    """Read the scenario of a process before the fork, which caches it; the process reports its errors."""
-    with contextlib.suppress(Exception):
-        read_setup(arguments[list(arguments).index("--scenario") + 1], None).model  # noqa: B018
 
 
 def _started(request: Mapping[str, Any], stdin: int, output: int) -> int:

@@ -44,10 +44,5 @@ class LazyGroup(TyperGroup):
 
 
 def lazy_group(table: Table, **options: Any) -> typer.Typer:
-    """Return a group of the commands in a table.
-
-    Args:
-        table: Its commands, in the order of the help.
-        options: Further options of `typer.Typer`, such as help and epilog.
-    """
+    """Return a group of the commands in a table, with further options of `typer.Typer`, such as help and epilog."""
     return typer.Typer(cls=type("Group", (LazyGroup,), {"table": table}), no_args_is_help=True, **_PLAIN, **options)

@@ -54,9 +54,8 @@ def metrics(
 def process_endpoints(scenario: Scenario, connect: Sequence[str] | None = None) -> dict[str, Endpoints]:
     """Return the endpoints at which to ask each process of a scenario, by name.
 
-    Args:
-        scenario: Scenario of the run.
-        connect: Endpoints in place of the default ones, in the order of the mesh.
+    Given endpoints, in the order of the mesh, replace the default ones.
+
     Raises: SecurityError: the keys cannot be used.
     """
     names = process_names(scenario)

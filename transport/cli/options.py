@@ -36,8 +36,7 @@ PortOption = Annotated[int, Option("--port", min=0, max=65535, help="Port, or th
 def with_options(options: Callable[..., Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Return a decorator that gives a command shared options, after its own.
 
-    Args:
-        options: Its annotated parameters become options, and its result the first argument of the command.
+    The annotated parameters of `options` become options, and its result the first argument of the command.
     """
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:

@@ -68,12 +68,7 @@ class ProcessOptions:
         )
 
     def run(self, name: str, body: Callable[[Setup, Place], int]) -> None:
-        """Run a process and end the command with its exit code.
-
-        Args:
-            name: Name of the process.
-            body: Main function of the process; returns the exit code.
-        """
+        """Run the main function of a process and end the command with the exit code it returns."""
         setup = self.setup()
         place = self.place(setup, name)
         with exit_on(BusError, code=EXIT_UNREACHABLE):

@@ -19,15 +19,7 @@ _ROUNDING = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class ReplayReport:
-    """Comparison of an agent's plans with the recorded ones.
-
-    Attributes:
-        run: Recorded run.
-        agent: Number of the agent.
-        again: The replay.
-        comparison: Of its plans with the recorded ones.
-        is_changed: Whether the replay had other settings than the run.
-    """
+    """Comparison of an agent's plans with the recorded ones, of a replay with or without changed settings."""
 
     run: RecordedRun
     agent: int

@@ -14,14 +14,7 @@ from transport.report.report import summary_table, write_report
 
 
 def report(folder: Path, output: Format, *, figures: bool, setup: Setup | None) -> None:
-    """Write the report of a run and print its summary.
-
-    Args:
-        folder: Run folder.
-        output: Format of the printed summary.
-        figures: Whether to draw the figures.
-        setup: Setup of the run; None to read it from the folder.
-    """
+    """Write the report of a run folder and print its summary; without a setup it is read from the folder."""
     with exit_on(LogError, code=EXIT_USAGE), exit_on(ScenarioError, code=EXIT_SCENARIO):
         summary = write_report(folder, figures=figures, setup=setup)
     if output is Format.json:

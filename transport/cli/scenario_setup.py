@@ -11,12 +11,7 @@ from transport.cli.output import fail
 
 
 def read_setup(scenario: str, settings: Sequence[str] | None) -> Setup:
-    """Return the setup of a scenario, or end the command if the scenario is refused.
-
-    Args:
-        scenario: File, or name of a ready-made scenario.
-        settings: Changes, KEY=VALUE.
-    """
+    """Return the setup of a scenario, file or name, with changes KEY=VALUE; end the command if it is refused."""
     try:
         path = find_scenario(scenario)
         return _setup(path, tuple(settings or ()), _file_version(path))

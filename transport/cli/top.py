@@ -121,7 +121,7 @@ def _listen(run: _Run) -> Bus:
 
 def _print_once(bus: Bus, run: _Run, output: Format) -> None:
     watch = Watch(run.setup)
-    _receive_until(bus, watch, lambda: watch.is_whole, _PATIENCE_S)
+    _receive(bus, watch, _PATIENCE_S, until_whole=True)
     if watch.tick < 0 and watch.plant_state is None and watch.control is None:
         _fail_silent(run)
     if output is Format.json:
@@ -148,10 +148,9 @@ def _draw_until_end(bus: Bus, run: _Run, watch: Watch, interval_s: float, draw: 
     quiet_s = 0.0
     while watch.control is None:
         # The first table is drawn as soon as all agents have reported.
-        is_enough = _never if watch.is_whole else lambda: watch.is_whole
-        received, gone = _receive_until(bus, watch, is_enough, interval_s)
+        received, gone = _receive(bus, watch, interval_s, until_whole=not watch.is_whole)
         if gone and watch.control is None:
-            _receive_until(bus, watch, _never, _OVERTAKEN_S)
+            _receive(bus, watch, _OVERTAKEN_S)
             return
         quiet_s = 0.0 if received else quiet_s + interval_s
         waited_s = time.monotonic() - begun
@@ -161,20 +160,18 @@ def _draw_until_end(bus: Bus, run: _Run, watch: Watch, interval_s: float, draw: 
             draw(table_of(watch, run.name, quiet_s))
 
 
-def _never() -> bool:
-    return False
-
-
 def _fail_silent(run: _Run) -> NoReturn:
     where = f"at {', '.join(run.endpoints)}"
     scenario = run.setup.scenario.name
     fail(f"no message of run {run.name} {where}, or its scenario is not {scenario} as given", EXIT_UNREACHABLE)
 
 
-def _receive_until(bus: Bus, watch: Watch, is_enough: Callable[[], bool], timeout_s: float) -> tuple[int, bool]:
-    """Receive messages for a time; return their number, and whether the coordinator has left."""
+def _receive(bus: Bus, watch: Watch, timeout_s: float, *, until_whole: bool = False) -> tuple[int, bool]:
+    """Receive messages for a time, or until all agents reported; return number and whether the coordinator left."""
     received, deadline = 0, time.monotonic() + timeout_s
-    while not is_enough() and watch.control is None and (left_s := deadline - time.monotonic()) > 0.0:
+    while watch.control is None and (left_s := deadline - time.monotonic()) > 0.0:
+        if until_whole and watch.is_whole:
+            break
         event = bus.next(left_s)
         if isinstance(event, Message):
             watch.take(event, bus.arrived_ns)

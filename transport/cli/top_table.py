@@ -16,13 +16,7 @@ _LEFT = ("UAVs", "state", "plan ages", "QPs")
 
 
 def table_of(watch: Watch, run: str, quiet_s: float = 0.0) -> Group:
-    """Return the table of a run.
-
-    Args:
-        watch: Messages received so far.
-        run: Name of the run.
-        quiet_s: Time since the last message, s.
-    """
+    """Return the table of a run by name, with the time since the last message, s, if it is long."""
     content = watch.content()
     outcome, period_s = content["outcome"], watch.setup.settings.sampling_period_s
     ticks = content["ticks"]

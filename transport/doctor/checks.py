@@ -4,10 +4,8 @@ import platform
 import shutil
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from importlib import import_module, metadata
 from pathlib import Path
-from typing import Literal
 
 import threadpoolctl
 from packaging.requirements import Requirement
@@ -25,23 +23,8 @@ _LEAST_PYTHON = (3, 11)
 _LEAST_DISK_MB = 500
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Check:
-    """A named check with its finding; attributes as in `Finding`."""
-
-    name: str
-    status: Literal["ok", "warn", "fail"]
-    found: str
-    advice: str = ""
-
-
-def checks(setup: Setup) -> Iterator[Check]:
-    """Yield every check as soon as it is done; all together take some seconds."""
-    for name, (status, found, advice) in _findings(setup):
-        yield Check(name=name, status=status, found=found, advice=advice)
-
-
-def _findings(setup: Setup) -> Iterator[tuple[str, Finding]]:
+def checks(setup: Setup) -> Iterator[tuple[str, Finding]]:
+    """Yield every check with its name as soon as it is done; all together take some seconds."""
     yield "python", python()
     yield from zip(("packages", "extras"), packages(), strict=False)
     for name in ("ports", "network", "step"):

@@ -4,14 +4,8 @@ from typing import Literal, NamedTuple
 
 
 class Finding(NamedTuple):
-    """Result of a check.
+    """Result of a check: its status, the measured state, and advice if there is any."""
 
-    Attributes:
-        status: ok; warn: a run works, with restrictions; fail: a run does not work.
-        found: What was found.
-        advice: What to do; empty for nothing.
-    """
-
-    status: Literal["ok", "warn", "fail"]
+    status: Literal["ok", "warn", "fail"]  # warn: a run works, with restrictions; fail: a run does not work
     found: str
     advice: str = ""

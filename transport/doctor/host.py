@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 
@@ -23,12 +24,7 @@ _SLOW_SOURCES = ("hpet", "acpi_pm", "jiffies", "refined-jiffies")
 
 
 def host_checks(setup: Setup, root: Path = Path("/")) -> Iterator[tuple[str, Finding]]:
-    """Yield every check of the host with its name.
-
-    Args:
-        setup: The run.
-        root: Folder of /proc and /sys.
-    """
+    """Yield every check of the host with its name; root is the folder of /proc and /sys."""
     yield "clock", clock(root)
     yield "wake-up", wake_up()
     yield "time of day", time_of_day()
@@ -51,15 +47,11 @@ def clock(root: Path) -> Finding:
     found = f"{info.implementation}, resolution {info.resolution * 1e9:g} ns, steps of {smallest_ns} ns"
     found += f", source {source}" if source else ""
     if min(steps) < 0 or not info.monotonic:
-        return Finding(
-            "fail", f"{found}; it went backwards", "a defect of the host or its hypervisor: use another host"
-        )
+        advice = "a defect of the host or its hypervisor: use another host"
+        return Finding("fail", f"{found}; it went backwards", advice)
     if info.resolution > _COARSE_S or smallest_ns > 1e9 * _COARSE_S or source in _SLOW_SOURCES:
-        return Finding(
-            "warn",
-            found,
-            "too coarse for real time: check whether the kernel offers tsc or kvm-clock as a clock source",
-        )
+        advice = "too coarse for real time: check whether the kernel offers tsc or kvm-clock as a clock source"
+        return Finding("warn", found, advice)
     return Finding("ok", found)
 
 
@@ -82,10 +74,8 @@ def time_of_day() -> Finding:
     answer = ""
     if shutil.which("timedatectl"):
         asked = ["timedatectl", "show", "--property=NTPSynchronized", "--value"]
-        try:
+        with suppress(OSError, subprocess.TimeoutExpired):
             answer = subprocess.run(asked, capture_output=True, text=True, timeout=3.0, check=False).stdout.strip()
-        except (OSError, subprocess.TimeoutExpired):
-            answer = ""
     if answer == "yes":
         return Finding("ok", "synchronised")
     if answer == "no":

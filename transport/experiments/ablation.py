@@ -26,11 +26,7 @@ PARTS: Mapping[str, tuple[str, tuple[str, ...]]] = {
 
 
 def ablation(scenarios: Mapping[str, Scenario]) -> Experiment:
-    """Return every part of every scenario changed on its own, on every network.
-
-    Args:
-        scenarios: Scenarios by name or file.
-    """
+    """Return every part of every scenario changed on its own, on every network."""
     points = []
     for name, scenario in scenarios.items():
         variants = [(AS_IT_IS, "", "")] + [

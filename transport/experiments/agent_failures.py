@@ -16,12 +16,9 @@ _CONTINUE = "clock.on_agent_loss=continue"
 
 
 def kill(agents: Mapping[str, int], kill_s: float, restart_s: float) -> Experiment:
-    """Return the sweep in which each agent in turn is killed, with and without a restart.
+    """Return the sweep in which each agent in turn is killed, with and without a restart; times are scenario times, s.
 
-    Args:
-        agents: Number of agents of each scenario.
-        kill_s: Scenario time of the kill, s.
-        restart_s: Scenario time of the restart, s.
+    The number of agents is given for each scenario.
     """
     check_numbers("--at", [kill_s], "a time >= 0 s", 0.0)
     if not kill_s < restart_s < math.inf:
@@ -52,10 +49,7 @@ def kill(agents: Mapping[str, int], kill_s: float, restart_s: float) -> Experime
 def deaths(scenarios: Mapping[str, Scenario], count: int, draw: int) -> Experiment:
     """Return runs in each of which a random agent is killed for good at a random time, and a run without a kill.
 
-    Args:
-        scenarios: Scenarios by name or file.
-        count: Runs with a kill, for each scenario.
-        draw: Random seed of times and agents.
+    Count is the number of runs with a kill for each scenario; draw is the random seed of times and agents.
     """
     if count < 1:
         raise refused("--count", "a number of runs >= 1", count)

@@ -22,67 +22,44 @@ _TEAM_SECTIONS = ("system", "agents")
 
 @dataclass(frozen=True, slots=True)
 class Team:
-    """A team that replaces the scenario's own, made as by `transport scenario new`.
+    """A team that replaces the scenario's own, made as by `transport scenario new`."""
 
-    Attributes:
-        uavs: Number of UAVs.
-        group: UAVs per agent.
-    """
-
-    uavs: int
-    group: int
+    uavs: int  # number of UAVs
+    group: int  # UAVs per agent
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Point:
     """A point of a sweep: a scenario and its changes.
 
-    Attributes:
-        scenario: File or name.
-        labels: Values by column that tell the point from the scenario's others.
-        text: The same in words, such as "200 ms".
-        settings: Changes of the scenario, as for `--set`.
-        baseline: Whether the scenario's other points with the same group and number of UAVs are compared to it.
-        group: Name of points that share a baseline of their own.
-        team: Replaces the scenario's own team.
+    A baseline is what the scenario's other points with the same group and number of UAVs are compared to.
     """
 
-    scenario: str
-    labels: Mapping[str, str | float]
-    text: str
-    settings: tuple[str, ...] = ()
+    scenario: str  # file or name
+    labels: Mapping[str, str | float]  # values by column that tell the point from the scenario's others
+    text: str  # the same in words, such as "200 ms"
+    settings: tuple[str, ...] = ()  # changes of the scenario, as for `--set`
     baseline: bool = False
-    group: str = ""
-    team: Team | None = None
+    group: str = ""  # name of points that share a baseline of their own
+    team: Team | None = None  # replaces the scenario's own team
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
-    """One run of a point.
+    """One run of a point."""
 
-    Attributes:
-        point: Index of the point.
-        scenario: Scenario with the changes and the seed.
-        source: File the scenario comes from.
-        key: Fingerprint of everything that determines the result.
-        timed: Whether processor time and messages are measured as well.
-    """
-
-    point: int
-    scenario: Scenario
-    source: str
-    key: str
-    timed: bool = False
+    point: int  # index of the point
+    scenario: Scenario  # with the changes and the seed
+    source: str  # file the scenario comes from
+    key: str  # fingerprint of everything that determines the result
+    timed: bool = False  # whether processor time and messages are measured as well
 
 
 def cases_of(points: Sequence[Point], settings: Sequence[str], seeds: int, *, timed: bool = False) -> list[Case]:
     """Return every run of a sweep: each point with the seeds 0, 1, ...; one seed for a deterministic point.
 
-    Args:
-        points: Points of the sweep.
-        settings: Changes of every scenario, applied before those of the points.
-        seeds: Number of seeds.
-        timed: Whether processor time is measured; then every point is repeated.
+    The settings are applied before those of the points. Every point is repeated if processor time is measured.
+
     Raises: ScenarioError: a point that cannot be simulated, naming file, field, expected, got.
     """
     cases = []
@@ -115,12 +92,7 @@ def _scenario(path: Path, point: Point, settings: Sequence[str]) -> Scenario:
 
 
 def key_of(scenario: Scenario, samples_s: Mapping[str, tuple[float, ...]]) -> str:
-    """Return the fingerprint of what determines a result: scenario without addresses, measured delays, version.
-
-    Args:
-        scenario: Scenario with its seed.
-        samples_s: Measured delays of its links by file, s.
-    """
+    """Return the fingerprint of what determines a result: scenario without addresses, measured delays, version."""
     tree = {name: part for name, part in scenario.tree().items() if name != "network"}
     content = [tree, sorted(samples_s.items()), version("payload-transport")]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]

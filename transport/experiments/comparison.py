@@ -45,17 +45,11 @@ _COMPUTATION = "computation.json"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cell:
-    """A controller at one sampling period.
-
-    Attributes:
-        controller: Name of the controller.
-        period_s: Sampling period T_s.
-        horizon: Horizon N_p, steps.
-    """
+    """A controller at one sampling period."""
 
     controller: str
-    period_s: float
-    horizon: int
+    period_s: float  # T_s
+    horizon: int  # N_p, steps
 
 
 Curves = Mapping[tuple[str, str], Sequence[Cell]]
@@ -65,10 +59,7 @@ Loads = Mapping[Cell, Load]
 def curves_of(period_s: float, horizon: int, *, quick: bool = False) -> Curves:
     """Return the cells of each curve by controller and kept horizon, from the longest period to the shortest.
 
-    Args:
-        period_s: Sampling period of the reference, s.
-        horizon: Its N_p, steps.
-        quick: Two periods only.
+    Sampling period, s, and horizon, steps, are those of the reference; quick gives two periods only.
     """
     return {
         (controller, kept): [
@@ -123,12 +114,6 @@ def processor_times(
 ) -> Loads:
     """Return the processor time of every cell, measured once for each folder.
 
-    Args:
-        folder: Folder of the experiment.
-        settings: Changes of every scenario.
-        cells: The cells.
-        quick: Few repetitions of a short run.
-        notify: Called with a line of progress.
     Raises: ExperimentError: the folder was measured with other settings, or by another version of this package.
     """
     maneuver, repeats = (QUICK_MANEUVER, QUICK_REPEATS) if quick else (MANEUVER, REPEATS)
@@ -161,13 +146,7 @@ def _measured(path: Path, settings: Sequence[str], cells: Sequence[Cell]) -> Loa
 
 
 def experiment(cells: Sequence[Cell], reference: Cell, gust_mps: float) -> Experiment:
-    """Return the sweep: every cell in still air and in gusts.
-
-    Args:
-        cells: The cells.
-        reference: The cell among them that the others are compared to.
-        gust_mps: Standard deviation of the gusts, m/s; 0 for still air alone.
-    """
+    """Return the sweep: every cell in still air and, unless their standard deviation in m/s is zero, in gusts."""
     weathers = {STILL: "plant.wind.gust_mps=[0.0,0.0,0.0]"}
     if gust_mps > 0.0:
         weathers[GUSTS] = f"plant.wind.gust_mps=[{gust_mps!r},{gust_mps!r},{gust_mps!r}]"

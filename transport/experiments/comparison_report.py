@@ -14,16 +14,15 @@ from protocol.scenario.setup import Setup
 from transport.experiments import comparison
 from transport.experiments.cases import Case, Point, cases_of
 from transport.experiments.comparison import Cell, Loads
+from transport.experiments.comparison_figures import draw_costs, draw_maneuver
 from transport.experiments.comparison_verdict import SAME_RATE, Verdict, lines, statements, verdicts
 from transport.experiments.cost_curves import Curve, Node, cost_curves
-from transport.experiments.cost_figure import draw_costs
-from transport.experiments.maneuver_figure import draw_maneuver
 from transport.experiments.processor_time import AGENT, TEAM, Load
 from transport.experiments.results import Results
 from transport.experiments.simulation import NUMBERS, Result
 from transport.experiments.statistics import Estimate
 from transport.experiments.sweep import Simulate, sweep
-from transport.experiments.table import cases_csv, csv_bytes
+from transport.experiments.table import cases_csv, csv_bytes, empty_table
 from transport.flight.run import machine
 from transport.report.report import write_whole
 
@@ -53,14 +52,6 @@ def compare(
 ) -> tuple[list[str], Table, list[Result]]:
     """Measure processor time, simulate every controller at every period, and write all files.
 
-    Args:
-        settings: Changes of every scenario.
-        seeds: Number of runs of each cell in gusts.
-        gust_mps: Standard deviation of the gusts, m/s; 0 for still air alone.
-        folder: Folder of the experiment.
-        simulate: Returns the results of cases.
-        console: For progress.
-        quick: A trial with few periods and short measurements.
     Returns: Lines for the console, the table above them, and the results.
     Raises: ScenarioError: wrong settings. ExperimentError: unusable folder.
     """
@@ -76,8 +67,6 @@ def compare(
     experiment = comparison.experiment(cells, reference, gust_mps)
     cases = cases_of(experiment.points, settings, seeds)  # refuses wrong cases before the measurement
     with Results(folder, comparison.NAME, machine()) as results:
-        for notice in results.notices:
-            notify(notice)
         loads = comparison.processor_times(folder, settings, cells, quick=quick, notify=notify)
         found = sweep(experiment, cases, simulate, results, console)
     costs = cost_curves(curves, experiment.points, cases, found)
@@ -93,11 +82,8 @@ def compare(
     for name, content in written.items():
         write_whole(folder / name, content)
     shown = list(_maneuver_runs(costs, judged, reference, experiment.points, cases))
-    files = [
-        *(folder / name for name in written),
-        *draw_costs(costs, loads, reference, folder),
-        *draw_maneuver(shown, folder),
-    ]
+    figures = [*draw_costs(costs, loads, reference, folder), *draw_maneuver(shown, folder)]
+    files = [*(folder / name for name in written), *figures]
     output = ["", *text, "", f"machine: {machine()}", *(f" {path}" for path in files)]
     return output, table_of(costs, loads), found
 
@@ -114,18 +100,17 @@ def _maneuver_runs(
     These are the centralized controller, the paper's algorithm at the same rate, and at the period of the grid
     nearest to the same computation of one agent.
     """
-    curve = next(
-        c for c in costs if (c.controller, c.kept, c.weather) == (comparison.PAPER, comparison.STEPS, comparison.STILL)
-    )
+    wanted = (comparison.PAPER, comparison.STEPS, comparison.STILL)
+    curve = next(curve for curve in costs if (curve.controller, curve.kept, curve.weather) == wanted)
     own = [node.cell for node in curve.nodes]
     shown = {
         reference: f"{comparison.CENTRALIZED}\n",
         **{cell: f"{comparison.PAPER}\nsame rate, " for cell in own if cell.period_s == reference.period_s},
     }
     for verdict in judged:
-        wanted = (verdict.controller, verdict.weather, verdict.budget, verdict.kept)
+        found = (verdict.controller, verdict.kept, verdict.weather)
         low_s, high_s = verdict.periods.low_s, verdict.periods.high_s
-        if wanted == (comparison.PAPER, comparison.STILL, AGENT, comparison.STEPS) and not verdict.periods.is_open:
+        if found == wanted and verdict.budget == AGENT and not verdict.periods.is_open:
             middle_s = math.sqrt(low_s * high_s)
             nearest = min(own, key=lambda cell: abs(math.log(cell.period_s / middle_s)))
             shown.setdefault(nearest, f"{comparison.PAPER}\nsame computation, ")
@@ -140,12 +125,9 @@ def _maneuver_runs(
 
 def table_of(costs: Sequence[Curve], loads: Loads) -> Table:
     """Return the table for the console, `WIDTH` characters wide."""
-    table = Table(box=None, title=TITLE, title_justify="left", title_style="bold", padding=(0, 1, 0, 0))
-    for heading in ("weather", "controller", "horizon\nkept"):
-        table.add_column(heading, no_wrap=True)
     times = ("CPU step\n(ms)", "agent\n(s/s)", "team\n(s/s)")
-    for heading in ("T_s\n(ms)", "N_p", "done", *(heading for heading, *_ in _COLUMNS), *times):
-        table.add_column(heading, justify="right", no_wrap=True)
+    right = ("T_s\n(ms)", "N_p", "done", *(heading for heading, *_ in _COLUMNS), *times)
+    table = empty_table(TITLE, ("weather", "controller", "horizon\nkept"), right)
     before: tuple[str, ...] = ("", "", "")
     for curve in costs:
         for node in curve.nodes:

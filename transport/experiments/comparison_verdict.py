@@ -34,20 +34,15 @@ HOLDS, FAILS, UNDECIDED = "holds", "does not hold", "cannot be told"
 class Verdict:
     """Verdict on a distributed controller against the centralized one, at the same rate or the same computation.
 
-    Attributes:
-        controller: Name of the distributed controller.
-        weather: Still air or gusts.
-        budget: Common quantity: `SAME_RATE`, or the computation of the `TEAM` or of one `AGENT`.
-        kept: Whether the horizon keeps the reference's "steps" or "seconds".
-        periods: Sampling periods of that budget, over the repetitions of the measurement.
-        ratios: Lowest and highest mean cost over the centralized controller's at these periods; None outside the grid.
+    The ratios are the lowest and highest mean cost over the centralized controller's at the periods; None outside the
+    grid.
     """
 
     controller: str
-    weather: str
-    budget: str
-    kept: str
-    periods: PeriodRange
+    weather: str  # still air or gusts
+    budget: str  # common quantity: `SAME_RATE`, or the computation of the `TEAM` or of one `AGENT`
+    kept: str  # by the horizon: the reference's "steps" or "seconds"
+    periods: PeriodRange  # sampling periods of that budget, over the repetitions of the measurement
     ratios: tuple[float, float] | None
 
     @property
@@ -81,13 +76,7 @@ def grade(ratio: float) -> str:
 
 
 def verdicts(curves: Sequence[Curve], loads: Loads, reference: Cell) -> list[Verdict]:
-    """Return the verdicts on every distributed curve, at the same rate and at the same computation.
-
-    Args:
-        curves: Cost curves of all controllers.
-        loads: Processor time of every cell.
-        reference: The centralized cell.
-    """
+    """Return the verdicts on every distributed curve, at the same rate and at the same computation."""
     found: list[Verdict] = []
     compared = set()
     for curve in curves:

@@ -1,7 +1,6 @@
 """Cost curves: mean cost over the sampling period, relative to the centralized controller and interpolated."""
 
 import bisect
-import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -10,8 +9,8 @@ from typing import Any
 from transport.experiments.cases import Case, Point
 from transport.experiments.comparison import Cell, Curves
 from transport.experiments.processor_time import PeriodRange
-from transport.experiments.simulation import ERROR, Result
-from transport.experiments.statistics import Estimate, estimate
+from transport.experiments.simulation import NUMBERS, Result
+from transport.experiments.statistics import Estimate, estimate, statistics_of
 
 COST = "cost_mean"
 
@@ -20,21 +19,14 @@ COST = "cost_mean"
 class Node:
     """Runs of a cell in one weather.
 
-    Attributes:
-        cell: Controller, period and horizon.
-        weather: Still air or gusts.
-        runs: Number of runs, without those that could not be simulated.
-        diverged_s: Scenario times at which runs diverged, ascending, s.
-        numbers: Means over the completed runs, by name (simulation.NUMBERS).
-        ratios: Number of each seed over the reference's with the same seed (the same wind), by name.
+    Runs, times of divergence, and numbers are as in `PointStatistics`.
     """
 
     cell: Cell
-    weather: str
     runs: int
     diverged_s: tuple[float, ...]
     numbers: Mapping[str, Estimate | None]
-    ratios: Mapping[str, Mapping[int, float]]
+    ratios: Mapping[str, Mapping[int, float]]  # by name, of each seed over the reference's with that seed (same wind)
 
     @property
     def completed(self) -> int:
@@ -50,11 +42,7 @@ class Node:
 class Curve:
     """Cost of a controller over the sampling period, in one weather.
 
-    Attributes:
-        controller: Name of the controller.
-        kept: What its horizon has in common with the reference's: "steps" or "seconds".
-        weather: Still air or gusts.
-        nodes: From the longest period to the shortest.
+    Its horizon keeps the reference's "steps" or "seconds". The nodes are from the longest period to the shortest.
     """
 
     controller: str
@@ -112,45 +100,31 @@ def _interval(ratios: Sequence[float]) -> tuple[float, float] | None:
 def cost_curves(
     curves: Curves, points: Sequence[Point], cases: Iterable[Case], results: Iterable[Result]
 ) -> list[Curve]:
-    """Return the curves in each weather, each run relative to the reference's with the same seed.
-
-    Args:
-        curves: Cells by controller and kept horizon.
-        points: Points of the experiment.
-        cases: Its cases.
-        results: Result of each case.
-    """
+    """Return the curves in each weather, each run relative to the reference's with the same seed."""
+    by_point: list[list[Result]] = [[] for _ in points]
     completed: list[dict[int, Mapping[str, float | None]]] = [{} for _ in points]
-    diverged: list[list[float]] = [[] for _ in points]
     for case, result in zip(cases, results, strict=True):
+        by_point[case.point].append(result)
         if result.outcome == "completed":
             completed[case.point][case.scenario.seed] = result.numbers
-        elif result.outcome != ERROR:
-            diverged[case.point].append(result.numbers["lost_s"] or 0.0)
+    names = NUMBERS[1:]  # lost_s is in PointStatistics.diverged_s
     references = {
         point.labels["weather"]: found for point, found in zip(points, completed, strict=True) if point.baseline
     }
     nodes: dict[tuple[str, Cell], Node] = {}
-    for point, found, diverged_s in zip(points, completed, diverged, strict=True):
-        labels: dict[str, Any] = dict(point.labels)
+    for m, found in zip(statistics_of(points, by_point, names), completed, strict=True):
+        labels: dict[str, Any] = dict(m.point.labels)
         weather = labels.pop("weather")
-        names = list(dict.fromkeys(itertools.chain.from_iterable(found.values())))
         nodes[weather, Cell(**labels)] = Node(
             cell=Cell(**labels),
-            weather=weather,
-            runs=len(found) + len(diverged_s),
-            diverged_s=tuple(sorted(diverged_s)),
-            numbers={name: _mean(numbers.get(name) for numbers in found.values()) for name in names},
+            runs=m.runs,
+            diverged_s=m.diverged_s,
+            numbers=m.numbers,
             ratios={name: _ratios(name, found, references[weather]) for name in names},
         )
     return [
-        Curve(
-            controller=controller,
-            kept=kept,
-            weather=str(weather),
-            nodes=tuple(nodes[str(weather), cell] for cell in cells),
-        )
-        for weather in references
+        Curve(controller=controller, kept=kept, weather=weather, nodes=tuple(nodes[weather, cell] for cell in cells))
+        for weather in map(str, references)
         for (controller, kept), cells in curves.items()
     ]
 
@@ -164,7 +138,3 @@ def _ratios(
         if own is not None and first:
             ratios[seed] = own / first
     return ratios
-
-
-def _mean(values: Iterable[float | None]) -> Estimate | None:
-    return estimate([value for value in values if value is not None])

@@ -34,13 +34,7 @@ _MOST_TICKS = 10
 
 
 def draw_curves(figure: Figure, experiment: Experiment, measured: Sequence[PointStatistics]) -> None:
-    """Draw a column of panels for each scenario, or one column if each scenario is a single curve.
-
-    Args:
-        figure: Empty.
-        experiment: The experiment.
-        measured: Statistics of its points.
-    """
+    """Draw a column of panels for each scenario, or one column if each scenario is a single curve."""
     scenarios = list(dict.fromkeys(m.point.scenario for m in measured))
     columns = [scenarios] if experiment.curves is None else [[scenario] for scenario in scenarios]
     any_diverged = any(m.completed < m.runs for m in measured)
@@ -64,7 +58,7 @@ def draw_curves(figure: Figure, experiment: Experiment, measured: Sequence[Point
             if any_diverged:
                 _draw_survival(column[0], x, points, style, index)
             for panel, (_, number, factor) in zip(column[any_diverged:], _PANELS, strict=True):
-                _draw_means(panel, x, points, number, factor, {**style, "label": name})
+                draw_means(panel, x, points, number, factor, {**style, "label": name})
         column[-1].set_xlabel(experiment.x.title)
         if len(values) <= _MOST_TICKS:
             column[-1].set_xticks(list(places.values()), [_tick(value, experiment.x.factor) for value in values])
@@ -141,10 +135,10 @@ def _draw_survival(
             axes.annotate(text, (at, share), above, **how)
 
 
-def _draw_means(
+def draw_means(
     axes: Axes, x: Sequence[float], points: Sequence[PointStatistics], number: str, factor: float, style: dict[str, Any]
-) -> None:
-    """Draw means over the completed runs with confidence intervals; nothing where no run was completed."""
+) -> list[float]:
+    """Draw and return means over the completed runs, with confidence intervals; nan where no run was completed."""
     means, halves = [], []
     for m in points:
         value = m.numbers[number]
@@ -152,6 +146,7 @@ def _draw_means(
         halves.append(0.0 if value is None or value.half_width is None else factor * value.half_width)
     axes.plot(x, means, **style, markersize=MARKER)
     axes.errorbar(x, means, halves, color=style["color"], linestyle="none", capsize=2.0, elinewidth=0.8)
+    return means
 
 
 def _tick(value: str | float, factor: float) -> str:

@@ -18,42 +18,30 @@ SMALLEST = math.ulp(0.0)  # lower bound of numbers that must be positive
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """Axis of a figure.
+    """Axis of a figure."""
 
-    Attributes:
-        label: Name of the column along the axis.
-        title: Title with unit.
-        factor: Conversion from the column to that unit.
-    """
-
-    label: str
-    title: str
-    factor: float = 1.0
+    label: str  # name of the column along the axis
+    title: str  # with unit
+    factor: float = 1.0  # conversion from the column to that unit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Experiment:
     """A sweep and how it is drawn.
 
-    Attributes:
-        name: Name of the command.
-        points: Points of the sweep.
-        x: Horizontal axis.
-        y: Vertical axis of a map.
-        drawn_as: Curves, a map, curves over team size, a row for each variant, or cost over messages.
-        curves: Column that tells the curves of a scenario apart; points labelled `NONE` belong to all curves.
-        legend: Names of its values in the figure.
-        timed: Whether processor time and messages are measured as well.
+    It is drawn as curves, a map, curves over team size, a row for each variant, or cost over messages.
     """
 
-    name: str
+    name: str  # of the command
     points: tuple[Point, ...]
-    x: Axis
-    y: Axis | None = None
+    x: Axis  # horizontal
+    y: Axis | None = None  # vertical axis of a map
     drawn_as: Literal["curves", "map", "scaling", "variants", "tradeoff"] = "curves"
+    # Column that tells the curves of a scenario apart, and names of its values in the figure. Points labelled `NONE`
+    # belong to all curves.
     curves: str | None = None
     legend: Mapping[str | float, str] = field(default_factory=dict)
-    timed: bool = False
+    timed: bool = False  # whether processor time and messages are measured as well
 
 
 def check_numbers(option: str, values: Sequence[float], expected: str, low: float, below: float = math.inf) -> None:

@@ -15,23 +15,15 @@ from transport.experiments.tradeoff_figure import draw_tradeoff
 from transport.experiments.variants_figure import draw_variants
 from transport.report.style import RC, save
 
+_DRAWN_FROM_STATISTICS = {"scaling": draw_scaling, "variants": draw_variants, "tradeoff": draw_tradeoff}
+
 
 def draw(experiment: Experiment, measured: Sequence[PointStatistics], folder: Path) -> list[Path]:
-    """Draw an experiment to figure.png and figure.svg, and return these files.
-
-    Args:
-        experiment: The experiment.
-        measured: Statistics of its points.
-        folder: Output folder; older figures are replaced.
-    """
+    """Draw an experiment to figure.png and figure.svg, which replace older ones; return these files."""
     with mpl.rc_context({**RC, "svg.hashsalt": experiment.name}):
         figure = Figure(layout="constrained")
-        if experiment.drawn_as == "scaling":
-            draw_scaling(figure, measured)
-        elif experiment.drawn_as == "variants":
-            draw_variants(figure, measured)
-        elif experiment.drawn_as == "tradeoff":
-            draw_tradeoff(figure, measured)
+        if experiment.drawn_as in _DRAWN_FROM_STATISTICS:
+            _DRAWN_FROM_STATISTICS[experiment.drawn_as](figure, measured)
         elif experiment.y is not None:
             draw_maps(figure, experiment.x, experiment.y, measured)
         else:

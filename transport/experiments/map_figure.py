@@ -27,14 +27,7 @@ _MIDDLE = 0.55  # text is light below this share of the colour scale
 
 
 def draw_maps(figure: Figure, x: Axis, y: Axis, measured: Sequence[PointStatistics]) -> None:
-    """Draw a map for each scenario, with one colour scale.
-
-    Args:
-        figure: Empty.
-        x: Horizontal axis.
-        y: Vertical axis.
-        measured: Statistics of the points.
-    """
+    """Draw a map of two axes for each scenario, with one colour scale."""
     scenarios = list(dict.fromkeys(m.point.scenario for m in measured))
     down, across = math.ceil(len(scenarios) / _ACROSS), min(len(scenarios), _ACROSS)
     rows = len({m.point.labels[y.label] for m in measured})

@@ -49,10 +49,7 @@ def latency(scenarios: Sequence[str], delays_s: Sequence[float]) -> Experiment:
 def loss(scenarios: Sequence[str], shares: Sequence[float], burst_ticks: float) -> Experiment:
     """Return the sweep over independent packet loss, and burst loss with the same mean (Gilbert-Elliott).
 
-    Args:
-        scenarios: Scenario names or files.
-        shares: Mean shares of lost plans.
-        burst_ticks: Mean length of a burst, in which every plan is lost, ticks.
+    Shares are mean shares of lost plans. In a burst, of a mean length in ticks, every plan is lost.
     """
     check_numbers("--loss", shares, "a share from 0 to below 1", 0.0, 1.0)
     check_numbers("--burst", [burst_ticks], "a mean length >= 1 tick", 1.0)
@@ -80,14 +77,7 @@ def loss(scenarios: Sequence[str], shares: Sequence[float], burst_ticks: float) 
 def jitter(
     scenarios: Sequence[str], distributions: Sequence[str], deviations_s: Sequence[float], mean_s: float
 ) -> Experiment:
-    """Return the sweep over random delays of different distributions with equal mean and standard deviation.
-
-    Args:
-        scenarios: Scenario names or files.
-        distributions: Distributions of the delay.
-        deviations_s: Standard deviations of the delay, s.
-        mean_s: Mean delay, s.
-    """
+    """Return the sweep over random delays of different distributions with equal mean and standard deviation, s."""
     check_numbers("--mean", [mean_s], "a delay >= 0 s", 0.0)
     constant = [
         (NONE, 0.0, delay_s, f"constant {_ms(delay_s)}" if delay_s else "no delay", (f"links.delay_s={delay_s!r}",))
@@ -146,12 +136,8 @@ def matrix(scenarios: Sequence[str], delays_s: Sequence[float], shares: Sequence
 def sharing(scenarios: Sequence[str], thresholds: Sequence[float], heartbeat_s: float) -> Experiment:
     """Return the sweep over thresholds of `controller.share` on each of `NETWORKS`.
 
-    The baseline of each network sends all plans.
-
-    Args:
-        scenarios: Scenario names or files.
-        thresholds: Changes of the corrections above which a plan is sent, as shares of the input's range.
-        heartbeat_s: Longest time without a plan, s.
+    The baseline of each network sends all plans. A plan is sent if its corrections change by more than a threshold, a
+    share of the input's range, or after the longest time without a plan, s.
     """
     check_numbers("--threshold", thresholds, "a share > 0", SMALLEST)
     check_numbers("--heartbeat", [heartbeat_s], "a time > 0 s", SMALLEST)

@@ -31,23 +31,16 @@ QUICK_MANEUVER = "maneuver.phase=[{name='climb',duration_s=0.4,displacement_m=[0
 class Load:
     """Measured processor time of a controller at one sampling period, beside that of the reference.
 
-    Attributes:
-        controller: Name of the controller.
-        period_s: Its sampling period T_s.
-        horizon: Its horizon N_p, steps.
-        agents: Number of agents.
-        reference_period_s: Sampling period of the reference, whose single agent computes for the team.
-        step_ms: Mean processor time of an agent's step in each repetition, ms.
-        reference_step_ms: The same of the reference, measured immediately before, ms.
+    The single agent of the reference computes for the team.
     """
 
     controller: str
-    period_s: float
-    horizon: int
-    agents: int
+    period_s: float  # sampling period T_s
+    horizon: int  # N_p, steps
+    agents: int  # number of agents
     reference_period_s: float
-    step_ms: Sequence[float]
-    reference_step_ms: Sequence[float]
+    step_ms: Sequence[float]  # mean processor time of an agent's step in each repetition, ms
+    reference_step_ms: Sequence[float]  # the same of the reference, measured immediately before, ms
 
     def seconds_per_second(self, budget: str) -> list[float]:
         """Return processor time per simulated second in each repetition, s/s."""
@@ -64,11 +57,10 @@ class Load:
 
 @dataclass(frozen=True, slots=True)
 class PeriodRange:
-    """Range of sampling periods over several repetitions.
+    """Range of sampling periods, s, over several repetitions.
 
-    Attributes:
-        low_s: Shortest period; 0 if a repetition computes less than the reference even at the shortest measured period.
-        high_s: Longest period; infinite if a repetition computes more even at the longest measured period.
+    The low end is 0 if a repetition computes less than the reference even at the shortest measured period; the high end
+    is infinite if one computes more even at the longest.
     """
 
     low_s: float
@@ -108,14 +100,10 @@ def measure_in_turns(
 ) -> list[Load]:
     """Measure all candidates once, then all again, so that a slow period of the machine affects all alike.
 
-    The reference is measured immediately before each candidate, so that both of a ratio see the same machine.
+    The reference is measured immediately before each candidate, so that both of a ratio see the same machine. A
+    candidate is the name and run of a controller at one of its periods. The function notify gets the number of each
+    finished repetition, from 1; measure returns the processor time of an agent's step, ms.
 
-    Args:
-        reference: Run of the reference controller.
-        candidates: Name and run of each controller at each of its periods.
-        repeats: Repetitions.
-        notify: Called with the number of each finished repetition, from 1.
-        measure: Processor time of an agent's step, ms.
     Returns: The load of each candidate, in the same order.
     """
     pairs: list[list[tuple[float, float]]] = [[] for _ in candidates]

@@ -28,11 +28,8 @@ def resource_use(setup: Setup, log: RunLog) -> dict[str, float | None]:
     """Return a number for each of `RESOURCES`; None throughout for a run that ended before its first step.
 
     A shared plan counts once for each other agent, as on a network without multicast. Messages to plant and
-    coordinator are not counted: in the field they stay on board or do not exist.
-
-    Args:
-        setup: The run.
-        log: All its messages, stamped with processor time.
+    coordinator are not counted: in the field they stay on board or do not exist. The log must be stamped with processor
+    time.
     """
     totals_ms: dict[int, float] = defaultdict(float)
     reports = list(log.of(StepReport))

@@ -4,7 +4,6 @@ import fcntl
 import os
 from dataclasses import asdict
 from pathlib import Path
-from types import TracebackType
 
 import orjson
 
@@ -18,14 +17,9 @@ _IDENTITY, _RESULTS = "experiment.json", "results.jsonl"
 class Results:
     """Results of an experiment, written to disk at once.
 
-    Attributes:
-        folder: Folder of the experiment.
-        notices: Lines of the file that were ignored, with the reason.
+    The folder is created unless it exists; the machine is noted for the reader. Lines of the file that were ignored
+    are in `notices`, with the reason.
 
-    Args:
-        folder: Created unless it exists.
-        experiment: Name of the experiment.
-        machine: Machine on which it is begun, for the reader.
     Raises: ExperimentError: the folder contains something else, is in use, or cannot be written.
     """
 
@@ -48,9 +42,7 @@ class Results:
     def __enter__(self) -> "Results":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         os.close(self._file)
 
     def __getitem__(self, key: str) -> Result:

@@ -25,13 +25,7 @@ FEWEST, MOST = 4, 12
 
 
 def scaling(scenario: str, largest: int, sizes: Sequence[int]) -> Experiment:
-    """Return teams of increasing size, each with an agent for every UAV, for every pair and for all.
-
-    Args:
-        scenario: Scenario that everything but the team is taken from.
-        largest: UAVs of the largest team.
-        sizes: Team sizes; those below the largest are run.
-    """
+    """Return teams of increasing size up to the largest: each with an agent for every UAV, every pair, and all."""
     if not 2 <= largest <= LARGEST_TEAM:
         raise refused("--max", f"a number of UAVs from 2 to {LARGEST_TEAM}", largest)
     points = []

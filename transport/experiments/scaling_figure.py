@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from transport.experiments.curve_figure import MARKER, PRINT, curve_style, draw_legend
+from transport.experiments.curve_figure import PRINT, curve_style, draw_legend, draw_means
 from transport.experiments.scaling import CENTRALIZED, FEWEST
 from transport.experiments.statistics import PointStatistics
 from transport.report.style import REFERENCE, WIDTH_IN, label_decades
@@ -41,12 +41,7 @@ _PANELS = (
 
 
 def draw_scaling(figure: Figure, measured: Sequence[PointStatistics]) -> None:
-    """Draw four panels over the number of UAVs, with a curve for each ownership.
-
-    Args:
-        figure: Empty.
-        measured: Statistics of the points.
-    """
+    """Draw four panels over the number of UAVs, with a curve for each ownership."""
     figure.set_size_inches(WIDTH_IN, _HEIGHT_IN)
     panels = figure.subplots(2, 2, sharex=True)
     ownerships = list(dict.fromkeys(m.point.labels["ownership"] for m in measured))
@@ -83,16 +78,11 @@ def _names(sizes: Sequence[int]) -> list[str]:
 
 def _draw(axes: Axes, panel: _Panel, measured: Sequence[PointStatistics], name: str, index: int) -> list[float]:
     """Draw a curve with confidence intervals and its reference slope; return the values to be visible."""
-    found = [(int(m.point.labels["uavs"]), value) for m in measured if (value := m.numbers[panel.name]) is not None]
-    shown = [(uavs, value) for uavs, value in found if value.mean > 0.0]
+    shown = [m for m in measured if (value := m.numbers[panel.name]) is not None and value.mean > 0.0]
     if not shown:
         return []
-    x = [uavs for uavs, _ in shown]
-    y = [panel.factor * value.mean for _, value in shown]
-    halves = [panel.factor * (value.half_width or 0.0) for _, value in shown]
-    style = curve_style(index)
-    axes.plot(x, y, **style, markersize=MARKER, label=name)
-    axes.errorbar(x, y, halves, color=style["color"], linestyle="none", capsize=2.0, elinewidth=0.8)
+    x = [int(m.point.labels["uavs"]) for m in shown]
+    y = draw_means(axes, x, shown, panel.name, panel.factor, {**curve_style(index), "label": name})
     if name in panel.slopes and x[-1] > FEWEST:
         power = panel.slopes[name]
         first = next(i for i, uavs in enumerate(x) if uavs >= FEWEST)

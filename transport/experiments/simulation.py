@@ -5,6 +5,8 @@ import shutil
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import reduce
+from operator import getitem
 from pathlib import Path
 from typing import Any
 
@@ -23,41 +25,36 @@ from transport.report.report import write_report
 
 ERROR = "error"
 
-# Numbers of a run; None where a run has none. None of them is a wall-clock time. A timed run has more
-# (resource_use.RESOURCES).
-NUMBERS = (
-    "lost_s",  # scenario time of the end, unless completed
-    "cost_mean",
-    "cost_max",
-    "attitude_max_deg",
-    "uav_rms_m",
-    "uav_max_m",
-    "payload_rms_m",
-    "payload_max_m",
-    "swing_m",  # largest payload error at the end, swing.SWING_S
-    "separation_min_m",
-    "plan_age_mean_ticks",
-    "plan_age_max_ticks",
-    "plans_lost_share",
-    "plans_shared_share",
-)
+# Numbers of a run, each with its place in the summary.
+_FROM_SUMMARY = {
+    "cost_mean": ("cost", "mean"),
+    "cost_max": ("cost", "max"),
+    "attitude_max_deg": ("attitude_max_deg",),
+    "uav_rms_m": ("uav_tracking", "rms_m"),
+    "uav_max_m": ("uav_tracking", "max_m"),
+    "payload_rms_m": ("payload_tracking", "rms_m"),
+    "payload_max_m": ("payload_tracking", "max_m"),
+    "swing_m": ("payload_tracking", "swing_m"),  # largest payload error at the end, swing.SWING_S
+    "separation_min_m": ("separation_min_m",),
+    "plan_age_mean_ticks": ("plan_age_ticks", "mean"),
+    "plan_age_max_ticks": ("plan_age_ticks", "max"),
+}
+# Shares of messages: count and total, each an entry of the summary's messages.
+_SHARES = {"plans_lost_share": ("lost", "sent"), "plans_shared_share": ("shared", "planned")}
+
+# All numbers; None where a run has none. The first is the scenario time of the end, unless completed. None of them is
+# a wall-clock time. A timed run has more (resource_use.RESOURCES).
+NUMBERS = ("lost_s", *_FROM_SUMMARY, *_SHARES)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Result:
-    """Result of a case.
+    """Result of a case."""
 
-    Attributes:
-        key: Key of the case.
-        outcome: As in a summary, or "error" for a case that could not be simulated.
-        reason: One line; empty when completed.
-        numbers: Numbers by name; empty for an error.
-    """
-
-    key: str
-    outcome: str
-    reason: str
-    numbers: dict[str, float | None]
+    key: str  # of the case
+    outcome: str  # as in a summary, or `ERROR` for a case that could not be simulated
+    reason: str  # one line; empty when completed
+    numbers: dict[str, float | None]  # by name; empty for an error
 
 
 def run_in_memory(setup: Setup, clock: Callable[[], int] = lambda: 0) -> RunLog:
@@ -80,11 +77,8 @@ def simulate_in_memory(case: Case) -> Result:
 
 
 def simulate_in_processes(case: Case, folder: Path) -> Result:
-    """Simulate a case as `transport run` does, recorded into its own run folder.
+    """Simulate a case as `transport run` does, recorded into its own run folder below a folder.
 
-    Args:
-        case: The case.
-        folder: Parent of the run folders.
     Raises: KeyboardInterrupt: the run was interrupted.
     """
     own = folder / case.key
@@ -117,28 +111,15 @@ def _result(case: Case, simulate: Callable[[Setup], tuple[dict[str, Any], RunLog
         return Result(key=case.key, outcome=ERROR, reason=f"{type(error).__name__}: {text}", numbers={})
     control = next(log.of(Control))
     end_s = None if control.outcome == "completed" else control.tick * setup.settings.sampling_period_s
-    numbers = dict(zip(NUMBERS, (end_s, *_numbers(summary)), strict=True))
+    numbers = {"lost_s": end_s, **_numbers(summary)}
     if case.timed:
         numbers |= resource_use(setup, log)
     return Result(key=case.key, outcome=control.outcome, reason=control.reason, numbers=numbers)
 
 
-def _numbers(summary: dict[str, Any]) -> list[float | None]:
-    """Return the numbers of a summary in the order of `NUMBERS`, without the first."""
-    cost, ages, messages = (summary[part] for part in ("cost", "plan_age_ticks", "messages"))
-    uavs, payload = summary["uav_tracking"], summary["payload_tracking"]
-    return [
-        cost["mean"],
-        cost["max"],
-        summary["attitude_max_deg"],
-        uavs["rms_m"],
-        uavs["max_m"],
-        payload["rms_m"],
-        payload["max_m"],
-        payload["swing_m"],
-        summary["separation_min_m"],
-        ages["mean"],
-        ages["max"],
-        messages["lost"] / messages["sent"] if messages["sent"] else None,
-        messages["shared"] / messages["planned"] if messages["planned"] else None,
-    ]
+def _numbers(summary: Any) -> dict[str, float | None]:
+    messages = summary["messages"]
+    return {
+        **{name: reduce(getitem, place, summary) for name, place in _FROM_SUMMARY.items()},
+        **{name: messages[part] / messages[of] if messages[of] else None for name, (part, of) in _SHARES.items()},
+    }

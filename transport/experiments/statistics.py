@@ -14,17 +14,11 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A mean with its uncertainty.
-
-    Attributes:
-        mean: Mean of the repetitions.
-        half_width: Half the 95 % confidence interval of the mean; None for a single value.
-        n: Number of repetitions.
-    """
+    """A mean with its uncertainty."""
 
     mean: float
-    half_width: float | None
-    n: int
+    half_width: float | None  # half the 95 % confidence interval of the mean; None for a single value
+    n: int  # number of repetitions
 
 
 def estimate(values: Sequence[float]) -> Estimate | None:
@@ -48,23 +42,16 @@ def estimate(values: Sequence[float]) -> Estimate | None:
 class PointStatistics:
     """Statistics of the runs of one point.
 
-    Attributes:
-        point: The point.
-        runs: Number of simulated runs, without errors.
-        completed: Number of runs that reached the end of the maneuver.
-        errors: Number of runs that could not be simulated.
-        diverged_s: Scenario times at which the other runs ended, ascending, s.
-        numbers: Estimates over the completed runs, by name (simulation.NUMBERS).
-        cost_ratio: Mean cost over that of the baseline, if both are known. The baseline has the same scenario, group
-            and number of UAVs.
+    The cost ratio is the mean cost over that of the baseline, if both are known. The baseline has the same scenario,
+    group and number of UAVs.
     """
 
     point: Point
-    runs: int
-    completed: int
-    errors: int
-    diverged_s: tuple[float, ...]
-    numbers: Mapping[str, Estimate | None]
+    runs: int  # number of simulated runs, without errors
+    completed: int  # number of runs that reached the end of the maneuver
+    errors: int  # number of runs that could not be simulated
+    diverged_s: tuple[float, ...]  # scenario times at which the other runs ended, ascending, s
+    numbers: Mapping[str, Estimate | None]  # over the completed runs, by name (simulation.NUMBERS)
     cost_ratio: float | None
 
     @property
@@ -79,11 +66,6 @@ def statistics_of(
     """Return the statistics of each point.
 
     Costs of diverged runs are left out: they cover only part of the maneuver.
-
-    Args:
-        points: Points of the sweep.
-        results: Results of each point, in the order of the seeds.
-        names: Numbers to estimate.
     """
     baselines = {
         _comparable(point): cost.mean

@@ -4,17 +4,18 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from transport.experiments.cases import Case
 from transport.experiments.errors import ExperimentError
 from transport.experiments.experiment import Experiment
 from transport.experiments.figures import draw
-from transport.experiments.progress import SweepProgress
 from transport.experiments.resource_use import RESOURCES
 from transport.experiments.results import Results
 from transport.experiments.simulation import NUMBERS, Result
 from transport.experiments.statistics import PointStatistics, statistics_of
 from transport.experiments.table import cases_csv, points_csv
+from transport.flight.progress import ConsoleProgress
 from transport.report.report import write_whole
 
 Simulate = Callable[[Sequence[Case]], Iterable[Result]]
@@ -23,21 +24,15 @@ Simulate = Callable[[Sequence[Case]], Iterable[Result]]
 def sweep(
     experiment: Experiment, cases: Sequence[Case], simulate: Simulate, results: Results, console: Console
 ) -> list[Result]:
-    """Simulate the cases without a result and keep each result at once; return all in the order of the cases.
-
-    Args:
-        experiment: The experiment.
-        cases: All of its cases.
-        simulate: Returns the results of cases in any order.
-        results: Results so far, to which the others are added.
-        console: For progress, and for how to resume an interrupted sweep.
-    """
+    """Simulate the cases without a result and keep each result at once; return all in the order of the cases."""
+    for notice in results.notices:
+        console.print(notice, highlight=False, soft_wrap=True)
     every = {case.key: case for case in cases}
     missing = [case for key, case in every.items() if not results.done(key)]
     # Seed by seed: a slow period of the machine affects the timing of all points alike.
     missing.sort(key=lambda case: case.scenario.seed)
     try:
-        with SweepProgress(experiment.name, len(every) - len(missing), len(every), console) as progress:
+        with _Progress(experiment.name, len(every) - len(missing), len(every), console) as progress:
             for result in simulate(missing) if missing else ():
                 results.add(result)
                 case = every[result.key]
@@ -54,14 +49,7 @@ def sweep(
 def report(
     experiment: Experiment, cases: Sequence[Case], found: Sequence[Result], folder: Path
 ) -> tuple[list[PointStatistics], list[Path]]:
-    """Write the tables and the figure of an experiment; return the statistics of its points, and the files.
-
-    Args:
-        experiment: The experiment.
-        cases: Its cases.
-        found: Result of each case.
-        folder: Folder of the experiment; older files are replaced.
-    """
+    """Write the tables and the figure of an experiment; return the statistics of its points, and the files."""
     by_point: list[list[Result]] = [[] for _ in experiment.points]
     for case, result in zip(cases, found, strict=True):
         by_point[case.point].append(result)
@@ -71,3 +59,22 @@ def report(
     write_whole(tables[0], points_csv(measured))
     write_whole(tables[1], cases_csv(experiment.points, cases, found, numbers))
     return measured, [*tables, *draw(experiment, measured, folder)]
+
+
+class _Progress(ConsoleProgress):
+    """Progress of a sweep on the console: the number of finished runs and the last result."""
+
+    def __init__(self, name: str, done: int, total: int, console: Console) -> None:
+        status = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[last]}"))
+        super().__init__(console, TextColumn(name), *status, TimeElapsedColumn(), TimeRemainingColumn())
+        self._done, self._total = done, total
+        if self._bar is not None:
+            self._task = self._bar.add_task(name, total=total, completed=done, last="")
+
+    def advance(self, last: str) -> None:
+        """Count one more finished run, described with its outcome."""
+        self._done += 1
+        if self._bar is not None:
+            self._bar.update(self._task, completed=self._done, last=last)
+        elif self._is_line_due() or self._done == self._total:
+            self.say(f"{self._done} of {self._total} runs done, the last {last}")

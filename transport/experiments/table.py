@@ -67,14 +67,7 @@ _TIMED_COLUMNS = [
 def cases_csv(
     points: Sequence[Point], cases: Iterable[Case], results: Iterable[Result], numbers: Sequence[str] = NUMBERS
 ) -> bytes:
-    """Return one row for each run, in the order of the sweep; floats are written without loss.
-
-    Args:
-        points: Points of the sweep.
-        cases: Its cases.
-        results: Result of each case.
-        numbers: Names of the numbers.
-    """
+    """Return one row for each run, in the order of the sweep; floats are written without loss."""
     rows: list[dict[str, Any]] = []
     for case, result in zip(cases, results, strict=True):
         point = points[case.point]
@@ -105,40 +98,33 @@ def points_csv(measured: Sequence[PointStatistics]) -> bytes:
 
 
 def table_of(title: str, measured: Sequence[PointStatistics], *, timed: bool = False) -> Table:
-    """Return the table for the console, `WIDTH` characters wide.
-
-    Args:
-        title: Title above the table.
-        measured: Points in the order of the sweep.
-        timed: Whether to show computation and messages; then all points have one scenario.
-    """
+    """Return the table for the console, `WIDTH` characters wide; timed points have one scenario and more columns."""
     sharing = "share_threshold" in measured[0].point.labels
     columns, named = (_TIMED_COLUMNS, False) if timed else (_SHARING_COLUMNS if sharing else _COLUMNS, True)
-    table = Table(box=None, title=title, title_justify="left", title_style="bold", padding=(0, 1, 0, 0))
     headings = [name.replace("_", "\n", 1) for name in measured[0].point.labels]
-    for heading in [*["scenario"] * named, *headings]:
-        table.add_column(heading, no_wrap=True)
-    for heading in ["done", *[shown.heading for shown in columns]]:
-        table.add_column(heading, justify="right", no_wrap=True)
+    table = empty_table(title, [*["scenario"] * named, *headings], ["done", *[shown.heading for shown in columns]])
     for m in measured:
-        labels = [*[m.point.scenario] * named, *(_label(value) for value in m.point.labels.values())]
-        table.add_row(*labels, _done(m), *(_cell(m, shown) for shown in columns))
+        texts = (value if isinstance(value, str) else f"{value:g}" for value in m.point.labels.values())
+        labels = [*[m.point.scenario] * named, *texts]
+        done = f"{m.completed}/{m.runs}" + (f" {m.errors}!" if m.errors else "")
+        table.add_row(*labels, done, *(_cell(m, shown) for shown in columns))
     return table
 
 
-def _done(m: PointStatistics) -> str:
-    errors = f" {m.errors}!" if m.errors else ""
-    return f"{m.completed}/{m.runs}{errors}"
+def empty_table(title: str, left: Sequence[str], right: Sequence[str]) -> Table:
+    """Return a table for the console with columns aligned left, then columns aligned right."""
+    table = Table(box=None, title=title, title_justify="left", title_style="bold", padding=(0, 1, 0, 0))
+    for heading in left:
+        table.add_column(heading, no_wrap=True)
+    for heading in right:
+        table.add_column(heading, justify="right", no_wrap=True)
+    return table
 
 
 def _number(value: float | None, digits: int) -> str:
     if value is None:
         return "-"
     return f"{value:.{digits}f}" if abs(value) < _LARGE else f"{value:.0f}"
-
-
-def _label(value: str | float) -> str:
-    return value if isinstance(value, str) else f"{value:g}"
 
 
 def _cell(m: PointStatistics, shown: _Column) -> str:

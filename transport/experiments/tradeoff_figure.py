@@ -18,12 +18,7 @@ _MARGIN = 0.75
 
 
 def draw_tradeoff(figure: Figure, measured: Sequence[PointStatistics]) -> None:
-    """Draw a column of panels for each scenario, with a curve for each network and a marker for each threshold.
-
-    Args:
-        figure: Empty.
-        measured: Statistics of the points; those without a completed run are left out.
-    """
+    """Draw a column of panels for each scenario, with a curve for each network and a marker for each threshold."""
     scenarios = list(dict.fromkeys(m.point.scenario for m in measured))
     figure.set_size_inches(WIDTH_IN, _PANEL_IN * len(_PANELS) + _AROUND_IN)
     panels = figure.subplots(len(_PANELS), len(scenarios), sharex=True, sharey="row", squeeze=False)

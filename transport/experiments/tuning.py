@@ -50,11 +50,8 @@ def horizon(
 def hover(scenarios: Mapping[str, Scenario], durations_s: Sequence[float]) -> Experiment:
     """Return the maneuver with increasing durations of the hover that ends it.
 
-    No run is a baseline, as mean costs of runs of different length are not comparable.
-
-    Args:
-        scenarios: Scenarios by name or file; each maneuver must end with a hover.
-        durations_s: Durations of the last phase, s.
+    Each maneuver must end with a hover. No run is a baseline, as mean costs of runs of different length are not
+    comparable.
     """
     check_numbers("--duration", durations_s, "a duration > 0 s", SMALLEST)
     points = []

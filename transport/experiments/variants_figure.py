@@ -20,20 +20,13 @@ _NARROW, _FINE_TICKS = 3.0, (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.4, 1.6, 1
 
 
 def draw_variants(figure: Figure, measured: Sequence[PointStatistics]) -> None:
-    """Draw the cost over the baseline's: a panel for each scenario, a row for each variant.
-
-    Args:
-        figure: Empty.
-        measured: Points with the label "network", and others that name the variant.
-    """
+    """Draw the cost over the baseline's: a panel for each scenario, a row for each variant."""
     scenarios = list(dict.fromkeys(m.point.scenario for m in measured))
     networks = list(dict.fromkeys(str(m.point.labels["network"]) for m in measured))
     rows = [list(dict.fromkeys(_name(m) for m in measured if m.point.scenario == name)) for name in scenarios]
     figure.set_size_inches(WIDTH_IN, _FRAME_IN + _ROW_IN * sum(len(names) + 2 for names in rows))
     heights = [len(names) + 1 for names in rows]
-    panels = figure.subplots(len(scenarios), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": heights})[
-        :, 0
-    ]
+    panels = figure.subplots(len(scenarios), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
     ratios = [m.cost_ratio for m in measured if m.cost_ratio is not None]
     low, high = min([1.0, *ratios]), min(max([1.0, *ratios]), _HIGHEST)
     for panel, scenario, names in zip(panels, scenarios, rows, strict=True):

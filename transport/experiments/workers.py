@@ -31,12 +31,8 @@ def on_cores(cases: Sequence[Case], jobs: int) -> Iterator[Result]:
 
 
 def each_on_cores(do: Callable[[Case], T], cases: Sequence[Case], jobs: int) -> Iterator[T]:
-    """Apply a function to each case, in processes of this machine; yield the values in any order.
+    """Apply a function to each case and yield the values in any order; one job is done in this process.
 
-    Args:
-        do: Called once for each case.
-        cases: The cases.
-        jobs: Number of processes; 1 for this process.
     Raises: ExperimentError: a worker process has died.
     """
     if jobs == 1:
@@ -76,9 +72,6 @@ def check_cluster(address: str) -> None:
 def on_cluster(cases: Sequence[Case], address: str) -> Iterator[Result]:
     """Simulate cases on a Dask cluster; the cases of a worker that dies are repeated by the others.
 
-    Args:
-        cases: The cases.
-        address: Address of the scheduler.
     Raises: ExperimentError: no cluster, or one without suitable workers.
     """
     from distributed import Client, as_completed
@@ -86,8 +79,7 @@ def on_cluster(cases: Sequence[Case], address: str) -> Iterator[Result]:
     try:
         client = Client(address, timeout=_ANSWER_S, set_as_default=False)
     except (OSError, ValueError) as error:
-        text = refused("--dask", f"a scheduler at {address}", f"no answer ({error})")
-        raise ExperimentError(str(text), EXIT_UNREACHABLE) from error
+        raise refused("--dask", f"a scheduler at {address}", f"no answer ({error})", EXIT_UNREACHABLE) from error
     with client:
         _check_workers(client.scheduler_info(n_workers=-1)["workers"], address)
         futures = {client.submit(simulate_in_memory, case, pure=False): case for case in cases}
@@ -107,8 +99,7 @@ def on_cluster(cases: Sequence[Case], address: str) -> Iterator[Result]:
 
 def _check_workers(workers: dict[str, dict[str, object]], address: str) -> None:
     if not workers:
-        text = refused("--dask", f"workers at {address} (dask worker {address} --nthreads 1)", "none")
-        raise ExperimentError(str(text), EXIT_UNREACHABLE)
+        raise refused("--dask", f"workers at {address} (dask worker {address} --nthreads 1)", "none", EXIT_UNREACHABLE)
     for name, worker in workers.items():
         if worker["nthreads"] != 1:
             raise refused("--dask", "workers with one thread each (--nthreads 1)", f"{name} with {worker['nthreads']}")

@@ -28,12 +28,7 @@ COUNTERS = (
 
 
 class Exporter:
-    """Collector that asks every process of a run at each reading.
-
-    Args:
-        run: Name of the run.
-        places: Endpoints of the processes by name.
-    """
+    """Collector that asks every process of a run, each at its endpoints, at each reading."""
 
     def __init__(self, run: str, places: dict[str, Endpoints]) -> None:
         self._run, self._places = run, places

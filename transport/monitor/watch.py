@@ -29,62 +29,38 @@ _RECENT, _NOTICES = 100, 5
 # An agent is silent after this many ticks without a report.
 _BEHIND = 5
 
-
-_COUNTS = ("lost", "late", "missed", "fallbacks", "failures", "rejected")
+_COUNTS = (
+    "lost",  # plans of others that were lost
+    "late",  # plans of others that came more than one tick late
+    "missed",  # missed deadlines; real time only
+    "fallbacks",  # solves by the second solver
+    "failures",  # solves by neither solver
+    "off_the_roster",  # removals from the roster
+)
 
 
 @dataclass(slots=True)
 class AgentStatus:
-    """Status of one agent; counts are since the start of watching.
+    """Status of one agent; counts are since the start of watching."""
 
-    Attributes:
-        report: Newest step report; None before the first.
-        slack_ms: Rest of the period at the arrival of that report, ms; None in an unpaced run.
-        recent_ms: Times of the latest steps, ms.
-        lost, late: Plans of others that were lost, or came more than one tick late.
-        missed: Missed deadlines; real time only.
-        fallbacks, failures: Solves by the second solver, and by neither.
-        rejected: Messages rejected by the agent.
-        off: Number of removals from the roster.
-    """
-
-    report: StepReport | None = None
-    slack_ms: float | None = None
-    recent_ms: deque[float] = field(default_factory=lambda: deque(maxlen=_RECENT))
-    lost: int = 0
-    late: int = 0
-    missed: int = 0
-    fallbacks: int = 0
-    failures: int = 0
-    rejected: int = 0
-    off: int = 0
+    report: StepReport | None = None  # newest, None before the first
+    slack_ms: float | None = None  # rest of the period at the arrival of that report, ms; None in an unpaced run
+    recent_ms: deque[float] = field(default_factory=lambda: deque(maxlen=_RECENT))  # times of the latest steps, ms
+    counts: Counter[str] = field(default_factory=lambda: Counter(dict.fromkeys(_COUNTS, 0)))
 
 
 @dataclass(slots=True)
 class Watch:
-    """Status of a run since the start of watching.
-
-    Args:
-        setup: The run.
-
-    Attributes:
-        agents: Status of each agent by number.
-        members: Agents on the roster; None while unknown.
-        tick: Newest open tick, -1 before the first.
-        plant_state: Newest plant state.
-        control: End of the run; None before it.
-        notices: Latest changes of the roster.
-        rejections: Number of rejected messages by receiver.
-    """
+    """Status of a run since the start of watching."""
 
     setup: Setup
-    agents: dict[int, AgentStatus] = field(init=False)
-    members: frozenset[int] | None = None
-    tick: int = -1
-    plant_state: PlantState | None = None
-    control: Control | None = None
-    notices: deque[str] = field(default_factory=lambda: deque(maxlen=_NOTICES))
-    rejections: Counter[str] = field(default_factory=Counter)
+    agents: dict[int, AgentStatus] = field(init=False)  # by number
+    members: frozenset[int] | None = None  # agents on the roster; None while unknown
+    tick: int = -1  # newest open tick, -1 before the first
+    plant_state: PlantState | None = None  # newest
+    control: Control | None = None  # end of the run
+    notices: deque[str] = field(default_factory=lambda: deque(maxlen=_NOTICES))  # latest changes of the roster
+    rejections: Counter[str] = field(default_factory=Counter)  # rejected messages by receiver
     _opened: Tick | None = None
     _opened_ns: int = 0
     _first: tuple[int, int] | None = None  # tick and time
@@ -97,12 +73,7 @@ class Watch:
         self._cost = Cost(self.setup.settings.weights, self.setup.hover)
 
     def take(self, message: Message, at_ns: int) -> None:
-        """Update the status from a message.
-
-        Args:
-            message: Any message.
-            at_ns: Arrival on any steady clock, ns.
-        """
+        """Update the status from any message; its arrival is on any steady clock, ns."""
         try:
             self._plausibility.check(message)
         except MessageError:
@@ -118,9 +89,6 @@ class Watch:
                 self._join(frozenset(message.agents), message.reason)
             case Rejected():
                 self.rejections[message.sender] += message.count
-                for number, agent in self.agents.items():
-                    if message.sender == agent_name(number):
-                        agent.rejected += message.count
             case Control():
                 self.control = message
 
@@ -184,8 +152,8 @@ class Watch:
                     "worst_step_ms": max(agent.recent_ms, default=None),
                     "slack_ms": agent.slack_ms,
                     "plan_ages": report and dict(zip(map(agent_name, report.peers), report.plan_ages, strict=True)),
-                    **{key: getattr(agent, key) for key in _COUNTS},
-                    "off_the_roster": agent.off,
+                    **agent.counts,
+                    "rejected": self.rejections[agent_name(number)],
                 }
             )
         return {
@@ -207,7 +175,7 @@ class Watch:
         realtime, before = self.setup.scenario.clock.mode == "realtime", self._opened
         if realtime and before is not None and tick.tick == before.tick + 1:
             for agent in set(before.members) - set(tick.answered):
-                self.agents[agent].missed += 1
+                self.agents[agent].counts["missed"] += 1
         if self.members is None:
             self.members = frozenset(tick.members)
         self.tick, self._opened, self._opened_ns = tick.tick, tick, at_ns
@@ -217,10 +185,8 @@ class Watch:
         agent = self.agents[report.agent]
         agent.report = report
         agent.recent_ms.append(float(report.times_ms[-1]))
-        agent.lost += report.lost
-        agent.late += report.late
-        agent.fallbacks += report.fallback
-        agent.failures += report.status != "solved"
+        failed = report.status != "solved"
+        agent.counts.update(lost=report.lost, late=report.late, fallbacks=report.fallback, failures=failed)
         speed = self.setup.scenario.clock.speed
         if speed > 0.0 and self._opened is not None and self._opened.tick == report.tick:
             left_ns = self.setup.period_ns / speed - self._opened.late_ns - (at_ns - self._opened_ns)
@@ -228,6 +194,6 @@ class Watch:
 
     def _join(self, members: frozenset[int], reason: str) -> None:
         for agent in (self.members or frozenset()) - members:
-            self.agents[agent].off += 1
+            self.agents[agent].counts["off_the_roster"] += 1
         self.members = members
         self.notices.append(reason)

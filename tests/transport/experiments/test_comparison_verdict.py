@@ -131,7 +131,6 @@ def curve(controller: str, kept: str, costs: dict[float, float]) -> Curve:
     nodes = [
         Node(
             cell=Cell(controller=controller, period_s=period_s, horizon=20),
-            weather=STILL,
             runs=1,
             diverged_s=() if math.isfinite(ratio) else (3.5,),
             numbers={COST: estimate([ratio])},

@@ -1,1 +1,1 @@
-"""The commands `transport experiment`: one module for each experiment."""
+"""The commands `transport experiment`: one module for each family of sweeps."""

@@ -30,17 +30,15 @@ from transport.experiments.workers import check_cluster, on_cluster, on_cores
 from transport.flight.run import machine
 
 
-def sweep_command(**defaults: Any) -> Callable[[Callable[..., Experiment]], Callable[..., None]]:
-    """Return a decorator that makes a command of a function that returns an experiment.
-
-    Args:
-        defaults: Those of its `SweepOptions`.
-    """
+def sweep_command(
+    kind: type[ExperimentOptions] = SweepOptions, **defaults: Any
+) -> Callable[[Callable[..., Experiment]], Callable[..., None]]:
+    """Return a decorator that makes a command of a function that returns an experiment; defaults are its options."""
 
     def decorate(build: Callable[..., Experiment]) -> Callable[..., None]:
-        @with_options(partial(SweepOptions, **defaults))
+        @with_options(partial(kind, **defaults))
         @wraps(build)
-        def command(options: SweepOptions, **own: Any) -> None:
+        def command(options: ExperimentOptions, **own: Any) -> None:
             with exit_codes():
                 conduct(build(options, **own), options)
 
@@ -71,8 +69,6 @@ def conduct(experiment: Experiment, options: ExperimentOptions) -> None:
     console = Console(stderr=True)
     trial = trial_note(options, console)
     with Results(folder, experiment.name, machine()) as results:
-        for notice in results.notices:
-            console.print(notice, highlight=False, soft_wrap=True)
         done = sum(results.done(case.key) for case in cases)
         if done:
             console.print(f"{done} of {len(cases)} runs are done already", highlight=False)

@@ -28,5 +28,5 @@ def horizon(
 
     Example: transport experiment horizon --horizon 10 --horizon 20 --scenario paper
     """
-    steps = horizons or ([10] if options.quick else [5, 10, 20, 30])
-    return tuning.horizon(options.read(), steps, terminals or ([5.0] if options.quick else [1.0, 5.0, 20.0]), delay)
+    steps = options.choose(horizons, [5, 10, 20, 30], quick=[10])
+    return tuning.horizon(options.read(), steps, options.choose(terminals, [1.0, 5.0, 20.0], quick=[5.0]), delay)

@@ -9,14 +9,14 @@ from transport.cli.experiment.options import SweepOptions
 from transport.experiments import tuning
 from transport.experiments.experiment import Experiment
 
-_SCENARIOS = ("paper", "centralized", "resilient", "centralized_lq", "precise")
-_QUICK_MANEUVER = (
+_HOVER_SCENARIOS = ("paper", "centralized", "resilient", "centralized_lq", "precise")
+_QUICK_HOVER = (
     "maneuver.phase=[{name='climb',duration_s=0.5,displacement_m=[0,0,-0.25]},"
     "{name='hover',duration_s=0.5,displacement_m=[0,0,0]}]"
 )
 
 
-@sweep_command(default_scenarios=_SCENARIOS, quick_maneuver=_QUICK_MANEUVER)
+@sweep_command(default_scenarios=_HOVER_SCENARIOS, quick_maneuver=_QUICK_HOVER)
 def hover(
     options: SweepOptions,
     durations: Annotated[
@@ -30,4 +30,4 @@ def hover(
 
     Example: transport experiment hover --duration 60 --scenario resilient
     """
-    return tuning.hover(options.read(), durations or ([0.5, 1.0] if options.quick else [5.0, 20.0, 65.0]))
+    return tuning.hover(options.read(), options.choose(durations, [5.0, 20.0, 65.0], quick=[0.5, 1.0]))

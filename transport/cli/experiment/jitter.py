@@ -29,7 +29,6 @@ def jitter(
 
     Example: transport experiment jitter --std 0.05 --distribution lognormal
     """
-    chosen = distributions or (["uniform", "exponential"] if options.quick else list(network_sweeps.JITTER))
-    return network_sweeps.jitter(
-        options.names, chosen, deviations or ([0.05] if options.quick else [0.02, 0.05, 0.08]), mean
-    )
+    chosen = options.choose(distributions, list(network_sweeps.JITTER), quick=["uniform", "exponential"])
+    deviations_s = options.choose(deviations, [0.02, 0.05, 0.08], quick=[0.05])
+    return network_sweeps.jitter(options.names, chosen, deviations_s, mean)

@@ -19,6 +19,5 @@ def latency(
 
     Example: transport experiment latency --delay 0.1 --delay 0.3 --scenario resilient
     """
-    return network_sweeps.latency(
-        options.names, delays or ([0.0, 0.2] if options.quick else [0.0, 0.05, 0.1, 0.2, 0.4])
-    )
+    delays_s = options.choose(delays, [0.0, 0.05, 0.1, 0.2, 0.4], quick=[0.0, 0.2])
+    return network_sweeps.latency(options.names, delays_s)

@@ -22,4 +22,4 @@ def loss(
 
     Example: transport experiment loss --loss 0.3 --burst 10
     """
-    return network_sweeps.loss(options.names, losses or ([0.3] if options.quick else [0.1, 0.3, 0.6]), burst)
+    return network_sweeps.loss(options.names, options.choose(losses, [0.1, 0.3, 0.6], quick=[0.3]), burst)

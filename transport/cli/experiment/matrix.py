@@ -26,7 +26,7 @@ def matrix(
 
     Example: transport experiment matrix --delay 0 --delay 0.2 --loss 0 --loss 0.3
     """
-    delays_s = delays or ([0.0, 0.2] if options.quick else [0.0, 0.1, 0.2, 0.4])
+    delays_s = options.choose(delays, [0.0, 0.1, 0.2, 0.4], quick=[0.0, 0.2])
     return network_sweeps.matrix(
-        options.names, delays_s, losses or ([0.0, 0.3] if options.quick else [0.0, 0.1, 0.3, 0.6])
+        options.names, delays_s, options.choose(losses, [0.0, 0.1, 0.3, 0.6], quick=[0.0, 0.3])
     )

@@ -2,13 +2,15 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 from typer import Option
 
 from protocol.scenario.file import find_scenario, read_scenario
 from protocol.scenario.schema import Scenario
 from transport.experiments.errors import refused
+
+T = TypeVar("T", str, int, float)
 
 # With --quick: a maneuver of 1.5 s, and two repetitions of random runs.
 _QUICK_MANEUVER = (
@@ -43,6 +45,10 @@ class ExperimentOptions:
         """Number of seeds of random runs."""
         default = min(self.default_seeds, _QUICK_SEEDS) if self.quick else self.default_seeds
         return default if self.seeds is None else self.seeds
+
+    def choose(self, given: list[T] | None, default: list[T], *, quick: list[T]) -> list[T]:
+        """Return the values of an option: those given, or its default with or without `--quick`."""
+        return given or (quick if self.quick else default)
 
     def changes(self) -> list[str]:
         """Return the changes of every scenario, the experiment's own maneuver first."""

@@ -33,13 +33,8 @@ def paper(
             raise refused("--gust", "a speed >= 0 m/s", f"{gust:g}")
         folder, console = new_folder(options, comparison.NAME), Console(stderr=True)
         trial_note(options, console)
+        changes, simulate = options.changes(), simulator(options, folder)
         lines, table, found = comparison_report.compare(
-            options.changes(),
-            options.repetitions,
-            gust,
-            folder,
-            simulator(options, folder),
-            console,
-            quick=options.quick,
+            changes, options.repetitions, gust, folder, simulate, console, quick=options.quick
         )
         show(table, comparison_report.WIDTH, lines, found)

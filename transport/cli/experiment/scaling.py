@@ -1,14 +1,13 @@
 """The command `transport experiment scaling`."""
 
-from functools import partial
 from typing import Annotated
 
 from typer import Option
 
-from transport.cli.experiment.conduct import conduct, exit_codes
+from transport.cli.experiment.conduct import sweep_command
 from transport.cli.experiment.options import ExperimentOptions
-from transport.cli.options import with_options
 from transport.experiments import scaling as team_sizes
+from transport.experiments.experiment import Experiment
 
 # The paper's speed, 0.5 m/s, in a maneuver of 10 s instead of 25.
 _MANEUVER = (
@@ -18,11 +17,11 @@ _MANEUVER = (
 )
 
 
-@with_options(partial(ExperimentOptions, default_jobs=1, maneuver=_MANEUVER))
+@sweep_command(ExperimentOptions, default_jobs=1, maneuver=_MANEUVER)
 def scaling(
     options: ExperimentOptions,
     largest: Annotated[int | None, Option("--max", help="UAVs of the largest team, 2 to 16; by default 12.")] = None,
-) -> None:
+) -> Experiment:
     """Growth of cost, computation and messages.
 
     Teams of 2 to 12 UAVs made from `resilient`, each with an agent for every UAV, for every pair, and for all.
@@ -33,5 +32,4 @@ def scaling(
     Example: transport experiment scaling --max 8 --seeds 3
     """
     sizes, default = (team_sizes.QUICK_SIZES, 6) if options.quick else (team_sizes.SIZES, 12)
-    with exit_codes():
-        conduct(team_sizes.scaling("resilient", default if largest is None else largest, sizes), options)
+    return team_sizes.scaling("resilient", default if largest is None else largest, sizes)

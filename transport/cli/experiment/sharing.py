@@ -27,5 +27,5 @@ def sharing(
 
     Example: transport experiment sharing --threshold 0.01 --threshold 0.1
     """
-    default = [0.01] if options.quick else [0.002, 0.005, 0.01, 0.02, 0.05]
-    return network_sweeps.sharing(options.names, thresholds or default, heartbeat)
+    chosen = options.choose(thresholds, [0.002, 0.005, 0.01, 0.02, 0.05], quick=[0.01])
+    return network_sweeps.sharing(options.names, chosen, heartbeat)

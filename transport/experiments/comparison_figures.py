@@ -1,4 +1,4 @@
-"""Cost figure of the comparison: mean cost over processor time, a curve for each controller and horizon."""
+"""Figures of the comparison: mean cost over processor time, and one maneuver under different controllers."""
 
 import math
 from collections.abc import Sequence
@@ -10,9 +10,13 @@ import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from protocol.scenario.setup import Setup
+from transport.analysis.series import series_of
 from transport.experiments.comparison import CENTRALIZED, CLOSED_LOOP, PAPER, STEPS, Cell, Loads
 from transport.experiments.cost_curves import COST, Curve
 from transport.experiments.processor_time import AGENT, TEAM
+from transport.experiments.simulation import run_in_memory
+from transport.report.figures import PERFORMANCE, plot_performance
 from transport.report.style import RC, REFERENCE, WIDTH_IN, label_decades, save
 
 # Colour (Okabe and Ito 2008) and marker of each controller; solid lines keep the steps of the horizon, dashed lines
@@ -23,15 +27,16 @@ _ROW_IN, _AROUND_IN = 2.1, 1.0
 # Larger cost ratios, and diverged runs, are drawn at the upper edge of the panel.
 _HIGHEST = 3.0
 
+# Maneuver figure: size of a column; smallest visible share of the highest cost, below which values are rounding errors.
+_COLUMN_IN, _HEIGHT_IN = 3.0, 7.4
+_DECADES = 1e-5
+
 
 def draw_costs(curves: Sequence[Curve], loads: Loads, reference: Cell, folder: Path) -> list[Path]:
     """Draw a row of panels for each weather: cost over the computation of the team and of one agent.
 
-    Args:
-        curves: Cost curves.
-        loads: Processor time of every cell.
-        reference: The centralized cell; a vertical line marks its computation.
-        folder: Output folder.
+    A vertical line marks the computation of the reference, the centralized cell.
+
     Returns: figure.png and figure.svg.
     """
     weathers = list(dict.fromkeys(curve.weather for curve in curves))
@@ -43,9 +48,8 @@ def draw_costs(curves: Sequence[Curve], loads: Loads, reference: Cell, folder: P
             for axes, budget in zip(row, (TEAM, AGENT), strict=True):
                 for curve in own:
                     _draw(axes, curve, loads, budget)
-                axes.axvline(
-                    median(loads[reference].seconds_per_second(budget)), color=REFERENCE, linewidth=0.8, zorder=0
-                )
+                x = median(loads[reference].seconds_per_second(budget))
+                axes.axvline(x, color=REFERENCE, linewidth=0.8, zorder=0)
                 axes.set_xscale("log")
                 label_decades(axes.xaxis)
             row[0].set_ylabel(f"{weather}\nmean cost over centralized")
@@ -67,9 +71,8 @@ def _draw(axes: Axes, curve: Curve, loads: Loads, budget: str) -> None:
         x.append(median(times))
         y.append(math.nan if beyond or ratio is None else ratio.mean)
         if beyond:
-            axes.plot(
-                [x[-1]], [_HIGHEST], marker="x" if node.diverged_s else "$\\uparrow$", color=colour, markersize=5.0
-            )
+            sign = "x" if node.diverged_s else "$\\uparrow$"
+            axes.plot([x[-1]], [_HIGHEST], marker=sign, color=colour, markersize=5.0)
         elif ratio is not None:
             spread = [[x[-1] - min(times)], [max(times) - x[-1]]]
             axes.errorbar(
@@ -78,3 +81,31 @@ def _draw(axes: Axes, curve: Curve, loads: Loads, budget: str) -> None:
     label = f"{curve.controller}, as many {curve.kept}"
     filled = colour if curve.kept == STEPS else "white"
     axes.plot(x, y, marker=marker, markersize=4.0, markerfacecolor=filled, label=label, **style)
+
+
+def draw_maneuver(runs: Sequence[tuple[str, Setup]], folder: Path) -> list[Path]:
+    """Simulate each run again and draw all side by side on the same axes, each under its heading.
+
+    The runs are deterministic, so they equal the measured ones.
+
+    Returns: maneuver.png and maneuver.svg.
+    """
+    with mpl.rc_context({**RC, "svg.hashsalt": "maneuver"}):
+        figure = Figure(figsize=(_COLUMN_IN * len(runs), _HEIGHT_IN), layout="constrained")
+        panels = figure.subplots(len(PERFORMANCE), len(runs), sharex=True, squeeze=False)
+        for index, (title, setup) in enumerate(runs):
+            column = list(panels[:, index])
+            plot_performance(setup, series_of(setup, run_in_memory(setup)), column)
+            column[0].set_title(title, pad=18.0)
+            column[-1].set_xlabel("time (s)")
+        for label, row in zip(PERFORMANCE, panels, strict=True):
+            row[0].set_ylabel(label)
+            low = min(panel.get_ylim()[0] for panel in row)
+            high = max(panel.get_ylim()[1] for panel in row)
+            for panel in row:
+                panel.set_ylim(max(low, high * _DECADES) if panel.get_yscale() == "log" else low, high)
+                panel.label_outer()
+        for panel in panels[:-1, -1]:
+            panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
+        figure.align_ylabels(panels[:, 0])
+        return [save(figure, folder / f"maneuver.{kind}") for kind in ("png", "svg")]
