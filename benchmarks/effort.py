@@ -18,7 +18,7 @@ class Effort:
         teams: Numbers of UAVs whose step is measured.
         horizons: N_p of the same.
         steps: Fewest steps of each kind.
-        repetitions: Repetitions of each program.
+        repetitions: Repetitions of each program, and of calls that take microseconds.
         programs: Most programs taken from a run, evenly spaced.
         large_programs: The same for the centralized controller; 0 for none.
         maneuver: Scenario and settings of the run compared with processes and in memory.

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import __main__ as command
-from benchmarks import aims, solvers, step
+from benchmarks import aims, parts, solvers, step
 from benchmarks.effort import FULL, QUICK, Effort
 from benchmarks.page import BenchmarkError, Table, check, write
 from benchmarks.runs import Situation, programs, setup, situations
@@ -84,6 +84,14 @@ def test_solvers_have_their_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     assert [row[1] for row in table.rows] == [*(solver.name for solver in SOLVERS[:2]), "missing"]
     assert table.rows[-1][2] == "not installed"
     assert all(row[2] != "not installed" for row in table.rows[:-1])
+
+
+def test_parts_have_their_rows() -> None:
+    """The table has the plant of every team, and encoding and decoding of a plan."""
+    (table,) = parts.measure(QUICK, silent)
+    plants = [f"plant, one period, {uavs} UAVs" for uavs in QUICK.teams]
+    assert first_cells(table) == [*plants, "plan to bytes", "bytes to plan", "bytes to plan, all checks"]
+    assert min(numbers(table, "median")) > 0.0
 
 
 def test_only_what_was_measured_is_written(tmp_path: Path) -> None:

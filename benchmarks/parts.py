@@ -1,0 +1,70 @@
+"""Processor time of plant and codec."""
+
+from collections.abc import Callable
+from functools import partial
+
+from benchmarks.effort import Effort
+from benchmarks.page import BenchmarkError, Table
+from benchmarks.runs import messages, setup
+from benchmarks.timing import WARM_UP, Times, in_turns, joined
+from plant.node import PlantNode
+from protocol.admission.admission import Admission
+from protocol.scenario.setup import Setup
+from protocol.wire.codec import decode, encode
+from protocol.wire.keys import Keys
+from protocol.wire.messages import Message, Plan, PlantState
+from protocol.wire.rejections import Rejections
+
+TEXT = (
+    "Processor time, ms. The plant integrates one sampling period in steps of `plant.step_s`. A plan is of one UAV "
+    "over {horizon} steps, {size} bytes. All checks: size, form, values, key, sender, incarnation, order."
+)
+
+
+def measure(effort: Effort, log: Callable[[str], None]) -> list[Table]:
+    """Integrate the states and encode and decode the plans of short runs."""
+    rows = []
+    for uavs in effort.teams:
+        log(f"plant of {uavs} UAVs")
+        run = setup("resilient", effort.climb, uavs=uavs)
+        rows.append((f"plant, one period, {uavs} UAVs", *integration(run, messages(run), effort.repetitions).cells))
+    log("codec")
+    run = setup("resilient", effort.climb)
+    plans = [message for message in messages(run) if isinstance(message, Plan) and message.agent == 1]
+    rows += [(name, *times.cells) for name, times in coding(run, plans, effort.repetitions).items()]
+    text = TEXT.format(horizon=run.settings.horizon, size=len(encode(plans[-1])))
+    return [Table(text=text, columns=("", "median", "p99"), rows=rows)]
+
+
+def integration(run: Setup, sent: list[Message], repetitions: int) -> Times:
+    """Time one sampling period of the plant from every state of a run."""
+    plant, period_s = PlantNode(run), run.settings.sampling_period_s
+    integrate = plant.environment.model.integrate
+    tasks = {
+        str(m.tick): partial(integrate, m.x, m.u, period_s, plant.steps) for m in sent if isinstance(m, PlantState)
+    }
+    return joined(in_turns(tasks, repetitions).values())
+
+
+def coding(run: Setup, plans: list[Plan], repetitions: int) -> dict[str, Times]:
+    """Time plans to bytes, back, and back with all checks of a process of the run.
+
+    Raises: BenchmarkError: a plan is refused.
+    """
+    keys = Keys(run.scenario.name)
+    data, key = [encode(plan) for plan in plans], keys.of(plans[0])
+    turns = []
+    for _ in range(repetitions):
+        # An admission refuses repeated messages: a new one takes all plans in their order.
+        rejections = Rejections()
+        admission = Admission("plant", keys, run, rejections)
+        admission.announce(plans[0].sender, plans[0].incarnation)
+        calls: dict[str, Callable[[], object]] = {
+            "plan to bytes": partial(next, map(encode, plans)),
+            "bytes to plan": partial(next, map(decode, data)),
+            "bytes to plan, all checks": partial(next, map(partial(admission.read, key), data)),
+        }
+        turns.append(in_turns(calls, len(plans) - WARM_UP))
+        if rejections.total:
+            raise BenchmarkError(f"codec: expected all plans to be admitted, got {rejections.total} refusals")
+    return {name: joined(turn[name] for turn in turns) for name in turns[0]}
