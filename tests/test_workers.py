@@ -40,12 +40,16 @@ def reached(path: Path) -> set[Path]:
     return found
 
 
-@pytest.mark.parametrize("file", [file for file in FILES if not workers.is_serial(file)])
-def test_tests_with_processes_are_in_their_folder(file: str) -> None:
+def test_tests_with_processes_are_in_their_folder() -> None:
     """A test file outside tests/system/ opens no socket and starts no command, neither itself nor by its helpers."""
-    for path in reached(ROOT / file) - {Path(__file__).resolve()}:
-        assert not imports(path) & OUTSIDE, path
-        assert not STARTS.search(path.read_text(encoding="utf-8")), path
+    wrong = [
+        f"{file} by {path}"
+        for file in FILES
+        if not workers.is_serial(file)
+        for path in reached(ROOT / file) - {Path(__file__).resolve()}
+        if imports(path) & OUTSIDE or STARTS.search(path.read_text(encoding="utf-8"))
+    ]
+    assert wrong == []
 
 
 def test_order(request: pytest.FixtureRequest) -> None:

@@ -17,7 +17,7 @@ from transport.log.run_log import RunLog, read_log
 
 TEAM = ["coordinator", "plant", "agent1", "agent2", "agent3", "agent4"]
 PACED = ("clock.speed=1.0", "clock.on_agent_loss=continue")
-PERIOD_S = 0.05
+BUSY_S = 2.0  # a step on a busy machine; less than half of the timeout
 USAGE, INTERRUPTED = 2, 130
 
 
@@ -150,10 +150,7 @@ def test_faults_by_hand(operated: tuple[dict[str, Any], Path, list[tuple[int, st
 
 
 def test_a_killed_agent_delays_no_other(log: RunLog) -> None:
-    """The tick at which an agent is killed lasts no longer than its detection and a sampling period.
-
-    Both times are from the log. On a slow machine the tick may last as long as the slowest tick without a fault.
-    """
+    """The tick at which an agent is killed ends with its detection, not with the timeout of the clock (5 s)."""
     opened_s = {tick: at / 1e9 for tick, at in log.received_ns(Tick).items()}
     durations_s = {k: opened_s[k + 1] - opened_s[k] for k in opened_s if k + 1 in opened_s}
     noted_s = {}
@@ -163,8 +160,7 @@ def test_a_killed_agent_delays_no_other(log: RunLog) -> None:
         elif isinstance(entry.message, Roster) and entry.message.reason.startswith("agent3 is gone"):
             noted_s["detected"], tick = entry.received_ns / 1e9, entry.message.tick
     detection_s = noted_s["detected"] - noted_s["fault"]
-    usual_s = [durations_s[k] for k in range(5, tick - 1)]
-    assert durations_s[tick] <= max(detection_s, 0.0) + max(PERIOD_S, *usual_s)
+    assert durations_s[tick] <= max(detection_s, 0.0) + BUSY_S
 
 
 def test_ticks_come_one_after_the_other(log: RunLog) -> None:
