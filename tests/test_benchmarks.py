@@ -43,6 +43,7 @@ def test_the_naive_step_makes_the_same_plans() -> None:
     assert max(aims.plan_difference(at, "daqp") for at in met()) < aims.SAME_PROGRAM
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", SOLVERS, ids=lambda solver: solver.name)
 def test_solvers_agree(solver: Solver) -> None:
     """Every installed solver solves all programs, within the tolerance of its kind from Clarabel."""
@@ -56,6 +57,7 @@ def test_solvers_agree(solver: Solver) -> None:
     assert outcome.times.median > 0.0
 
 
+@pytest.mark.slow
 def test_aims_have_their_rows() -> None:
     """The table has steps, naive step and ratios, each with its aim."""
     (table,) = aims.measure(QUICK, silent)
@@ -86,6 +88,7 @@ def test_solvers_have_their_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     assert all(row[2] != "not installed" for row in table.rows[:-1])
 
 
+@pytest.mark.slow
 def test_parts_have_their_rows() -> None:
     """The table has the plant of every team, and encoding and decoding of a plan."""
     (table,) = parts.measure(QUICK, silent)

@@ -72,6 +72,7 @@ def test_existing_run_folder_is_not_touched(tmp_path: Path) -> None:
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["keep.txt"]
 
 
+@pytest.mark.slow
 def test_port_in_use_is_named(tmp_path: Path) -> None:
     """A port in use is named before any process starts, for a whole run and for a single process."""
     with socket.socket() as taken:

@@ -71,6 +71,7 @@ def test_an_interrupted_run_is_reported(number: signal.Signals, tmp_path: Path) 
     assert not read_log(tmp_path / "interrupted" / "run.mcap").cut
 
 
+@pytest.mark.slow
 def test_a_killed_harness_leaves_no_orphans(tmp_path: Path) -> None:
     """SIGKILL of `transport run` itself: its processes notice and end; the log opens and can be reported."""
     process = take_off(tmp_path, "orphans")

@@ -56,6 +56,7 @@ def logged(messages: list[Message], received_ns: Callable[[Message], int] = lamb
     return RunLog(header={}, messages=recorded, cut="")
 
 
+@pytest.mark.slow
 def test_sizes_and_ownerships() -> None:
     """Sizes go up to the largest team requested, also an unusual one; pairs exist only for even numbers above two."""
     points = scaling.scaling("resilient", 9, scaling.SIZES).points
@@ -359,6 +360,7 @@ def test_resuming_repeats_no_run(trial: tuple[Path, str], monkeypatch: pytest.Mo
     assert kept(folder) == FLIGHTS
 
 
+@pytest.mark.slow
 def test_costs_and_messages_do_not_depend_on_jobs(trial: tuple[Path, str]) -> None:
     """Two runs at a time give bitwise the same numbers, except for the timing."""
     folder, _ = trial

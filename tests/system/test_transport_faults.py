@@ -159,6 +159,7 @@ def test_a_frozen_coordinator(tmp_path: Path) -> None:
     assert summary["ticks"] == 10
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["lockstep", "realtime"])
 def test_a_coordinator_that_wakes_up(mode: str, tmp_path: Path) -> None:
     """A coordinator frozen for longer than the barrier timeout drops no agent for its own absence: the run goes on."""

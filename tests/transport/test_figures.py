@@ -41,6 +41,7 @@ def logged(folder: Path, *settings: str) -> tuple[Setup, RunLog]:
     return run, read_log(folder / "run.mcap")
 
 
+@pytest.mark.slow
 def test_figures_are_drawn_with_the_report(tmp_path: Path) -> None:
     """The report of a run writes three figures to figures/, and drawing again replaces them."""
     run, log = logged(tmp_path)
@@ -50,6 +51,7 @@ def test_figures_are_drawn_with_the_report(tmp_path: Path) -> None:
     assert draw(run, log, tmp_path / "figures") == paths
 
 
+@pytest.mark.slow
 def test_one_uav_is_drawn(tmp_path: Path) -> None:
     """A team of one UAV has all figures."""
     run, log = logged(tmp_path, *SINGLE_UAV)

@@ -141,6 +141,7 @@ def test_a_flight_under_fire(folder: Path, settings: tuple[str, ...]) -> None:
     assert counts == {name: receiver.rejected.total for name, receiver in wire.receivers.items()}
 
 
+@pytest.mark.slow
 def test_fire_costs_no_memory() -> None:
     """Memory held for refused messages does not grow with their number."""
     run = setup(*SETTINGS)

@@ -33,6 +33,7 @@ def flown(name: str, *settings: str) -> tuple[Setup, Series, list[StepReport]]:
     return run, series, [message for message in messages if isinstance(message, StepReport)]
 
 
+@pytest.mark.slow
 def test_references_lead_to_a_collision() -> None:
     """Without the limit UAVs 3 and 4 fly to their references, 0.35 m behind the two that the wall stops."""
     run, series, _ = flown("collision", "controller.separation.minimum_m=0.001")

@@ -40,6 +40,7 @@ def test_larger_teams_complete_the_maneuver(uavs: int, delay_s: float) -> None:
     assert np.linalg.norm(series.payload_error_I, axis=1).max() < 0.7
 
 
+@pytest.mark.slow
 def test_the_papers_settings_do_not_carry_over() -> None:
     """Why teams are made from `resilient`: eight agents that each correct the whole error lose the load."""
     control = simulate(team(8, "paper"))

@@ -101,6 +101,7 @@ def test_what_is_compared_to() -> None:
     assert [(point.scenario, point.labels["network"]) for point in baselines] == [(name, "perfect") for name in NAMES]
 
 
+@pytest.mark.slow
 def test_the_whole_command(tmp_path: Path) -> None:
     """Table, conclusions and a figure with a row for each variant; no text is cut off."""
     out = tmp_path / "out"

@@ -142,6 +142,7 @@ def test_grid() -> None:
     assert len(set(cells)) == len(cells) == sum(map(len, curves.values())) - 2
 
 
+@pytest.mark.slow
 def test_every_cell_can_be_run() -> None:
     """Periods and horizons reach the scenarios, in still air and in gusts; without gusts there is still air alone."""
     cells = comparison.cells_of(comparison.curves_of(0.05, 20))
