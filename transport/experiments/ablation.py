@@ -17,7 +17,7 @@ PARTS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "terminal": ("controller.terminal", ("multiple", "riccati")),
     "preview": ("controller.preview", ("false", "true")),
     "relaxation": ("controller.relaxation", ("1.0", "0.5", "0.25", "0.1")),
-    "negotiation_iterations": ("controller.negotiation_iterations", ("1", "2", "4")),
+    "negotiation iterations": ("controller.negotiation_iterations", ("1", "2", "4")),
     "received plans": ("controller.received_plans", ("by_age", "by_one", "held")),
     "received states": ("controller.received_states", ("predicted", "as_received")),
     "actuation": ("clock.actuation", ("immediate", "next_tick")),

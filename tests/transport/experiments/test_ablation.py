@@ -88,8 +88,8 @@ def test_what_a_setting_gives_is_not_flown_twice() -> None:
         "controller.negotiation_iterations=2", "clock.actuation=next_tick", "controller.relaxation=auto"
     ).points
     flown = {(point.labels["part"], point.labels["value"]) for point in points}
-    assert ("negotiation_iterations", "2") not in flown
-    assert ("negotiation_iterations", "1") in flown
+    assert ("negotiation iterations", "2") not in flown
+    assert ("negotiation iterations", "1") in flown
     assert ("actuation", "next_tick") not in flown
     assert ("actuation", "immediate") in flown
     assert ("relaxation", "0.25") not in flown
