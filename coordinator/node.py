@@ -251,7 +251,7 @@ class CoordinatorNode:
 
     def _is_held(self, now_ns: int) -> bool:
         """Return whether the next tick waits for agents that scripted faults bring back at it."""
-        if self.state is State.DIVERGED or not self._roster.awaited(self.tick + 1):
+        if self._is_last or self.state is State.DIVERGED or not self._roster.awaited(self.tick + 1):
             return False
         if self.state is not State.HELD:
             self._move(Trigger.TICK_HELD)

@@ -39,3 +39,16 @@ def test_a_late_return_brings_the_team_together(back_s: float) -> None:
     assert attitude_deg[-10:].max() < 0.5
     # The limit of what is planned is 15 deg.
     assert np.abs(np.degrees(StateView(x).Theta[..., :2])).max() < 30.0
+
+
+def test_a_return_at_the_end_holds_nothing() -> None:
+    """A return scripted for the instant at which the run ends neither delays nor breaks that end."""
+    settings = [
+        "maneuver.phase=[{name='hover',duration_s=0.3,displacement_m=[0,0,0]}]",
+        'clock.on_agent_loss="continue"',
+        "faults.event=[{at_s=0.25,do='restart',target='agent2'}]",
+    ]
+    run = Setup.of(read_scenario(SCENARIOS / "resilient.toml", settings), "resilient")
+    assert max(fault.tick for fault in run.faults) == run.ticks
+    end = simulate(run, lambda _: None)
+    assert (end.outcome, end.exit_code) == ("completed", 0)

@@ -1,4 +1,4 @@
-"""Constant memory for `mcap.writer.Writer`: chunk indexes in a file instead of a list that grows with the run."""
+"""Constant memory during a run for `mcap.writer.Writer`: chunk indexes in a file instead of a list that grows with the run."""
 
 from collections.abc import Iterator
 from typing import BinaryIO
