@@ -29,7 +29,7 @@ KEPT_PLANS = 256
 class AnnouncedInputs:
     """Plans of all agents as one agent knows them.
 
-    Where a method takes a tick `before`, only plans made before it count, even if later ones are here already.
+    Where a method takes a tick `before`, only plans made before it count, even if later ones have been received.
 
     Args:
         owned: 0-based UAVs of agent 1, agent 2, ...
@@ -45,7 +45,7 @@ class AnnouncedInputs:
         off_roster: Agents that make no more plans.
         law_since: Tick from which on the shared control law is that of the present team.
         failed_since: Tick of the newest failure of a UAV: from then on every agent follows the control law of the UAVs
-            that are left; plans made before count up to then.
+            that are left; earlier plans apply until then.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class AnnouncedInputs:
         self._columns = {agent: input_indices(uavs) for agent, uavs in enumerate(owned, start=1)}
         # By agent, ascending in the tick they were made at.
         self._plans: dict[int, list[Plan]] = {agent: [] for agent in self._columns}
-        # Start and inputs assumed for the last plan of agents that left, where that plan is not here.
+        # Start and inputs assumed for the last plan of agents that left, where that plan has not been received.
         self._assumed: dict[int, tuple[int, Array]] = {}
 
     def add(self, plan: Plan) -> None:
@@ -89,7 +89,7 @@ class AnnouncedInputs:
         self._assumed.pop(agent, None)
 
     def assume(self, agent: int, start: int, inputs: Array) -> None:
-        """Assume inputs, (N_p, 4 N), from tick `start` on for an agent that has left and whose last plan is not here.
+        """Assume inputs, (N_p, 4 N), from tick `start` on for an agent that left and whose last plan was not received.
 
         Source: docs/equations.md (32b).
         """
@@ -123,7 +123,7 @@ class AnnouncedInputs:
         return U
 
     def under_previous_law(self, before: int) -> list[int]:
-        """Return the agents whose newest plan made before a tick follows the control law before its last change."""
+        """Return the agents whose newest plan made before a tick was made under the previous control law."""
         return [
             agent
             for agent in self._columns
@@ -148,8 +148,8 @@ class AnnouncedInputs:
     def at(self, tick: int, before: int, x: Array | None = None) -> Array:
         """Return the inputs assumed in force over [t_k, t_{k+1}): from each agent's newest plan that had started.
 
-        That plan's first input was applied as announced. Later ones have been replaced by plans that are not here. With
-        a shared control law they are the first one plus the change of that law since then, with the state and the
+        That plan's first input was applied as announced. Later ones have been replaced by plans that were not received.
+        With a shared control law they are the first one plus the change of that law since then, with the state and the
         announced corrections; the sender's estimate of external forces cancels out of the difference.
 
         The state x at t_k, (n,), serves to evaluate control law and fail-safe; None leaves both out.

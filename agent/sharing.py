@@ -34,9 +34,9 @@ class Sharing:
     def decide(self, tick: int, start: int, c: Array, roster: int) -> bool:
         """Decide whether to share a plan; the others assume a shared plan from then on.
 
-        Shared are the first plan, the first one under each roster (law or receivers may be new), one that is a
-        heartbeat newer than the last shared one, and one whose corrections c to the shared law, (N_p, 4 owned), from
-        tick `start` on, have changed by more than the threshold. Source: docs/equations.md (49).
+        Shared are the first plan, the first one under each roster (control law or receivers may be new), one that is a
+        heartbeat newer than the last shared one, and one whose corrections c to the shared control law, (N_p, 4 owned),
+        from tick `start` on, have changed by more than the threshold. Source: docs/equations.md (49).
         """
         shared = (
             self._always

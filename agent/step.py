@@ -1,7 +1,7 @@
 """One tick's work of an agent: estimate the state, form its problem, solve it, negotiate, conclude.
 
-`Planner` takes what the agent knows at a tick and returns the tick's plan and report. Which messages count, and when a
-tick may begin, is decided by the node.
+`Planner` takes what the agent knows at a tick and returns the tick's plan and report. The node decides which messages
+count and when a tick may begin.
 """
 
 from collections.abc import Callable, Sequence
@@ -39,7 +39,7 @@ class Step:
         known: What the problem was formed from.
         uav_states: Estimated states of the owned UAVs, (owned, 12).
         start: First tick the plan is for.
-        discrete: None where states beyond all bounds have no discrete model.
+        discrete: None if out-of-range states have no discrete model.
         negotiation: Exchanges of plans still to come.
     """
 
@@ -69,7 +69,7 @@ class Planner:
         self._reset_sharing()
 
     def restart(self) -> None:
-        """Forget the run so far; the controller stays as it is."""
+        """Reset for a new start in the run; the controller keeps its state."""
         self._team.restart()
         self._reset_sharing()
 

@@ -50,7 +50,7 @@ class TeamEstimate:
         self.restart()
 
     def restart(self) -> None:
-        """Forget the run so far; the controller stays as it is, and with it the agents that it leaves out."""
+        """Reset for a new start in the run; the controller keeps its state, also the agents that it leaves out."""
         setup, section = self._setup, self._setup.scenario.controller
         period_s = setup.settings.sampling_period_s
         self._disturbance: DisturbanceEstimator | None = None
@@ -124,7 +124,7 @@ class TeamEstimate:
         self._controller.without([uav for agent in sorted(off_roster) for uav in self._setup.owned[agent - 1]])
 
     def _assume_last_plan(self, agent: int, tick: int) -> None:
-        """Use the inputs expected of an agent that leaves the roster at a tick, if its last plan is not here.
+        """Assume the predicted inputs of an agent that leaves the roster at a tick, if its last plan was not received.
 
         Source: docs/equations.md (32b).
         """
@@ -134,7 +134,7 @@ class TeamEstimate:
             self.announced.assume(agent, start, self._controller.foreseen(prediction, law, inputs))
 
     def _update_failures(self, known: Known) -> None:
-        """Go on with model and control law of the UAVs that are left, if further UAVs have failed."""
+        """Switch to model and control law of the remaining UAVs if further UAVs have failed."""
         off, released = known.off, known.released
         known_off, known_released = self._failed
         if (off, released) == self._failed:

@@ -37,7 +37,7 @@ class Clock(ABC):
         self._overrun_ns = 0  # largest overrun of a plan since the last tick
         self._overruns = 0  # missed deadlines
         self._called_ns = 0  # when the coordinator last handled something
-        self._excused_tick = -1  # newest tick in which it was found to have been away
+        self._excused_tick = -1  # newest tick at which it was found to have stood still
 
     def due_ns(self, tick: int) -> int:
         """Return the earliest time at which a tick may open."""

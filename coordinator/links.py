@@ -21,7 +21,7 @@ class RequestedLinkChanges:
     def change(self, given: Mapping[str, Any], tick: int) -> LinkChange:
         """Return the message of a change that holds from a tick on.
 
-        Given are sender "from" and receiver "to", each left out for any agent, and the "settings" to change.
+        The request has a sender "from", a receiver "to", each omitted for any agent, and the "settings" to change.
 
         Raises: LinkError, MessageError: the request is refused.
         """

@@ -123,7 +123,7 @@ class CoordinatorNode:
     def _handle(self, message: Message, now_ns: int) -> None:
         """Take in an agent's plan or the plant's state that passed the checks of the reception.
 
-        Raises: MessageError: the message is not for now.
+        Raises: MessageError: a plan of an incarnation off the roster, or a repeated plan.
         """
         match message:
             case PlantState():
@@ -173,7 +173,7 @@ class CoordinatorNode:
         return lost if self.state is State.STOPPED else [*lost, *self._advance(now_ns)]
 
     def _process_gone(self, event: Presence, now_ns: int) -> Sequence[Message]:
-        """Note that a process has left, and what follows for the run."""
+        """Handle the end of a process: take it off the roster, or end the run."""
         agent = self._roster.agents.get(event.name)
         if agent is not None and self._roster.joining.get(agent) == event.incarnation:
             del self._roster.joining[agent]
@@ -220,7 +220,7 @@ class CoordinatorNode:
         return self._lose(silent, f"{names(silent)} did not answer tick {self.tick} in time", now_ns)
 
     def _lose(self, agents: Collection[int], reason: str, now_ns: int) -> Sequence[Message]:
-        """Take agents off the roster, and go on or end the run by `clock.on_agent_loss`."""
+        """Take agents off the roster, and continue or end the run by `clock.on_agent_loss`."""
         reason = f"{reason} at {self._roster.time(max(self.tick, 0))}"
         if self._settings.on_agent_loss == "abort" or self.state is State.WAITING:
             return self._stop(Trigger.UNREACHABLE, reason)

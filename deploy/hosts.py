@@ -133,13 +133,15 @@ def _check(inventory: Inventory, source: str, processes: Sequence[str]) -> None:
             if process not in known:
                 near = difflib.get_close_matches(process, known, n=1)
                 hint = f"; did you mean {near[0]!r}?" if near else ""
-                raise InventoryError(f"{source}: host.{i}.runs: expected of {', '.join(known)}, got {process!r}{hint}")
+                raise InventoryError(
+                    f"{source}: host.{i}.runs: expected one of {', '.join(known)}, got {process!r}{hint}"
+                )
             if process in seen and process != ROUTER:
                 raise InventoryError(f"{source}: host.{i}.runs: {process} runs on {seen[process]} already")
             seen[process] = host.name
         unknown = sorted(set(host.cpus) - set(host.runs))
         if unknown:
-            raise InventoryError(f"{source}: host.{i}.cpus: expected of {', '.join(host.runs)}, got {unknown[0]!r}")
+            raise InventoryError(f"{source}: host.{i}.cpus: expected one of {', '.join(host.runs)}, got {unknown[0]!r}")
         routers = [other.name for other in inventory.routers]
         if host.router is not None and host.router not in routers:
             expected = f"expected a host that runs a router ({', '.join(routers) or 'none does'})"

@@ -85,7 +85,7 @@ class Controller:
             U: Announced inputs of all UAVs over the horizon, (N_p, m); the owned columns hold the
                 previous plan, shifted.
             y_ref: Reference outputs at steps 0..N_p, (N_p + 1, p).
-            law: With closed-loop prediction, the shared law over the horizon (`law`).
+            law: With closed-loop prediction, the shared control law over the horizon (`law`).
             forces: Estimated external forces, (3 + 3 N,), inertial frame, N; None without estimate.
             ticks_since_start: Ticks since this controller began; see `conclude`.
             end: With terminal "riccati", the cost after the horizon (`end`).
@@ -156,9 +156,9 @@ class Controller:
     ) -> StepResult:
         """Return the plan to announce: the relaxed solution, or the previous plan after a failure.
 
-        Announced inputs and law are those of `step`, the prediction that of the QP. In the first ticks since this
-        controller joined the relaxation weight is at least 1 / (ticks + 1), as there is no previous plan to average
-        with; `ticks_since_start` is None for a member from the start.
+        Announced inputs and control law are those of `step`, the prediction that of the QP. In the first ticks since
+        this controller joined the relaxation weight is at least 1 / (ticks + 1), as there is no previous plan to
+        average with; `ticks_since_start` is None for a member from the start.
 
         Source: docs/equations.md (30a), (36a).
         """

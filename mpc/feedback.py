@@ -148,7 +148,7 @@ def regulator(
     root = np.sqrt(eigenvalues[kept])[:, None] * vectors[:, kept].T @ T.T
     A_closed = A + B @ K[controlled] @ T
     # The recursion may converge although no input reaches an unstable mode.
-    expected = "expected a team that a linear law can stabilise about hover"
+    expected = "expected a team that linear feedback can stabilise about hover"
     largest = float(np.abs(np.linalg.eigvals(A_closed)).max())
     if not largest < math.exp(_GROWTH * period_s):
         raise FeedbackError(f"{expected}, got a closed loop whose largest eigenvalue is {largest:.3g}")
@@ -175,7 +175,7 @@ def _riccati(A: Array, B: Array, Q: Array, R: Array) -> Array:
         G, H, A = G + A @ VG @ A.T, H + (step + step.T) / 2.0, A @ VA
         if np.abs(step).max() <= _CONVERGED * np.abs(H).max():
             return H
-    expected = "expected a team that a linear law can stabilise about hover"
+    expected = "expected a team that linear feedback can stabilise about hover"
     raise FeedbackError(f"{expected}, got a Riccati recursion that has not converged after 2^{_DOUBLINGS} steps")
 
 

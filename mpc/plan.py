@@ -1,4 +1,4 @@
-"""The announced plan: relaxation of a solution, fallback to the previous plan, and plans made under another law."""
+"""The announced plan: relaxed solution, fallback to the previous plan, and plans made under another control law."""
 
 from dataclasses import dataclass, replace
 
@@ -32,10 +32,10 @@ class StepResult:
 def relaxed(
     decision: Decision, solution: Solution, prediction: Prediction, U: Array, law: FeedbackLaw | None, w: float
 ) -> StepResult:
-    """Return the plan w U* + (1 - w) U_previous; with a shared law only the corrections are mixed.
+    """Return the plan w U* + (1 - w) U_previous; with a shared control law only the corrections are mixed.
 
-    Then the stabilising feedback acts in full, and the inputs follow from law and mixed corrections. Without a
-    solution, the previous plan or its corrections are taken as they are.
+    Then the stabilising feedback acts in full, and the inputs follow from the control law and the mixed corrections.
+    Without a solution, the previous plan or its corrections are taken as they are.
 
     Args: as those of `Controller.conclude`, with the relaxation weight w in (0, 1].
     Source: docs/equations.md (30a), (36a).
@@ -79,7 +79,7 @@ def foreseen(decision: Decision, prediction: Prediction, law: FeedbackLaw, input
 
 
 def adapted(law: FeedbackLaw, discrete: Discrete, u0: Array, U: Array, columns: npt.NDArray[np.intp]) -> FeedbackLaw:
-    """Return the law with the corrections, in some columns, that reproduce inputs announced under another law.
+    """Return the control law whose corrections, in some columns, reproduce inputs announced under another one.
 
     Args:
         law: The shared control law over the horizon.

@@ -79,11 +79,13 @@ def open_loop(discrete: Discrete, u0: Array, own: np.ndarray, others: np.ndarray
 
 
 def closed_loop(discrete: Discrete, u0: Array, own: np.ndarray, others: np.ndarray, law: FeedbackLaw) -> Prediction:
-    """Predict with the owned inputs held at u0 and the others' by the shared law, u_rest + K_j (x - x_ref) + c_j.
+    """Predict with the owned inputs held at u0 and the others' inputs by the shared control law.
+
+    Input of UAV j: u_rest + K_j (x - x_ref) + c_j.
 
     The prediction includes the others' feedback, so an agent does not correct an error that they already correct.
 
-    The law is that over the horizon, with the announced corrections; the rest as in `open_loop`.
+    The control law covers the horizon and has the announced corrections; the rest as in `open_loop`.
     Source: docs/equations.md (35)-(36).
     """
     B, B_others = np.ascontiguousarray(discrete.B[:, own]), discrete.B[:, others]

@@ -46,7 +46,7 @@ class Regulation:
     Raises: FeedbackError: the settings need a regulator and none stabilises the team.
 
     Attributes:
-        hover, cost: Of the remaining team.
+        hover, cost: Equilibrium and cost of the remaining team.
         user_costs: The user's terms of the cost.
         regulator: None if the settings need none.
     """
@@ -72,7 +72,8 @@ class Regulation:
     def form(self, gone: Collection[int], off: Collection[int], released: Collection[int]) -> None:
         """Set the UAVs, 0-based, without an agent, without motors, and of these those released from their rods.
 
-        The shared law depends on nothing else, so all agents have the same. UAVs without an agent follow the fail-safe.
+        The shared control law depends on nothing else, so it is the same in all agents. UAVs without an agent follow
+        the fail-safe.
         If the remaining UAVs have no hover or cannot stabilise the team, the regulator ignores the lost agents, else
         the failures, else both. Source: docs/equations.md (40), (45), (50), (51).
         """

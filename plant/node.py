@@ -75,7 +75,7 @@ class PlantNode:
         self._state_tick = 0  # self._x is the state at this tick
         self._measured_tick = -1
         self._pending: deque[Tick] = deque()  # open, waiting for the interval before
-        self._arrived: dict[int, set[int]] = {}  # agents whose plans are in, by tick
+        self._arrived: dict[int, set[int]] = {}  # agents whose plans have been received, by tick
         self._membership = Membership()
         self._diverged = False
         self._reception = Reception(setup, self._handle, lambda: self._measured_tick)
@@ -144,7 +144,7 @@ class PlantNode:
         return tick.tick == self._state_tick and tick.roster <= self._membership.version
 
     def _can_integrate(self) -> bool:
-        """Return whether the inputs from t_k on are decided: tick k is measured, and its plans are here."""
+        """Return whether the inputs from t_k on are decided: tick k is measured, and its plans have been received."""
         k = self._state_tick
         if self._measured_tick != k or self._diverged:
             return False

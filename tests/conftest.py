@@ -1,6 +1,7 @@
 """One BLAS thread, as in every process of a run; how several pytest workers share the tests, and compiled models."""
 
 import os
+import signal
 from collections.abc import Iterator
 
 import hypothesis
@@ -8,6 +9,9 @@ import pytest
 import threadpoolctl
 
 from tests.support import workers
+
+# Ignored in jobs in the background of a shell, and inherited by the processes that tests interrupt.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Sums in one order, so that equal inputs give equal bits.
 threadpoolctl.threadpool_limits(1)

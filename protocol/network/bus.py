@@ -239,10 +239,10 @@ class Bus:
         try:
             given = json.loads(query.payload.to_string()) if query.payload is not None else {}
             if not isinstance(given, dict) or "/" in what or "*" in what:
-                raise MessageError("malformed", "expected a JSON object under the key of one thing")
+                raise MessageError("malformed", "expected a JSON object under the key of one request")
         except (ValueError, RecursionError, MessageError, zenoh.ZError) as error:
             self.admission.refuse(key, MessageError("malformed", f"not a request ({type(error).__name__})"))
-            query.reply_err(json.dumps({"error": "expected a JSON object, under the key of what is asked for"}))
+            query.reply_err(json.dumps({"error": "expected a JSON object under the key of one request"}))
             query.drop()  # type: ignore[no-untyped-call]
             return None
         if what == "health":

@@ -26,7 +26,7 @@ _LOSS, _BURST, _JITTER, _DUPLICATE, _ECHO, _REORDER, _DRAWS = 0, 1, 2, 4, 5, 7, 
 # Streams of them at each tick: of the burst chain, and of the message (and those of the negotiation before it).
 _CHAIN, _MESSAGE = 2**32, 0
 
-# A delay of decades is endless, and can still be counted in ticks and nanoseconds.
+# Upper limit of a delay: decades, so practically never, but still countable in ticks and nanoseconds.
 _LONGEST_S = 1e9
 
 # Rounding of a delay that is a whole number of sampling periods must not cost one more.
@@ -74,7 +74,7 @@ class Link:
     def change(self, tick: int, change: LinkOverrideSection) -> None:
         """Apply the given keys to the messages of a tick and later ones, if the change covers this link.
 
-        Of changes of one key the one of the latest tick is in force, and of one tick the one received last.
+        The change of the latest tick is in force; among changes of the same tick, the one received last.
         """
         if change.covers(self.sender, self.receiver):
             given = {key: getattr(change, key) for key in change.model_fields_set & LinkSection.model_fields.keys()}

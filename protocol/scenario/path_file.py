@@ -10,7 +10,7 @@ from typing import Any
 
 COLUMNS = "t_s,x_m,y_m,z_m"
 
-# More than an hour of flight with a row for each of the usual sampling periods.
+# More than an hour with a row for each of the usual sampling periods.
 MOST_ROWS = 100_000
 
 
@@ -30,7 +30,7 @@ def way_of(path: Path) -> list[list[float]]:
     except OSError as error:
         raise PathFileError(f"cannot read {path} ({error.strerror})") from error
     except UnicodeDecodeError as error:
-        raise PathFileError(f"{path}: expected text, got bytes that are none") from error
+        raise PathFileError(f"{path}: expected UTF-8 text, got other bytes") from error
     heading, *rest = lines or [""]
     if heading.replace(" ", "") != COLUMNS:
         raise PathFileError(f"{path}: expected the heading {COLUMNS}, got {heading[:60]!r}")
@@ -64,7 +64,7 @@ def _with_path(number: int, phase: Any, folder: Path) -> Any:
     given = [key for key in ("duration_s", "displacement_m", "way") if key in phase]
     try:
         if given:
-            raise PathFileError(f"expected no {given[0]} next to a file, which has it")
+            raise PathFileError(f"expected no {given[0]} next to `file`, which defines it")
         way = way_of(folder / phase["file"])
     except PathFileError as error:
         raise PathFileError(f"{number} {error}") from error

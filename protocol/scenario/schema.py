@@ -83,7 +83,7 @@ class SystemSection(Section):
 class PhaseSection(Section):
     """One piece of the payload's path; displacement in the inertial frame, z down.
 
-    A phase with a `file` has its table in `way`, and duration and displacement from it, once it has been read.
+    Once its `file` is read, a phase has the table in `way`, and takes duration and displacement from it.
     """
 
     name: str

@@ -135,7 +135,7 @@ class Setup:
         return x
 
     def doubts(self) -> list[str]:
-        """Return the phases that exceed the vehicles' thrust, one line each: they can be flown, but not in time."""
+        """Return the phases that exceed the vehicles' thrust, one line each: they take longer than planned."""
         limits, mass = self.settings.limits, self.system.payload.mass + sum(uav.mass for uav in self.system.uavs)
         weight, (least, most) = mass * self.system.gravity, np.multiply(self.system.N, limits.thrust_N)
         sideways, up, down = math.sqrt(most**2 - weight**2) / mass, (most - weight) / mass, (weight - least) / mass
@@ -143,11 +143,11 @@ class Setup:
         for phase in self.maneuver.phases:
             x, y, z = phase.displacement_I
             ways = ((math.hypot(x, y), sideways), (max(-z, 0.0), up), (max(z, 0.0), down))
-            # Half the way with all the thrust there is one way, half with all of it the other.
+            # Fastest motion from rest to rest: full thrust forwards over half the distance, then full thrust backwards.
             takes_s = max(2.0 * math.sqrt(way_m / a) for way_m, a in ways)
             if takes_s > phase.duration_s:
                 asked = f"{np.linalg.norm(phase.displacement_I):g} m in {phase.duration_s:g} s"
-                found.append(f"phase {phase.name!r}: {asked}; from rest to rest all thrust takes {takes_s:.1f} s")
+                found.append(f"phase {phase.name!r}: {asked}; from rest to rest full thrust takes {takes_s:.1f} s")
         return found
 
     def _check_hover_is_possible(self, source: str) -> None:

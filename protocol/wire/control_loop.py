@@ -37,7 +37,7 @@ class Measurement(Message):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan(Message):
-    """Agent to plant and coordinator, and if shared to the other agents: its state now and the inputs it will apply.
+    """Agent to plant and coordinator, if shared also to the other agents: states of its UAVs and inputs to apply.
 
     Its negotiation is 0 for the plan a tick ends with, otherwise how many exchanges within the tick follow.
     """
@@ -59,7 +59,7 @@ class Plan(Message):
     uavs: Ids  # owned UAVs, 1-based ids, ascending
     uav_states: _UavStates  # their states at `tick`, (owned, 12), SI
     inputs: _Steps  # absolute inputs per step from `start_tick`, (N_p, 4 owned), N and N m
-    corrections: _Steps  # that go with them, to the shared control law, (N_p, 4 owned); no rows without that law
+    corrections: _Steps  # corrections of these inputs to the shared control law, (N_p, 4 owned); no rows without one
     status: PlanStatus  # result of the solve; anything but "solved" means the shifted previous plan
 
     def _check_relations(self) -> None:

@@ -54,7 +54,8 @@ class Roster(Message):
 class LinkChange(Message):
     """Coordinator to all: from this tick on links treat messages differently.
 
-    Order holds under one key alone, so it has that of the roster: a receiver of the roster that follows has it.
+    Messages keep their order within one key only. The key is that of the roster, so a change arrives before the next
+    roster.
     """
 
     kind: ClassVar[str] = "link"

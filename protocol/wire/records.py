@@ -1,4 +1,4 @@
-"""Messages for the record: no process decides anything by them, but for the coordinator, which ends a diverged run."""
+"""Messages for the log. Only the coordinator acts on them: it ends a diverged run."""
 
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
@@ -85,7 +85,7 @@ class PlantState(Message):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FaultNote(Message):
-    """In the log alone, never sent: a fault was injected into a process, or a process ended by itself."""
+    """Fault injected into a process, or a process that ended by itself; written to the log only, never sent."""
 
     kind: ClassVar[str] = "fault"
     route: ClassVar[Route] = Route(sender=RECORDER, receivers=())

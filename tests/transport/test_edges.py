@@ -37,7 +37,9 @@ def test_one_uav() -> None:
     """N = 1 runs with open-loop prediction only: no control law can turn a payload about its single rod."""
     assert flown("paper", SHORT, *SINGLE_UAV).outcome == "completed"
     text = refusal("resilient", SHORT, *SINGLE_UAV)
-    assert "controller.prediction: expected a team that a linear law can stabilise about hover, got a Riccati" in text
+    assert (
+        "controller.prediction: expected a team that linear feedback can stabilise about hover, got a Riccati" in text
+    )
 
 
 @pytest.mark.slow
@@ -59,7 +61,7 @@ def test_a_payload_far_lighter_than_the_uavs(name: str) -> None:
 def test_hardly_a_payload() -> None:
     """A payload of 1 g runs open loop or is refused; drag is checked only with wind."""
     assert flown("paper", SHORT, LIGHT.format(1e-3, 1e-4)).outcome == "completed"
-    assert "expected a team that a linear law can stabilise" in refusal("resilient", SHORT, LIGHT.format(1e-3, 1e-4))
+    assert "expected a team that linear feedback can stabilise" in refusal("resilient", SHORT, LIGHT.format(1e-3, 1e-4))
     windy = refusal("resilient", SHORT, LIGHT.format(1e-3, 1e-4), "plant.wind.gust_mps=[1,1,1]")
     assert "plant.wind.drag_payload_kgps: expected at most mass over sampling period 0.02, got 0.4" in windy
 
@@ -97,7 +99,7 @@ def test_way_points_no_vehicle_reaches(x: float, z: float) -> None:
     path = SCENARIOS / "resilient.toml"
     run = Setup.of(read_scenario(path, [phase(2.0, x, z)]), path.name)
     (doubt,) = run.doubts()
-    assert doubt.startswith(f"phase 'dash': {max(abs(x), abs(z)):g} m in 2 s; from rest to rest all thrust takes ")
+    assert doubt.startswith(f"phase 'dash': {max(abs(x), abs(z)):g} m in 2 s; from rest to rest full thrust takes ")
     end = simulate(run)
     assert (end.outcome, end.exit_code) == ("diverged", 6)
     assert "payload position error of" in end.reason
@@ -110,7 +112,7 @@ def test_ready_maneuvers_raise_no_doubt() -> None:
         assert Setup.of(read_scenario(path), path.name).doubts() == []
     # Upwards 45 N on 2.25 kg per UAV give 20 m/s^2, less gravity 10.19; both halves of 20 m take 2 sqrt(20 / 10.19) s.
     doubts = [Setup.of(read_scenario(PAPER, [phase(t, 0.0, -20.0)]), PAPER.name).doubts() for t in (2.79, 2.81)]
-    assert doubts == [["phase 'dash': 20 m in 2.79 s; from rest to rest all thrust takes 2.8 s"], []]
+    assert doubts == [["phase 'dash': 20 m in 2.79 s; from rest to rest full thrust takes 2.8 s"], []]
 
 
 @pytest.mark.parametrize(

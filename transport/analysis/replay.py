@@ -58,7 +58,7 @@ class _Process:
         incarnation: Its first one; a process that is stopped and continued gets higher ones.
         admitted: Roster that admits it.
         replaced: Roster that admits the next process of the agent; None for the last process.
-        ticks: From the tick of the one to before that of the other, or to the end of the run.
+        ticks: From the tick of `admitted` to the last one before that of `replaced`, or to the end of the run.
     """
 
     incarnation: int

@@ -25,7 +25,7 @@ def doctor(
     settings: SetOption = None,
     output: FormatOption = Format.text,
 ) -> None:
-    """Check this machine for what a run needs.
+    """Check that this machine can run a scenario.
 
     Python, packages, ports, network, clock, processors, limits: each is ok, warn (runs work, but not as well as they
     could) or fail (runs do not work), with advice. Takes a few seconds and changes nothing.

@@ -60,7 +60,7 @@ def set_links(
 
 @with_options(ActiveRun)
 def clear_links(run: ActiveRun) -> None:
-    """Make all links perfect, including those of the plant.
+    """Remove all impairments, also from the plant's links.
 
     Example: transport link clear
     """

@@ -19,12 +19,12 @@ app = lazy_group(
         "top": ("transport.cli.top:top", "Watch the agents of an active run."),
         "status": ("transport.cli.status:status", "Show the progress of a run, or the health of one process."),
         "fault": ("transport.cli.fault:fault", "Kill, stop, continue or restart a process of an active run."),
-        "doctor": ("transport.cli.doctor:doctor", "Check this machine for what a run needs."),
+        "doctor": ("transport.cli.doctor:doctor", "Check that this machine can run a scenario."),
         "agent": ("transport.cli.agent:agent", "Run one agent: the controller of the UAVs it owns."),
-        "plant": ("transport.cli.plant:plant", "Run the plant: the physics and the actuators."),
+        "plant": ("transport.cli.plant:plant", "Run the plant: dynamics and actuators."),
         "coordinator": ("transport.cli.coordinator:coordinator", "Run the coordinator: sampling clock and roster."),
         "record": ("transport.cli.record:record", "Record and report a run whose processes were started by hand."),
-        "router": ("transport.cli.router:router", "Route messages between hosts that cannot reach each other."),
+        "router": ("transport.cli.router:router", "Route messages between hosts without a direct connection."),
         "metrics": ("transport.cli.metrics:metrics", "Export process metrics to Prometheus."),
     },
     name="transport",
@@ -37,7 +37,7 @@ app.add_typer(
     lazy_group(
         {
             "set": ("transport.cli.link:set_links", "Impair or repair links from the next tick on."),
-            "clear": ("transport.cli.link:clear_links", "Make all links perfect, including those of the plant."),
+            "clear": ("transport.cli.link:clear_links", "Remove all impairments, also from the plant's links."),
         },
         help="Change the links of an active run.",
     ),
@@ -50,8 +50,11 @@ app.add_typer(
             "loss": ("transport.cli.experiment.loss:loss", "Effect of packet loss, independent or in bursts."),
             "jitter": ("transport.cli.experiment.jitter:jitter", "Effect of the distribution of random delays."),
             "kill": ("transport.cli.experiment.kill:kill", "Effect of the death of each agent."),
-            "deaths": ("transport.cli.experiment.deaths:deaths", "Random agents killed for good at random times."),
-            "matrix": ("transport.cli.experiment.matrix:matrix", "Maps of cost and survival over delay and loss."),
+            "deaths": ("transport.cli.experiment.deaths:deaths", "Effect of a permanent kill of a random agent."),
+            "matrix": (
+                "transport.cli.experiment.matrix:matrix",
+                "Maps of cost and completion over delay and loss.",
+            ),
             "ablation": ("transport.cli.experiment.ablation:ablation", "Contribution of each part of the algorithm."),
             "horizon": ("transport.cli.experiment.horizon:horizon", "Effect of horizon and terminal weight."),
             "hover": ("transport.cli.experiment.hover:hover", "Stability in a long hover after the maneuver."),
@@ -68,7 +71,7 @@ app.add_typer(
 )
 app.add_typer(
     lazy_group(
-        {"new": ("transport.cli.scenario:new", "Write a scenario for a team of any size.")}, help="Make scenarios."
+        {"new": ("transport.cli.scenario:new", "Write a scenario for a team of any size.")}, help="Create scenarios."
     ),
     name="scenario",
 )
@@ -86,8 +89,11 @@ app.add_typer(
 app.add_typer(
     lazy_group(
         {
-            "keys": ("transport.cli.deploy.keys:keys", "Make an authority and a certificate for each process."),
-            "render": ("transport.cli.deploy.render:render", "Write a folder for each host, with all it needs."),
+            "keys": (
+                "transport.cli.deploy.keys:keys",
+                "Create a certificate authority and process certificates.",
+            ),
+            "render": ("transport.cli.deploy.render:render", "Write one deployment folder per host."),
         },
         help="Deploy a run to several hosts.",
     ),

@@ -7,7 +7,7 @@ from transport.cli.process import ProcessOptions
 
 @with_options(ProcessOptions)
 def plant(options: ProcessOptions) -> None:
-    """Run the plant: the physics and the actuators.
+    """Run the plant: dynamics and actuators.
 
     Example: transport plant --scenario paper
     """

@@ -41,7 +41,7 @@ def replay(
     against: Annotated[
         str | None, Option("--against", metavar="SCENARIO", help="Replay with this scenario's controller.")
     ] = None,
-    begin: Annotated[int, Option("--from", min=0, help="First tick to compare; the agent gets all before too.")] = 0,
+    begin: Annotated[int, Option("--from", min=0, help="First tick to compare; earlier ticks are replayed too.")] = 0,
     end: Annotated[int | None, Option("--to", min=0, help="Last tick to compare.")] = None,
     stop_at: Annotated[
         int | None, Option("--pdb", min=0, metavar="TICK", help="Open the debugger before this tick.")

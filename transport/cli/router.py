@@ -23,7 +23,7 @@ def router(
     scenario: ScenarioOption = "paper",
     settings: SetOption = None,
 ) -> None:
-    """Route messages between hosts that cannot reach each other.
+    """Route messages between hosts without a direct connection.
 
     Serves any run until Ctrl-C. The scenario says which processes take part, and with which keys.
 

@@ -19,7 +19,7 @@ def new(
     uavs: Annotated[int, Option("--uavs", help="Number of UAVs, 2 to 256.")],
     template: Annotated[str, Option("--from", help="Scenario file or name for all but the system.")] = "resilient",
     group: Annotated[int | None, Option("--groups", help="UAVs per agent; by default as in --from.")] = None,
-    name: Annotated[str | None, Option("--name", help="Name; by default that of --from and the number.")] = None,
+    name: Annotated[str | None, Option("--name", help="Name; by default from --from and --uavs.")] = None,
     out: Annotated[Path | None, Option("--out", help="File to write; by default standard output.")] = None,
 ) -> None:
     """Write a scenario for a team of any size.

@@ -49,7 +49,7 @@ def latency(scenarios: Sequence[str], delays_s: Sequence[float]) -> Experiment:
 def loss(scenarios: Sequence[str], shares: Sequence[float], burst_ticks: float) -> Experiment:
     """Return the sweep over independent packet loss, and burst loss with the same mean (Gilbert-Elliott).
 
-    Shares are mean shares of lost plans. In a burst, of a mean length in ticks, every plan is lost.
+    Shares are mean shares of lost plans. Every plan in a burst is lost; burst lengths are means, in ticks.
     """
     check_numbers("--loss", shares, "a share from 0 to below 1", 0.0, 1.0)
     check_numbers("--burst", [burst_ticks], "a mean length >= 1 tick", 1.0)
@@ -163,7 +163,7 @@ def sharing(scenarios: Sequence[str], thresholds: Sequence[float], heartbeat_s: 
 
 
 def _bursts(share: float, burst_ticks: float) -> str:
-    """Return the setting of a link that is in its bad state, in which every plan is lost, for a share of the ticks."""
+    """Return the setting of a link that loses every plan in its bad state and spends a share of the ticks there."""
     leave = 1.0 / burst_ticks
     enter = leave * share / (1.0 - share)  # from share = enter / (enter + leave)
     if enter > 1.0:

@@ -233,9 +233,9 @@ def _finished(folder: Path, recorder: Recorder) -> Finished:
     if recorder.error is not None:
         raise RunError(recorder.error, EXIT_UNREACHABLE)
     if recorder.control is None and recorder.started_s is not None:
-        return Finished(folder, EXIT_INTERRUPTED, "recording interrupted; the run may go on without it")
+        return Finished(folder, EXIT_INTERRUPTED, "recording interrupted; the run may continue without it")
     if recorder.control is None:
-        raise RunError("the run ended before it began", EXIT_UNREACHABLE)
+        raise RunError("the run ended before its first tick", EXIT_UNREACHABLE)
     return Finished(folder, recorder.control.exit_code, recorder.control.reason)
 
 

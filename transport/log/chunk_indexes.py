@@ -1,4 +1,4 @@
-"""Constant memory during a run for `mcap.writer.Writer`: chunk indexes in a file instead of a list that grows with the run."""
+"""Constant memory of `mcap.writer.Writer` during a run: chunk indexes are in a file, not in a growing list."""
 
 from collections.abc import Iterator
 from typing import BinaryIO

@@ -87,8 +87,8 @@ def lost(file: LogFile) -> list[str]:
                 period_s = setup.settings.sampling_period_s
                 gone = setup.ticks - last - 1
                 rest = (
-                    f"ticks {last + 1} to {setup.ticks - 1} as far as they were flown (up to {gone} of {setup.ticks}, "
-                    f"{gone * period_s:.2f} s of {setup.ticks * period_s:.2f} s), and how the run ended"
+                    f"ticks {last + 1} to {setup.ticks - 1} as far as they were simulated (up to {gone} of "
+                    f"{setup.ticks}, {gone * period_s:.2f} s of {setup.ticks * period_s:.2f} s), and how the run ended"
                 )
             found.append(f"some messages of tick {last}, perhaps; {rest}")
     gaps = missing(log)

@@ -125,7 +125,8 @@ def doubts(runs: Sequence[Compared]) -> Iterator[str]:
         differs, settings = other.run.setup.scenario, other.run.setup.settings
         if differs.maneuver != scenario.maneuver:
             yield (
-                f"{other.label} flies another maneuver than {first.label}: errors are each against its own reference; "
+                f"{other.label} follows another maneuver than {first.label}: "
+                "each error is relative to the run's own reference; "
                 "cost, attitude and position errors do not tell which controller is better"
             )
         if differs.system != scenario.system:

@@ -58,7 +58,7 @@ class Panel:
         self._follow = gui.add_checkbox("follow the run", playback.follows, visible=commands is not None)
         camera = gui.add_button_group("camera", (_WHOLE, _TEAM))
         camera.on_click(_with_value(lambda value: look(value == _TEAM)))
-        with gui.add_folder("Flight"):
+        with gui.add_folder("Run"):
             self._flight = gui.add_html("")
         with gui.add_folder("Agents"):
             self._agents = gui.add_html("")

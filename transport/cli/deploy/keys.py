@@ -24,7 +24,7 @@ def keys(
     passwords: Annotated[bool, Option("--passwords", help="Passwords, for a router, instead of TLS.")] = False,
     days: Annotated[int, Option("--days", min=1, max=3650, help="Validity of the certificates, days.")] = 365,
 ) -> None:
-    """Make an authority and a certificate for each process.
+    """Create a certificate authority and process certificates.
 
     Example: transport deploy keys --out keys
     """

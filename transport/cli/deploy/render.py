@@ -20,7 +20,7 @@ def render(
     settings: SetOption = None,
     keys: Annotated[Path | None, Option("--keys", help="Folder of keys (transport deploy keys).")] = None,
 ) -> None:
-    """Write a folder for each host, with all it needs.
+    """Write one deployment folder per host.
 
     Example: transport deploy render --hosts hosts.toml --keys keys --out deployment
     """

@@ -16,9 +16,9 @@ def deaths(
     count: Annotated[int | None, Option("--count", min=1, help="Deaths per scenario; by default 20.")] = None,
     draw: Annotated[int, Option("--draw", min=0, help="Random seed of the times and of the agents killed.")] = 0,
 ) -> Experiment:
-    """Random agents killed for good at random times.
+    """Effect of a permanent kill of a random agent.
 
-    Each run kills one agent and never restarts it, while the others continue.
+    Each run kills one agent at a random time and never restarts it; the others continue.
 
     Example: transport experiment deaths --processes
     """

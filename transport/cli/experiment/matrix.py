@@ -20,7 +20,7 @@ def matrix(
         list[float] | None, Option("--loss", help="Packet loss; by default 0, 0.1, 0.3, 0.6. Repeatable.")
     ] = None,
 ) -> Experiment:
-    """Maps of cost and survival over delay and loss.
+    """Maps of cost and completion over delay and loss.
 
     One map for each scenario: every delay with every loss.
 

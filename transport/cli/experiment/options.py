@@ -20,7 +20,10 @@ _QUICK_MANEUVER = (
 _QUICK_SEEDS = 2
 
 _OUT = "Folder, by default a new one in runs/; an existing folder of the same experiment is resumed."
-_SCENARIO = "Scenario file or name; by default paper and resilient, in hover centralized as well. Repeatable."
+_SCENARIO = (
+    "Scenario file or name; default: paper and resilient (hover: also centralized; "
+    "deaths, sharing: resilient). Repeatable."
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -24,7 +24,7 @@ def paper(
     Runs both controllers at a grid of sampling periods and compares mean cost over processor time, which is measured
     first.
 
-    Prints a table and a verdict, with its spread, at the same rate and at the same computation; writes figures.
+    Prints a table, and verdicts at equal sampling rate and at equal computation with their ranges; writes figures.
 
     Example: transport experiment paper --seeds 10
     """

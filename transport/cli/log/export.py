@@ -81,7 +81,7 @@ def _export_foxglove(path: Path, out: Path) -> None:
         fail(f"--foxglove: expected a file that does not exist yet, got {out}", EXIT_USAGE)
     file = open_or_fail(path)
     if file.setup is None:
-        fail(f"--foxglove: {file.path} has lost its scenario, or it is of another version", EXIT_USAGE)
+        fail(f"--foxglove: {file.path} has no scenario, or one of another version", EXIT_USAGE)
     try:
         with exit_on(LogError, code=EXIT_USAGE, option="--foxglove"):
             ticks = write_foxglove(SceneBuilder.of(file.setup, file.log), file.path, out)

@@ -40,7 +40,7 @@ def _summary(content: dict[str, Any]) -> Table:
     span = "no message is readable" if last is None else f"{content['first_tick']} to {last}"
     if last is not None and ticks is not None:
         flown = content["ticks_flown"]
-        span += f"; {flown} of {ticks} flown ({flown * period_s:.2f} of {ticks * period_s:.2f} s of scenario time)"
+        span += f"; {flown} of {ticks} simulated ({flown * period_s:.2f} of {ticks * period_s:.2f} s of scenario time)"
     reason = f": {content['reason']}" if content["reason"] else ""
     lines = [
         ("run", f"{content['run_id'] or 'unknown'}, scenario {content['scenario'] or 'unknown'}"),
