@@ -78,6 +78,7 @@ def test_steps_have_their_rows() -> None:
     assert min(value for stage in (*step.SHOWN, "step") for value in numbers(table, stage)) > 0.0
 
 
+@pytest.mark.slow
 def test_solvers_have_their_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     """A solver that is not installed is listed as such; all others have numbers."""
     missing = Solver(name="missing", package="no_such_solver", solve=lambda _: None, tolerance=0.0)

@@ -27,6 +27,7 @@ def flight(model: type[Model]) -> Flight:
     return simulate(setup, team(setup, run.settings, run.owned), 0.0, STEPS)
 
 
+@pytest.mark.slow
 def test_published_equations_cost() -> None:
     """Paper (22)-(27) on the Jacobian of (7)-(11) costs what the project publishes of the algorithm."""
     found = flight(PublishedModel)
@@ -34,6 +35,7 @@ def test_published_equations_cost() -> None:
     assert found.mean_cost == pytest.approx(PUBLISHED, abs=DIGITS)
 
 
+@pytest.mark.slow
 def test_the_expansion_in_use_costs_the_same() -> None:
     """Dynamics that do not see rod length, (15), fly the paper's algorithm as the published equations."""
     assert flight(Model).mean_cost == pytest.approx(flight(PublishedModel).mean_cost, rel=SAME_ALGORITHM)

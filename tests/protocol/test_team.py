@@ -77,6 +77,7 @@ def test_the_payload_keeps_its_shape(uavs: int) -> None:
     np.testing.assert_allclose(points(uavs)[:, 2], -0.125 * scale, atol=ROUNDING * 1.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("template", ["paper", "centralized", "resilient"])
 @pytest.mark.parametrize("uavs", SIZES)
 def test_every_size_is_valid(uavs: int, template: str) -> None:

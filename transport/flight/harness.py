@@ -17,7 +17,7 @@ from protocol.wire.exit_codes import EXIT_DIVERGED, EXIT_INTERRUPTED, EXIT_OVERR
 from transport.flight.fork_server import Started, fork_server
 
 # Exit codes of a process after the end of its run.
-_ENDS = {0, EXIT_UNREACHABLE, EXIT_OVERRUN, EXIT_DIVERGED, EXIT_INTERRUPTED}
+ORDERLY_ENDS = {0, EXIT_UNREACHABLE, EXIT_OVERRUN, EXIT_DIVERGED, EXIT_INTERRUPTED}
 
 # Time for a process to end before it is killed.
 _GRACE_S = 5.0
@@ -104,7 +104,7 @@ class Harness:
     def has_ended(self, name: str) -> bool:
         """Return whether a child has ended with an exit code for the end of a run."""
         child = self.child(name)
-        return child is not None and child.process.poll() in _ENDS
+        return child is not None and child.process.poll() in ORDERLY_ENDS
 
     def signal(self, name: str, number: int) -> bool:
         """Send a signal to one child; return whether it is running."""

@@ -25,7 +25,7 @@ from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_SCENARIO, EXIT_UNREA
 from protocol.wire.keys import RECORDER, Keys
 from transport.flight import live
 from transport.flight.fault_script import FaultScript
-from transport.flight.harness import Child, Harness, check_ports, free_ports
+from transport.flight.harness import ORDERLY_ENDS, Child, Harness, check_ports, free_ports
 from transport.flight.progress import RunProgress
 from transport.flight.recorder import Recorder
 from transport.flight.signals import collected_signals
@@ -34,6 +34,8 @@ from transport.log.run_log import LogError, LogWriter
 # Time for the processes to end after the run before they are killed.
 _LEAVE_S = 3.0
 _POLL_S = 0.05
+# Time for the recorder to receive the messages of a run whose processes have ended.
+_CATCH_UP_S = 2.0
 
 
 class RunError(RuntimeError):
@@ -244,6 +246,7 @@ def _watch(harness: Harness | None, recorder: Recorder, progress: RunProgress, f
     shown = 0
     with collected_signals() as signals:
         interrupted = 0
+        ended_s: float | None = None
         while recorder.running:
             recorder.join(_POLL_S)
             progress.show(recorder.plant_state, recorder.started_s)
@@ -263,7 +266,11 @@ def _watch(harness: Harness | None, recorder: Recorder, progress: RunProgress, f
                 harness.signal("coordinator", signal.Signals[signals[-1]])
             ended = [] if harness is None else harness.ended()
             if ended and recorder.started_s is None and recorder.control is None:
-                raise _ended_early(ended)
+                # A run may end within its first ticks: its messages can reach the recorder after a process has ended.
+                ended_s = time.monotonic() if ended_s is None else ended_s
+                orderly = all(child.process.returncode in ORDERLY_ENDS for child in ended)
+                if not orderly or time.monotonic() - ended_s > _CATCH_UP_S:
+                    raise _ended_early(ended)
 
 
 def _ended_early(ended: list[Child]) -> RunError:

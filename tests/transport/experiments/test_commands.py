@@ -129,6 +129,7 @@ def test_more_points_are_added(tmp_path: Path) -> None:
     assert tables(tmp_path / "out")[1].count(b"completed") == 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["loss", "kill", "deaths", "jitter", "matrix", "sharing"])
 def test_a_trial_says_so(name: str, tmp_path: Path) -> None:
     """`--quick` of every experiment runs, is called a trial, and its table fits its width."""
