@@ -96,6 +96,7 @@ def test_an_orphan_is_found_and_ended(tmp_path: Path, monkeypatch: pytest.Monkey
     assert result.problems["wrong exit code"].startswith("2, expected one of")
 
 
+@pytest.mark.slow
 def test_a_frozen_command_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A command frozen for good is killed; then all its processes end, a frozen one included."""
     monkeypatch.setattr(crash_fuzzer, "_FROZEN_S", 1.0)

@@ -49,6 +49,7 @@ def simulate(folder: Path, *changes: str) -> dict[str, Any]:
     return summary
 
 
+@pytest.mark.slow
 def test_a_foreign_agent_takes_part(tmp_path: Path) -> None:
     """In a run of 1.5 s the agent joins, the plant applies each of its plans, and all processes end in order."""
     summary = simulate(tmp_path, SHORT)

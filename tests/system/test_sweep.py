@@ -66,6 +66,7 @@ def test_the_output_is_whole(reference: Path) -> None:
     assert float(points[1]["plan_age_mean_ticks_ci95"]) > 0.0
 
 
+@pytest.mark.slow
 def test_jobs_do_not_matter(reference: Path) -> None:
     """Two runs at a time give byte for byte the same tables as one by one."""
     result = transport(*SMALL, "--jobs", "2", "--out", "two", cwd=reference.parent)
@@ -100,6 +101,7 @@ def cluster() -> Iterator[str]:
         yield found.scheduler_address
 
 
+@pytest.mark.slow
 def test_a_cluster_gives_the_same(reference: Path, cluster: str) -> None:
     """The workers of a Dask cluster give the same tables, byte for byte."""
     result = transport(*SMALL, "--dask", cluster, "--out", "cluster", cwd=reference.parent)
@@ -107,6 +109,7 @@ def test_a_cluster_gives_the_same(reference: Path, cluster: str) -> None:
     assert tables(reference.parent / "cluster") == tables(reference)
 
 
+@pytest.mark.slow
 def test_processes_give_the_same(tmp_path: Path) -> None:
     """Runs across processes, recorded into run folders, give the same tables, byte for byte."""
     one = ("experiment", "latency", "--scenario", "resilient", "--delay", "0", "--set", "links.loss=0.5")
@@ -143,6 +146,7 @@ def test_a_killed_experiment_leaves_nothing_running(tmp_path: Path) -> None:
     assert gone(process)
 
 
+@pytest.mark.slow
 def test_a_dead_worker_is_reported(tmp_path: Path) -> None:
     """A killed worker ends the experiment with a line and exit code 4; no process is left."""
     process = start(*LONG, "--jobs", "2", "--out", "out", cwd=tmp_path)

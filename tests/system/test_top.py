@@ -114,6 +114,7 @@ def test_no_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         assert text in result.output
 
 
+@pytest.mark.slow
 def test_a_run_that_is_watched(tmp_path: Path) -> None:
     """Three commands watch a paced run: once, until Ctrl-C, and to its end; the bits are those of an unwatched run."""
     folder = tmp_path / "runs" / "seen"
