@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 from selenium import webdriver
+from selenium.common.exceptions import StaleElementReferenceException
 from selenium.webdriver.chrome.options import Options
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.keys import Keys
@@ -149,8 +150,11 @@ class Browser:
         buttons[number].click()
 
     def text(self) -> str | None:
-        """Return the text of the page."""
-        return self.driver.find_element("css selector", "body").text or None
+        """Return the text of the page; None while it loads or has none."""
+        try:
+            return self.driver.find_element("css selector", "body").text or None
+        except StaleElementReferenceException:
+            return None
 
     def sliders(self) -> dict[float, Any]:
         """Return the handles of the sliders by their largest value."""

@@ -43,4 +43,5 @@ class Sharing(LoadFileScheduling):  # type: ignore[misc]
 
     def _split_scope(self, nodeid: str) -> str:
         file = file_of(nodeid)
-        return "serial" if is_serial(file) else file
+        # The soak mostly waits: beside the other tests with processes it costs no time.
+        return file if file == FIRST or not is_serial(file) else "serial"
