@@ -8,6 +8,7 @@ from protocol.network.process import Place, run_node
 from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import EXIT_UNREACHABLE
 from protocol.wire.messages import agent_name
+from protocol.wire.names import COORDINATOR, PLANT
 
 
 def run(setup: Setup, place: Place, agent: int) -> int:
@@ -17,4 +18,4 @@ def run(setup: Setup, place: Place, agent: int) -> int:
     if not stand_by():
         return EXIT_UNREACHABLE
     others = [agent_name(other) for other in setup.agents if other != agent]
-    return run_node(node, place, setup, ["coordinator", "plant", *others])
+    return run_node(node, place, setup, [COORDINATOR, PLANT, *others])

@@ -29,6 +29,7 @@ from protocol.wire.messages import (
     Roster,
     agent_name,
 )
+from protocol.wire.names import COORDINATOR, PLANT
 from protocol.wire.outbox import Outbox, lost
 
 
@@ -63,7 +64,7 @@ class AgentNode:
             {sender: setup.link(sender, self.name) for sender in senders}, after=1, speed=speed
         )
         self._measurements: Arrivals[Measurement] = Arrivals(
-            {"plant": setup.link("plant", self.name)}, after=0, speed=speed
+            {PLANT: setup.link(PLANT, self.name)}, after=0, speed=speed
         )
         links = [*self._plans.links.values(), *self._measurements.links.values()]
         self._link_changes = LinkChanges(links, setup.samples_s)
@@ -85,7 +86,7 @@ class AgentNode:
         match event:
             case Message():
                 self._reception.receive(event, now_ns)
-            case Presence(name="coordinator", alive=False):
+            case Presence(alive=False) if event.name == COORDINATOR:
                 self.finished = lost(self._out, self._last_tick, "coordinator is gone")
             case Presence(alive=False):
                 self._membership.close(event.name, event.incarnation)

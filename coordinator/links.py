@@ -7,6 +7,7 @@ from typing import Any
 from protocol.scenario.links import LinkError, link_change
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import LinkChange, agent_name
+from protocol.wire.names import PLANT
 from protocol.wire.outbox import Outbox
 
 
@@ -15,7 +16,7 @@ class RequestedLinkChanges:
 
     def __init__(self, setup: Setup, out: Outbox) -> None:
         self._out, self._samples = out, sorted(setup.samples_s)
-        self._names = ["plant", *map(agent_name, setup.agents)]
+        self._names = [PLANT, *map(agent_name, setup.agents)]
         self._changes: list[LinkChange] = []
 
     def change(self, given: Mapping[str, Any], tick: int) -> LinkChange:

@@ -16,6 +16,7 @@ from protocol.admission.reception import Reception
 from protocol.scenario.links import LinkError
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Control, Event, Message, MessageError, Plan, PlantState, Presence, Request, Tick
+from protocol.wire.names import COORDINATOR, PLANT
 from protocol.wire.outbox import Outbox
 
 
@@ -29,7 +30,7 @@ class CoordinatorNode:
         tick: The open tick, -1 before the first.
     """
 
-    name = "coordinator"
+    name = COORDINATOR
     publish_ns = 0
 
     def __init__(self, setup: Setup, incarnation: int = 0, observers: Sequence[str] = ()) -> None:
@@ -44,7 +45,7 @@ class CoordinatorNode:
         self._link_changes = RequestedLinkChanges(setup, self._out)
         self._reception = Reception(setup, self._handle)
         self.rejected = self._reception.rejected
-        self._awaited = {"plant", *self._roster.agents, *observers}
+        self._awaited = {PLANT, *self._roster.agents, *observers}
         self._observers = set(observers)  # that have not left
         self._answered: set[int] = set()
         self._shared: set[int] = set()  # agents that answered with a plan the other agents received
@@ -154,7 +155,7 @@ class CoordinatorNode:
 
     def _process_ready(self, event: Presence, now_ns: int) -> Sequence[Message]:
         """Note that a process is ready; open the first tick when all are."""
-        if event.name in {"plant", *self._roster.agents} | self._awaited:
+        if event.name in {PLANT, *self._roster.agents} | self._awaited:
             self._awaited.discard(event.name)
             known = self._roster.incarnations.get(event.name, -1)
             self._roster.incarnations[event.name] = max(event.incarnation, known)
@@ -180,7 +181,7 @@ class CoordinatorNode:
         if event.incarnation != self._roster.incarnations.get(event.name):
             return ()
         self._observers.discard(event.name)
-        if event.name == "plant":
+        if event.name == PLANT:
             return self._stop(Trigger.UNREACHABLE, "plant is gone")
         return self._lose([agent], f"{event.name} is gone", now_ns) if agent in self._roster.members else ()
 

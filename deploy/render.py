@@ -21,6 +21,7 @@ from protocol.network.security import AUTHORITY, Security
 from protocol.network.session import configuration
 from protocol.scenario.setup import Setup
 from protocol.wire.keys import OPERATOR, RECORDER, ROUTER, WATCHER, Keys
+from protocol.wire.names import COORDINATOR
 
 # Paths on a host, as install.sh makes them.
 ETC, PROGRAM = Path("/etc/transport"), Path("/opt/transport/bin/transport")
@@ -89,7 +90,7 @@ def command(placement: Placement, inventory: Inventory, program: Path = PROGRAM,
             continue  # the host's scenario names the router
         for endpoint in endpoints:
             line += [option, endpoint]
-    if name == "coordinator" and any(RECORDER in host.runs for host in inventory.host):
+    if name == COORDINATOR and any(RECORDER in host.runs for host in inventory.host):
         line += ["--observer", RECORDER]
     return line
 
@@ -116,7 +117,7 @@ def _host(
     running = [placement.process for placement in own]
     for placement in own:
         # Started last, the coordinator is stopped first, so that all processes on its host receive the end of the run.
-        after = [name for name in running if name != "coordinator"] if placement.process == "coordinator" else []
+        after = [name for name in running if name != COORDINATOR] if placement.process == COORDINATOR else []
         text = unit(placement, inventory, after, etc)
         (folder / "systemd" / f"transport-{placement.process}.service").write_text(text, encoding="utf-8")
     _write_configurations(setup, inventory, own, source, folder, etc)
@@ -164,7 +165,7 @@ def _keys(keys: Path | None, host: Host, placed: Sequence[Placement]) -> list[Pa
     if keys is None:
         return []
     names = [placement.process for placement in placed if placement.host == host]
-    names += [OPERATOR, WATCHER] if "coordinator" in names else []
+    names += [OPERATOR, WATCHER] if COORDINATOR in names else []
     return list(dict.fromkeys(file for name in names for file in files_of(keys, name)))
 
 

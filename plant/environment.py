@@ -16,6 +16,7 @@ from model.parameters import Payload, System, Uav
 from model.state import StateView
 from protocol.scenario.draws import draw_key, generator
 from protocol.scenario.setup import Setup
+from protocol.wire.names import PLANT
 
 # Gusts are drawn at these intervals, so that the wind is the same at any sampling period.
 GUST_STEP_S = 0.05
@@ -103,7 +104,7 @@ class Environment:
 
     def _normal(self, purpose: str, tick: int, count: int) -> Array:
         """Return standard normal numbers for a purpose and a tick, (count,)."""
-        return generator(draw_key(self._seed, "plant", purpose), tick).standard_normal(count)
+        return generator(draw_key(self._seed, PLANT, purpose), tick).standard_normal(count)
 
 
 def _scaled(system: System, payload: float, uavs: float) -> System:

@@ -4,6 +4,7 @@ from plant.node import PlantNode
 from protocol.network.process import Place, run_node
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import agent_name
+from protocol.wire.names import COORDINATOR
 
 
 def run(setup: Setup, place: Place) -> int:
@@ -11,4 +12,4 @@ def run(setup: Setup, place: Place) -> int:
     node = PlantNode(setup, place.incarnation)
     # The first integration compiles the chain of steps: do that before the first tick.
     node.environment.model.integrate(setup.initial_state(), setup.hover.u, setup.settings.sampling_period_s, node.steps)
-    return run_node(node, place, setup, ["coordinator", *[agent_name(agent) for agent in setup.agents]])
+    return run_node(node, place, setup, [COORDINATOR, *[agent_name(agent) for agent in setup.agents]])

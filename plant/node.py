@@ -38,13 +38,14 @@ from protocol.wire.messages import (
     Tick,
     agent_name,
 )
+from protocol.wire.names import COORDINATOR, PLANT
 from protocol.wire.outbox import Outbox, lost
 
 
 class PlantNode:
     """Plant of one run."""
 
-    name = "plant"
+    name = PLANT
     wake_ns = None
     publish_ns = 0
 
@@ -87,7 +88,7 @@ class PlantNode:
         match event:
             case Message():
                 self._reception.receive(event, now_ns)
-            case Presence(name="coordinator", alive=False):
+            case Presence(alive=False) if event.name == COORDINATOR:
                 self.finished = lost(self._out, self._state_tick, "coordinator is gone")
             case Presence(alive=False):
                 self._membership.close(event.name, event.incarnation)

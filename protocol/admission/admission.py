@@ -20,6 +20,7 @@ from protocol.wire.codec import MAX_BYTES, decode
 from protocol.wire.header import Header, Place, header_of, place_of
 from protocol.wire.keys import Keys
 from protocol.wire.messages import LinkChange, Message, MessageError, Reason, Rejected, agent_name
+from protocol.wire.names import COORDINATOR, PLANT, RECORDER
 from protocol.wire.rejections import MAX_SENDERS, Notices, Rejections
 
 # Size of a message without its arrays, with the longest texts and lists it may have.
@@ -64,7 +65,7 @@ class Admission:
         self._name = name
         self._keys = keys
         self.rejections, self._notices = rejections, Notices(name, rejections)
-        self._senders = {"coordinator", "plant", "recorder", *map(agent_name, setup.agents)}
+        self._senders = {COORDINATOR, PLANT, RECORDER, *map(agent_name, setup.agents)}
         self.window = max(_AHEAD, window(setup))
         self._is_up_to_date = False  # whether `tick` is the present tick of the run
         self._announced: dict[str, int] = {}  # newest incarnation, by name

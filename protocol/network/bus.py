@@ -22,6 +22,7 @@ from protocol.network.session import CLOSE_S, BusError, fetch_answer, in_bounded
 from protocol.wire.codec import VERSION, encode
 from protocol.wire.keys import RECORDER, WATCHER, Keys
 from protocol.wire.messages import Event, Message, MessageError, Request
+from protocol.wire.names import COORDINATOR
 
 # How much longer than its timeout `next` may take because of refused messages.
 _FLOOD_S = 0.01
@@ -120,7 +121,7 @@ class Bus:
         self._declare_token(self._keys.alive(self.name, self.incarnation, self._digest, VERSION))
         deadline = time.monotonic() + timeout_s
         early: list[tuple[int, _Item]] = []
-        awaited = Expected(self.name, expected, lambda: self.ask("coordinator", "status", timeout_s=1.0))
+        awaited = Expected(self.name, expected, lambda: self.ask(COORDINATOR, "status", timeout_s=1.0))
         while missing := awaited.missing(self._peers.alive):
             left_s = deadline - time.monotonic()
             try:
@@ -146,10 +147,10 @@ class Bus:
                 self._peers.note(str(item.key_expr), here=here)
             else:
                 early.append((at_ns, item))
-                if isinstance(item, zenoh.Sample) and self._keys.is_ready(str(item.key_expr), "coordinator"):
+                if isinstance(item, zenoh.Sample) and self._keys.is_ready(str(item.key_expr), COORDINATOR):
                     awaited.note_begun()
-        if self.name != "coordinator":
-            self.offset = Offset.measured(lambda: self.ask("coordinator", "health", timeout_s=1.0))
+        if self.name != COORDINATOR:
+            self.offset = Offset.measured(lambda: self.ask(COORDINATOR, "health", timeout_s=1.0))
         self._declare_token(self._keys.ready(self.name, self.incarnation))
         for stamped in early:
             self._inbox.put(stamped)

@@ -9,6 +9,7 @@ from protocol.network.security import Security, SecurityError, exposed
 from protocol.scenario.schema import Scenario
 from protocol.wire.keys import RECORDER
 from protocol.wire.messages import agent_name
+from protocol.wire.names import COORDINATOR, PLANT
 
 DEFAULT_BASE_PORT = 7447
 
@@ -25,7 +26,7 @@ class Endpoints:
 
 def process_names(scenario: Scenario) -> list[str]:
     """Return the names of a run's processes in the order of their ports."""
-    return ["coordinator", "plant", *[agent_name(agent + 1) for agent in range(len(scenario.owned))]]
+    return [COORDINATOR, PLANT, *[agent_name(agent + 1) for agent in range(len(scenario.owned))]]
 
 
 def security_of(scenario: Scenario) -> Security | None:
@@ -93,7 +94,7 @@ def endpoints_of(
     if name in usual:
         found = usual[name]
     elif scenario.network.router is not None:
-        found = usual["coordinator"]
+        found = usual[COORDINATOR]
     else:
         everywhere = [at for endpoints in usual.values() for at in endpoints.listen]
         found = Endpoints(listen=[], connect=everywhere, security=security_of(scenario))

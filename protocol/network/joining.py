@@ -9,6 +9,7 @@ from protocol.network.session import BusError
 from protocol.wire.codec import VERSION
 from protocol.wire.keys import Keys
 from protocol.wire.messages import MessageError, Presence
+from protocol.wire.names import COORDINATOR, PLANT
 
 # How often a process that joins a run that has begun asks for the processes that still take part.
 _ASK_EVERY_S = 0.5
@@ -87,7 +88,7 @@ class Expected:
     def __init__(self, name: str, expected: Collection[str], status: Callable[[], Mapping[str, Any] | None]) -> None:
         self.update_every_s = math.inf
         self._name, self._expected, self._status = name, set(expected), status
-        self._has_asked = name == "coordinator"  # it needs no answer
+        self._has_asked = name == COORDINATOR  # it needs no answer
 
     def missing(self, alive: Collection[str]) -> set[str]:
         """Return the processes still to come.
@@ -112,5 +113,5 @@ class Expected:
         if status is None or status.get("tick", -1) < 0:
             return
         self.update_every_s = _ASK_EVERY_S
-        team = {"coordinator", "plant", *(f"agent{agent}" for agent in status["members"])} & self._expected
+        team = {COORDINATOR, PLANT, *(f"agent{agent}" for agent in status["members"])} & self._expected
         self._expected = team | set(status.get("observers", ()))  # so that the record misses nothing this process sends

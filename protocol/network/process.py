@@ -24,6 +24,7 @@ from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_UNREACHABLE
 from protocol.wire.keys import Keys
 from protocol.wire.messages import Message
+from protocol.wire.names import COORDINATOR
 from protocol.wire.node import Node
 
 # Handled events between garbage collections.
@@ -76,7 +77,7 @@ def run_node(
             digest=setup.scenario.digest(),
             endpoints=place.endpoints,
             admission=admission,
-            serves=node.name == "coordinator",
+            serves=node.name == COORDINATOR,
             patience_s=PATIENCE_S[setup.scenario.clock.mode],
             reach_s=place.join_timeout_s,
         ) as bus,
@@ -133,7 +134,7 @@ def _drive(node: Node, bus: Bus, faults: Sequence[Fault]) -> Interrupted | None:
             continue
         publishing_ns = time.monotonic_ns()
         for message in messages:
-            if message.sender == "coordinator":
+            if message.sender == COORDINATOR:
                 _fail_if_due(faults, node.name, message)
             bus.publish(message)
         node.publish_ns = time.monotonic_ns() - publishing_ns

@@ -162,10 +162,19 @@ class Link:
         return max(0.0, section.delay_s + random)
 
 
-def link(section: LinksSection, sender: str, receiver: str, *, period_s: float, **given: Any) -> Link:
+def link(
+    section: LinksSection,
+    sender: str,
+    receiver: str,
+    *,
+    kind: str,
+    seed: int,
+    period_s: float,
+    samples_s: Mapping[str, tuple[float, ...]] | None = None,
+) -> Link:
     """Return one directed link of a scenario: the general keys or the last override of it, partitions, changes.
 
-    The sampling period, s, and all further arguments are those of `Link`.
+    All arguments but the first are those of `Link`.
     """
     chosen: LinkSection = section
     if PLANT in (sender, receiver):
@@ -179,7 +188,16 @@ def link(section: LinksSection, sender: str, receiver: str, *, period_s: float, 
         for p in section.partition
         if (sender in p.between) != (receiver in p.between) and (PLANT in p.between or PLANT not in (sender, receiver))
     )
-    found = Link(chosen, sender=sender, receiver=receiver, period_s=period_s, partitions=partitions, **given)
+    found = Link(
+        chosen,
+        seed=seed,
+        sender=sender,
+        receiver=receiver,
+        kind=kind,
+        period_s=period_s,
+        samples_s=samples_s,
+        partitions=partitions,
+    )
     for change in sorted(section.change, key=lambda change: change.at_s):
         found.change(math.ceil(change.at_s / period_s - _SLACK), change)
     return found
@@ -227,8 +245,8 @@ def link_change(source: str, target: str, settings: str) -> LinkOverrideSection:
     """
     try:
         given = json.loads(settings)
-    except (ValueError, RecursionError):
-        given = None
+    except (ValueError, RecursionError) as error:
+        raise LinkError(f"expected a JSON object of a link's keys, got {settings[:60]!r}") from error
     if not isinstance(given, dict):
         raise LinkError(f"expected a JSON object of a link's keys, got {settings[:60]!r}")
     ends = {key: name for key, name in (("from", source), ("to", target)) if name}

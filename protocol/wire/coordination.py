@@ -24,7 +24,9 @@ class Tick(Message):
     shared: Ids  # those of them that sent the plan to the other agents as well
     roster: Count  # version of the roster in force: a receiver with an older one waits for it
     late_ns: Count  # in real time, how long after its deadline the tick was opened; else 0
-    overrun_ns: Count  # in real time, by how much the latest plan since the last tick missed its deadline; else 0
+    # In real time, by how much the latest plan received since the last tick missed its deadline, the opening of the
+    # tick after its own; else 0.
+    overrun_ns: Count
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

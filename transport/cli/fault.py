@@ -5,6 +5,7 @@ from typing import Annotated
 import typer
 from typer import Argument
 
+from protocol.wire.names import RECORDER
 from transport.cli.active_run import ActiveRun
 from transport.cli.options import with_options
 
@@ -21,5 +22,5 @@ def fault(
 
     Example: transport fault kill agent3
     """
-    answer = run.ask("recorder", "fault", {"do": action, "target": target})
+    answer = run.ask(RECORDER, "fault", {"do": action, "target": target})
     typer.echo(f"{action} {target}: done at tick {answer['tick']}")

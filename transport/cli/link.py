@@ -6,6 +6,7 @@ import typer
 from typer import Option
 
 from protocol.wire.exit_codes import EXIT_USAGE
+from protocol.wire.names import COORDINATOR, PLANT
 from transport.cli.active_run import ActiveRun
 from transport.cli.options import with_options
 from transport.cli.output import fail
@@ -54,7 +55,7 @@ def set_links(
     if not settings:
         fail("expected at least one of --delay, --jitter, --loss, ..., got none", EXIT_USAGE)
     ends = {"from": _process_name(sender), "to": _process_name(receiver)}
-    answer = run.ask("coordinator", "link", {**ends, "settings": settings})
+    answer = run.ask(COORDINATOR, "link", {**ends, "settings": settings})
     typer.echo(f"links change with tick {answer['tick']} (t = {answer['t_s']:.2f} s)")
 
 
@@ -64,8 +65,8 @@ def clear_links(run: ActiveRun) -> None:
 
     Example: transport link clear
     """
-    for ends in ({}, {"from": "plant"}, {"to": "plant"}):
-        answer = run.ask("coordinator", "link", {**ends, "settings": dict(PERFECT)})
+    for ends in ({}, {"from": PLANT}, {"to": PLANT}):
+        answer = run.ask(COORDINATOR, "link", {**ends, "settings": dict(PERFECT)})
     typer.echo(f"links are perfect from tick {answer['tick']} on (t = {answer['t_s']:.2f} s)")
 
 

@@ -6,6 +6,7 @@ from typing import Annotated
 from rich.console import Console
 from typer import Option
 
+from protocol.wire.names import RECORDER
 from transport.cli.options import RUNS, FiguresOption, ScenarioOption, SetOption
 from transport.cli.output import Format, exit_on, fail
 from transport.cli.process import ConnectOption, JoinOption, ProcessOptions, RunNameOption
@@ -32,7 +33,7 @@ def record(
         scenario=scenario, settings=settings, run_name=run_name, connect=connect, join_timeout=join_timeout
     )
     setup = options.setup()
-    place = options.place(setup, "recorder")
+    place = options.place(setup, RECORDER)
     folder = out if out is not None else new_folder(RUNS, setup.scenario.name)
     with exit_on(RunError):
         finished = observe(setup, place, folder, Console(stderr=True))

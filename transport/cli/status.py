@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 from typer import Option
 
+from protocol.wire.names import COORDINATOR
 from transport.cli.active_run import ActiveRun
 from transport.cli.options import with_options
 
@@ -21,5 +22,5 @@ def status(
 
     Example: transport status --process agent2
     """
-    name, what = ("coordinator", "status") if process is None else (process, "health")
+    name, what = (COORDINATOR, "status") if process is None else (process, "health")
     typer.echo(json.dumps(run.ask(name, what, {})))

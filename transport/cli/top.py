@@ -20,6 +20,7 @@ from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_SCENARIO, EXIT_UNREACHABLE, EXIT_USAGE
 from protocol.wire.keys import RECORDER, WATCHER, Keys
 from protocol.wire.messages import Message, Presence
+from protocol.wire.names import COORDINATOR
 from protocol.wire.rejections import Rejections
 from transport.cli.active_run import ConnectOption, RunOption, find_active
 from transport.cli.output import Format, exit_on, fail, show_json
@@ -176,6 +177,6 @@ def _receive(bus: Bus, watch: Watch, timeout_s: float, *, until_whole: bool = Fa
         if isinstance(event, Message):
             watch.take(event, bus.arrived_ns)
             received += 1
-        elif isinstance(event, Presence) and event.name == "coordinator" and not event.alive:
+        elif isinstance(event, Presence) and event.name == COORDINATOR and not event.alive:
             return received, True
     return received, False

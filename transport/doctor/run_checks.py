@@ -15,6 +15,7 @@ from protocol.network.endpoints import Endpoints, default_mesh
 from protocol.scenario.setup import Setup
 from protocol.wire.keys import WATCHER, Keys
 from protocol.wire.messages import Request
+from protocol.wire.names import RECORDER
 from protocol.wire.rejections import Rejections
 from transport.doctor.finding import Finding
 from transport.flight.harness import HarnessError, check_ports, free_ports
@@ -64,7 +65,7 @@ def network(setup: Setup) -> Finding:
         begun = time.monotonic()
         # Named as recorder and observer, so that Zenoh does not write to standard output.
         with (
-            closing(_bus(setup, "recorder", Endpoints(listen=[endpoint], connect=[]), serves=True)) as answering,
+            closing(_bus(setup, RECORDER, Endpoints(listen=[endpoint], connect=[]), serves=True)) as answering,
             closing(_bus(setup, WATCHER, Endpoints(listen=[], connect=[endpoint]), serves=False)) as asking,
         ):
             opened_s = time.monotonic() - begun
@@ -80,7 +81,7 @@ def network(setup: Setup) -> Finding:
             thread.start()
             try:
                 deadline = time.monotonic() + _NETWORK_S
-                while asking.ask("recorder", "ping", timeout_s=0.5) is None:
+                while asking.ask(RECORDER, "ping", timeout_s=0.5) is None:
                     if time.monotonic() > deadline:
                         return unreachable
                     time.sleep(0.05)
@@ -88,7 +89,7 @@ def network(setup: Setup) -> Finding:
                 times_ms = []
                 for _ in range(_ROUND_TRIPS):
                     asked = time.perf_counter()
-                    if asking.ask("recorder", "ping", timeout_s=2.0) is None:
+                    if asking.ask(RECORDER, "ping", timeout_s=2.0) is None:
                         return unreachable
                     times_ms.append(1e3 * (time.perf_counter() - asked))
             finally:

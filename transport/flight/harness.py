@@ -14,6 +14,7 @@ from typing import IO
 from protocol.network.endpoints import Endpoints
 from protocol.network.parent import PARENT_PIPE, STANDBY
 from protocol.wire.exit_codes import EXIT_DIVERGED, EXIT_INTERRUPTED, EXIT_OVERRUN, EXIT_UNREACHABLE
+from protocol.wire.names import COORDINATOR
 from transport.flight.fork_server import Started, fork_server
 
 # Exit codes of a process after the end of its run.
@@ -173,7 +174,7 @@ class Harness:
         options = [("--scenario", str(self.scenario)), ("--run", self.run), ("--incarnation", str(incarnation))]
         options += [("--listen", endpoint) for endpoint in endpoints.listen]
         options += [("--connect", endpoint) for endpoint in endpoints.connect]
-        if name == "coordinator":
+        if name == COORDINATOR:
             options += [("--observer", observer) for observer in observers]
         return [*role, *(text for option in options for text in option)]
 

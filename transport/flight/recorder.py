@@ -28,6 +28,7 @@ from protocol.wire.messages import (
     Roster,
     Tick,
 )
+from protocol.wire.names import COORDINATOR
 from protocol.wire.outbox import Outbox
 from transport.log.gaps import END_NOT_RECORDED
 from transport.log.run_log import LogError, LogWriter
@@ -167,7 +168,7 @@ class Recorder:
         # The end of a token may overtake the last message of its process.
         while left or self.control is None:
             timeout_s = None if deadline is None else max(0.0, deadline - time.monotonic())
-            if self.control is not None and left <= {"coordinator"}:
+            if self.control is not None and left <= {COORDINATOR}:
                 timeout_s = _QUIET_S  # the coordinator leaves last, after this recorder
             event = self._next(timeout_s)
             if event is None:
@@ -177,12 +178,12 @@ class Recorder:
                     return
                 case Presence(name=name, alive=False):
                     left.discard(name)
-                    if name == "coordinator" and self.control is None:
+                    if name == COORDINATOR and self.control is None:
                         deadline = time.monotonic() + _OVERTAKEN_S
                 case Presence(name=name):
                     # Reconnected after a standstill of that process or of this one.
                     left.update({name} & set(self._expected))
-                    if name == "coordinator" and self.control is None:
+                    if name == COORDINATOR and self.control is None:
                         deadline = None
                 case Request():
                     self.requests.put(event)

@@ -23,6 +23,7 @@ from protocol.network.session import BusError
 from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_SCENARIO, EXIT_UNREACHABLE, EXIT_USAGE
 from protocol.wire.keys import RECORDER, Keys
+from protocol.wire.names import COORDINATOR
 from transport.flight import live
 from transport.flight.fault_script import FaultScript
 from transport.flight.harness import ORDERLY_ENDS, Child, Harness, check_ports, free_ports
@@ -115,7 +116,7 @@ def _simulate(
             writer,
             recording,
             scenario.clock.join_timeout_s,
-            has_ended=lambda: harness.has_ended("coordinator"),
+            has_ended=lambda: harness.has_ended(COORDINATOR),
         )
         try:
             recorder.start(names)
@@ -263,7 +264,7 @@ def _watch(harness: Harness | None, recorder: Recorder, progress: RunProgress, f
                     recorder.stop(signals[-1])
                     continue
                 progress.say(f"{signals[-1]}: ending the run; once more to end it at once")
-                harness.signal("coordinator", signal.Signals[signals[-1]])
+                harness.signal(COORDINATOR, signal.Signals[signals[-1]])
             ended = [] if harness is None else harness.ended()
             if ended and recorder.started_s is None and recorder.control is None:
                 # A run may end within its first ticks: its messages can reach the recorder after a process has ended.

@@ -5,6 +5,7 @@ from itertools import pairwise
 
 from protocol.wire.keys import RECORDER
 from protocol.wire.messages import Control, Measurement, Message, Plan, PlantState, Rejected, StepReport
+from protocol.wire.names import COORDINATOR
 from transport.log.run_log import RunLog
 
 # Reason of a run whose end was not recorded.
@@ -63,6 +64,6 @@ def _simulated(message: Message) -> int:
     match message:
         case Measurement() | Plan() | StepReport():
             return message.tick - 1  # the plant measures at a tick after simulating the one before
-        case Control(outcome="completed", sender="coordinator"):
+        case Control(outcome="completed") if message.sender == COORDINATOR:
             return message.tick
     return -1

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from protocol.wire.messages import agent_name
+from protocol.wire.names import COORDINATOR, PLANT, RECORDER
 from transport.flight.live import LiveRun
 from transport.flight.requests import PERFECT, RefusedError, UnansweredError, request
 
@@ -25,16 +26,16 @@ class Commands:
     def link(self, ends: tuple[int, int] | None, settings: Mapping[str, Any]) -> None:
         """Change the link from one agent to another, or, for None, all links between agents."""
         source, target = ("", "") if ends is None else (agent_name(ends[0]), agent_name(ends[1]))
-        self._requests.put(("coordinator", "link", {"from": source, "to": target, "settings": settings}))
+        self._requests.put((COORDINATOR, "link", {"from": source, "to": target, "settings": settings}))
 
     def clear(self) -> None:
         """Make all links perfect, those of the plant included."""
-        for ends in ({}, {"from": "plant"}, {"to": "plant"}):
-            self._requests.put(("coordinator", "link", {**ends, "settings": PERFECT}))
+        for ends in ({}, {"from": PLANT}, {"to": PLANT}):
+            self._requests.put((COORDINATOR, "link", {**ends, "settings": PERFECT}))
 
     def fault(self, action: str, target: str) -> None:
         """Kill or restart a process."""
-        self._requests.put(("recorder", "fault", {"do": action, "target": target}))
+        self._requests.put((RECORDER, "fault", {"do": action, "target": target}))
 
     def _send_requests(self) -> None:
         keys = Path(self._run.keys) if self._run.keys else None
