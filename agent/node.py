@@ -46,6 +46,7 @@ class AgentNode:
         self._uavs = tuple(uav + 1 for uav in setup.owned[agent - 1])
         self._planner = Planner(setup, agent, stopwatch)
         self._waits = setup.scenario.clock.mode == "lockstep"
+        self._relayed = setup.scenario.clock.relayed
         self._membership = Membership()
         self.publish_ns = 0
         self._reception = Reception(setup, self._handle, self._newest_tick)
@@ -88,7 +89,7 @@ class AgentNode:
                 self._reception.receive(event, now_ns)
             case Presence(alive=False) if event.name == COORDINATOR:
                 self.finished = lost(self._out, self._last_tick, "coordinator is gone")
-            case Presence(alive=False):
+            case Presence(alive=False) if not self._relayed:
                 self._membership.close(event.name, event.incarnation)
         return self._work(now_ns) if self._waits and self.finished is None else ()
 

@@ -77,6 +77,7 @@ class PlantNode:
         self._measured_tick = -1
         self._pending: deque[Tick] = deque()  # open, waiting for the interval before
         self._arrived: dict[int, set[int]] = {}  # agents whose plans have been received, by tick
+        self._relayed = clock.relayed
         self._membership = Membership()
         self._diverged = False
         self._reception = Reception(setup, self._handle, lambda: self._measured_tick)
@@ -90,7 +91,7 @@ class PlantNode:
                 self._reception.receive(event, now_ns)
             case Presence(alive=False) if event.name == COORDINATOR:
                 self.finished = lost(self._out, self._state_tick, "coordinator is gone")
-            case Presence(alive=False):
+            case Presence(alive=False) if not self._relayed:
                 self._membership.close(event.name, event.incarnation)
         return self._work(now_ns) if self.finished is None else ()
 

@@ -257,6 +257,10 @@ def _wrong_incarnation(message: Message) -> MessageError:
 
 
 def _max_bytes(setup: Setup) -> int:
-    """Return the size of the largest message: a plan for all UAVs, or the plant state."""
-    per_uav = PER_UAV + 2 * INPUTS * setup.settings.horizon
-    return min(MAX_BYTES, _FRAME_BYTES + 8 * (PAYLOAD + setup.system.N * per_uav))
+    """Return the size of the largest message: plans for all UAVs, or the plant state; in bundles also measurements."""
+    N, agents, frames = setup.system.N, 0, 1
+    if setup.scenario.clock.relayed:
+        agents = len(setup.agents)
+        frames = 2 * agents + 1  # plans, reports, a tick
+    per_uav = max(PER_UAV + 2 * INPUTS * setup.settings.horizon, 2 * (PER_UAV + INPUTS))
+    return min(MAX_BYTES, frames * _FRAME_BYTES + 8 * (PAYLOAD * (agents + 1) + N * per_uav))

@@ -48,7 +48,11 @@ class Membership:
         return present | left
 
     def close(self, name: str, incarnation: int) -> None:
-        """Note that a process is gone: messages it sent have arrived, or never will."""
+        """Note that a process is gone: messages it sent have arrived, or never will.
+
+        Not for runs in which the coordinator relays them: the end of a process may overtake its last plan, and the
+        tick names the plans that come.
+        """
         agent = name.removeprefix("agent")
         if agent != name and agent.isdecimal():
             self._closed[int(agent)] = max(incarnation, self._closed.get(int(agent), -1))

@@ -7,7 +7,8 @@ that calls `next`; Zenoh's threads only put them in.
 import json
 import queue
 import time
-from collections.abc import Collection, Mapping
+from collections import deque
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,8 +21,8 @@ from protocol.network.health import Offset, usage
 from protocol.network.joining import Expected, Peers
 from protocol.network.session import CLOSE_S, BusError, fetch_answer, in_bounded_time, log_errors, open_session
 from protocol.wire.codec import VERSION, encode
-from protocol.wire.keys import RECORDER, WATCHER, Keys
-from protocol.wire.messages import Event, Message, MessageError, Request
+from protocol.wire.keys import RECORDER, WATCHER, Keys, matches
+from protocol.wire.messages import Bundle, Event, Message, MessageError, Request
 from protocol.wire.names import COORDINATOR
 
 # How much longer than its timeout `next` may take because of refused messages.
@@ -55,6 +56,7 @@ class Bus:
     Args:
         name: Process name: "coordinator", "plant", "agent1", "recorder".
         digest: Fingerprint of the scenario; processes with different ones refuse each other.
+        relayed: Whether plans, reports and measurements come in bundles.
         serves: Whether its node answers requests; every process answers for its health.
         patience_s: How long sending may wait for a peer that does not read before the link to it is closed.
         gather_s: How long an arrival may wait for more: one wake-up for many messages costs less processor time.
@@ -62,6 +64,8 @@ class Bus:
 
     Attributes:
         arrived_ns: Wall-clock time of arrival of the last event that `next` returned, ns since 1970.
+        bundle: Bundle that this event came in, or None.
+        before_wait: Function that `next` calls when no message of a bundle is left to be read.
         offset: By how much the coordinator's wall clock is ahead of this one, once this process has joined.
 
     Raises: BusError: the endpoint cannot be listened on, the router not reached, or the keys not used.
@@ -76,16 +80,22 @@ class Bus:
         digest: str,
         endpoints: Endpoints,
         admission: Admission,
+        relayed: bool = False,
         serves: bool = False,
         patience_s: float = 1.0,
         gather_s: float = 0.0,
         reach_s: float = 30.0,
     ) -> None:
         self.arrived_ns = 0
+        self.bundle: Bundle | None = None
+        self.before_wait: Callable[[], None] = lambda: None
+        self._parts: deque[tuple[str, bytes]] = deque()  # keys and messages of the bundle, still to be read
         self.offset: Offset | None = None
         self._gather_s, self._serves = gather_s, serves
         self.name, self.incarnation, self._digest = name, incarnation, digest
         self._keys, self._endpoints = Keys(run), endpoints
+        self._subscriptions = self._keys.subscriptions(name)
+        self._own = [self._keys.end(key) for key in self._keys.publications(name)]
         self._inbox: queue.SimpleQueue[tuple[int, _Item]] = queue.SimpleQueue()  # with the time of arrival
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._tokens: list[zenoh.LivelinessToken] = []
@@ -97,7 +107,7 @@ class Bus:
         # callback runs on the thread that receives, which must be brief, but saves a second thread.
         arrived: zenoh.handlers.Callback[zenoh.Sample] = zenoh.handlers.Callback(self._arrived, indirect=False)
         self._declared: list[Any] = [
-            self._session.declare_subscriber(key, arrived) for key in self._keys.subscriptions(name)
+            self._session.declare_subscriber(key, arrived) for key in self._keys.subscriptions(name, relayed=relayed)
         ]
         if name != WATCHER:  # a watcher has no token, so it is not asked either
             self._declared.append(self._session.declare_queryable(self._keys.request(name, "*"), self._put))
@@ -174,7 +184,10 @@ class Bus:
 
     def publish(self, message: Message) -> None:
         """Send a message to its subscribers; block rather than drop it when a peer is slow."""
-        key = self._keys.of(message)
+        self.put(self._keys.of(message), encode(message))
+
+    def put(self, key: str, data: bytes) -> None:
+        """Send an encoded message under its key, as `publish` does."""
         publisher = self._publishers.get(key)
         if publisher is None:
             publisher = self._publishers[key] = self._session.declare_publisher(
@@ -183,14 +196,23 @@ class Bus:
                 reliability=zenoh.Reliability.RELIABLE,
                 allowed_destination=zenoh.Locality.REMOTE,
             )
-        publisher.put(encode(message))
+        publisher.put(data)
 
     def next(self, timeout_s: float | None) -> BusEvent | None:
         """Return the next event, or None after the timeout (None: no timeout). Bad messages are only counted."""
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
         self.admission.count_unread()
         while True:
+            while self._parts:
+                message = self.admission.read(*self._parts.popleft())
+                if message is not None:
+                    return message
+            self.bundle = None
+            self.before_wait()
             kept = self.admission.released()
+            if isinstance(kept, Bundle):
+                self._open(kept)
+                continue
             if kept is not None:
                 return kept
             if self._gather_s > 0.0 and self._inbox.empty():
@@ -201,7 +223,9 @@ class Bus:
             except queue.Empty:
                 return None
             event = self._event(item)
-            if event is not None:
+            if isinstance(event, Bundle):
+                self._open(event)
+            elif event is not None:
                 return event
             if deadline is not None and time.monotonic() > deadline + _FLOOD_S:
                 return None
@@ -276,6 +300,17 @@ class Bus:
             self._rate_limit.hold()
         else:
             self._put(sample)
+
+    def _open(self, bundle: Bundle) -> None:
+        """Queue the messages of a bundle that are for this process; each is checked as if it had come alone."""
+        self.bundle = bundle
+        for end, data in zip(bundle.keys, bundle.parts, strict=True):
+            key = f"{self._keys.prefix}/{end}"
+            if not bundle.may_carry(end):
+                text = f"{bundle.kind} of {bundle.sender} with a message under the key {end}"
+                self.admission.refuse(key, MessageError("wrong_sender", text, bundle.sender))
+            elif end not in self._own and any(matches(expression, key) for expression in self._subscriptions):
+                self._parts.append((key, data))
 
     def _put(self, item: _Item) -> None:
         self._inbox.put((time.time_ns(), item))

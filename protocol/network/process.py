@@ -16,6 +16,7 @@ import threadpoolctl
 from protocol.admission.admission import Admission
 from protocol.network.bus import Bus, Interrupted
 from protocol.network.endpoints import Endpoints
+from protocol.network.exchange import Exchange, exchange_of
 from protocol.network.journal import Journal
 from protocol.network.parent import PARENT_PIPE
 from protocol.network.security import exposed
@@ -77,6 +78,7 @@ def run_node(
             digest=setup.scenario.digest(),
             endpoints=place.endpoints,
             admission=admission,
+            relayed=setup.scenario.clock.relayed,
             serves=node.name == COORDINATOR,
             patience_s=PATIENCE_S[setup.scenario.clock.mode],
             reach_s=place.join_timeout_s,
@@ -87,6 +89,8 @@ def run_node(
         if open_to_all is not None:
             journal.log("insecure", at=open_to_all, means="any host that reaches this address can read and send all")
         journal.log("listening", cpu_s=time.process_time(), at=", ".join(place.endpoints.listen))
+        exchange = exchange_of(setup, node.name, place.incarnation, Keys(place.run), bus.put)
+        bus.before_wait = exchange.settle
         interruption = bus.join(expected, place.join_timeout_s)
         if interruption is None:
             clock: dict[str, float] = {}
@@ -94,11 +98,12 @@ def run_node(
                 clock["clock_offset_ms"] = round(1e3 * bus.offset.ahead_s, 3)
                 clock["clock_uncertainty_ms"] = round(1e3 * bus.offset.uncertainty_s, 3)
             journal.log("joined", peers=len(expected), **clock)
-            interruption = _drive(node, bus, setup.faults)
+            interruption = _drive(node, bus, exchange, setup.faults)
         if interruption is not None and node.finished is None:
             journal.log("interrupted", reason=interruption.reason)
             for message in on_interrupt(interruption.reason) if on_interrupt else ():
-                bus.publish(message)
+                exchange.send(message)
+        exchange.flush()
         admission.close()
         for message in admission.remaining_notices(node.incarnation):
             bus.publish(message)
@@ -113,7 +118,7 @@ def run_node(
     return end.exit_code
 
 
-def _drive(node: Node, bus: Bus, faults: Sequence[Fault]) -> Interrupted | None:
+def _drive(node: Node, bus: Bus, exchange: Exchange, faults: Sequence[Fault]) -> Interrupted | None:
     """Feed events and time to a node until it is finished or interrupted; execute its own scripted faults."""
     handled = 0
     while node.finished is None:
@@ -123,20 +128,22 @@ def _drive(node: Node, bus: Bus, faults: Sequence[Fault]) -> Interrupted | None:
         if isinstance(event, Interrupted):
             return event
         if isinstance(event, Message):
-            _fail_if_due(faults, node.name, event)
-        now_ns = time.monotonic_ns()
+            _fail_if_due(faults, node.name, event, exchange)
+        now_ns, refused = time.monotonic_ns(), node.rejected.total
         messages = node.poll(now_ns) if event is None else node.receive(event, now_ns)
+        if event is not None and node.rejected.total == refused:
+            exchange.received(event, bus.bundle)
         if node.incarnation != bus.incarnation:
             bus.renew(node.incarnation)
         for notice in bus.admission.due_notices(now_ns, node.incarnation):
             bus.publish(notice)
-        if not messages:
-            continue
         publishing_ns = time.monotonic_ns()
         for message in messages:
             if message.sender == COORDINATOR:
-                _fail_if_due(faults, node.name, message)
-            bus.publish(message)
+                _fail_if_due(faults, node.name, message, exchange)
+            exchange.send(message)
+        if not messages:
+            continue
         node.publish_ns = time.monotonic_ns() - publishing_ns
         handled += 1
         if handled % _COLLECT_EVERY == 0:
@@ -144,10 +151,11 @@ def _drive(node: Node, bus: Bus, faults: Sequence[Fault]) -> Interrupted | None:
     return None
 
 
-def _fail_if_due(faults: Sequence[Fault], name: str, message: Message) -> None:
-    """Kill or stop this process if a scripted fault says so for this message."""
+def _fail_if_due(faults: Sequence[Fault], name: str, message: Message, exchange: Exchange) -> None:
+    """Kill or stop this process if a scripted fault says so for this message; earlier messages are sent before."""
     fault = due(faults, name, message)
     if fault is not None:
+        exchange.flush()
         os.kill(os.getpid(), signal.SIGKILL if fault == "kill" else signal.SIGSTOP)
 
 

@@ -109,6 +109,9 @@ def _clock(scenario: Scenario) -> Iterator[Problem]:
     if clock.actuation == "immediate":
         text = "expected 'next_tick' with mode realtime, where a step takes time, got 'immediate'"
         yield "clock.actuation", text
+    if clock.exchange == "relayed":
+        text = "expected 'direct' with mode realtime, where agents do not wait for the coordinator, got 'relayed'"
+        yield "clock.exchange", text
     if iterations > 1:
         text = f"expected 1 with mode realtime, where agents do not wait for each other, got {iterations}"
         yield "controller.negotiation_iterations", text

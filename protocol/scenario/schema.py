@@ -180,6 +180,7 @@ class ClockSection(Section):
     mode: Literal["lockstep", "realtime"] = "lockstep"
     speed: NotNegative = 0.0
     actuation: Literal["immediate", "next_tick"] | None = None
+    exchange: Literal["relayed", "direct"] | None = None
     barrier_timeout_s: Positive = 5.0
     join_timeout_s: Positive = 30.0
     on_agent_loss: Literal["abort", "continue"] = "abort"
@@ -191,6 +192,11 @@ class ClockSection(Section):
     def next_tick(self) -> bool:
         """Return whether inputs act one tick after their state, as on hardware; always so in real time."""
         return self.mode == "realtime" if self.actuation is None else self.actuation == "next_tick"
+
+    @property
+    def relayed(self) -> bool:
+        """Return whether the coordinator hands on the agents' plans with the next tick; never so in real time."""
+        return self.mode == "lockstep" and self.exchange != "direct"
 
 
 class FaultSection(Section):

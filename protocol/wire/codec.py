@@ -15,10 +15,10 @@ import msgpack
 import numpy as np
 
 from model.arrays import Array
-from protocol.wire.messages import KINDS, Message, MessageError
+from protocol.wire.messages import BUNDLES, KINDS, Message, MessageError
 from protocol.wire.names import is_name
 
-VERSION = 5
+VERSION = 6
 MAX_BYTES = 4 * 1024 * 1024  # a plan for 256 UAVs over 400 steps
 
 _ARRAY = 1
@@ -37,7 +37,16 @@ def encode(message: Message) -> bytes:
 @cache
 def field_names(kind: str) -> tuple[str, ...]:
     """Return the fields of a kind of message in the order they are sent in, after the kind."""
-    return tuple(field.name for field in dataclasses.fields(KINDS[kind]))
+    return tuple(field.name for field in dataclasses.fields(class_of(kind)))
+
+
+@cache
+def class_of(kind: str) -> type[Message]:
+    """Return the class of a kind of message or bundle.
+
+    Raises: KeyError: there is no such kind.
+    """
+    return KINDS[kind] if kind in KINDS else BUNDLES[kind]
 
 
 def decode(data: bytes) -> Message:
@@ -62,13 +71,13 @@ def decode(data: bytes) -> Message:
     if not (isinstance(content, tuple) and content and isinstance(content[0], str)):
         raise MessageError("malformed", "expected a list that starts with a message kind")
     kind, values = content[0], content[1:]
-    if kind not in KINDS:
+    if kind not in KINDS and kind not in BUNDLES:
         raise MessageError("unknown_kind", f"unknown message kind {kind[:40]!r}")
     names = field_names(kind)
     if len(values) != len(names):
         raise MessageError("wrong_shape", f"{kind}: expected {len(names)} fields, got {len(values)}")
     try:
-        return KINDS[kind](**dict(zip(names, values, strict=True)))
+        return class_of(kind)(**dict(zip(names, values, strict=True)))
     except MessageError as error:
         error.sender = values[0] if is_name(values[0]) else ""
         raise

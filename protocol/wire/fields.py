@@ -23,6 +23,8 @@ MAX_HORIZON = 10_000
 MAX_NEGOTIATION_ITERATIONS = 20
 MAX_TICK = 2**48
 MAX_TEXT = 1_000
+MAX_KEY = 80
+MAX_PARTS = 1_024
 
 # Values in error texts: a few entries of a few levels.
 _BRIEFLY = reprlib.Repr()
@@ -157,6 +159,31 @@ def _text(field: str, value: Any, _message: Any) -> str:
     return value
 
 
+def _each(check_entry: Check) -> Check:
+    """Return the check of a list of at most `MAX_PARTS` entries."""
+
+    def check(field: str, value: Any, message: Any) -> tuple[Any, ...]:
+        if not isinstance(value, tuple | list) or len(value) > MAX_PARTS:
+            text = f"{field}: expected a list of at most {MAX_PARTS}, got {_shown(value)}"
+            raise MessageError(_reason(value, tuple | list), text)
+        return tuple([check_entry(field, entry, message) for entry in value])
+
+    return check
+
+
+def _key(field: str, value: Any, _message: Any) -> str:
+    if not isinstance(value, str) or len(value) > MAX_KEY or not value.isascii():
+        text = f"{field}: expected keys of at most {MAX_KEY} ASCII characters, got {_shown(value)}"
+        raise MessageError(_reason(value, str), text)
+    return value
+
+
+def _part(field: str, value: Any, _message: Any) -> bytes:
+    if not isinstance(value, bytes):
+        raise MessageError("wrong_shape", f"{field}: expected bytes, got {_shown(value)}")
+    return value
+
+
 def _one_of(words: tuple[str, ...]) -> Check:
     def check(field: str, value: Any, _message: Any) -> str:
         if not isinstance(value, str) or value not in words:
@@ -207,6 +234,9 @@ Ages = Annotated[tuple[int, ...], integers(-1)]
 Finite = Annotated[float, _number]
 Flag = Annotated[bool, _flag]
 Text = Annotated[str, _text]
+# Keys without the prefix of the run, and encoded messages.
+KeyEnds = Annotated[tuple[str, ...], _each(_key)]
+Parts = Annotated[tuple[bytes, ...], _each(_part)]
 
 
 def _checks(message: type) -> tuple[tuple[str, Check], ...]:

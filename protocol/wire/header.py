@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import msgpack
 
-from protocol.wire.codec import VERSION, field_names
-from protocol.wire.messages import KINDS, Message, MessageError
+from protocol.wire.codec import VERSION, class_of, field_names
+from protocol.wire.messages import BUNDLES, KINDS, Message, MessageError
 from protocol.wire.names import is_name
 
 # Bytes that hold the header of any message of a run: a name, a kind and up to six integers.
@@ -75,19 +75,19 @@ def header_of(data: bytes) -> Header | None:
 
 def _detail(kind: str) -> str:
     """Return the field of its own by which a kind is ordered, or an empty text."""
-    route = KINDS[kind].route
+    route = class_of(kind).route
     return route.falls or (route.grows if route.grows not in ("sequence", "tick") else "")
 
 
 def _to_detail(kind: object) -> int:
     """Return how many fields to read after the common ones."""
-    if not (isinstance(kind, str) and kind in KINDS and _detail(kind)):
+    if not (isinstance(kind, str) and (kind in KINDS or kind in BUNDLES) and _detail(kind)):
         return 0
     return field_names(kind).index(_detail(kind)) + 1 - _COMMON
 
 
 def _place(kind: str, tick: int, detail: int) -> Place | None:
-    grows = KINDS[kind].route.grows if kind in KINDS else "sequence"
+    grows = class_of(kind).route.grows if kind in KINDS or kind in BUNDLES else "sequence"
     if grows == "sequence":
         return None
     return (tick, -detail) if grows == "tick" else (detail, 0)

@@ -3,6 +3,7 @@
 transport/{run}/{kind}                   messages with one key, such as tick; a link change has the key of the roster
 transport/{run}/{kind}/{agent}           measurement, plan, report
 transport/{run}/unshared/{agent}         plans that the other agents do not receive
+transport/{run}/answer/{agent}           bundle of an agent's plan and report; relay, record: other bundles
 transport/{run}/rejected/{name}          messages that any process refused
 transport/{run}/ask/{name}/{what}        queryable: every process answers requests, each under a key of its own
 transport/{run}/alive/{name}/{incarnation}/{digest}/{version}     liveliness token: the process is up
@@ -14,7 +15,7 @@ Senders and receivers of each kind are in the `Route` of its class (docs/protoco
 import re
 from dataclasses import dataclass, field
 
-from protocol.wire.messages import KINDS, Message, MessageError
+from protocol.wire.messages import BUNDLES, KINDS, Measurement, Message, MessageError
 from protocol.wire.names import AGENT, COORDINATOR, OPERATOR, PLANT, RECORDER, ROUTER, WATCHER, agent_name, role_of
 
 __all__ = ["ACTING", "OPERATOR", "READING", "RECORDER", "ROUTER", "WATCHER", "Keys", "RunNameError", "Token", "matches"]
@@ -75,11 +76,13 @@ class Keys:
         key = route.unshared_key if unshared else route.key or message.kind
         return f"{self.prefix}/{key}/{getattr(message, route.each)}" if route.each else f"{self.prefix}/{key}"
 
-    def subscriptions(self, name: str) -> list[str]:
-        """Return the key expressions a process subscribes to."""
+    def subscriptions(self, name: str, *, relayed: bool = False) -> list[str]:
+        """Return the key expressions a process subscribes to; with relayed plans the record brings measurements."""
         role, agent = role_of(name), name.removeprefix(AGENT)
         found: list[str] = []
-        for cls in (cls for cls in KINDS.values() if role in cls.route.receivers):
+        for cls in (cls for cls in (*KINDS.values(), *BUNDLES.values()) if role in cls.route.receivers):
+            if relayed and role == RECORDER and cls is Measurement:
+                continue  # each would come twice
             # An agent receives what other processes send to it, and from the other agents everything they share.
             end = agent if role == AGENT and cls.route.sender != AGENT else "*"
             found += self._under(cls, end, unshared=role != AGENT)
@@ -91,7 +94,7 @@ class Keys:
         if role not in (COORDINATOR, PLANT, AGENT):
             return []
         found: list[str] = []
-        for cls in (cls for cls in KINDS.values() if cls.route.sender in (role, None)):
+        for cls in (cls for cls in (*KINDS.values(), *BUNDLES.values()) if cls.route.sender in (role, None)):
             end = name if cls.route.each == "sender" else name.removeprefix(AGENT) if role == AGENT else "*"
             found += self._under(cls, end, unshared=True)
         return [*dict.fromkeys(found)]

@@ -7,6 +7,8 @@ from protocol.wire.fields import Count, Name, checks
 
 # Message classes by kind, in the order of their definition: codec, keys, header, log and exports are built from it.
 KINDS: dict[str, type["Message"]] = {}
+# The same for bundles, which carry other messages: nodes and logs never see them (`protocol.wire.bundles`).
+BUNDLES: dict[str, type["Message"]] = {}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,6 +30,7 @@ class Message:
 
     kind: ClassVar[str]
     route: ClassVar[Route]
+    register: ClassVar[dict[str, type["Message"]]] = KINDS
 
     sender: Name  # process name
     incarnation: Count  # which start of that process, growing with every restart
@@ -35,7 +38,8 @@ class Message:
     tick: Count  # the sampling instant it belongs to, from 0
 
     def __init_subclass__(cls) -> None:
-        KINDS[cls.kind] = cls  # twice, as slots=True makes the class anew: the second one stays
+        if "kind" in cls.__dict__:
+            cls.register[cls.kind] = cls  # twice, as slots=True makes the class anew: the second one stays
 
     def __post_init__(self) -> None:
         for field, check in checks(type(self)):

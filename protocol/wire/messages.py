@@ -2,17 +2,19 @@
 
 Per tick: coordinator -> plant `Tick`; plant -> each agent `Measurement`; agent -> plant, coordinator and, when it is
 shared, the other agents `Plan`. For the record: plant `PlantState`, agents `StepReport`, any process `Rejected`.
-Around them: coordinator `Roster`, `LinkChange` and `Control`.
+Around them: coordinator `Roster`, `LinkChange` and `Control`. In lockstep most of them travel in bundles: `Answer`,
+`Relay` and `Record`.
 """
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from protocol.wire.bundles import Answer, Bundle, Record, Relay
 from protocol.wire.control_loop import Measurement, Plan, PlanStatus
 from protocol.wire.coordination import Control, LinkChange, Outcome, Roster, Tick
 from protocol.wire.fields import MAX_HORIZON, MAX_NEGOTIATION_ITERATIONS, MAX_TEXT, MAX_TICK, MessageError, Reason
-from protocol.wire.message import KINDS, Message
+from protocol.wire.message import BUNDLES, KINDS, Message
 from protocol.wire.names import MAX_UAVS, agent_name, is_name
 from protocol.wire.records import STAGES, FaultNote, FaultOrigin, PlantState, Rejected, StepReport
 
