@@ -5,6 +5,8 @@ of the payload as high as the middle, and carries its share. Start all but agent
 `--scenario resilient`, and this in its place; `transport validate resilient` prints the digest:
 
     python docs/examples/foreign_agent.py resilient DIGEST 3 7447
+
+In lockstep the coordinator relays the plans; for a run with `clock.exchange = "direct"` add the word direct.
 """
 
 import json
@@ -17,7 +19,7 @@ import msgpack
 import numpy as np
 import zenoh
 
-AGENTS, VERSION, STEPS = 4, 5, 20
+AGENTS, VERSION, STEPS = 4, 6, 20
 # Mass, inertia and hover thrust of UAV 3, and its corner of the payload.
 MASS, INERTIA, THRUST, RHO = 1.5, np.array([0.029, 0.029, 0.055]), 22.0725, (-0.25, -0.25)
 
@@ -34,6 +36,22 @@ def unpack(_, data):
     return np.frombuffer(data, "<f8", offset=16).reshape(shape[:axes])
 
 
+def messages(data):
+    """Yield the messages in some bytes as lists: those of a bundle one by one, or the one there is."""
+    kind, *fields = msgpack.unpackb(data[1:], ext_hook=unpack)
+    if kind == "relay":
+        for key, part in zip(*fields[4:6], strict=True):
+            if key.startswith("plan/"):
+                yield from messages(part)
+    else:
+        yield kind, *fields
+
+
+def message(kind, *fields):
+    """Return the bytes of a message."""
+    return bytes([VERSION]) + msgpack.packb([kind, *fields])
+
+
 def control(payload, uav, team):
     """Return the inputs that follow rods and tilt of the others, by two cascaded loops."""
     (roll, pitch, _), (p, q, _) = payload[6:9], payload[9:12]
@@ -46,7 +64,7 @@ def control(payload, uav, team):
     return np.append(THRUST + np.clip(100.0 * low, -10.0, 10.0), np.clip(moments, -0.5, 0.5))
 
 
-def main(run, digest, agent, port):
+def main(run, digest, agent, port, exchange="relayed"):
     """Take part until the run ends."""
     me, prefix, inbox, alive, plans = int(agent), f"transport/{run}", queue.SimpleQueue(), set(), {}
     ports = [f"tcp/127.0.0.1:{int(port) + i}" for i in range(2 + me)]  # it connects to those before its own
@@ -60,7 +78,7 @@ def main(run, digest, agent, port):
             inbox.put(None)
 
     with zenoh.open(zenoh.Config.from_json5(json.dumps(config))) as session:
-        keys = [f"{prefix}/{key}" for key in (f"measurement/{me}", "plan/*", "control")]
+        keys = [f"{prefix}/{key}" for key in (f"measurement/{me}", "plan/*", "relay", "control")]
         kept = [session.declare_subscriber(key, inbox.put) for key in keys]
         kept.append(session.liveliness().declare_subscriber(f"{prefix}/alive/**", watch, history=True))
         kept.append(session.liveliness().declare_token(f"{prefix}/alive/agent{me}/0/{digest}/{VERSION}"))
@@ -69,22 +87,25 @@ def main(run, digest, agent, port):
         kept.append(session.liveliness().declare_token(f"{prefix}/ready/agent{me}/0"))
         measured = None
         while (sample := inbox.get()) is not None:
-            kind, _, _, _, tick, *fields = msgpack.unpackb(sample.payload.to_bytes()[1:], ext_hook=unpack)
-            if kind == "control":
-                return
-            if kind == "plan":
-                plans[tick, fields[0]] = fields[5].mean(axis=0)  # e, Omega, Theta, omega of its UAVs
-            else:
-                measured = tick, fields
+            for kind, _, _, _, tick, *fields in messages(sample.payload.to_bytes()):
+                if kind == "control":
+                    return
+                if kind == "plan":
+                    plans[tick, fields[0]] = fields[5].mean(axis=0)  # e, Omega, Theta, omega of its UAVs
+                else:
+                    measured = tick, fields
             if measured is None or any((measured[0] - 1, a) not in plans for a in measured[1][2] if a != me):
                 continue  # nothing to answer, or plans of the tick before are still on their way
             (tick, (_, _, shared, _, payload, _, states, _)), measured = measured, None
             others = [plans.pop((tick - 1, a)) for a in shared if a != me]
             inputs = np.tile([THRUST, 0.0, 0.0, 0.0], (STEPS, 1))  # what it will do after this tick it cannot tell
             inputs[0] = control(payload, states[0], np.mean(others, axis=0) if others else states[0])
-            plan = [me, tick, 0, True, [me], pack(states), pack(inputs), pack(np.zeros((0, 4))), "solved"]
-            data = bytes([VERSION]) + msgpack.packb(["plan", f"agent{me}", 0, tick, tick, *plan])
-            session.put(f"{prefix}/plan/{me}", data, congestion_control=zenoh.CongestionControl.BLOCK)
+            head, key = [f"agent{me}", 0, tick, tick], f"plan/{me}"
+            fields = [me, tick, 0, True, [me], pack(states), pack(inputs), pack(np.zeros((0, 4))), "solved"]
+            data = message("plan", *head, *fields)
+            if exchange == "relayed":
+                key, data = f"answer/{me}", message("answer", *head, [key], [data], me)
+            session.put(f"{prefix}/{key}", data, congestion_control=zenoh.CongestionControl.BLOCK)
 
 
 if __name__ == "__main__":
