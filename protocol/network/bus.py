@@ -19,11 +19,14 @@ from protocol.admission.rate_limit import RateLimit
 from protocol.network.endpoints import Endpoints
 from protocol.network.health import Offset, usage
 from protocol.network.joining import Expected, Peers
-from protocol.network.session import CLOSE_S, BusError, fetch_answer, in_bounded_time, log_errors, open_session
+from protocol.network.session import BusError, fetch_answer, in_bounded_time, log_errors, open_session
 from protocol.wire.codec import VERSION, encode
 from protocol.wire.keys import RECORDER, WATCHER, Keys, matches
 from protocol.wire.messages import Bundle, Event, Message, MessageError, Request
 from protocol.wire.names import COORDINATOR
+
+# How long a process that has finished waits for those that leave before it: a busy host may take seconds to read.
+_LINGER_S = 10.0
 
 # How much longer than its timeout `next` may take because of refused messages.
 _FLOOD_S = 0.01
@@ -36,7 +39,14 @@ class Interrupted:
     reason: str
 
 
-BusEvent = Event | Interrupted
+@dataclass(frozen=True, slots=True)
+class Left:
+    """Event for the recorder: a process has sent its last message, and all before it have arrived."""
+
+    name: str
+
+
+BusEvent = Event | Interrupted | Left
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,10 +243,14 @@ class Bus:
             if deadline is not None and time.monotonic() > deadline + _FLOOD_S:
                 return None
 
-    def wait_gone(self, names: Collection[str]) -> None:
-        """Wait, within bounded time, until the named processes have left: the last messages have reached them."""
-        deadline = time.monotonic() + CLOSE_S
-        while set(names) & set(self._peers.alive) and time.monotonic() < deadline:
+    def leave(self, after: Collection[str] = ()) -> None:
+        """Say that the last message was sent; wait, within bounded time, until the recorder and others have left.
+
+        Closing a session drops what a peer has not read yet.
+        """
+        self.put(self._keys.left(self.name), b"")
+        deadline = time.monotonic() + _LINGER_S
+        while {RECORDER, *after} & set(self._peers.alive) and time.monotonic() < deadline:
             self.next(max(0.0, deadline - time.monotonic()))
 
     def interrupt(self, reason: str) -> None:
@@ -331,4 +345,6 @@ class Bus:
             return None
         if self._keys.is_token(key):
             return self._peers.note(key, here=item.kind == zenoh.SampleKind.PUT)
+        if key.startswith(self._keys.left("")):
+            return Left(key.removeprefix(self._keys.left("")))
         return self.admission.read(key, item.payload.to_bytes())

@@ -14,7 +14,7 @@ from typing import Any
 import threadpoolctl
 
 from protocol.admission.admission import Admission
-from protocol.network.bus import Bus, Interrupted
+from protocol.network.bus import Bus, Interrupted, Left
 from protocol.network.endpoints import Endpoints
 from protocol.network.exchange import Exchange, exchange_of
 from protocol.network.journal import Journal
@@ -107,7 +107,7 @@ def run_node(
         admission.close()
         for message in admission.remaining_notices(node.incarnation):
             bus.publish(message)
-        bus.wait_gone(linger_for)
+        bus.leave(linger_for)
     for entry in node.rejected:
         journal.log("rejected", sender=entry.sender, reason=entry.reason, count=entry.count, example=entry.example)
     end = node.finished
@@ -127,6 +127,8 @@ def _drive(node: Node, bus: Bus, exchange: Exchange, faults: Sequence[Fault]) ->
         event = bus.next(timeout_s)
         if isinstance(event, Interrupted):
             return event
+        if isinstance(event, Left):
+            continue
         if isinstance(event, Message):
             _fail_if_due(faults, node.name, event, exchange)
         now_ns, refused = time.monotonic_ns(), node.rejected.total

@@ -5,6 +5,7 @@ transport/{run}/{kind}/{agent}           measurement, plan, report
 transport/{run}/unshared/{agent}         plans that the other agents do not receive
 transport/{run}/answer/{agent}           bundle of an agent's plan and report; relay, record: other bundles
 transport/{run}/rejected/{name}          messages that any process refused
+transport/{run}/left/{name}              empty: the process has sent its last message
 transport/{run}/ask/{name}/{what}        queryable: every process answers requests, each under a key of its own
 transport/{run}/alive/{name}/{incarnation}/{digest}/{version}     liveliness token: the process is up
 transport/{run}/ready/{name}/{incarnation}              liveliness token: it has seen all the others
@@ -86,7 +87,7 @@ class Keys:
             # An agent receives what other processes send to it, and from the other agents everything they share.
             end = agent if role == AGENT and cls.route.sender != AGENT else "*"
             found += self._under(cls, end, unshared=role != AGENT)
-        return [*dict.fromkeys(found)]
+        return [*dict.fromkeys(found), *([self.left("*")] if role == RECORDER else [])]
 
     def publications(self, name: str) -> list[str]:
         """Return the key expressions a process may publish under; recorder and watchers have none."""
@@ -97,12 +98,16 @@ class Keys:
         for cls in (cls for cls in (*KINDS.values(), *BUNDLES.values()) if cls.route.sender in (role, None)):
             end = name if cls.route.each == "sender" else name.removeprefix(AGENT) if role == AGENT else "*"
             found += self._under(cls, end, unshared=True)
-        return [*dict.fromkeys(found)]
+        return [*dict.fromkeys(found), self.left(name)]
 
     def _under(self, cls: type[Message], end: str, *, unshared: bool) -> list[str]:
         """Return the key expressions of a kind of message for one end or all."""
         keys = [cls.route.key or cls.kind, *([cls.route.unshared_key] if unshared and cls.route.unshared_key else [])]
         return [f"{self.prefix}/{key}/{end}" if cls.route.each else f"{self.prefix}/{key}" for key in keys]
+
+    def left(self, name: str) -> str:
+        """Return the key under which a process says that it has sent its last message; `*` for all processes."""
+        return f"{self.prefix}/left/{name}"
 
     def alive(self, name: str, incarnation: int, digest: str, version: int) -> str:
         """Return the liveliness token of a process that is up, with scenario digest and protocol version."""

@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection
 from protocol.admission.admission import Admission
 from protocol.admission.plausibility import check_moment
 from protocol.admission.reception import Reception
-from protocol.network.bus import Bus, BusEvent, Interrupted
+from protocol.network.bus import Bus, BusEvent, Interrupted, Left
 from protocol.network.endpoints import Endpoints
 from protocol.network.health import give_back_memory
 from protocol.network.session import BusError
@@ -42,9 +42,10 @@ _GATHER_S, _GATHER_PACED_S = 0.03, 0.01
 _PAUSE_S = 0.02
 # Memory of messages that came during a standstill is given back in a pause, at most this often.
 _TIDY_S = 5.0
-# Time for messages that arrive after the end of the run.
-_TRAIL_S = 2.0
-# The log is complete after this time without messages, once all processes but the coordinator have left.
+# After the end of the run the recorder waits for the last message of each process: the longest pause between messages,
+# and the longest time in all.
+_TRAIL_S, _LONGEST_TRAIL_S = 2.0, 60.0
+# The same pause where all that is missing is from processes whose tokens are gone, which may overtake messages.
 _QUIET_S = 0.05
 # The end of the run may arrive this long after the end of the coordinator's token.
 _OVERTAKEN_S = 0.5
@@ -164,26 +165,33 @@ class Recorder:
             self._bus.close()  # the coordinator waits for this
 
     def _record(self) -> None:
-        left = set(self._expected)
+        present = set(self._expected)  # have not said that they have sent their last message
+        gone: set[str] = set()  # those of them without a token
         deadline: float | None = None
-        # The end of a token may overtake the last message of its process.
-        while left or self.control is None:
+        trail_ends: float | None = None
+        while present or self.control is None:
             timeout_s = None if deadline is None else max(0.0, deadline - time.monotonic())
-            if self.control is not None and left <= {COORDINATOR}:
-                timeout_s = _QUIET_S  # the coordinator leaves last, after this recorder
+            if self.control is not None:
+                trail_ends = trail_ends or time.monotonic() + _LONGEST_TRAIL_S
+                if time.monotonic() > trail_ends:
+                    break
+                timeout_s = _QUIET_S if present <= gone else _TRAIL_S
             event = self._next(timeout_s)
             if event is None:
                 break
             match event:
                 case Interrupted():
                     return
+                case Left(name=name):
+                    present.discard(name)
                 case Presence(name=name, alive=False):
-                    left.discard(name)
+                    gone.add(name)
                     if name == COORDINATOR and self.control is None:
                         deadline = time.monotonic() + _OVERTAKEN_S
                 case Presence(name=name):
                     # Reconnected after a standstill of that process or of this one.
-                    left.update({name} & set(self._expected))
+                    gone.discard(name)
+                    present.update({name} & set(self._expected))
                     if name == COORDINATOR and self.control is None:
                         deadline = None
                 case Request():
@@ -192,8 +200,6 @@ class Recorder:
                     self.receive(event, self._bus.arrived_ns)
             for notice in self.admission.due_notices(time.monotonic_ns(), self._out.incarnation):
                 self._take(notice)
-            if self.control is not None and deadline is None:
-                deadline = time.monotonic() + _TRAIL_S
         if self.control is None:
             # The end of the run may have been sent during a standstill of this process.
             self._end(END_NOT_RECORDED if self._has_ended() else _GONE)
