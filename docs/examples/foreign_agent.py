@@ -40,7 +40,7 @@ def messages(data):
     """Yield the messages in some bytes as lists: those of a bundle one by one, or the one there is."""
     kind, *fields = msgpack.unpackb(data[1:], ext_hook=unpack)
     if kind == "relay":
-        for key, part in zip(*fields[5:7], strict=True):
+        for key, part in zip(*fields[4:6], strict=True):
             if key.startswith("plan/"):
                 yield from messages(part)
     else:
@@ -104,7 +104,7 @@ def main(run, digest, agent, port, exchange="relayed"):
             fields = [me, tick, 0, True, [me], pack(states), pack(inputs), pack(np.zeros((0, 4))), "solved"]
             data = message("plan", *head, *fields)
             if exchange == "relayed":
-                key, data = f"answer/{me}", message("answer", *head, 0, [key], [data], me)
+                key, data = f"answer/{me}", message("answer", *head, [key], [data], me)
             session.put(f"{prefix}/{key}", data, congestion_control=zenoh.CongestionControl.BLOCK)
 
 

@@ -19,7 +19,7 @@ from protocol.scenario.setup import Setup
 from protocol.wire.codec import MAX_BYTES, decode
 from protocol.wire.header import Header, Place, header_of, place_of
 from protocol.wire.keys import Keys
-from protocol.wire.messages import Bundle, LinkChange, Message, MessageError, Reason, Rejected, agent_name
+from protocol.wire.messages import LinkChange, Message, MessageError, Reason, Rejected, agent_name
 from protocol.wire.names import COORDINATOR, PLANT, RECORDER
 from protocol.wire.rejections import MAX_SENDERS, Notices, Rejections
 
@@ -213,14 +213,8 @@ class Admission:
         if message.sequence in self._numbers[key, message.kind]:
             raise MessageError("replayed", f"{message.kind} number {message.sequence} again", message.sender)
 
-    def remember(self, key: str, bundle: Bundle) -> None:
-        """Count a bundle for the order of later ones: to be called if none of its messages was refused."""
-        self._remember_last()
-        self._remember(key, bundle)
-
     def _admit(self, key: str, message: Message) -> Message:
-        if not isinstance(message, Bundle):
-            self._last = key, message, self.rejections.total
+        self._last = key, message, self.rejections.total
         return message
 
     def _remember_last(self) -> None:
@@ -229,11 +223,8 @@ class Admission:
             return
         key, message, refused = self._last
         self._last = None
-        if self.rejections.total == refused:
-            self._remember(key, message)
-
-    def _remember(self, key: str, message: Message) -> None:
-        """Remember the place of a message."""
+        if self.rejections.total != refused:
+            return
         at = key, message.kind
         before = self._newest.get(at)
         if before is None or message.incarnation != before.incarnation:

@@ -100,7 +100,6 @@ class Bus:
         self.bundle: Bundle | None = None
         self.before_wait: Callable[[], None] = lambda: None
         self._parts: deque[tuple[str, bytes]] = deque()  # keys and messages of the bundle, still to be read
-        self._refused = 0  # messages refused before the bundle
         self.offset: Offset | None = None
         self._gather_s, self._serves = gather_s, serves
         self.name, self.incarnation, self._digest = name, incarnation, digest
@@ -218,8 +217,6 @@ class Bus:
                 message = self.admission.read(*self._parts.popleft())
                 if message is not None:
                     return message
-            if self.bundle is not None and self.admission.rejections.total == self._refused:
-                self.admission.remember(self._keys.of(self.bundle), self.bundle)
             self.bundle = None
             self.before_wait()
             kept = self.admission.released()
@@ -320,7 +317,7 @@ class Bus:
 
     def _open(self, bundle: Bundle) -> None:
         """Queue the messages of a bundle that are for this process; each is checked as if it had come alone."""
-        refused = self.admission.rejections.total
+        self.bundle = bundle
         for end, data in zip(bundle.keys, bundle.parts, strict=True):
             key = f"{self._keys.prefix}/{end}"
             if not bundle.may_carry(end):
@@ -328,8 +325,6 @@ class Bus:
                 self.admission.refuse(key, MessageError("wrong_sender", text, bundle.sender))
             elif end not in self._own and any(matches(expression, key) for expression in self._subscriptions):
                 self._parts.append((key, data))
-        # One without a message for this process does not count: anything could be in it.
-        self.bundle, self._refused = bundle if self._parts else None, refused
 
     def _put(self, item: _Item) -> None:
         self._inbox.put((time.time_ns(), item))

@@ -68,20 +68,19 @@ class _Bundled(Direct):
         super().__init__(keys, put)
         self._out = Outbox(name, incarnation)  # bundles have sequence numbers of their own
         self._kept: list[tuple[str, bytes]] = []  # keys without the prefix of the run, encoded messages
-        self._tick = 0  # newest of the messages kept
+        self._tick = 0  # of the newest message kept
 
     def _keep(self, message: Message) -> bytes:
         """Keep a message for the next bundle; return its bytes."""
         data = encode(message)
         self._kept.append((self._keys.end(self._keys.of(message)), data))
-        self._tick = max(self._tick, message.tick)
+        self._tick = message.tick
         return data
 
-    def _send_kept(self, kind: type[Bundle], to_follow: int = 0, **fields: int) -> None:
-        """Send the messages kept in a bundle, and forget them."""
+    def _taken(self) -> dict[str, tuple[str, ...] | tuple[bytes, ...]]:
+        """Return the messages kept, as fields of a bundle, and forget them."""
         kept, self._kept = self._kept, []
-        keys, parts = tuple([key for key, _ in kept]), tuple([data for _, data in kept])
-        super().send(self._out.stamp(kind, tick=self._tick, to_follow=to_follow, keys=keys, parts=parts, **fields))
+        return {"keys": tuple([key for key, _ in kept]), "parts": tuple([data for _, data in kept])}
 
 
 class _Agent(_Bundled):
@@ -98,7 +97,7 @@ class _Agent(_Bundled):
 
     def flush(self) -> None:
         if self._kept:
-            self._send_kept(Answer, agent=self._agent)
+            super().send(self._out.stamp(Answer, tick=self._tick, agent=self._agent, **self._taken()))
 
     settle = flush
 
@@ -106,12 +105,9 @@ class _Agent(_Bundled):
 class _Plant(_Bundled):
     """Sends measurements to their agents at once; state and measurements to the record afterwards."""
 
-    _measured = False  # whether measurements are kept: the state of their tick may follow
-
     def send(self, message: Message) -> None:
         if isinstance(message, Measurement):
             self._put(self._keys.of(message), self._keep(message))
-            self._measured = True
         elif isinstance(message, PlantState):
             self._keep(message)
         else:
@@ -119,8 +115,7 @@ class _Plant(_Bundled):
 
     def flush(self) -> None:
         if self._kept:
-            self._send_kept(Record, to_follow=int(self._measured))
-            self._measured = False
+            super().send(self._out.stamp(Record, tick=self._tick, **self._taken()))
 
     settle = flush
 
@@ -161,7 +156,8 @@ class _Coordinator(_Bundled):
         answers = [answer for _, answer in sorted(self._answers.items())]
         self._answers = {}
         self._kept = [entry for answer in answers for entry in zip(answer.keys, answer.parts, strict=True)]
-        self._tick = max([self._tick, *[answer.tick for answer in answers]])
         if tick is not None:
             self._keep(tick)
-        self._send_kept(Relay, to_follow=int(tick is not None))
+        else:
+            self._tick = answers[-1].tick
+        super().send(self._out.stamp(Relay, tick=self._tick, **self._taken()))

@@ -10,7 +10,7 @@ from typing import ClassVar
 
 from protocol.wire.control_loop import Measurement, Plan
 from protocol.wire.coordination import Tick
-from protocol.wire.fields import Agent, Count, KeyEnds, MessageError, Parts
+from protocol.wire.fields import Agent, KeyEnds, MessageError, Parts
 from protocol.wire.message import BUNDLES, Message, Route
 from protocol.wire.names import AGENT, COORDINATOR, PLANT, RECORDER, WATCHER
 from protocol.wire.records import PlantState, StepReport
@@ -28,7 +28,6 @@ class Bundle(Message):
     register: ClassVar[dict[str, type[Message]]] = BUNDLES
     carries: ClassVar[tuple[str, ...]] = ()
 
-    to_follow: Count  # bundles of this kind and tick that may follow under the same key
     keys: KeyEnds  # without the prefix of the run, such as "plan/2"
     parts: Parts  # encoded messages, in the same order
 
@@ -47,9 +46,7 @@ class Answer(Bundle):
     """Agent to coordinator: the plan and the report of a tick."""
 
     kind: ClassVar[str] = "answer"
-    route: ClassVar[Route] = Route(
-        sender=AGENT, receivers=(COORDINATOR,), each="agent", grows="tick", falls="to_follow"
-    )
+    route: ClassVar[Route] = Route(sender=AGENT, receivers=(COORDINATOR,), each="agent", grows="tick")
     carries: ClassVar[tuple[str, ...]] = _ANSWERS
 
     agent: Agent
@@ -61,27 +58,17 @@ class Answer(Bundle):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Relay(Bundle):
-    """Coordinator to all: the answers of a tick with the tick after it; alone where that is not open yet.
-
-    Its tick is the newest of its messages, so that one without a tick may follow the one that opened its tick.
-    """
+    """Coordinator to all: the answers of a tick, and the tick after it once that is open."""
 
     kind: ClassVar[str] = "relay"
-    route: ClassVar[Route] = Route(
-        sender=COORDINATOR, receivers=(AGENT, PLANT, RECORDER, WATCHER), grows="tick", falls="to_follow"
-    )
+    route: ClassVar[Route] = Route(sender=COORDINATOR, receivers=(AGENT, PLANT, RECORDER, WATCHER))
     carries: ClassVar[tuple[str, ...]] = (*_ANSWERS, Tick.kind)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Record(Bundle):
-    """Plant to the record and the coordinator: the plant's state, and the measurements of the tick after it.
-
-    Its tick is the newest of its messages, so that one with a state alone may follow the one with the measurements.
-    """
+    """Plant to the record and the coordinator: the plant's state, and the measurements it has sent."""
 
     kind: ClassVar[str] = "record"
-    route: ClassVar[Route] = Route(
-        sender=PLANT, receivers=(COORDINATOR, RECORDER, WATCHER), grows="tick", falls="to_follow"
-    )
+    route: ClassVar[Route] = Route(sender=PLANT, receivers=(COORDINATOR, RECORDER, WATCHER))
     carries: ClassVar[tuple[str, ...]] = (PlantState.kind, Measurement.kind)
