@@ -7,6 +7,10 @@ Zenoh keeps the order of one sender's messages under one key only, so order is c
 grow for kinds sent once a tick, the version for rosters, and the sequence number for all others. Where ticks count,
 higher sequence numbers do not: otherwise an attacker with the sender's key could number its messages higher, and all
 true messages would be refused. A sequence number that occurs twice is refused all the same.
+
+With relayed plans two ways lead to one key: a proposal of a negotiation comes alone and may overtake the plan of the
+tick before, which the coordinator relays. So proposals have an order of their own. Bundles have none: each message in
+them is checked, and a forged bundle without a true message must not block the true one.
 """
 
 import threading
@@ -19,7 +23,7 @@ from protocol.scenario.setup import Setup
 from protocol.wire.codec import MAX_BYTES, decode
 from protocol.wire.header import Header, Place, header_of, place_of
 from protocol.wire.keys import Keys
-from protocol.wire.messages import LinkChange, Message, MessageError, Reason, Rejected, agent_name
+from protocol.wire.messages import Bundle, LinkChange, Message, MessageError, Plan, Reason, Rejected, agent_name
 from protocol.wire.names import COORDINATOR, PLANT, RECORDER
 from protocol.wire.rejections import MAX_SENDERS, Notices, Rejections
 
@@ -69,8 +73,9 @@ class Admission:
         self.window = max(_AHEAD, window(setup))
         self._is_up_to_date = False  # whether `tick` is the present tick of the run
         self._announced: dict[str, int] = {}  # newest incarnation, by name
-        self._newest: dict[tuple[str, str], _Newest] = {}  # by key and kind
-        self._numbers: dict[tuple[str, str], dict[int, None]] = {}  # sequence numbers in their order, by key and kind
+        self._newest: dict[tuple[str, str, bool], _Newest] = {}  # by key, kind, and whether it is a proposal
+        # Incarnations and sequence numbers in their order, by key and kind.
+        self._numbers: dict[tuple[str, str], dict[tuple[int, int], None]] = {}
         self._unread: dict[tuple[str, Reason], tuple[MessageError, int]] = {}  # refused on arrival, by sender
         self._counting = threading.Lock()  # for `_unread`: several threads receive
         self._last: tuple[str, Message, int] | None = None  # last admitted one: key, message, refusals before it
@@ -86,7 +91,7 @@ class Admission:
             header = header_of(data)
             if header is not None and header.sender == self._name:
                 raise MessageError("wrong_sender", f"{header.kind} of this process itself", header.sender)
-            newest = None if header is None else self._newest.get((key, header.kind))
+            newest = None if header is None else self._newest.get(_stream(key, header.kind, header.place))
             if header is None or newest is None:
                 return False
             if (header.sender, header.incarnation) != (newest.sender, newest.incarnation):
@@ -206,15 +211,17 @@ class Admission:
         if self._is_up_to_date and message.tick > self.tick + self.window:
             text = f"{message.kind} of tick {message.tick}, the newest here is {self.tick}"
             raise MessageError("future", text, message.sender)
-        newest = self._newest.get((key, message.kind))
+        place = place_of(message)
+        newest = self._newest.get(_stream(key, message.kind, place))
         if newest is None or message.incarnation > newest.incarnation:
             return
-        _check_new(message, place_of(message), newest)
-        if message.sequence in self._numbers[key, message.kind]:
+        _check_new(message, place, newest)
+        if (message.incarnation, message.sequence) in self._numbers[key, message.kind]:
             raise MessageError("replayed", f"{message.kind} number {message.sequence} again", message.sender)
 
     def _admit(self, key: str, message: Message) -> Message:
-        self._last = key, message, self.rejections.total
+        if not isinstance(message, Bundle):
+            self._last = key, message, self.rejections.total
         return message
 
     def _remember_last(self) -> None:
@@ -225,18 +232,21 @@ class Admission:
         self._last = None
         if self.rejections.total != refused:
             return
-        at = key, message.kind
-        before = self._newest.get(at)
-        if before is None or message.incarnation != before.incarnation:
-            self._numbers[at] = {}
-        numbers = self._numbers[at]
-        numbers[message.sequence] = None
+        numbers = self._numbers.setdefault((key, message.kind), {})
+        numbers[message.incarnation, message.sequence] = None
         if len(numbers) > _NUMBERS:
             del numbers[next(iter(numbers))]
-        self._newest[at] = _Newest(message.sender, message.incarnation, message.sequence, place_of(message))
+        place = place_of(message)
+        newest = _Newest(message.sender, message.incarnation, message.sequence, place)
+        self._newest[_stream(key, message.kind, place)] = newest
         if not isinstance(message, LinkChange):  # a repeated change is of the past
             self.tick = max(self.tick, message.tick)
             self._is_up_to_date = True
+
+
+def _stream(key: str, kind: str, place: Place | None) -> tuple[str, str, bool]:
+    """Return what messages are ordered by: key, kind, and whether it is a proposal of a negotiation."""
+    return key, kind, kind == Plan.kind and place is not None and place[1] < 0
 
 
 def _check_new(message: Message | Header, place: Place | None, newest: _Newest) -> None:
