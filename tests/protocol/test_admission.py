@@ -359,3 +359,15 @@ def test_any_order_of_two_streams() -> None:
             ticks = [message.tick for message in passed if message.agent == agent]
             assert all(after == before + 1 for before, after in pairwise(ticks))
         assert len(passed) == 24
+
+
+def test_a_proposal_may_overtake_a_relayed_plan() -> None:
+    """The proposal of the next tick comes alone, and may come before the plan of this tick, which is relayed."""
+    receiver = Receiver("agent1")
+    proposals = [plan(k, sequence=10 * k, negotiation=1) for k in range(3)]
+    plans = [plan(k, sequence=10 * k + 1) for k in range(3)]
+    sent = [proposals[0], proposals[1], plans[0], proposals[2], plans[1], plans[2]]
+    assert receiver.accepts(*sent) == [True] * 6
+    assert receiver.accepts(*sent) == [False] * 6
+    assert receiver.accepts(replace(proposals[2], negotiation=0, tick=3, start_tick=3)) == [False]  # the same number
+    assert receiver.refused() == [("agent2", "replayed", 7)]
