@@ -105,12 +105,20 @@ class Receiver(Protocol):
         """Process bytes that arrive under a key; return what is sent meanwhile."""
 
 
+class SilentAdmission(Admission):
+    """Admission whose notices wait for the end of the run: their times depend on the host."""
+
+    def due_notices(self, now_ns: int, incarnation: int) -> list[Rejected]:
+        """Return no notices."""
+        return []
+
+
 class NodeReceiver:
     """A node with admission, bus, exchange and loop of its process."""
 
     def __init__(self, node: Node, keys: Keys, setup: Setup) -> None:
         self.node, self.rejected = node, node.rejected
-        self.admission = Admission(node.name, keys, setup, node.rejected)
+        self.admission = SilentAdmission(node.name, keys, setup, node.rejected)
         self.bus = Bus(
             name=node.name,
             incarnation=node.incarnation,
@@ -165,7 +173,7 @@ class Wire:
     Attributes:
         keys: Keys of the run.
         receivers: Receivers by name.
-        sent: Every message of the run in order, those of bundles one by one; without notices of rejections.
+        sent: Every message of the run in order, those of bundles one by one.
     """
 
     def __init__(self, setup: Setup, recorder: Recorder, before: Before = lambda *_: None) -> None:
@@ -224,12 +232,11 @@ class Wire:
                 recorder.hear(self.keys.of(notice), encode(notice))
 
     def _hear(self, name: str, key: str, data: bytes) -> list[str]:
-        """Let a receiver read bytes, send what it sends, and return the keys of that; notices are not counted."""
+        """Let a receiver read bytes, send what it sends, and return the keys of that."""
         answers = []
         for sent_key, sent_data in self.receivers[name].hear(key, data):
             message = decode(sent_data)
             self._queue.append((name, sent_key, sent_data))
-            if not isinstance(message, Rejected):
-                answers.append(sent_key)
-                self.sent += map(decode, message.parts) if isinstance(message, Bundle) else [message]
+            self.sent += map(decode, message.parts) if isinstance(message, Bundle) else [message]
+            answers.append(sent_key)
         return answers
