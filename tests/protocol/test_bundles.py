@@ -35,7 +35,7 @@ class Process:
         for other in ("coordinator", "plant", *map(agent_name, ALL)):
             self.admission.announce(other, INCARNATION if other.startswith("agent") else 0)
 
-    def reads(self, *bundles: tuple[str, bytes] | Message) -> list[BusEvent | None]:
+    def reads(self, *bundles: tuple[str, bytes] | Message) -> Sequence[BusEvent | None]:
         """Return the events that bundles bring, each under its own key unless it has one here."""
         for bundle in bundles:
             key, data = (KEYS.of(bundle), encode(bundle)) if isinstance(bundle, Message) else bundle
@@ -127,7 +127,7 @@ def test_keys_that_a_bundle_may_carry() -> None:
 
 def test_one_key_for_each_message() -> None:
     """A bundle with more keys than messages, or fewer, is refused with both numbers."""
-    for keys in (["plan/2"], ["plan/2"] * 3):
+    for keys in (("plan/2",), ("plan/2",) * 3):
         with pytest.raises(MessageError, match=f"parts: expected one for each of {len(keys)} keys, got 2"):
             replace(answer(2, plan(2, 0), report(2, 0)), keys=keys)
 
@@ -189,7 +189,7 @@ def test_bad_messages_do_not_stop_the_good_ones() -> None:
     process = Process("coordinator")
     good = answer(2, plan(2, 0))
     bad = [b"", b"hello", encode(plan(2, 0))[:-1], encode(plan(3, 0)), encode(good)]
-    mixed = replace(good, keys=["plan/2"] * 6, parts=[*bad, *good.parts])
+    mixed = replace(good, keys=("plan/2",) * 6, parts=(*bad, *good.parts))
     assert same(process.reads(mixed), [plan(2, 0)])
     assert sorted(process.refused()) == [
         ("agent2", "wrong_sender", 1),
@@ -214,12 +214,12 @@ def test_replayed_and_renumbered_bundles(name: str) -> None:
     assert same(process.reads(sent(1), sent(2)), [plan(2, 1), plan(2, 2)])
 
 
-@pytest.mark.parametrize("parts", [[], [b"?"]], ids=["empty", "garbage"])
-def test_forged_bundles_do_not_block_true_ones(parts: list[bytes]) -> None:
+@pytest.mark.parametrize("parts", [(), (b"?",)], ids=["empty", "garbage"])
+def test_forged_bundles_do_not_block_true_ones(parts: tuple[bytes, ...]) -> None:
     """A bundle without a true message takes neither number nor tick of the true one, nor moves the present tick."""
     process = Process("coordinator")
     for k in range(3):
-        forged = replace(answer(2, k=k), keys=["plan/2"] * len(parts), parts=parts)
+        forged = replace(answer(2, k=k), keys=("plan/2",) * len(parts), parts=parts)
         assert process.reads(forged, replace(forged, tick=k + 1), replace(forged, tick=k + 16, sequence=10**6)) == []
         assert same(process.reads(answer(2, plan(2, k), report(2, k), k=k)), [plan(2, k)])
         assert process.admission.tick == k
@@ -275,7 +275,7 @@ def test_the_version_of_every_message_in_a_bundle() -> None:
     """A message of another protocol version in a bundle is refused, and its version named."""
     process, good = Process("coordinator"), answer(2, plan(2, 0))
     other = bytes([VERSION - 1]) + good.parts[0][1:]
-    assert process.reads(replace(good, parts=[other])) == []
+    assert process.reads(replace(good, parts=(other,))) == []
     assert process.refused() == [("plan/2", "wrong_version", 1)]
     assert decode(good.parts[0]).kind == "plan"
 

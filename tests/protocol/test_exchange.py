@@ -294,8 +294,8 @@ def test_only_accepted_plans_are_relayed() -> None:
     true = answer(2, 0)
     huge = plan(2, 0, sequence=50)
     huge = replace(huge, inputs=huge.inputs + 1e3)
-    forged = [replace(true, sequence=7, parts=[encode(huge), true.parts[1]]), replace(true, keys=[], parts=[])]
-    forged.append(replace(true, parts=[true.parts[1], true.parts[1]]))
+    forged = [replace(true, sequence=7, parts=(encode(huge), true.parts[1])), replace(true, keys=(), parts=())]
+    forged.append(replace(true, parts=(true.parts[1], true.parts[1])))
     assert hears(node, *forged, answer(1, 0), answer(3, 0), answer(4, 0)) == []
     expected = " ".join(f"plan/{agent} report/{agent}" for agent in ALL)
     assert hears(node, true) == [f"relay 1 #1: {expected} tick"]
@@ -338,7 +338,7 @@ def test_kept_messages_are_sent_before_a_scripted_kill(monkeypatch: pytest.Monke
         assert (pid, number) == (os.getpid(), signal.SIGKILL)
         killed.append(line.sent())
 
-    monkeypatch.setattr(process.os, "kill", kill)
+    monkeypatch.setattr(os, "kill", kill)
     line = Line("plant", run)
     line.send(runs.plant_state(run, 3))
     fault = Fault(tick=4, target="plant", do="kill")

@@ -118,7 +118,7 @@ class NodeReceiver:
 
     def __init__(self, node: Node, keys: Keys, setup: Setup) -> None:
         self.node, self.rejected = node, node.rejected
-        self.admission = SilentAdmission(node.name, keys, setup, node.rejected)
+        self.admission: Admission = SilentAdmission(node.name, keys, setup, node.rejected)
         self.bus = Bus(
             name=node.name,
             incarnation=node.incarnation,
