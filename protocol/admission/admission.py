@@ -23,7 +23,7 @@ from protocol.scenario.setup import Setup
 from protocol.wire.codec import MAX_BYTES, decode
 from protocol.wire.header import Header, Place, header_of, place_of
 from protocol.wire.keys import Keys
-from protocol.wire.messages import Bundle, LinkChange, Message, MessageError, Plan, Reason, Rejected, agent_name
+from protocol.wire.messages import Answer, Bundle, LinkChange, Message, MessageError, Plan, Reason, Rejected, agent_name
 from protocol.wire.names import COORDINATOR, PLANT, RECORDER
 from protocol.wire.rejections import MAX_SENDERS, Notices, Rejections
 
@@ -65,6 +65,8 @@ class Admission:
 
     def __init__(self, name: str, keys: Keys, setup: Setup, rejections: Rejections) -> None:
         self.max_bytes = _max_bytes(setup)
+        # Answers that fill a relay must leave room in it for those of the other agents.
+        self._max_answer = {agent: _max_answer(setup, agent) for agent in setup.agents}
         self.tick = 0
         self._name = name
         self._keys = keys
@@ -130,6 +132,9 @@ class Admission:
                 raise MessageError("wrong_sender", f"{message.kind} of this process itself", message.sender)
             if message.sender not in self._senders:
                 raise MessageError("unknown_agent", f"{message.kind} of {message.sender}", message.sender)
+            if isinstance(message, Answer) and len(data) > self._max_answer[message.agent]:
+                text = f"answer of {len(data)} bytes, at most {self._max_answer[message.agent]} of {message.sender}"
+                raise MessageError("oversized", text, message.sender)
             announced = self._announced.get(message.sender, -1)
             if message.incarnation < announced:
                 raise _wrong_incarnation(message)
@@ -268,9 +273,19 @@ def _wrong_incarnation(message: Message) -> MessageError:
 
 def _max_bytes(setup: Setup) -> int:
     """Return the size of the largest message: plans for all UAVs, or the plant state; in bundles also measurements."""
-    N, agents, frames = setup.system.N, 0, 1
+    size = _FRAME_BYTES + 8 * PAYLOAD
     if setup.scenario.clock.relayed:
-        agents = len(setup.agents)
-        frames = 2 * agents + 1  # plans, reports, a tick
-    per_uav = max(PER_UAV + 2 * INPUTS * setup.settings.horizon, 2 * (PER_UAV + INPUTS))
-    return min(MAX_BYTES, frames * _FRAME_BYTES + 8 * (PAYLOAD * (agents + 1) + N * per_uav))
+        size += sum(_max_answer(setup, agent) for agent in setup.agents)
+    else:
+        size += 8 * setup.system.N * _per_uav(setup)
+    return min(MAX_BYTES, size)
+
+
+def _max_answer(setup: Setup, agent: int) -> int:
+    """Return the size of an agent's largest answer: a plan for its UAVs, and a report."""
+    return 2 * _FRAME_BYTES + 8 * (PAYLOAD + len(setup.owned[agent - 1]) * _per_uav(setup))
+
+
+def _per_uav(setup: Setup) -> int:
+    """Return the most numbers of a UAV in the messages of a tick: state and plan, or state and measurement."""
+    return max(PER_UAV + 2 * INPUTS * setup.settings.horizon, 2 * (PER_UAV + INPUTS))

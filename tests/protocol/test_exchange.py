@@ -306,6 +306,25 @@ def test_only_accepted_plans_are_relayed() -> None:
 
 
 @pytest.mark.usefixtures("no_network")
+@pytest.mark.parametrize("extra", [0, 1], ids=["largest", "oversized"])
+def test_no_answer_fills_a_relay(extra: int) -> None:
+    """The largest answers that are accepted fit into one relay; an agent cannot make it larger than others accept."""
+    node = coordinator("clock.barrier_timeout_s=1000.0")
+    most = node.admission._max_answer[2]
+    padded = {agent: answer(agent, 0) for agent in ALL}
+    for agent, made in padded.items():
+        room = most - len(encode(replace(made, parts=(made.parts[0], bytes(most // 2))))) + most // 2
+        padded[agent] = replace(made, parts=(made.parts[0], bytes(room + (extra if agent == 2 else 0))))
+        assert len(encode(padded[agent])) == most + (extra if agent == 2 else 0)
+    found = [sent for made in padded.values() for sent in node.hear(KEYS.of(made), encode(made))]
+    if extra:
+        assert [(e.sender, e.reason, e.count) for e in node.rejected] == [("agent2", "oversized", 1)]
+        found = node.hear(KEYS.of(padded[2]), encode(answer(2, 0)))
+    relays = [data for key, data in found if KEYS.end(key) == "relay"]
+    assert [len(data) <= node.admission.max_bytes for data in relays] == [True]
+
+
+@pytest.mark.usefixtures("no_network")
 def test_a_paced_coordinator_relays_before_the_tick_is_due() -> None:
     """In a paced run the answers are relayed when all are here, and the tick alone when it is due."""
     node = coordinator("clock.speed=0.001")
