@@ -9,8 +9,9 @@ higher sequence numbers do not: otherwise an attacker with the sender's key coul
 true messages would be refused. A sequence number that occurs twice is refused all the same.
 
 With relayed plans two ways lead to one key: a proposal of a negotiation comes alone and may overtake the plan of the
-tick before, which the coordinator relays. So proposals have an order of their own. Bundles have none: each message in
-them is checked, and a forged bundle without a true message must not block the true one.
+tick before, which the coordinator relays. So proposals have an order of their own. An answer counts for the order of
+later ones only with its plan: a forged one without a true plan must not block the true answer. Other bundles have no
+order: their ticks need not grow, and copies under higher sequence numbers would block the true ones.
 """
 
 import threading
@@ -80,7 +81,8 @@ class Admission:
         self._numbers: dict[tuple[str, str], dict[tuple[int, int], None]] = {}
         self._unread: dict[tuple[str, Reason], tuple[MessageError, int]] = {}  # refused on arrival, by sender
         self._counting = threading.Lock()  # for `_unread`: several threads receive
-        self._last: tuple[str, Message, int] | None = None  # last admitted one: key, message, refusals before it
+        # The last admitted message, with its key, the refusals before it, and the bundle it came in.
+        self._last: tuple[str, Message, int, Bundle | None] | None = None
         self._early: deque[tuple[str, Message]] = deque()  # messages that wait for their sender's token
         self._released: deque[tuple[str, Message]] = deque()  # messages whose sender's token has come
 
@@ -120,8 +122,11 @@ class Admission:
         for (sender, _), (error, count) in unread.items():
             self.rejections.add(sender, error, count)
 
-    def read(self, key: str, data: bytes) -> Message | None:
-        """Return the message in some bytes; None if it is refused, or kept because its sender is not announced yet."""
+    def read(self, key: str, data: bytes, bundle: Bundle | None = None) -> Message | None:
+        """Return the message in some bytes; None if it is refused, or kept because its sender is not announced yet.
+
+        `bundle` is the one the message came in.
+        """
         self._remember_last()
         try:
             if len(data) > self.max_bytes:
@@ -145,7 +150,7 @@ class Admission:
         except MessageError as error:
             self.refuse(key, error)
             return None
-        return self._admit(key, message)
+        return self._admit(key, message, bundle)
 
     def announce(self, name: str, incarnation: int) -> None:
         """Admit messages of an incarnation whose token has appeared, and no longer those of earlier ones.
@@ -218,25 +223,32 @@ class Admission:
             raise MessageError("future", text, message.sender)
         place = place_of(message)
         newest = self._newest.get(_stream(key, message.kind, place))
-        if newest is None or message.incarnation > newest.incarnation:
-            return
-        _check_new(message, place, newest)
-        if (message.incarnation, message.sequence) in self._numbers[key, message.kind]:
+        if newest is not None and message.incarnation <= newest.incarnation:
+            _check_new(message, place, newest)
+        if (message.incarnation, message.sequence) in self._numbers.get((key, message.kind), ()):
             raise MessageError("replayed", f"{message.kind} number {message.sequence} again", message.sender)
 
-    def _admit(self, key: str, message: Message) -> Message:
+    def _admit(self, key: str, message: Message, bundle: Bundle | None = None) -> Message:
         if not isinstance(message, Bundle):
-            self._last = key, message, self.rejections.total
+            self._last = key, message, self.rejections.total, bundle
         return message
 
     def _remember_last(self) -> None:
         """Remember the place of the last admitted message, unless the node has refused it."""
         if self._last is None:
             return
-        key, message, refused = self._last
+        key, message, refused, bundle = self._last
         self._last = None
         if self.rejections.total != refused:
             return
+        self._remember(key, message)
+        if isinstance(bundle, Answer) and bundle.tick == message.tick:
+            self._remember(self._keys.of(bundle), bundle)
+        if not isinstance(message, LinkChange):  # a repeated change is of the past
+            self.tick = max(self.tick, message.tick)
+            self._is_up_to_date = True
+
+    def _remember(self, key: str, message: Message) -> None:
         numbers = self._numbers.setdefault((key, message.kind), {})
         numbers[message.incarnation, message.sequence] = None
         if len(numbers) > _NUMBERS:
@@ -244,9 +256,6 @@ class Admission:
         place = place_of(message)
         newest = _Newest(message.sender, message.incarnation, message.sequence, place)
         self._newest[_stream(key, message.kind, place)] = newest
-        if not isinstance(message, LinkChange):  # a repeated change is of the past
-            self.tick = max(self.tick, message.tick)
-            self._is_up_to_date = True
 
 
 def _stream(key: str, kind: str, place: Place | None) -> tuple[str, str, bool]:

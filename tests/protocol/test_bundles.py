@@ -210,8 +210,31 @@ def test_replayed_and_renumbered_bundles(name: str) -> None:
     assert same(process.reads(sent(0)), [plan(2, 0)])
     forged = [sent(0), replace(sent(0), sequence=10**6), replace(sent(0), sequence=1, tick=1), replace(sent(0), tick=9)]
     assert process.reads(*forged) == []
-    assert process.refused() == [("agent2", "replayed", 4)]
+    renumbered = 0 if name == "agent1" else 1  # an answer is refused whole, as its ticks grow
+    expected = [("agent2", "replayed", 4 - renumbered), ("agent2", "past", renumbered)]
+    assert process.refused() == [entry for entry in expected if entry[2]]
     assert same(process.reads(sent(1), sent(2)), [plan(2, 1), plan(2, 2)])
+
+
+def test_a_flood_of_answers_is_refused_unread() -> None:
+    """Copies of an answer whose plan was accepted are refused on arrival, under any number; the next answer is not."""
+    process, sent = Process("coordinator"), [answer(2, plan(2, k), report(2, k), k=k) for k in range(3)]
+    assert same(process.reads(*sent[:2]), [plan(2, 0), plan(2, 1)])
+    over = [sent[0], sent[1], replace(sent[1], sequence=10**6)]
+    assert all(process.admission.has_passed(KEYS.of(bundle), encode(bundle)) for bundle in over)
+    assert not process.admission.has_passed(KEYS.of(sent[2]), encode(sent[2]))
+
+
+@pytest.mark.parametrize("ahead", [1, 5])
+def test_a_true_plan_in_a_forged_bundle(ahead: int) -> None:
+    """A bundle of a later tick or number around a true plan does not block the bundles of later ticks."""
+    for name, bundle in (("coordinator", answer(2, plan(2, 0), k=0)), ("agent1", relay(plan(2, 0), k=0))):
+        process = Process(name)
+        assert same(process.reads(replace(bundle, tick=ahead, sequence=10**6)), [plan(2, 0)])
+        for k in range(1, 4):
+            later = answer(2, plan(2, k), k=k) if name == "coordinator" else relay(plan(2, k), k=k)
+            assert same(process.reads(later), [plan(2, k)])
+        assert process.refused() == []
 
 
 @pytest.mark.parametrize("parts", [(), (b"?",)], ids=["empty", "garbage"])
