@@ -62,9 +62,7 @@ def calm(folder: Path, *changes: str) -> list[dict[str, str]]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("sort", "exchange"), [("replayed", "relayed"), ("renumbered", "relayed"), ("renumbered", "direct")]
-)
+@pytest.mark.parametrize(("sort", "exchange"), [("replayed", "direct"), ("renumbered", "relayed")])
 def test_a_run_under_attack(sort: str, exchange: str, tmp_path: Path) -> None:
     """Wrong keys, forgery and a flood of 10,000 messages a second on agent 1's key do not change a lockstep run.
 
