@@ -143,7 +143,7 @@ def test_one_key_for_each_message() -> None:
     ],
 )
 def test_messages_for_others_are_not_read(name: str, expected: list[str]) -> None:
-    """Of a relay a process reads what it subscribes to, in order, and never its own plan; nothing is refused."""
+    """A process reads the messages of a relay that it subscribes to, in order, never its own; nothing is refused."""
     plans = [plan(1, 0), plan(2, 0), plan(3, 0, shared=False)]
     process = Process(name)
     events = process.reads(relay(*plans, *[report(a, 0) for a in (1, 2, 3)], runs.tick(1), k=1))

@@ -273,7 +273,8 @@ def coordinator(*settings: str) -> NodeReceiver:
     names = ["plant", *map(agent_name, run.agents)]
     for name in names:
         receiver.admission.announce(name, INCARNATION if name.startswith("agent") else 0)
-    sent = [end for name in names for end in hears(receiver, (KEYS.ready(name, 0 if name == "plant" else 1), b""))]
+    ready = [Presence(name, 0 if name == "plant" else INCARNATION, alive=True) for name in names]
+    sent = [said(KEYS.end(key), data) for event in ready for key, data in receiver.meet(event)]
     assert sent == ["roster", "relay 0 #0: tick"]
     return receiver
 
@@ -338,11 +339,9 @@ def test_a_lost_agent_releases_the_answers() -> None:
     """When the last missing agent is gone, roster, answers and tick are sent without it."""
     node = coordinator("clock.on_agent_loss=continue")
     hears(node, *[answer(agent, 0) for agent in (1, 3, 4)])
-    gone = node.node.receive(Presence("agent2", INCARNATION, alive=False), 0)
-    for message in gone:
-        node.exchange.send(message)
     expected = " ".join(f"plan/{agent} report/{agent}" for agent in (1, 3, 4))
-    assert hears(node, (f"{KEYS.prefix}/plan/2", b"?")) == ["roster", f"relay 1 #1: {expected} tick"]
+    found = node.meet(Presence("agent2", INCARNATION, alive=False))
+    assert [said(KEYS.end(key), data) for key, data in found] == ["roster", f"relay 1 #1: {expected} tick"]
 
 
 @pytest.mark.usefixtures("no_network")

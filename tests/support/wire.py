@@ -1,11 +1,11 @@
 """A run in one process whose messages travel as bytes: real buses and loops over a network that is a queue."""
 
+import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import pytest
-import zenoh
 
 from agent.node import AgentNode
 from coordinator.node import CoordinatorNode
@@ -19,7 +19,7 @@ from protocol.network.exchange import exchange_of
 from protocol.scenario.setup import Setup
 from protocol.wire.codec import decode, encode
 from protocol.wire.keys import Keys, matches
-from protocol.wire.messages import Bundle, Control, Message, Rejected
+from protocol.wire.messages import Bundle, Control, Message, Presence, Rejected
 from protocol.wire.node import Node
 from protocol.wire.rejections import Rejections
 from tests.support.runs import INCARNATION
@@ -37,9 +37,7 @@ class Payload(bytes):
 
 
 class Sample:
-    """A message as it arrives from the network."""
-
-    kind = zenoh.SampleKind.PUT
+    """A message as it arrives from the network; tokens have a kind besides."""
 
     def __init__(self, key: str, data: bytes) -> None:
         self.key_expr, self.payload = key, Payload(data)
@@ -142,6 +140,12 @@ class NodeReceiver:
                 pass
         return sent_by(self.bus)
 
+    def meet(self, event: Presence) -> list[tuple[str, bytes]]:
+        """Let the node see a process come or go; return what is sent meanwhile."""
+        for message in self.node.receive(event, time.monotonic_ns()):
+            self.exchange.send(message)
+        return sent_by(self.bus)
+
 
 class RecordingReceiver:
     """A recorder; it never answers."""
@@ -192,9 +196,11 @@ class Wire:
 
     def simulate(self) -> Control:
         """Simulate to the end and return the coordinator's last message."""
+        coordinator = self.receivers["coordinator"]
+        assert isinstance(coordinator, NodeReceiver)
         for name in self.receivers:
             if name not in ("coordinator", "recorder"):
-                self._hear("coordinator", self.keys.ready(name, INCARNATION), b"")
+                self._send("coordinator", coordinator.meet(Presence(name, INCARNATION, alive=True)))
         while self._queue:
             sender, key, data = self._queue.popleft()
             for name in self.listeners(key):
@@ -233,10 +239,12 @@ class Wire:
 
     def _hear(self, name: str, key: str, data: bytes) -> list[str]:
         """Let a receiver read bytes, send what it sends, and return the keys of that."""
-        answers = []
-        for sent_key, sent_data in self.receivers[name].hear(key, data):
-            message = decode(sent_data)
-            self._queue.append((name, sent_key, sent_data))
+        answers = self.receivers[name].hear(key, data)
+        self._send(name, answers)
+        return [sent_key for sent_key, _ in answers]
+
+    def _send(self, name: str, answers: Sequence[tuple[str, bytes]]) -> None:
+        for key, data in answers:
+            message = decode(data)
+            self._queue.append((name, key, data))
             self.sent += map(decode, message.parts) if isinstance(message, Bundle) else [message]
-            answers.append(sent_key)
-        return answers
