@@ -90,10 +90,9 @@ def test_a_killed_harness_leaves_no_orphans(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("exchange", [RELAYED, DIRECT])
-def test_a_frozen_agent_is_noticed_by_the_barrier(exchange: str, tmp_path: Path) -> None:
+def test_a_frozen_agent_is_noticed_by_the_barrier(tmp_path: Path) -> None:
     """SIGSTOP keeps the token alive; the barrier timeout names the agent and the run ends, with no process left."""
-    process = take_off(tmp_path, "frozen", exchange, "clock.barrier_timeout_s=2.5")
+    process = take_off(tmp_path, "frozen", "clock.barrier_timeout_s=2.5")
     os.kill(processes_of("frozen")["agent2"], signal.SIGSTOP)
     _, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == LOST
