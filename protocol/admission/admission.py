@@ -7,6 +7,11 @@ Zenoh keeps the order of one sender's messages under one key only, so order is c
 grow for kinds sent once a tick, the version for rosters, and the sequence number for all others. Where ticks count,
 higher sequence numbers do not: otherwise an attacker with the sender's key could number its messages higher, and all
 true messages would be refused. A sequence number that occurs twice is refused all the same.
+
+With relayed plans two ways lead to one key: a proposal of a negotiation comes alone and may overtake the plan of the
+tick before, which the coordinator relays. So proposals have an order of their own. An answer counts for the order of
+later ones only with its plan: a forged one without a true plan must not block the true answer. Other bundles have no
+order: their ticks need not grow, and copies under higher sequence numbers would block the true ones.
 """
 
 import threading
@@ -19,7 +24,7 @@ from protocol.scenario.setup import Setup
 from protocol.wire.codec import MAX_BYTES, decode
 from protocol.wire.header import Header, Place, header_of, place_of
 from protocol.wire.keys import Keys
-from protocol.wire.messages import LinkChange, Message, MessageError, Reason, Rejected, agent_name
+from protocol.wire.messages import Answer, Bundle, LinkChange, Message, MessageError, Plan, Reason, Rejected, agent_name
 from protocol.wire.names import COORDINATOR, PLANT, RECORDER
 from protocol.wire.rejections import MAX_SENDERS, Notices, Rejections
 
@@ -61,6 +66,8 @@ class Admission:
 
     def __init__(self, name: str, keys: Keys, setup: Setup, rejections: Rejections) -> None:
         self.max_bytes = _max_bytes(setup)
+        # Answers that fill a relay must leave room in it for those of the other agents.
+        self._max_answer = {agent: _max_answer(setup, agent) for agent in setup.agents}
         self.tick = 0
         self._name = name
         self._keys = keys
@@ -69,11 +76,13 @@ class Admission:
         self.window = max(_AHEAD, window(setup))
         self._is_up_to_date = False  # whether `tick` is the present tick of the run
         self._announced: dict[str, int] = {}  # newest incarnation, by name
-        self._newest: dict[tuple[str, str], _Newest] = {}  # by key and kind
-        self._numbers: dict[tuple[str, str], dict[int, None]] = {}  # sequence numbers in their order, by key and kind
+        self._newest: dict[tuple[str, str, bool], _Newest] = {}  # by key, kind, and whether it is a proposal
+        # Incarnations and sequence numbers in their order, by key and kind.
+        self._numbers: dict[tuple[str, str], dict[tuple[int, int], None]] = {}
         self._unread: dict[tuple[str, Reason], tuple[MessageError, int]] = {}  # refused on arrival, by sender
         self._counting = threading.Lock()  # for `_unread`: several threads receive
-        self._last: tuple[str, Message, int] | None = None  # last admitted one: key, message, refusals before it
+        # The last admitted message, with its key, the refusals before it, and the bundle it came in.
+        self._last: tuple[str, Message, int, Bundle | None] | None = None
         self._early: deque[tuple[str, Message]] = deque()  # messages that wait for their sender's token
         self._released: deque[tuple[str, Message]] = deque()  # messages whose sender's token has come
 
@@ -86,7 +95,7 @@ class Admission:
             header = header_of(data)
             if header is not None and header.sender == self._name:
                 raise MessageError("wrong_sender", f"{header.kind} of this process itself", header.sender)
-            newest = None if header is None else self._newest.get((key, header.kind))
+            newest = None if header is None else self._newest.get(_stream(key, header.kind, header.place))
             if header is None or newest is None:
                 return False
             if (header.sender, header.incarnation) != (newest.sender, newest.incarnation):
@@ -113,8 +122,11 @@ class Admission:
         for (sender, _), (error, count) in unread.items():
             self.rejections.add(sender, error, count)
 
-    def read(self, key: str, data: bytes) -> Message | None:
-        """Return the message in some bytes; None if it is refused, or kept because its sender is not announced yet."""
+    def read(self, key: str, data: bytes, bundle: Bundle | None = None) -> Message | None:
+        """Return the message in some bytes; None if it is refused, or kept because its sender is not announced yet.
+
+        `bundle` is the one the message came in.
+        """
         self._remember_last()
         try:
             if len(data) > self.max_bytes:
@@ -125,6 +137,9 @@ class Admission:
                 raise MessageError("wrong_sender", f"{message.kind} of this process itself", message.sender)
             if message.sender not in self._senders:
                 raise MessageError("unknown_agent", f"{message.kind} of {message.sender}", message.sender)
+            if isinstance(message, Answer) and len(data) > self._max_answer[message.agent]:
+                text = f"answer of {len(data)} bytes, at most {self._max_answer[message.agent]} of {message.sender}"
+                raise MessageError("oversized", text, message.sender)
             announced = self._announced.get(message.sender, -1)
             if message.incarnation < announced:
                 raise _wrong_incarnation(message)
@@ -135,7 +150,7 @@ class Admission:
         except MessageError as error:
             self.refuse(key, error)
             return None
-        return self._admit(key, message)
+        return self._admit(key, message, bundle)
 
     def announce(self, name: str, incarnation: int) -> None:
         """Admit messages of an incarnation whose token has appeared, and no longer those of earlier ones.
@@ -206,37 +221,46 @@ class Admission:
         if self._is_up_to_date and message.tick > self.tick + self.window:
             text = f"{message.kind} of tick {message.tick}, the newest here is {self.tick}"
             raise MessageError("future", text, message.sender)
-        newest = self._newest.get((key, message.kind))
-        if newest is None or message.incarnation > newest.incarnation:
-            return
-        _check_new(message, place_of(message), newest)
-        if message.sequence in self._numbers[key, message.kind]:
+        place = place_of(message)
+        newest = self._newest.get(_stream(key, message.kind, place))
+        if newest is not None and message.incarnation <= newest.incarnation:
+            _check_new(message, place, newest)
+        if (message.incarnation, message.sequence) in self._numbers.get((key, message.kind), ()):
             raise MessageError("replayed", f"{message.kind} number {message.sequence} again", message.sender)
 
-    def _admit(self, key: str, message: Message) -> Message:
-        self._last = key, message, self.rejections.total
+    def _admit(self, key: str, message: Message, bundle: Bundle | None = None) -> Message:
+        if not isinstance(message, Bundle):
+            self._last = key, message, self.rejections.total, bundle
         return message
 
     def _remember_last(self) -> None:
         """Remember the place of the last admitted message, unless the node has refused it."""
         if self._last is None:
             return
-        key, message, refused = self._last
+        key, message, refused, bundle = self._last
         self._last = None
         if self.rejections.total != refused:
             return
-        at = key, message.kind
-        before = self._newest.get(at)
-        if before is None or message.incarnation != before.incarnation:
-            self._numbers[at] = {}
-        numbers = self._numbers[at]
-        numbers[message.sequence] = None
-        if len(numbers) > _NUMBERS:
-            del numbers[next(iter(numbers))]
-        self._newest[at] = _Newest(message.sender, message.incarnation, message.sequence, place_of(message))
+        self._remember(key, message)
+        if isinstance(bundle, Answer) and bundle.tick == message.tick:
+            self._remember(self._keys.of(bundle), bundle)
         if not isinstance(message, LinkChange):  # a repeated change is of the past
             self.tick = max(self.tick, message.tick)
             self._is_up_to_date = True
+
+    def _remember(self, key: str, message: Message) -> None:
+        numbers = self._numbers.setdefault((key, message.kind), {})
+        numbers[message.incarnation, message.sequence] = None
+        if len(numbers) > _NUMBERS:
+            del numbers[next(iter(numbers))]
+        place = place_of(message)
+        newest = _Newest(message.sender, message.incarnation, message.sequence, place)
+        self._newest[_stream(key, message.kind, place)] = newest
+
+
+def _stream(key: str, kind: str, place: Place | None) -> tuple[str, str, bool]:
+    """Return what messages are ordered by: key, kind, and whether it is a proposal of a negotiation."""
+    return key, kind, kind == Plan.kind and place is not None and place[1] < 0
 
 
 def _check_new(message: Message | Header, place: Place | None, newest: _Newest) -> None:
@@ -258,9 +282,19 @@ def _wrong_incarnation(message: Message) -> MessageError:
 
 def _max_bytes(setup: Setup) -> int:
     """Return the size of the largest message: plans for all UAVs, or the plant state; in bundles also measurements."""
-    N, agents, frames = setup.system.N, 0, 1
+    size = _FRAME_BYTES + 8 * PAYLOAD
     if setup.scenario.clock.relayed:
-        agents = len(setup.agents)
-        frames = 2 * agents + 1  # plans, reports, a tick
-    per_uav = max(PER_UAV + 2 * INPUTS * setup.settings.horizon, 2 * (PER_UAV + INPUTS))
-    return min(MAX_BYTES, frames * _FRAME_BYTES + 8 * (PAYLOAD * (agents + 1) + N * per_uav))
+        size += sum(_max_answer(setup, agent) for agent in setup.agents)
+    else:
+        size += 8 * setup.system.N * _per_uav(setup)
+    return min(MAX_BYTES, size)
+
+
+def _max_answer(setup: Setup, agent: int) -> int:
+    """Return the size of an agent's largest answer: a plan for its UAVs, and a report."""
+    return 2 * _FRAME_BYTES + 8 * (PAYLOAD + len(setup.owned[agent - 1]) * _per_uav(setup))
+
+
+def _per_uav(setup: Setup) -> int:
+    """Return the most numbers of a UAV in the messages of a tick: state and plan, or state and measurement."""
+    return max(PER_UAV + 2 * INPUTS * setup.settings.horizon, 2 * (PER_UAV + INPUTS))

@@ -214,7 +214,7 @@ class Bus:
         self.admission.count_unread()
         while True:
             while self._parts:
-                message = self.admission.read(*self._parts.popleft())
+                message = self.admission.read(*self._parts.popleft(), self.bundle)
                 if message is not None:
                     return message
             self.bundle = None

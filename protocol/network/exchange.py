@@ -129,9 +129,10 @@ class _Coordinator(_Bundled):
         self._awaited: set[int] = set()  # agents that are to answer the open tick
 
     def received(self, event: Event, bundle: Bundle | None) -> None:
-        if isinstance(event, Plan) and isinstance(bundle, Answer):
-            self._answers[event.agent] = bundle
+        if isinstance(event, Plan) and event.negotiation == 0:
             self._awaited.discard(event.agent)
+            if isinstance(bundle, Answer):
+                self._answers[event.agent] = bundle
 
     def send(self, message: Message) -> None:
         if isinstance(message, Tick):

@@ -98,13 +98,23 @@ def test_waits_only_for_whom_the_clock_waited(run: Setup, node: AgentNode) -> No
     assert report.delivered == 2
 
 
-def test_roster_releases_the_wait(run: Setup, node: AgentNode) -> None:
-    """An agent that has left is waited for until its earlier plans are here, or its connection is closed."""
+@pytest.mark.parametrize("releases", [True, False], ids=["direct", "relayed"])
+def test_roster_releases_the_wait(releases: bool) -> None:
+    """An agent that has left is waited for until its plan is here, or its connection is closed.
+
+    The end of its connection counts with direct exchange only: the plan of an agent that is gone may still be relayed.
+    """
+    run = setup(SHORT_HORIZON, f"clock.exchange={'direct' if releases else 'relayed'}")
+    node = AgentNode(run, 1)
+    tell(node, roster())
     step(run, node, 0)
     assert tell(node, measurement(run, 1, 1), plan(run, 2, 0), plan(run, 3, 0)) == []
     assert tell(node, roster({1: 1, 2: 1, 3: 1}, k=1, version=2)) == []
-    made, _ = answer(tell(node, Presence("agent4", 1, alive=False)))
+    found = tell(node, Presence("agent4", 1, alive=False))
+    assert bool(found) == releases
+    made, report = answer(found or tell(node, plan(run, 4, 0)))
     assert made.tick == 1
+    assert report.delivered == (2 if releases else 3)
 
 
 def test_early_plans_are_for_the_next_tick(run: Setup) -> None:

@@ -129,6 +129,23 @@ def test_an_answer_that_was_lost_with_its_agent() -> None:
     assert kinds(found) == ["plant_state 0", *measured(1, 3)]
 
 
+@pytest.mark.parametrize("releases", [True, False], ids=["direct", "relayed"])
+def test_the_end_of_an_agent_that_answered(releases: bool) -> None:
+    """The plan of an agent that answered and then left is waited for; see `Membership.close`.
+
+    The end of its connection ends the wait with direct exchange only: otherwise the plan may still be relayed.
+    """
+    run = setup(NEXT_TICK, f"clock.exchange={'direct' if releases else 'relayed'}")
+    node = ready(run)
+    tell(node, tick(0), *[plan(run, agent, 0, delay=1) for agent in (1, 3, 4)])
+    assert kinds(tell(node, roster({1: 1, 3: 1, 4: 1}, k=1, version=2), tick(1, version=2))) == measured(1, 3)
+    found = tell(node, Presence("agent2", 1, alive=False))
+    assert bool(found) == releases
+    (record,) = found or tell(node, plan(run, 2, 0, delay=1))
+    assert isinstance(record, PlantState)
+    assert record.plan_ticks == (0, BEFORE_ANY_PLAN if releases else 0, 0, 0)
+
+
 def test_waits_for_the_roster_of_a_tick() -> None:
     """A tick that names a roster not yet here is measured when it is."""
     run = setup()

@@ -10,7 +10,18 @@ import pytest
 from protocol.admission.admission import Admission
 from protocol.wire.codec import MAX_BYTES, VERSION, encode
 from protocol.wire.keys import Keys
-from protocol.wire.messages import MAX_TEXT, LinkChange, Message, MessageError, Plan, Rejected, StepReport, agent_name
+from protocol.wire.messages import (
+    MAX_TEXT,
+    LinkChange,
+    Message,
+    MessageError,
+    Plan,
+    Record,
+    Rejected,
+    Relay,
+    StepReport,
+    agent_name,
+)
 from protocol.wire.rejections import Rejections
 from tests.support import runs
 from tests.support.runs import ALL, INCARNATION, setup
@@ -24,9 +35,9 @@ AHEAD = 16  # ticks of the future that a slow connection may be behind another
 class Receiver:
     """The admission of a process with its counts; all processes are announced."""
 
-    def __init__(self, name: str = "recorder") -> None:
+    def __init__(self, name: str = "recorder", *settings: str) -> None:
         self.rejections = Rejections()
-        self.admission = Admission(name, KEYS, setup(), self.rejections)
+        self.admission = Admission(name, KEYS, setup(*settings), self.rejections)
         for other, incarnation in TEAM.items():
             self.admission.announce(other, incarnation)
 
@@ -289,8 +300,8 @@ def test_the_sender_a_refusal_is_counted_under(data: bytes, sender: str, reason:
 
 def test_size() -> None:
     """The largest messages of a run pass; messages much larger are refused unread."""
-    run = setup()
-    receiver = Receiver()
+    run = setup("clock.exchange=direct")
+    receiver = Receiver("recorder", "clock.exchange=direct")
     team = tuple(range(1, run.system.N + 1))
     inputs = np.full((run.settings.horizon, 4 * len(team)), 0.1)
     largest = plan(0, uavs=team, uav_states=np.zeros((len(team), 12)), inputs=inputs, corrections=inputs)
@@ -314,6 +325,24 @@ def test_size() -> None:
     assert text == f"message of 1000000000 bytes, at most {receiver.admission.max_bytes} in this run"
 
 
+@pytest.mark.parametrize("owned", ["[[1],[2],[3],[4]]", "[[1,2],[3,4]]", "[[1,2,3,4]]"])
+def test_size_of_bundles(owned: str) -> None:
+    """The largest bundles of a run pass; the limit is at most that of as many single messages as a relay carries."""
+    own = f"agents.owned={owned}"
+    run = setup(own, "clock.exchange=relayed")
+    plans = [runs.plan(run, agent, 0) for agent in run.agents]
+    answers: list[Message] = [replace(made, corrections=made.inputs) for made in plans]
+    answers += [sample(StepReport, sender=agent_name(a), agent=a, solver="\N{SNOWMAN}" * MAX_TEXT) for a in run.agents]
+    states: list[Message] = [runs.plant_state(run, 0, "\N{SNOWMAN}" * MAX_TEXT)]
+    states += [runs.measurement(run, agent, 1) for agent in run.agents]
+    receiver = Receiver("recorder", own, "clock.exchange=relayed")
+    for kind, parts in ((Relay, [*answers, runs.tick(1)]), (Record, states)):
+        keys, data = [KEYS.end(KEYS.of(part)) for part in parts], [encode(part) for part in parts]
+        assert receiver.accepts(sample(kind, incarnation=0, keys=keys, parts=data)) == [True]
+    single = Receiver("recorder", own, "clock.exchange=direct").admission.max_bytes
+    assert receiver.admission.max_bytes <= (2 * len(run.agents) + 1) * single
+
+
 def test_any_order_of_two_streams() -> None:
     """In any interleaving of the messages of two keys each stream passes whole and once."""
     rng = np.random.default_rng(20240611)
@@ -330,3 +359,15 @@ def test_any_order_of_two_streams() -> None:
             ticks = [message.tick for message in passed if message.agent == agent]
             assert all(after == before + 1 for before, after in pairwise(ticks))
         assert len(passed) == 24
+
+
+def test_a_proposal_may_overtake_a_relayed_plan() -> None:
+    """The proposal of the next tick comes alone, and may come before the plan of this tick, which is relayed."""
+    receiver = Receiver("agent1")
+    proposals = [plan(k, sequence=10 * k, negotiation=1) for k in range(3)]
+    plans = [plan(k, sequence=10 * k + 1) for k in range(3)]
+    sent = [proposals[0], proposals[1], plans[0], proposals[2], plans[1], plans[2]]
+    assert receiver.accepts(*sent) == [True] * 6
+    assert receiver.accepts(*sent) == [False] * 6
+    assert receiver.accepts(replace(proposals[2], negotiation=0, tick=3, start_tick=3)) == [False]  # the same number
+    assert receiver.refused() == [("agent2", "replayed", 7)]

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from protocol.wire.codec import MAX_BYTES, VERSION, decode, encode
-from protocol.wire.messages import KINDS, Message, MessageError, Plan, Tick
+from protocol.wire.messages import BUNDLES, KINDS, Message, MessageError, Plan, Tick
 from tests.support.samples import fields, sample, samples
-from tests.support.strategies import messages
+from tests.support.strategies import bundles, messages
 
 SEED = 20240611
 RANDOM_MESSAGES = 20_000  # of each sort; some seconds in all
@@ -63,7 +63,7 @@ def survives(data: bytes) -> Message | None:
     return message
 
 
-@given(messages)
+@given(messages | bundles)
 @settings(max_examples=200, deadline=None, derandomize=True)
 def test_round_trip(message: Message) -> None:
     """decode(encode(m)) equals m bit for bit, signed zeros included, and encodes to the same bytes again."""
@@ -288,8 +288,8 @@ def test_claimed_lengths_are_not_believed(header: bytes) -> None:
 
 
 def test_only_arrays_and_plain_values_are_sent() -> None:
-    """Every kind of message can be sent; an array with more axes than its header can hold raises."""
-    assert {decode(encode(message)).kind for message in samples()} == set(KINDS)
+    """Every kind of message and bundle can be sent; an array with more axes than its header can hold raises."""
+    assert {decode(encode(message)).kind for message in samples()} == {*KINDS, *BUNDLES}
     message = sample(Plan)
     object.__setattr__(message, "inputs", np.zeros((1, 1, 1, 1)))
     with pytest.raises(TypeError, match="cannot send"):

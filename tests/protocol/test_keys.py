@@ -4,7 +4,9 @@ import pytest
 
 from protocol.wire.keys import Keys, RunNameError, Token, matches
 from protocol.wire.messages import (
+    BUNDLES,
     KINDS,
+    Answer,
     Control,
     FaultNote,
     LinkChange,
@@ -13,7 +15,9 @@ from protocol.wire.messages import (
     MessageError,
     Plan,
     PlantState,
+    Record,
     Rejected,
+    Relay,
     Roster,
     StepReport,
     Tick,
@@ -36,7 +40,11 @@ OWNERS = {
     "plan": "agent2",
     "report": "agent2",
     "rejected": "agent2",
+    "answer": "agent2",
+    "relay": "coordinator",
+    "record": "plant",
 }
+ALL_KINDS = KINDS | BUNDLES
 
 
 def listeners(message: Message) -> set[str]:
@@ -59,6 +67,9 @@ def listeners(message: Message) -> set[str]:
         (StepReport, {"recorder"}),
         (Rejected, {"recorder"}),
         (PlantState, {"coordinator", "recorder"}),
+        (Answer, {"coordinator"}),
+        (Relay, {"plant", "recorder", "agent1", "agent2", "agent12", "agent123"}),
+        (Record, {"coordinator", "recorder"}),
     ],
 )
 def test_receivers(kind: type[Message], expected: set[str]) -> None:
@@ -98,9 +109,18 @@ def test_each_key_of_plans_has_its_own() -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_no_message_arrives_twice(name: str) -> None:
     """At most one subscription of a process covers a key: on the network two would deliver twice."""
-    for kind in KINDS.values():
+    for kind in ALL_KINDS.values():
         key = KEYS.of(sample(kind))
         assert sum(matches(expression, key) for expression in KEYS.subscriptions(name)) <= 1
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_with_relayed_plans_the_record_brings_measurements(name: str) -> None:
+    """The recorder then has no subscription to measurements, which come in the record; other processes keep theirs."""
+    direct, relayed = KEYS.subscriptions(name), KEYS.subscriptions(name, relayed=True)
+    measurements = {key for key in direct if "/measurement/" in key}
+    assert set(direct) - set(relayed) == (measurements if name == "recorder" else set())
+    assert set(relayed) <= set(direct)
 
 
 def test_runs_do_not_hear_each_other() -> None:
@@ -109,7 +129,7 @@ def test_runs_do_not_hear_each_other() -> None:
     tokens = [KEYS.alive("agent1", 0, "abc", 3), KEYS.ready("agent1", 0)]
     for name in NAMES:
         for expression in KEYS.subscriptions(name):
-            assert not any(matches(expression, other.of(sample(kind))) for kind in KINDS.values())
+            assert not any(matches(expression, other.of(sample(kind))) for kind in ALL_KINDS.values())
             assert not any(matches(expression, token) for token in tokens)
 
 
@@ -126,20 +146,23 @@ def test_keys_are_as_documented() -> None:
         "plan": "transport/run-1/plan/2",
         "report": "transport/run-1/report/2",
         "rejected": "transport/run-1/rejected/agent2",
+        "answer": "transport/run-1/answer/2",
+        "relay": "transport/run-1/relay",
+        "record": "transport/run-1/record",
     }
-    assert {kind: KEYS.of(sample(KINDS[kind])) for kind in expected} == expected
+    assert {kind: KEYS.of(sample(ALL_KINDS[kind])) for kind in expected} == expected
     assert KEYS.alive("agent2", 3, "0123ab", 5) == "transport/run-1/alive/agent2/3/0123ab/5"
     assert KEYS.ready("plant", 0) == "transport/run-1/ready/plant/0"
 
 
-@pytest.mark.parametrize("kind", KINDS.values())
+@pytest.mark.parametrize("kind", ALL_KINDS.values())
 def test_own_messages_are_accepted(kind: type[Message]) -> None:
     """A message under its own key from the process that owns it passes."""
     message = sample(kind)
     KEYS.check_sender(KEYS.of(message), message)
 
 
-@pytest.mark.parametrize("kind", [KINDS[kind] for kind in OWNERS if kind != Rejected.kind])
+@pytest.mark.parametrize("kind", [ALL_KINDS[kind] for kind in OWNERS if kind != Rejected.kind])
 def test_forged_senders_are_refused(kind: type[Message]) -> None:
     """A message that claims any other sender than its key's owner is refused; the text names both."""
     for name in NAMES:
@@ -159,12 +182,12 @@ def test_each_speaks_of_refusals_under_a_key_of_its_own() -> None:
             KEYS.check_sender(KEYS.of(sample(Rejected, sender=name)), message)
 
 
-@pytest.mark.parametrize("kind", KINDS.values())
+@pytest.mark.parametrize("kind", ALL_KINDS.values())
 def test_foreign_keys_are_refused(kind: type[Message]) -> None:
     """A message under a key of another kind, agent, run, or one that is longer or shorter, is refused."""
     message = sample(kind)
     own = KEYS.of(message)
-    foreign = {KEYS.of(sample(other)) for other in KINDS.values()} - {own}
+    foreign = {KEYS.of(sample(other)) for other in ALL_KINDS.values()} - {own}
     foreign |= {Keys("run-2").of(message), f"{own}/2", f"{own}2", own.rpartition("/")[0], own.upper(), "", "tick"}
     foreign |= {f"{own.rpartition('/')[0]}/*", f"{own.rpartition('/')[0]}/1", f"/{own}"}
     for key in foreign:
@@ -187,7 +210,7 @@ def test_tokens_are_read() -> None:
     assert KEYS.token(KEYS.ready("plant", 0)) == Token("plant", 0, None, None)
     assert KEYS.is_token(KEYS.alive("agent2", 3, "0123ab", 5))
     assert KEYS.is_token(KEYS.ready("plant", 0))
-    assert not any(KEYS.is_token(KEYS.of(sample(kind))) for kind in KINDS.values())
+    assert not any(KEYS.is_token(KEYS.of(sample(kind))) for kind in ALL_KINDS.values())
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,24 @@ from typing import Any, Literal, get_origin, get_type_hints
 import numpy as np
 import pytest
 
-from protocol.wire.fields import Age, Agent, Count, End, Finite, Flag, Ids, Name, Number, Text
+from protocol.wire.fields import (
+    MAX_KEY,
+    MAX_PARTS,
+    Age,
+    Agent,
+    Count,
+    End,
+    Finite,
+    Flag,
+    Ids,
+    KeyEnds,
+    Name,
+    Number,
+    Parts,
+    Text,
+)
 from protocol.wire.messages import (
+    BUNDLES,
     KINDS,
     MAX_HORIZON,
     MAX_NEGOTIATION_ITERATIONS,
@@ -62,6 +78,30 @@ WRONG: dict[str, list[Any]] = {
     "word": ["", "Solved", "completed ", 1, None, b"solved", ["solved"], ("solved", "limit")],
     "array": [None, 1.0, "x", [1.0, 2.0], b"12345678", np.array(["x"]), np.zeros((1, 1, 1)), np.float64(1.0)],
     "list": [],  # see ENTRIES
+    "keys": [
+        3,
+        None,
+        "plan/2",
+        b"x",
+        {"plan/2": 1},
+        (3, "a"),
+        ("a", None),
+        ("x" * (MAX_KEY + 1), "a"),
+        ("\u00e4", "a"),
+        ("a",) * (MAX_PARTS + 1),
+    ],
+    "parts": [
+        3,
+        None,
+        "plan",
+        b"x",
+        ("x", b"y"),
+        (b"y", None),
+        (b"y", 3),
+        (b"",) * (MAX_PARTS + 1),
+        (b"y",),
+        (b"y",) * 3,
+    ],
 }
 
 SORTS: dict[type[Message], dict[str, str]] = {
@@ -147,8 +187,11 @@ SORT_OF_TYPE = {
     Finite: "float",
     Flag: "flag",
     Text: "text",
+    KeyEnds: "keys",
+    Parts: "parts",
 }
-for other in set(KINDS.values()) - set(SORTS):
+ALL_KINDS = KINDS | BUNDLES
+for other in set(ALL_KINDS.values()) - set(SORTS):
     hints = get_type_hints(other, include_extras=True)
     own = [field.name for field in dataclasses.fields(other) if field.name not in HEAD]
     SORTS[other] = {
@@ -180,7 +223,7 @@ def refusal(kind: type[Message], **changes: Any) -> str:
 
 def test_the_table_covers_every_field() -> None:
     """The table of wrong values covers every field of every message kind."""
-    for kind in KINDS.values():
+    for kind in ALL_KINDS.values():
         assert {field.name for field in dataclasses.fields(kind)} == set(HEAD | SORTS[kind]) == set(fields(kind))
 
 
@@ -316,7 +359,7 @@ def test_values_become_plain_python() -> None:
     assert type(report.residual) is float
 
 
-@pytest.mark.parametrize("kind", KINDS.values())
+@pytest.mark.parametrize("kind", ALL_KINDS.values())
 def test_messages_are_frozen(kind: type[Message]) -> None:
     """No field of a message can be set after construction, and none can be added."""
     message = sample(kind)

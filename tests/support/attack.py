@@ -14,7 +14,10 @@ import zenoh
 
 from protocol.wire.codec import decode, encode
 from protocol.wire.keys import Keys
-from protocol.wire.messages import Plan
+from protocol.wire.messages import Answer, Plan, Relay
+
+# Of so many messages of a flood one is an answer to the coordinator, the others are plans to all.
+_ANSWERED = 4
 
 _REMOTE, _BLOCK = zenoh.Locality.REMOTE, zenoh.CongestionControl.BLOCK
 
@@ -68,7 +71,7 @@ def say(opened: zenoh.Session, key: str, data: bytes) -> None:
 
 
 def flood(opened: zenoh.Session, keys: Keys, agent: int, rate_hz: float, sort: str) -> int:
-    """Repeat an agent's newest plan until the end of the run, and return the number of messages sent.
+    """Repeat an agent's newest plan, alone and in answers, until the end of the run; return the number of messages.
 
     Args:
         opened: Session with the keys of that agent.
@@ -81,9 +84,13 @@ def flood(opened: zenoh.Session, keys: Keys, agent: int, rate_hz: float, sort: s
     over: queue.SimpleQueue[object] = queue.SimpleQueue()
     key = f"{keys.prefix}/{Plan.kind}/{agent}"
     kept = [
-        opened.declare_subscriber(f"{keys.prefix}/{Plan.kind}/*", lambda sample: _own(sample, key, received)),
-        opened.declare_subscriber(f"{keys.prefix}/control", over.put),
+        opened.declare_subscriber(f"{keys.prefix}/{end}", lambda sample: _own(sample, keys, key, received))
+        for end in (f"{Plan.kind}/*", Relay.kind)
     ]
+    kept.append(opened.declare_subscriber(f"{keys.prefix}/control", over.put))
+    answers = opened.declare_publisher(
+        f"{keys.prefix}/{Answer.kind}/{agent}", congestion_control=_BLOCK, allowed_destination=_REMOTE
+    )
     publisher = opened.declare_publisher(key, congestion_control=_BLOCK, allowed_destination=_REMOTE)
     data, sent, number = received.get(timeout=60.0), 0, 10**6
     begun_s = time.monotonic()
@@ -99,8 +106,11 @@ def flood(opened: zenoh.Session, keys: Keys, agent: int, rate_hz: float, sort: s
                     replace(plan, tick=plan.tick + ahead, start_tick=plan.start_tick + ahead, sequence=number)
                 )
         due = int((time.monotonic() - begun_s) * rate_hz)
-        for _ in range(due - sent):
-            publisher.put(data)
+        for number_sent in range(sent, due):
+            if number_sent % _ANSWERED == 0:
+                answers.put(_answer(data))
+            else:
+                publisher.put(data)
         sent = due
         time.sleep(0.005)
     for subscriber in kept:
@@ -108,9 +118,32 @@ def flood(opened: zenoh.Session, keys: Keys, agent: int, rate_hz: float, sort: s
     return sent
 
 
-def _own(sample: zenoh.Sample, key: str, received: queue.SimpleQueue[bytes]) -> None:
+def _own(sample: zenoh.Sample, keys: Keys, key: str, received: queue.SimpleQueue[bytes]) -> None:
+    """Keep a plan that travels under a key, alone or in a relay."""
+    data = sample.payload.to_bytes()
     if str(sample.key_expr) == key:
-        received.put(sample.payload.to_bytes())
+        received.put(data)
+    elif isinstance(relay := decode(data), Relay):
+        for end, part in zip(relay.keys, relay.parts, strict=True):
+            if end == keys.end(key):
+                received.put(part)
+
+
+def _answer(data: bytes) -> bytes:
+    """Return an answer with a plan."""
+    plan = decode(data)
+    assert isinstance(plan, Plan)
+    return encode(
+        Answer(
+            sender=plan.sender,
+            incarnation=plan.incarnation,
+            sequence=plan.sequence,
+            tick=plan.tick,
+            agent=plan.agent,
+            keys=(f"{Plan.kind}/{plan.agent}",),
+            parts=(data,),
+        )
+    )
 
 
 def main() -> None:

@@ -67,6 +67,8 @@ def random_run(seed: int, number: int) -> FuzzRun:
         settings += ["controller.negotiation_iterations=2"]
     if rng.random() < 0.3:
         settings += [rng.choice(_IMPAIRED)]
+    if pace != "realtime" and rng.random() < 0.3:
+        settings += ["clock.exchange=direct"]
     count = 2 if rng.random() < 0.3 else 1
     return FuzzRun(
         number=number, settings=tuple(settings), injections=tuple(_random_injection(rng) for _ in range(count))

@@ -12,15 +12,19 @@ import numpy as np
 from model import state
 from protocol.scenario.setup import Setup
 from protocol.wire.codec import VERSION, decode, encode
-from protocol.wire.keys import Keys
+from protocol.wire.keys import Keys, matches
 from protocol.wire.messages import (
+    Answer,
+    Bundle,
     Control,
     LinkChange,
     Measurement,
     Message,
     Plan,
     PlantState,
+    Record,
     Rejected,
+    Relay,
     Roster,
     StepReport,
     Tick,
@@ -104,6 +108,9 @@ class Garbage:
             "absurd": self._absurd,
             "unheard-of": self._unheard_of,
         }
+        self._single = [sort for sort in self.sorts if sort != "oversized"]
+        if setup.scenario.clock.relayed:
+            self.sorts |= {"bad parts": self._bad_parts, "renumbered bundle": self._renumbered_bundle}
 
     def heard(self, key: str, data: bytes) -> None:
         """Note a message of the run before its delivery."""
@@ -112,7 +119,17 @@ class Garbage:
             delivered = self._coming.popleft()
             self._delivered.append(delivered)
             self._first.setdefault(*delivered)
-            self.tick = max(self.tick, decode(delivered[1]).tick)
+            message = decode(delivered[1])
+            self.tick = max(self.tick, message.tick)
+            if isinstance(message, Bundle):
+                self._delivered.extend(self._opened(message))
+
+    def _opened(self, bundle: Bundle) -> list[tuple[str, bytes]]:
+        """Return keys and bytes of the messages of a bundle that are for this receiver."""
+        own = self._keys.publications(self._name)
+        parts = [(f"{self._keys.prefix}/{end}", data) for end, data in zip(bundle.keys, bundle.parts, strict=True)]
+        hears = self._keys.subscriptions(self._name)
+        return [part for part in parts if part[0] not in own and any(matches(one, part[0]) for one in hears)]
 
     def next(self) -> tuple[str, str, bytes]:
         """Return sort, key and bytes of the next bad message."""
@@ -346,6 +363,26 @@ class Garbage:
             case _:
                 raise TypeError(message.kind)
         return key, encode(self._new(message, tick=tick, **self._one_of(changes)))
+
+    def _bad_parts(self) -> tuple[str, bytes]:
+        """Return a bundle of the next tick with bad messages in it."""
+        found = self._message(Answer, Relay, Record)
+        if found is None:
+            return self._noise()
+        bad = [self.sorts[self._one_of(self._single)]() for _ in range(int(self._rng.integers(4)))]
+        ends, parts = [self._keys.end(key)[:80] for key, _ in bad], [data for _, data in bad]
+        return found[0], encode(self._new(found[1], tick=self.tick + 1, keys=ends, parts=parts))
+
+    def _renumbered_bundle(self) -> tuple[str, bytes]:
+        """Return a bundle of the next tick with messages of an old one, some left out, some twice."""
+        found = self._message(Answer, Relay, Record)
+        if found is None:
+            return self._noise()
+        bundle = found[1]
+        assert isinstance(bundle, Bundle)
+        kept = [int(i) for i in self._rng.integers(len(bundle.parts), size=int(self._rng.integers(4)))]
+        keys, parts = [bundle.keys[i] for i in kept], [bundle.parts[i] for i in kept]
+        return found[0], encode(self._new(bundle, tick=self.tick + 1, keys=keys, parts=parts))
 
     def _unheard_of(self) -> tuple[str, bytes]:
         """Return a well-formed message of an unknown agent, or of a kind that this receiver does not expect."""

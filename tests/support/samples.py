@@ -1,4 +1,4 @@
-"""One valid message of every kind, as the fields it is built from."""
+"""One valid message or bundle of every kind, as the fields it is built from."""
 
 from types import SimpleNamespace
 from typing import Any, Literal, get_args, get_origin, get_type_hints
@@ -15,13 +15,25 @@ from protocol.wire.fields import (
     Finite,
     Flag,
     Ids,
+    KeyEnds,
     Name,
     Number,
+    Parts,
     Shape,
     Text,
     checks,
 )
-from protocol.wire.messages import KINDS, Control, FaultNote, LinkChange, Message, PlantState, Rejected, Roster
+from protocol.wire.messages import (
+    BUNDLES,
+    KINDS,
+    Control,
+    FaultNote,
+    LinkChange,
+    Message,
+    PlantState,
+    Rejected,
+    Roster,
+)
 from protocol.wire.names import AGENT
 
 HEAD: dict[str, Any] = {"incarnation": 1, "sequence": 7, "tick": 3}
@@ -39,6 +51,8 @@ BY_TYPE: dict[Any, Any] = {
     Finite: 1e-9,
     Flag: True,
     Text: "text",
+    KeyEnds: ("plan/2", "report/2"),
+    Parts: (b"plan", b"\x00report"),
     int: 1,
     tuple: (3, -2),
 }
@@ -94,5 +108,5 @@ def sample(kind: type[Message], **changes: Any) -> Message:
 
 
 def samples() -> list[Message]:
-    """Return one message of every kind."""
-    return [sample(kind) for kind in KINDS.values()]
+    """Return one message and one bundle of every kind."""
+    return [sample(kind) for kind in (*KINDS.values(), *BUNDLES.values())]

@@ -1,12 +1,13 @@
-"""Hypothesis strategies: any valid message of any kind, drawn from the types of its fields."""
+"""Hypothesis strategies: any valid message or bundle of any kind, drawn from the types of its fields."""
 
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from hypothesis.strategies import DrawFn, SearchStrategy
 
 from protocol.wire.fields import (
+    MAX_KEY,
     Age,
     Agent,
     Ages,
@@ -16,17 +17,21 @@ from protocol.wire.fields import (
     Finite,
     Flag,
     Ids,
+    KeyEnds,
     Name,
     Number,
+    Parts,
     Shape,
     Text,
     checks,
 )
 from protocol.wire.messages import (
+    BUNDLES,
     KINDS,
     MAX_NEGOTIATION_ITERATIONS,
     MAX_TICK,
     MAX_UAVS,
+    Bundle,
     Control,
     Message,
     Plan,
@@ -38,8 +43,10 @@ from protocol.wire.messages import (
 from protocol.wire.names import COORDINATOR, PLANT, RECORDER
 from tests.support.samples import array_of
 
+T = TypeVar("T")
+
 # Sizes that keep an example fast; larger sizes take the same code path.
-_UAVS, _STEPS = 4, 5
+_UAVS, _STEPS, _PARTS = 4, 5, 4
 
 _agent = st.integers(1, MAX_UAVS)
 _count = st.integers(0, MAX_TICK)
@@ -61,6 +68,8 @@ _BY_TYPE: dict[Any, SearchStrategy[Any]] = {
     Finite: _number,
     Flag: st.booleans(),
     Text: _text,
+    KeyEnds: st.lists(st.text(st.characters(codec="ascii"), max_size=MAX_KEY), max_size=_PARTS),
+    Parts: st.lists(st.binary(max_size=40), max_size=_PARTS),
 }
 
 # Fields with their own range.
@@ -81,11 +90,13 @@ def _field(kind: type[Message], field: str) -> SearchStrategy[Any]:
 def _relate(draw: DrawFn, kind: type[Message], values: dict[str, Any]) -> None:
     """Replace the lists whose lengths depend on another field."""
 
-    def listed(like: str, entries: SearchStrategy[int]) -> list[int]:
+    def listed(like: str, entries: SearchStrategy[T]) -> list[T]:
         return draw(st.lists(entries, min_size=len(values[like]), max_size=len(values[like])))
 
     if kind is Roster:
         values |= {"incarnations": listed("agents", _count), "released": values["off"][1:]}
+    if issubclass(kind, Bundle):
+        values |= {"parts": listed("keys", st.binary(max_size=40))}
     if kind is StepReport:
         values |= {"plan_ages": listed("peers", _age), "state_ages": listed("peers", _age)}
 
@@ -105,3 +116,4 @@ def _message(draw: DrawFn, kind: type[Message]) -> Message:
 
 
 messages: SearchStrategy[Message] = st.one_of([_message(kind) for kind in KINDS.values()])
+bundles: SearchStrategy[Message] = st.one_of([_message(kind) for kind in BUNDLES.values()])

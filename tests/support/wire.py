@@ -1,17 +1,25 @@
-"""A run in one process whose messages travel as bytes: each receiver reads them through its own admission."""
+"""A run in one process whose messages travel as bytes: real buses and loops over a network that is a queue."""
 
+import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import Any, Protocol
+
+import pytest
 
 from agent.node import AgentNode
 from coordinator.node import CoordinatorNode
 from plant.node import PlantNode
 from protocol.admission.admission import Admission
+from protocol.network import bus as bus_module
+from protocol.network import process
+from protocol.network.bus import Bus, Interrupted
+from protocol.network.endpoints import Endpoints
+from protocol.network.exchange import exchange_of
 from protocol.scenario.setup import Setup
-from protocol.wire.codec import encode
+from protocol.wire.codec import decode, encode
 from protocol.wire.keys import Keys, matches
-from protocol.wire.messages import Control, Message, Presence
+from protocol.wire.messages import Bundle, Control, Message, Presence, Rejected
 from protocol.wire.node import Node
 from protocol.wire.rejections import Rejections
 from tests.support.runs import INCARNATION
@@ -20,57 +28,161 @@ from transport.flight.recorder import Recorder
 Before = Callable[["Wire", str, str, bytes], None]
 
 
-class Receiver(Protocol):
-    """A process that receives messages through its admission."""
+class Payload(bytes):
+    """Payload of a sample."""
 
+    def to_bytes(self) -> bytes:
+        """Return the bytes."""
+        return bytes(self)
+
+
+class Sample:
+    """A message as it arrives from the network; tokens have a kind besides."""
+
+    def __init__(self, key: str, data: bytes) -> None:
+        self.key_expr, self.payload = key, Payload(data)
+
+
+class Publisher:
+    """A publisher of one key, without a network."""
+
+    def __init__(self, key: str) -> None:
+        self._key = key
+        self.sent: list[tuple[str, bytes]] = []
+
+    def put(self, data: bytes) -> None:
+        """Keep a message."""
+        self.sent.append((self._key, data))
+
+
+class Session:
+    """A session without a network: declares nothing, and keeps what is sent, by key."""
+
+    def __init__(self, *_: object) -> None:
+        self.sent: list[tuple[str, bytes]] = []
+
+    def declare_publisher(self, key: str, **_: object) -> Publisher:
+        """Return a publisher of a key."""
+        publisher = Publisher(key)
+        publisher.sent = self.sent
+        return publisher
+
+    def liveliness(self) -> "Session":
+        """Return this session."""
+        return self
+
+    def declare(self, *_: object, **__: object) -> "Session":
+        """Declare nothing."""
+        return self
+
+    declare_subscriber = declare_queryable = declare_token = undeclare = close = declare
+
+
+def without_network(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let every bus open a session without a network."""
+    monkeypatch.setattr(bus_module, "open_session", Session)
+    monkeypatch.setattr(bus_module, "log_errors", lambda **_: None)
+
+
+def sent_by(bus: Bus) -> list[tuple[str, bytes]]:
+    """Return keys and bytes that a bus without a network has sent since the last call."""
+    session: Any = bus._session
+    found = list(session.sent)
+    session.sent.clear()
+    return found
+
+
+class Receiver(Protocol):
+    """A process that receives messages over its bus."""
+
+    bus: Bus
     admission: Admission
     rejected: Rejections
 
-    def hear(self, message: Message) -> Sequence[Message]:
-        """Process an admitted message and return the answers."""
+    def hear(self, key: str, data: bytes) -> list[tuple[str, bytes]]:
+        """Process bytes that arrive under a key; return what is sent meanwhile."""
+
+
+class SilentAdmission(Admission):
+    """Admission whose notices wait for the end of the run: their times depend on the host."""
+
+    def due_notices(self, now_ns: int, incarnation: int) -> list[Rejected]:
+        """Return no notices."""
+        return []
 
 
 class NodeReceiver:
-    """A node with its admission."""
+    """A node with admission, bus, exchange and loop of its process."""
 
     def __init__(self, node: Node, keys: Keys, setup: Setup) -> None:
-        self._node, self.rejected = node, node.rejected
-        self.admission = Admission(node.name, keys, setup, node.rejected)
+        self.node, self.rejected = node, node.rejected
+        self.admission: Admission = SilentAdmission(node.name, keys, setup, node.rejected)
+        self.bus = Bus(
+            name=node.name,
+            incarnation=node.incarnation,
+            run=keys.run,
+            digest=setup.scenario.digest(),
+            endpoints=Endpoints(listen=[], connect=[]),
+            admission=self.admission,
+            relayed=setup.scenario.clock.relayed,
+        )
+        self.exchange = exchange_of(setup, node.name, node.incarnation, keys, self.bus.put)
+        self.bus.before_wait = self.exchange.settle
 
-    def hear(self, message: Message) -> Sequence[Message]:
-        """Return the answers of the node."""
-        return self._node.receive(message, 0)
+    def hear(self, key: str, data: bytes) -> list[tuple[str, bytes]]:
+        """Let bytes arrive under a key, and the loop run until it would wait; return what it sends."""
+        self.bus._put(Sample(key, data))  # type: ignore[arg-type]
+        self.bus.interrupt("nothing more arrives")
+        process._drive(self.node, self.bus, self.exchange, ())
+        if self.node.finished is not None:
+            self.exchange.flush()
+            while not isinstance(self.bus.next(None), Interrupted):
+                pass
+        return sent_by(self.bus)
+
+    def meet(self, event: Presence) -> list[tuple[str, bytes]]:
+        """Let the node see a process come or go; return what is sent meanwhile."""
+        for message in self.node.receive(event, time.monotonic_ns()):
+            self.exchange.send(message)
+        return sent_by(self.bus)
 
 
 class RecordingReceiver:
-    """A recorder with its admission; it never answers."""
+    """A recorder; it never answers."""
 
     def __init__(self, recorder: Recorder) -> None:
-        self._recorder, self.admission, self.rejected = recorder, recorder.admission, recorder.rejected
+        self._recorder, self.bus = recorder, recorder._bus
+        self.admission, self.rejected = recorder.admission, recorder.rejected
 
-    def hear(self, message: Message) -> Sequence[Message]:
-        """Record the message and return no answers."""
-        self._recorder.receive(message)
-        return ()
+    def hear(self, key: str, data: bytes) -> list[tuple[str, bytes]]:
+        """Record the messages that come with some bytes."""
+        self.bus._put(Sample(key, data))  # type: ignore[arg-type]
+        self.bus.interrupt("nothing more arrives")
+        while not isinstance(event := self.bus.next(None), Interrupted):
+            if isinstance(event, Message):
+                self._recorder.receive(event)
+        return sent_by(self.bus)
 
 
 class Wire:
     """One run of processes in incarnation `INCARNATION`; messages are delivered in the order sent.
 
+    Buses must open sessions without a network: see `without_network`.
+
     Args:
         setup: The run.
-        recorder: Recorder of the run; its bus is never used.
+        recorder: Recorder of the run.
         before: Called before each delivery with this object, the receiver's name, the key and the bytes.
 
     Attributes:
         keys: Keys of the run.
         receivers: Receivers by name.
-        sent: Every message of the run, in order.
+        sent: Every message of the run in order, those of bundles one by one.
     """
 
     def __init__(self, setup: Setup, recorder: Recorder, before: Before = lambda *_: None) -> None:
         self.keys = Keys(setup.scenario.name)
-        self._before = before
+        self._before, self._relayed = before, setup.scenario.clock.relayed
         self._coordinator = CoordinatorNode(setup, INCARNATION)
         agents = [AgentNode(setup, agent, INCARNATION) for agent in setup.agents]
         nodes: list[Node] = [self._coordinator, PlantNode(setup, INCARNATION), *agents]
@@ -84,29 +196,34 @@ class Wire:
 
     def simulate(self) -> Control:
         """Simulate to the end and return the coordinator's last message."""
+        coordinator = self.receivers["coordinator"]
+        assert isinstance(coordinator, NodeReceiver)
         for name in self.receivers:
             if name not in ("coordinator", "recorder"):
-                self._send(self._coordinator.receive(Presence(name, INCARNATION, alive=True), 0))
+                self._send("coordinator", coordinator.meet(Presence(name, INCARNATION, alive=True)))
         while self._queue:
             sender, key, data = self._queue.popleft()
             for name in self.listeners(key):
                 if name != sender:
                     self._before(self, name, key, data)
-                    message = self.receivers[name].admission.read(key, data)
-                    assert message is not None, f"{name} refuses {key}: {list(self.receivers[name].rejected)}"
-                    self._send(self.receivers[name].hear(message))
+                    rejected = self.receivers[name].rejected
+                    before = rejected.total
+                    self._hear(name, key, data)
+                    assert rejected.total == before, f"{name} refuses {key}: {list(rejected)}"
         assert self._coordinator.finished is not None, f"the run stands still at tick {self._coordinator.tick}"
         return self._coordinator.finished
 
     def listeners(self, key: str) -> list[str]:
         """Return the names of the receivers subscribed to a key."""
-        return [name for name in self.receivers if any(matches(e, key) for e in self.keys.subscriptions(name))]
+        return [name for name in self.receivers if any(matches(e, key) for e in self.subscriptions(name))]
 
-    def disturb(self, name: str, key: str, data: bytes) -> Sequence[Message]:
-        """Let a receiver read bytes that are no message of this run, and return its answers."""
-        receiver = self.receivers[name]
-        message = receiver.admission.read(key, data)
-        return () if message is None else receiver.hear(message)
+    def subscriptions(self, name: str) -> list[str]:
+        """Return the key expressions a process subscribes to."""
+        return self.keys.subscriptions(name, relayed=self._relayed)
+
+    def disturb(self, name: str, key: str, data: bytes) -> list[str]:
+        """Let a receiver read bytes that are no message of this run; return the keys of its answers."""
+        return self._hear(name, key, data)
 
     def tell_rejected(self) -> None:
         """Send each receiver's rejections to the recorder, as at the end of a run; the recorder's own come last."""
@@ -115,13 +232,19 @@ class Wire:
             receiver.admission.close()
             for notice in receiver.admission.remaining_notices(INCARNATION):
                 if name == "recorder":
-                    recorder.hear(notice)
+                    assert isinstance(recorder, RecordingReceiver)
+                    recorder._recorder.receive(notice)
                     continue
-                read = recorder.admission.read(self.keys.of(notice), encode(notice))
-                assert read == notice
-                recorder.hear(read)
+                recorder.hear(self.keys.of(notice), encode(notice))
 
-    def _send(self, messages: Sequence[Message]) -> None:
-        for message in messages:
-            self.sent.append(message)
-            self._queue.append((message.sender, self.keys.of(message), encode(message)))
+    def _hear(self, name: str, key: str, data: bytes) -> list[str]:
+        """Let a receiver read bytes, send what it sends, and return the keys of that."""
+        answers = self.receivers[name].hear(key, data)
+        self._send(name, answers)
+        return [sent_key for sent_key, _ in answers]
+
+    def _send(self, name: str, answers: Sequence[tuple[str, bytes]]) -> None:
+        for key, data in answers:
+            message = decode(data)
+            self._queue.append((name, key, data))
+            self.sent += map(decode, message.parts) if isinstance(message, Bundle) else [message]

@@ -15,7 +15,7 @@ from protocol.network.endpoints import Endpoints
 from protocol.network.security import Security, access_control
 from protocol.wire.codec import VERSION, encode
 from protocol.wire.keys import ACTING, OPERATOR, ROUTER, WATCHER, Keys
-from protocol.wire.messages import KINDS, Message, Plan, agent_name
+from protocol.wire.messages import BUNDLES, KINDS, Answer, Message, Plan, agent_name
 from protocol.wire.rejections import Rejections
 from tests.support import attack, runs
 from tests.support.commands import free_base
@@ -27,6 +27,8 @@ KEYS = Keys("guarded")
 DIGEST = "0123456789ab"
 TEAM = ("coordinator", "plant", "agent1", "agent2", "agent3", "agent4", "recorder")
 SHOTS = 1000
+# A session repeats its own message until it has arrived.
+MOST_REPEATED = 5
 
 # Time for actions of milliseconds on a busy machine.
 PATIENCE_S = 20.0
@@ -115,7 +117,7 @@ def test_sessions_without_keys_are_refused(plant: Guarded) -> None:
 @pytest.mark.parametrize("impostor", ["agent1", "recorder", WATCHER, OPERATOR])
 def test_impostors_are_refused(plant: Guarded, impostor: str) -> None:
     """With another certificate none of 1000 messages and no token of agent 2 or the coordinator is accepted."""
-    forged = {f"{KEYS.prefix}/plan/2": b"?", f"{KEYS.prefix}/tick": b"?", f"{KEYS.prefix}/control": b"?"}
+    forged = {f"{KEYS.prefix}/{end}": b"?" for end in ("plan/2", "tick", "control", "relay")}
     with session_of(plant, keyring("one"), impostor) as session:
         if impostor == "agent1":
             assert reaches(plant, session, f"{KEYS.prefix}/plan/1")  # the session is connected: its own messages arrive
@@ -136,10 +138,36 @@ def test_impostors_are_refused(plant: Guarded, impostor: str) -> None:
             before += 1
         assert plant.accepted(0.3) == []
         extra = plant.reached - before
-        assert 0 <= extra <= (5 if impostor == "agent1" else 0)  # its own messages, repeated until one arrived
+        assert (
+            0 <= extra <= (MOST_REPEATED if impostor == "agent1" else 0)
+        )  # its own messages, repeated until one arrived
         assert {entry.sender for entry in plant.rejections} <= {"plan/1"}
         assert all(plant.bus._peers.alive.get(name) is None for name in ("coordinator", "agent2"))
         del tokens
+
+
+@pytest.mark.parametrize(("impostor", "own"), [("agent1", "answer/1"), ("plant", "record")])
+def test_forged_bundles_are_dropped(impostor: str, own: str) -> None:
+    """With another certificate none of 1000 answers of agent 2, relays and records arrives; the owner's do."""
+    coordinator = Guarded("coordinator", free_base())
+    forged = {f"{KEYS.prefix}/{end}" for end in ("answer/2", "relay", "record", "plan/2", "plant_state")}
+    forged -= {f"{KEYS.prefix}/{end}" for end in ((own, "plant_state") if impostor == "plant" else ())}
+    answer = sample(Answer, keys=("plan/2",), parts=(encode(runs.plan(setup(), 2, 0)),))
+    try:
+        with session_of(coordinator, keyring("one"), impostor) as session:
+            assert reaches(coordinator, session, f"{KEYS.prefix}/{own}")
+            coordinator.accepted(0.1)
+            before = coordinator.reached
+            for key in forged:
+                for _ in range(SHOTS):
+                    attack.say(session, key, encode(answer))
+            assert reaches(coordinator, session, f"{KEYS.prefix}/{own}")
+            assert coordinator.accepted(0.3) == []
+            assert {entry.sender for entry in coordinator.rejections} == {own}
+            assert coordinator.reached - before <= MOST_REPEATED
+            assert coordinator.admission.kept == 0
+    finally:
+        coordinator.bus.close()
 
 
 def test_the_same_messages_from_the_owner(plant: Guarded) -> None:
@@ -196,7 +224,7 @@ def test_rights_to_put() -> None:
             assert not asks & {KEYS.request("*", request) for request in ACTING}
     assert may_put.pop(ROUTER) == {f"{KEYS.prefix}/**"}
     assert [name for name, keys in may_put.items() if not keys] == ["recorder", WATCHER, OPERATOR]
-    for kind in KINDS.values():
+    for kind in (*KINDS.values(), *BUNDLES.values()):
         message = sample(kind)
         if message.sender == "recorder":
             continue  # only written into the log

@@ -49,6 +49,7 @@ def test_every_process_gets_every_signal() -> None:
         "on_agent_loss=abort",
         "on_agent_loss=continue",
         "mode=realtime",
+        "exchange=direct",
         "negotiation_iterations=2",
         "links",
     ):

@@ -14,6 +14,9 @@ from transport.log.run_log import read_log
 
 TEAM = ["coordinator", "plant", "agent1", "agent2", "agent3", "agent4"]
 USAGE, LOST, INTERRUPTED = 2, 4, 130
+RELAYED, DIRECT = (f"clock.exchange={exchange}" for exchange in ("relayed", "direct"))
+# Lockstep exchanges plans in two ways; a second run of a test is slow.
+BOTH = [RELAYED, pytest.param(DIRECT, marks=pytest.mark.slow)]
 
 # A command, and signals after its end: while it returns, and while the interpreter shuts down.
 SIGNALLED_AFTERWARDS = """
@@ -41,11 +44,12 @@ def take_off(tmp_path: Path, run: str, *changes: str) -> subprocess.Popen[str]:
     return process
 
 
+@pytest.mark.parametrize("exchange", BOTH)
 @pytest.mark.parametrize("victim", ["coordinator", "plant", "agent1", "agent4"])
-def test_a_killed_process_ends_the_run_in_order(victim: str, tmp_path: Path) -> None:
+def test_a_killed_process_ends_the_run_in_order(victim: str, exchange: str, tmp_path: Path) -> None:
     """SIGKILL of any process: exit code 4, the victim named, the log complete up to then, no process left."""
     run = f"kill-{victim}"
-    process = take_off(tmp_path, run)
+    process = take_off(tmp_path, run, exchange)
     os.kill(processes_of(run)[victim], signal.SIGKILL)
     _, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == LOST
@@ -88,7 +92,7 @@ def test_a_killed_harness_leaves_no_orphans(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_frozen_agent_is_noticed_by_the_barrier(tmp_path: Path) -> None:
     """SIGSTOP keeps the token alive; the barrier timeout names the agent and the run ends, with no process left."""
-    process = take_off(tmp_path, "frozen")
+    process = take_off(tmp_path, "frozen", "clock.barrier_timeout_s=2.5")
     os.kill(processes_of("frozen")["agent2"], signal.SIGSTOP)
     _, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == LOST
@@ -96,9 +100,10 @@ def test_a_frozen_agent_is_noticed_by_the_barrier(tmp_path: Path) -> None:
     assert processes_of("frozen") == {}
 
 
-def test_the_others_continue_if_configured(tmp_path: Path) -> None:
+@pytest.mark.parametrize("exchange", BOTH)
+def test_the_others_continue_if_configured(exchange: str, tmp_path: Path) -> None:
     """With `on_agent_loss = "continue"` the clock goes on without the killed agent, and the record names it."""
-    process = take_off(tmp_path, "continued", "clock.on_agent_loss=continue")
+    process = take_off(tmp_path, "continued", "clock.on_agent_loss=continue", exchange)
     os.kill(processes_of("continued")["agent3"], signal.SIGKILL)
     assert wait_for(lambda: "agent3" not in processes_of("continued"))
     assert not wait_for(lambda: process.poll() is not None, timeout_s=0.8)

@@ -11,8 +11,10 @@ import pytest
 from protocol.scenario.file import find_scenario, read_scenario
 from protocol.scenario.setup import Setup
 from protocol.wire.codec import encode
-from protocol.wire.messages import Message, StepReport
+from protocol.wire.messages import Message
+from tests.support import runs
 from tests.support.commands import SHORT, command, free_base, processes_of, settings, transport, wait_for
+from tests.support.troubles import ITERATIONS
 from transport.flight.memory import simulate
 from transport.log.run_log import read_log
 
@@ -33,11 +35,10 @@ def run_json(folder: Path, *arguments: str) -> dict[str, Any]:
 
 
 def reproducible(messages: list[Message]) -> dict[tuple[str, str], list[bytes]]:
-    """Return messages by sender and kind, in the order sent, without the wall-clock reports."""
+    """Return messages by sender and kind, in the order sent, without the wall-clock times of reports."""
     streams: dict[tuple[str, str], list[bytes]] = {}
     for message in sorted(messages, key=lambda m: (m.sender, m.sequence)):
-        if not isinstance(message, StepReport):
-            streams.setdefault((message.sender, message.kind), []).append(encode(message))
+        streams.setdefault((message.sender, message.kind), []).append(encode(runs.reproducible(message)))
     return streams
 
 
@@ -109,11 +110,19 @@ def test_two_runs_are_equal(short: tuple[Path, dict[str, Any]], tmp_path: Path) 
     assert steps_without_times(folder) == steps_without_times(tmp_path / "again")
 
 
-@pytest.mark.parametrize("change", ["clock.actuation=next_tick", "agents.owned=[[1, 2], [3, 4]]"])
-def test_network_equals_memory(change: str, tmp_path: Path) -> None:
-    """Every message except the wall-clock reports is bitwise equal on the network and in memory."""
-    run_json(tmp_path / "run", "paper", *settings(SHORT, change))
-    setup = Setup.of(read_scenario(find_scenario("paper"), [SHORT, change]), "paper")
+@pytest.mark.parametrize(
+    "changes",
+    [
+        pytest.param(("clock.actuation=next_tick",), id="next tick"),
+        pytest.param(("agents.owned=[[1, 2], [3, 4]]", "clock.exchange=direct"), id="two UAVs each, direct"),
+        pytest.param((ITERATIONS, "clock.speed=2.0"), id="paced negotiation"),
+        pytest.param((ITERATIONS, "clock.exchange=direct"), id="negotiation, direct", marks=pytest.mark.slow),
+    ],
+)
+def test_network_equals_memory(changes: tuple[str, ...], tmp_path: Path) -> None:
+    """Every message except for the wall-clock times of reports is bitwise equal on the network and in memory."""
+    run_json(tmp_path / "run", "paper", *settings(SHORT, *changes))
+    setup = Setup.of(read_scenario(find_scenario("paper"), [SHORT, *changes]), "paper")
     memory: list[Message] = []
     simulate(setup, memory.append)
     log = [recorded.message for recorded in read_log(tmp_path / "run" / "run.mcap").messages]

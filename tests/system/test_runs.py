@@ -46,6 +46,10 @@ FLIGHT = (
 # As fast as possible.
 BRIEF = ("maneuver.phase=[{name='climb',duration_s=2.0,displacement_m=[0.0,0.0,-0.5]}]", "controller.horizon=5")
 FORGED, RATE_HZ = 1000, 10_000
+FORGED_KEYS = (
+    *("plan/2", "tick", "control", "plant_state", "measurement/3", "rejected/agent2"),
+    *("answer/2", "relay", "record"),
+)
 # Minimum number of flood messages at each process, on any host: the free burst.
 FLOODED = 500
 
@@ -58,15 +62,15 @@ def calm(folder: Path, *changes: str) -> list[dict[str, str]]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("sort", ["replayed", "renumbered"])
-def test_a_run_under_attack(sort: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("sort", "exchange"), [("replayed", "direct"), ("renumbered", "relayed")])
+def test_a_run_under_attack(sort: str, exchange: str, tmp_path: Path) -> None:
     """Wrong keys, forgery and a flood of 10,000 messages a second on agent 1's key do not change a lockstep run.
 
     Forged messages reach no process. The flood reaches all and is counted; agent 1's own messages are still accepted,
     although the flood has higher sequence numbers.
     """
     base, keys = free_base(), Keys("out")
-    secure = (f"network.base_port={base}", f"network.keys={keyring('one')}")
+    secure = (f"network.base_port={base}", f"network.keys={keyring('one')}", f"clock.exchange={exchange}")
     scenario = Setup.of(read_scenario(find_scenario("paper"), (*FLIGHT, *secure)), "paper").scenario
     count = len(process_names(scenario))
     endpoints = [f"tls/127.0.0.1:{base + i}" for i in range(count)]
@@ -83,7 +87,7 @@ def test_a_run_under_attack(sort: str, tmp_path: Path) -> None:
             status = ["status", "--run", str(tmp_path / "out"), "--process"]
             asked, other = (CliRunner().invoke(app, [*status, name]) for name in ("agent2", "agent7"))
             families = {family.name: family for family in Exporter("out", process_endpoints(scenario)).collect()}
-            for key in ("plan/2", "tick", "control", "plant_state", "measurement/3", "rejected/agent2"):
+            for key in FORGED_KEYS:
                 for _ in range(FORGED):
                     attack.say(forger, f"{keys.prefix}/{key}", b"?")
         printed, errors = run.communicate(timeout=PATIENCE_S)

@@ -8,7 +8,7 @@ import pytest
 from protocol.scenario.file import read_scenario
 from protocol.scenario.setup import Setup
 from protocol.wire.codec import encode
-from protocol.wire.messages import Message, Plan, StepReport, Tick
+from protocol.wire.messages import Measurement, Message, Plan, PlantState, StepReport, Tick
 from tests.support.commands import settings, transport
 from tests.support.runs import SCENARIOS, SHORT, recorded, reproducible
 from tests.support.shuffled import fly_shuffled
@@ -116,14 +116,15 @@ def test_a_replay_hears_what_the_agent_heard() -> None:
             assert encode(reproducible(now)) == encode(reproducible(then))
 
 
-def test_processes_give_the_same_bits(tmp_path: Path) -> None:
-    """Across real processes every plan, tick and plant state equals that of the in-memory run."""
-    changes = [SHORT, *ON_CHANGE, *BAD]
+@pytest.mark.parametrize("exchange", ["relayed", pytest.param("direct", marks=pytest.mark.slow)])
+def test_processes_give_the_same_bits(exchange: str, tmp_path: Path) -> None:
+    """Across real processes every plan, report, measurement, plant state and tick equals that of the in-memory run."""
+    changes = [SHORT, *ON_CHANGE, *BAD, f"clock.exchange={exchange}"]
     result = transport("run", "resilient", *settings(*changes), "--out", "run", "--no-figures", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     assert "sent to the other agents" in result.stdout
     flown = [entry.message for entry in read_log(tmp_path / "run" / "run.mcap").messages]
     expected = recorded(run_of(*BAD))
     assert any(isinstance(m, Plan) and not m.shared for m in flown)
-    for kind in (Plan, Tick):
-        assert of(kind, flown) == of(kind, expected)
+    for kind in (Plan, StepReport, Measurement, PlantState, Tick):
+        assert of(kind, flown) == of(kind, expected), kind

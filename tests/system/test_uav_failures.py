@@ -174,10 +174,12 @@ def test_no_controller_anticipates_the_fault() -> None:
     ]
 
 
-def test_processes_fly_the_same(tmp_path: Path) -> None:
+@pytest.mark.parametrize("exchange", ["relayed", pytest.param("direct", marks=pytest.mark.slow)])
+def test_processes_fly_the_same(exchange: str, tmp_path: Path) -> None:
     """Across processes a motor failure and a release give bitwise the in-memory run."""
     event = "faults.event=[{at_s=0.5,do='motor_off',target='uav3'},{at_s=0.55,do='release',target='uav3'}]"
-    result = transport("run", "resilient", *settings(SHORT, event), "--out", "run", "--no-figures", cwd=tmp_path)
+    changes = settings(SHORT, event, f"clock.exchange={exchange}")
+    result = transport("run", "resilient", *changes, "--out", "run", "--no-figures", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     folder, again = tmp_path / "run", tmp_path / "again"
     again.mkdir()

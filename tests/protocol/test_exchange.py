@@ -1,0 +1,366 @@
+"""The exchange of each process: what is sent when, and in which bundle."""
+
+import os
+import signal
+from collections.abc import Sequence
+from dataclasses import replace
+
+import pytest
+
+from coordinator.node import CoordinatorNode
+from plant.node import PlantNode
+from protocol.network import process
+from protocol.network.exchange import Exchange, exchange_of
+from protocol.scenario.faults import Fault
+from protocol.scenario.setup import Setup
+from protocol.wire.codec import decode, encode
+from protocol.wire.keys import Keys
+from protocol.wire.messages import Answer, Bundle, Message, Plan, Presence, Relay, StepReport, agent_name
+from tests.support import logs, runs
+from tests.support.runs import ALL, INCARNATION, SHORT, setup
+from tests.support.wire import NodeReceiver, without_network
+
+KEYS = Keys("paper")
+RUN = setup()
+
+
+class Line:
+    """The exchange of a process, and what it sends."""
+
+    def __init__(self, name: str, run: Setup = RUN, incarnation: int = 0) -> None:
+        self._put: list[tuple[str, bytes]] = []
+        self.exchange: Exchange = exchange_of(
+            run, name, incarnation, KEYS, lambda key, data: self._put.append((KEYS.end(key), data))
+        )
+
+    def sent(self) -> list[str]:
+        """Return the keys sent under since the last call, those of bundles with the keys of their messages."""
+        return [said(key, data) for key, data in self.taken()]
+
+    def taken(self) -> list[tuple[str, bytes]]:
+        """Return keys and bytes sent since the last call."""
+        put, self._put = self._put, []
+        return put
+
+    def send(self, *messages: Message) -> None:
+        """Send messages."""
+        for message in messages:
+            self.exchange.send(message)
+
+    def receive(self, *answers: Answer) -> None:
+        """Receive the plans of accepted answers."""
+        for answer in answers:
+            for data in answer.parts:
+                if isinstance(message := decode(data), Plan):
+                    self.exchange.received(message, answer)
+
+
+def said(key: str, data: bytes) -> str:
+    """Return a key, for a bundle with tick, number and keys of its messages."""
+    message = decode(data)
+    if not isinstance(message, Bundle):
+        return key
+    return f"{key} {message.tick} #{message.sequence}: {' '.join(message.keys)}"
+
+
+def plan(agent: int, k: int, **changes: int | bool) -> Plan:
+    """Return an agent's plan of tick k."""
+    return replace(runs.plan(RUN, agent, k), **changes)  # type: ignore[arg-type]
+
+
+def report(agent: int, k: int, incarnation: int = INCARNATION) -> StepReport:
+    """Return an agent's report of tick k."""
+    return replace(logs.report(RUN, agent, k), incarnation=incarnation, sequence=2 * k + 1)
+
+
+def answer(agent: int, k: int) -> Answer:
+    """Return an agent's answer of tick k, as its process sends it."""
+    line = Line(agent_name(agent), incarnation=INCARNATION)
+    line.send(plan(agent, k), report(agent, k))
+    line.exchange.flush()
+    ((_, data),) = line.taken()
+    made = decode(data)
+    assert isinstance(made, Answer)
+    return made
+
+
+def measurements(k: int) -> list[Message]:
+    """Return the measurements of a tick."""
+    return [runs.measurement(RUN, agent, k) for agent in ALL]
+
+
+@pytest.mark.parametrize("name", ["coordinator", "plant", "agent2", "recorder"])
+@pytest.mark.parametrize("settings", [("clock.exchange=direct",), ("clock.mode=realtime", "clock.speed=1.0")])
+def test_direct(name: str, settings: Sequence[str]) -> None:
+    """With direct exchange, and always in real time, each message is sent alone and at once, under its own key."""
+    run = setup(*settings)
+    assert not run.scenario.clock.relayed
+    line = Line(name, run)
+    for message in (runs.tick(0), plan(2, 0), report(2, 0), runs.measurement(run, 2, 0), runs.plant_state(run, 0)):
+        line.send(message)
+        assert line.taken() == [(KEYS.end(KEYS.of(message)), encode(message))]
+    line.receive(answer(2, 0))
+    line.exchange.settle()
+    line.exchange.flush()
+    assert line.taken() == []
+
+
+def test_lockstep_is_relayed() -> None:
+    """Lockstep exchanges plans by the coordinator unless the scenario says otherwise."""
+    assert setup().scenario.clock.relayed
+    assert setup("clock.exchange=relayed").scenario.clock.relayed
+
+
+def test_an_agents_answer() -> None:
+    """Plan and report of a tick travel in one answer, sent when the agent would wait, and once."""
+    line = Line("agent2", incarnation=INCARNATION)
+    for k in range(3):
+        line.send(plan(2, k), report(2, k))
+        assert line.sent() == []
+        line.exchange.settle()
+        assert line.sent() == [f"answer/2 {k} #{k}: plan/2 report/2"]
+        line.exchange.settle()
+        line.exchange.flush()
+        assert line.sent() == []
+
+
+def test_an_unshared_plan_keeps_its_key() -> None:
+    """A plan that the other agents do not receive has the key of such plans in the answer, too."""
+    line = Line("agent2", incarnation=INCARNATION)
+    line.send(plan(2, 4, shared=False), report(2, 4))
+    line.exchange.settle()
+    assert line.sent() == ["answer/2 4 #0: unshared/2 report/2"]
+
+
+def test_proposals_go_to_all_at_once() -> None:
+    """The proposals of a negotiation are sent alone and at once: the agents wait for each other within the tick."""
+    line = Line("agent2", incarnation=INCARNATION)
+    proposal = plan(2, 3, negotiation=1)
+    line.send(proposal)
+    assert line.taken() == [("plan/2", encode(proposal))]
+    line.send(plan(2, 3), report(2, 3))
+    line.exchange.settle()
+    assert line.sent() == ["answer/2 3 #0: plan/2 report/2"]
+
+
+def test_answers_of_a_new_incarnation_count_from_zero() -> None:
+    """The bundles of an agent that starts anew have its new incarnation, and numbers from 0."""
+    line = Line("agent2", incarnation=INCARNATION)
+    found = []
+    for incarnation, k in ((INCARNATION, 0), (INCARNATION, 1), (INCARNATION + 1, 8), (INCARNATION + 1, 9)):
+        line.send(plan(2, k, incarnation=incarnation), report(2, k, incarnation))
+        line.exchange.settle()
+        ((_, data),) = line.taken()
+        made = decode(data)
+        found.append((made.sender, made.incarnation, made.sequence, made.tick))
+    assert found == [("agent2", 1, 0, 0), ("agent2", 1, 1, 1), ("agent2", 2, 0, 8), ("agent2", 2, 1, 9)]
+
+
+def test_the_plants_record() -> None:
+    """Measurements are sent at once; state and measurements go to the record in one message, in their order."""
+    line = Line("plant")
+    line.send(*measurements(0))
+    expected = [f"measurement/{agent}" for agent in ALL]
+    assert line.sent() == expected
+    line.exchange.settle()
+    assert line.sent() == [f"record 0 #0: {' '.join(expected)}"]
+    line.send(runs.plant_state(RUN, 0), *measurements(1))
+    assert line.sent() == expected
+    line.exchange.settle()
+    assert line.sent() == [f"record 1 #1: plant_state {' '.join(expected)}"]
+    line.exchange.flush()
+    assert line.sent() == []
+
+
+def test_a_record_has_the_bytes_of_the_measurements() -> None:
+    """The record carries the very bytes that the agents receive."""
+    line = Line("plant")
+    line.send(*measurements(3))
+    alone = [data for _, data in line.taken()]
+    line.exchange.flush()
+    ((_, data),) = line.taken()
+    record = decode(data)
+    assert isinstance(record, Bundle)
+    assert list(record.parts) == alone == [encode(message) for message in measurements(3)]
+
+
+@pytest.mark.parametrize("order", [(1, 2, 3, 4), (4, 2, 1, 3)])
+def test_answers_leave_with_the_next_tick(order: Sequence[int]) -> None:
+    """The coordinator sends the answers of tick k unchanged with tick k + 1, by agent in whatever order they came."""
+    line = Line("coordinator")
+    line.send(runs.tick(0))
+    assert line.sent() == ["relay 0 #0: tick"]
+    answers = {agent: answer(agent, 0) for agent in order}
+    line.receive(*answers.values())
+    line.send(runs.tick(1))
+    ((_, data),) = line.taken()
+    expected = "plan/1 report/1 plan/2 report/2 plan/3 report/3 plan/4 report/4 tick"
+    assert said("relay", data) == f"relay 1 #1: {expected}"
+    relay = decode(data)
+    assert isinstance(relay, Relay)
+    assert relay.parts == (*[part for agent in ALL for part in answers[agent].parts], encode(runs.tick(1)))
+    line.exchange.settle()
+    line.exchange.flush()
+    assert line.sent() == []  # each is relayed once
+
+
+def test_answers_do_not_wait_for_a_tick_that_does_not_follow() -> None:
+    """If no tick follows the last answer at once, the answers are sent: last tick, paced run, tick that is held."""
+    line = Line("coordinator")
+    line.send(runs.tick(0, members=(1, 2, 3)))
+    line.taken()
+    for agent in (3, 1):
+        line.receive(answer(agent, 0))
+        line.exchange.settle()
+        assert line.sent() == []
+    line.receive(answer(2, 0))
+    line.exchange.settle()
+    assert line.sent() == ["relay 0 #1: plan/1 report/1 plan/2 report/2 plan/3 report/3"]
+    line.send(runs.tick(1))
+    assert line.sent() == ["relay 1 #2: tick"]
+
+
+def test_answers_are_sent_before_the_end() -> None:
+    """The end of a run comes after the answers so far, complete or not."""
+    line = Line("coordinator")
+    line.send(runs.tick(0))
+    line.taken()
+    line.receive(answer(2, 0))
+    line.send(runs.end())
+    assert line.sent() == ["relay 0 #1: plan/2 report/2", "control"]
+
+
+def test_an_agent_off_the_roster_is_not_awaited() -> None:
+    """A roster without the missing agents sends the answers of the others on."""
+    line = Line("coordinator")
+    line.send(runs.tick(0))
+    line.taken()
+    line.receive(answer(1, 0), answer(4, 0))
+    line.exchange.settle()
+    assert line.sent() == []
+    line.send(runs.roster({1: 1, 3: 1, 4: 1}, version=2))
+    line.exchange.settle()
+    assert line.sent() == ["roster"]
+    line.send(runs.roster({1: 1, 4: 1}, version=3))
+    line.exchange.settle()
+    assert line.sent() == ["roster", "relay 0 #1: plan/1 report/1 plan/4 report/4"]
+
+
+def test_a_plan_that_came_alone() -> None:
+    """A plan that came without a bundle has reached all others: it counts as the answer, and is not relayed."""
+    line = Line("coordinator")
+    line.send(runs.tick(0, members=(1, 3)))
+    line.taken()
+    line.receive(answer(1, 0))
+    line.exchange.received(plan(3, 0, negotiation=1), None)  # a proposal is no answer
+    line.exchange.settle()
+    assert line.sent() == []
+    line.exchange.received(plan(3, 0), None)
+    line.exchange.settle()
+    assert line.sent() == ["relay 0 #1: plan/1 report/1"]
+
+
+@pytest.fixture
+def no_network(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let buses open sessions without a network."""
+    without_network(monkeypatch)
+
+
+def coordinator(*settings: str) -> NodeReceiver:
+    """Return a coordinator that has opened tick 0."""
+    run = setup(SHORT, *settings)
+    receiver = NodeReceiver(CoordinatorNode(run), KEYS, run)
+    names = ["plant", *map(agent_name, run.agents)]
+    for name in names:
+        receiver.admission.announce(name, INCARNATION if name.startswith("agent") else 0)
+    ready = [Presence(name, 0 if name == "plant" else INCARNATION, alive=True) for name in names]
+    sent = [said(KEYS.end(key), data) for event in ready for key, data in receiver.meet(event)]
+    assert sent == ["roster", "relay 0 #0: tick"]
+    return receiver
+
+
+def hears(receiver: NodeReceiver, *arrived: tuple[str, bytes] | Message) -> list[str]:
+    """Return what a process sends when messages arrive one by one."""
+    found = []
+    for one in arrived:
+        key, data = (KEYS.of(one), encode(one)) if isinstance(one, Message) else one
+        found += [said(KEYS.end(end), sent) for end, sent in receiver.hear(key, data)]
+    return found
+
+
+@pytest.mark.usefixtures("no_network")
+def test_only_accepted_plans_are_relayed() -> None:
+    """An answer whose plan the coordinator refuses is not relayed, nor its report; the true one that follows is."""
+    node = coordinator()
+    true = answer(2, 0)
+    huge = plan(2, 0, sequence=50)
+    huge = replace(huge, inputs=huge.inputs + 1e3)
+    forged = [replace(true, sequence=7, parts=(encode(huge), true.parts[1])), replace(true, keys=(), parts=())]
+    forged.append(replace(true, parts=(true.parts[1], true.parts[1])))
+    assert hears(node, *forged, answer(1, 0), answer(3, 0), answer(4, 0)) == []
+    expected = " ".join(f"plan/{agent} report/{agent}" for agent in ALL)
+    assert hears(node, true) == [f"relay 1 #1: {expected} tick"]
+    assert [(entry.sender, entry.reason, entry.count) for entry in node.rejected] == [
+        ("agent2", "outside_limits", 1),
+        ("agent2", "wrong_sender", 1),
+    ]
+
+
+@pytest.mark.usefixtures("no_network")
+@pytest.mark.parametrize("extra", [0, 1], ids=["largest", "oversized"])
+def test_no_answer_fills_a_relay(extra: int) -> None:
+    """The largest answers that are accepted fit into one relay; an agent cannot make it larger than others accept."""
+    node = coordinator("clock.barrier_timeout_s=1000.0")
+    most = node.admission._max_answer[2]
+    padded = {agent: answer(agent, 0) for agent in ALL}
+    for agent, made in padded.items():
+        room = most - len(encode(replace(made, parts=(made.parts[0], bytes(most // 2))))) + most // 2
+        padded[agent] = replace(made, parts=(made.parts[0], bytes(room + (extra if agent == 2 else 0))))
+        assert len(encode(padded[agent])) == most + (extra if agent == 2 else 0)
+    found = [sent for made in padded.values() for sent in node.hear(KEYS.of(made), encode(made))]
+    if extra:
+        assert [(e.sender, e.reason, e.count) for e in node.rejected] == [("agent2", "oversized", 1)]
+        found = node.hear(KEYS.of(padded[2]), encode(answer(2, 0)))
+    relays = [data for key, data in found if KEYS.end(key) == "relay"]
+    assert [len(data) <= node.admission.max_bytes for data in relays] == [True]
+
+
+@pytest.mark.usefixtures("no_network")
+def test_a_paced_coordinator_relays_before_the_tick_is_due() -> None:
+    """In a paced run the answers are relayed when all are here, and the tick alone when it is due."""
+    node = coordinator("clock.speed=0.001")
+    assert hears(node, *[answer(agent, 0) for agent in (1, 2, 3)]) == []
+    expected = " ".join(f"plan/{agent} report/{agent}" for agent in ALL)
+    assert hears(node, answer(4, 0)) == [f"relay 0 #1: {expected}"]
+
+
+@pytest.mark.usefixtures("no_network")
+def test_a_lost_agent_releases_the_answers() -> None:
+    """When the last missing agent is gone, roster, answers and tick are sent without it."""
+    node = coordinator("clock.on_agent_loss=continue")
+    hears(node, *[answer(agent, 0) for agent in (1, 3, 4)])
+    expected = " ".join(f"plan/{agent} report/{agent}" for agent in (1, 3, 4))
+    found = node.meet(Presence("agent2", INCARNATION, alive=False))
+    assert [said(KEYS.end(key), data) for key, data in found] == ["roster", f"relay 1 #1: {expected} tick"]
+
+
+@pytest.mark.usefixtures("no_network")
+def test_kept_messages_are_sent_before_a_scripted_kill(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Messages of earlier ticks leave the process before a scripted fault at a message ends it."""
+    run = setup(SHORT)
+    node = PlantNode(run)
+    receiver = NodeReceiver(node, KEYS, run)
+    killed: list[list[str]] = []
+
+    def kill(pid: int, number: int) -> None:
+        assert (pid, number) == (os.getpid(), signal.SIGKILL)
+        killed.append(line.sent())
+
+    monkeypatch.setattr(os, "kill", kill)
+    line = Line("plant", run)
+    line.send(runs.plant_state(run, 3))
+    fault = Fault(tick=4, target="plant", do="kill")
+    process._fail_if_due([fault], receiver.node.name, runs.tick(3), line.exchange)
+    assert killed == []
+    process._fail_if_due([fault], receiver.node.name, runs.tick(4), line.exchange)
+    assert killed == [["record 3 #0: plant_state"]]

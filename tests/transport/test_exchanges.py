@@ -1,0 +1,111 @@
+"""Relayed and direct exchange give the in-memory run bit for bit, here with bytes in one process."""
+
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from protocol.network.exchange import Direct
+from protocol.scenario.file import read_scenario
+from protocol.scenario.setup import Setup
+from protocol.wire.codec import encode
+from protocol.wire.messages import Message, Roster
+from tests.support.runs import SCENARIOS, SHORT, recorded, reproducible
+from tests.support.troubles import HEAVY, ITERATIONS, NEXT_TICK
+from tests.support.wire import NodeReceiver, Wire, without_network
+from tests.transport.test_garbage import recording
+from transport.log.run_log import read_log
+
+SHARED_ON_CHANGE = ("controller.share=on_change", "controller.share_threshold=0.02", "controller.share_heartbeat_s=0.4")
+RELEASED = "faults.event=[{at_s=0.5,do='motor_off',target='uav3'},{at_s=0.55,do='release',target='uav3'}]"
+CASES = {
+    "plain": (),
+    "negotiation": (ITERATIONS,),
+    "impaired negotiation": (HEAVY, ITERATIONS, NEXT_TICK),
+    "shared on change": (*SHARED_ON_CHANGE, "links.loss=0.3"),
+}
+SLOW = {"two UAVs each": ("agents.owned=[[1,2],[3,4]]",), "released": (RELEASED,)}
+
+
+def run_of(*changes: str) -> Setup:
+    """Return a run of 1.5 s of the ready scenario with the shared control law."""
+    return Setup.of(read_scenario(SCENARIOS / "resilient.toml", [SHORT, *changes]), "resilient")
+
+
+def said(messages: list[Message]) -> dict[tuple[str, int], bytes]:
+    """Return the messages by sender and number, without incarnations and wall-clock times; bundles bring some twice."""
+    found: dict[tuple[str, int], bytes] = {}
+    for message in messages:
+        plain = replace(reproducible(message), incarnation=0)
+        if isinstance(plain, Roster):
+            plain = replace(plain, incarnations=(0,) * len(plain.agents))
+        assert found.setdefault((plain.sender, plain.sequence), encode(plain)) == encode(plain)
+    return found
+
+
+def simulated(run: Setup, folder: Path, alone: str = "") -> Wire:
+    """Simulate a run as bytes, a named agent without bundles, and return it."""
+    folder.mkdir()
+    with recording(run, folder / "run.mcap") as witness:
+        wire = Wire(run, witness)
+        if alone:
+            receiver = wire.receivers[alone]
+            assert isinstance(receiver, NodeReceiver)
+            receiver.exchange = Direct(wire.keys, receiver.bus.put)
+            receiver.bus.before_wait = receiver.exchange.settle
+        assert wire.simulate().outcome == "completed"
+    return wire
+
+
+@pytest.fixture(autouse=True)
+def no_network(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let buses open sessions without a network."""
+    without_network(monkeypatch)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        *(pytest.param(changes, id=name) for name, changes in CASES.items()),
+        *(pytest.param(changes, id=name, marks=pytest.mark.slow) for name, changes in SLOW.items()),
+    ],
+)
+def test_both_exchanges_give_the_same_bits(changes: tuple[str, ...], tmp_path: Path) -> None:
+    """Every message is equal with both exchanges, and to the in-memory run's: plans, reports, measurements, states."""
+    memory = said(recorded(run_of(*changes)))
+    relayed = simulated(run_of(*changes), tmp_path / "relayed")
+    direct = simulated(run_of(*changes, "clock.exchange=direct"), tmp_path / "direct")
+    assert said(relayed.sent) == said(direct.sent) == memory
+    for folder, wire in (("relayed", relayed), ("direct", direct)):
+        log = read_log(tmp_path / folder / "run.mcap")
+        assert said([entry.message for entry in log.messages]) == memory
+        assert len(log.messages) == len(memory)  # each message once
+        assert sum(receiver.rejected.total for receiver in wire.receivers.values()) == 0
+
+
+def test_an_agent_without_bundles(tmp_path: Path) -> None:
+    """An agent whose plans come alone takes part in a relayed run to the end: the same bits, and nothing is refused."""
+    run = run_of(ITERATIONS)
+    wire = simulated(run, tmp_path / "run", alone="agent3")
+    assert said(wire.sent) == said(recorded(run))
+    assert sum(receiver.rejected.total for receiver in wire.receivers.values()) == 0
+
+
+def test_messages_of_a_tick(tmp_path: Path) -> None:
+    """In a tick an agent receives two messages and sends one, whatever the size of the team."""
+    run, counts = run_of(), Counter[str]()
+
+    def count(_: Wire, name: str, key: str, data: bytes) -> None:
+        counts[f"{name} {key.split('/')[2]}"] += 1
+
+    with recording(run, tmp_path / "run.mcap") as witness:
+        assert Wire(run, witness, count).simulate().outcome == "completed"
+    ticks = run.ticks
+    for agent in run.agents:
+        found = {end: counts[f"agent{agent} {end}"] for end in ("measurement", "relay", "plan", "unshared")}
+        assert found == {"measurement": ticks, "relay": ticks + 1, "plan": 0, "unshared": 0}
+    assert counts["coordinator answer"] == len(run.agents) * ticks
+    assert counts["recorder relay"] == ticks + 1
+    assert counts["recorder record"] <= ticks + 1
+    assert counts["recorder report"] == counts["recorder plan"] == counts["recorder measurement"] == 0
