@@ -47,9 +47,7 @@ def zero_order_hold(linear: Linearisation, period_s: float) -> Discrete:
     Source: docs/equations.md (16)-(17).
     """
     if native.AVAILABLE:
-        theta, A, B, f_d = native.zero_order_hold(
-            linear.A_c, linear.B_c, linear.f, period_s, _THETA_MAX, _THETA_POSSIBLE, _REMAINDER
-        )
+        theta, A, B, f_d = native.zero_order_hold(linear, period_s, _THETA_MAX, _THETA_POSSIBLE, _REMAINDER)
         _check_growth(theta, period_s)
         return Discrete(A=A, B=B, f_d=f_d)
     return _zero_order_hold(linear, period_s)

@@ -53,49 +53,58 @@ static void combine_row(ptrdiff_t terms, const ptrdiff_t *index, const double *v
     for (; at < columns; at += LANES) combine(1, 8, terms, index, value, X + at, width, to + at);
 }
 
-/* A square matrix as lists of the nonzero entries of each row: a model's Jacobians are mostly zeros. */
+/* A matrix as lists of the nonzero entries of each row: a model's derivatives are mostly zeros. */
 typedef struct {
-    ptrdiff_t n, *begin, *index; /* row i: begin[i] .. begin[i + 1] */
-    double *value;
+    ptrdiff_t rows;
+    const ptrdiff_t *begin, *index; /* row i: begin[i] .. begin[i + 1] */
+    const double *value;
 } sparse;
 
-static sparse compress(ptrdiff_t n, ptrdiff_t width, const double *A, double *work)
+static ptrdiff_t compress_work(ptrdiff_t rows, ptrdiff_t columns) { return 2 * rows * columns + rows + 1; }
+
+static sparse compress(ptrdiff_t rows, ptrdiff_t columns, ptrdiff_t width, const double *A, double *work)
 {
-    /* Room in `work`: n * n values, n * n indices, n + 1 beginnings. */
-    sparse S = {n, (ptrdiff_t *)(work + 2 * n * n), (ptrdiff_t *)(work + n * n), work};
-    ptrdiff_t at = 0;
-    for (ptrdiff_t i = 0; i < n; i++) {
-        S.begin[i] = at;
-        for (ptrdiff_t j = 0; j < n; j++) {
-            double a = A[i * width + j];
-            S.index[at] = j;
-            S.value[at] = a;
+    /* In `work`: values, indices, beginnings. */
+    double *value = work;
+    ptrdiff_t *index = (ptrdiff_t *)(work + rows * columns), *begin = index + rows * columns, at = 0;
+    for (ptrdiff_t i = 0; i < rows; i++) {
+        begin[i] = at;
+        for (ptrdiff_t j = 0; j < columns; j++) {
+            const double a = A[i * width + j];
+            index[at] = j;
+            value[at] = a;
             at += a != 0.0; /* nan counts as nonzero */
         }
     }
-    S.begin[n] = at;
-    return S;
+    begin[rows] = at;
+    return (sparse){rows, begin, index, value};
 }
 
+/* Rows of a matrix given as lists, from the `first` on. */
+static sparse part(ptrdiff_t first, ptrdiff_t rows, const ptrdiff_t *begin, const ptrdiff_t *index, const double *value)
+{
+    return (sparse){rows, begin + first, index, value};
+}
+
+/* Row i of a product: to[] += S(i, :) X. */
+INLINE void multiply_row(const sparse *S, ptrdiff_t i, const double *X, ptrdiff_t width, ptrdiff_t columns, double *to)
+{
+    const ptrdiff_t from = S->begin[i];
+    combine_row(S->begin[i + 1] - from, S->index + from, S->value + from, X, width, columns, to);
+}
+
+/* to = S X, rows of length `width`. */
 static void multiply(const sparse *S, const double *X, ptrdiff_t width, double *to)
 {
-    memset(to, 0, (size_t)(S->n * width) * sizeof *to);
-    for (ptrdiff_t i = 0; i < S->n; i++) {
-        ptrdiff_t from = S->begin[i];
-        combine_row(S->begin[i + 1] - from, S->index + from, S->value + from, X, width, width, to + i * width);
-    }
+    memset(to, 0, (size_t)(S->rows * width) * sizeof *to);
+    for (ptrdiff_t i = 0; i < S->rows; i++) multiply_row(S, i, X, width, width, to + i * width);
 }
 
-/* Largest column sum of magnitudes of rows of length `width`, zero beyond n. */
-static double norm(ptrdiff_t n, ptrdiff_t width, const double *X, double *sums)
+/* to[] += x' |S| */
+static void sum_magnitudes(const sparse *S, const double *x, double *to)
 {
-    memset(sums, 0, (size_t)width * sizeof *sums);
-    for (ptrdiff_t i = 0; i < n; i++)
-        for (ptrdiff_t j = 0; j < width; j++) sums[j] += fabs(X[i * width + j]);
-    double largest = 0.0;
-    for (ptrdiff_t j = 0; j < n; j++)
-        if (!(sums[j] <= largest)) largest = sums[j]; /* nan is kept */
-    return largest;
+    for (ptrdiff_t i = 0; i < S->rows; i++)
+        for (ptrdiff_t k = S->begin[i]; k < S->begin[i + 1]; k++) to[S->index[k]] += x[i] * fabs(S->value[k]);
 }
 
 INLINE double dot(ptrdiff_t n, const double *a, const double *b)
@@ -109,144 +118,224 @@ INLINE double dot(ptrdiff_t n, const double *a, const double *b)
     return rest;
 }
 
-/* A := A Pi, with Pi the derivative of the projection of the rods, (15a). A is stored column by column; each rod's
-   direction e and rate Omega begin a block of `block` states, the first one behind `payload` states. */
-void along_manifold(ptrdiff_t n, ptrdiff_t payload, ptrdiff_t block, const double *x, double *A)
+#define POWERS 64  /* most terms of a series; theta <= 2 needs 25 */
+#define PANEL 64    /* columns of a product at a time, so that they stay in the cache */
+
+/* Largest column sums of |X|^j, j = 0 .. POWERS - 1, with X = A_c T = (X + P V) T and magnitudes entry by entry. They
+   bound those of X^j, and cost one product with a vector each. */
+static void powers(const sparse *X, const sparse *P, const sparse *V, double period, double *largest, double *work)
 {
-    for (ptrdiff_t at = payload; at < n; at += block) {
-        const double *e = x + at, *Omega = e + 3;
-        double *by_e = A + at * n, *by_Omega = by_e + 3 * n;
-        for (ptrdiff_t i = 0; i < n; i++) {
-            const double across = by_e[i] * e[0] + by_e[n + i] * e[1] + by_e[2 * n + i] * e[2];
-            const double rate = by_Omega[i] * e[0] + by_Omega[n + i] * e[1] + by_Omega[2 * n + i] * e[2];
-            for (ptrdiff_t j = 0; j < 3; j++) {
-                by_e[j * n + i] -= across * e[j] + rate * Omega[j];
-                by_Omega[j * n + i] -= rate * e[j];
-            }
+    const ptrdiff_t n = X->rows;
+    double *sums = work, *next = sums + n, *by_acceleration = next + n;
+    for (ptrdiff_t j = 0; j < n; j++) sums[j] = 1.0;
+    for (int power = 0; power < POWERS; power++) {
+        largest[power] = 0.0;
+        for (ptrdiff_t j = 0; j < n; j++)
+            if (!(sums[j] <= largest[power])) largest[power] = sums[j]; /* nan is kept */
+        if (largest[power] == 0.0) {
+            for (int rest = power; rest < POWERS; rest++) largest[rest] = 0.0;
+            return;
         }
+        memset(next, 0, (size_t)n * sizeof *next);
+        memset(by_acceleration, 0, (size_t)V->rows * sizeof *by_acceleration);
+        sum_magnitudes(X, sums, next);
+        sum_magnitudes(P, sums, by_acceleration);
+        sum_magnitudes(V, by_acceleration, next);
+        for (ptrdiff_t j = 0; j < n; j++) sums[j] = next[j] * period;
     }
 }
 
-ptrdiff_t zero_order_hold_work(ptrdiff_t n, ptrdiff_t m)
+/* Number of terms of sum X^k / (k + 1)! whose remainder is at most `remainder`, for X halved `halvings` times:
+   |X^(k + 2i)| <= |X^k| |X^2|^i, so the rest is at most a geometric series in the terms k and k + 1. */
+static int terms_needed(const double *largest, int halvings, double remainder)
 {
-    return 6 * n * padded(n) + 2 * n * padded(m + 1) + 2 * n * n + n + 1 + padded(n);
+    double factorial = 2.0; /* (k + 1)! */
+    for (int k = 1; k < POWERS - 1; k++) {
+        const double term = ldexp(largest[k], -k * halvings) / factorial;
+        const double next = ldexp(largest[k + 1], -(k + 1) * halvings) / (factorial * (k + 2));
+        const double ratio = ldexp(largest[2], -2 * halvings) / ((k + 2.0) * (k + 3.0));
+        if (ratio < 1.0 && (term + next) / (1.0 - ratio) <= remainder) return k;
+        factorial *= k + 2;
+    }
+    return POWERS - 1;
 }
-ptrdiff_t responses_work(ptrdiff_t n, ptrdiff_t m) { return 2 * n * padded(m + 1) + 2 * n * n + n + 1; }
-ptrdiff_t condense_work(ptrdiff_t steps, ptrdiff_t p, ptrdiff_t m)
+
+ptrdiff_t zero_order_hold_work(ptrdiff_t n, ptrdiff_t m, ptrdiff_t accelerations)
 {
-    ptrdiff_t D = padded(steps * m);
-    return 2 * p * D + 2 * m * (D + padded(m)) + D + p + 4 * LANES;
+    const ptrdiff_t width = padded(n + m + 1);
+    return 2 * n * width + accelerations * width + (2 * n + accelerations) * PANEL + compress_work(n, n) + 3 * LANES;
 }
 
-/* Exact zero-order hold: A = I + A_c Phi, B = Phi B_c, f_d = Phi f, Phi = integral of exp(A_c s) over the period.
+/* Exact zero-order hold about an expansion in factors: [A - I, B, f_d] = Phi [A_c, B_c, f], Phi = integral of
+   exp(A_c s) over the period = T sum X^k / (k + 1)!, X = A_c T. See model/discretisation.py.
 
-   The algorithm, its bounds and its names are those of model/discretisation.py.
-
-   A_c and B_c are column-major. theta_max, theta_possible, remainder: as there.
+   A_c = X + P V_x, B_c = U + P V_u; begin, index, value: the rows of X, U, P, V_x, V_u, one after the other; P has
+   `accelerations` columns. Phi itself is not formed: the series is applied to the columns of [A_c, B_c, f].
    Returns theta; nothing is computed if it is larger than theta_possible or nan. */
-double zero_order_hold(ptrdiff_t n, ptrdiff_t m, const double *A_c, const double *B_c, const double *f,
-                       double period, double theta_max, double theta_possible, double remainder,
-                       double *A, double *B, double *f_d, double *work)
+double zero_order_hold(ptrdiff_t n, ptrdiff_t m, ptrdiff_t accelerations, const ptrdiff_t *begin,
+                       const ptrdiff_t *index, const double *value, const double *f, double period, double theta_max,
+                       double theta_possible, double remainder, double *A, double *B, double *f_d, double *work)
 {
-    const ptrdiff_t w = padded(n), inputs = padded(m + 1), all = n * w;
-    double *X[5], *P = work, *other = P + all, *swap;
-    for (int k = 1; k < 5; k++) X[k] = other + k * all;
-    double *right = X[4] + all, *product = right + n * inputs, *lists = product + n * inputs;
-    double *sums = lists + 2 * n * n + n + 1;
+    const ptrdiff_t columns = n + m + 1, width = padded(columns), r = accelerations;
+    const sparse X = part(0, n, begin, index, value), U = part(n, n, begin, index, value);
+    const sparse P = part(2 * n, n, begin, index, value), V_x = part(3 * n, r, begin, index, value);
+    const sparse V_u = part(3 * n + r, r, begin, index, value);
+    double *sum = work, *product = sum + n * width, *V = product + n * width, *term = V + r * width;
+    double *next = term + n * PANEL, *acceleration = next + n * PANEL, *lists = acceleration + r * PANEL;
 
-    memset(X[1], 0, (size_t)all * sizeof *P);
-    for (ptrdiff_t i = 0; i < n; i++)
-        for (ptrdiff_t j = 0; j < n; j++) X[1][i * w + j] = A_c[j * n + i] * period;
-    sparse S = compress(n, w, X[1], lists);
-    multiply(&S, X[1], w, X[2]);
-    multiply(&S, X[2], w, X[3]);
-    const double second = sqrt(norm(n, w, X[2], sums)), third = cbrt(norm(n, w, X[3], sums));
+    double largest[POWERS];
+    powers(&X, &P, &V_x, period, largest, term);
+    const double second = sqrt(largest[2]), third = cbrt(largest[3]);
     const double theta = second != second || third != third ? NAN : second > third ? second : third;
     if (!(theta <= theta_possible)) return theta;
-
     int halvings = 0;
     if (theta > 0.0) {
         const double needed = ceil(log2(theta / theta_max));
         halvings = needed > 0.0 ? (int)needed : 0;
     }
-    const double T = ldexp(period, -halvings), short_theta = ldexp(theta, -halvings);
-    for (int k = 1; k <= 3 && halvings; k++)
-        for (ptrdiff_t i = 0; i < all; i++) X[k][i] = ldexp(X[k][i], -k * halvings);
+    const double T = ldexp(period, -halvings);
+    const int terms = terms_needed(largest, halvings, remainder);
 
-    int terms = 2;
-    for (double term = short_theta * short_theta / 6.0;
-         term / (1.0 - short_theta / (terms + 2)) > remainder; term *= short_theta / (terms + 1))
-        terms++;
-    const int blocks = (terms + 3) / 4;
-    double coefficient[4 * 64]; /* 1 / (k + 1)!; the first 170 are nonzero */
-    coefficient[0] = 1.0;
-    for (int k = 1; k < 4 * blocks; k++) coefficient[k] = coefficient[k - 1] / (k + 1);
-
-    /* P = sum of X^k / (k+1)!, four terms at a time; powers of X commute, so X^4 can be the left factor. */
-    if (blocks > 1) {
-        S = compress(n, w, X[2], lists);
-        multiply(&S, X[2], w, X[4]);
-        S = compress(n, w, X[4], lists);
+    memset(V, 0, (size_t)(r * width) * sizeof *V);
+    for (ptrdiff_t i = 0; i < r; i++) {
+        for (ptrdiff_t k = V_x.begin[i]; k < V_x.begin[i + 1]; k++) V[i * width + index[k]] = value[k];
+        for (ptrdiff_t k = V_u.begin[i]; k < V_u.begin[i + 1]; k++) V[i * width + n + index[k]] = value[k];
     }
-    memset(P, 0, (size_t)all * sizeof *P);
-    for (int block = blocks - 1; block >= 0; block--) {
-        const double *c = coefficient + 4 * block;
-        for (ptrdiff_t i = 0; i < all; i++) P[i] += c[1] * X[1][i] + c[2] * X[2][i] + c[3] * X[3][i];
-        for (ptrdiff_t i = 0; i < n; i++) P[i * w + i] += c[0];
-        if (block > 0) {
-            multiply(&S, P, w, other);
-            swap = P, P = other, other = swap;
+    /* The factors as one matrix; sum = T [X + P V_x, U + P V_u, f] is the first term. */
+    memset(sum, 0, (size_t)(n * width) * sizeof *sum);
+    for (ptrdiff_t i = 0; i < n; i++) {
+        double *row = sum + i * width;
+        for (ptrdiff_t k = X.begin[i]; k < X.begin[i + 1]; k++) row[index[k]] = value[k];
+        for (ptrdiff_t k = U.begin[i]; k < U.begin[i + 1]; k++) row[n + index[k]] = value[k];
+        row[n + m] = f[i];
+        multiply_row(&P, i, V, width, width, row);
+        for (ptrdiff_t j = 0; j < width; j++) row[j] *= T;
+    }
+    for (ptrdiff_t at = 0; at < width; at += PANEL) {
+        const ptrdiff_t some = width - at < PANEL ? width - at : PANEL;
+        for (ptrdiff_t i = 0; i < n; i++) memcpy(term + i * some, sum + i * width + at, (size_t)some * sizeof *term);
+        for (int k = 1; k < terms; k++) {
+            /* The next term: X = (X + P V_x) T / (k + 1) times this one. */
+            const lanes scale = splat(T / (k + 1));
+            multiply(&V_x, term, some, acceleration);
+            memset(next, 0, (size_t)(n * some) * sizeof *next);
+            for (ptrdiff_t i = 0; i < n; i++) {
+                double *row = next + i * some, *to = sum + i * width + at;
+                multiply_row(&X, i, term, some, some, row);
+                multiply_row(&P, i, acceleration, some, some, row);
+                for (ptrdiff_t j = 0; j < some; j += LANES) {
+                    VECTOR(row + j) *= scale;
+                    VECTOR(to + j) += VECTOR(row + j);
+                }
+            }
+            double *swap = term;
+            term = next, next = swap;
         }
     }
-    /* exp(X) = I + X P; Phi = T P. */
-    double *power = X[2], *next = X[3];
-    S = compress(n, w, X[1], lists);
-    multiply(&S, P, w, power);
-    for (ptrdiff_t i = 0; i < n; i++) power[i * w + i] += 1.0;
-    for (ptrdiff_t i = 0; i < all; i++) P[i] *= T;
     for (int halving = 0; halving < halvings; halving++) {
-        /* Phi(2T) = Phi(T) + exp(A T) Phi(T). */
-        S = compress(n, w, power, lists);
-        multiply(&S, P, w, other);
-        for (ptrdiff_t i = 0; i < all; i++) P[i] += other[i];
-        multiply(&S, power, w, next);
-        swap = power, power = next, next = swap;
+        /* Phi(2T) = Phi(T) + A(T) Phi(T), so [A - I, B, f_d] is doubled and A - I times itself comes on top. */
+        const sparse S = compress(n, n, width, sum, lists);
+        multiply(&S, sum, width, product);
+        for (ptrdiff_t i = 0; i < n * width; i++) sum[i] = 2.0 * sum[i] + product[i];
     }
-
-    for (ptrdiff_t i = 0; i < n; i++) memcpy(A + i * n, power + i * w, (size_t)n * sizeof *A);
-    memset(right, 0, (size_t)(n * inputs) * sizeof *right);
     for (ptrdiff_t i = 0; i < n; i++) {
-        for (ptrdiff_t j = 0; j < m; j++) right[i * inputs + j] = B_c[j * n + i];
-        right[i * inputs + m] = f[i];
-    }
-    S = compress(n, w, P, lists);
-    multiply(&S, right, inputs, product);
-    for (ptrdiff_t i = 0; i < n; i++) {
-        memcpy(B + i * m, product + i * inputs, (size_t)m * sizeof *B);
-        f_d[i] = product[i * inputs + m];
+        const double *row = sum + i * width;
+        memcpy(A + i * n, row, (size_t)n * sizeof *A);
+        A[i * n + i] += 1.0;
+        memcpy(B + i * m, row + n, (size_t)m * sizeof *B);
+        f_d[i] = row[n + m];
     }
     return theta;
 }
 
-/* Impulse response A^j B, (steps, n, m), and free response dx(k+1) = A dx(k) + W(k) from zero, (steps + 1, n). */
-void responses(ptrdiff_t steps, ptrdiff_t n, ptrdiff_t m, const double *A, const double *B, const double *W,
-               double *impulse, double *dX, double *work)
+ptrdiff_t predict_work(ptrdiff_t n, ptrdiff_t m, ptrdiff_t own)
 {
-    const ptrdiff_t w = padded(m + 1);
-    double *now = work, *next = now + n * w;
-    sparse S = compress(n, n, A, next + n * w);
+    const ptrdiff_t w = padded(own + 1);
+    return (2 * n + m) * w + compress_work(n, n) + compress_work(n, m) + compress_work(m, n) + n * m + 3 * LANES;
+}
+
+/* Effect of each decision and free response over the horizon, with the others' inputs fed back,
+
+       x(k+1) = A x(k) + f_d + B_own v(k) + B_others (drive(k) + K x(k)),   x(0) = 0; see mpc/prediction.py.
+
+   own: (count,). K: (m, n), 0 without feedback. drive: (steps, m). impulse: (n, steps, count), effect on the state one,
+   two, .. steps later. dX: (steps + 1, n). feedback = K impulse, (m, steps, count); dU = K dX, (steps, m). */
+void predict(ptrdiff_t steps, ptrdiff_t n, ptrdiff_t m, ptrdiff_t count, const ptrdiff_t *own, const double *A,
+             const double *B, const double *f_d, const double *K, const double *drive, double *impulse, double *dX,
+             double *feedback, double *dU, double *work)
+{
+    const ptrdiff_t w = padded(count + 1), D = steps * count;
+    double *now = work, *next = now + n * w, *inputs = next + n * w, *lists = inputs + m * w;
+    double *B_others = lists + compress_work(n, n) + compress_work(n, m) + compress_work(m, n);
+    const sparse A_ = compress(n, n, n, A, lists);
     memset(now, 0, (size_t)(n * w) * sizeof *now);
-    for (ptrdiff_t i = 0; i < n; i++) memcpy(now + i * w, B + i * m, (size_t)m * sizeof *B);
+    memcpy(B_others, B, (size_t)(n * m) * sizeof *B);
+    for (ptrdiff_t c = 0; c < count; c++)
+        for (ptrdiff_t i = 0; i < n; i++) {
+            now[i * w + c] = B[i * m + own[c]];
+            B_others[i * m + own[c]] = 0.0;
+        }
+    const sparse B_ = compress(n, m, m, B_others, lists + compress_work(n, n));
+    sparse K_;
+    if (K) K_ = compress(m, n, n, K, lists + compress_work(n, n) + compress_work(n, m));
+    memset(inputs, 0, (size_t)(m * w) * sizeof *inputs);
     for (ptrdiff_t k = 0;; k++) {
-        for (ptrdiff_t i = 0; i < n; i++) dX[k * n + i] = now[i * w + m];
+        for (ptrdiff_t i = 0; i < n; i++) dX[k * n + i] = now[i * w + count];
         if (k == steps) return;
         for (ptrdiff_t i = 0; i < n; i++)
-            memcpy(impulse + (k * n + i) * m, now + i * w, (size_t)m * sizeof *impulse);
-        multiply(&S, now, w, next);
-        for (ptrdiff_t i = 0; i < n; i++) next[i * w + m] += W[k * n + i];
+            memcpy(impulse + i * D + k * count, now + i * w, (size_t)count * sizeof *impulse);
+        if (K) {
+            multiply(&K_, now, w, inputs);
+            for (ptrdiff_t i = 0; i < m; i++) {
+                memcpy(feedback + i * D + k * count, inputs + i * w, (size_t)count * sizeof *feedback);
+                dU[k * m + i] = inputs[i * w + count];
+            }
+        }
+        for (ptrdiff_t i = 0; i < m; i++)
+            inputs[i * w + count] = drive[k * m + i] + (K ? inputs[i * w + count] : 0.0);
+        multiply(&A_, now, w, next);
+        for (ptrdiff_t i = 0; i < n; i++) {
+            multiply_row(&B_, i, inputs, w, w, next + i * w);
+            next[i * w + count] += f_d[i];
+        }
         double *swap = now;
         now = next, next = swap;
     }
+}
+
+/* Deviations that decisions cause, s(k) = sum_{j < k} impulse(k - 1 - j) v(j) for k = 0 .. steps - 1, (steps, s).
+
+   impulse: (s, steps, m), the signals `index` of it. v: (steps, m). */
+void convolve(ptrdiff_t steps, ptrdiff_t s, ptrdiff_t m, const ptrdiff_t *index, const double *impulse,
+              const double *v, double *to)
+{
+    for (ptrdiff_t k = 0; k < steps; k++)
+        for (ptrdiff_t i = 0; i < s; i++) {
+            const double *effect = impulse + index[i] * steps * m;
+            double sum = 0.0;
+            for (ptrdiff_t j = 0; j < k; j++)
+                for (ptrdiff_t c = 0; c < m; c++) sum += effect[(k - 1 - j) * m + c] * v[j * m + c];
+            to[k * s + i] = sum;
+        }
+}
+
+/* Owned inputs u(k) = wanted(k) + sum_{j < k} impulse(k - 1 - j) (u(j) - free(j)), within bounds and rates, (steps, m).
+
+   See mpc/plan.py. impulse: (all, steps, m), the rows `own` of it. `before`: (m,), the inputs of the rate at k = 0. */
+void follow(ptrdiff_t steps, ptrdiff_t m, const ptrdiff_t *own, const double *impulse, const double *wanted,
+            const double *free_, const double *lower, const double *upper, const double *rate, double *u)
+{
+    for (ptrdiff_t k = 0; k < steps; k++)
+        for (ptrdiff_t i = 0; i < m; i++) {
+            const double *effect = impulse + own[i] * steps * m;
+            const double before = k ? u[(k - 1) * m + i] : free_[i];
+            double sum = wanted[k * m + i];
+            for (ptrdiff_t j = 0; j < k; j++)
+                for (ptrdiff_t c = 0; c < m; c++)
+                    sum += effect[(k - 1 - j) * m + c] * (u[j * m + c] - free_[j * m + c]);
+            sum = sum < before - rate[i] ? before - rate[i] : sum > before + rate[i] ? before + rate[i] : sum;
+            u[k * m + i] = sum < lower[i] ? lower[i] : sum > upper[i] ? upper[i] : sum;
+        }
 }
 
 /* Condensed Hessian and gradient; see mpc/condensing.py.

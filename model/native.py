@@ -6,23 +6,29 @@ Without a C compiler `AVAILABLE` is false and Python functions with the same res
 import ctypes
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
-from model import compiler, state
+from model import compiler
 from model.arrays import Array
+
+if TYPE_CHECKING:
+    from model.linearisation import Linearisation
+
+Places = npt.NDArray[np.intp]
 
 _FLAGS = ("-O3", "-march=native", "-fno-math-errno")
 
 _address, _number, _double = ctypes.c_void_p, ctypes.c_ssize_t, ctypes.c_double
 _SIGNATURES: dict[str, tuple[Any, Sequence[Any]]] = {
-    "along_manifold": (None, [_number] * 3 + [_address] * 2),
-    "zero_order_hold_work": (_number, [_number] * 2),
-    "zero_order_hold": (_double, [_number] * 2 + [_address] * 3 + [_double] * 4 + [_address] * 4),
-    "responses_work": (_number, [_number] * 2),
-    "responses": (None, [_number] * 3 + [_address] * 6),
-    "free_response": (None, [_number] * 2 + [_address] * 3),
+    "zero_order_hold_work": (_number, [_number] * 3),
+    "zero_order_hold": (_double, [_number] * 3 + [_address] * 4 + [_double] * 4 + [_address] * 4),
+    "predict_work": (_number, [_number] * 3),
+    "predict": (None, [_number] * 4 + [_address] * 11),
+    "convolve": (None, [_number] * 3 + [_address] * 4),
+    "follow": (None, [_number] * 2 + [_address] * 8),
     "condense_work": (_number, [_number] * 3),
     "condense": (None, [_number] * 3 + [_address] * 2 + [_double] + [_address] * 2 + [_number] + [_address] * 2),
     "toeplitz": (None, [_number] * 3 + [_address] * 2 + [_number]),
@@ -32,45 +38,55 @@ _SIGNATURES: dict[str, tuple[Any, Sequence[Any]]] = {
 }
 
 
-def along_manifold(A_c: Array, x: Array) -> None:
-    """See `model.linearisation.along_manifold`."""
-    _KERNELS.along_manifold(len(x), state.PAYLOAD, state.PER_UAV, _at(x), _at(A_c.T))
-
-
 def zero_order_hold(
-    A_c: Array, B_c: Array, f: Array, period_s: float, theta_max: float, theta_possible: float, remainder: float
+    linear: "Linearisation", period_s: float, theta_max: float, theta_possible: float, remainder: float
 ) -> tuple[float, Array, Array, Array]:
     """Return the growth theta, A, B and f_d; the last three are meaningless if theta > theta_possible or nan.
 
     Arguments as in `model.discretisation`; the period is halved above theta_max.
     """
-    n, m = B_c.shape
-    # Column-major, as CasADi returns them: no copies.
-    columns, inputs = np.ascontiguousarray(A_c.T), np.ascontiguousarray(B_c.T)
+    (n, m), accelerations = linear.pattern.shapes[1], linear.pattern.shapes[2][1]
     A, B, f_d = np.empty((n, n)), np.empty((n, m)), np.empty(n)
     theta = _KERNELS.zero_order_hold(
-        n, m, _at(columns), _at(inputs), _at(f), period_s, theta_max, theta_possible, remainder,
-        _at(A), _at(B), _at(f_d), _work("zero_order_hold_work", n, m),
+        n, m, accelerations, *linear.pattern.addresses, _at(linear.values), _at(linear.f),
+        period_s, theta_max, theta_possible, remainder,
+        _at(A), _at(B), _at(f_d), _work("zero_order_hold_work", n, m, accelerations),
     )  # fmt: skip
     return theta, A, B, f_d
 
 
-def responses(A: Array, B: Array, W: Array) -> tuple[Array, Array]:
-    """See `mpc.prediction.responses`."""
-    steps, (n, m) = len(W), B.shape
-    impulse, dX = np.empty((steps, n, m)), np.empty((steps + 1, n))
-    _KERNELS.responses(
-        steps, n, m, _at(A), _at(B), _at(W), _at(impulse), _at(dX), _work("responses_work", n, m)
+def predict(
+    A: Array, B: Array, f_d: Array, own: Places, K: Array | None, drive: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Return impulse, dX, feedback and dU; see `mpc.prediction`."""
+    steps, (n, m), count = len(drive), B.shape, len(own)
+    fed = 0 if K is None else m
+    impulse, dX = np.empty((n, steps, count)), np.empty((steps + 1, n))
+    feedback, dU = np.empty((fed, steps, count)), np.empty((steps, fed))
+    _KERNELS.predict(
+        steps, n, m, count, _place(own), _at(A), _at(B), _at(f_d), 0 if K is None else _at(K), _at(drive),
+        _at(impulse), _at(dX), _at(feedback), _at(dU), _work("predict_work", n, m, count),
     )  # fmt: skip
-    return impulse, dX
+    return impulse, dX, feedback, dU
 
 
-def free_response(A: Array, W: Array) -> Array:
-    """See `mpc.prediction.free_response`."""
-    steps, n = W.shape
-    dX = np.empty((steps + 1, n))
-    _KERNELS.free_response(steps, n, _at(A), _at(W), _at(dX))
-    return dX
+def convolve(impulse: Array, signals: Places, v: Array) -> Array:
+    """See `mpc.prediction.convolve`."""
+    steps, m = v.shape
+    found = np.empty((steps, len(signals)))
+    _KERNELS.convolve(steps, len(signals), m, _place(signals), _at(impulse), _at(v), _at(found))
+    return found
+
+
+def follow(
+    impulse: Array, own: Places, wanted: Array, free: Array, lower: Array, upper: Array, rate: Array
+) -> Array:  # fmt: skip
+    """See `mpc.plan.follow`."""
+    u = np.empty(wanted.shape)
+    _KERNELS.follow(
+        *u.shape, _place(own), _at(impulse), _at(wanted), _at(free), _at(lower), _at(upper), _at(rate), _at(u)
+    )  # fmt: skip
+    return u
 
 
 def condense(output_impulse: Array, Q: Array, terminal: float, weighted: Array, H: Array, g: Array) -> None:
@@ -122,6 +138,13 @@ def _at(array: Array) -> int:
     if array.flags.writeable:
         return ctypes.addressof(ctypes.c_double.from_buffer(array.data))  # fastest
     return int(array.ctypes.data)
+
+
+def _place(indices: Places) -> int:
+    """Return the address of indices."""
+    if indices.dtype.char != "l" or not indices.flags.c_contiguous:
+        raise TypeError(f"expected a row of indices, got {indices.dtype} with strides {indices.strides}")
+    return ctypes.addressof(ctypes.c_ssize_t.from_buffer(indices.data)) if indices.flags.writeable else int(indices.ctypes.data)
 
 
 def _work(which: str, *sizes: int) -> int:
