@@ -338,81 +338,182 @@ void follow(ptrdiff_t steps, ptrdiff_t m, const ptrdiff_t *own, const double *im
         }
 }
 
-/* Condensed Hessian and gradient; see mpc/condensing.py.
+/* The cost of one step; see mpc/objective.py. Three kinds of outputs: the model's, the user's terms, and the inputs of
+   the other agents' UAVs. Sizes of arrays behind their names; D = steps * m. */
+typedef struct {
+    ptrdiff_t steps, n, m, size;              /* horizon, states, owned inputs, decisions and slacks */
+    ptrdiff_t outputs, terms, inputs;         /* outputs of each kind */
+    ptrdiff_t model_outputs, all_inputs, rank; /* lengths of y and u, rows of the root */
+    double terminal;                          /* weight of the last step, as a multiple of Q */
+    const ptrdiff_t *begin, *index;           /* rows of C as lists */
+    const double *value;
+    const ptrdiff_t *chosen, *answering, *own; /* (outputs), (inputs), (m): rows of C, of feedback, of u */
+    const double *y, *y_ref;                  /* (model_outputs), (steps + 1, model_outputs) */
+    const double *slope, *at_x0;              /* of the user's terms: (terms, n), (terms) */
+    const double *effect, *feedback;          /* (n, D), (all_inputs, D), for decisions in SI units */
+    const double *dX, *U, *u_target;          /* (steps + 1, n), (steps, all_inputs), (all_inputs) */
+    const double *Q, *scale, *effort;         /* (outputs of all kinds), (m), (m): R scale */
+    const double *root, *error, *end_slope;   /* of the cost-to-go: (rank, n), (n), (n) */
+    const double *penalties;                  /* (size - D) */
+    double *H, *g;                            /* (size, size), (size): result */
+    double *S, *free;                         /* (outputs of all kinds, D), (steps, outputs): result */
+    double *work;
+} cost;
 
-   S: effect of the decision on the outputs, (steps, p, m). Q: (p,). weighted: (steps, p).
-   H: upper left corner of a matrix with rows of length `stride`; both triangles are written, equal to the bit.
-   g: (steps m,). */
-void condense(ptrdiff_t steps, ptrdiff_t p, ptrdiff_t m, const double *S, const double *Q, double terminal,
-              const double *weighted, double *H, ptrdiff_t stride, double *g, double *work)
+ptrdiff_t condense_work(ptrdiff_t steps, ptrdiff_t n, ptrdiff_t m, ptrdiff_t p, ptrdiff_t rank)
 {
-    const ptrdiff_t D = steps * m, w = padded(D), margin = padded(m);
-    double *flat = work, *row = flat + p * w, *now = row + w + margin, *sums = now;
-    ptrdiff_t index[p];
-    double value[p];
-    for (ptrdiff_t o = 0; o < p; o++) {
-        index[o] = o;
+    const ptrdiff_t w = padded(steps * m), longest = p > rank ? p : rank;
+    return (n + p + rank + 3 + m) * w + (m + 1) * padded(m) + steps * p + rank + 2 * (longest > n ? longest : n) + LANES;
+}
+
+/* Hessian, both triangles equal to the bit, and gradient of the cost, doubled: 1/2 z' H z + g' z is its value.
+
+   A prediction is block-Toeplitz: G(k) = [S(k-1) .. S(0) 0 .. 0], S(a) the effect of a decision on the outputs a + 1
+   steps later. So block (i, j) of the Hessian is a sum of S(a)' Q S(b) along a - b = j - i; see mpc/condensing.py. */
+void condense(const cost *c)
+{
+    const ptrdiff_t steps = c->steps, n = c->n, m = c->m, D = steps * m, w = padded(D), margin = padded(m);
+    const ptrdiff_t p = c->outputs + c->terms + c->inputs, rank = c->rank, stride = c->size;
+    const ptrdiff_t longest = p > rank ? p : rank, most = longest > n ? longest : n;
+    double *L = c->work, *flat = L + n * w, *reached = flat + p * w, *row = reached + rank * w, *last = row + w;
+    double *gradient = last + w, *sums = gradient + w + margin, *errors = sums + m * (w + margin);
+    double *to_go = errors + steps * p, *value = to_go + rank;
+    ptrdiff_t *every = (ptrdiff_t *)(value + most);
+    for (ptrdiff_t i = 0; i < most; i++) every[i] = i;
+
+    /* Effect of the scaled decisions on states, outputs and the root of the cost-to-go, [S(0) .. S(steps - 1)]. */
+    memset(L, 0, (size_t)((n + p + rank) * w) * sizeof *L);
+    for (ptrdiff_t i = 0; i < n; i++)
         for (ptrdiff_t a = 0; a < steps; a++)
-            memcpy(flat + o * w + a * m, S + (a * p + o) * m, (size_t)m * sizeof *S);
-        memset(flat + o * w + D, 0, (size_t)(w - D) * sizeof *flat);
+            for (ptrdiff_t k = 0; k < m; k++) L[i * w + a * m + k] = c->effect[i * D + a * m + k] * c->scale[k];
+    for (ptrdiff_t o = 0; o < c->outputs; o++) {
+        const ptrdiff_t from = c->begin[c->chosen[o]], to = c->begin[c->chosen[o] + 1];
+        combine_row(to - from, c->index + from, c->value + from, L, w, w, flat + o * w);
     }
+    for (ptrdiff_t o = 0; o < c->terms; o++)
+        combine_row(n, every, c->slope + o * n, L, w, w, flat + (c->outputs + o) * w);
+    for (ptrdiff_t o = 0; o < c->inputs; o++)
+        for (ptrdiff_t a = 0; a < steps; a++)
+            for (ptrdiff_t k = 0; k < m; k++)
+                flat[(c->outputs + c->terms + o) * w + a * m + k] =
+                    c->feedback[c->answering[o] * D + a * m + k] * c->scale[k];
+    for (ptrdiff_t o = 0; o < rank; o++) combine_row(n, every, c->root + o * n, L, w, w, reached + o * w);
+    for (ptrdiff_t o = 0; o < p; o++) memcpy(c->S + o * D, flat + o * w, (size_t)D * sizeof *flat);
+
+    /* Errors of the free response at steps 1 .. steps, times 2 Q. */
+    for (ptrdiff_t k = 0; k < steps; k++) {
+        const double *dx = c->dX + (k + 1) * n, *y_ref = c->y_ref + (k + 1) * c->model_outputs;
+        double *error = errors + k * p;
+        for (ptrdiff_t o = 0; o < c->outputs; o++) {
+            const ptrdiff_t at = c->chosen[o];
+            double sum = c->y[at];
+            for (ptrdiff_t e = c->begin[at]; e < c->begin[at + 1]; e++) sum += c->value[e] * dx[c->index[e]];
+            c->free[k * c->outputs + o] = sum;
+            error[o] = sum - y_ref[at];
+        }
+        for (ptrdiff_t o = 0; o < c->terms; o++) error[c->outputs + o] = c->at_x0[o] + dot(n, c->slope + o * n, dx);
+        for (ptrdiff_t o = 0; o < c->inputs; o++) {
+            const ptrdiff_t at = c->answering[o];
+            /* Step N_p has no input. */
+            error[c->outputs + c->terms + o] =
+                k + 1 < steps ? c->U[(k + 1) * c->all_inputs + at] - c->u_target[at] : 0.0;
+        }
+        for (ptrdiff_t o = 0; o < p; o++) error[o] *= 2.0 * c->Q[o] * (k + 1 < steps ? 1.0 : c->terminal);
+    }
+
     /* Running sums down the block diagonals, m rows of them at a time, moved to the right by one block each. */
     memset(sums, 0, (size_t)(m * (w + margin)) * sizeof *sums);
     for (ptrdiff_t a = 0; a < steps; a++) {
         const ptrdiff_t i = steps - 1 - a, columns = padded((a + 1) * m);
         for (ptrdiff_t r = 0; r < m; r++) {
-            double *sum = sums + r * (w + margin);
+            double *sum = sums + r * (w + margin), *to = c->H + (i * m + r) * stride;
             memset(row, 0, (size_t)columns * sizeof *row);
-            for (ptrdiff_t o = 0; o < p; o++) value[o] = Q[o] * flat[o * w + a * m + r];
-            combine_row(p, index, value, flat, w, columns, row);
+            for (ptrdiff_t o = 0; o < p; o++) value[o] = 2.0 * c->Q[o] * flat[o * w + a * m + r];
+            combine_row(p, every, value, flat, w, columns, row);
+            memset(last, 0, (size_t)columns * sizeof *last);
+            for (ptrdiff_t o = 0; o < rank; o++) value[o] = 2.0 * reached[o * w + a * m + r];
+            combine_row(rank, every, value, reached, w, columns, last);
             /* Step N_p has the weight Q_f alone, so the sums with Q end one step earlier, without this product. */
             memmove(sum + m, sum, (size_t)(a * m) * sizeof *sum);
             memset(sum, 0, (size_t)m * sizeof *sum);
-            double *to = H + (i * m + r) * stride;
             for (ptrdiff_t b = 0; b <= a; b++) {
                 const ptrdiff_t j = steps - 1 - b;
-                for (ptrdiff_t c = 0; c < m; c++)
-                    to[j * m + c] = terminal * row[b * m + c] + sum[b * m + c];
+                for (ptrdiff_t k = 0; k < m; k++)
+                    to[j * m + k] = c->terminal * row[b * m + k] + last[b * m + k] + sum[b * m + k];
             }
-            for (ptrdiff_t c = 0; c < (a + 1) * m; c++) sum[c] += row[c];
+            for (ptrdiff_t k = 0; k < (a + 1) * m; k++) sum[k] += row[k];
+            to[i * m + r] += 2.0 * c->effort[r] * c->scale[r];
         }
         for (ptrdiff_t r = 0; r < m; r++) {
             /* The lower triangle, from the upper one. */
             const ptrdiff_t x = i * m + r;
-            for (ptrdiff_t y = x + 1; y < D; y++) H[y * stride + x] = H[x * stride + y];
+            for (ptrdiff_t y = x + 1; y < D; y++) c->H[y * stride + x] = c->H[x * stride + y];
         }
     }
+
+    /* Gradient, the last decision first: G(k)' of an error is [S(k-1) .. S(0)]' of it. */
+    memset(gradient, 0, (size_t)(w + margin) * sizeof *gradient);
+    for (ptrdiff_t k = 0; k < steps; k++)
+        combine_row(p, every, errors + k * p, flat, w, padded((k + 1) * m), gradient + (steps - 1 - k) * m);
+    if (rank) {
+        const double *dx = c->dX + steps * n;
+        for (ptrdiff_t i = 0; i < n; i++) value[i] = c->error[i] + dx[i];
+        for (ptrdiff_t o = 0; o < rank; o++) to_go[o] = 2.0 * dot(n, c->root + o * n, value);
+        combine_row(rank, every, to_go, reached, w, w, gradient);
+        for (ptrdiff_t i = 0; i < n; i++) value[i] = 2.0 * c->end_slope[i];
+        combine_row(n, every, value, L, w, w, gradient);
+    }
     for (ptrdiff_t j = 0; j < steps; j++)
-        for (ptrdiff_t c = 0; c < m; c++) g[j * m + c] = 0.0;
-    for (ptrdiff_t a = 0; a < steps; a++)
-        for (ptrdiff_t o = 0; o < p; o++) {
-            const double *effect = S + (a * p + o) * m;
-            for (ptrdiff_t j = 0; j + a < steps; j++) {
-                const double by = weighted[(j + a) * p + o];
-                for (ptrdiff_t c = 0; c < m; c++) g[j * m + c] += effect[c] * by;
-            }
+        for (ptrdiff_t k = 0; k < m; k++) {
+            const double effort = c->U[j * c->all_inputs + c->own[k]] - c->u_target[c->own[k]];
+            c->g[j * m + k] = gradient[(steps - 1 - j) * m + k] + 2.0 * c->effort[k] * effort;
         }
+
+    for (ptrdiff_t x = D; x < c->size; x++) {
+        for (ptrdiff_t y = 0; y < c->size; y++) c->H[x * stride + y] = c->H[y * stride + x] = 0.0;
+        c->H[x * stride + x] = c->g[x] = c->penalties[x - D];
+    }
 }
 
-/* Lower block-Toeplitz matrix of an impulse response, (steps s, steps m), into rows of length `stride`; entries above
-   the diagonal stay as they are. */
+/* Lower block-Toeplitz matrix of an impulse response, (s, steps, m), into rows of length `stride`, (steps, s) of them;
+   entries above the diagonal stay as they are. */
 void toeplitz(ptrdiff_t steps, ptrdiff_t s, ptrdiff_t m, const double *impulse, double *to, ptrdiff_t stride)
 {
     for (ptrdiff_t k = 0; k < steps; k++)
         for (ptrdiff_t o = 0; o < s; o++) {
             double *row = to + (k * s + o) * stride;
+            const double *effect = impulse + o * steps * m;
             for (ptrdiff_t j = 0; j <= k; j++)
-                for (ptrdiff_t c = 0; c < m; c++) row[j * m + c] = impulse[((k - j) * s + o) * m + c];
+                for (ptrdiff_t c = 0; c < m; c++) row[j * m + c] = effect[(k - j) * m + c];
         }
 }
 
-/* Free response alone: dx(k+1) = A dx(k) + W(k) from zero, (steps + 1, n). */
-void free_response(ptrdiff_t steps, ptrdiff_t n, const double *A, const double *W, double *dX)
+/* Distances of pairs of UAVs along their present direction; see mpc/rows/separation.py.
+
+   pairs: (count, 2). r: positions, (3 N). free_: the same at steps 1 .. steps, rows of length `outputs`. effect: of
+   the decisions on them, (3 N, steps, m). by: (count, steps, m), effect on the distances; distance: (steps, count). */
+void distances(ptrdiff_t steps, ptrdiff_t m, ptrdiff_t count, const ptrdiff_t *pairs, ptrdiff_t outputs,
+               const double *r, const double *free_, const double *effect, double *by, double *distance)
 {
-    memset(dX, 0, (size_t)n * sizeof *dX);
-    for (ptrdiff_t k = 0; k < steps; k++)
-        for (ptrdiff_t i = 0; i < n; i++)
-            dX[(k + 1) * n + i] = dot(n, A + i * n, dX + k * n) + W[k * n + i];
+    const ptrdiff_t D = steps * m;
+    for (ptrdiff_t pair = 0; pair < count; pair++) {
+        const ptrdiff_t i = 3 * pairs[2 * pair], j = 3 * pairs[2 * pair + 1];
+        double d[3] = {r[i] - r[j], r[i + 1] - r[j + 1], r[i + 2] - r[j + 2]};
+        const double apart = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
+        if (apart == 0.0) d[0] = 1.0; /* two UAVs in one point have no direction; any separates them */
+        else d[0] /= apart, d[1] /= apart, d[2] /= apart;
+        for (ptrdiff_t k = 0; k < D; k++) {
+            double sum = 0.0;
+            for (int x = 0; x < 3; x++) sum += d[x] * (effect[(i + x) * D + k] - effect[(j + x) * D + k]);
+            by[pair * D + k] = sum;
+        }
+        for (ptrdiff_t k = 0; k < steps; k++) {
+            const double *at = free_ + k * outputs;
+            double sum = 0.0;
+            for (int x = 0; x < 3; x++) sum += d[x] * (at[i + x] - at[j + x]);
+            distance[k * count + pair] = sum;
+        }
+    }
 }
 
 #define PIVOTS 16 /* rows of the factor per update of the remaining matrix */

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from model.linearisation import Linearisation
 
 Places = npt.NDArray[np.intp]
+_PLACE = np.dtype(np.intp).char
 
 _FLAGS = ("-O3", "-march=native", "-fno-math-errno")
 
@@ -29,9 +30,10 @@ _SIGNATURES: dict[str, tuple[Any, Sequence[Any]]] = {
     "predict": (None, [_number] * 4 + [_address] * 11),
     "convolve": (None, [_number] * 3 + [_address] * 4),
     "follow": (None, [_number] * 2 + [_address] * 8),
-    "condense_work": (_number, [_number] * 3),
-    "condense": (None, [_number] * 3 + [_address] * 2 + [_double] + [_address] * 2 + [_number] + [_address] * 2),
+    "condense_work": (_number, [_number] * 5),
+    "condense": (None, [_address]),
     "toeplitz": (None, [_number] * 3 + [_address] * 2 + [_number]),
+    "distances": (None, [_number] * 3 + [_address] + [_number] + [_address] * 5),
     "within_bounds_work": (_number, [_number]),
     "within_bounds": (ctypes.c_int, [_number] + [_address] * 4 + [ctypes.c_int] + [_address] * 3),
     "residuals": (None, [_number] * 2 + [_address] * 12),
@@ -89,19 +91,55 @@ def follow(
     return u
 
 
-def condense(output_impulse: Array, Q: Array, terminal: float, weighted: Array, H: Array, g: Array) -> None:
-    """See `mpc.condensing.condense`."""
-    steps, p, m = output_impulse.shape
-    _KERNELS.condense(
-        steps, p, m, _at(output_impulse), _at(Q), terminal, _at(weighted), _at(H), H.shape[1], _at(g),
-        _work("condense_work", steps, p, m),
+class Cost(ctypes.Structure):
+    """The struct `cost` of the kernels."""
+
+    _fields_ = (
+        *((name, _number) for name in ("steps", "n", "m", "size", "outputs", "terms", "inputs")),
+        *((name, _number) for name in ("model_outputs", "all_inputs", "rank")),
+        ("terminal", _double),
+        *((name, _address) for name in ("begin", "index", "value", "chosen", "answering", "own")),
+        *((name, _address) for name in ("y", "y_ref", "slope", "at_x0", "effect", "feedback", "dX", "U", "u_target")),
+        *((name, _address) for name in ("Q", "scale", "effort", "root", "error", "end_slope", "penalties")),
+        *((name, _address) for name in ("H", "g", "S", "free", "work")),
+    )
+
+
+def condense(
+    linear: "Linearisation", chosen: Places, answering: Places, own: Places, terminal: float, y_ref: Array,
+    slope: Array, at_x0: Array, effect: Array, feedback: Array, dX: Array, U: Array, u_target: Array, Q: Array,
+    scale: Array, effort: Array, root: Array, error: Array, end_slope: Array, penalties: Array,
+) -> tuple[Array, Array, Array, Array]:  # fmt: skip
+    """Return H, g, S and the free response of the chosen outputs; see `mpc.objective`."""
+    (n, steps, m), p, rank = effect.shape, len(Q), len(root)
+    size, outputs, pattern = steps * m + len(penalties), len(chosen), linear.pattern
+    H, g, S, free = np.empty((size, size)), np.empty(size), np.empty((p, steps, m)), np.empty((steps, outputs))
+    begin, index = pattern.addresses
+    cost = Cost(
+        steps, n, m, size, outputs, len(at_x0), len(answering), len(linear.y), len(u_target), rank, terminal,
+        begin + 8 * pattern.first_rows[-2], index, _at(linear.values), _place(chosen), _place(answering), _place(own),
+        _at(linear.y), _at(y_ref), _at(slope), _at(at_x0), _at(effect), _at(feedback), _at(dX), _at(U), _at(u_target),
+        _at(Q), _at(scale), _at(effort), _at(root), _at(error), _at(end_slope), _at(penalties),
+        _at(H), _at(g), _at(S), _at(free), _work("condense_work", steps, n, m, p, rank),
     )  # fmt: skip
+    _KERNELS.condense(ctypes.addressof(cost))
+    return H, g, S, free
 
 
 def toeplitz(impulse: Array, rows: Array) -> None:
     """See `mpc.condensing.fill`."""
-    steps, s, m = impulse.shape
+    s, steps, m = impulse.shape
     _KERNELS.toeplitz(steps, s, m, _at(impulse), _at(rows), rows.shape[1])
+
+
+def distances(pairs: Places, r: Array, free: Array, effect: Array) -> tuple[Array, Array]:
+    """Return the effect of decisions on distances, and the distances; see `mpc.rows.separation`."""
+    (_, steps, m), count = effect.shape, len(pairs)
+    by, distance = np.empty((count, steps, m)), np.empty((steps, count))
+    _KERNELS.distances(
+        steps, m, count, _place(pairs), free.shape[1], _at(r), _at(free), _at(effect), _at(by), _at(distance)
+    )  # fmt: skip
+    return by, distance
 
 
 def within_bounds(H: Array, g: Array, lower: Array, upper: Array, most: int) -> tuple[int, Array, Array]:
@@ -141,10 +179,14 @@ def _at(array: Array) -> int:
 
 
 def _place(indices: Places) -> int:
-    """Return the address of indices."""
-    if indices.dtype.char != "l" or not indices.flags.c_contiguous:
-        raise TypeError(f"expected a row of indices, got {indices.dtype} with strides {indices.strides}")
-    return ctypes.addressof(ctypes.c_ssize_t.from_buffer(indices.data)) if indices.flags.writeable else int(indices.ctypes.data)
+    """Return the address of row-major indices, 0 for no indices."""
+    if indices.size == 0:
+        return 0
+    if indices.dtype.char != _PLACE or not indices.flags.c_contiguous:
+        raise TypeError(f"expected row-major indices, got {indices.dtype} with strides {indices.strides}")
+    if indices.flags.writeable:
+        return ctypes.addressof(ctypes.c_ssize_t.from_buffer(indices.data))
+    return int(indices.ctypes.data)
 
 
 def _work(which: str, *sizes: int) -> int:

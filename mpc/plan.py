@@ -5,11 +5,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from model import native
 from model.arrays import Array
 from model.discretisation import Discrete
 from mpc.decision import Decision
 from mpc.feedback import FeedbackLaw
-from mpc.prediction import Prediction, free_response
+from mpc.prediction import Prediction, convolve, free_response
 from mpc.qp import Solution
 
 
@@ -48,15 +49,15 @@ def relaxed(
         previous = U[:, decision.own]
         inputs = decision.clip(w * best + (1.0 - w) * previous) if solved else previous.copy()
         return StepResult(U=inputs, c=np.zeros((0, len(decision.own))), solution=solution)
-    K, at_x0 = law.K[decision.own], law.uncorrected(decision.own)
-    c_best, w = np.zeros(decision.shape), w if solved else 0.0
+    at_x0, w = law.uncorrected[:, decision.own], w if solved else 0.0
+    c_best = np.zeros(decision.shape)
     if solved:
-        dX = free_response(prediction.A, prediction.W + (best - prediction.U_free) @ prediction.B.T)
-        c_best = best - at_x0 - dX[:-1] @ K.T
+        fed_back = prediction.dU_free[:, decision.own]
+        c_best = best - at_x0 - fed_back - convolve(prediction.feedback, decision.own, best - prediction.U_free)
     if w == 1.0:
         return StepResult(U=best, c=c_best, solution=solution)
     c = w * c_best + (1.0 - w) * law.c[:, decision.own]
-    return StepResult(U=_inputs_of(decision, prediction, K, at_x0 + c), c=c, solution=solution)
+    return StepResult(U=_inputs_of(decision, prediction, at_x0 + c), c=c, solution=solution)
 
 
 def fallback(decision: Decision, solution: Solution, U: Array, law: FeedbackLaw | None) -> StepResult:
@@ -70,10 +71,10 @@ def foreseen(decision: Decision, prediction: Prediction, law: FeedbackLaw, input
 
     The owned inputs are given, (N_p, m_own). Source: docs/equations.md (35), (36).
     """
-    dX = free_response(prediction.A, prediction.W + (inputs - prediction.U_free) @ prediction.B.T)
-    U = np.empty_like(law.c)
+    U: Array = prediction.U_all + convolve(
+        prediction.feedback, np.arange(len(law.K)), inputs - prediction.U_free
+    )
     U[:, decision.own] = inputs
-    U[:, decision.others] = law.inputs(decision.others) + dX[:-1] @ law.K[decision.others].T
     N, limits = decision.system.N, decision.settings.limits
     return np.clip(U, limits.lower(N), limits.upper(N))
 
@@ -91,22 +92,27 @@ def adapted(law: FeedbackLaw, discrete: Discrete, u0: Array, U: Array, columns: 
     """
     dX = free_response(discrete.A, discrete.f_d + (U - u0) @ discrete.B.T)
     c = law.c.copy()
-    c[:, columns] = U[:, columns] - law.uncorrected(columns) - dX[:-1] @ law.K[columns].T
+    c[:, columns] = U[:, columns] - law.uncorrected[:, columns] - dX[:-1] @ law.K[columns].T
     return replace(law, c=c)
 
 
-def _inputs_of(decision: Decision, prediction: Prediction, K: Array, drive: Array) -> Array:
-    """Return the owned inputs K dx + drive within bounds and rates, (N_p, m_own); K (m_own, n), drive (N_p, m_own)."""
-    closed = prediction.A + prediction.B @ K
-    dX = free_response(closed, prediction.W + (drive - prediction.U_free) @ prediction.B.T)
-    inputs = drive + dX[:-1] @ K.T
-    changes = np.diff(inputs, axis=0, prepend=prediction.U_free[:1])
-    if ((decision.lower <= inputs) & (inputs <= decision.upper) & (np.abs(changes) <= decision.rate)).all():
-        return inputs
-    dx, before = np.zeros(len(prediction.A)), prediction.U_free[0]
-    for k, free in enumerate(prediction.U_free):
-        # The corrections may come from a plan of another team: the rates hold all the same.
-        wanted = np.clip(drive[k] + K @ dx, before - decision.rate, before + decision.rate)
-        inputs[k] = before = decision.clip(wanted)
-        dx = prediction.A @ dx + prediction.W[k] + prediction.B @ (inputs[k] - free)
-    return inputs
+def _inputs_of(decision: Decision, prediction: Prediction, drive: Array) -> Array:
+    """Return the owned inputs K dx + drive within bounds and rates, (N_p, m_own); drive (N_p, m_own)."""
+    wanted = drive + prediction.dU_free[:, decision.own]
+    limits = decision.lower, decision.upper, decision.rate
+    if native.AVAILABLE:
+        return native.follow(prediction.feedback, decision.own, wanted, prediction.U_free, *limits)
+    return _follow(prediction.feedback[decision.own], wanted, prediction.U_free, *limits)
+
+
+def _follow(feedback: Array, wanted: Array, free: Array, lower: Array, upper: Array, rate: Array) -> Array:
+    """Return inputs u = wanted + the feedback's answer to u - free, within bounds and rates, (N_p, m_own).
+
+    Feedback of the owned inputs, (m_own, N_p, m_own). The corrections may come from a plan of another team: the rates
+    hold all the same.
+    """
+    u, before = np.empty_like(wanted), free[0]
+    for k in range(len(wanted)):
+        answer = np.einsum("ijm,jm->i", feedback[:, :k], (u - free)[:k][::-1])
+        u[k] = before = np.clip(np.clip(wanted[k] + answer, before - rate, before + rate), lower, upper)
+    return u

@@ -123,7 +123,7 @@ class Regulation:
     def inputs(self, x: Array, x_ref: Array, forces: Array | None, instant: int) -> Array | None:
         """Return the inputs by `law` at one instant without corrections, (m,), or None with open-loop prediction."""
         law = self.law(x, x_ref[None], np.zeros((1, self._model.system.m)), forces, instant)
-        return None if law is None else law.inputs(np.arange(self._model.system.m))[0]
+        return None if law is None else law.uncorrected[0]
 
     def cost_to_go(self, x0: Array, x_ref: Array, forces: Array | None = None, instant: int = 0) -> CostToGo | None:
         """Return the cost after the horizon; None if it is a multiple of the stage cost.

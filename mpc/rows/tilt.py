@@ -33,7 +33,7 @@ class TiltRows:
     def fill(self, step: StepData, to: Block) -> None:
         """Write the angles' dependence on the decision, and their distance to the limit."""
         angles = (step.linear.x0[self._angles] + step.prediction.dX_free[1:, self._angles]).reshape(-1)
-        effect = step.prediction.impulse[:, self._angles] * self._scale
+        effect = step.prediction.effect[self._angles] * self._scale
         condensing.fill(effect, to.A[: self._half])
         condensing.fill(effect, to.A[self._half :])
         to.upper[: self._half] = self._limit - angles
