@@ -79,8 +79,9 @@ class Compiled:
     def flat(self, *arguments: Array | float) -> Array:
         """Return the entries of all outputs in one new array; `parts` are their places."""
         for own, argument in zip(self._arguments, arguments, strict=True):
-            if np.size(argument) != own.size:
-                raise ShapeError(f"{self._name}: expected an argument of {own.size} numbers, got {np.size(argument)}")
+            size = argument.size if isinstance(argument, np.ndarray) else 1
+            if size != own.size:
+                raise ShapeError(f"{self._name}: expected an argument of {own.size} numbers, got {size}")
             own[:] = argument
         self._evaluate()
         return self._results.copy()

@@ -121,43 +121,21 @@ INLINE double dot(ptrdiff_t n, const double *a, const double *b)
 #define POWERS 64  /* most terms of a series; theta <= 2 needs 25 */
 #define PANEL 64    /* columns of a product at a time, so that they stay in the cache */
 
-/* Largest column sums of |X|^j, j = 0 .. POWERS - 1, with X = A_c T = (X + P V) T and magnitudes entry by entry. They
-   bound those of X^j, and cost one product with a vector each. */
-static void powers(const sparse *X, const sparse *P, const sparse *V, double period, double *largest, double *work)
+/* The next of the largest column sums of |X|^j, X = A_c T = (X + P V) T, magnitudes entry by entry: they bound those of
+   X^j and cost one product with a vector each. sums: 1' |X|^j, updated; work: n + rows of V. */
+static double next_power(const sparse *X, const sparse *P, const sparse *V, double period, double *sums, double *work)
 {
     const ptrdiff_t n = X->rows;
-    double *sums = work, *next = sums + n, *by_acceleration = next + n;
-    for (ptrdiff_t j = 0; j < n; j++) sums[j] = 1.0;
-    for (int power = 0; power < POWERS; power++) {
-        largest[power] = 0.0;
-        for (ptrdiff_t j = 0; j < n; j++)
-            if (!(sums[j] <= largest[power])) largest[power] = sums[j]; /* nan is kept */
-        if (largest[power] == 0.0) {
-            for (int rest = power; rest < POWERS; rest++) largest[rest] = 0.0;
-            return;
-        }
-        memset(next, 0, (size_t)n * sizeof *next);
-        memset(by_acceleration, 0, (size_t)V->rows * sizeof *by_acceleration);
-        sum_magnitudes(X, sums, next);
-        sum_magnitudes(P, sums, by_acceleration);
-        sum_magnitudes(V, by_acceleration, next);
-        for (ptrdiff_t j = 0; j < n; j++) sums[j] = next[j] * period;
+    double *next = work, *by_acceleration = next + n, largest = 0.0;
+    memset(work, 0, (size_t)(n + V->rows) * sizeof *work);
+    sum_magnitudes(X, sums, next);
+    sum_magnitudes(P, sums, by_acceleration);
+    sum_magnitudes(V, by_acceleration, next);
+    for (ptrdiff_t j = 0; j < n; j++) {
+        sums[j] = next[j] * period;
+        if (!(sums[j] <= largest)) largest = sums[j]; /* nan is kept */
     }
-}
-
-/* Number of terms of sum X^k / (k + 1)! whose remainder is at most `remainder`, for X halved `halvings` times:
-   |X^(k + 2i)| <= |X^k| |X^2|^i, so the rest is at most a geometric series in the terms k and k + 1. */
-static int terms_needed(const double *largest, int halvings, double remainder)
-{
-    double factorial = 2.0; /* (k + 1)! */
-    for (int k = 1; k < POWERS - 1; k++) {
-        const double term = ldexp(largest[k], -k * halvings) / factorial;
-        const double next = ldexp(largest[k + 1], -(k + 1) * halvings) / (factorial * (k + 2));
-        const double ratio = ldexp(largest[2], -2 * halvings) / ((k + 2.0) * (k + 3.0));
-        if (ratio < 1.0 && (term + next) / (1.0 - ratio) <= remainder) return k;
-        factorial *= k + 2;
-    }
-    return POWERS - 1;
+    return largest;
 }
 
 ptrdiff_t zero_order_hold_work(ptrdiff_t n, ptrdiff_t m, ptrdiff_t accelerations)
@@ -183,8 +161,9 @@ double zero_order_hold(ptrdiff_t n, ptrdiff_t m, ptrdiff_t accelerations, const 
     double *sum = work, *product = sum + n * width, *V = product + n * width, *term = V + r * width;
     double *next = term + n * PANEL, *acceleration = next + n * PANEL, *lists = acceleration + r * PANEL;
 
-    double largest[POWERS];
-    powers(&X, &P, &V_x, period, largest, term);
+    double largest[POWERS + 2], *sums = term;
+    for (ptrdiff_t j = 0; j < n; j++) sums[j] = 1.0;
+    for (int k = 1; k <= 3; k++) largest[k] = next_power(&X, &P, &V_x, period, sums, next);
     const double second = sqrt(largest[2]), third = cbrt(largest[3]);
     const double theta = second != second || third != third ? NAN : second > third ? second : third;
     if (!(theta <= theta_possible)) return theta;
@@ -194,7 +173,17 @@ double zero_order_hold(ptrdiff_t n, ptrdiff_t m, ptrdiff_t accelerations, const 
         halvings = needed > 0.0 ? (int)needed : 0;
     }
     const double T = ldexp(period, -halvings);
-    const int terms = terms_needed(largest, halvings, remainder);
+    /* Terms k >= 1 until the remainder is small: |X^(k + 2i)| <= |X^k| |X^2|^i, so the rest is at most a geometric series
+       that begins with the terms k and k + 1. */
+    int terms = 1;
+    for (double factorial = 2.0; terms < POWERS; factorial *= ++terms + 1) {
+        const int k = terms;
+        if (k + 1 > 3) largest[k + 1] = next_power(&X, &P, &V_x, period, sums, next);
+        const double term_k = ldexp(largest[k], -k * halvings) / factorial;
+        const double term_next = ldexp(largest[k + 1], -(k + 1) * halvings) / (factorial * (k + 2));
+        const double ratio = ldexp(largest[2], -2 * halvings) / ((k + 2.0) * (k + 3.0));
+        if (ratio < 1.0 && (term_k + term_next) / (1.0 - ratio) <= remainder) break;
+    }
 
     memset(V, 0, (size_t)(r * width) * sizeof *V);
     for (ptrdiff_t i = 0; i < r; i++) {
