@@ -119,7 +119,27 @@ INLINE double dot(ptrdiff_t n, const double *a, const double *b)
 }
 
 #define POWERS 64  /* most terms of a series; theta <= 2 needs 25 */
-#define PANEL 64    /* columns of a product at a time, so that they stay in the cache */
+#define PANEL 32   /* columns of a product at a time, so that they stay in the cache */
+
+/* Term k of a series from the one before, and its sum: rows of S times X, scaled, to `next` and added to `sum`, for
+   `count` vectors of columns. */
+INLINE void next_term(int count, const sparse *S, const double *X, ptrdiff_t width, double scale, double *next,
+                      double *sum, ptrdiff_t sum_width)
+{
+    for (ptrdiff_t i = 0; i < S->rows; i++) {
+        lanes row[PANEL / LANES];
+        for (int v = 0; v < count; v++) row[v] = splat(0.0);
+        for (ptrdiff_t k = S->begin[i]; k < S->begin[i + 1]; k++) {
+            const lanes *from = (const lanes *)(X + S->index[k] * width), a = splat(S->value[k]);
+            for (int v = 0; v < count; v++) row[v] += a * from[v];
+        }
+        for (int v = 0; v < count; v++) {
+            row[v] *= splat(scale);
+            ((lanes *)(next + i * width))[v] = row[v];
+            ((lanes *)(sum + i * sum_width))[v] += row[v];
+        }
+    }
+}
 
 /* The next of the largest column sums of |X|^j, X = A_c T = (X + P V) T, magnitudes entry by entry: they bound those of
    X^j and cost one product with a vector each. sums: 1' |X|^j, updated; work: n + rows of V. */
@@ -141,7 +161,8 @@ static double next_power(const sparse *X, const sparse *P, const sparse *V, doub
 ptrdiff_t zero_order_hold_work(ptrdiff_t n, ptrdiff_t m, ptrdiff_t accelerations)
 {
     const ptrdiff_t width = padded(n + m + 1);
-    return 2 * n * width + accelerations * width + (2 * n + accelerations) * PANEL + compress_work(n, n) + 3 * LANES;
+    return 2 * n * width + accelerations * width + 2 * (n + accelerations) * PANEL +
+           2 * n * (n + accelerations) + n + 1 + compress_work(n, n) + 3 * LANES;
 }
 
 /* Exact zero-order hold about an expansion in factors: [A - I, B, f_d] = Phi [A_c, B_c, f], Phi = integral of
@@ -159,7 +180,8 @@ double zero_order_hold(ptrdiff_t n, ptrdiff_t m, ptrdiff_t accelerations, const 
     const sparse P = part(2 * n, n, begin, index, value), V_x = part(3 * n, r, begin, index, value);
     const sparse V_u = part(3 * n + r, r, begin, index, value);
     double *sum = work, *product = sum + n * width, *V = product + n * width, *term = V + r * width;
-    double *next = term + n * PANEL, *acceleration = next + n * PANEL, *lists = acceleration + r * PANEL;
+    double *next = term + (n + r) * PANEL, *merged = next + (n + r) * PANEL;
+    double *lists = merged + 2 * n * (n + r) + n + 1;
 
     double largest[POWERS + 2], *sums = term;
     for (ptrdiff_t j = 0; j < n; j++) sums[j] = 1.0;
@@ -200,23 +222,27 @@ double zero_order_hold(ptrdiff_t n, ptrdiff_t m, ptrdiff_t accelerations, const 
         multiply_row(&P, i, V, width, width, row);
         for (ptrdiff_t j = 0; j < width; j++) row[j] *= T;
     }
+    /* [X P], to be multiplied with a term and, below it, V_x times that term. */
+    ptrdiff_t *places = (ptrdiff_t *)(merged + n * (n + r)), *first = places + n * (n + r), entries = 0;
+    for (ptrdiff_t i = 0; i < n; i++) {
+        first[i] = entries;
+        for (ptrdiff_t k = X.begin[i]; k < X.begin[i + 1]; k++)
+            if (value[k] != 0.0) merged[entries] = value[k], places[entries++] = index[k];
+        for (ptrdiff_t k = P.begin[i]; k < P.begin[i + 1]; k++)
+            if (value[k] != 0.0) merged[entries] = value[k], places[entries++] = n + index[k];
+    }
+    first[n] = entries;
+    const sparse XP = {n, first, places, merged};
     for (ptrdiff_t at = 0; at < width; at += PANEL) {
         const ptrdiff_t some = width - at < PANEL ? width - at : PANEL;
         for (ptrdiff_t i = 0; i < n; i++) memcpy(term + i * some, sum + i * width + at, (size_t)some * sizeof *term);
         for (int k = 1; k < terms; k++) {
-            /* The next term: X = (X + P V_x) T / (k + 1) times this one. */
-            const lanes scale = splat(T / (k + 1));
-            multiply(&V_x, term, some, acceleration);
-            memset(next, 0, (size_t)(n * some) * sizeof *next);
-            for (ptrdiff_t i = 0; i < n; i++) {
-                double *row = next + i * some, *to = sum + i * width + at;
-                multiply_row(&X, i, term, some, some, row);
-                multiply_row(&P, i, acceleration, some, some, row);
-                for (ptrdiff_t j = 0; j < some; j += LANES) {
-                    VECTOR(row + j) *= scale;
-                    VECTOR(to + j) += VECTOR(row + j);
-                }
-            }
+            /* (X + P V_x) T / (k + 1) times this term. */
+            const double scale = T / (k + 1);
+            multiply(&V_x, term, some, term + n * some);
+            if (some == PANEL) next_term(PANEL / LANES, &XP, term, some, scale, next, sum + at, width);
+            else for (ptrdiff_t v = 0; v < some; v += LANES)
+                next_term(1, &XP, term + v, some, scale, next + v, sum + at + v, width);
             double *swap = term;
             term = next, next = swap;
         }
