@@ -171,22 +171,42 @@ def _at(array: Array) -> int:
     """Return the address of a row-major float64 array, 0 for an empty one."""
     if array.size == 0:
         return 0
-    if array.dtype.char != "d" or not array.flags.c_contiguous:
-        raise TypeError(f"expected a row-major array of float64, got {array.dtype} with strides {array.strides}")
-    if array.flags.writeable:
-        return ctypes.addressof(ctypes.c_double.from_buffer(array.data))  # fastest
-    return int(array.ctypes.data)
+    if array.dtype.char != "d":
+        raise TypeError(f"expected a row-major array of float64, got {array.dtype}")
+    try:
+        return ctypes.addressof(_DOUBLE_IN(array))  # refuses read-only arrays, and those that are not row-major
+    except (TypeError, ValueError):
+        return _read_only(array)
 
 
 def _place(indices: Places) -> int:
     """Return the address of row-major indices, 0 for no indices."""
     if indices.size == 0:
         return 0
-    if indices.dtype.char != _PLACE or not indices.flags.c_contiguous:
-        raise TypeError(f"expected row-major indices, got {indices.dtype} with strides {indices.strides}")
-    if indices.flags.writeable:
-        return ctypes.addressof(ctypes.c_ssize_t.from_buffer(indices.data))
-    return int(indices.ctypes.data)
+    if indices.dtype.char != _PLACE:
+        raise TypeError(f"expected row-major indices, got {indices.dtype}")
+    try:
+        return ctypes.addressof(_PLACE_IN(indices))
+    except (TypeError, ValueError):
+        return _read_only(indices)
+
+
+def _read_only(array: npt.NDArray[Any]) -> int:
+    """Return the address of a read-only array; those met again, such as gains, are looked up."""
+    found = _READ_ONLY.get(id(array))
+    if found is None:
+        if not array.flags.c_contiguous:
+            raise TypeError(f"expected a row-major array, got {array.dtype} with strides {array.strides}")
+        if len(_READ_ONLY) >= _MOST_READ_ONLY:
+            _READ_ONLY.clear()
+        found = _READ_ONLY[id(array)] = array, int(array.ctypes.data)
+    return found[1]
+
+
+_DOUBLE_IN, _PLACE_IN = ctypes.c_double.from_buffer, ctypes.c_ssize_t.from_buffer
+# By identity; the arrays are kept, so that no other has the same one.
+_READ_ONLY: dict[int, tuple[npt.NDArray[Any], int]] = {}
+_MOST_READ_ONLY = 256
 
 
 def _work(which: str, *sizes: int) -> int:

@@ -72,7 +72,7 @@ class Objective:
         else:
             slope, at_x0 = np.zeros((0, len(linear.x0))), np.zeros(0)
         terminal, responding, Q = self._terminal, _NONE, self._Q
-        root, error, end_slope = slope[:0], linear.x0, linear.x0
+        root, error, end_slope = np.zeros((0, len(linear.x0))), _NO_END, _NO_END
         if end is not None:
             terminal = 0.0  # the stage cost of the last state is part of the cost-to-go
             root, error, end_slope = end.root, end.error, end.slope
@@ -118,9 +118,8 @@ def _condense(
     last = (effect[:, ::-1] * scale).reshape(n, -1)
     reached = root @ last
     H[:decisions, :decisions] += 2.0 * (reached.T @ reached)
-    g[:decisions] += 2.0 * (reached.T @ (root @ (error + dX[-1])))
     if len(root):
-        g[:decisions] += 2.0 * (end_slope @ last)
+        g[:decisions] += 2.0 * (reached.T @ (root @ (error + dX[-1])) + end_slope @ last)
     diagonal = H.reshape(-1)[:: size + 1]
     diagonal[:decisions] += np.tile(2.0 * effort * scale, steps)
     diagonal[decisions:] = g[decisions:] = penalties
@@ -128,4 +127,4 @@ def _condense(
     return H, g, S, free
 
 
-_NONE = np.zeros(0, dtype=np.intp)
+_NONE, _NO_END = np.zeros(0, dtype=np.intp), np.zeros(0)
