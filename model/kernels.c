@@ -318,38 +318,55 @@ void predict(ptrdiff_t steps, ptrdiff_t n, ptrdiff_t m, ptrdiff_t count, const p
     }
 }
 
-/* Deviations that decisions cause, s(k) = sum_{j < k} impulse(k - 1 - j) v(j) for k = 0 .. steps - 1, (steps, s).
-
-   impulse: (s, steps, m), the signals `index` of it. v: (steps, m). */
-void convolve(ptrdiff_t steps, ptrdiff_t s, ptrdiff_t m, const ptrdiff_t *index, const double *impulse,
-              const double *v, double *to)
+/* Answer of the owned inputs' feedback i to the decisions before step k: sum_{j < k} feedback(k - 1 - j) v(j). */
+INLINE double answer(ptrdiff_t steps, ptrdiff_t m, ptrdiff_t i, ptrdiff_t k, const double *feedback, const double *v)
 {
-    for (ptrdiff_t k = 0; k < steps; k++)
-        for (ptrdiff_t i = 0; i < s; i++) {
-            const double *effect = impulse + index[i] * steps * m;
-            double sum = 0.0;
-            for (ptrdiff_t j = 0; j < k; j++)
-                for (ptrdiff_t c = 0; c < m; c++) sum += effect[(k - 1 - j) * m + c] * v[j * m + c];
-            to[k * s + i] = sum;
-        }
+    const double *effect = feedback + i * steps * m;
+    double sum = 0.0;
+    for (ptrdiff_t j = 0; j < k; j++)
+        for (ptrdiff_t c = 0; c < m; c++) sum += effect[(k - 1 - j) * m + c] * v[j * m + c];
+    return sum;
 }
 
-/* Owned inputs u(k) = wanted(k) + sum_{j < k} impulse(k - 1 - j) (u(j) - free(j)), within bounds and rates, (steps, m).
+ptrdiff_t relax_work(ptrdiff_t steps, ptrdiff_t m) { return steps * m; }
 
-   See mpc/plan.py. impulse: (all, steps, m), the rows `own` of it. `before`: (m,), the inputs of the rate at k = 0. */
-void follow(ptrdiff_t steps, ptrdiff_t m, const ptrdiff_t *own, const double *impulse, const double *wanted,
-            const double *free_, const double *lower, const double *upper, const double *rate, double *u)
+/* Plan from a solution by mixing corrections c to the shared control law with the previous ones; see mpc/plan.py.
+
+   own: (m,) of all inputs. z: scaled decision, (steps, m). uncorrected, previous, dU: (steps, all): inputs by the law at
+   x0, corrections, K dX. feedback: (all, steps, m). w: of the new corrections, 0 for none.
+   U: (steps, m), within bounds and rates (w < 1). c: (steps, m). */
+void relax(ptrdiff_t steps, ptrdiff_t m, ptrdiff_t all, const ptrdiff_t *own, const double *z, const double *scale,
+           const double *U_free, const double *uncorrected, const double *previous, const double *dU,
+           const double *feedback, double w, const double *lower, const double *upper, const double *rate, double *U,
+           double *c, double *work)
 {
+    double *v = work;
     for (ptrdiff_t k = 0; k < steps; k++)
         for (ptrdiff_t i = 0; i < m; i++) {
-            const double *effect = impulse + own[i] * steps * m;
-            const double before = k ? u[(k - 1) * m + i] : free_[i];
-            double sum = wanted[k * m + i];
-            for (ptrdiff_t j = 0; j < k; j++)
-                for (ptrdiff_t c = 0; c < m; c++)
-                    sum += effect[(k - 1 - j) * m + c] * (u[j * m + c] - free_[j * m + c]);
-            sum = sum < before - rate[i] ? before - rate[i] : sum > before + rate[i] ? before + rate[i] : sum;
-            u[k * m + i] = sum < lower[i] ? lower[i] : sum > upper[i] ? upper[i] : sum;
+            const ptrdiff_t at = k * m + i;
+            const double best = U_free[at] + z[at] * scale[i];
+            U[at] = best < lower[i] ? lower[i] : best > upper[i] ? upper[i] : best;
+            v[at] = U[at] - U_free[at];
+        }
+    for (ptrdiff_t k = 0; k < steps; k++)
+        for (ptrdiff_t i = 0; i < m; i++) {
+            const ptrdiff_t at = k * m + i, of = k * all + own[i];
+            if (w == 0.0) c[at] = previous[of];
+            else {
+                const double fed_back = dU[of] + answer(steps, m, own[i], k, feedback, v);
+                c[at] = w * (U[at] - uncorrected[of] - fed_back);
+                if (w < 1.0) c[at] += (1.0 - w) * previous[of];
+            }
+        }
+    if (w == 1.0) return;
+    for (ptrdiff_t k = 0; k < steps; k++)
+        for (ptrdiff_t i = 0; i < m; i++) {
+            const ptrdiff_t at = k * m + i, of = k * all + own[i];
+            const double before = k ? U[at - m] : U_free[i], least = before - rate[i], most = before + rate[i];
+            double u = uncorrected[of] + c[at] + dU[of] + answer(steps, m, own[i], k, feedback, v);
+            u = u < least ? least : u > most ? most : u;
+            U[at] = u < lower[i] ? lower[i] : u > upper[i] ? upper[i] : u;
+            v[at] = U[at] - U_free[at];
         }
 }
 

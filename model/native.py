@@ -28,8 +28,8 @@ _SIGNATURES: dict[str, tuple[Any, Sequence[Any]]] = {
     "zero_order_hold": (_double, [_number] * 3 + [_address] * 4 + [_double] * 4 + [_address] * 4),
     "predict_work": (_number, [_number] * 3),
     "predict": (None, [_number] * 4 + [_address] * 11),
-    "convolve": (None, [_number] * 3 + [_address] * 4),
-    "follow": (None, [_number] * 2 + [_address] * 8),
+    "relax_work": (_number, [_number] * 2),
+    "relax": (None, [_number] * 3 + [_address] * 8 + [_double] + [_address] * 6),
     "condense_work": (_number, [_number] * 5),
     "condense": (None, [_address]),
     "toeplitz": (None, [_number] * 3 + [_address] * 2 + [_number]),
@@ -72,23 +72,17 @@ def predict(
     return impulse, dX, feedback, dU
 
 
-def convolve(impulse: Array, signals: Places, v: Array) -> Array:
-    """See `mpc.prediction.convolve`."""
-    steps, m = v.shape
-    found = np.empty((steps, len(signals)))
-    _KERNELS.convolve(steps, len(signals), m, _place(signals), _at(impulse), _at(v), _at(found))
-    return found
-
-
-def follow(
-    impulse: Array, own: Places, wanted: Array, free: Array, lower: Array, upper: Array, rate: Array
-) -> Array:  # fmt: skip
-    """See `mpc.plan.follow`."""
-    u = np.empty(wanted.shape)
-    _KERNELS.follow(
-        *u.shape, _place(own), _at(impulse), _at(wanted), _at(free), _at(lower), _at(upper), _at(rate), _at(u)
+def relax(
+    own: Places, z: Array, scale: Array, U_free: Array, uncorrected: Array, previous: Array, dU: Array,
+    feedback: Array, w: float, lower: Array, upper: Array, rate: Array,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Return U and c; see `mpc.plan`."""
+    U, c = np.empty(U_free.shape), np.empty(U_free.shape)
+    _KERNELS.relax(
+        *U.shape, dU.shape[1], _place(own), _at(z), _at(scale), _at(U_free), _at(uncorrected), _at(previous), _at(dU),
+        _at(feedback), w, _at(lower), _at(upper), _at(rate), _at(U), _at(c), _work("relax_work", *U.shape),
     )  # fmt: skip
-    return u
+    return U, c
 
 
 class Cost(ctypes.Structure):

@@ -8,6 +8,7 @@ import numpy.typing as npt
 from model import native
 from model.arrays import Array
 from model.discretisation import Discrete
+from model.native import Places
 from mpc.decision import Decision
 from mpc.feedback import FeedbackLaw
 from mpc.prediction import Prediction, convolve, free_response
@@ -42,22 +43,46 @@ def relaxed(
     Source: docs/equations.md (30a), (36a).
     """
     solved = solution.status == "solved"
-    # The solver meets the bounds to its tolerance; the plant's actuators have them exactly.
-    v = decision.inputs(solution.z) if solved else np.zeros(decision.shape)
-    best = decision.clip(prediction.U_free + v)
+    z = solution.z[: decision.size] if solved else np.zeros(decision.size)
     if law is None:
         previous = U[:, decision.own]
+        # The solver meets the bounds to its tolerance; the plant's actuators have them exactly.
+        best = decision.clip(prediction.U_free + decision.inputs(z))
         inputs = decision.clip(w * best + (1.0 - w) * previous) if solved else previous.copy()
         return StepResult(U=inputs, c=np.zeros((0, len(decision.own))), solution=solution)
-    at_x0, w = law.uncorrected[:, decision.own], w if solved else 0.0
-    c_best = np.zeros(decision.shape)
-    if solved:
-        fed_back = prediction.dU_free[:, decision.own]
-        c_best = best - at_x0 - fed_back - convolve(prediction.feedback, decision.own, best - prediction.U_free)
-    if w == 1.0:
-        return StepResult(U=best, c=c_best, solution=solution)
-    c = w * c_best + (1.0 - w) * law.c[:, decision.own]
-    return StepResult(U=_inputs_of(decision, prediction, at_x0 + c), c=c, solution=solution)
+    inputs, c = (native.relax if native.AVAILABLE else _relax)(
+        decision.own, z, decision.scale, prediction.U_free, law.uncorrected, law.c, prediction.dU_free,
+        prediction.feedback, w if solved else 0.0, decision.lower, decision.upper, decision.rate,
+    )  # fmt: skip
+    return StepResult(U=inputs, c=c, solution=solution)
+
+
+def _relax(
+    own: Places, z: Array, scale: Array, U_free: Array, uncorrected: Array, previous: Array, dU: Array,
+    feedback: Array, w: float, lower: Array, upper: Array, rate: Array,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Return inputs and corrections of a plan with a shared control law, (N_p, m_own) each.
+
+    Args:
+        own, scale, lower, upper, rate: Of the decision.
+        z: Scaled decision, (N_p m_own,).
+        U_free, dU, feedback: Of the prediction.
+        uncorrected, previous: Inputs and corrections of the control law, (N_p, m).
+        w: Weight of the new corrections, 0 without a solution.
+    """
+    at_x0, fed_back, c = uncorrected[:, own], dU[:, own], previous[:, own]
+    best = np.clip(U_free + z.reshape(U_free.shape) * scale, lower, upper)
+    if w > 0.0:
+        c_best = best - at_x0 - fed_back - convolve(feedback[own], best - U_free)
+        if w == 1.0:
+            return best, c_best
+        c = w * c_best + (1.0 - w) * c
+    wanted, U, before = at_x0 + c + fed_back, np.empty_like(U_free), U_free[0]
+    for k in range(len(U)):
+        answer = np.einsum("ijm,jm->i", feedback[own, :k], (U - U_free)[:k][::-1])
+        # The corrections may come from a plan of another team: the rates hold all the same.
+        U[k] = before = np.clip(np.clip(wanted[k] + answer, before - rate, before + rate), lower, upper)
+    return U, c
 
 
 def fallback(decision: Decision, solution: Solution, U: Array, law: FeedbackLaw | None) -> StepResult:
@@ -71,9 +96,7 @@ def foreseen(decision: Decision, prediction: Prediction, law: FeedbackLaw, input
 
     The owned inputs are given, (N_p, m_own). Source: docs/equations.md (35), (36).
     """
-    U: Array = prediction.U_all + convolve(
-        prediction.feedback, np.arange(len(law.K)), inputs - prediction.U_free
-    )
+    U: Array = prediction.U_all + convolve(prediction.feedback, inputs - prediction.U_free)
     U[:, decision.own] = inputs
     N, limits = decision.system.N, decision.settings.limits
     return np.clip(U, limits.lower(N), limits.upper(N))
@@ -94,25 +117,3 @@ def adapted(law: FeedbackLaw, discrete: Discrete, u0: Array, U: Array, columns: 
     c = law.c.copy()
     c[:, columns] = U[:, columns] - law.uncorrected[:, columns] - dX[:-1] @ law.K[columns].T
     return replace(law, c=c)
-
-
-def _inputs_of(decision: Decision, prediction: Prediction, drive: Array) -> Array:
-    """Return the owned inputs K dx + drive within bounds and rates, (N_p, m_own); drive (N_p, m_own)."""
-    wanted = drive + prediction.dU_free[:, decision.own]
-    limits = decision.lower, decision.upper, decision.rate
-    if native.AVAILABLE:
-        return native.follow(prediction.feedback, decision.own, wanted, prediction.U_free, *limits)
-    return _follow(prediction.feedback[decision.own], wanted, prediction.U_free, *limits)
-
-
-def _follow(feedback: Array, wanted: Array, free: Array, lower: Array, upper: Array, rate: Array) -> Array:
-    """Return inputs u = wanted + the feedback's answer to u - free, within bounds and rates, (N_p, m_own).
-
-    Feedback of the owned inputs, (m_own, N_p, m_own). The corrections may come from a plan of another team: the rates
-    hold all the same.
-    """
-    u, before = np.empty_like(wanted), free[0]
-    for k in range(len(wanted)):
-        answer = np.einsum("ijm,jm->i", feedback[:, :k], (u - free)[:k][::-1])
-        u[k] = before = np.clip(np.clip(wanted[k] + answer, before - rate, before + rate), lower, upper)
-    return u

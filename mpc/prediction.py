@@ -119,20 +119,14 @@ def _respond(discrete: Discrete, own: Places, K: Array | None, drive: Array) -> 
     return effect, dX, feedback, dX[:-1] @ K.T
 
 
-def convolve(effect: Array, signals: Places, v: Array) -> Array:
+def convolve(effect: Array, v: Array) -> Array:
     """Return the deviations of signals caused by decisions v, (N_p, m): sum_{j < k} effect(k-1-j) v(j), (N_p, signals).
 
-    Given is the effect on all signals, (all, N_p, m). Source: docs/equations.md (24).
+    Given is the effect on the signals, (signals, N_p, m). Source: docs/equations.md (24).
     """
-    if native.AVAILABLE:
-        return native.convolve(effect, signals, v)
-    return _convolve(effect, signals, v)
-
-
-def _convolve(effect: Array, signals: Places, v: Array) -> Array:
-    found = np.zeros((len(v), len(signals)))
+    found = np.zeros((len(v), len(effect)))
     for k in range(1, len(v)):
-        found[k] = np.einsum("sjm,jm->s", effect[signals, :k], v[k - 1 :: -1][:k])
+        found[k] = np.einsum("sjm,jm->s", effect[:, :k], v[:k][::-1])
     return found
 
 
