@@ -198,7 +198,10 @@ def _symmetric(upper: ca.SX) -> ca.SX:
 
 
 def solve_positive_definite(M: ca.SX, b: ca.SX) -> ca.SX:
-    """Return M^-1 b, (size, columns), by an unrolled L D L^T factorisation: short expressions, no square roots, exact derivatives."""
+    """Return M^-1 b, (size, columns), by an unrolled L D L^T factorisation.
+
+    Short expressions, no square roots, exact derivatives.
+    """
     size = M.shape[0]
     L = [[ca.SX(0)] * size for _ in range(size)]
     D: list[ca.SX] = []

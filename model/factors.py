@@ -70,7 +70,8 @@ class Pattern:
         """Return the entries in some columns of a factor."""
         which = NAMES.index(name)
         first, end = (self.begin[self.first_rows[which + i]] for i in (0, 1))
-        return first + np.flatnonzero(np.isin(self.index[first:end], columns))
+        found: npt.NDArray[np.intp] = first + np.flatnonzero(np.isin(self.index[first:end], columns))
+        return found
 
 
 def of_matrices(A_c: Array, B_c: Array, C: Array) -> tuple[Pattern, Array]:

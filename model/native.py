@@ -168,7 +168,8 @@ def _at(array: Array) -> int:
     if array.dtype.char != "d":
         raise TypeError(f"expected a row-major array of float64, got {array.dtype}")
     try:
-        return ctypes.addressof(_DOUBLE_IN(array))  # refuses read-only arrays, and those that are not row-major
+        # Refuses read-only arrays, and those that are not row-major.
+        return ctypes.addressof(_DOUBLE_IN(array))  # type: ignore[arg-type]  # an array is a buffer
     except (TypeError, ValueError):
         return _read_only(array)
 
@@ -180,7 +181,7 @@ def _place(indices: Places) -> int:
     if indices.dtype.char != _PLACE:
         raise TypeError(f"expected row-major indices, got {indices.dtype}")
     try:
-        return ctypes.addressof(_PLACE_IN(indices))
+        return ctypes.addressof(_PLACE_IN(indices))  # type: ignore[arg-type]
     except (TypeError, ValueError):
         return _read_only(indices)
 

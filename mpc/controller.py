@@ -136,7 +136,7 @@ class Controller:
         """
         cost = self._objective.fill(linear, prediction, y_ref, law, end)
         lower, upper = self._decision.bounds(prediction.U_free, linear.u0)
-        step = StepData(linear=linear, prediction=prediction, positions=cost.free, position_effect=cost.effect)
+        step = StepData(linear=linear, prediction=prediction, positions=cost.free, position_effect=cost.effect, U=U)
         A, row_lower, row_upper = self._rows.fill(step)
         lower, upper = np.concatenate([lower, self._slack_bounds[0]]), np.concatenate([upper, self._slack_bounds[1]])
         return QP(H=cost.H, g=cost.g, lower=lower, upper=upper, A=A, row_lower=row_lower, row_upper=row_upper)
@@ -173,9 +173,9 @@ class Controller:
         """Return the previous plan where no QP can be formed because its numbers are out of range."""
         return plan.fallback(self._decision, unsolved(0, 0, self.settings.solver), U, law)
 
-    def foreseen(self, prediction: Prediction, law: FeedbackLaw, inputs: Array) -> Array:
+    def foreseen(self, prediction: Prediction, inputs: Array) -> Array:
         """Return the expected inputs of all UAVs over the horizon, (N_p, m); see `mpc.plan.foreseen`."""
-        return plan.foreseen(self._decision, prediction, law, inputs)
+        return plan.foreseen(self._decision, prediction, inputs)
 
     adapted = staticmethod(plan.adapted)
 

@@ -68,7 +68,7 @@ class Objective:
         """
         if len(self._user_costs):
             terms = self._user_costs.at(linear.x0)
-            slope, at_x0 = terms.slope, terms.value
+            slope, at_x0 = np.ascontiguousarray(terms.slope), terms.value
         else:
             slope, at_x0 = np.zeros((0, len(linear.x0))), np.zeros(0)
         terminal, responding, Q = self._terminal, _NONE, self._Q
@@ -92,14 +92,9 @@ def _condense(
 ) -> tuple[Array, Array, Array, Array]:  # fmt: skip
     """Return H, g, S and the free response of the chosen outputs, as `Condensed` has them.
 
-    Args:
-        linear: y and C.
-        chosen, answering, own: Weighted outputs, weighted inputs of the others, owned inputs.
-        terminal: Q_f as a multiple of Q.
-        slope, at_x0: The user's terms, (terms, n), (terms,).
-        effect, feedback, dX, U: Of the prediction.
-        Q, effort: Weights of all outputs; R scale of the owned inputs.
-        root, error, end_slope: Of the cost-to-go; no rows without.
+    Given are the weighted outputs of the model (`chosen`), the weighted inputs of the others (`answering`) and the
+    owned ones; the terminal weight as a multiple of Q; the user's terms, (terms, n), (terms,); the prediction; the
+    weights of all outputs, and R times the unit of the decision; and the cost-to-go, whose root has no rows without.
     """
     n, steps, m = effect.shape
     decisions, size, C = steps * m, steps * m + len(penalties), linear.C[chosen]

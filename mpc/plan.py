@@ -63,12 +63,8 @@ def _relax(
 ) -> tuple[Array, Array]:  # fmt: skip
     """Return inputs and corrections of a plan with a shared control law, (N_p, m_own) each.
 
-    Args:
-        own, scale, lower, upper, rate: Of the decision.
-        z: Scaled decision, (N_p m_own,).
-        U_free, dU, feedback: Of the prediction.
-        uncorrected, previous: Inputs and corrections of the control law, (N_p, m).
-        w: Weight of the new corrections, 0 without a solution.
+    Given are positions, unit and limits of the decision and its scaled value z, (N_p m_own,); the prediction; inputs
+    and corrections of the control law, (N_p, m); and the weight w of the new corrections, 0 without a solution.
     """
     at_x0, fed_back, c = uncorrected[:, own], dU[:, own], previous[:, own]
     best = np.clip(U_free + z.reshape(U_free.shape) * scale, lower, upper)
@@ -91,7 +87,7 @@ def fallback(decision: Decision, solution: Solution, U: Array, law: FeedbackLaw 
     return StepResult(U=decision.clip(U[:, decision.own]), c=c, solution=solution)
 
 
-def foreseen(decision: Decision, prediction: Prediction, law: FeedbackLaw, inputs: Array) -> Array:
+def foreseen(decision: Decision, prediction: Prediction, inputs: Array) -> Array:
     """Return the inputs of all UAVs over the horizon as one controller expects them, within bounds, (N_p, m).
 
     The owned inputs are given, (N_p, m_own). Source: docs/equations.md (35), (36).

@@ -21,7 +21,6 @@ from mpc.settings import ControllerSettings
 from mpc.target import Target, target
 from mpc.user_costs import UserCosts
 
-
 _NO_CORRECTIONS = np.zeros((1, 0))
 
 

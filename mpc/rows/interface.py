@@ -16,12 +16,14 @@ class StepData:
         prediction: Of the team.
         positions: Positions of the UAVs at steps 1..N_p with v = 0, (N_p, at least 3 N), the first of these columns.
         position_effect: Effect of the scaled decision on them, (at least 3 N, N_p, m_own).
+        U: Announced inputs of all UAVs over the horizon, (N_p, m).
     """
 
     linear: Linear
     prediction: Prediction
     positions: Array
     position_effect: Array
+    U: Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

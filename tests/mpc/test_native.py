@@ -9,6 +9,7 @@ from model import native
 from model.arrays import Array
 from model.discretisation import Discrete
 from model.linearisation import Linearisation
+from model.native import Places
 from mpc import bounded, condensing, qp
 from mpc.objective import _condense
 from mpc.plan import _relax
@@ -63,7 +64,7 @@ def test_work_space_stays() -> None:
     """Work space of one size is not freed or reused when other sizes follow."""
     rng = np.random.default_rng(0)
 
-    def problem(n: int) -> tuple[Discrete, Array, Array, Array]:
+    def problem(n: int) -> tuple[Discrete, Places, Array, Array]:
         own = np.array([1])
         return discrete_of(n, 3, rng), own, rng.standard_normal((3, n)) / n, rng.standard_normal((3, 3))
 
@@ -131,6 +132,7 @@ def test_distances_are_their_twin(together: bool) -> None:
         prediction=prediction,
         positions=rng.standard_normal((6, 19)),
         position_effect=rng.standard_normal((19, 6, 4)),
+        U=rng.standard_normal((6, 16)),
     )
     pairs = pairs_of(4, (0, 2))
     for one, other in zip(_distances(pairs, step), _plain_distances(pairs, step), strict=True):
