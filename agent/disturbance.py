@@ -8,7 +8,6 @@ and is counted as one on the payload. The forces enter the prediction, so that t
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from model import state
 from model.arrays import Array
 from model.discretisation import zero_order_hold
 from model.hover import Hover
-from model.linearisation import Model
+from model.linearisation import Linearisation, Model
 
 # Unknowns: the force on the payload (3), and the horizontal force on each UAV (2).
 _UNKNOWNS = 5
@@ -52,7 +51,8 @@ class DisturbanceEstimator:
         # At rest, velocities depend on the state as the positions' derivatives do.
         velocities = np.vstack([linear.A_c[state.R0], linear.C[: 3 * N] @ linear.A_c]).reshape(1 + N, 3, -1)
         # The zero-order hold of inputs applies to constant forces as well.
-        effect = zero_order_hold(replace(linear, B_c=model.force_effect(hover.x, hover.u) @ spread), period_s).B
+        E = model.force_effect(hover.x, hover.u) @ spread
+        effect = zero_order_hold(Linearisation.of(linear.f, linear.A_c, E, linear.y, linear.C), period_s).B
         self._inverse = np.linalg.inv(self._observed(velocities @ effect))
         self._gain = (1.0 - math.exp(-period_s / self._time_constant_s)) * spread
         self._weight = model.system.total_mass * model.system.gravity

@@ -197,7 +197,7 @@ class Planner:
                 result = controller.conclude(solution, prediction, step.U, step.law, step.known.ticks_since_start)
                 watch.append(self._stopwatch())
                 if step.law is not None:
-                    self._team.expect(step.start, prediction, step.law, result.U)
+                    self._team.expect(step.start, prediction, result.U)
         for stage, (begun, done) in zip(_ITERATION, pairwise(watch), strict=True):
             step.times_ns[stage] += done - begun
         return result

@@ -12,7 +12,7 @@ from model.failure import motor_off_state, released_state
 from model.state import input_indices
 from mpc.controller import Controller
 from mpc.fail_safe import FailSafe
-from mpc.feedback import FeedbackLaw, Regulator
+from mpc.feedback import Regulator
 from mpc.prediction import Prediction
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Measurement, Plan
@@ -70,8 +70,8 @@ class TeamEstimate:
             limits=setup.settings.limits,
         )
         self._failed: tuple[frozenset[int], frozenset[int]] = frozenset(), frozenset()  # UAVs off, and released
-        # Start, prediction, control law and own inputs of the last step.
-        self._expected: tuple[int, Prediction, FeedbackLaw, Array] | None = None
+        # Start, prediction and own inputs of the last step.
+        self._expected: tuple[int, Prediction, Array] | None = None
         # Arguments and result of `_law_inputs` by tick.
         self._law_cache: dict[int, tuple[Array, Array | None, Regulator | None, Array | None]] = {}
 
@@ -104,9 +104,9 @@ class TeamEstimate:
             u[input_indices(self._owned)] = reported.reshape(-1)
         return u
 
-    def expect(self, start: int, prediction: Prediction, law: FeedbackLaw, inputs: Array) -> None:
+    def expect(self, start: int, prediction: Prediction, inputs: Array) -> None:
         """Keep a step's prediction from tick `start` on, from which the inputs of an agent that leaves are taken."""
-        self._expected = start, prediction, law, inputs
+        self._expected = start, prediction, inputs
 
     def _update_roster(self, known: Known) -> None:
         """Take in the roster of a tick; all agents do that at the same tick."""
@@ -130,8 +130,8 @@ class TeamEstimate:
         """
         newest = self.announced.newest(agent, before=tick)
         if self._expected is not None and newest is not None and newest.tick < tick - 1:
-            start, prediction, law, inputs = self._expected
-            self.announced.assume(agent, start, self._controller.foreseen(prediction, law, inputs))
+            start, prediction, inputs = self._expected
+            self.announced.assume(agent, start, self._controller.foreseen(prediction, inputs))
 
     def _update_failures(self, known: Known) -> None:
         """Switch to model and control law of the remaining UAVs if further UAVs have failed."""

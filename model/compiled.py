@@ -5,6 +5,7 @@ depend on N alone (physical parameters are arguments), so the next process loads
 """
 
 import hashlib
+import itertools
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from model.dynamics import Symbols
 # No contraction of products and sums: the same bits as CasADi's interpreter.
 _FLAGS = ("-Og", "-ffp-contract=off")
 # Instructions; longer functions stay interpreted, as compilation time grows more than linearly.
-_MAX_LENGTH = 40_000
+_MAX_LENGTH = 80_000
 
 _FUNCTIONS = ("derivative", "tensions", "velocities", "outputs", "linearise", "step")
 
@@ -38,32 +39,52 @@ _DP_FOURTH = (5179 / 57600, 0.0, 7571 / 16695, 393 / 640, -92097 / 339200, 187 /
 
 
 class Compiled:
-    """A CasADi function behind preallocated buffers, arrays in, arrays out; inputs and outputs are dense."""
+    """A CasADi function behind preallocated buffers, arrays in, arrays out; inputs are dense.
+
+    Attributes:
+        parts: Places of the outputs in what `flat` returns.
+    """
 
     def __init__(self, function: ca.Function) -> None:
         self._buffer, self._evaluate = function.buffer()
         self._name: str = function.name()
         self._arguments = [np.zeros(function.numel_in(i)) for i in range(function.n_in())]
-        # CasADi is column-major.
-        self._results = [
-            np.zeros(function.numel_out(i)).reshape(function.size_out(i), order="F") for i in range(function.n_out())
+        ends = np.cumsum([0, *(function.nnz_out(i) for i in range(function.n_out()))]).tolist()
+        self.parts = [slice(begin, end) for begin, end in itertools.pairwise(ends)]
+        # Matrices, as opposed to vectors and the nonzero entries of sparse outputs; CasADi is column-major.
+        self._matrices = [
+            (i, function.size_out(i))
+            for i in range(function.n_out())
+            if function.sparsity_out(i).is_dense() and function.size2_out(i) != 1
         ]
+        self._results = np.zeros(ends[-1])
         for i, argument in enumerate(self._arguments):
             self._buffer.set_arg(i, argument.data)  # type: ignore[call-arg]  # the generated annotation is wrong
-        for i, result in enumerate(self._results):
-            self._buffer.set_res(i, result.reshape(-1, order="A").data)  # type: ignore[call-arg]
+        for i, part in enumerate(self.parts):
+            self._buffer.set_res(i, self._results[part].data)  # type: ignore[call-arg]
 
     def __call__(self, *arguments: Array | float) -> list[Array]:
-        """Return one new array per output from one array (or float) per input; matrices with one column become vectors.
+        """Return one new array per output from one array (or float) per input.
+
+        Matrices with one column become vectors, sparse matrices their nonzero entries, column by column.
 
         Raises: ShapeError: an argument of the wrong length.
         """
+        flat = self.flat(*arguments)
+        found = [flat[part] for part in self.parts]
+        for i, shape in self._matrices:
+            found[i] = found[i].reshape(shape, order="F")
+        return found
+
+    def flat(self, *arguments: Array | float) -> Array:
+        """Return the entries of all outputs in one new array; `parts` are their places."""
         for own, argument in zip(self._arguments, arguments, strict=True):
-            if np.size(argument) != own.size:
-                raise ShapeError(f"{self._name}: expected an argument of {own.size} numbers, got {np.size(argument)}")
+            size = argument.size if isinstance(argument, np.ndarray) else 1
+            if size != own.size:
+                raise ShapeError(f"{self._name}: expected an argument of {own.size} numbers, got {size}")
             own[:] = argument
         self._evaluate()
-        return [r[:, 0].copy() if r.shape[1] == 1 else r.copy(order="F") for r in self._results]
+        return self._results.copy()
 
 
 def functions(N: int) -> dict[str, ca.Function]:
@@ -73,7 +94,7 @@ def functions(N: int) -> dict[str, ca.Function]:
     tensions    (x, u, p, F) -> rod tensions
     velocities  (x, p) -> velocities of the centres of mass
     outputs     (x, p) -> y
-    linearise   (x, u, p, F) -> x', df/dx, B_c, y, C
+    linearise   (x, u, p, F) -> x', y, and, sparse and transposed, the parts of `model.linearisation.Linearisation`
     step        (x, u, p, F, h) -> x after h seconds of constant u and F by one Dormand-Prince step and projection
                 of the rods, and the local error estimate before projection
     """
@@ -122,28 +143,57 @@ def _compiled(N: int) -> dict[str, ca.Function]:
 
 def _build(N: int) -> dict[str, ca.Function]:
     s = Symbols.of(N)
-    derivative, tensions = dynamics.state_derivative(s)
+    motion = dynamics.motion(s)
     y = dynamics.outputs(s)
-    f = ca.Function("derivative", [s.x, s.u, s.p, s.F], [derivative])
-
-    h = ca.SX.sym("h")
-    slopes: list[ca.SX] = []
-    for coefficients in _DP_STAGES:
-        at = s.x + h * sum((a * k for a, k in zip(coefficients, slopes, strict=True)), start=ca.SX.zeros(s.x.shape))
-        slopes.append(f(at, s.u, s.p, s.F))
-    fifth = s.x + h * sum((b * k for b, k in zip(_DP_FIFTH, slopes, strict=True)), start=ca.SX.zeros(s.x.shape))
-    error = h * sum(
-        ((b5 - b4) * k for b5, b4, k in zip(_DP_FIFTH, _DP_FOURTH, slopes, strict=True)), start=ca.SX.zeros(s.x.shape)
-    )
-    linearised = [derivative, ca.jacobian(derivative, s.x), ca.jacobian(derivative, s.u), y, ca.jacobian(y, s.x)]
+    f = ca.Function("derivative", [s.x, s.u, s.p, s.F], [motion.derivative])
     return {
         "derivative": f,
-        "tensions": ca.Function("tensions", [s.x, s.u, s.p, s.F], [tensions]),
+        "tensions": ca.Function("tensions", [s.x, s.u, s.p, s.F], [motion.tensions]),
         "velocities": ca.Function("velocities", [s.x, s.p], [dynamics.velocities(s)]),
         "outputs": ca.Function("outputs", [s.x, s.p], [y]),
-        "linearise": ca.Function("linearise", [s.x, s.u, s.p, s.F], [ca.densify(value) for value in linearised]),
-        "step": ca.Function("step", [s.x, s.u, s.p, s.F, h], [dynamics.project(fifth, N), error]),
+        "linearise": _linearise(s, motion, y),
+        "step": _step(s, f),
     }
+
+
+def _linearise(s: Symbols, motion: dynamics.Motion, y: ca.SX) -> ca.Function:
+    """Return the derivatives of motion and outputs in the parts of `model.linearisation.Linearisation`.
+
+    UAVs notice each other by the payload's acceleration alone. It solves M a = b, so its derivative along x or u is
+    M^-1 times that of b - M a with a held.
+    """
+    a, Pi = ca.SX.sym("a", 6), dynamics.projection(s.x, s.N)
+    given = dynamics.motion(s, a)
+    direct, pushed = given.derivative, [ca.jacobian(given.unbalanced, s.x) @ Pi, ca.jacobian(given.unbalanced, s.u)]
+    by_acceleration = dynamics.solve_positive_definite(motion.mass, ca.horzcat(*pushed))
+    parts = [ca.jacobian(direct, s.x) @ Pi, ca.jacobian(direct, s.u), ca.jacobian(direct, a)]
+    parts += [by_acceleration[:, : s.x.numel()], by_acceleration[:, s.x.numel() :]]
+    parts = [*ca.substitute(parts, [a], [motion.acceleration]), ca.jacobian(y, s.x)]
+    # Transposed: row by row.
+    found = [motion.derivative, y, *(ca.sparsify(part).T for part in parts)]
+    return ca.Function("linearise", [s.x, s.u, s.p, s.F], [ca.densify(found[0]), ca.densify(y), *found[2:]])
+
+
+def _step(s: Symbols, f: ca.Function) -> ca.Function:
+    """Return one Dormand-Prince step; the derivative is called, not repeated, so that the code stays short."""
+    x, u, p, F, h = (ca.MX.sym(name, length) for name, length in _lengths(s).items())
+    slopes: list[ca.MX] = []
+    for coefficients in _DP_STAGES:
+        slopes.append(f(x + _weighted(h, coefficients, slopes), u, p, F))
+    fifth = x + _weighted(h, _DP_FIFTH, slopes)
+    error = _weighted(h, [b5 - b4 for b5, b4 in zip(_DP_FIFTH, _DP_FOURTH, strict=True)], slopes)
+    project = ca.Function("project", [s.x], [dynamics.project(s.x, s.N)])
+    return ca.Function("step", [x, u, p, F, h], [project(fifth), error])
+
+
+def _lengths(s: Symbols) -> dict[str, int]:
+    return {"x": s.x.numel(), "u": s.u.numel(), "p": s.p.numel(), "F": s.F.numel(), "h": 1}
+
+
+def _weighted(h: ca.MX, coefficients: Sequence[float], slopes: Sequence[ca.MX]) -> ca.MX:
+    """Return h times the weighted sum of slopes."""
+    terms = [b * slope for b, slope in zip(coefficients, slopes, strict=True) if b]
+    return h * sum(terms[1:], start=terms[0]) if terms else ca.MX(0)
 
 
 def _cache_path(N: int) -> Path:

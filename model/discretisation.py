@@ -4,8 +4,9 @@
 
     A = I + A_c Phi,   B = Phi B_c,   f_d = Phi f,
 
-so a Taylor series of Phi, (n, n), replaces the exponential of an augmented matrix of size n + m + 1. The number of
-terms follows from the remainder bound; long periods are halved until the series is short, then doubled back.
+so a Taylor series of Phi replaces the exponential of an augmented matrix of size n + m + 1. The number of terms follows
+from the remainder bound; long periods are halved until the series is short, then doubled back. The compiled kernel
+applies the series to [A_c B_c f], with A_c in factors, and does not form Phi.
 """
 
 import math
@@ -17,8 +18,9 @@ from model import native
 from model.arrays import Array, ShapeError
 from model.linearisation import Linearisation
 
-# theta = max(|X^2|^(1/2), |X^3|^(1/3)) with X = A_c T stands for the norm: every k >= 2 is a sum of twos and threes, so
-# |X^k| <= theta^k, and for a mechanical system theta is several times smaller than |X| (Al-Mohy, Higham 2009).
+# theta = max(b_2^(1/2), b_3^(1/3)), b_k the largest column sum of |X|^k, entry by entry, with X = A_c T, stands for the
+# norm: every k >= 2 is a sum of twos and threes, so |X^k| <= theta^k, and for a mechanical system theta is several
+# times smaller than |X| (Al-Mohy, Higham 2009).
 _THETA_MAX = 2.0  # above it the period is halved: a short series without cancellation
 _THETA_POSSIBLE = 300.0  # products of exp(theta) stay far below the float64 range
 _REMAINDER = 2.0**-53  # relative to T: below the rounding of the sum itself
@@ -47,9 +49,7 @@ def zero_order_hold(linear: Linearisation, period_s: float) -> Discrete:
     Source: docs/equations.md (16)-(17).
     """
     if native.AVAILABLE:
-        theta, A, B, f_d = native.zero_order_hold(
-            linear.A_c, linear.B_c, linear.f, period_s, _THETA_MAX, _THETA_POSSIBLE, _REMAINDER
-        )
+        theta, A, B, f_d = native.zero_order_hold(linear, period_s, _THETA_MAX, _THETA_POSSIBLE, _REMAINDER)
         _check_growth(theta, period_s)
         return Discrete(A=A, B=B, f_d=f_d)
     return _zero_order_hold(linear, period_s)
@@ -60,8 +60,8 @@ def _zero_order_hold(linear: Linearisation, period_s: float) -> Discrete:
     A_c = np.ascontiguousarray(linear.A_c)
     X, identity = A_c * period_s, np.eye(len(A_c))
     with np.errstate(over="ignore", invalid="ignore"):
-        X2 = X @ X
-        theta = float(np.maximum(_norm(X2) ** (1 / 2), _norm(X2 @ X) ** (1 / 3)))
+        sums = np.abs(X).sum(axis=0) @ np.abs(X)
+        theta = float(np.maximum(sums.max() ** (1 / 2), (sums @ np.abs(X)).max() ** (1 / 3)))
     _check_growth(theta, period_s)
     halvings = max(0, math.ceil(math.log2(theta / _THETA_MAX))) if theta > 0.0 else 0
     X /= 2**halvings
@@ -90,8 +90,3 @@ def _check_growth(theta: float, period_s: float) -> None:
     if not theta <= _THETA_POSSIBLE:
         growth = f"growth by exp({theta:g}) in {period_s:g} s"
         raise ShapeError(f"A_c: expected finite numbers with a finite exponential, got {growth}")
-
-
-def _norm(X: Array) -> float:
-    """Return the largest column sum of magnitudes."""
-    return float(np.abs(X).sum(axis=0).max())

@@ -59,10 +59,29 @@ class Symbols:
         return self.F[3 * body : 3 * (body + 1)]
 
 
-def state_derivative(symbols: Symbols) -> tuple[ca.SX, ca.SX]:
-    """Return the right-hand side f(x, u, F) and the rod tensions.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Motion:
+    """Right-hand side and rod tensions.
 
-    Returns: x' (12 + 12 N), SI; tensions (N,), N, positive when the rod pulls.
+    Attributes:
+        derivative: x' = f(x, u, F), (12 + 12 N,), SI.
+        tensions: (N,), N, positive when the rod pulls.
+        acceleration: Payload's acceleration and angular acceleration, payload frame, (6,), SI: all that a UAV and its
+            rod notice of the other UAVs.
+        mass: M of the equation M acceleration = b, (6, 6).
+        unbalanced: b - M times the acceleration, zero unless that is given, (6,).
+    """
+
+    derivative: ca.SX
+    tensions: ca.SX
+    acceleration: ca.SX
+    mass: ca.SX
+    unbalanced: ca.SX
+
+
+def motion(symbols: Symbols, given: ca.SX | None = None) -> Motion:
+    """Return the right-hand side; with a given payload acceleration, (6,), derivative and tensions are under that one.
+
     Source: docs/equations.md (4)-(13), (37); paper (2)-(11).
     """
     x, u, N = symbols.x, symbols.u, symbols.N
@@ -73,7 +92,8 @@ def state_derivative(symbols: Symbols) -> tuple[ca.SX, ca.SX]:
 
     # 6 x 6 system in the payload's acceleration a0 = v0' + omega0 x v0 and omega0', both in the payload frame.
     M = ca.diagcat(symbols.payload_mass * ca.SX.eye(3), J0)
-    b = ca.vertcat(symbols.payload_mass * g_P + R0.T @ symbols.force(0), -ca.cross(omega0, J0 @ omega0))
+    own_M = M
+    own_b = b = ca.vertcat(symbols.payload_mass * g_P + R0.T @ symbols.force(0), -ca.cross(omega0, J0 @ omega0))
     rods = []
     for i in range(N):
         m, _, rho, length = symbols.uav(i)
@@ -85,14 +105,15 @@ def state_derivative(symbols: Symbols) -> tuple[ca.SX, ca.SX]:
         centripetal = ca.cross(omega0, ca.cross(omega0, rho))
         along = ca.dot(e, centripetal - s_P) + length * ca.dot(Omega, Omega)
         wrench = ca.vertcat(e, ca.cross(rho, e))
-        M += m * (wrench @ wrench.T)
-        b -= m * along * wrench
+        M = M + m * (wrench @ wrench.T)
+        b = b - m * along * wrench
         rods.append((m, rho, length, e, Omega, s_P, centripetal, along, wrench))
-    acceleration = _solve_positive_definite(M, b)
+    solved = solve_positive_definite(M, b)
+    acceleration = solved if given is None else given
     a0, omega0_dot = acceleration[:3], acceleration[3:]
 
     derivative = [R0 @ v0, a0 - ca.cross(omega0, v0), euler_rates(x[state.THETA0]) @ omega0, omega0_dot]
-    tensions = []
+    tensions, unbalanced = [], own_b - own_M @ acceleration
     for i, (m, rho, length, e, Omega, s_P, centripetal, along, wrench) in enumerate(rods):
         _, J, _, _ = symbols.uav(i)
         block = x[state.uav_slice(i)]
@@ -100,10 +121,17 @@ def state_derivative(symbols: Symbols) -> tuple[ca.SX, ca.SX]:
         tau = u[state.INPUTS * i + 1 : state.INPUTS * (i + 1)]
         attachment = a0 + ca.cross(omega0_dot, rho) + centripetal  # acceleration of the attachment point
         Omega_dot = ca.cross(e, attachment - s_P) / length - ca.cross(omega0, Omega)
-        omega_dot = _solve_positive_definite(J, tau - ca.cross(omega, J @ omega))
+        omega_dot = solve_positive_definite(J, tau - ca.cross(omega, J @ omega))
         derivative += [ca.cross(Omega - omega0, e), Omega_dot, euler_rates(block[state.THETA]) @ omega, omega_dot]
         tensions.append(m * (along + ca.dot(wrench, acceleration)))
-    return ca.vertcat(*derivative), ca.vertcat(*tensions)
+        unbalanced = unbalanced - tensions[-1] * wrench
+    return Motion(
+        derivative=ca.vertcat(*derivative),
+        tensions=ca.vertcat(*tensions),
+        acceleration=solved,
+        mass=M,
+        unbalanced=unbalanced,
+    )
 
 
 def uav_positions(symbols: Symbols) -> list[ca.SX]:
@@ -152,13 +180,28 @@ def project(x: ca.SX, N: int) -> ca.SX:
     return ca.vertcat(*parts)
 
 
+def projection(x: ca.SX, N: int) -> ca.SX:
+    """Return the derivative of `project` on the manifold, (n, n), sparse. Source: docs/equations.md (15a)."""
+    parts = [ca.SX.eye(state.PAYLOAD)]
+    for i in range(N):
+        block = x[state.uav_slice(i)]
+        e, Omega = block[state.E], block[state.ROD_RATE]
+        across = ca.SX.eye(3) - e @ e.T
+        rod = ca.vertcat(ca.horzcat(across, ca.SX(3, 3)), ca.horzcat(-e @ Omega.T, across))
+        parts += [rod, ca.SX.eye(state.PER_UAV - 6)]
+    return ca.diagcat(*parts)
+
+
 def _symmetric(upper: ca.SX) -> ca.SX:
     xx, xy, xz, yy, yz, zz = ca.vertsplit(upper)
     return ca.vertcat(ca.horzcat(xx, xy, xz), ca.horzcat(xy, yy, yz), ca.horzcat(xz, yz, zz))
 
 
-def _solve_positive_definite(M: ca.SX, b: ca.SX) -> ca.SX:
-    """Return M^-1 b by an unrolled L D L^T factorisation: short expressions, no square roots, exact derivatives."""
+def solve_positive_definite(M: ca.SX, b: ca.SX) -> ca.SX:
+    """Return M^-1 b, (size, columns), by an unrolled L D L^T factorisation.
+
+    Short expressions, no square roots, exact derivatives.
+    """
     size = M.shape[0]
     L = [[ca.SX(0)] * size for _ in range(size)]
     D: list[ca.SX] = []
@@ -168,7 +211,7 @@ def _solve_positive_definite(M: ca.SX, b: ca.SX) -> ca.SX:
             L[i][j] = (M[i, j] - sum(L[i][k] * L[j][k] * D[k] for k in range(j))) / D[j]
     z: list[ca.SX] = []
     for i in range(size):
-        z.append(b[i] - sum(L[i][k] * z[k] for k in range(i)))
+        z.append(b[i, :] - sum(L[i][k] * z[k] for k in range(i)))
     solution: list[ca.SX] = [ca.SX(0)] * size
     for i in reversed(range(size)):
         solution[i] = z[i] / D[i] - sum(L[k][i] * solution[k] for k in range(i + 1, size))

@@ -53,49 +53,58 @@ static void combine_row(ptrdiff_t terms, const ptrdiff_t *index, const double *v
     for (; at < columns; at += LANES) combine(1, 8, terms, index, value, X + at, width, to + at);
 }
 
-/* A square matrix as lists of the nonzero entries of each row: a model's Jacobians are mostly zeros. */
+/* A matrix as lists of the nonzero entries of each row: a model's derivatives are mostly zeros. */
 typedef struct {
-    ptrdiff_t n, *begin, *index; /* row i: begin[i] .. begin[i + 1] */
-    double *value;
+    ptrdiff_t rows;
+    const ptrdiff_t *begin, *index; /* row i: begin[i] .. begin[i + 1] */
+    const double *value;
 } sparse;
 
-static sparse compress(ptrdiff_t n, ptrdiff_t width, const double *A, double *work)
+static ptrdiff_t compress_work(ptrdiff_t rows, ptrdiff_t columns) { return 2 * rows * columns + rows + 1; }
+
+static sparse compress(ptrdiff_t rows, ptrdiff_t columns, ptrdiff_t width, const double *A, double *work)
 {
-    /* Room in `work`: n * n values, n * n indices, n + 1 beginnings. */
-    sparse S = {n, (ptrdiff_t *)(work + 2 * n * n), (ptrdiff_t *)(work + n * n), work};
-    ptrdiff_t at = 0;
-    for (ptrdiff_t i = 0; i < n; i++) {
-        S.begin[i] = at;
-        for (ptrdiff_t j = 0; j < n; j++) {
-            double a = A[i * width + j];
-            S.index[at] = j;
-            S.value[at] = a;
+    /* In `work`: values, indices, beginnings. */
+    double *value = work;
+    ptrdiff_t *index = (ptrdiff_t *)(work + rows * columns), *begin = index + rows * columns, at = 0;
+    for (ptrdiff_t i = 0; i < rows; i++) {
+        begin[i] = at;
+        for (ptrdiff_t j = 0; j < columns; j++) {
+            const double a = A[i * width + j];
+            index[at] = j;
+            value[at] = a;
             at += a != 0.0; /* nan counts as nonzero */
         }
     }
-    S.begin[n] = at;
-    return S;
+    begin[rows] = at;
+    return (sparse){rows, begin, index, value};
 }
 
+/* Rows of a matrix given as lists, from the `first` on. */
+static sparse part(ptrdiff_t first, ptrdiff_t rows, const ptrdiff_t *begin, const ptrdiff_t *index, const double *value)
+{
+    return (sparse){rows, begin + first, index, value};
+}
+
+/* Row i of a product: to[] += S(i, :) X. */
+INLINE void multiply_row(const sparse *S, ptrdiff_t i, const double *X, ptrdiff_t width, ptrdiff_t columns, double *to)
+{
+    const ptrdiff_t from = S->begin[i];
+    combine_row(S->begin[i + 1] - from, S->index + from, S->value + from, X, width, columns, to);
+}
+
+/* to = S X, rows of length `width`. */
 static void multiply(const sparse *S, const double *X, ptrdiff_t width, double *to)
 {
-    memset(to, 0, (size_t)(S->n * width) * sizeof *to);
-    for (ptrdiff_t i = 0; i < S->n; i++) {
-        ptrdiff_t from = S->begin[i];
-        combine_row(S->begin[i + 1] - from, S->index + from, S->value + from, X, width, width, to + i * width);
-    }
+    memset(to, 0, (size_t)(S->rows * width) * sizeof *to);
+    for (ptrdiff_t i = 0; i < S->rows; i++) multiply_row(S, i, X, width, width, to + i * width);
 }
 
-/* Largest column sum of magnitudes of rows of length `width`, zero beyond n. */
-static double norm(ptrdiff_t n, ptrdiff_t width, const double *X, double *sums)
+/* to[] += x' |S| */
+static void sum_magnitudes(const sparse *S, const double *x, double *to)
 {
-    memset(sums, 0, (size_t)width * sizeof *sums);
-    for (ptrdiff_t i = 0; i < n; i++)
-        for (ptrdiff_t j = 0; j < width; j++) sums[j] += fabs(X[i * width + j]);
-    double largest = 0.0;
-    for (ptrdiff_t j = 0; j < n; j++)
-        if (!(sums[j] <= largest)) largest = sums[j]; /* nan is kept */
-    return largest;
+    for (ptrdiff_t i = 0; i < S->rows; i++)
+        for (ptrdiff_t k = S->begin[i]; k < S->begin[i + 1]; k++) to[S->index[k]] += x[i] * fabs(S->value[k]);
 }
 
 INLINE double dot(ptrdiff_t n, const double *a, const double *b)
@@ -109,221 +118,434 @@ INLINE double dot(ptrdiff_t n, const double *a, const double *b)
     return rest;
 }
 
-/* A := A Pi, with Pi the derivative of the projection of the rods, (15a). A is stored column by column; each rod's
-   direction e and rate Omega begin a block of `block` states, the first one behind `payload` states. */
-void along_manifold(ptrdiff_t n, ptrdiff_t payload, ptrdiff_t block, const double *x, double *A)
+#define POWERS 64  /* most terms of a series; theta <= 2 needs 25 */
+#define PANEL 32   /* columns of a product at a time, so that they stay in the cache */
+
+/* Term k of a series from the one before, and its sum: rows of S times X, scaled, to `next` and added to `sum`, for
+   `count` vectors of columns. */
+INLINE void next_term(int count, const sparse *S, const double *X, ptrdiff_t width, double scale, double *next,
+                      double *sum, ptrdiff_t sum_width)
 {
-    for (ptrdiff_t at = payload; at < n; at += block) {
-        const double *e = x + at, *Omega = e + 3;
-        double *by_e = A + at * n, *by_Omega = by_e + 3 * n;
-        for (ptrdiff_t i = 0; i < n; i++) {
-            const double across = by_e[i] * e[0] + by_e[n + i] * e[1] + by_e[2 * n + i] * e[2];
-            const double rate = by_Omega[i] * e[0] + by_Omega[n + i] * e[1] + by_Omega[2 * n + i] * e[2];
-            for (ptrdiff_t j = 0; j < 3; j++) {
-                by_e[j * n + i] -= across * e[j] + rate * Omega[j];
-                by_Omega[j * n + i] -= rate * e[j];
-            }
+    for (ptrdiff_t i = 0; i < S->rows; i++) {
+        lanes row[PANEL / LANES];
+        for (int v = 0; v < count; v++) row[v] = splat(0.0);
+        for (ptrdiff_t k = S->begin[i]; k < S->begin[i + 1]; k++) {
+            const lanes *from = (const lanes *)(X + S->index[k] * width), a = splat(S->value[k]);
+            for (int v = 0; v < count; v++) row[v] += a * from[v];
+        }
+        for (int v = 0; v < count; v++) {
+            row[v] *= splat(scale);
+            ((lanes *)(next + i * width))[v] = row[v];
+            ((lanes *)(sum + i * sum_width))[v] += row[v];
         }
     }
 }
 
-ptrdiff_t zero_order_hold_work(ptrdiff_t n, ptrdiff_t m)
+/* The next of the largest column sums of |X|^j, X = A_c T = (X + P V) T, magnitudes entry by entry: they bound those of
+   X^j and cost one product with a vector each. sums: 1' |X|^j, updated; work: n + rows of V. */
+static double next_power(const sparse *X, const sparse *P, const sparse *V, double period, double *sums, double *work)
 {
-    return 6 * n * padded(n) + 2 * n * padded(m + 1) + 2 * n * n + n + 1 + padded(n);
+    const ptrdiff_t n = X->rows;
+    double *next = work, *by_acceleration = next + n, largest = 0.0;
+    memset(work, 0, (size_t)(n + V->rows) * sizeof *work);
+    sum_magnitudes(X, sums, next);
+    sum_magnitudes(P, sums, by_acceleration);
+    sum_magnitudes(V, by_acceleration, next);
+    for (ptrdiff_t j = 0; j < n; j++) {
+        sums[j] = next[j] * period;
+        if (!(sums[j] <= largest)) largest = sums[j]; /* nan is kept */
+    }
+    return largest;
 }
-ptrdiff_t responses_work(ptrdiff_t n, ptrdiff_t m) { return 2 * n * padded(m + 1) + 2 * n * n + n + 1; }
-ptrdiff_t condense_work(ptrdiff_t steps, ptrdiff_t p, ptrdiff_t m)
+
+ptrdiff_t zero_order_hold_work(ptrdiff_t n, ptrdiff_t m, ptrdiff_t accelerations)
 {
-    ptrdiff_t D = padded(steps * m);
-    return 2 * p * D + 2 * m * (D + padded(m)) + D + p + 4 * LANES;
+    const ptrdiff_t width = padded(n + m + 1);
+    return 2 * n * width + accelerations * width + 2 * (n + accelerations) * PANEL +
+           2 * n * (n + accelerations) + n + 1 + compress_work(n, n) + 3 * LANES;
 }
 
-/* Exact zero-order hold: A = I + A_c Phi, B = Phi B_c, f_d = Phi f, Phi = integral of exp(A_c s) over the period.
+/* Exact zero-order hold about an expansion in factors: [A - I, B, f_d] = Phi [A_c, B_c, f], Phi = integral of
+   exp(A_c s) over the period = T sum X^k / (k + 1)!, X = A_c T. See model/discretisation.py.
 
-   The algorithm, its bounds and its names are those of model/discretisation.py.
-
-   A_c and B_c are column-major. theta_max, theta_possible, remainder: as there.
+   A_c = X + P V_x, B_c = U + P V_u; begin, index, value: the rows of X, U, P, V_x, V_u, one after the other; P has
+   `accelerations` columns. Phi itself is not formed: the series is applied to the columns of [A_c, B_c, f].
    Returns theta; nothing is computed if it is larger than theta_possible or nan. */
-double zero_order_hold(ptrdiff_t n, ptrdiff_t m, const double *A_c, const double *B_c, const double *f,
-                       double period, double theta_max, double theta_possible, double remainder,
-                       double *A, double *B, double *f_d, double *work)
+double zero_order_hold(ptrdiff_t n, ptrdiff_t m, ptrdiff_t accelerations, const ptrdiff_t *begin,
+                       const ptrdiff_t *index, const double *value, const double *f, double period, double theta_max,
+                       double theta_possible, double remainder, double *A, double *B, double *f_d, double *work)
 {
-    const ptrdiff_t w = padded(n), inputs = padded(m + 1), all = n * w;
-    double *X[5], *P = work, *other = P + all, *swap;
-    for (int k = 1; k < 5; k++) X[k] = other + k * all;
-    double *right = X[4] + all, *product = right + n * inputs, *lists = product + n * inputs;
-    double *sums = lists + 2 * n * n + n + 1;
+    const ptrdiff_t columns = n + m + 1, width = padded(columns), r = accelerations;
+    const sparse X = part(0, n, begin, index, value), U = part(n, n, begin, index, value);
+    const sparse P = part(2 * n, n, begin, index, value), V_x = part(3 * n, r, begin, index, value);
+    const sparse V_u = part(3 * n + r, r, begin, index, value);
+    double *sum = work, *product = sum + n * width, *V = product + n * width, *term = V + r * width;
+    double *next = term + (n + r) * PANEL, *merged = next + (n + r) * PANEL;
+    double *lists = merged + 2 * n * (n + r) + n + 1;
 
-    memset(X[1], 0, (size_t)all * sizeof *P);
-    for (ptrdiff_t i = 0; i < n; i++)
-        for (ptrdiff_t j = 0; j < n; j++) X[1][i * w + j] = A_c[j * n + i] * period;
-    sparse S = compress(n, w, X[1], lists);
-    multiply(&S, X[1], w, X[2]);
-    multiply(&S, X[2], w, X[3]);
-    const double second = sqrt(norm(n, w, X[2], sums)), third = cbrt(norm(n, w, X[3], sums));
+    double largest[POWERS + 2], *sums = term;
+    for (ptrdiff_t j = 0; j < n; j++) sums[j] = 1.0;
+    for (int k = 1; k <= 3; k++) largest[k] = next_power(&X, &P, &V_x, period, sums, next);
+    const double second = sqrt(largest[2]), third = cbrt(largest[3]);
     const double theta = second != second || third != third ? NAN : second > third ? second : third;
     if (!(theta <= theta_possible)) return theta;
-
     int halvings = 0;
     if (theta > 0.0) {
         const double needed = ceil(log2(theta / theta_max));
         halvings = needed > 0.0 ? (int)needed : 0;
     }
-    const double T = ldexp(period, -halvings), short_theta = ldexp(theta, -halvings);
-    for (int k = 1; k <= 3 && halvings; k++)
-        for (ptrdiff_t i = 0; i < all; i++) X[k][i] = ldexp(X[k][i], -k * halvings);
-
-    int terms = 2;
-    for (double term = short_theta * short_theta / 6.0;
-         term / (1.0 - short_theta / (terms + 2)) > remainder; term *= short_theta / (terms + 1))
-        terms++;
-    const int blocks = (terms + 3) / 4;
-    double coefficient[4 * 64]; /* 1 / (k + 1)!; the first 170 are nonzero */
-    coefficient[0] = 1.0;
-    for (int k = 1; k < 4 * blocks; k++) coefficient[k] = coefficient[k - 1] / (k + 1);
-
-    /* P = sum of X^k / (k+1)!, four terms at a time; powers of X commute, so X^4 can be the left factor. */
-    if (blocks > 1) {
-        S = compress(n, w, X[2], lists);
-        multiply(&S, X[2], w, X[4]);
-        S = compress(n, w, X[4], lists);
+    const double T = ldexp(period, -halvings);
+    /* Terms k >= 1 until the remainder is small: |X^(k + 2i)| <= |X^k| |X^2|^i, so the rest is at most a geometric series
+       that begins with the terms k and k + 1. */
+    int terms = 1;
+    for (double factorial = 2.0; terms < POWERS; factorial *= ++terms + 1) {
+        const int k = terms;
+        if (k + 1 > 3) largest[k + 1] = next_power(&X, &P, &V_x, period, sums, next);
+        const double term_k = ldexp(largest[k], -k * halvings) / factorial;
+        const double term_next = ldexp(largest[k + 1], -(k + 1) * halvings) / (factorial * (k + 2));
+        const double ratio = ldexp(largest[2], -2 * halvings) / ((k + 2.0) * (k + 3.0));
+        if (ratio < 1.0 && (term_k + term_next) / (1.0 - ratio) <= remainder) break;
     }
-    memset(P, 0, (size_t)all * sizeof *P);
-    for (int block = blocks - 1; block >= 0; block--) {
-        const double *c = coefficient + 4 * block;
-        for (ptrdiff_t i = 0; i < all; i++) P[i] += c[1] * X[1][i] + c[2] * X[2][i] + c[3] * X[3][i];
-        for (ptrdiff_t i = 0; i < n; i++) P[i * w + i] += c[0];
-        if (block > 0) {
-            multiply(&S, P, w, other);
-            swap = P, P = other, other = swap;
+
+    memset(V, 0, (size_t)(r * width) * sizeof *V);
+    for (ptrdiff_t i = 0; i < r; i++) {
+        for (ptrdiff_t k = V_x.begin[i]; k < V_x.begin[i + 1]; k++) V[i * width + index[k]] = value[k];
+        for (ptrdiff_t k = V_u.begin[i]; k < V_u.begin[i + 1]; k++) V[i * width + n + index[k]] = value[k];
+    }
+    /* The factors as one matrix; sum = T [X + P V_x, U + P V_u, f] is the first term. */
+    memset(sum, 0, (size_t)(n * width) * sizeof *sum);
+    for (ptrdiff_t i = 0; i < n; i++) {
+        double *row = sum + i * width;
+        for (ptrdiff_t k = X.begin[i]; k < X.begin[i + 1]; k++) row[index[k]] = value[k];
+        for (ptrdiff_t k = U.begin[i]; k < U.begin[i + 1]; k++) row[n + index[k]] = value[k];
+        row[n + m] = f[i];
+        multiply_row(&P, i, V, width, width, row);
+        for (ptrdiff_t j = 0; j < width; j++) row[j] *= T;
+    }
+    /* [X P], to be multiplied with a term and, below it, V_x times that term. */
+    ptrdiff_t *places = (ptrdiff_t *)(merged + n * (n + r)), *first = places + n * (n + r), entries = 0;
+    for (ptrdiff_t i = 0; i < n; i++) {
+        first[i] = entries;
+        for (ptrdiff_t k = X.begin[i]; k < X.begin[i + 1]; k++)
+            if (value[k] != 0.0) merged[entries] = value[k], places[entries++] = index[k];
+        for (ptrdiff_t k = P.begin[i]; k < P.begin[i + 1]; k++)
+            if (value[k] != 0.0) merged[entries] = value[k], places[entries++] = n + index[k];
+    }
+    first[n] = entries;
+    const sparse XP = {n, first, places, merged};
+    for (ptrdiff_t at = 0; at < width; at += PANEL) {
+        const ptrdiff_t some = width - at < PANEL ? width - at : PANEL;
+        for (ptrdiff_t i = 0; i < n; i++) memcpy(term + i * some, sum + i * width + at, (size_t)some * sizeof *term);
+        for (int k = 1; k < terms; k++) {
+            /* (X + P V_x) T / (k + 1) times this term. */
+            const double scale = T / (k + 1);
+            multiply(&V_x, term, some, term + n * some);
+            if (some == PANEL) next_term(PANEL / LANES, &XP, term, some, scale, next, sum + at, width);
+            else for (ptrdiff_t v = 0; v < some; v += LANES)
+                next_term(1, &XP, term + v, some, scale, next + v, sum + at + v, width);
+            double *swap = term;
+            term = next, next = swap;
         }
     }
-    /* exp(X) = I + X P; Phi = T P. */
-    double *power = X[2], *next = X[3];
-    S = compress(n, w, X[1], lists);
-    multiply(&S, P, w, power);
-    for (ptrdiff_t i = 0; i < n; i++) power[i * w + i] += 1.0;
-    for (ptrdiff_t i = 0; i < all; i++) P[i] *= T;
     for (int halving = 0; halving < halvings; halving++) {
-        /* Phi(2T) = Phi(T) + exp(A T) Phi(T). */
-        S = compress(n, w, power, lists);
-        multiply(&S, P, w, other);
-        for (ptrdiff_t i = 0; i < all; i++) P[i] += other[i];
-        multiply(&S, power, w, next);
-        swap = power, power = next, next = swap;
+        /* Phi(2T) = Phi(T) + A(T) Phi(T), so [A - I, B, f_d] is doubled and A - I times itself comes on top. */
+        const sparse S = compress(n, n, width, sum, lists);
+        multiply(&S, sum, width, product);
+        for (ptrdiff_t i = 0; i < n * width; i++) sum[i] = 2.0 * sum[i] + product[i];
     }
-
-    for (ptrdiff_t i = 0; i < n; i++) memcpy(A + i * n, power + i * w, (size_t)n * sizeof *A);
-    memset(right, 0, (size_t)(n * inputs) * sizeof *right);
     for (ptrdiff_t i = 0; i < n; i++) {
-        for (ptrdiff_t j = 0; j < m; j++) right[i * inputs + j] = B_c[j * n + i];
-        right[i * inputs + m] = f[i];
-    }
-    S = compress(n, w, P, lists);
-    multiply(&S, right, inputs, product);
-    for (ptrdiff_t i = 0; i < n; i++) {
-        memcpy(B + i * m, product + i * inputs, (size_t)m * sizeof *B);
-        f_d[i] = product[i * inputs + m];
+        const double *row = sum + i * width;
+        memcpy(A + i * n, row, (size_t)n * sizeof *A);
+        A[i * n + i] += 1.0;
+        memcpy(B + i * m, row + n, (size_t)m * sizeof *B);
+        f_d[i] = row[n + m];
     }
     return theta;
 }
 
-/* Impulse response A^j B, (steps, n, m), and free response dx(k+1) = A dx(k) + W(k) from zero, (steps + 1, n). */
-void responses(ptrdiff_t steps, ptrdiff_t n, ptrdiff_t m, const double *A, const double *B, const double *W,
-               double *impulse, double *dX, double *work)
+ptrdiff_t predict_work(ptrdiff_t n, ptrdiff_t m, ptrdiff_t own)
 {
-    const ptrdiff_t w = padded(m + 1);
-    double *now = work, *next = now + n * w;
-    sparse S = compress(n, n, A, next + n * w);
+    const ptrdiff_t w = padded(own + 1);
+    return (2 * n + m) * w + compress_work(n, n) + compress_work(n, m) + compress_work(m, n) + n * m + 3 * LANES;
+}
+
+/* Effect of each decision and free response over the horizon, with the others' inputs fed back,
+
+       x(k+1) = A x(k) + f_d + B_own v(k) + B_others (drive(k) + K x(k)),   x(0) = 0; see mpc/prediction.py.
+
+   own: (count,). K: (m, n), 0 without feedback. drive: (steps, m). impulse: (n, steps, count), effect on the state one,
+   two, .. steps later. dX: (steps + 1, n). feedback = K impulse, (m, steps, count); dU = K dX, (steps, m). */
+void predict(ptrdiff_t steps, ptrdiff_t n, ptrdiff_t m, ptrdiff_t count, const ptrdiff_t *own, const double *A,
+             const double *B, const double *f_d, const double *K, const double *drive, double *impulse, double *dX,
+             double *feedback, double *dU, double *work)
+{
+    const ptrdiff_t w = padded(count + 1), D = steps * count;
+    double *now = work, *next = now + n * w, *inputs = next + n * w, *lists = inputs + m * w;
+    double *B_others = lists + compress_work(n, n) + compress_work(n, m) + compress_work(m, n);
+    const sparse A_ = compress(n, n, n, A, lists);
     memset(now, 0, (size_t)(n * w) * sizeof *now);
-    for (ptrdiff_t i = 0; i < n; i++) memcpy(now + i * w, B + i * m, (size_t)m * sizeof *B);
+    memcpy(B_others, B, (size_t)(n * m) * sizeof *B);
+    for (ptrdiff_t c = 0; c < count; c++)
+        for (ptrdiff_t i = 0; i < n; i++) {
+            now[i * w + c] = B[i * m + own[c]];
+            B_others[i * m + own[c]] = 0.0;
+        }
+    const sparse B_ = compress(n, m, m, B_others, lists + compress_work(n, n));
+    sparse K_;
+    if (K) K_ = compress(m, n, n, K, lists + compress_work(n, n) + compress_work(n, m));
+    memset(inputs, 0, (size_t)(m * w) * sizeof *inputs);
     for (ptrdiff_t k = 0;; k++) {
-        for (ptrdiff_t i = 0; i < n; i++) dX[k * n + i] = now[i * w + m];
+        for (ptrdiff_t i = 0; i < n; i++) dX[k * n + i] = now[i * w + count];
         if (k == steps) return;
         for (ptrdiff_t i = 0; i < n; i++)
-            memcpy(impulse + (k * n + i) * m, now + i * w, (size_t)m * sizeof *impulse);
-        multiply(&S, now, w, next);
-        for (ptrdiff_t i = 0; i < n; i++) next[i * w + m] += W[k * n + i];
+            memcpy(impulse + i * D + k * count, now + i * w, (size_t)count * sizeof *impulse);
+        if (K) {
+            multiply(&K_, now, w, inputs);
+            for (ptrdiff_t i = 0; i < m; i++) {
+                memcpy(feedback + i * D + k * count, inputs + i * w, (size_t)count * sizeof *feedback);
+                dU[k * m + i] = inputs[i * w + count];
+            }
+        }
+        for (ptrdiff_t i = 0; i < m; i++)
+            inputs[i * w + count] = drive[k * m + i] + (K ? inputs[i * w + count] : 0.0);
+        multiply(&A_, now, w, next);
+        for (ptrdiff_t i = 0; i < n; i++) {
+            multiply_row(&B_, i, inputs, w, w, next + i * w);
+            next[i * w + count] += f_d[i];
+        }
         double *swap = now;
         now = next, next = swap;
     }
 }
 
-/* Condensed Hessian and gradient; see mpc/condensing.py.
-
-   S: effect of the decision on the outputs, (steps, p, m). Q: (p,). weighted: (steps, p).
-   H: upper left corner of a matrix with rows of length `stride`; both triangles are written, equal to the bit.
-   g: (steps m,). */
-void condense(ptrdiff_t steps, ptrdiff_t p, ptrdiff_t m, const double *S, const double *Q, double terminal,
-              const double *weighted, double *H, ptrdiff_t stride, double *g, double *work)
+/* Answer of the owned inputs' feedback i to the decisions before step k: sum_{j < k} feedback(k - 1 - j) v(j). */
+INLINE double answer(ptrdiff_t steps, ptrdiff_t m, ptrdiff_t i, ptrdiff_t k, const double *feedback, const double *v)
 {
-    const ptrdiff_t D = steps * m, w = padded(D), margin = padded(m);
-    double *flat = work, *row = flat + p * w, *now = row + w + margin, *sums = now;
-    ptrdiff_t index[p];
-    double value[p];
-    for (ptrdiff_t o = 0; o < p; o++) {
-        index[o] = o;
+    const double *effect = feedback + i * steps * m;
+    double sum = 0.0;
+    for (ptrdiff_t j = 0; j < k; j++)
+        for (ptrdiff_t c = 0; c < m; c++) sum += effect[(k - 1 - j) * m + c] * v[j * m + c];
+    return sum;
+}
+
+ptrdiff_t relax_work(ptrdiff_t steps, ptrdiff_t m) { return steps * m; }
+
+/* Plan from a solution by mixing corrections c to the shared control law with the previous ones; see mpc/plan.py.
+
+   own: (m,) of all inputs. z: scaled decision, (steps, m). uncorrected, previous, dU: (steps, all): inputs by the law at
+   x0, corrections, K dX. feedback: (all, steps, m). w: of the new corrections, 0 for none.
+   U: (steps, m), within bounds and rates (w < 1). c: (steps, m). */
+void relax(ptrdiff_t steps, ptrdiff_t m, ptrdiff_t all, const ptrdiff_t *own, const double *z, const double *scale,
+           const double *U_free, const double *uncorrected, const double *previous, const double *dU,
+           const double *feedback, double w, const double *lower, const double *upper, const double *rate, double *U,
+           double *c, double *work)
+{
+    double *v = work;
+    for (ptrdiff_t k = 0; k < steps; k++)
+        for (ptrdiff_t i = 0; i < m; i++) {
+            const ptrdiff_t at = k * m + i;
+            const double best = U_free[at] + z[at] * scale[i];
+            U[at] = best < lower[i] ? lower[i] : best > upper[i] ? upper[i] : best;
+            v[at] = U[at] - U_free[at];
+        }
+    for (ptrdiff_t k = 0; k < steps; k++)
+        for (ptrdiff_t i = 0; i < m; i++) {
+            const ptrdiff_t at = k * m + i, of = k * all + own[i];
+            if (w == 0.0) c[at] = previous[of];
+            else {
+                const double fed_back = dU[of] + answer(steps, m, own[i], k, feedback, v);
+                c[at] = w * (U[at] - uncorrected[of] - fed_back);
+                if (w < 1.0) c[at] += (1.0 - w) * previous[of];
+            }
+        }
+    if (w == 1.0) return;
+    for (ptrdiff_t k = 0; k < steps; k++)
+        for (ptrdiff_t i = 0; i < m; i++) {
+            const ptrdiff_t at = k * m + i, of = k * all + own[i];
+            const double before = k ? U[at - m] : U_free[i], least = before - rate[i], most = before + rate[i];
+            double u = uncorrected[of] + c[at] + dU[of] + answer(steps, m, own[i], k, feedback, v);
+            u = u < least ? least : u > most ? most : u;
+            U[at] = u < lower[i] ? lower[i] : u > upper[i] ? upper[i] : u;
+            v[at] = U[at] - U_free[at];
+        }
+}
+
+/* The cost of one step; see mpc/objective.py. Three kinds of outputs: the model's, the user's terms, and the inputs of
+   the other agents' UAVs. Sizes of arrays behind their names; D = steps * m. */
+typedef struct {
+    ptrdiff_t steps, n, m, size;              /* horizon, states, owned inputs, decisions and slacks */
+    ptrdiff_t outputs, terms, inputs;         /* outputs of each kind */
+    ptrdiff_t model_outputs, all_inputs, rank; /* lengths of y and u, rows of the root */
+    double terminal;                          /* weight of the last step, as a multiple of Q */
+    const ptrdiff_t *begin, *index;           /* rows of C as lists */
+    const double *value;
+    const ptrdiff_t *chosen, *answering, *own; /* (outputs), (inputs), (m): rows of C, of feedback, of u */
+    const double *y, *y_ref;                  /* (model_outputs), (steps + 1, model_outputs) */
+    const double *slope, *at_x0;              /* of the user's terms: (terms, n), (terms) */
+    const double *effect, *feedback;          /* (n, D), (all_inputs, D), for decisions in SI units */
+    const double *dX, *U, *u_target;          /* (steps + 1, n), (steps, all_inputs), (all_inputs) */
+    const double *Q, *scale, *effort;         /* (outputs of all kinds), (m), (m): R scale */
+    const double *root, *error, *end_slope;   /* of the cost-to-go: (rank, n), (n), (n) */
+    const double *penalties;                  /* (size - D) */
+    double *H, *g;                            /* (size, size), (size): result */
+    double *S, *free;                         /* (outputs of all kinds, D), (steps, outputs): result */
+    double *work;
+} cost;
+
+ptrdiff_t condense_work(ptrdiff_t steps, ptrdiff_t n, ptrdiff_t m, ptrdiff_t p, ptrdiff_t rank)
+{
+    const ptrdiff_t w = padded(steps * m), longest = p > rank ? p : rank;
+    return (n + p + rank + 3 + m) * w + (m + 1) * padded(m) + steps * p + rank + 2 * (longest > n ? longest : n) + LANES;
+}
+
+/* Hessian, both triangles equal to the bit, and gradient of the cost, doubled: 1/2 z' H z + g' z is its value.
+
+   A prediction is block-Toeplitz: G(k) = [S(k-1) .. S(0) 0 .. 0], S(a) the effect of a decision on the outputs a + 1
+   steps later. So block (i, j) of the Hessian is a sum of S(a)' Q S(b) along a - b = j - i; see mpc/condensing.py. */
+void condense(const cost *c)
+{
+    const ptrdiff_t steps = c->steps, n = c->n, m = c->m, D = steps * m, w = padded(D), margin = padded(m);
+    const ptrdiff_t p = c->outputs + c->terms + c->inputs, rank = c->rank, stride = c->size;
+    const ptrdiff_t longest = p > rank ? p : rank, most = longest > n ? longest : n;
+    double *L = c->work, *flat = L + n * w, *reached = flat + p * w, *row = reached + rank * w, *last = row + w;
+    double *gradient = last + w, *sums = gradient + w + margin, *errors = sums + m * (w + margin);
+    double *to_go = errors + steps * p, *value = to_go + rank;
+    ptrdiff_t *every = (ptrdiff_t *)(value + most);
+    for (ptrdiff_t i = 0; i < most; i++) every[i] = i;
+
+    /* Effect of the scaled decisions on states, outputs and the root of the cost-to-go, [S(0) .. S(steps - 1)]. */
+    memset(L, 0, (size_t)((n + p + rank) * w) * sizeof *L);
+    for (ptrdiff_t i = 0; i < n; i++)
         for (ptrdiff_t a = 0; a < steps; a++)
-            memcpy(flat + o * w + a * m, S + (a * p + o) * m, (size_t)m * sizeof *S);
-        memset(flat + o * w + D, 0, (size_t)(w - D) * sizeof *flat);
+            for (ptrdiff_t k = 0; k < m; k++) L[i * w + a * m + k] = c->effect[i * D + a * m + k] * c->scale[k];
+    for (ptrdiff_t o = 0; o < c->outputs; o++) {
+        const ptrdiff_t from = c->begin[c->chosen[o]], to = c->begin[c->chosen[o] + 1];
+        combine_row(to - from, c->index + from, c->value + from, L, w, w, flat + o * w);
     }
+    for (ptrdiff_t o = 0; o < c->terms; o++)
+        combine_row(n, every, c->slope + o * n, L, w, w, flat + (c->outputs + o) * w);
+    for (ptrdiff_t o = 0; o < c->inputs; o++)
+        for (ptrdiff_t a = 0; a < steps; a++)
+            for (ptrdiff_t k = 0; k < m; k++)
+                flat[(c->outputs + c->terms + o) * w + a * m + k] =
+                    c->feedback[c->answering[o] * D + a * m + k] * c->scale[k];
+    for (ptrdiff_t o = 0; o < rank; o++) combine_row(n, every, c->root + o * n, L, w, w, reached + o * w);
+    for (ptrdiff_t o = 0; o < p; o++) memcpy(c->S + o * D, flat + o * w, (size_t)D * sizeof *flat);
+
+    /* Errors of the free response at steps 1 .. steps, times 2 Q. */
+    for (ptrdiff_t k = 0; k < steps; k++) {
+        const double *dx = c->dX + (k + 1) * n, *y_ref = c->y_ref + (k + 1) * c->model_outputs;
+        double *error = errors + k * p;
+        for (ptrdiff_t o = 0; o < c->outputs; o++) {
+            const ptrdiff_t at = c->chosen[o];
+            double sum = c->y[at];
+            for (ptrdiff_t e = c->begin[at]; e < c->begin[at + 1]; e++) sum += c->value[e] * dx[c->index[e]];
+            c->free[k * c->outputs + o] = sum;
+            error[o] = sum - y_ref[at];
+        }
+        for (ptrdiff_t o = 0; o < c->terms; o++) error[c->outputs + o] = c->at_x0[o] + dot(n, c->slope + o * n, dx);
+        for (ptrdiff_t o = 0; o < c->inputs; o++) {
+            const ptrdiff_t at = c->answering[o];
+            /* Step N_p has no input. */
+            error[c->outputs + c->terms + o] =
+                k + 1 < steps ? c->U[(k + 1) * c->all_inputs + at] - c->u_target[at] : 0.0;
+        }
+        for (ptrdiff_t o = 0; o < p; o++) error[o] *= 2.0 * c->Q[o] * (k + 1 < steps ? 1.0 : c->terminal);
+    }
+
     /* Running sums down the block diagonals, m rows of them at a time, moved to the right by one block each. */
     memset(sums, 0, (size_t)(m * (w + margin)) * sizeof *sums);
     for (ptrdiff_t a = 0; a < steps; a++) {
         const ptrdiff_t i = steps - 1 - a, columns = padded((a + 1) * m);
         for (ptrdiff_t r = 0; r < m; r++) {
-            double *sum = sums + r * (w + margin);
+            double *sum = sums + r * (w + margin), *to = c->H + (i * m + r) * stride;
             memset(row, 0, (size_t)columns * sizeof *row);
-            for (ptrdiff_t o = 0; o < p; o++) value[o] = Q[o] * flat[o * w + a * m + r];
-            combine_row(p, index, value, flat, w, columns, row);
+            for (ptrdiff_t o = 0; o < p; o++) value[o] = 2.0 * c->Q[o] * flat[o * w + a * m + r];
+            combine_row(p, every, value, flat, w, columns, row);
+            memset(last, 0, (size_t)columns * sizeof *last);
+            for (ptrdiff_t o = 0; o < rank; o++) value[o] = 2.0 * reached[o * w + a * m + r];
+            combine_row(rank, every, value, reached, w, columns, last);
             /* Step N_p has the weight Q_f alone, so the sums with Q end one step earlier, without this product. */
             memmove(sum + m, sum, (size_t)(a * m) * sizeof *sum);
             memset(sum, 0, (size_t)m * sizeof *sum);
-            double *to = H + (i * m + r) * stride;
             for (ptrdiff_t b = 0; b <= a; b++) {
                 const ptrdiff_t j = steps - 1 - b;
-                for (ptrdiff_t c = 0; c < m; c++)
-                    to[j * m + c] = terminal * row[b * m + c] + sum[b * m + c];
+                for (ptrdiff_t k = 0; k < m; k++)
+                    to[j * m + k] = c->terminal * row[b * m + k] + last[b * m + k] + sum[b * m + k];
             }
-            for (ptrdiff_t c = 0; c < (a + 1) * m; c++) sum[c] += row[c];
+            for (ptrdiff_t k = 0; k < (a + 1) * m; k++) sum[k] += row[k];
+            to[i * m + r] += 2.0 * c->effort[r] * c->scale[r];
         }
         for (ptrdiff_t r = 0; r < m; r++) {
             /* The lower triangle, from the upper one. */
             const ptrdiff_t x = i * m + r;
-            for (ptrdiff_t y = x + 1; y < D; y++) H[y * stride + x] = H[x * stride + y];
+            for (ptrdiff_t y = x + 1; y < D; y++) c->H[y * stride + x] = c->H[x * stride + y];
         }
     }
+
+    /* Gradient, the last decision first: G(k)' of an error is [S(k-1) .. S(0)]' of it. */
+    memset(gradient, 0, (size_t)(w + margin) * sizeof *gradient);
+    for (ptrdiff_t k = 0; k < steps; k++)
+        combine_row(p, every, errors + k * p, flat, w, padded((k + 1) * m), gradient + (steps - 1 - k) * m);
+    if (rank) {
+        const double *dx = c->dX + steps * n;
+        for (ptrdiff_t i = 0; i < n; i++) value[i] = c->error[i] + dx[i];
+        for (ptrdiff_t o = 0; o < rank; o++) to_go[o] = 2.0 * dot(n, c->root + o * n, value);
+        combine_row(rank, every, to_go, reached, w, w, gradient);
+        for (ptrdiff_t i = 0; i < n; i++) value[i] = 2.0 * c->end_slope[i];
+        combine_row(n, every, value, L, w, w, gradient);
+    }
     for (ptrdiff_t j = 0; j < steps; j++)
-        for (ptrdiff_t c = 0; c < m; c++) g[j * m + c] = 0.0;
-    for (ptrdiff_t a = 0; a < steps; a++)
-        for (ptrdiff_t o = 0; o < p; o++) {
-            const double *effect = S + (a * p + o) * m;
-            for (ptrdiff_t j = 0; j + a < steps; j++) {
-                const double by = weighted[(j + a) * p + o];
-                for (ptrdiff_t c = 0; c < m; c++) g[j * m + c] += effect[c] * by;
-            }
+        for (ptrdiff_t k = 0; k < m; k++) {
+            const double effort = c->U[j * c->all_inputs + c->own[k]] - c->u_target[c->own[k]];
+            c->g[j * m + k] = gradient[(steps - 1 - j) * m + k] + 2.0 * c->effort[k] * effort;
         }
+
+    for (ptrdiff_t x = D; x < c->size; x++) {
+        for (ptrdiff_t y = 0; y < c->size; y++) c->H[x * stride + y] = c->H[y * stride + x] = 0.0;
+        c->H[x * stride + x] = c->g[x] = c->penalties[x - D];
+    }
 }
 
-/* Lower block-Toeplitz matrix of an impulse response, (steps s, steps m), into rows of length `stride`; entries above
-   the diagonal stay as they are. */
+/* Lower block-Toeplitz matrix of an impulse response, (s, steps, m), into rows of length `stride`, (steps, s) of them;
+   entries above the diagonal stay as they are. */
 void toeplitz(ptrdiff_t steps, ptrdiff_t s, ptrdiff_t m, const double *impulse, double *to, ptrdiff_t stride)
 {
     for (ptrdiff_t k = 0; k < steps; k++)
         for (ptrdiff_t o = 0; o < s; o++) {
             double *row = to + (k * s + o) * stride;
+            const double *effect = impulse + o * steps * m;
             for (ptrdiff_t j = 0; j <= k; j++)
-                for (ptrdiff_t c = 0; c < m; c++) row[j * m + c] = impulse[((k - j) * s + o) * m + c];
+                for (ptrdiff_t c = 0; c < m; c++) row[j * m + c] = effect[(k - j) * m + c];
         }
 }
 
-/* Free response alone: dx(k+1) = A dx(k) + W(k) from zero, (steps + 1, n). */
-void free_response(ptrdiff_t steps, ptrdiff_t n, const double *A, const double *W, double *dX)
+/* Distances of pairs of UAVs along their present direction; see mpc/rows/separation.py.
+
+   pairs: (count, 2). r: positions, (3 N). free_: the same at steps 1 .. steps, rows of length `outputs`. effect: of
+   the decisions on them, (3 N, steps, m). by: (count, steps, m), effect on the distances; distance: (steps, count). */
+void distances(ptrdiff_t steps, ptrdiff_t m, ptrdiff_t count, const ptrdiff_t *pairs, ptrdiff_t outputs,
+               const double *r, const double *free_, const double *effect, double *by, double *distance)
 {
-    memset(dX, 0, (size_t)n * sizeof *dX);
-    for (ptrdiff_t k = 0; k < steps; k++)
-        for (ptrdiff_t i = 0; i < n; i++)
-            dX[(k + 1) * n + i] = dot(n, A + i * n, dX + k * n) + W[k * n + i];
+    const ptrdiff_t D = steps * m;
+    for (ptrdiff_t pair = 0; pair < count; pair++) {
+        const ptrdiff_t i = 3 * pairs[2 * pair], j = 3 * pairs[2 * pair + 1];
+        double d[3] = {r[i] - r[j], r[i + 1] - r[j + 1], r[i + 2] - r[j + 2]};
+        const double apart = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
+        if (apart == 0.0) d[0] = 1.0; /* two UAVs in one point have no direction; any separates them */
+        else d[0] /= apart, d[1] /= apart, d[2] /= apart;
+        for (ptrdiff_t k = 0; k < D; k++) {
+            double sum = 0.0;
+            for (int x = 0; x < 3; x++) sum += d[x] * (effect[(i + x) * D + k] - effect[(j + x) * D + k]);
+            by[pair * D + k] = sum;
+        }
+        for (ptrdiff_t k = 0; k < steps; k++) {
+            const double *at = free_ + k * outputs;
+            double sum = 0.0;
+            for (int x = 0; x < 3; x++) sum += d[x] * (at[i + x] - at[j + x]);
+            distance[k * count + pair] = sum;
+        }
+    }
 }
 
 #define PIVOTS 16 /* rows of the factor per update of the remaining matrix */

@@ -2,36 +2,59 @@
 
 from collections.abc import Collection
 from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from model import native, state
 from model.arrays import Array
 from model.compiled import Compiled, functions
+from model.factors import NAMES, Pattern, of_matrices
 from model.parameters import System
 from model.state import input_indices
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Linearisation:
     """The first-order expansion about (x0, u0), which need not be an equilibrium.
 
+    A_c and B_c are kept as factors and multiplied out where they are asked for.
+
     Attributes:
         f: x' at (x0, u0), (n,), SI.
-        A_c: df/dx along the manifold |e_i| = 1, e_i . Omega_i = 0, zero across it, (n, n), 1/s.
-        B_c: df/du, (n, m).
         y: h(x0), (p,).
-        C: dh/dx, (p, n).
-    Source: docs/equations.md (15); paper (13).
+        pattern, values: Places and values of the entries of the factors and of C.
+    Source: docs/equations.md (15), (15b); paper (13).
     """
 
     f: Array
-    A_c: Array
-    B_c: Array
     y: Array
-    C: Array
+    pattern: Pattern
+    values: Array
+
+    @staticmethod
+    def of(f: Array, A_c: Array, B_c: Array, y: Array, C: Array) -> "Linearisation":
+        """Return an expansion whose factors are not known."""
+        pattern, values = of_matrices(A_c, B_c, C)
+        return Linearisation(f=f, y=y, pattern=pattern, values=values)
+
+    @cached_property
+    def A_c(self) -> Array:
+        """df/dx along the manifold |e_i| = 1, e_i . Omega_i = 0, zero across it, (n, n), 1/s."""
+        X, P, V_x = (self.pattern.dense(self.values, name) for name in ("X", "P", "V_x"))
+        return X + P @ V_x
+
+    @cached_property
+    def B_c(self) -> Array:
+        """df/du, (n, m)."""
+        U, P, V_u = (self.pattern.dense(self.values, name) for name in ("U", "P", "V_u"))
+        return U + P @ V_u
+
+    @cached_property
+    def C(self) -> Array:
+        """dh/dx, (p, n)."""
+        return self.pattern.dense(self.values, "C")
 
 
 class Model:
@@ -55,6 +78,8 @@ class Model:
         self._derivative, self._tensions = Compiled(found["derivative"]), Compiled(found["tensions"])
         self._velocities, self._outputs = Compiled(found["velocities"]), Compiled(found["outputs"])
         self._linearise, self._step = Compiled(found["linearise"]), found["step"]
+        self._pattern = _pattern(found["linearise"])
+        self._without_effect = np.concatenate([self._pattern.columns(name, self._off) for name in ("U", "V_u")])
         self._steps: dict[int, Compiled] = {}
         self._no_forces = np.zeros(3 + 3 * system.N)
 
@@ -87,12 +112,11 @@ class Model:
 
         Source: docs/equations.md (15), (15a), (37); paper (13).
         """
-        f, A_c, B_c, y, C = self._linearise(x, self._effective(u), self._p, self._acting(forces))
-        along_manifold(A_c, x)
-        if len(self._off):
-            B_c = B_c.copy()
-            B_c[:, self._off] = 0.0
-        return Linearisation(f=f, A_c=A_c, B_c=B_c, y=y, C=C)
+        flat = self._linearise.flat(x, self._effective(u), self._p, self._acting(forces))
+        f, y, first = self._linearise.parts[:3]
+        values = flat[first.start :]
+        values[self._without_effect] = 0.0
+        return Linearisation(f=flat[f], y=flat[y], pattern=self._pattern, values=values)
 
     def force_effect(self, x: Array, u: Array) -> Array:
         """Return df/dF, (n, 3 + 3 N), SI per N; the first three columns are those of the payload.
@@ -122,25 +146,12 @@ class Model:
         return end, float(errors[0])
 
 
-def along_manifold(A_c: Array, x: Array) -> None:
-    """Multiply df/dx, (n, n), column-major, in place, by the derivative of the projection of the rods.
-
-    That removes the directions across |e_i| = 1, e_i . Omega_i = 0. Source: docs/equations.md (15a).
-    """
-    if native.AVAILABLE:
-        native.along_manifold(A_c, x)
-    else:
-        _along_manifold(A_c, x)
-
-
-def _along_manifold(A_c: Array, x: Array) -> None:
-    for uav in range((len(x) - state.PAYLOAD) // state.PER_UAV):
-        rod = state.uav_slice(uav)
-        by_e, by_Omega = A_c[:, rod][:, state.E], A_c[:, rod][:, state.ROD_RATE]
-        e, Omega = x[rod][state.E], x[rod][state.ROD_RATE]
-        across, across_rate = by_e @ e, by_Omega @ e
-        by_e -= np.outer(across, e) + np.outer(across_rate, Omega)
-        by_Omega -= np.outer(across_rate, e)
+def _pattern(linearise: ca.Function) -> Pattern:
+    """Return the places of the entries of the factors, which the function returns transposed."""
+    factors = [linearise.sparsity_out(2 + i) for i in range(len(NAMES))]
+    shapes = [(factor.size2(), factor.size1()) for factor in factors]
+    columns = [row for factor in factors for row in factor.row()]
+    return Pattern.of(shapes, [factor.colind() for factor in factors], columns)
 
 
 def _zeroed(vector: Array, entries: npt.NDArray[np.intp]) -> Array:

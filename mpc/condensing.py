@@ -14,31 +14,11 @@ from model import native
 from model.arrays import Array
 
 
-def condense(output_impulse: Array, Q: Array, terminal: float, weighted: Array, H: Array, g: Array) -> None:
-    """Write Hessian and gradient of the tracking cost into the first rows and columns of those of a QP.
-
-    Args:
-        output_impulse: S_j = C A^j B, (N_p, p, m).
-        Q: Stage weight, (p,).
-        terminal: Q_f as a multiple of Q.
-        weighted: Weighted errors of the free response at steps 1..N_p, (N_p, p).
-        H: (at least N_p m, as many).
-        g: (at least N_p m,).
-    Source: docs/equations.md (26)-(27).
-    """
-    if native.AVAILABLE:
-        native.condense(np.ascontiguousarray(output_impulse), Q, terminal, weighted, H, g)
-        return
-    decisions = output_impulse.shape[0] * output_impulse.shape[2]
-    H[:decisions, :decisions] = hessian(output_impulse, Q, terminal)
-    g[:decisions] = gradient(output_impulse, weighted)
-
-
 def hessian(output_impulse: Array, Q: Array, terminal: float) -> Array:
     """Return sum_{k=1}^{N_p-1} G_k' Q G_k + terminal G_Np' Q G_Np, (N_p m, N_p m); G_k: effect of the decision on y(k).
 
     Block (i, j) sums S_a' Q S_b over b = 0, 1, .. with a - b = j - i fixed: one matrix product for all pairs, then sums
-    along its block diagonals. Arguments as those of `condense`. Source: docs/equations.md (26).
+    along its block diagonals. Weights Q, (p,), and Q_f as a multiple `terminal` of it. Source: docs/equations.md (26).
     """
     steps, p, m = output_impulse.shape
     S = output_impulse.transpose(1, 0, 2).reshape(p, steps * m)
@@ -54,19 +34,20 @@ def hessian(output_impulse: Array, Q: Array, terminal: float) -> Array:
 
 
 def gradient(output_impulse: Array, weighted: Array) -> Array:
-    """Return sum_k G_k' w(k), (N_p m,); arguments as those of `condense`. Source: docs/equations.md (27)."""
+    """Return sum_k G_k' w(k), (N_p m,); weighted errors of steps 1..N_p, (N_p, p). Source: docs/equations.md (27)."""
     return weighted.reshape(-1) @ rows(output_impulse)
 
 
-def fill(impulse: Array, to: Array) -> None:
+def fill(effect: Array, to: Array) -> None:
     """Write the prediction matrix of a signal (`rows`) into the first columns of zero rows, (N_p s, at least N_p m).
 
-    The rows are whole rows of a row-major matrix.
+    Given is the effect of decisions on the signal, signal by signal, (s, N_p, m). The rows are whole rows of a
+    row-major matrix.
     """
     if native.AVAILABLE:
-        native.toeplitz(np.ascontiguousarray(impulse), to)
+        native.toeplitz(np.ascontiguousarray(effect), to)
     else:
-        to[:, : impulse.shape[0] * impulse.shape[2]] = rows(impulse)
+        to[:, : effect.shape[1] * effect.shape[2]] = rows(effect.transpose(1, 0, 2))
 
 
 def rows(impulse: Array) -> Array:

@@ -118,8 +118,8 @@ class Controller:
     def predict(self, linear: Linear, discrete: Discrete, U: Array, law: FeedbackLaw | None) -> Prediction:
         """Predict the team over the horizon. Source: docs/equations.md (22)-(24), (35)-(36)."""
         if law is None:
-            return open_loop(discrete, linear.u0, self.own, self._decision.others, U)
-        return closed_loop(discrete, linear.u0, self.own, self._decision.others, law)
+            return open_loop(discrete, linear.u0, self.own, U)
+        return closed_loop(discrete, linear.u0, self.own, law)
 
     def condense(
         self,
@@ -134,13 +134,12 @@ class Controller:
 
         Source: docs/equations.md (22)-(30), (48); paper (22)-(27).
         """
-        H, g, output_impulse = self._objective.fill(linear, prediction, y_ref, law, end)
+        cost = self._objective.fill(linear, prediction, y_ref, law, end)
         lower, upper = self._decision.bounds(prediction.U_free, linear.u0)
-        positions = output_impulse[:, : 3 * self.model.system.N]
-        step = StepData(linear=linear, prediction=prediction, position_impulse=positions, U=U)
+        step = StepData(linear=linear, prediction=prediction, positions=cost.free, position_effect=cost.effect, U=U)
         A, row_lower, row_upper = self._rows.fill(step)
         lower, upper = np.concatenate([lower, self._slack_bounds[0]]), np.concatenate([upper, self._slack_bounds[1]])
-        return QP(H=H, g=g, lower=lower, upper=upper, A=A, row_lower=row_lower, row_upper=row_upper)
+        return QP(H=cost.H, g=cost.g, lower=lower, upper=upper, A=A, row_lower=row_lower, row_upper=row_upper)
 
     def solve(self, qp: QP) -> Solution:
         """Solve by the chosen solver, or by Clarabel when that fails."""
@@ -174,9 +173,9 @@ class Controller:
         """Return the previous plan where no QP can be formed because its numbers are out of range."""
         return plan.fallback(self._decision, unsolved(0, 0, self.settings.solver), U, law)
 
-    def foreseen(self, prediction: Prediction, law: FeedbackLaw, inputs: Array) -> Array:
+    def foreseen(self, prediction: Prediction, inputs: Array) -> Array:
         """Return the expected inputs of all UAVs over the horizon, (N_p, m); see `mpc.plan.foreseen`."""
-        return plan.foreseen(self._decision, prediction, law, inputs)
+        return plan.foreseen(self._decision, prediction, inputs)
 
     adapted = staticmethod(plan.adapted)
 

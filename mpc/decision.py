@@ -38,7 +38,7 @@ class Decision:
 
     def clip(self, inputs: Array) -> Array:
         """Return owned inputs within their bounds, (..., m_own)."""
-        return np.clip(inputs, self.lower, self.upper)
+        return np.minimum(np.maximum(inputs, self.lower), self.upper)
 
     def inputs(self, z: Array) -> Array:
         """Return the decision in SI units, (N_p, m_own), from the QP's variables: scaled inputs, then slacks."""

@@ -8,6 +8,7 @@ optimum the corrections are small, so little depends on the network.
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -41,7 +42,7 @@ class FeedbackError(ValueError):
     """No stabilising feedback exists or was found; the text says why."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class FeedbackLaw:
     """The shared control law over one horizon.
 
@@ -59,14 +60,10 @@ class FeedbackLaw:
     feedforward: Array
     c: Array
 
-    def inputs(self, columns: npt.NDArray[np.intp]) -> Array:
-        """Return inputs of the given columns with the state held at x0, (N_p, columns)."""
-        return self.uncorrected(columns) + self.c[:, columns]
-
-    def uncorrected(self, columns: npt.NDArray[np.intp]) -> Array:
-        """Return the same without corrections, (N_p, columns)."""
-        inputs: Array = self.u_rest[columns] + self.error @ self.K[columns].T + self.feedforward[:, columns]
-        return inputs
+    @cached_property
+    def uncorrected(self) -> Array:
+        """Inputs with the state held at x0, without corrections, (N_p, m)."""
+        return self.u_rest + self.error @ self.K.T + self.feedforward
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,10 +1,14 @@
 """The cost of the QP: its Hessian and gradient in the scaled decision and the slacks."""
 
 from collections.abc import Collection
+from dataclasses import dataclass
 
 import numpy as np
 
+from model import native
 from model.arrays import Array
+from model.linearisation import Linearisation
+from model.native import Places
 from model.state import input_indices
 from mpc import condensing
 from mpc.cost import Cost
@@ -15,11 +19,28 @@ from mpc.regulation import CostToGo
 from mpc.user_costs import UserCosts
 
 
+@dataclass(frozen=True, slots=True)
+class Condensed:
+    """The cost in terms of the scaled decision and the slacks, doubled: its value is 1/2 z' H z + g' z.
+
+    Attributes:
+        H, g: (n, n), (n,).
+        effect: Of the scaled decision on the weighted outputs, (at least these outputs, N_p, m_own).
+        free: The weighted outputs at steps 1..N_p without decision, (N_p, outputs).
+
+    The UAVs' positions, which always have a weight, are the first of these outputs.
+    """
+
+    H: Array
+    g: Array
+    effect: Array
+    free: Array
+
+
 class Objective:
     """Tracking error, effort, the user's terms, the cost after the horizon and the penalties of the slacks.
 
-    Solvers minimise 1/2 z' H z + g' z: all costs are doubled. Penalties of the slacks, (slacks,), are linear and
-    quadratic.
+    Penalties of the slacks, (slacks,), are linear and quadratic.
     """
 
     def __init__(self, decision: Decision, cost: Cost, user_costs: UserCosts, penalties: Array) -> None:
@@ -27,71 +48,78 @@ class Objective:
         self._terminal = decision.settings.weights.terminal
         # Outputs without a weight stay out of the program.
         self._weighted = np.flatnonzero(cost.Q)
-        self._effort_slope = 2.0 * cost.R[decision.own] * decision.scale
-        self._effort_curvature = np.tile(self._effort_slope * decision.scale, decision.settings.horizon)
+        self._effort = cost.R[decision.own] * decision.scale
         self.form(cost, ())
 
     def form(self, cost: Cost, uncontrolled: Collection[int]) -> None:
         """Set the team: its weights, and its UAVs without an agent, 0-based."""
-        self._R = cost.R
-        self._Q = np.concatenate([cost.Q[self._weighted], self._user_costs.weights])
         self._responding = np.setdiff1d(self._decision.others, input_indices(sorted(uncontrolled)))
+        self._Q = np.concatenate([cost.Q[self._weighted], self._user_costs.weights])
+        # With the inputs of the other agents' UAVs as further outputs.
+        self._Q_with_others = np.concatenate([self._Q, cost.R[self._responding]])
 
     def fill(
         self, linear: Linear, prediction: Prediction, y_ref: Array, law: FeedbackLaw | None, end: CostToGo | None
-    ) -> tuple[Array, Array, Array]:
-        """Return H, g and the effect of the scaled decision on the outputs, (N_p, p', m_own).
+    ) -> Condensed:
+        """Return the cost in terms of the decision. Arguments as those of `Controller.step`.
 
-        The UAVs' positions, which always have a weight, are the first of these outputs. Arguments as those of
-        `Controller.step`. Source: docs/equations.md (26)-(27), (48); paper (25).
+        With a cost-to-go, the inputs of the other agents' UAVs, which respond to the state, have the weight they have
+        in the shared regulator's cost. Source: docs/equations.md (26)-(27), (36e), (48); paper (25).
         """
-        C, error_0 = linear.model.C[self._weighted], (linear.model.y - y_ref)[1:, self._weighted]
-        Q, terminal = self._Q, self._terminal
         if len(self._user_costs):
-            # The user's terms are further outputs, whose reference is zero.
             terms = self._user_costs.at(linear.x0)
-            C = np.concatenate([C, terms.slope])
-            error_0 = np.hstack([error_0, np.tile(terms.value, (len(error_0), 1))])
-        error = error_0 + prediction.dX_free[1:] @ C.T
+            slope, at_x0 = np.ascontiguousarray(terms.slope), terms.value
+        else:
+            slope, at_x0 = np.zeros((0, len(linear.x0))), np.zeros(0)
+        terminal, responding, Q = self._terminal, _NONE, self._Q
+        root, error, end_slope = np.zeros((0, len(linear.x0))), _NO_END, _NO_END
         if end is not None:
             terminal = 0.0  # the stage cost of the last state is part of the cost-to-go
-            if law is not None and len(self._responding):
-                C, error, Q = self._with_effort_of_others(C, error, linear, prediction, law)
-        weighted = error * Q
-        weighted[-1] *= terminal
-        scaled = (C @ prediction.impulse) * self._decision.scale
+            root, error, end_slope = end.root, end.error, end.slope
+            if law is not None:
+                responding, Q = self._responding, self._Q_with_others
+        return Condensed(*(native.condense if native.AVAILABLE else _condense)(
+            linear.model, self._weighted, responding, self._decision.own, terminal, y_ref, slope, at_x0,
+            prediction.effect, prediction.feedback, prediction.dX_free, prediction.U_all, linear.u_target, Q,
+            self._decision.scale, self._effort, root, error, end_slope, self._penalties,
+        ))  # fmt: skip
 
-        decisions, size = self._decision.size, self._decision.size + len(self._penalties)
-        H, g = np.zeros((size, size)), np.empty(size)
-        condensing.condense(scaled, 2.0 * Q, terminal, 2.0 * weighted, H, g)
-        if end is not None:
-            # Effect of all decisions on the last state, the first one's first.
-            last = (prediction.impulse[::-1].transpose(1, 0, 2) * self._decision.scale).reshape(-1, decisions)
-            reached = end.root @ last
-            H[:decisions, :decisions] += 2.0 * (reached.T @ reached)
-            g[:decisions] += 2.0 * (reached.T @ (end.root @ (end.error + prediction.dX_free[-1])) + end.slope @ last)
-        diagonal = H.reshape(-1)[:: size + 1]
-        diagonal[:decisions] += self._effort_curvature
-        diagonal[decisions:] = self._penalties
-        effort = prediction.U_free - linear.u_target[self._decision.own]
-        g[:decisions] += (self._effort_slope * effort).reshape(-1)
-        g[decisions:] = self._penalties
-        return H, g, scaled
 
-    def _with_effort_of_others(
-        self, C: Array, error: Array, linear: Linear, prediction: Prediction, law: FeedbackLaw
-    ) -> tuple[Array, Array, Array]:
-        """Return outputs, errors at steps 1..N_p and weights, extended by the inputs of the other agents' UAVs.
+def _condense(
+    linear: Linearisation, chosen: Places, answering: Places, own: Places, terminal: float, y_ref: Array,
+    slope: Array, at_x0: Array, effect: Array, feedback: Array, dX: Array, U: Array, u_target: Array, Q: Array,
+    scale: Array, effort: Array, root: Array, error: Array, end_slope: Array, penalties: Array,
+) -> tuple[Array, Array, Array, Array]:  # fmt: skip
+    """Return H, g, S and the free response of the chosen outputs, as `Condensed` has them.
 
-        These inputs respond to the state and have a weight in the shared regulator's cost as well.
+    Given are the weighted outputs of the model (`chosen`), the weighted inputs of the others (`answering`) and the
+    owned ones; the terminal weight as a multiple of Q; the user's terms, (terms, n), (terms,); the prediction; the
+    weights of all outputs, and R times the unit of the decision; and the cost-to-go, whose root has no rows without.
+    """
+    n, steps, m = effect.shape
+    decisions, size, C = steps * m, steps * m + len(penalties), linear.C[chosen]
+    free = linear.y[chosen] + dX[1:] @ C.T
+    # Step N_p has no input.
+    others = np.concatenate([U[1:, answering] - u_target[answering], np.zeros((1, len(answering)))])
+    weighted = 2.0 * Q * np.hstack([free - y_ref[1:, chosen], at_x0 + dX[1:] @ slope.T, others])
+    weighted[-1] *= terminal
+    L = effect.reshape(n, -1)
+    S = np.concatenate([C @ L, slope @ L, feedback[answering].reshape(-1, decisions)]).reshape(-1, steps, m) * scale
 
-        Source: docs/equations.md (36e).
-        """
-        among_others = np.searchsorted(self._decision.others, self._responding)
-        effort = prediction.U_others[:, among_others] - linear.u_target[self._responding]
-        effort = np.concatenate([effort[1:], np.zeros((1, len(self._responding)))])  # step N_p has no input
-        return (
-            np.concatenate([C, law.K[self._responding]]),
-            np.hstack([error, effort]),
-            np.concatenate([self._Q, self._R[self._responding]]),
-        )
+    H, g = np.zeros((size, size)), np.empty(size)
+    H[:decisions, :decisions] = condensing.hessian(S.transpose(1, 0, 2), 2.0 * Q, terminal)
+    g[:decisions] = condensing.gradient(S.transpose(1, 0, 2), weighted)
+    # Effect of all decisions on the last state, the first one's first.
+    last = (effect[:, ::-1] * scale).reshape(n, -1)
+    reached = root @ last
+    H[:decisions, :decisions] += 2.0 * (reached.T @ reached)
+    if len(root):
+        g[:decisions] += 2.0 * (reached.T @ (root @ (error + dX[-1])) + end_slope @ last)
+    diagonal = H.reshape(-1)[:: size + 1]
+    diagonal[:decisions] += np.tile(2.0 * effort * scale, steps)
+    diagonal[decisions:] = g[decisions:] = penalties
+    g[:decisions] += (2.0 * effort * (U - u_target)[:, own]).reshape(-1)
+    return H, g, S, free
+
+
+_NONE, _NO_END = np.zeros(0, dtype=np.intp), np.zeros(0)

@@ -5,11 +5,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from model import native
 from model.arrays import Array
 from model.discretisation import Discrete
+from model.native import Places
 from mpc.decision import Decision
 from mpc.feedback import FeedbackLaw
-from mpc.prediction import Prediction, free_response
+from mpc.prediction import Prediction, convolve, free_response
 from mpc.qp import Solution
 
 
@@ -41,22 +43,42 @@ def relaxed(
     Source: docs/equations.md (30a), (36a).
     """
     solved = solution.status == "solved"
-    # The solver meets the bounds to its tolerance; the plant's actuators have them exactly.
-    v = decision.inputs(solution.z) if solved else np.zeros(decision.shape)
-    best = decision.clip(prediction.U_free + v)
+    z = solution.z[: decision.size] if solved else np.zeros(decision.size)
     if law is None:
         previous = U[:, decision.own]
+        # The solver meets the bounds to its tolerance; the plant's actuators have them exactly.
+        best = decision.clip(prediction.U_free + decision.inputs(z))
         inputs = decision.clip(w * best + (1.0 - w) * previous) if solved else previous.copy()
         return StepResult(U=inputs, c=np.zeros((0, len(decision.own))), solution=solution)
-    K, at_x0 = law.K[decision.own], law.uncorrected(decision.own)
-    c_best, w = np.zeros(decision.shape), w if solved else 0.0
-    if solved:
-        dX = free_response(prediction.A, prediction.W + (best - prediction.U_free) @ prediction.B.T)
-        c_best = best - at_x0 - dX[:-1] @ K.T
-    if w == 1.0:
-        return StepResult(U=best, c=c_best, solution=solution)
-    c = w * c_best + (1.0 - w) * law.c[:, decision.own]
-    return StepResult(U=_inputs_of(decision, prediction, K, at_x0 + c), c=c, solution=solution)
+    inputs, c = (native.relax if native.AVAILABLE else _relax)(
+        decision.own, z, decision.scale, prediction.U_free, law.uncorrected, law.c, prediction.dU_free,
+        prediction.feedback, w if solved else 0.0, decision.lower, decision.upper, decision.rate,
+    )  # fmt: skip
+    return StepResult(U=inputs, c=c, solution=solution)
+
+
+def _relax(
+    own: Places, z: Array, scale: Array, U_free: Array, uncorrected: Array, previous: Array, dU: Array,
+    feedback: Array, w: float, lower: Array, upper: Array, rate: Array,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Return inputs and corrections of a plan with a shared control law, (N_p, m_own) each.
+
+    Given are positions, unit and limits of the decision and its scaled value z, (N_p m_own,); the prediction; inputs
+    and corrections of the control law, (N_p, m); and the weight w of the new corrections, 0 without a solution.
+    """
+    at_x0, fed_back, c = uncorrected[:, own], dU[:, own], previous[:, own]
+    best = np.clip(U_free + z.reshape(U_free.shape) * scale, lower, upper)
+    if w > 0.0:
+        c_best = best - at_x0 - fed_back - convolve(feedback[own], best - U_free)
+        if w == 1.0:
+            return best, c_best
+        c = w * c_best + (1.0 - w) * c
+    wanted, U, before = at_x0 + c + fed_back, np.empty_like(U_free), U_free[0]
+    for k in range(len(U)):
+        answer = np.einsum("ijm,jm->i", feedback[own, :k], (U - U_free)[:k][::-1])
+        # The corrections may come from a plan of another team: the rates hold all the same.
+        U[k] = before = np.clip(np.clip(wanted[k] + answer, before - rate, before + rate), lower, upper)
+    return U, c
 
 
 def fallback(decision: Decision, solution: Solution, U: Array, law: FeedbackLaw | None) -> StepResult:
@@ -65,15 +87,13 @@ def fallback(decision: Decision, solution: Solution, U: Array, law: FeedbackLaw 
     return StepResult(U=decision.clip(U[:, decision.own]), c=c, solution=solution)
 
 
-def foreseen(decision: Decision, prediction: Prediction, law: FeedbackLaw, inputs: Array) -> Array:
+def foreseen(decision: Decision, prediction: Prediction, inputs: Array) -> Array:
     """Return the inputs of all UAVs over the horizon as one controller expects them, within bounds, (N_p, m).
 
     The owned inputs are given, (N_p, m_own). Source: docs/equations.md (35), (36).
     """
-    dX = free_response(prediction.A, prediction.W + (inputs - prediction.U_free) @ prediction.B.T)
-    U = np.empty_like(law.c)
+    U: Array = prediction.U_all + convolve(prediction.feedback, inputs - prediction.U_free)
     U[:, decision.own] = inputs
-    U[:, decision.others] = law.inputs(decision.others) + dX[:-1] @ law.K[decision.others].T
     N, limits = decision.system.N, decision.settings.limits
     return np.clip(U, limits.lower(N), limits.upper(N))
 
@@ -91,22 +111,5 @@ def adapted(law: FeedbackLaw, discrete: Discrete, u0: Array, U: Array, columns: 
     """
     dX = free_response(discrete.A, discrete.f_d + (U - u0) @ discrete.B.T)
     c = law.c.copy()
-    c[:, columns] = U[:, columns] - law.uncorrected(columns) - dX[:-1] @ law.K[columns].T
+    c[:, columns] = U[:, columns] - law.uncorrected[:, columns] - dX[:-1] @ law.K[columns].T
     return replace(law, c=c)
-
-
-def _inputs_of(decision: Decision, prediction: Prediction, K: Array, drive: Array) -> Array:
-    """Return the owned inputs K dx + drive within bounds and rates, (N_p, m_own); K (m_own, n), drive (N_p, m_own)."""
-    closed = prediction.A + prediction.B @ K
-    dX = free_response(closed, prediction.W + (drive - prediction.U_free) @ prediction.B.T)
-    inputs = drive + dX[:-1] @ K.T
-    changes = np.diff(inputs, axis=0, prepend=prediction.U_free[:1])
-    if ((decision.lower <= inputs) & (inputs <= decision.upper) & (np.abs(changes) <= decision.rate)).all():
-        return inputs
-    dx, before = np.zeros(len(prediction.A)), prediction.U_free[0]
-    for k, free in enumerate(prediction.U_free):
-        # The corrections may come from a plan of another team: the rates hold all the same.
-        wanted = np.clip(drive[k] + K @ dx, before - decision.rate, before + decision.rate)
-        inputs[k] = before = decision.clip(wanted)
-        dx = prediction.A @ dx + prediction.W[k] + prediction.B @ (inputs[k] - free)
-    return inputs

@@ -12,6 +12,7 @@ from model import native
 from model.arrays import Array
 from model.discretisation import Discrete
 from model.linearisation import Linearisation
+from model.native import Places
 from mpc.feedback import FeedbackLaw
 
 
@@ -39,46 +40,45 @@ class Prediction:
         dx(k) = dX_free(k) + sum_{j < k} A^(k-1-j) B v(j),    u_own(k) = U_free(k) + v(k)
 
     Attributes:
-        A: State matrix of the prediction, (n, n).
-        B: Effect of the decision, (n, m_own).
-        impulse: A^j B, (N_p, n, m_own).
+        effect: A^j B, (n, N_p, m_own).
         dX_free: State deviations from x0 with v = 0 at steps 0..N_p, (N_p + 1, n).
         U_free: Owned inputs with v = 0, (N_p, m_own).
-        W: Drive per step with v = 0, dX_free(k+1) = A dX_free(k) + W(k), (N_p, n).
-        U_others: The others' inputs with v = 0, (N_p, m - m_own).
+        U_all: The inputs of all UAVs with v = 0, (N_p, m).
+        feedback: K effect, (m, N_p, m_own), with the gain of the shared control law; (0, N_p, m_own) without.
+        dU_free: K dX_free at steps 0..N_p-1, (N_p, m); (N_p, 0) without.
     """
 
-    A: Array
-    B: Array
-    impulse: Array
+    effect: Array
     dX_free: Array
     U_free: Array
-    W: Array
-    U_others: Array
+    U_all: Array
+    feedback: Array
+    dU_free: Array
+
+    @property
+    def impulse(self) -> Array:
+        """Effect of the decision by steps, (N_p, n, m_own)."""
+        return self.effect.transpose(1, 0, 2)
 
 
-def open_loop(discrete: Discrete, u0: Array, own: np.ndarray, others: np.ndarray, U: Array) -> Prediction:
+def open_loop(discrete: Discrete, u0: Array, own: Places, U: Array) -> Prediction:
     """Predict with the owned inputs held at u0 and the others' inputs as announced, as in the paper.
 
     Args:
         discrete: Zero-order hold about (x0, u0).
         u0: Input of the linearisation, (m,).
         own: Positions of the owned inputs in u, (m_own,).
-        others: Positions of all other inputs, (m - m_own,).
         U: Announced inputs of all UAVs over the horizon, (N_p, m); owned columns are not read.
     Returns: Prediction whose decision is the deviation of the owned inputs from u0.
     Source: docs/equations.md (22)-(24); paper (22)-(24), with B_i in (23) and delta X in (24).
     """
-    dU = U - u0
-    dU[:, own] = 0.0
-    W = discrete.f_d + dU @ discrete.B.T
-    B = np.ascontiguousarray(discrete.B[:, own])
-    impulse, dX = responses(discrete.A, B, W)
-    U_free = np.repeat(u0[own][None], len(U), axis=0)
-    return Prediction(A=discrete.A, B=B, impulse=impulse, dX_free=dX, U_free=U_free, W=W, U_others=U[:, others])
+    effect, dX, feedback, dU = respond(discrete, own, None, U - u0)
+    U_all, U_free = U.copy(), np.repeat(u0[own][None], len(U), axis=0)
+    U_all[:, own] = U_free
+    return Prediction(effect=effect, dX_free=dX, U_free=U_free, U_all=U_all, feedback=feedback, dU_free=dU)
 
 
-def closed_loop(discrete: Discrete, u0: Array, own: np.ndarray, others: np.ndarray, law: FeedbackLaw) -> Prediction:
+def closed_loop(discrete: Discrete, u0: Array, own: Places, law: FeedbackLaw) -> Prediction:
     """Predict with the owned inputs held at u0 and the others' inputs by the shared control law.
 
     Input of UAV j: u_rest + K_j (x - x_ref) + c_j.
@@ -88,14 +88,46 @@ def closed_loop(discrete: Discrete, u0: Array, own: np.ndarray, others: np.ndarr
     The control law covers the horizon and has the announced corrections; the rest as in `open_loop`.
     Source: docs/equations.md (35)-(36).
     """
-    B, B_others = np.ascontiguousarray(discrete.B[:, own]), discrete.B[:, others]
-    K = law.K[others]
-    A = discrete.A + B_others @ K
-    at_x0 = law.inputs(others)
-    W = discrete.f_d + (at_x0 - u0[others]) @ B_others.T
-    impulse, dX = responses(A, B, W)
-    U_free, U_others = np.repeat(u0[own][None], len(W), axis=0), at_x0 + dX[:-1] @ K.T
-    return Prediction(A=A, B=B, impulse=impulse, dX_free=dX, U_free=U_free, W=W, U_others=U_others)
+    at_x0 = law.uncorrected + law.c
+    effect, dX, feedback, dU = respond(discrete, own, law.K, at_x0 - u0)
+    U_all, U_free = at_x0 + dU, np.repeat(u0[own][None], len(dU), axis=0)
+    U_all[:, own] = U_free
+    return Prediction(effect=effect, dX_free=dX, U_free=U_free, U_all=U_all, feedback=feedback, dU_free=dU)
+
+
+def respond(discrete: Discrete, own: Places, K: Array | None, drive: Array) -> tuple[Array, Array, Array, Array]:
+    """Return effect, dX_free, feedback and dU_free of a prediction.
+
+    The others' inputs deviate from u0 by K dx, (m, n), and a drive, (N_p, m), whose owned columns are not read.
+
+    Source: docs/equations.md (23)-(24), (36); paper (15)-(16).
+    """
+    if native.AVAILABLE:
+        return native.predict(discrete.A, discrete.B, discrete.f_d, own, K, drive)
+    return _respond(discrete, own, K, drive)
+
+
+def _respond(discrete: Discrete, own: Places, K: Array | None, drive: Array) -> tuple[Array, Array, Array, Array]:
+    B_others = discrete.B.copy()
+    B_others[:, own] = 0.0
+    A = discrete.A if K is None else discrete.A + B_others @ K
+    impulse, dX = responses(A, discrete.B[:, own], discrete.f_d + drive @ B_others.T)
+    effect, (steps, _, m_own) = np.ascontiguousarray(impulse.transpose(1, 0, 2)), impulse.shape
+    if K is None:
+        return effect, dX, np.zeros((0, steps, m_own)), np.zeros((steps, 0))
+    feedback = (K @ effect.reshape(len(effect), -1)).reshape(len(K), steps, m_own)
+    return effect, dX, feedback, dX[:-1] @ K.T
+
+
+def convolve(effect: Array, v: Array) -> Array:
+    """Return the deviations of signals caused by decisions v, (N_p, m): sum_{j < k} effect(k-1-j) v(j), (N_p, signals).
+
+    Given is the effect on the signals, (signals, N_p, m). Source: docs/equations.md (24).
+    """
+    found = np.zeros((len(v), len(effect)))
+    for k in range(1, len(v)):
+        found[k] = np.einsum("sjm,jm->s", effect[:, :k], v[:k][::-1])
+    return found
 
 
 def free_response(A: Array, W: Array) -> Array:
@@ -103,8 +135,6 @@ def free_response(A: Array, W: Array) -> Array:
 
     Source: docs/equations.md (23); paper (15), (23).
     """
-    if native.AVAILABLE:
-        return native.free_response(np.ascontiguousarray(A), np.ascontiguousarray(W))
     dX = np.zeros((len(W) + 1, A.shape[0]))
     for k, w in enumerate(W):
         dX[k + 1] = A @ dX[k] + w
@@ -120,12 +150,6 @@ def responses(A: Array, B: Array, W: Array) -> tuple[Array, Array]:
         0..N_p as in `free_response`, (N_p + 1, n).
     Source: docs/equations.md (23)-(24); paper (15)-(16).
     """
-    if native.AVAILABLE:
-        return native.responses(np.ascontiguousarray(A), np.ascontiguousarray(B), W)
-    return _responses(A, B, W)
-
-
-def _responses(A: Array, B: Array, W: Array) -> tuple[Array, Array]:
     steps, (n, m) = len(W), B.shape
     columns = np.empty((steps + 1, n, m + 1))  # at step k: A^k B, and dx(k)
     columns[0, :, :m] = B

@@ -3,6 +3,7 @@
 minimise 1/2 z' H z + g' z   subject to   lower <= z <= upper,   row_lower <= A z <= row_upper
 """
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -61,7 +62,7 @@ class Residuals:
     def worst(self) -> float:
         """Largest of the three; nan counts as infinite."""
         values = (self.stationarity, self.primal, self.complementarity)
-        return max(values) if np.isfinite(values).all() else np.inf
+        return max(values) if math.isfinite(sum(values)) else np.inf
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -21,6 +21,8 @@ from mpc.settings import ControllerSettings
 from mpc.target import Target, target
 from mpc.user_costs import UserCosts
 
+_NO_CORRECTIONS = np.zeros((1, 0))
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CostToGo:
@@ -122,8 +124,8 @@ class Regulation:
 
     def inputs(self, x: Array, x_ref: Array, forces: Array | None, instant: int) -> Array | None:
         """Return the inputs by `law` at one instant without corrections, (m,), or None with open-loop prediction."""
-        law = self.law(x, x_ref[None], np.zeros((1, self._model.system.m)), forces, instant)
-        return None if law is None else law.inputs(np.arange(self._model.system.m))[0]
+        law = self.law(x, x_ref[None], _NO_CORRECTIONS, forces, instant)
+        return None if law is None else law.uncorrected[0]
 
     def cost_to_go(self, x0: Array, x_ref: Array, forces: Array | None = None, instant: int = 0) -> CostToGo | None:
         """Return the cost after the horizon; None if it is a multiple of the stage cost.
@@ -133,7 +135,7 @@ class Regulation:
         if self.regulator is None or self._settings.terminal != "riccati":
             return None
         error = x0 - x_ref
-        slope = np.zeros_like(x0) if self._preview is None else self._preview.slope[self._within(instant, 1)[0]]
+        slope = np.zeros_like(x0) if self._preview is None else self._preview.slope[self._within(instant, 1)][0]
         if forces is not None:
             error = error - self.target.M_x @ forces
             slope = slope + self._forced(self.regulator)[1] @ forces
@@ -158,9 +160,11 @@ class Regulation:
             pull = (np.sqrt(self.user_costs.weights) * values) @ further
             self._preview = preview(found, self._X_ref, pull)
 
-    def _within(self, start: int, steps: int) -> npt.NDArray[np.intp]:
+    def _within(self, start: int, steps: int) -> slice | npt.NDArray[np.intp]:
         """Return instants of the maneuver; later ones are replaced by its last."""
         known = 0 if self._preview is None else len(self._preview.slope)
+        if start + steps <= known:
+            return slice(start, start + steps)
         return np.minimum(np.arange(start, start + steps), known - 1)
 
     def _forced(self, regulator: Regulator) -> tuple[Array, Array]:

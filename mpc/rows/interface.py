@@ -14,13 +14,15 @@ class StepData:
     Attributes:
         linear: Linearisation of the step.
         prediction: Of the team.
-        position_impulse: Effect of the scaled decision on the positions of the UAVs, (N_p, 3 N, m_own).
+        positions: Positions of the UAVs at steps 1..N_p with v = 0, (N_p, at least 3 N), the first of these columns.
+        position_effect: Effect of the scaled decision on them, (at least 3 N, N_p, m_own).
         U: Announced inputs of all UAVs over the horizon, (N_p, m).
     """
 
     linear: Linear
     prediction: Prediction
-    position_impulse: Array
+    positions: Array
+    position_effect: Array
     U: Array
 
 

@@ -5,6 +5,7 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
+from model import native, state
 from model.arrays import Array
 from mpc import condensing
 from mpc.decision import Decision
@@ -20,7 +21,6 @@ class SeparationRows:
             self._pairs = self._pairs[:0]
         self._minimum_m = 0.0 if separation is None else separation.minimum_m
         self.penalties = np.array([separation.penalty] if separation is not None and len(self._pairs) else [])
-        self._positions = 3 * decision.system.N
         self._steps, self._decisions = decision.settings.horizon, decision.size
 
     def template(self) -> Array:
@@ -31,11 +31,24 @@ class SeparationRows:
 
     def fill(self, step: StepData, to: Block) -> None:
         """Write the distances' dependence on the decision, and how much of the minimum is missing."""
-        positions, C = step.linear.model.y[: self._positions], step.linear.model.C[: self._positions]
-        _, direction = separation_rows(positions, self._pairs)
-        distance = (positions + step.prediction.dX_free[1:] @ C.T) @ direction.T
-        condensing.fill(direction @ step.position_impulse, to.A)
-        to.lower[:] = self._minimum_m - distance.reshape(-1)
+        effect, distance = _distances(self._pairs, step)
+        condensing.fill(effect, to.A)
+        np.subtract(self._minimum_m, distance.reshape(-1), out=to.lower)
+
+
+def _distances(pairs: npt.NDArray[np.intp], step: StepData) -> tuple[Array, Array]:
+    """Return the effect of decisions on distances, (pairs, N_p, m_own), and those without decision, (N_p, pairs)."""
+    if native.AVAILABLE:
+        return native.distances(pairs, step.linear.model.y, step.positions, step.position_effect)
+    return _plain_distances(pairs, step)
+
+
+def _plain_distances(pairs: npt.NDArray[np.intp], step: StepData) -> tuple[Array, Array]:
+    N = (len(step.linear.x0) - state.PAYLOAD) // state.PER_UAV
+    _, direction = separation_rows(step.linear.model.y[: 3 * N], pairs)
+    effect = step.position_effect[: 3 * N]
+    by = (direction @ effect.reshape(len(effect), -1)).reshape(-1, *effect.shape[1:])
+    return by, step.positions[:, : 3 * N] @ direction.T
 
 
 def pairs_of(N: int, owned: tuple[int, ...]) -> npt.NDArray[np.intp]:

@@ -33,8 +33,8 @@ class TiltRows:
     def fill(self, step: StepData, to: Block) -> None:
         """Write the angles' dependence on the decision, and their distance to the limit."""
         angles = (step.linear.x0[self._angles] + step.prediction.dX_free[1:, self._angles]).reshape(-1)
-        effect = step.prediction.impulse[:, self._angles] * self._scale
-        condensing.fill(effect, to.A[: self._half])
-        condensing.fill(effect, to.A[self._half :])
-        to.upper[: self._half] = self._limit - angles
-        to.lower[self._half :] = -self._limit - angles
+        upper, lower = to.A[: self._half], to.A[self._half :]
+        condensing.fill(step.prediction.effect[self._angles] * self._scale, upper)
+        lower[:, : self._decisions] = upper[:, : self._decisions]
+        np.subtract(self._limit, angles, out=to.upper[: self._half])
+        np.subtract(-self._limit, angles, out=to.lower[self._half :])

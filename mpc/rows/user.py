@@ -79,17 +79,17 @@ class UserRows:
         end, prediction, u0 = self._state_rows, step.prediction, step.linear.u0
         if end:
             on = self._on_state.expressions.at(step.linear.x0)
-            condensing.fill(on.slope @ prediction.impulse * self._decision.scale, to.A[:end])
+            effect = (on.slope @ prediction.effect.reshape(len(prediction.effect), -1)).reshape(
+                -1, *self._decision.shape
+            )
+            condensing.fill(effect * self._decision.scale, to.A[:end])
             values = on.value + prediction.dX_free[1:] @ on.slope.T
             to.lower[:end], to.upper[:end] = _bounds(self._on_state.equality, values)
         if self._kept.any():
-            on, own, others = self._on_input.expressions.at(u0), self._decision.own, self._decision.others
+            on, own = self._on_input.expressions.at(u0), self._decision.own
             slope = on.slope[self._kept]
-            dU = step.U - u0
-            dU[:, others] = prediction.U_others - u0[others]
-            dU[:, own] = prediction.U_free - u0[own]
             to.A[end:, : self._decision.size] = np.kron(np.eye(self._steps), slope[:, own] * self._decision.scale)
-            values = on.value[self._kept] + dU @ slope.T
+            values = on.value[self._kept] + (prediction.U_all - u0) @ slope.T
             to.lower[end:], to.upper[end:] = _bounds(self._on_input.equality[self._kept], values)
 
 

@@ -30,7 +30,7 @@ def random_linearisation(N: int, draw: int = 0) -> Linearisation:
 def plain(A_c: Array, B_c: Array, f: Array) -> Linearisation:
     """A linearisation without outputs: discretising must not look at them."""
     n = len(A_c)
-    return Linearisation(f=f, A_c=A_c, B_c=B_c, y=np.zeros(1), C=np.zeros((1, n)))
+    return Linearisation.of(f, A_c, B_c, np.zeros(1), np.zeros((1, n)))
 
 
 def by_exponential(linear: Linearisation, period_s: float) -> Discrete:

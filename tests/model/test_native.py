@@ -14,7 +14,7 @@ from model import compiler, native
 from model.arrays import ShapeError
 from model.compiled import Compiled, compile_functions, functions
 from model.discretisation import _zero_order_hold, zero_order_hold
-from model.linearisation import Linearisation, _along_manifold, along_manifold
+from model.linearisation import Linearisation, Model
 from tests.support.random_systems import random_forces, random_input, random_state, random_system
 
 needs_compiler = pytest.mark.skipif(compiler.find_compiler() is None, reason="no C compiler on this machine")
@@ -28,33 +28,11 @@ SIZES = [1, 2, 7, 8, 9, 24, 33, 60, 65]
 
 
 def linearisation(n: int, m: int, filled: float, growth: float, seed: int) -> Linearisation:
-    """A random expansion; column by column in memory, as CasADi gives them."""
+    """A random expansion, its factors unknown."""
     rng = np.random.default_rng(seed)
     A_c = np.where(rng.random((n, n)) < filled, rng.standard_normal((n, n)), 0.0)
     A_c *= growth / max(1e-9, float(np.abs(A_c).sum(axis=0).max()))
-    return Linearisation(
-        f=rng.standard_normal(n),
-        A_c=np.asfortranarray(A_c),
-        B_c=np.asfortranarray(rng.standard_normal((n, m))),
-        y=np.zeros(1),
-        C=np.zeros((1, n)),
-    )
-
-
-@needs_kernels
-@pytest.mark.parametrize("N", [1, 2, 4, 7])
-def test_along_manifold_is_its_twin(N: int) -> None:
-    """Columns of rods lose what lies across the manifold, all others stay; docs/equations.md (15a)."""
-    rng = np.random.default_rng(N)
-    x, n = random_state(rng, N), 12 + 12 * N
-    found = np.asfortranarray(rng.standard_normal((n, n)))
-    expected, before = found.copy(order="F"), found.copy()
-    along_manifold(found, x)
-    _along_manifold(expected, x)
-    assert np.abs(found - expected).max() <= ROUNDING * np.abs(before).max()
-    rods = np.array([any(12 + 12 * i <= column < 18 + 12 * i for i in range(N)) for column in range(n)])
-    assert (found[:, ~rods] == before[:, ~rods]).all()
-    assert (found[:, rods] != before[:, rods]).any(axis=0).all()
+    return Linearisation.of(rng.standard_normal(n), A_c, rng.standard_normal((n, m)), np.zeros(1), np.zeros((1, n)))
 
 
 @needs_kernels
@@ -72,11 +50,24 @@ def test_zero_order_hold_is_its_twin(n: int, filled: float, growth: float) -> No
 
 
 @needs_kernels
+@pytest.mark.parametrize("N", [1, 2, 4, 7])
+@pytest.mark.parametrize("period_s", [0.0, 0.02, 0.1, 1.0])
+def test_zero_order_hold_of_a_team_is_its_twin(N: int, period_s: float) -> None:
+    """A team's expansion in factors, at a state far from hover, with a UAV whose motors are off."""
+    rng = np.random.default_rng(N)
+    model = Model(random_system(rng, N), off=[N - 1])
+    linear = model.linearise(random_state(rng, N), random_input(rng, N), forces=random_forces(rng, N))
+    found, expected = zero_order_hold(linear, period_s), _zero_order_hold(linear, period_s)
+    for one, other in ((found.A, expected.A), (found.B, expected.B), (found.f_d, expected.f_d)):
+        assert np.abs(one - other).max() <= 100.0 * ROUNDING * max(1.0, float(np.abs(other).max()))
+
+
+@needs_kernels
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e200])
 def test_zero_order_hold_refuses_what_its_twin_refuses(bad: float) -> None:
     """Numbers that have no finite exponential, in the same words."""
     linear = linearisation(9, 2, 1.0, 1.0, seed=3)
-    linear.A_c[4, 4] = bad
+    linear.values[4 * 9 + 4] = bad
     for hold in (zero_order_hold, _zero_order_hold):
         with pytest.raises(ShapeError, match="A_c: expected finite numbers with a finite exponential, got growth"):
             hold(linear, 0.05)
@@ -115,7 +106,7 @@ def test_compiled_functions_give_the_same_bits(N: int, tmp_path: Path, monkeypat
     monkeypatch.setenv("PAYLOAD_TRANSPORT_CACHE", str(tmp_path))
     monkeypatch.delenv("PAYLOAD_TRANSPORT_NATIVE", raising=False)
     interpreted = functions(N)
-    assert {function.class_name() for function in interpreted.values()} == {"SXFunction"}
+    assert {function.class_name() for function in interpreted.values()} == {"SXFunction", "MXFunction"}
     assert compile_functions(N)
     compiled = functions(N)
     assert {function.class_name() for function in compiled.values()} == {"External"}
@@ -125,7 +116,7 @@ def test_compiled_functions_give_the_same_bits(N: int, tmp_path: Path, monkeypat
     content = library.read_bytes()
     library.unlink()  # as it is in use
     library.write_bytes(content[: len(content) // 2])  # a disk that was full
-    assert {function.class_name() for function in functions(N).values()} == {"SXFunction"}
+    assert {function.class_name() for function in functions(N).values()} == {"SXFunction", "MXFunction"}
     assert compile_functions(N)
     assert library.read_bytes() == content
 
@@ -138,7 +129,7 @@ def test_everything_works_without_a_compiler(environment: dict[str, str], tmp_pa
     """Switched off, not there, or failing: the twins in Python do the work, and nothing is left in the cache."""
     code = (
         "from model import native; from model.compiled import compile_functions, functions;"
-        "print(native.AVAILABLE, compile_functions(1), functions(1)['step'].class_name())"
+        "print(native.AVAILABLE, compile_functions(1), functions(1)['derivative'].class_name())"
     )
     output = subprocess.run(
         [sys.executable, "-c", code],

@@ -103,7 +103,7 @@ def test_prediction_splits_owned_from_announced(system: Random) -> None:
     own = np.sort(rng.permutation(total)[: system.m])
     rest = np.setdiff1d(np.arange(total), own)
     v = rng.standard_normal((steps, system.m))
-    prediction = open_loop(Discrete(A=system.A, B=B, f_d=f_d), u0, own, rest, U)
+    prediction = open_loop(Discrete(A=system.A, B=B, f_d=f_d), u0, own, U)
 
     expected = (
         naive.stacked_drift(system.A, f_d, steps)
@@ -126,7 +126,6 @@ def test_prediction_does_not_read_the_owned_plan() -> None:
     other = U.copy()
     other[:, own] += 5.0
     before = U.copy()
-    others = np.array([0, 2])
-    first, second = open_loop(discrete, u0, own, others, U), open_loop(discrete, u0, own, others, other)
+    first, second = open_loop(discrete, u0, own, U), open_loop(discrete, u0, own, other)
     assert np.array_equal(first.dX_free, second.dX_free)
     assert np.array_equal(U, before), "the announced inputs belong to the caller"

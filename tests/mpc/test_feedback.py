@@ -81,7 +81,7 @@ def test_prediction_is_the_team_under_the_law(owned: tuple[int, ...]) -> None:
     x_ref = at.x + 0.1 * rng.standard_normal((steps, setup.system.n))
     feedforward, c = rng.standard_normal((2, steps, setup.system.m))
     law = FeedbackLaw(K=gain(), u_rest=setup.hover.u, error=at.x - x_ref, feedforward=feedforward, c=c)
-    prediction = closed_loop(discrete, at.u, own, others, law)
+    prediction = closed_loop(discrete, at.u, own, law)
     v = 0.1 * rng.standard_normal((steps, len(own)))
 
     dx = np.zeros(setup.system.n)
@@ -115,13 +115,15 @@ def test_corrections_reproduce_the_inputs() -> None:
     law = law_at(one, at)
     assert law is not None
     linear = one.linearise(at.x, at.u)
-    prediction = one.predict(linear, one.discretise(linear), at.U, law)
+    discrete = one.discretise(linear)
+    prediction = one.predict(linear, discrete, at.U, law)
     optimum = one.conclude(one.solve(one.condense(linear, prediction, at.U, at.y_ref)), prediction, at.U, law)
     dx = np.zeros(setup.system.n)
     for k, c in enumerate(optimum.c):
-        u = setup.hover.u[one.own] + gain()[one.own] @ (law.error[k] + dx) + c
-        assert np.abs(u - optimum.U[k]).max() < ROLLOUT_TOLERANCE
-        dx = prediction.A @ dx + prediction.W[k] + prediction.B @ (u - at.u[one.own])
+        u = setup.hover.u + gain() @ (law.error[k] + dx) + law.c[k]
+        u[one.own] += c - law.c[k, one.own]
+        assert np.abs(u[one.own] - optimum.U[k]).max() < ROLLOUT_TOLERANCE
+        dx = discrete.A @ dx + discrete.f_d + discrete.B @ (u - at.u)
 
 
 @pytest.mark.parametrize("w", [0.25, 0.5])

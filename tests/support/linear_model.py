@@ -39,7 +39,7 @@ class LinearModel(Model):
         f = about.f + about.A_c @ (x - self._at.x) + about.B_c @ (u - self._at.u)
         if forces is not None:
             f = f + self._by_forces @ forces
-        return Linearisation(f=f, A_c=about.A_c, B_c=about.B_c, y=self.outputs(x), C=about.C)
+        return Linearisation.of(f, about.A_c, about.B_c, self.outputs(x), about.C)
 
 
 @dataclass(frozen=True, slots=True)

@@ -49,7 +49,7 @@ class PublishedModel(Model):
         at = np.concatenate([x, u]).tobytes()
         if self._newest is None or self._newest[0] != at:
             self._newest = at, self._expanded(x, u)
-        return Linearisation(f=found.f, A_c=self._newest[1], B_c=found.B_c, y=found.y, C=found.C)
+        return Linearisation.of(found.f, self._newest[1], found.B_c, found.y, found.C)
 
     def _expanded(self, x: Array, u: Array) -> Array:
         M, b = (np.asarray(matrix) for matrix in self._system(x, u, self._vector))

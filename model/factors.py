@@ -1,0 +1,84 @@
+"""The derivatives of a system as sparse factors: UAVs notice each other by the payload's acceleration alone.
+
+    A_c = X + P V_x,    B_c = U + P V_u
+
+X and U, with the payload's acceleration held, couple a UAV with itself and the payload; V_x and V_u, six rows, are the
+acceleration's own derivatives; P is its effect. So the factors have O(N) entries, A_c has O(N^2).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from model.arrays import Array, frozen
+
+# In the order of their entries.
+NAMES = ("X", "U", "P", "V_x", "V_u", "C")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pattern:
+    """Places of the entries of all factors, one list of rows after the other.
+
+    Attributes:
+        shapes: Of the factors, in the order of `NAMES`.
+        begin: First entry of each row, and the end of the last, (rows of all + 1,).
+        index: Column of each entry.
+    """
+
+    shapes: tuple[tuple[int, int], ...]
+    begin: npt.NDArray[np.intp]
+    index: npt.NDArray[np.intp]
+
+    @staticmethod
+    def of(shapes: Sequence[tuple[int, int]], begins: Sequence[Sequence[int]], columns: Sequence[int]) -> "Pattern":
+        """Return the pattern of factors with row beginnings of their own and columns one after the other."""
+        offsets = np.cumsum([0, *(begin[-1] for begin in begins)])
+        parts = [np.asarray(begin[:-1]) + offset for begin, offset in zip(begins, offsets, strict=False)]
+        begin = np.concatenate([*parts, offsets[-1:]]).astype(np.intp)
+        index = np.array(columns, dtype=np.intp)
+        frozen(begin, index)
+        return Pattern(shapes=tuple(shapes), begin=begin, index=index)
+
+    @cached_property
+    def rows(self) -> npt.NDArray[np.intp]:
+        """Row of each entry, counted through all factors."""
+        return np.repeat(np.arange(len(self.begin) - 1), np.diff(self.begin))
+
+    @cached_property
+    def first_rows(self) -> list[int]:
+        """First row of each factor, counted through all."""
+        return np.cumsum([0, *(rows for rows, _ in self.shapes)]).tolist()  # type: ignore[no-any-return]
+
+    @cached_property
+    def addresses(self) -> tuple[int, int]:
+        """Addresses of `begin` and `index`, for the compiled kernels."""
+        return int(self.begin.ctypes.data), int(self.index.ctypes.data)
+
+    def dense(self, values: Array, name: str) -> Array:
+        """Return a factor as a matrix."""
+        which = NAMES.index(name)
+        found = np.zeros(self.shapes[which])
+        first, end = (self.begin[self.first_rows[which + i]] for i in (0, 1))
+        found[self.rows[first:end] - self.first_rows[which], self.index[first:end]] = values[first:end]
+        return found
+
+    def columns(self, name: str, columns: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
+        """Return the entries in some columns of a factor."""
+        which = NAMES.index(name)
+        first, end = (self.begin[self.first_rows[which + i]] for i in (0, 1))
+        found: npt.NDArray[np.intp] = first + np.flatnonzero(np.isin(self.index[first:end], columns))
+        return found
+
+
+def of_matrices(A_c: Array, B_c: Array, C: Array) -> tuple[Pattern, Array]:
+    """Return pattern and entries of a system whose factors are not known: X = A_c, U = B_c, no P and V."""
+    (n, m), none = B_c.shape, 0
+    matrices = [A_c, B_c, np.zeros((n, none)), np.zeros((none, n)), np.zeros((none, m)), C]
+    begins = [[row * matrix.shape[1] for row in range(len(matrix) + 1)] for matrix in matrices]
+    columns = np.concatenate([np.tile(np.arange(matrix.shape[1]), len(matrix)) for matrix in matrices])
+    pattern = Pattern.of([matrix.shape for matrix in matrices], begins, columns.tolist())
+    return pattern, np.concatenate([matrix.reshape(-1) for matrix in matrices])
