@@ -23,7 +23,7 @@ from protocol.network.session import BusError, fetch_answer, in_bounded_time, lo
 from protocol.wire.codec import VERSION, encode
 from protocol.wire.keys import RECORDER, WATCHER, Keys, matches
 from protocol.wire.messages import Bundle, Event, Message, MessageError, Request
-from protocol.wire.names import COORDINATOR
+from protocol.wire.names import COORDINATOR, is_name
 
 # How long a process that has finished waits for those that leave before it: a busy host may take seconds to read.
 _LINGER_S = 10.0
@@ -340,6 +340,10 @@ class Bus:
             return None
         if self._keys.is_token(key):
             return self._peers.note(key, here=item.kind == zenoh.SampleKind.PUT)
-        if key.startswith(self._keys.left("")):
-            return Left(key.removeprefix(self._keys.left("")))
+        name = key.removeprefix(self._keys.left(""))
+        if name != key:
+            if is_name(name) and not len(item.payload):
+                return Left(name)
+            self.admission.refuse(key, MessageError("malformed", "expected no content under the key of a process"))
+            return None
         return self.admission.read(key, item.payload.to_bytes())
