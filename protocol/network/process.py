@@ -107,15 +107,16 @@ def run_node(
         admission.close()
         for message in admission.remaining_notices(node.incarnation):
             bus.publish(message)
+        for entry in node.rejected:
+            journal.log("rejected", sender=entry.sender, reason=entry.reason, count=entry.count, example=entry.example)
+        end = node.finished
+        if end is not None:
+            journal.log("finished", outcome=end.outcome, reason=end.reason, tick=end.tick, cpu_s=time.process_time())
         bus.leave(linger_for)
-    for entry in node.rejected:
-        journal.log("rejected", sender=entry.sender, reason=entry.reason, count=entry.count, example=entry.example)
-    end = node.finished
-    if end is None:
-        orphaned = interruption is not None and interruption.reason == _ORPHANED
-        return EXIT_UNREACHABLE if orphaned or interruption is None else EXIT_INTERRUPTED
-    journal.log("finished", outcome=end.outcome, reason=end.reason, tick=end.tick, cpu_s=time.process_time())
-    return end.exit_code
+    if end is not None:
+        return end.exit_code
+    orphaned = interruption is not None and interruption.reason == _ORPHANED
+    return EXIT_UNREACHABLE if orphaned or interruption is None else EXIT_INTERRUPTED
 
 
 def _drive(node: Node, bus: Bus, exchange: Exchange, faults: Sequence[Fault]) -> Interrupted | None:
