@@ -8,10 +8,11 @@ grow for kinds sent once a tick, the version for rosters, and the sequence numbe
 higher sequence numbers do not: otherwise an attacker with the sender's key could number its messages higher, and all
 true messages would be refused. A sequence number that occurs twice is refused all the same.
 
-With relayed plans two ways lead to one key: a proposal of a negotiation comes alone and may overtake the plan of the
-tick before, which the coordinator relays. So proposals have an order of their own. An answer counts for the order of
-later ones only with its plan: a forged one without a true plan must not block the true answer. Other bundles have no
-order: their ticks need not grow, and copies under higher sequence numbers would block the true ones.
+With relayed plans messages reach one key by two routes: a proposal of a negotiation comes alone and may overtake the
+plan of the tick before, which the coordinator relays. So proposals have an order of their own. An answer counts for the
+order of later ones only once its plan is accepted: a forged one without a true plan must not block the true answer.
+Other bundles have no order: their ticks need not grow, and copies under higher sequence numbers would block the true
+ones.
 """
 
 import threading
@@ -24,7 +25,18 @@ from protocol.scenario.setup import Setup
 from protocol.wire.codec import MAX_BYTES, decode
 from protocol.wire.header import Header, Place, header_of, place_of
 from protocol.wire.keys import Keys
-from protocol.wire.messages import Answer, Bundle, LinkChange, Message, MessageError, Plan, Reason, Rejected, agent_name
+from protocol.wire.messages import (
+    Answer,
+    Bundle,
+    LinkChange,
+    Message,
+    MessageError,
+    Plan,
+    Reason,
+    Rejected,
+    Relay,
+    agent_name,
+)
 from protocol.wire.names import COORDINATOR, PLANT, RECORDER
 from protocol.wire.rejections import MAX_SENDERS, Notices, Rejections
 
@@ -64,10 +76,13 @@ class Admission:
         window: How many ticks from `tick` a present message can be.
     """
 
-    def __init__(self, name: str, keys: Keys, setup: Setup, rejections: Rejections) -> None:
+    def __init__(
+        self, name: str, keys: Keys, setup: Setup, rejections: Rejections, *, refuses_lone_plans: bool = False
+    ) -> None:
         self.max_bytes = _max_bytes(setup)
         # Answers that fill a relay must leave room in it for those of the other agents.
         self._max_answer = {agent: _max_answer(setup, agent) for agent in setup.agents}
+        self._refuses_lone_plans = refuses_lone_plans
         self.tick = 0
         self._name = name
         self._keys = keys
@@ -137,11 +152,14 @@ class Admission:
                 raise MessageError("wrong_sender", f"{message.kind} of this process itself", message.sender)
             if message.sender not in self._senders:
                 raise MessageError("unknown_agent", f"{message.kind} of {message.sender}", message.sender)
-            if isinstance(message, Answer) and len(data) > self._max_answer[message.agent]:
-                text = f"answer of {len(data)} bytes, at most {self._max_answer[message.agent]} of {message.sender}"
+            most = self._max_answer.get(message.agent, 0) if isinstance(message, Answer) else self.max_bytes
+            if len(data) > most:
+                text = f"answer of {len(data)} bytes, at most {most} of {message.sender}"
                 raise MessageError("oversized", text, message.sender)
+            self._check_route(message, bundle)
             announced = self._announced.get(message.sender, -1)
-            if message.incarnation < announced:
+            # The token of an agent's next start may overtake its last plan on the way through the coordinator.
+            if message.incarnation < announced and not isinstance(bundle, Relay):
                 raise _wrong_incarnation(message)
             if message.incarnation > announced:
                 self._keep(key, message)
@@ -216,6 +234,12 @@ class Admission:
         if len(self._early) > _KEPT:
             oldest_key, oldest = self._early.popleft()
             self.refuse(oldest_key, _wrong_incarnation(oldest))
+
+    def _check_route(self, message: Message, bundle: Bundle | None) -> None:
+        """Refuse a plan that comes alone in a run with relayed plans: the coordinator would count, not relay it."""
+        if self._refuses_lone_plans and bundle is None and isinstance(message, Plan) and message.negotiation == 0:
+            text = f"plan of {message.sender} alone, expected it in an answer"
+            raise MessageError("wrong_sender", text, message.sender)
 
     def _check_order(self, key: str, message: Message) -> None:
         if self._is_up_to_date and message.tick > self.tick + self.window:

@@ -25,8 +25,8 @@ from protocol.wire.keys import RECORDER, WATCHER, Keys, matches
 from protocol.wire.messages import Bundle, Event, Message, MessageError, Request
 from protocol.wire.names import COORDINATOR, is_name
 
-# How long a process that has finished waits for those that leave before it: a busy host may take seconds to read.
-_LINGER_S = 10.0
+# How long a process waits at the end of the run for those that leave before it: a busy host may take seconds to read.
+LINGER_S = 10.0
 
 # How much longer than its timeout `next` may take because of refused messages.
 _FLOOD_S = 0.01
@@ -41,7 +41,7 @@ class Interrupted:
 
 @dataclass(frozen=True, slots=True)
 class Left:
-    """Event for the recorder: a process has sent its last message, and all before it have arrived."""
+    """Event for the recorder: a process has sent its last message, and all it has sent have arrived."""
 
     name: str
 
@@ -66,7 +66,7 @@ class Bus:
     Args:
         name: Process name: "coordinator", "plant", "agent1", "recorder".
         digest: Fingerprint of the scenario; processes with different ones refuse each other.
-        relayed: Whether plans, reports and measurements come in bundles.
+        relayed: Whether plans, reports and measurements come in bundles; None if that is not known.
         serves: Whether its node answers requests; every process answers for its health.
         patience_s: How long sending may wait for a peer that does not read before the link to it is closed.
         gather_s: How long an arrival may wait for more: one wake-up for many messages costs less processor time.
@@ -90,7 +90,7 @@ class Bus:
         digest: str,
         endpoints: Endpoints,
         admission: Admission,
-        relayed: bool = False,
+        relayed: bool | None = None,
         serves: bool = False,
         patience_s: float = 1.0,
         gather_s: float = 0.0,
@@ -241,14 +241,15 @@ class Bus:
                 return None
 
     def leave(self, after: Collection[str] = ()) -> None:
-        """Say that the last message was sent; wait, within bounded time, until the recorder and others have left.
+        """Say at the end of the run that the last message was sent; wait until the recorder and others have left.
 
-        Closing a session drops what a peer has not read yet.
+        Closing a session drops what a peer has not read yet. The wait ends after `LINGER_S` or with an interruption.
         """
         self.put(self._keys.left(self.name), b"")
-        deadline = time.monotonic() + _LINGER_S
+        deadline = time.monotonic() + LINGER_S
         while {RECORDER, *after} & set(self._peers.alive) and time.monotonic() < deadline:
-            self.next(max(0.0, deadline - time.monotonic()))
+            if isinstance(self.next(max(0.0, deadline - time.monotonic())), Interrupted):
+                return
 
     def interrupt(self, reason: str) -> None:
         """Wake `next` with an `Interrupted`; safe in a signal handler and from any thread."""

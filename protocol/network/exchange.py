@@ -12,7 +12,7 @@ from protocol.wire.bundles import Answer, Bundle, Record, Relay
 from protocol.wire.codec import encode
 from protocol.wire.keys import Keys
 from protocol.wire.messages import Control, Event, Measurement, Message, Plan, PlantState, Roster, StepReport, Tick
-from protocol.wire.names import COORDINATOR, PLANT, RECORDER
+from protocol.wire.names import AGENT, COORDINATOR, PLANT, RECORDER
 from protocol.wire.outbox import Outbox
 
 # Sends encoded messages under a key.
@@ -29,10 +29,10 @@ class Exchange(Protocol):
         """Send a message, or keep it for a bundle."""
 
     def flush(self) -> None:
-        """Send the bundle of the messages kept."""
+        """Send the bundle of the messages kept, whatever it waits for: before a process ends."""
 
     def settle(self) -> None:
-        """Send what need not wait any longer, once all messages received together are handled."""
+        """Send the bundle if it need not wait any longer: when all messages received together are handled."""
 
 
 def exchange_of(setup: Setup, name: str, incarnation: int, keys: Keys, put: Put) -> Exchange:
@@ -77,7 +77,7 @@ class _Bundled(Direct):
         self._tick = message.tick
         return data
 
-    def _taken(self) -> dict[str, tuple[str, ...] | tuple[bytes, ...]]:
+    def _take(self) -> dict[str, tuple[str, ...] | tuple[bytes, ...]]:
         """Return the messages kept, as fields of a bundle, and forget them."""
         kept, self._kept = self._kept, []
         return {"keys": tuple([key for key, _ in kept]), "parts": tuple([data for _, data in kept])}
@@ -91,13 +91,16 @@ class _Agent(_Bundled):
             if message.incarnation != self._out.incarnation:
                 self._out = Outbox(message.sender, message.incarnation)
             self._keep(message)
-            self._agent = message.agent
         else:
             super().send(message)
 
     def flush(self) -> None:
         if self._kept:
-            super().send(self._out.stamp(Answer, tick=self._tick, agent=self._agent, **self._taken()))
+            super().send(
+                self._out.stamp(
+                    Answer, tick=self._tick, agent=int(self._out.sender.removeprefix(AGENT)), **self._take()
+                )
+            )
 
     settle = flush
 
@@ -115,7 +118,7 @@ class _Plant(_Bundled):
 
     def flush(self) -> None:
         if self._kept:
-            super().send(self._out.stamp(Record, tick=self._tick, **self._taken()))
+            super().send(self._out.stamp(Record, tick=self._tick, **self._take()))
 
     settle = flush
 
@@ -129,10 +132,9 @@ class _Coordinator(_Bundled):
         self._awaited: set[int] = set()  # agents that are to answer the open tick
 
     def received(self, event: Event, bundle: Bundle | None) -> None:
-        if isinstance(event, Plan) and event.negotiation == 0:
+        if isinstance(event, Plan) and isinstance(bundle, Answer):
             self._awaited.discard(event.agent)
-            if isinstance(bundle, Answer):
-                self._answers[event.agent] = bundle
+            self._answers[event.agent] = bundle
 
     def send(self, message: Message) -> None:
         if isinstance(message, Tick):
@@ -161,4 +163,4 @@ class _Coordinator(_Bundled):
             self._keep(tick)
         else:
             self._tick = answers[-1].tick
-        super().send(self._out.stamp(Relay, tick=self._tick, **self._taken()))
+        super().send(self._out.stamp(Relay, tick=self._tick, **self._take()))

@@ -63,7 +63,8 @@ def run_node(
     Raises: BusError: the network cannot be used, or an expected process did not appear.
     """
     journal = Journal(place.run, node.name)
-    admission = Admission(node.name, Keys(place.run), setup, node.rejected)
+    relayed = setup.scenario.clock.relayed
+    admission = Admission(node.name, Keys(place.run), setup, node.rejected, refuses_lone_plans=relayed)
     # A garbage collection in mid-step is a latency spike: reference counting frees nearly all that the loop makes, and
     # the rest is collected between steps. Before this process joins, no other waits for it.
     gc.collect()
@@ -78,7 +79,7 @@ def run_node(
             digest=setup.scenario.digest(),
             endpoints=place.endpoints,
             admission=admission,
-            relayed=setup.scenario.clock.relayed,
+            relayed=relayed,
             serves=node.name == COORDINATOR,
             patience_s=PATIENCE_S[setup.scenario.clock.mode],
             reach_s=place.join_timeout_s,
@@ -90,7 +91,13 @@ def run_node(
             journal.log("insecure", at=open_to_all, means="any host that reaches this address can read and send all")
         journal.log("listening", cpu_s=time.process_time(), at=", ".join(place.endpoints.listen))
         exchange = exchange_of(setup, node.name, place.incarnation, Keys(place.run), bus.put)
-        bus.before_wait = exchange.settle
+
+        def settle() -> None:
+            begun_ns = time.monotonic_ns()
+            exchange.settle()
+            node.publish_ns += time.monotonic_ns() - begun_ns
+
+        bus.before_wait = settle
         interruption = bus.join(expected, place.join_timeout_s)
         if interruption is None:
             clock: dict[str, float] = {}
@@ -112,7 +119,7 @@ def run_node(
         end = node.finished
         if end is not None:
             journal.log("finished", outcome=end.outcome, reason=end.reason, tick=end.tick, cpu_s=time.process_time())
-        bus.leave(linger_for)
+            bus.leave(linger_for)
     if end is not None:
         return end.exit_code
     orphaned = interruption is not None and interruption.reason == _ORPHANED
@@ -129,7 +136,7 @@ def _drive(node: Node, bus: Bus, exchange: Exchange, faults: Sequence[Fault]) ->
         if isinstance(event, Interrupted):
             return event
         if isinstance(event, Left):
-            continue
+            continue  # for recorders
         if isinstance(event, Message):
             _fail_if_due(faults, node.name, event, exchange)
         now_ns, refused = time.monotonic_ns(), node.rejected.total
@@ -140,13 +147,13 @@ def _drive(node: Node, bus: Bus, exchange: Exchange, faults: Sequence[Fault]) ->
             bus.renew(node.incarnation)
         for notice in bus.admission.due_notices(now_ns, node.incarnation):
             bus.publish(notice)
+        if not messages:
+            continue
         publishing_ns = time.monotonic_ns()
         for message in messages:
             if message.sender == COORDINATOR:
                 _fail_if_due(faults, node.name, message, exchange)
             exchange.send(message)
-        if not messages:
-            continue
         node.publish_ns = time.monotonic_ns() - publishing_ns
         handled += 1
         if handled % _COLLECT_EVERY == 0:

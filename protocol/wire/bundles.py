@@ -16,6 +16,8 @@ from protocol.wire.names import AGENT, COORDINATOR, PLANT, RECORDER, WATCHER
 from protocol.wire.records import PlantState, StepReport
 
 _ANSWERS = (Plan.kind, Plan.route.unshared_key, StepReport.kind)
+# A plan and a report: all answers of a tick must fit into one relay.
+_ANSWER_PARTS = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,6 +56,12 @@ class Answer(Bundle):
     def may_carry(self, key: str) -> bool:
         """Return whether a key is one of this agent's answer."""
         return key in [f"{beginning}/{self.agent}" for beginning in self.carries]
+
+    def _check_relations(self) -> None:
+        Bundle._check_relations(self)  # super() does not work in dataclasses with slots
+        if len(self.keys) > _ANSWER_PARTS or len(set(self.keys)) < len(self.keys):
+            text = f"keys: expected at most a plan and a report, got {len(self.keys)} keys"
+            raise MessageError("wrong_shape", text)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

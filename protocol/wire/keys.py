@@ -77,13 +77,15 @@ class Keys:
         key = route.unshared_key if unshared else route.key or message.kind
         return f"{self.prefix}/{key}/{getattr(message, route.each)}" if route.each else f"{self.prefix}/{key}"
 
-    def subscriptions(self, name: str, *, relayed: bool = False) -> list[str]:
-        """Return the key expressions a process subscribes to; with relayed plans the record brings measurements."""
+    def subscriptions(self, name: str, *, relayed: bool | None = None) -> list[str]:
+        """Return the key expressions a process subscribes to, with relayed plans, with direct ones, or (None) both."""
         role, agent = role_of(name), name.removeprefix(AGENT)
         found: list[str] = []
         for cls in (cls for cls in (*KINDS.values(), *BUNDLES.values()) if role in cls.route.receivers):
+            if relayed is False and cls.kind in BUNDLES:
+                continue  # no process relays what is in them
             if relayed and role == RECORDER and cls is Measurement:
-                continue  # each would come twice
+                continue  # bundles bring them
             # An agent receives what other processes send to it, and from the other agents everything they share.
             end = agent if role == AGENT and cls.route.sender != AGENT else "*"
             found += self._under(cls, end, unshared=role != AGENT)

@@ -26,7 +26,7 @@ class Process:
 
     def __init__(self, name: str) -> None:
         self.rejections = Rejections()
-        self.admission = Admission(name, KEYS, RUN, self.rejections)
+        self.admission = Admission(name, KEYS, RUN, self.rejections, refuses_lone_plans=True)
         endpoints = Endpoints(listen=[], connect=[])
         admission = self.admission
         self.bus = Bus(
@@ -165,7 +165,8 @@ def test_the_bundle_of_an_event() -> None:
     """While a message of a bundle is handled the bus names the bundle; for one that came alone it names none."""
     process, sent = Process("coordinator"), answer(2, plan(2, 0), report(2, 0))
     process.bus._put(Sample(KEYS.of(sent), encode(sent)))  # type: ignore[arg-type]
-    process.bus._put(Sample(KEYS.of(plan(3, 0)), encode(plan(3, 0))))  # type: ignore[arg-type]
+    alone = replace(plan(3, 0), negotiation=1)
+    process.bus._put(Sample(KEYS.of(alone), encode(alone)))  # type: ignore[arg-type]
     assert isinstance(process.bus.next(0.0), Plan)
     assert process.bus.bundle == sent
     assert isinstance(process.bus.next(0.0), Plan)
@@ -175,8 +176,8 @@ def test_the_bundle_of_an_event() -> None:
 def test_foreign_keys_are_refused_and_named() -> None:
     """A message under a key that its bundle may not carry is refused and named; the others of the bundle are read."""
     process = Process("coordinator")
-    assert same(process.reads(answer(2, plan(3, 0), plan(2, 0), runs.tick(0))), [plan(2, 0)])
-    assert process.refused() == [("agent2", "wrong_sender", 2)]
+    assert same(process.reads(answer(2, plan(3, 0), plan(2, 0))), [plan(2, 0)])
+    assert process.refused() == [("agent2", "wrong_sender", 1)]
     assert next(iter(process.rejections)).example == "answer of agent2 with a message under the key plan/3"
     recorder = Process("recorder")
     assert same(recorder.reads(relay(runs.end(), runs.roster(), runs.tick(0))), [runs.tick(0)])
@@ -186,9 +187,9 @@ def test_foreign_keys_are_refused_and_named() -> None:
 
 def test_bad_messages_do_not_stop_the_good_ones() -> None:
     """Garbage, another's plan under an agent's key, and a bundle in a bundle are refused; the rest is read."""
-    process = Process("coordinator")
-    good = answer(2, plan(2, 0))
-    bad = [b"", b"hello", encode(plan(2, 0))[:-1], encode(plan(3, 0)), encode(good)]
+    process = Process("recorder")
+    good = relay(plan(2, 0))
+    bad = [b"", b"hello", encode(plan(2, 0))[:-1], encode(plan(3, 0)), encode(answer(2, plan(2, 0)))]
     mixed = replace(good, keys=("plan/2",) * 6, parts=(*bad, *good.parts))
     assert same(process.reads(mixed), [plan(2, 0)])
     assert sorted(process.refused()) == [
@@ -306,3 +307,29 @@ def test_the_version_of_every_message_in_a_bundle() -> None:
 def test_every_kind_of_bundle_has_a_sample() -> None:
     """The samples that other tests use are bundles."""
     assert all(isinstance(sample(kind), Bundle) for kind in (Answer, Relay, Record))
+
+
+def test_a_plan_alone_is_refused() -> None:
+    """A plan that comes alone would be counted and never relayed: refused; proposals of a negotiation come alone."""
+    process = Process("coordinator")
+    proposal = replace(plan(2, 0), negotiation=1)
+    assert same(process.reads(plan(3, 0), proposal, answer(3, plan(3, 0))), [proposal, plan(3, 0)])
+    assert process.refused() == [("agent3", "wrong_sender", 1)]
+
+
+def test_the_last_plan_of_an_earlier_start() -> None:
+    """A relay brings the last plan of an agent whose next start is announced already; in an answer it is late."""
+    process = Process("plant")
+    process.admission.announce("agent2", INCARNATION + 1)
+    assert same(process.reads(relay(plan(2, 0), runs.tick(1), k=1)), [plan(2, 0), runs.tick(1)])
+    coordinator = Process("coordinator")
+    coordinator.admission.announce("agent2", INCARNATION + 1)
+    assert coordinator.reads(answer(2, plan(2, 0))) == []
+    assert coordinator.refused() == [("agent2", "wrong_incarnation", 1)]
+
+
+def test_answers_of_all_agents_fit_into_a_relay() -> None:
+    """An answer has at most a plan and a report, so that padded answers cannot make a relay impossible."""
+    padded = ("plan/2", *["report/2"] * 500)
+    with pytest.raises(MessageError, match="expected at most a plan and a report, got 501 keys"):
+        replace(answer(2), keys=padded, parts=(b"",) * len(padded))

@@ -246,18 +246,19 @@ def test_an_agent_off_the_roster_is_not_awaited() -> None:
     assert line.sent() == ["roster", "relay 0 #1: plan/1 report/1 plan/4 report/4"]
 
 
-def test_a_plan_that_came_alone() -> None:
-    """A plan that came without a bundle has reached all others: it counts as the answer, and is not relayed."""
+def test_only_answers_count() -> None:
+    """A proposal, or a plan that came alone, is neither relayed nor the answer that the relay waits for."""
     line = Line("coordinator")
     line.send(runs.tick(0, members=(1, 3)))
     line.taken()
     line.receive(answer(1, 0))
-    line.exchange.received(plan(3, 0, negotiation=1), None)  # a proposal is no answer
+    for alone in (plan(3, 0, negotiation=1), plan(3, 0)):
+        line.exchange.received(alone, None)
+        line.exchange.settle()
+        assert line.sent() == []
+    line.receive(answer(3, 0))
     line.exchange.settle()
-    assert line.sent() == []
-    line.exchange.received(plan(3, 0), None)
-    line.exchange.settle()
-    assert line.sent() == ["relay 0 #1: plan/1 report/1"]
+    assert line.sent() == ["relay 0 #1: plan/1 report/1 plan/3 report/3"]
 
 
 @pytest.fixture

@@ -370,6 +370,8 @@ class Garbage:
         if found is None:
             return self._noise()
         bad = [self.sorts[self._one_of(self._single)]() for _ in range(int(self._rng.integers(4)))]
+        if isinstance(found[1], Answer):  # it holds two messages, under different keys
+            bad = list(dict(bad).items())[:2]
         ends, parts = [self._keys.end(key)[:80] for key, _ in bad], [data for _, data in bad]
         return found[0], encode(self._new(found[1], tick=self.tick + 1, keys=ends, parts=parts))
 
@@ -381,6 +383,8 @@ class Garbage:
         bundle = found[1]
         assert isinstance(bundle, Bundle)
         kept = [int(i) for i in self._rng.integers(len(bundle.parts), size=int(self._rng.integers(4)))]
+        if isinstance(bundle, Answer):
+            kept = sorted(set(kept))  # it cannot have a key twice
         keys, parts = [bundle.keys[i] for i in kept], [bundle.parts[i] for i in kept]
         return found[0], encode(self._new(bundle, tick=self.tick + 1, keys=keys, parts=parts))
 

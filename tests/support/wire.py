@@ -116,7 +116,8 @@ class NodeReceiver:
 
     def __init__(self, node: Node, keys: Keys, setup: Setup) -> None:
         self.node, self.rejected = node, node.rejected
-        self.admission: Admission = SilentAdmission(node.name, keys, setup, node.rejected)
+        relayed = setup.scenario.clock.relayed
+        self.admission: Admission = SilentAdmission(node.name, keys, setup, node.rejected, refuses_lone_plans=relayed)
         self.bus = Bus(
             name=node.name,
             incarnation=node.incarnation,
@@ -124,7 +125,7 @@ class NodeReceiver:
             digest=setup.scenario.digest(),
             endpoints=Endpoints(listen=[], connect=[]),
             admission=self.admission,
-            relayed=setup.scenario.clock.relayed,
+            relayed=relayed,
         )
         self.exchange = exchange_of(setup, node.name, node.incarnation, keys, self.bus.put)
         self.bus.before_wait = self.exchange.settle

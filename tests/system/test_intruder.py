@@ -119,7 +119,7 @@ def test_an_intruder(exchange: str, tmp_path: Path) -> None:
     agents = [agent_name(agent) for agent in run.agents]
     receivers = ["coordinator", "plant", *agents]  # no intruder reaches the recorder, which has no listening port
     keys = Keys(RUN)
-    hears = {name: keys.subscriptions(name) for name in receivers}
+    hears = {name: keys.subscriptions(name, relayed=exchange == "relayed") for name in receivers}
     command = ["run", "paper", *settings(*flight, f"network.base_port={base}"), "--out", RUN, "--no-figures"]
     process = start(*command, "--format", "json", cwd=tmp_path)
 

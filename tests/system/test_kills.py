@@ -44,6 +44,18 @@ def take_off(tmp_path: Path, run: str, *changes: str) -> subprocess.Popen[str]:
     return process
 
 
+@pytest.mark.parametrize("victim", ["plant", "agent2"])
+def test_a_process_told_to_end_leaves_at_once(victim: str, tmp_path: Path) -> None:
+    """SIGTERM to one process while the run goes on: it is gone before any timeout, and named."""
+    run = f"end-{victim}"
+    process = take_off(tmp_path, run, "clock.barrier_timeout_s=60.0")
+    os.kill(processes_of(run)[victim], signal.SIGTERM)
+    _, errors = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == LOST
+    assert f"{victim} is gone" in errors
+    assert processes_of(run) == {}
+
+
 @pytest.mark.parametrize("exchange", BOTH)
 @pytest.mark.parametrize("victim", ["coordinator", "plant", "agent1", "agent4"])
 def test_a_killed_process_ends_the_run_in_order(victim: str, exchange: str, tmp_path: Path) -> None:

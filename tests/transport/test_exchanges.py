@@ -6,14 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from protocol.network.exchange import Direct
 from protocol.scenario.file import read_scenario
 from protocol.scenario.setup import Setup
 from protocol.wire.codec import encode
 from protocol.wire.messages import Message, Roster
 from tests.support.runs import SCENARIOS, SHORT, recorded, reproducible
 from tests.support.troubles import HEAVY, ITERATIONS, NEXT_TICK
-from tests.support.wire import NodeReceiver, Wire, without_network
+from tests.support.wire import Wire, without_network
 from tests.transport.test_garbage import recording
 from transport.log.run_log import read_log
 
@@ -44,16 +43,11 @@ def said(messages: list[Message]) -> dict[tuple[str, int], bytes]:
     return found
 
 
-def simulated(run: Setup, folder: Path, alone: str = "") -> Wire:
-    """Simulate a run as bytes, a named agent without bundles, and return it."""
+def simulated(run: Setup, folder: Path) -> Wire:
+    """Simulate a run as bytes and return it."""
     folder.mkdir()
     with recording(run, folder / "run.mcap") as witness:
         wire = Wire(run, witness)
-        if alone:
-            receiver = wire.receivers[alone]
-            assert isinstance(receiver, NodeReceiver)
-            receiver.exchange = Direct(wire.keys, receiver.bus.put)
-            receiver.bus.before_wait = receiver.exchange.settle
         assert wire.simulate().outcome == "completed"
     return wire
 
@@ -82,14 +76,6 @@ def test_both_exchanges_give_the_same_bits(changes: tuple[str, ...], tmp_path: P
         assert said([entry.message for entry in log.messages]) == memory
         assert len(log.messages) == len(memory)  # each message once
         assert sum(receiver.rejected.total for receiver in wire.receivers.values()) == 0
-
-
-def test_an_agent_without_bundles(tmp_path: Path) -> None:
-    """An agent whose plans come alone takes part in a relayed run to the end: the same bits, and nothing is refused."""
-    run = run_of(ITERATIONS)
-    wire = simulated(run, tmp_path / "run", alone="agent3")
-    assert said(wire.sent) == said(recorded(run))
-    assert sum(receiver.rejected.total for receiver in wire.receivers.values()) == 0
 
 
 def test_messages_of_a_tick(tmp_path: Path) -> None:

@@ -116,6 +116,7 @@ def _listen(run: _Run) -> Bus:
             security=security_of(run.setup.scenario),
         ),
         admission=Admission(WATCHER, Keys(run.name), run.setup, Rejections()),
+        relayed=run.setup.scenario.clock.relayed,
         gather_s=_GATHER_S,
     )
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection
 from protocol.admission.admission import Admission
 from protocol.admission.plausibility import check_moment
 from protocol.admission.reception import Reception
-from protocol.network.bus import Bus, BusEvent, Interrupted, Left
+from protocol.network.bus import LINGER_S, Bus, BusEvent, Interrupted, Left
 from protocol.network.endpoints import Endpoints
 from protocol.network.health import give_back_memory
 from protocol.network.session import BusError
@@ -43,8 +43,8 @@ _PAUSE_S = 0.02
 # Memory of messages that came during a standstill is given back in a pause, at most this often.
 _TIDY_S = 5.0
 # After the end of the run the recorder waits for the last message of each process: the longest pause between messages,
-# and the longest time in all.
-_TRAIL_S, _LONGEST_TRAIL_S = 2.0, 60.0
+# and the longest time in all, as long as the processes wait for it.
+_TRAIL_S, _LONGEST_TRAIL_S = 2.0, LINGER_S
 # The same pause where all that is missing is from processes whose tokens are gone, which may overtake messages.
 _QUIET_S = 0.05
 # The end of the run may arrive this long after the end of the coordinator's token.
@@ -95,7 +95,8 @@ class Recorder:
         self._reception = Reception(setup, self._handle)
         self.rejected = self._reception.rejected
         self._samples_s = setup.samples_s
-        self.admission = Admission(RECORDER, Keys(run), setup, self.rejected)
+        relayed = setup.scenario.clock.relayed
+        self.admission = Admission(RECORDER, Keys(run), setup, self.rejected, refuses_lone_plans=relayed)
         self._writer = writer
         self._join_timeout_s = join_timeout_s
         self._has_ended = has_ended
@@ -106,7 +107,7 @@ class Recorder:
             digest=setup.scenario.digest(),
             endpoints=endpoints,
             admission=self.admission,
-            relayed=setup.scenario.clock.relayed,
+            relayed=relayed,
             serves=True,
             gather_s=_GATHER_PACED_S if setup.scenario.clock.speed > 0.0 else _GATHER_S,
         )
@@ -167,6 +168,7 @@ class Recorder:
     def _record(self) -> None:
         present = set(self._expected)  # have not said that they have sent their last message
         gone: set[str] = set()  # those of them without a token
+        newest: dict[str, int] = {}  # incarnations
         deadline: float | None = None
         trail_ends: float | None = None
         while present or self.control is None:
@@ -185,11 +187,13 @@ class Recorder:
                 case Left(name=name):
                     present.discard(name)
                 case Presence(name=name, alive=False):
-                    gone.add(name)
+                    if event.incarnation >= newest.get(name, 0):
+                        gone.add(name)
                     if name == COORDINATOR and self.control is None:
                         deadline = time.monotonic() + _OVERTAKEN_S
                 case Presence(name=name):
                     # Reconnected after a standstill of that process or of this one.
+                    newest[name] = max(event.incarnation, newest.get(name, 0))
                     gone.discard(name)
                     present.update({name} & set(self._expected))
                     if name == COORDINATOR and self.control is None:
