@@ -11,16 +11,18 @@ true messages would be refused. A sequence number that occurs twice is refused a
 
 import threading
 from collections import deque
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 from model.state import INPUTS, PAYLOAD, PER_UAV
 from protocol.admission.plausibility import window
+from protocol.admission.samples import Sample, Samples
 from protocol.scenario.setup import Setup
 from protocol.wire.codec import MAX_BYTES, decode
 from protocol.wire.header import Header, Place, header_of, place_of
 from protocol.wire.keys import Keys
-from protocol.wire.messages import Bundle, LinkChange, Message, MessageError, Reason, Rejected, agent_name
-from protocol.wire.names import COORDINATOR, PLANT, RECORDER
+from protocol.wire.messages import MAX_TICK, Bundle, LinkChange, Message, MessageError, Reason, Rejected, agent_name
+from protocol.wire.names import COORDINATOR, MAX_UAVS, PLANT, RECORDER
 from protocol.wire.rejections import MAX_SENDERS, Notices, Rejections
 
 # Size of a message without its arrays, with the longest texts and lists it may have.
@@ -52,6 +54,14 @@ class Admission:
     A message counts for the order of later ones only if the node has not refused it by the time the next one is read:
     a forged message that the node sees through must not block the true one.
 
+    Args:
+        name: The process.
+        keys: Keys of the run.
+        setup: The run; None where it is not known: sizes, senders and moments are not checked then.
+        rejections: Counts of refused messages.
+        unread: Kinds that `take` hands over as samples.
+        on_announced: Called with name and incarnation of each process whose token has appeared.
+
     Attributes:
         rejections: Counts of refused messages, also those that the node refuses.
         max_bytes: Upper bound of the size of the run's messages.
@@ -59,14 +69,25 @@ class Admission:
         window: How many ticks from `tick` a present message can be.
     """
 
-    def __init__(self, name: str, keys: Keys, setup: Setup, rejections: Rejections) -> None:
-        self.max_bytes = _max_bytes(setup)
+    def __init__(
+        self,
+        name: str,
+        keys: Keys,
+        setup: Setup | None,
+        rejections: Rejections,
+        unread: Collection[str] = (),
+        on_announced: Callable[[str, int], None] = lambda *_: None,
+    ) -> None:
+        self.max_bytes = MAX_BYTES if setup is None else _max_bytes(setup)
         self.tick = 0
         self._name = name
         self._keys = keys
         self.rejections, self._notices = rejections, Notices(name, rejections)
-        self._senders = {COORDINATOR, PLANT, RECORDER, *map(agent_name, setup.agents)}
-        self.window = max(_AHEAD, window(setup))
+        agents = range(1, MAX_UAVS + 1) if setup is None else setup.agents
+        self._senders = {COORDINATOR, PLANT, RECORDER, *map(agent_name, agents)}
+        self._samples = Samples(unread, keys, agents)
+        self._on_announced = on_announced
+        self.window = MAX_TICK if setup is None else max(_AHEAD, window(setup))
         self._is_up_to_date = False  # whether `tick` is the present tick of the run
         self._announced: dict[str, int] = {}  # newest incarnation, by name
         self._newest: dict[tuple[str, str], _Newest] = {}  # by key and kind
@@ -113,6 +134,23 @@ class Admission:
         for (sender, _), (error, count) in unread.items():
             self.rejections.add(sender, error, count)
 
+    def take(self, key: str, data: bytes) -> Message | Sample | None:
+        """Return the sample or message in some bytes; None as for `read`, which reads all that are not handed over."""
+        sample = self._samples.take(key, data)
+        return self.read(key, data) if sample is None else sample
+
+    def follows(self, sample: Sample) -> bool:
+        """Return whether a sample is in order by its header; if so, it counts for the order of later ones."""
+        header = sample.header
+        try:
+            if header.incarnation != self._announced.get(header.sender):
+                return False
+            self._check_order(sample.key, header)
+        except MessageError:
+            return False
+        self._remember(sample.key, header)
+        return True
+
     def read(self, key: str, data: bytes) -> Message | None:
         """Return the message in some bytes; None if it is refused, or kept because its sender is not announced yet."""
         self._remember_last()
@@ -151,6 +189,7 @@ class Admission:
         for key, message in waiting:
             ahead = message.incarnation > self._announced.get(message.sender, -1)
             (self._early if ahead else self._released).append((key, message))
+        self._on_announced(name, incarnation)
 
     def released(self) -> Message | None:
         """Return the next message that was kept and can now be handled, or None."""
@@ -202,14 +241,14 @@ class Admission:
             oldest_key, oldest = self._early.popleft()
             self.refuse(oldest_key, _wrong_incarnation(oldest))
 
-    def _check_order(self, key: str, message: Message) -> None:
+    def _check_order(self, key: str, message: Message | Header) -> None:
         if self._is_up_to_date and message.tick > self.tick + self.window:
             text = f"{message.kind} of tick {message.tick}, the newest here is {self.tick}"
             raise MessageError("future", text, message.sender)
         newest = self._newest.get((key, message.kind))
         if newest is None or message.incarnation > newest.incarnation:
             return
-        _check_new(message, place_of(message), newest)
+        _check_new(message, _place(message), newest)
         if message.sequence in self._numbers[key, message.kind]:
             raise MessageError("replayed", f"{message.kind} number {message.sequence} again", message.sender)
 
@@ -232,7 +271,7 @@ class Admission:
         if self.rejections.total == refused:
             self._remember(key, message)
 
-    def _remember(self, key: str, message: Message) -> None:
+    def _remember(self, key: str, message: Message | Header) -> None:
         """Remember the place of a message."""
         at = key, message.kind
         before = self._newest.get(at)
@@ -242,10 +281,14 @@ class Admission:
         numbers[message.sequence] = None
         if len(numbers) > _NUMBERS:
             del numbers[next(iter(numbers))]
-        self._newest[at] = _Newest(message.sender, message.incarnation, message.sequence, place_of(message))
-        if not isinstance(message, LinkChange):  # a repeated change is of the past
+        self._newest[at] = _Newest(message.sender, message.incarnation, message.sequence, _place(message))
+        if message.kind != LinkChange.kind:  # a repeated change is of the past
             self.tick = max(self.tick, message.tick)
             self._is_up_to_date = True
+
+
+def _place(message: Message | Header) -> Place | None:
+    return message.place if isinstance(message, Header) else place_of(message)
 
 
 def _check_new(message: Message | Header, place: Place | None, newest: _Newest) -> None:

@@ -1,0 +1,47 @@
+"""Opening bundles: each of their messages is checked as if it had come alone."""
+
+from collections import deque
+
+from protocol.admission.admission import Admission
+from protocol.wire.keys import Keys, matches
+from protocol.wire.messages import Bundle, Message, MessageError
+
+
+class Unbundling:
+    """The messages of a bundle that are for one process, read one after the other.
+
+    Attributes:
+        bundle: The bundle whose messages are being read, or None.
+    """
+
+    def __init__(self, name: str, keys: Keys, admission: Admission) -> None:
+        self.bundle: Bundle | None = None
+        self._keys, self._admission = keys, admission
+        self._subscriptions = keys.subscriptions(name)
+        self._own = [keys.end(key) for key in keys.publications(name)]
+        self._parts: deque[tuple[str, bytes]] = deque()  # keys and messages still to be read
+        self._refused = 0  # messages refused before the bundle
+
+    def open(self, bundle: Bundle) -> None:
+        """Begin to read a bundle."""
+        refused = self._admission.rejections.total
+        for end, data in zip(bundle.keys, bundle.parts, strict=True):
+            key = f"{self._keys.prefix}/{end}"
+            if not bundle.may_carry(end):
+                text = f"{bundle.kind} of {bundle.sender} with a message under the key {end}"
+                self._admission.refuse(key, MessageError("wrong_sender", text, bundle.sender))
+            elif end not in self._own and any(matches(expression, key) for expression in self._subscriptions):
+                self._parts.append((key, data))
+        # One without a message for this process does not count: anything could be in it.
+        self.bundle, self._refused = bundle if self._parts else None, refused
+
+    def next(self) -> Message | None:
+        """Return the next message of the bundle; None when all are read, and the bundle counts if none was refused."""
+        while self._parts:
+            message = self._admission.read(*self._parts.popleft())
+            if message is not None:
+                return message
+        if self.bundle is not None and self._admission.rejections.total == self._refused:
+            self._admission.remember(self._keys.of(self.bundle), self.bundle)
+        self.bundle = None
+        return None
