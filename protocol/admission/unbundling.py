@@ -12,10 +12,12 @@ class Unbundling:
 
     Attributes:
         bundle: The bundle whose messages are being read, or None.
+        data: Bytes of the message that `next` returned last.
     """
 
     def __init__(self, name: str, keys: Keys, admission: Admission) -> None:
         self.bundle: Bundle | None = None
+        self.data = b""
         self._keys, self._admission = keys, admission
         self._subscriptions = keys.subscriptions(name)
         self._own = [keys.end(key) for key in keys.publications(name)]
@@ -38,7 +40,8 @@ class Unbundling:
     def next(self) -> Message | None:
         """Return the next message of the bundle; None when all are read, and the bundle counts if none was refused."""
         while self._parts:
-            message = self._admission.read(*self._parts.popleft())
+            key, self.data = self._parts.popleft()
+            message = self._admission.read(key, self.data)
             if message is not None:
                 return message
         if self.bundle is not None and self._admission.rejections.total == self._refused:

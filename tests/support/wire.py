@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import Any, Protocol
 
 from agent.node import AgentNode
 from coordinator.node import CoordinatorNode
@@ -26,7 +26,7 @@ class Receiver(Protocol):
     admission: Admission
     rejected: Rejections
 
-    def hear(self, message: Message) -> Sequence[Message]:
+    def hear(self, message: Any) -> Sequence[Message]:
         """Process an admitted message and return the answers."""
 
 
@@ -37,7 +37,7 @@ class NodeReceiver:
         self._node, self.rejected = node, node.rejected
         self.admission = Admission(node.name, keys, setup, node.rejected)
 
-    def hear(self, message: Message) -> Sequence[Message]:
+    def hear(self, message: Any) -> Sequence[Message]:
         """Return the answers of the node."""
         return self._node.receive(message, 0)
 
@@ -48,7 +48,7 @@ class RecordingReceiver:
     def __init__(self, recorder: Recorder) -> None:
         self._recorder, self.admission, self.rejected = recorder, recorder.admission, recorder.rejected
 
-    def hear(self, message: Message) -> Sequence[Message]:
+    def hear(self, message: Any) -> Sequence[Message]:
         """Record the message and return no answers."""
         self._recorder.receive(message)
         return ()
@@ -92,7 +92,7 @@ class Wire:
             for name in self.listeners(key):
                 if name != sender:
                     self._before(self, name, key, data)
-                    message = self.receivers[name].admission.read(key, data)
+                    message = self.receivers[name].admission.take(key, data)
                     assert message is not None, f"{name} refuses {key}: {list(self.receivers[name].rejected)}"
                     self._send(self.receivers[name].hear(message))
         assert self._coordinator.finished is not None, f"the run stands still at tick {self._coordinator.tick}"
@@ -105,7 +105,7 @@ class Wire:
     def disturb(self, name: str, key: str, data: bytes) -> Sequence[Message]:
         """Let a receiver read bytes that are no message of this run, and return its answers."""
         receiver = self.receivers[name]
-        message = receiver.admission.read(key, data)
+        message = receiver.admission.take(key, data)
         return () if message is None else receiver.hear(message)
 
     def tell_rejected(self) -> None:

@@ -21,7 +21,7 @@ from protocol.wire.messages import Message, Reason, Rejected, agent_name
 from protocol.wire.rejections import MAX_SENDERS, Rejections
 from tests.support import runs
 from tests.support.garbage import Garbage
-from tests.support.logs import HEADER
+from tests.support.logs import HEADER, with_scenario
 from tests.support.runs import reproducible, setup
 from tests.support.wire import Wire
 from transport.analysis.metrics import summarise
@@ -58,7 +58,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @contextmanager
 def recording(run: Setup, path: Path) -> Iterator[Recorder]:
     """Open a recorder that receives its messages from the test."""
-    writer = LogWriter(path, HEADER, period_ns=run.period_ns)
+    writer = LogWriter(path, with_scenario(HEADER, run), period_ns=run.period_ns)
     recorder = Recorder(run, run.scenario.name, writer, Endpoints(listen=[], connect=[]), 1.0)
     yield recorder
     recorder.close()

@@ -10,12 +10,12 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Message
 from mcap.writer import MCAP0_MAGIC
+from transport.log.json_messages import to_json
 
 from protocol.wire import messages as protocol
 from tests.support import runs
 from tests.support.logs import record_run
 from transport.log import tail as log_tail
-from transport.log.json_messages import to_json
 from transport.log.run_log import read_log
 from transport.log.salvage import chunk_content, frames
 from transport.log.tail import Chunks, LogTail, Unread

@@ -16,7 +16,7 @@ from protocol.wire.codec import encode
 from protocol.wire.keys import Keys
 from protocol.wire.messages import Control, LinkChange, Message, Presence, Rejected
 from tests.support import runs
-from tests.support.logs import HEADER
+from tests.support.logs import HEADER, with_scenario
 from tests.support.runs import setup
 from tests.support.samples import sample
 from transport.flight import recorder as recorder_module
@@ -54,7 +54,7 @@ class ScriptedBus:
             if callable(item):
                 item()
                 continue
-            event = item if isinstance(item, Presence) else self._admission.read(*item)
+            event = item if isinstance(item, Presence) else self._admission.take(*item)
             if event is not None:
                 return event
         return None
@@ -78,9 +78,8 @@ def record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Record:
         gone = [Presence(name, 0, alive=False) for name in reversed(PROCESSES)]
         monkeypatch.setattr(ScriptedBus, "script", (*script, *gone))
         path = tmp_path / "run.mcap"
-        recorder = Recorder(
-            run, KEYS.run, LogWriter(path, HEADER, period_ns=run.period_ns), Endpoints(listen=[], connect=[]), 1.0
-        )
+        writer = LogWriter(path, with_scenario(HEADER, run), period_ns=run.period_ns)
+        recorder = Recorder(run, KEYS.run, writer, Endpoints(listen=[], connect=[]), 1.0)
         recorder.start(PROCESSES)
         recorder.join()
         recorder.close()
