@@ -90,7 +90,7 @@ class Fire:
         self._run, self._seed = run, seed
 
     def __call__(self, wire: Wire, name: str, key: str, data: bytes) -> None:
-        """Disturb a receiver; each bad message is refused and counted at once, or kept for a token."""
+        """Disturb a receiver; each bad message is refused and counted at once, kept for a token, or in the log."""
         receiver = wire.receivers[name]
         if name not in self.sources:
             rng = np.random.default_rng([self._seed, len(self.sources)])
@@ -101,7 +101,9 @@ class Fire:
             before = receiver.rejected.total + receiver.admission.kept
             answers = wire.disturb(name, wrong_key, wrong)
             counted = receiver.rejected.total + receiver.admission.kept - before
-            assert (list(answers), counted) == ([], 1), (name, sort, wrong_key, wrong)
+            assert list(answers) == [], (name, sort, wrong_key, wrong)
+            # What the recorder writes as it came is refused by readers of the log.
+            assert counted == 1 or (name == "recorder" and counted == 0), (name, sort, wrong_key, wrong)
             self.shot[name, sort] += 1
 
 
@@ -126,6 +128,8 @@ def test_a_flight_under_fire(folder: Path, settings: tuple[str, ...]) -> None:
     assert fire.shot.total() > FEWEST
     assert set(fire.shot) == {(name, sort) for name in wire.receivers for sort in fire.sources[name].sorts}
     for name, receiver in wire.receivers.items():
+        if name == "recorder":
+            continue
         entries = list(receiver.rejected)
         shot = sum(count for (at, _), count in fire.shot.items() if at == name)
         assert sum(entry.count for entry in entries) == receiver.rejected.total == shot
@@ -138,7 +142,7 @@ def test_a_flight_under_fire(folder: Path, settings: tuple[str, ...]) -> None:
     counts: Counter[str] = Counter()
     for entry in summary["rejections"]:
         counts[entry["by"]] += entry["count"]
-    assert counts == {name: receiver.rejected.total for name, receiver in wire.receivers.items()}
+    assert counts == {name: sum(count for (at, _), count in fire.shot.items() if at == name) for name in wire.receivers}
 
 
 @pytest.mark.slow
