@@ -140,11 +140,16 @@ class Admission:
         return self.read(key, data) if sample is None else sample
 
     def follows(self, sample: Sample) -> bool:
-        """Return whether a sample is in order by its header; if so, it counts for the order of later ones."""
+        """Return whether a sample is in order by its header; if so, it counts for the order of later ones.
+
+        As the rest of it may be garbled, it is at most one tick ahead: a run has no greater steps.
+        """
         header = sample.header
+        if header.incarnation != self._announced.get(header.sender):
+            return False
+        if self._is_up_to_date and header.tick > self.tick + 1:
+            return False
         try:
-            if header.incarnation != self._announced.get(header.sender):
-                return False
             self._check_order(sample.key, header)
         except MessageError:
             return False

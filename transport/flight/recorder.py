@@ -109,7 +109,7 @@ class Recorder:
         self.requests: queue.SimpleQueue[Request] = queue.SimpleQueue()
         self._reception = Reception(setup, self._handle)
         self.rejected = self._reception.rejected
-        self._samples_s = setup.samples_s
+        self._samples_s, self._ticks = setup.samples_s, setup.ticks
         self._writer = writer
         self._writing = threading.Lock()  # notes come from another thread
         self._keys = Keys(run)
@@ -253,7 +253,7 @@ class Recorder:
         with self._writing:
             self._writer.add(f"/{self._keys.end(sample.key)}", sample.data, header, at_ns)
         self.received += 1
-        if not self.admission.follows(sample):
+        if header.tick >= self._ticks or not self.admission.follows(sample):
             return
         if header.kind in _OF_TICKS:
             self.tick = header.tick

@@ -176,7 +176,7 @@ class LogWriter:
         self._pending_bytes += len(data)
         self._writer.add_message(
             channel,
-            log_time=min(tick * self._period_ns, LAST_TIME_NS),
+            log_time=min(max(tick * self._period_ns, 0), LAST_TIME_NS),
             publish_time=min(max(received_ns, 0), LAST_TIME_NS),
             sequence=sequence % SEQUENCES,
             data=data,
