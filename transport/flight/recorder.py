@@ -22,20 +22,20 @@ from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import EXIT_UNREACHABLE
 from protocol.wire.keys import RECORDER, Keys
 from protocol.wire.messages import (
+    BUNDLES,
+    KINDS,
     Control,
     FaultNote,
     FaultOrigin,
     LinkChange,
-    Measurement,
     Message,
-    Plan,
     PlantState,
     Presence,
     Record,
+    Rejected,
     Relay,
     Request,
     Roster,
-    StepReport,
     Tick,
 )
 from protocol.wire.names import COORDINATOR
@@ -47,8 +47,10 @@ from transport.log.run_log import LogError, LogWriter
 # Reason of the end of a run whose coordinator has gone.
 _GONE = "coordinator is gone"
 
-# Kinds of messages of every tick, and among them those that tell of the newest tick and of the plant's state.
-_UNREAD = tuple(kind.kind for kind in (Relay, Record, Tick, Plan, StepReport, Measurement, PlantState))
+# Kinds of messages that the recorder reads; of the others it reads the header.
+_READ = frozenset(kind.kind for kind in (Roster, LinkChange, Control, Rejected, FaultNote))
+_UNREAD = {*KINDS, *BUNDLES} - _READ
+# Kinds among these that tell of the newest tick, and of the plant's state.
 _OF_TICKS, _OF_PLANT = (Tick.kind, Relay.kind), (PlantState.kind, Record.kind)
 # Place of a record without a plant state: the first of a run has measurements alone.
 _ONLY_MEASURED = (0, -1)

@@ -30,7 +30,8 @@ from transport.log.salvage import NotMcapError, Salvage
 CHUNK_BYTES = 64 * 1024
 CHUNK_S = 0.05
 _CHUNK_NS = round(CHUNK_S * 1e9)
-_COMPRESSION = CompressionType.ZSTD
+# The cheapest one: see docs/decisions.md.
+_COMPRESSION = CompressionType.LZ4
 # Kinds of messages that are in the file as soon as they are written.
 _URGENT = (Control.kind, FaultNote.kind)
 

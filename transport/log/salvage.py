@@ -20,8 +20,8 @@ from mcap.writer import MCAP0_MAGIC
 _RECORD_HEADER = struct.Struct("<BQ")  # opcode, length of the body
 MESSAGE_HEADER = struct.Struct("<HIQQ")  # channel, sequence, log and publish time, ns; the message data follows
 
-# Exceptions that a damaged record can cause while it is decoded.
-DAMAGE = (McapError, zstandard.ZstdError, struct.error, ValueError, MemoryError, OverflowError)
+# Exceptions that a damaged record can cause while it is decoded; lz4 raises RuntimeError.
+DAMAGE = (McapError, RuntimeError, zstandard.ZstdError, struct.error, ValueError, MemoryError, OverflowError)
 
 
 # Channel of messages whose channel record is damaged.
