@@ -3,7 +3,7 @@
 from collections import deque
 
 from protocol.admission.admission import Admission
-from protocol.wire.keys import Keys, matches
+from protocol.wire.keys import Keys
 from protocol.wire.messages import Bundle, Message, MessageError
 
 
@@ -19,7 +19,9 @@ class Unbundling:
         self.bundle: Bundle | None = None
         self.data = b""
         self._keys, self._admission = keys, admission
-        self._subscriptions = keys.subscriptions(name)
+        subscriptions = [keys.end(key) for key in keys.subscriptions(name)]
+        self._subscribed = {key for key in subscriptions if not key.endswith("/*")}
+        self._subscribed_below = {key.removesuffix("/*") for key in subscriptions if key.endswith("/*")}
         self._own = [keys.end(key) for key in keys.publications(name)]
         self._parts: deque[tuple[str, bytes]] = deque()  # keys and messages still to be read
         self._refused = 0  # messages refused before the bundle
@@ -32,10 +34,14 @@ class Unbundling:
             if not bundle.may_carry(end):
                 text = f"{bundle.kind} of {bundle.sender} with a message under the key {end}"
                 self._admission.refuse(key, MessageError("wrong_sender", text, bundle.sender))
-            elif end not in self._own and any(matches(expression, key) for expression in self._subscriptions):
+            elif end not in self._own and self._is_subscribed(end):
                 self._parts.append((key, data))
         # One without a message for this process does not count: anything could be in it.
         self.bundle, self._refused = bundle if self._parts else None, refused
+
+    def _is_subscribed(self, end: str) -> bool:
+        head, _, last = end.rpartition("/")
+        return end in self._subscribed or (head in self._subscribed_below and bool(last))
 
     def next(self) -> Message | None:
         """Return the next message of the bundle; None when all are read, and the bundle counts if none was refused."""
