@@ -12,14 +12,14 @@ true messages would be refused. A sequence number that occurs twice is refused a
 import threading
 from collections import deque
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
 
 from model.state import INPUTS, PAYLOAD, PER_UAV
+from protocol.admission.order import Newest, check_new, place_in
 from protocol.admission.plausibility import window
 from protocol.admission.samples import Sample, Samples
 from protocol.scenario.setup import Setup
 from protocol.wire.codec import MAX_BYTES, decode
-from protocol.wire.header import Header, Place, header_of, place_of
+from protocol.wire.header import Header, header_of
 from protocol.wire.keys import Keys
 from protocol.wire.messages import MAX_TICK, Bundle, LinkChange, Message, MessageError, Reason, Rejected, agent_name
 from protocol.wire.names import COORDINATOR, MAX_UAVS, PLANT, RECORDER
@@ -36,16 +36,6 @@ _NUMBERS = 1024
 
 # How many ticks a message may be ahead of all others: more than one connection is slower than another.
 _AHEAD = 16
-
-
-@dataclass(frozen=True, slots=True)
-class _Newest:
-    """The newest message of a kind under a key."""
-
-    sender: str
-    incarnation: int
-    sequence: int
-    place: Place | None
 
 
 class Admission:
@@ -90,7 +80,7 @@ class Admission:
         self.window = MAX_TICK if setup is None else max(_AHEAD, window(setup))
         self._is_up_to_date = False  # whether `tick` is the present tick of the run
         self._announced: dict[str, int] = {}  # newest incarnation, by name
-        self._newest: dict[tuple[str, str], _Newest] = {}  # by key and kind
+        self._newest: dict[tuple[str, str], Newest] = {}  # by key and kind
         self._numbers: dict[tuple[str, str], dict[int, None]] = {}  # sequence numbers in their order, by key and kind
         self._unread: dict[tuple[str, Reason], tuple[MessageError, int]] = {}  # refused on arrival, by sender
         self._counting = threading.Lock()  # for `_unread`: several threads receive
@@ -112,7 +102,7 @@ class Admission:
                 return False
             if (header.sender, header.incarnation) != (newest.sender, newest.incarnation):
                 return False
-            _check_new(header, header.place, newest)
+            check_new(header, header.place, newest)
         except MessageError as error:
             sender = error.sender or self._keys.end(key)
             with self._counting:
@@ -253,7 +243,7 @@ class Admission:
         newest = self._newest.get((key, message.kind))
         if newest is None or message.incarnation > newest.incarnation:
             return
-        _check_new(message, _place(message), newest)
+        check_new(message, place_in(message), newest)
         if message.sequence in self._numbers[key, message.kind]:
             raise MessageError("replayed", f"{message.kind} number {message.sequence} again", message.sender)
 
@@ -286,26 +276,10 @@ class Admission:
         numbers[message.sequence] = None
         if len(numbers) > _NUMBERS:
             del numbers[next(iter(numbers))]
-        self._newest[at] = _Newest(message.sender, message.incarnation, message.sequence, _place(message))
+        self._newest[at] = Newest(message.sender, message.incarnation, message.sequence, place_in(message))
         if message.kind != LinkChange.kind:  # a repeated change is of the past
             self.tick = max(self.tick, message.tick)
             self._is_up_to_date = True
-
-
-def _place(message: Message | Header) -> Place | None:
-    return message.place if isinstance(message, Header) else place_of(message)
-
-
-def _check_new(message: Message | Header, place: Place | None, newest: _Newest) -> None:
-    """Refuse a message that is not newer than the newest of its kind under its key."""
-    known = message.sequence <= newest.sequence
-    if place is None or newest.place is None:
-        if known:
-            text = f"{message.kind} number {message.sequence} after number {newest.sequence}"
-            raise MessageError("replayed", text, message.sender)
-    elif place <= newest.place:
-        text = f"{message.kind} {place[0]} after {newest.place[0]}"
-        raise MessageError("replayed" if known else "past", text, message.sender)
 
 
 def _wrong_incarnation(message: Message) -> MessageError:

@@ -19,7 +19,6 @@ from protocol.network.health import give_back_memory
 from protocol.network.session import BusError
 from protocol.scenario.links import told_change
 from protocol.scenario.setup import Setup
-from protocol.wire.exit_codes import EXIT_UNREACHABLE
 from protocol.wire.keys import RECORDER, Keys
 from protocol.wire.messages import (
     BUNDLES,
@@ -39,7 +38,7 @@ from protocol.wire.messages import (
     Tick,
 )
 from protocol.wire.names import COORDINATOR
-from protocol.wire.outbox import Outbox
+from protocol.wire.outbox import Outbox, lost
 from transport.flight.newest_state import NewestState
 from transport.log.gaps import END_NOT_RECORDED
 from transport.log.run_log import LogError, LogWriter
@@ -293,13 +292,4 @@ class Recorder:
     def _end(self, reason: str) -> None:
         """Write the end of a run whose coordinator cannot."""
         state = self.plant_state
-        control = Control(
-            sender=RECORDER,
-            incarnation=0,
-            sequence=0,
-            tick=state.tick if state else 0,
-            outcome="aborted",
-            reason=reason,
-            exit_code=EXIT_UNREACHABLE,
-        )
-        self._take(control)
+        self._take(lost(self._out, state.tick if state else 0, reason))
