@@ -62,7 +62,7 @@ from protocol.wire.keys import Keys, matches
 from protocol.wire.outbox import Outbox
 from protocol.wire.records import Battery
 from tests.support.samples import sample
-from transport.log.json_messages import from_json, json_schema, to_json
+from transport.report.json_messages import json_schema, to_json
 
 keys = Keys("run")
 message = Outbox("agent2", 0).stamp(Battery, tick=3, agent=2, charge_As=7e3)
@@ -80,7 +80,7 @@ except MessageError as error:
     assert error.reason == "wrong_sender"
 else:
     raise AssertionError("a forged sender was accepted")
-assert from_json("battery", to_json(message)) == message
+assert b'"charge_As":7000.0' in to_json(message)
 assert json_schema("battery")["properties"]["charge_As"] == {"type": "number"}
 assert sample(Battery).sender == "agent2"
 """

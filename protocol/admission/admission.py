@@ -17,15 +17,18 @@ ones.
 
 import threading
 from collections import deque
-from dataclasses import dataclass
+from collections.abc import Callable, Collection
 
 from model.state import INPUTS, PAYLOAD, PER_UAV
+from protocol.admission.order import Newest, check_new, place_in
 from protocol.admission.plausibility import window
+from protocol.admission.samples import Sample, Samples
 from protocol.scenario.setup import Setup
 from protocol.wire.codec import MAX_BYTES, decode
-from protocol.wire.header import Header, Place, header_of, place_of
+from protocol.wire.header import Header, Place, header_of
 from protocol.wire.keys import Keys
 from protocol.wire.messages import (
+    MAX_TICK,
     Answer,
     Bundle,
     LinkChange,
@@ -37,7 +40,7 @@ from protocol.wire.messages import (
     Relay,
     agent_name,
 )
-from protocol.wire.names import COORDINATOR, PLANT, RECORDER
+from protocol.wire.names import COORDINATOR, MAX_UAVS, PLANT, RECORDER
 from protocol.wire.rejections import MAX_SENDERS, Notices, Rejections
 
 # Size of a message without its arrays, with the longest texts and lists it may have.
@@ -53,21 +56,20 @@ _NUMBERS = 1024
 _AHEAD = 16
 
 
-@dataclass(frozen=True, slots=True)
-class _Newest:
-    """The newest message of a kind under a key."""
-
-    sender: str
-    incarnation: int
-    sequence: int
-    place: Place | None
-
-
 class Admission:
     """Admission of messages to one process.
 
     A message counts for the order of later ones only if the node has not refused it by the time the next one is read:
     a forged message that the node sees through must not block the true one.
+
+    Args:
+        name: The process.
+        keys: Keys of the run.
+        setup: The run; None where it is not known: sizes, senders and moments are not checked then.
+        rejections: Counts of refused messages.
+        unread: Kinds that `take` hands over as samples.
+        on_announced: Called with name and incarnation of each process whose token has appeared.
+        refuses_lone_plans: Whether plans are relayed, so that none comes alone but proposals of a negotiation.
 
     Attributes:
         rejections: Counts of refused messages, also those that the node refuses.
@@ -77,21 +79,32 @@ class Admission:
     """
 
     def __init__(
-        self, name: str, keys: Keys, setup: Setup, rejections: Rejections, *, refuses_lone_plans: bool = False
+        self,
+        name: str,
+        keys: Keys,
+        setup: Setup | None,
+        rejections: Rejections,
+        unread: Collection[str] = (),
+        on_announced: Callable[[str, int], None] = lambda *_: None,
+        *,
+        refuses_lone_plans: bool = False,
     ) -> None:
-        self.max_bytes = _max_bytes(setup)
+        self.max_bytes = MAX_BYTES if setup is None else _max_bytes(setup)
         # Answers that fill a relay must leave room in it for those of the other agents.
-        self._max_answer = {agent: _max_answer(setup, agent) for agent in setup.agents}
+        self._max_answer = {} if setup is None else {agent: _max_answer(setup, agent) for agent in setup.agents}
         self._refuses_lone_plans = refuses_lone_plans
         self.tick = 0
         self._name = name
         self._keys = keys
         self.rejections, self._notices = rejections, Notices(name, rejections)
-        self._senders = {COORDINATOR, PLANT, RECORDER, *map(agent_name, setup.agents)}
-        self.window = max(_AHEAD, window(setup))
+        agents = range(1, MAX_UAVS + 1) if setup is None else setup.agents
+        self._senders = {COORDINATOR, PLANT, RECORDER, *map(agent_name, agents)}
+        self._samples = Samples(unread, keys, agents)
+        self._on_announced = on_announced
+        self.window = MAX_TICK if setup is None else max(_AHEAD, window(setup))
         self._is_up_to_date = False  # whether `tick` is the present tick of the run
         self._announced: dict[str, int] = {}  # newest incarnation, by name
-        self._newest: dict[tuple[str, str, bool], _Newest] = {}  # by key, kind, and whether it is a proposal
+        self._newest: dict[tuple[str, str, bool], Newest] = {}  # by key, kind, and whether it is a proposal
         # Incarnations and sequence numbers in their order, by key and kind.
         self._numbers: dict[tuple[str, str], dict[tuple[int, int], None]] = {}
         self._unread: dict[tuple[str, Reason], tuple[MessageError, int]] = {}  # refused on arrival, by sender
@@ -115,7 +128,7 @@ class Admission:
                 return False
             if (header.sender, header.incarnation) != (newest.sender, newest.incarnation):
                 return False
-            _check_new(header, header.place, newest)
+            check_new(header, header.place, newest)
         except MessageError as error:
             sender = error.sender or self._keys.end(key)
             with self._counting:
@@ -136,6 +149,29 @@ class Admission:
             unread, self._unread = self._unread, {}
         for (sender, _), (error, count) in unread.items():
             self.rejections.add(sender, error, count)
+
+    def take(self, key: str, data: bytes) -> Message | Sample | None:
+        """Return the sample or message in some bytes; None as for `read`, which reads all that are not handed over."""
+        sample = self._samples.take(key, data)
+        return self.read(key, data) if sample is None else sample
+
+    def follows(self, sample: Sample) -> bool:
+        """Return whether a sample is in order by its header; if so, it counts for the order of later ones.
+
+        As the rest of it may be garbled, it is at most one tick ahead: a run has no greater steps.
+        """
+        header = sample.header
+        if header.incarnation != self._announced.get(header.sender):
+            return False
+        if self._is_up_to_date and header.tick > self.tick + 1:
+            return False
+        try:
+            self._check_order(sample.key, header)
+        except MessageError:
+            return False
+        self._remember(sample.key, header)
+        self._note_tick(header)
+        return True
 
     def read(self, key: str, data: bytes, bundle: Bundle | None = None) -> Message | None:
         """Return the message in some bytes; None if it is refused, or kept because its sender is not announced yet.
@@ -184,6 +220,7 @@ class Admission:
         for key, message in waiting:
             ahead = message.incarnation > self._announced.get(message.sender, -1)
             (self._early if ahead else self._released).append((key, message))
+        self._on_announced(name, incarnation)
 
     def released(self) -> Message | None:
         """Return the next message that was kept and can now be handled, or None."""
@@ -241,14 +278,14 @@ class Admission:
             text = f"plan of {message.sender} alone, expected it in an answer"
             raise MessageError("wrong_sender", text, message.sender)
 
-    def _check_order(self, key: str, message: Message) -> None:
+    def _check_order(self, key: str, message: Message | Header) -> None:
         if self._is_up_to_date and message.tick > self.tick + self.window:
             text = f"{message.kind} of tick {message.tick}, the newest here is {self.tick}"
             raise MessageError("future", text, message.sender)
-        place = place_of(message)
+        place = place_in(message)
         newest = self._newest.get(_stream(key, message.kind, place))
         if newest is not None and message.incarnation <= newest.incarnation:
-            _check_new(message, place, newest)
+            check_new(message, place, newest)
         if (message.incarnation, message.sequence) in self._numbers.get((key, message.kind), ()):
             raise MessageError("replayed", f"{message.kind} number {message.sequence} again", message.sender)
 
@@ -268,35 +305,26 @@ class Admission:
         self._remember(key, message)
         if isinstance(bundle, Answer) and bundle.tick == message.tick:
             self._remember(self._keys.of(bundle), bundle)
-        if not isinstance(message, LinkChange):  # a repeated change is of the past
+        self._note_tick(message)
+
+    def _note_tick(self, message: Message | Header) -> None:
+        if message.kind != LinkChange.kind:  # a repeated change is of the past
             self.tick = max(self.tick, message.tick)
             self._is_up_to_date = True
 
-    def _remember(self, key: str, message: Message) -> None:
+    def _remember(self, key: str, message: Message | Header) -> None:
         numbers = self._numbers.setdefault((key, message.kind), {})
         numbers[message.incarnation, message.sequence] = None
         if len(numbers) > _NUMBERS:
             del numbers[next(iter(numbers))]
-        place = place_of(message)
-        newest = _Newest(message.sender, message.incarnation, message.sequence, place)
+        place = place_in(message)
+        newest = Newest(message.sender, message.incarnation, message.sequence, place)
         self._newest[_stream(key, message.kind, place)] = newest
 
 
 def _stream(key: str, kind: str, place: Place | None) -> tuple[str, str, bool]:
     """Return what messages are ordered by: key, kind, and whether it is a proposal of a negotiation."""
     return key, kind, kind == Plan.kind and place is not None and place[1] < 0
-
-
-def _check_new(message: Message | Header, place: Place | None, newest: _Newest) -> None:
-    """Refuse a message that is not newer than the newest of its kind under its key."""
-    known = message.sequence <= newest.sequence
-    if place is None or newest.place is None:
-        if known:
-            text = f"{message.kind} number {message.sequence} after number {newest.sequence}"
-            raise MessageError("replayed", text, message.sender)
-    elif place <= newest.place:
-        text = f"{message.kind} {place[0]} after {newest.place[0]}"
-        raise MessageError("replayed" if known else "past", text, message.sender)
 
 
 def _wrong_incarnation(message: Message) -> MessageError:

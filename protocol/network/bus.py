@@ -7,7 +7,6 @@ that calls `next`; Zenoh's threads only put them in.
 import json
 import queue
 import time
-from collections import deque
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -16,12 +15,14 @@ import zenoh
 
 from protocol.admission.admission import Admission
 from protocol.admission.rate_limit import RateLimit
+from protocol.admission.samples import Sample
+from protocol.admission.unbundling import Unbundling
 from protocol.network.endpoints import Endpoints
 from protocol.network.health import Offset, usage
 from protocol.network.joining import Expected, Peers
 from protocol.network.session import BusError, fetch_answer, in_bounded_time, log_errors, open_session
 from protocol.wire.codec import VERSION, encode
-from protocol.wire.keys import RECORDER, WATCHER, Keys, matches
+from protocol.wire.keys import RECORDER, WATCHER, Keys
 from protocol.wire.messages import Bundle, Event, Message, MessageError, Request
 from protocol.wire.names import COORDINATOR, is_name
 
@@ -46,7 +47,7 @@ class Left:
     name: str
 
 
-BusEvent = Event | Interrupted | Left
+BusEvent = Event | Sample | Interrupted | Left
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +75,6 @@ class Bus:
 
     Attributes:
         arrived_ns: Wall-clock time of arrival of the last event that `next` returned, ns since 1970.
-        bundle: Bundle that this event came in, or None.
         before_wait: Function that `next` calls when no message of a bundle is left to be read.
         offset: By how much the coordinator's wall clock is ahead of this one, once this process has joined.
 
@@ -97,15 +97,12 @@ class Bus:
         reach_s: float = 30.0,
     ) -> None:
         self.arrived_ns = 0
-        self.bundle: Bundle | None = None
         self.before_wait: Callable[[], None] = lambda: None
-        self._parts: deque[tuple[str, bytes]] = deque()  # keys and messages of the bundle, still to be read
         self.offset: Offset | None = None
         self._gather_s, self._serves = gather_s, serves
         self.name, self.incarnation, self._digest = name, incarnation, digest
         self._keys, self._endpoints = Keys(run), endpoints
-        self._subscriptions = self._keys.subscriptions(name)
-        self._own = [self._keys.end(key) for key in self._keys.publications(name)]
+        self._unbundling = Unbundling(name, self._keys, admission)
         self._inbox: queue.SimpleQueue[tuple[int, _Item]] = queue.SimpleQueue()  # with the time of arrival
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._tokens: list[zenoh.LivelinessToken] = []
@@ -131,6 +128,11 @@ class Bus:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    @property
+    def bundle(self) -> Bundle | None:
+        """Bundle that the last event came in, or None."""
+        return self._unbundling.bundle
 
     def join(self, expected: Collection[str], timeout_s: float) -> Interrupted | None:
         """Announce this process and wait until all expected processes are up.
@@ -213,15 +215,13 @@ class Bus:
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
         self.admission.count_unread()
         while True:
-            while self._parts:
-                message = self.admission.read(*self._parts.popleft(), self.bundle)
-                if message is not None:
-                    return message
-            self.bundle = None
+            message = self._unbundling.next()
+            if message is not None:
+                return message
             self.before_wait()
             kept = self.admission.released()
             if isinstance(kept, Bundle):
-                self._open(kept)
+                self._unbundling.open(kept)
                 continue
             if kept is not None:
                 return kept
@@ -234,7 +234,7 @@ class Bus:
                 return None
             event = self._event(item)
             if isinstance(event, Bundle):
-                self._open(event)
+                self._unbundling.open(event)
             elif event is not None:
                 return event
             if deadline is not None and time.monotonic() > deadline + _FLOOD_S:
@@ -316,17 +316,6 @@ class Bus:
         else:
             self._put(sample)
 
-    def _open(self, bundle: Bundle) -> None:
-        """Queue the messages of a bundle that are for this process; each is checked as if it had come alone."""
-        self.bundle = bundle
-        for end, data in zip(bundle.keys, bundle.parts, strict=True):
-            key = f"{self._keys.prefix}/{end}"
-            if not bundle.may_carry(end):
-                text = f"{bundle.kind} of {bundle.sender} with a message under the key {end}"
-                self.admission.refuse(key, MessageError("wrong_sender", text, bundle.sender))
-            elif end not in self._own and any(matches(expression, key) for expression in self._subscriptions):
-                self._parts.append((key, data))
-
     def _put(self, item: _Item) -> None:
         self._inbox.put((time.time_ns(), item))
 
@@ -347,4 +336,4 @@ class Bus:
                 return Left(name)
             self.admission.refuse(key, MessageError("malformed", "expected no content under the key of a process"))
             return None
-        return self.admission.read(key, item.payload.to_bytes())
+        return self.admission.take(key, item.payload.to_bytes())

@@ -1,6 +1,6 @@
 """Logs composed of single messages and of simulated runs, for the tests of metrics, report and figures."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -97,6 +97,11 @@ def plant_state(run: Setup, k: int, change: Callable[[Array, Array], None] = lam
     u = run.hover.u.copy()
     change(x, u)
     return replace(runs.plant_state(run, k), x=x, u=u)
+
+
+def with_scenario(header: Mapping[str, str], run: Setup) -> dict[str, str]:
+    """Return the header of a log with the scenario of a run, by which its messages are checked."""
+    return {**header, "scenario": tomli_w.dumps(run.scenario.tree())}
 
 
 def record_run(run: Setup, folder: Path) -> list[Message]:

@@ -10,6 +10,7 @@ import pytest
 from agent.node import AgentNode
 from coordinator.node import CoordinatorNode
 from plant.node import PlantNode
+from protocol.admission import samples
 from protocol.admission.admission import Admission
 from protocol.network import bus as bus_module
 from protocol.network import process
@@ -160,7 +161,7 @@ class RecordingReceiver:
         self.bus._put(Sample(key, data))  # type: ignore[arg-type]
         self.bus.interrupt("nothing more arrives")
         while not isinstance(event := self.bus.next(None), Interrupted):
-            if isinstance(event, Message):
+            if isinstance(event, Message | samples.Sample):
                 self._recorder.receive(event)
         return sent_by(self.bus)
 

@@ -9,14 +9,16 @@ from typing import Any
 import pytest
 
 from protocol.admission.admission import Admission
+from protocol.admission.samples import Sample
 from protocol.network.bus import BusEvent
 from protocol.network.endpoints import Endpoints
 from protocol.scenario.setup import Setup
 from protocol.wire.codec import encode
 from protocol.wire.keys import Keys
-from protocol.wire.messages import Control, LinkChange, Message, Presence, Rejected
+from protocol.wire.messages import Bundle, Control, LinkChange, Measurement, Message, Presence, Record, Rejected, Relay
+from protocol.wire.outbox import Outbox
 from tests.support import runs
-from tests.support.logs import HEADER
+from tests.support.logs import HEADER, with_scenario
 from tests.support.runs import setup
 from tests.support.samples import sample
 from transport.flight import recorder as recorder_module
@@ -54,7 +56,7 @@ class ScriptedBus:
             if callable(item):
                 item()
                 continue
-            event = item if isinstance(item, Presence) else self._admission.read(*item)
+            event = item if isinstance(item, Presence) else self._admission.take(*item)
             if event is not None:
                 return event
         return None
@@ -63,11 +65,11 @@ class ScriptedBus:
         """Nothing to close."""
 
 
-Record = Callable[..., list[Message]]
+Recording = Callable[..., list[Message]]
 
 
 @pytest.fixture
-def record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Record:
+def record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Recording:
     """Records what a test says, to the end of the processes, and returns the log."""
     monkeypatch.setattr(recorder_module, "Bus", ScriptedBus)
 
@@ -78,9 +80,8 @@ def record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Record:
         gone = [Presence(name, 0, alive=False) for name in reversed(PROCESSES)]
         monkeypatch.setattr(ScriptedBus, "script", (*script, *gone))
         path = tmp_path / "run.mcap"
-        recorder = Recorder(
-            run, KEYS.run, LogWriter(path, HEADER, period_ns=run.period_ns), Endpoints(listen=[], connect=[]), 1.0
-        )
+        writer = LogWriter(path, with_scenario(HEADER, run), period_ns=run.period_ns)
+        recorder = Recorder(run, KEYS.run, writer, Endpoints(listen=[], connect=[]), 1.0)
         recorder.start(PROCESSES)
         recorder.join()
         recorder.close()
@@ -105,7 +106,7 @@ def changed(message: Message, **changes: Any) -> Message:
     return replace(message, **{"sequence": 10**6, **changes})
 
 
-def test_processes_that_were_unreachable_return(record: Record) -> None:
+def test_processes_that_were_unreachable_return(record: Recording) -> None:
     """Recording goes on when all processes reconnect after a pause that closed their connections."""
     said = flight(6)
     gone, back = ([Presence(name, 0, alive=alive) for name in PROCESSES] for alive in (False, True))
@@ -117,13 +118,13 @@ def test_processes_that_were_unreachable_return(record: Record) -> None:
     assert (end.outcome, end.reason) == ("aborted", "coordinator is gone")
 
 
-def test_nothing_to_say(record: Record) -> None:
+def test_nothing_to_say(record: Recording) -> None:
     """A run without wrong messages is recorded without rejections."""
     said = flight(5)
     assert [encode(message) for message in record(*said)] == [encode(message) for message in said]
 
 
-def test_a_pause_is_used_to_write(record: Record, tmp_path: Path) -> None:
+def test_a_pause_is_used_to_write(record: Recording, tmp_path: Path) -> None:
     """After a pause without messages all earlier ones are in the file for readers, and recording goes on."""
     said, seen = flight(5), []
 
@@ -147,7 +148,7 @@ def test_a_note_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.Monke
     assert recorder.received == 0
 
 
-def test_refusals_are_on_record(record: Record) -> None:
+def test_refusals_are_on_record(record: Recording) -> None:
     """The recorder logs its own rejections, but not the refused messages."""
     said = flight(30)
     wrong = [
@@ -171,8 +172,40 @@ def test_refusals_are_on_record(record: Record) -> None:
     assert [notice.count for notice in notices] == [1] * len(wrong)
 
 
-def test_the_end_is_believed_when_it_comes(record: Record) -> None:
+def test_the_end_is_believed_when_it_comes(record: Recording) -> None:
     """An end message that overtakes the last ticks ends the recording."""
     said = flight(12)
     messages = record(*said[:15], said[-1])
     assert encode(messages[-1]) == encode(said[-1])
+
+
+def test_progress_follows_headers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tick, begin and newest state follow bundles and messages in order; forged and garbled ones do not mislead."""
+    monkeypatch.setattr(recorder_module, "Bus", ScriptedBus)
+    writer = LogWriter(tmp_path / "run.mcap", with_scenario(HEADER, RUN), period_ns=RUN.period_ns)
+    recorder = Recorder(RUN, KEYS.run, writer, Endpoints(listen=[], connect=[]), 1.0)
+    coordinator, plant = Outbox("coordinator", 0), Outbox("plant", 0)
+
+    def hear(out: Outbox, kind: type[Bundle], tick: int, *parts: Message, to_follow: int = 1, cut: int = 0) -> None:
+        keys, encoded = tuple(KEYS.end(KEYS.of(part)) for part in parts), tuple(map(encode, parts))
+        message = out.stamp(kind, tick=tick, to_follow=to_follow, keys=keys, parts=encoded)
+        data = encode(message)
+        taken = recorder.admission.take(KEYS.of(message), data[: len(data) - cut])
+        assert isinstance(taken, Sample)
+        recorder.receive(taken)
+
+    hear(coordinator, Relay, 0, runs.tick(0))
+    hear(plant, Record, 0, sample(Measurement))
+    assert (recorder.tick, recorder.started_s, recorder.plant_state) == (0, None, None)
+    hear(coordinator, Relay, 1, runs.tick(1))
+    hear(plant, Record, 1, runs.plant_state(RUN, 0), sample(Measurement))
+    assert recorder.started_s is not None
+    for tick in (0, 5, 10**6):  # past, too far ahead, beyond the end of the run
+        hear(coordinator, Relay, tick, runs.tick(tick))
+    hear(plant, Record, 2, runs.plant_state(RUN, 1), cut=100)
+    assert recorder.tick == 1
+    assert recorder.plant_state is not None
+    assert encode(recorder.plant_state) == encode(runs.plant_state(RUN, 0))
+    assert recorder.received == 8
+    recorder.close()
+    assert recorder.error is None

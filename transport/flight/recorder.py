@@ -1,4 +1,8 @@
-"""The recorder: an observer on the network that writes every message to the run's log, in a separate thread."""
+"""The recorder: an observer on the network that writes every message to the run's log, in a separate thread.
+
+Messages of every tick are written as they came; only their headers are read. Readers of the log check them
+(`transport.log.log_reception`). Rare messages, which the recorder acts on, are checked here and written if accepted.
+"""
 
 import queue
 import threading
@@ -8,15 +12,17 @@ from collections.abc import Callable, Collection
 from protocol.admission.admission import Admission
 from protocol.admission.plausibility import check_moment
 from protocol.admission.reception import Reception
+from protocol.admission.samples import Sample
 from protocol.network.bus import LINGER_S, Bus, BusEvent, Interrupted, Left
 from protocol.network.endpoints import Endpoints
 from protocol.network.health import give_back_memory
 from protocol.network.session import BusError
 from protocol.scenario.links import told_change
 from protocol.scenario.setup import Setup
-from protocol.wire.exit_codes import EXIT_UNREACHABLE
 from protocol.wire.keys import RECORDER, Keys
 from protocol.wire.messages import (
+    BUNDLES,
+    KINDS,
     Control,
     FaultNote,
     FaultOrigin,
@@ -24,17 +30,29 @@ from protocol.wire.messages import (
     Message,
     PlantState,
     Presence,
+    Record,
+    Rejected,
+    Relay,
     Request,
     Roster,
     Tick,
 )
 from protocol.wire.names import COORDINATOR
-from protocol.wire.outbox import Outbox
+from protocol.wire.outbox import Outbox, lost
+from transport.flight.newest_state import NewestState
 from transport.log.gaps import END_NOT_RECORDED
 from transport.log.run_log import LogError, LogWriter
 
 # Reason of the end of a run whose coordinator has gone.
 _GONE = "coordinator is gone"
+
+# Kinds of messages that the recorder reads; of the others it reads the header.
+_READ = frozenset(kind.kind for kind in (Roster, LinkChange, Control, Rejected, FaultNote))
+_UNREAD = {*KINDS, *BUNDLES} - _READ
+# Kinds among these that tell of the newest tick, and of the plant's state.
+_OF_TICKS, _OF_PLANT = (Tick.kind, Relay.kind), (PlantState.kind, Record.kind)
+# Place of a record without a plant state: the first of a run has measurements alone.
+_ONLY_MEASURED = (0, -1)
 
 # Wake-ups cost the run processor time, so messages are gathered in batches; in a paced run for less than a tick.
 _GATHER_S, _GATHER_PACED_S = 0.03, 0.01
@@ -55,7 +73,6 @@ class Recorder:
     """Recorder of one run; its attributes show the progress.
 
     Attributes:
-        plant_state: The newest state of the plant, or None.
         started_s: Steady-clock time of the first plant state, or None.
         control: How the run ended, once it has.
         notices: Roster changes after the start, and faults.
@@ -63,7 +80,7 @@ class Recorder:
         received: Number of messages in the log.
         tick: The newest open tick, -1 before the first.
         requests: Requests to the parent of the run's processes.
-        rejected: Rejected messages.
+        rejected: Messages that the recorder itself has rejected; readers of the log reject others.
         admission: Admission of messages.
 
     Args:
@@ -84,7 +101,6 @@ class Recorder:
         incarnation: int = 0,
         has_ended: Callable[[], bool] = lambda: False,
     ) -> None:
-        self.plant_state: PlantState | None = None
         self.started_s: float | None = None
         self.control: Control | None = None
         self.notices: list[str] = []
@@ -94,10 +110,12 @@ class Recorder:
         self.requests: queue.SimpleQueue[Request] = queue.SimpleQueue()
         self._reception = Reception(setup, self._handle)
         self.rejected = self._reception.rejected
-        self._samples_s = setup.samples_s
-        relayed = setup.scenario.clock.relayed
-        self.admission = Admission(RECORDER, Keys(run), setup, self.rejected, refuses_lone_plans=relayed)
+        self._samples_s, self._ticks = setup.samples_s, setup.ticks
         self._writer = writer
+        self._writing = threading.Lock()  # notes come from another thread
+        self._keys = Keys(run)
+        self.admission = Admission(RECORDER, self._keys, setup, self.rejected, _UNREAD, self._announce)
+        self._newest_state = NewestState()
         self._join_timeout_s = join_timeout_s
         self._has_ended = has_ended
         self._bus = Bus(
@@ -107,15 +125,19 @@ class Recorder:
             digest=setup.scenario.digest(),
             endpoints=endpoints,
             admission=self.admission,
-            relayed=relayed,
+            relayed=setup.scenario.clock.relayed,
             serves=True,
             gather_s=_GATHER_PACED_S if setup.scenario.clock.speed > 0.0 else _GATHER_S,
         )
         self._out = Outbox(RECORDER, incarnation)
-        self._writing = threading.Lock()  # notes come from another thread
         self._thread = threading.Thread(target=self._run, name=RECORDER, daemon=True)
         self._expected: Collection[str] = ()
         self._tidy_s = 0.0
+
+    @property
+    def plant_state(self) -> PlantState | None:
+        """The newest state of the plant, or None; decoded when it is asked for."""
+        return self._newest_state.decoded()
 
     def start(self, expected: Collection[str]) -> None:
         """Begin; the expected processes are waited for on the recorder's thread."""
@@ -221,9 +243,28 @@ class Recorder:
                 self._tidy_s = time.monotonic() + _TIDY_S
         return self._bus.next(timeout_s)
 
-    def receive(self, message: Message, at_ns: int | None = None) -> None:
-        """Record a message from the network that arrived at a time, ns since 1970, now by default, unless refused."""
-        self._reception.receive(message, time.time_ns() if at_ns is None else at_ns)
+    def receive(self, message: Message | Sample, at_ns: int | None = None) -> None:
+        """Record what arrived from the network at a time, ns since 1970, now by default, unless it is refused."""
+        at_ns = time.time_ns() if at_ns is None else at_ns
+        if isinstance(message, Sample):
+            self._record_sample(message, at_ns)
+        else:
+            self._reception.receive(message, at_ns)
+
+    def _record_sample(self, sample: Sample, at_ns: int) -> None:
+        """Record a message as it came; progress is that of messages which are in order."""
+        header = sample.header
+        with self._writing:
+            self._writer.add(f"/{self._keys.end(sample.key)}", sample.data, header, at_ns)
+        self.received += 1
+        if header.tick >= self._ticks or not self.admission.follows(sample):
+            return
+        if header.kind in _OF_TICKS:
+            self.tick = header.tick
+        elif header.kind in _OF_PLANT:
+            self._newest_state.add(sample)
+            if self.started_s is None and header.place != _ONLY_MEASURED:
+                self.started_s = time.monotonic()
 
     def _handle(self, message: Message, at_ns: int) -> None:
         """Record a message that passed the checks of the reception."""
@@ -239,12 +280,6 @@ class Recorder:
             self._writer.write(message, time.time_ns() if at_ns is None else at_ns)
         self.received += 1
         match message:
-            case PlantState():
-                if self.started_s is None:
-                    self.started_s = time.monotonic()
-                self.plant_state = message
-            case Tick():
-                self.tick = message.tick
             case Control():
                 self.control = message
             case Roster(version=version, reason=reason) if version > 1:
@@ -252,15 +287,12 @@ class Recorder:
             case FaultNote():
                 self.notices.append(f"fault: {message.target} {message.what}")
 
+    def _announce(self, name: str, incarnation: int) -> None:
+        """Record the token of a process."""
+        with self._writing:
+            self._writer.announce(name, incarnation, time.time_ns())
+
     def _end(self, reason: str) -> None:
         """Write the end of a run whose coordinator cannot."""
-        control = Control(
-            sender=RECORDER,
-            incarnation=0,
-            sequence=0,
-            tick=self.plant_state.tick if self.plant_state else 0,
-            outcome="aborted",
-            reason=reason,
-            exit_code=EXIT_UNREACHABLE,
-        )
-        self._take(control)
+        state = self.plant_state
+        self._take(lost(self._out, state.tick if state else 0, reason))

@@ -1,6 +1,5 @@
 """Content of a log: channels, ticks, time span, and what is missing."""
 
-import tomllib
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -8,11 +7,12 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from protocol.scenario.file import ScenarioError, validate
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Control, Measurement, Plan, PlantState, StepReport, Tick
+from transport.log.channels import kind_of, topic_of
 from transport.log.gaps import missing
-from transport.log.run_log import RunLog, kind_of, read_log, topic_of
+from transport.log.log_reception import setup_in
+from transport.log.run_log import RunLog, read_log
 
 # Kinds of messages sent at every tick.
 _REGULAR = (Tick.kind, PlantState.kind, Measurement.kind, Plan.kind, StepReport.kind)
@@ -34,13 +34,7 @@ def open_log(path: Path) -> LogFile:
     """
     file = path / "run.mcap" if path.is_dir() else path
     log = read_log(file)
-    try:
-        # Files named in the scenario lie beside the log, in its run folder.
-        source = str(file.parent / "scenario.toml")
-        setup: Setup | None = Setup.of(validate(tomllib.loads(log.header.get("scenario", "")), source), source)
-    except (ScenarioError, tomllib.TOMLDecodeError):
-        setup = None
-    return LogFile(path=file, log=log, setup=setup)
+    return LogFile(path=file, log=log, setup=setup_in(log.header, file.parent))
 
 
 def describe(file: LogFile) -> dict[str, Any]:

@@ -34,7 +34,10 @@ def open_run(folder: Path, *, horizons: bool = True, setup: Setup | None = None)
 
     Raises: LogError: the log cannot be read; ScenarioError: the scenario cannot be read.
     """
-    log = read_log(folder / "run.mcap", horizons=horizons)
+    path = folder / "run.mcap"
+    if setup is None and path.exists():  # otherwise the folder is none of a run, which says more
+        setup = setup_of(folder)
+    log = read_log(path, horizons=horizons, setup=setup)
     cut = "; ".join(filter(None, (log.cut, missing(log))))
     return RecordedRun(folder=folder, setup=setup or setup_of(folder), log=replace(log, cut=cut))
 

@@ -1,8 +1,8 @@
-"""The log of a run: every message in one MCAP file that viewers open and that survives a kill.
+"""The log of a run: every message as it came, in one MCAP file that survives a kill.
 
-Messages are JSON, one channel per key and one schema per kind. `log_time` is scenario time, so that viewers show the
-run and not the host; `publish_time` is when the recorder received the message. The metadata record "run", ahead of
-all messages, describes the run.
+One record for each message or bundle that the recorder received, with its bytes, in a channel for each key. `log_time`
+is scenario time, `publish_time` is when the recorder received the message. The metadata record "run", ahead of all
+messages, describes the run. `transport log export` makes files for other programs.
 """
 
 from collections.abc import Iterator, Mapping
@@ -12,26 +12,33 @@ from pathlib import Path
 from tempfile import TemporaryFile
 from typing import TypeVar
 
-from mcap.writer import Writer
+import orjson
+from mcap.writer import CompressionType, Writer
 
-from protocol.wire.keys import Keys
-from protocol.wire.messages import KINDS, Control, FaultNote, LinkChange, Message, Plan
+from protocol.scenario.setup import Setup
+from protocol.wire.codec import encode
+from protocol.wire.header import Header
+from protocol.wire.keys import RECORDER
+from protocol.wire.messages import Control, FaultNote, Message, MessageError, Plan
+from transport.log.channels import ENCODING, TOKENS, TOKENS_ENCODING, channel_of, is_known
 from transport.log.chunk_indexes import ChunkIndexes
-from transport.log.json_messages import JsonChannels, from_json, to_json
+from transport.log.log_reception import LogReception, Read, setup_in
 from transport.log.salvage import NotMcapError, Salvage
 
-# A chunk ends at this size, before compression (about three ticks of four agents), or at this age. A kill loses at most
-# one chunk; live readers wait for it. Larger chunks hardly compress better.
+# A chunk ends at this size, before compression (about ten ticks of four agents), or at this age. A kill loses at most
+# one chunk; live readers wait for it.
 CHUNK_BYTES = 64 * 1024
 CHUNK_S = 0.05
 _CHUNK_NS = round(CHUNK_S * 1e9)
+# The cheapest one: see docs/decisions.md.
+_COMPRESSION = CompressionType.LZ4
+# Kinds of messages that are in the file as soon as they are written.
+_URGENT = (Control.kind, FaultNote.kind)
 
-_METADATA = "run"
-# Metadata record of a copy for other viewers: names the channels that were derived from the messages of the log.
-DERIVED = "derived channels"
-_KEYS = Keys("log")
-_LAST_TIME_NS = 2**63 - 1
-_SEQUENCES = 2**32  # MCAP numbers have 32 bits; the JSON holds the full number
+METADATA = "run"
+# Largest time of an MCAP record, ns, and number of its sequence numbers.
+LAST_TIME_NS = 2**63 - 1
+SEQUENCES = 2**32  # MCAP numbers have 32 bits; the message has the full number
 
 M = TypeVar("M", bound=Message)
 
@@ -88,18 +95,19 @@ class LogWriter:
     def __init__(self, path: Path, header: Mapping[str, str], *, period_ns: int) -> None:
         self._path = path
         self._period_ns = period_ns
-        self._pending_bytes = 0  # JSON in the unfinished chunk
+        self._pending_bytes = 0  # in the unfinished chunk
         self._pending_since_ns = 0  # arrival of its first message
+        self._announced: dict[str, int] = {}  # newest incarnation of each process
+        self._channels: dict[str, int] = {}
         self._closed = False
         self._opened = ExitStack()
         with self._guarded(), ExitStack() as opened:
             file = opened.enter_context(path.open("wb"))
             indexes = opened.enter_context(TemporaryFile(dir=path.parent))
-            self._writer = Writer(file, chunk_size=2 * CHUNK_BYTES, enable_data_crcs=True)
+            self._writer = Writer(file, chunk_size=2 * CHUNK_BYTES, compression=_COMPRESSION, enable_data_crcs=True)
             ChunkIndexes(indexes).attach(self._writer)
-            self._channels = JsonChannels(self._writer)
             self._writer.start(library="payload-transport")
-            self._writer.add_metadata(_METADATA, dict(header))
+            self._writer.add_metadata(METADATA, dict(header))
             self._finish_chunk()
             self._opened = opened.pop_all()
 
@@ -115,29 +123,65 @@ class LogWriter:
         return self._closed or not self._pending_bytes
 
     def write(self, message: Message, received_ns: int) -> None:
-        """Append a message that arrived at a wall-clock time, ns since 1970.
+        """Append a message of this process, or one that was checked, received at a wall-clock time, ns since 1970.
 
         Raises: LogError: the file cannot be written, or is closed.
         """
+        if message.sender != RECORDER and message.incarnation > self._announced.get(message.sender, -1):
+            self.announce(message.sender, message.incarnation, received_ns)
+        self.add(channel_of(message), encode(message), message, received_ns)
+
+    def add(self, topic: str, data: bytes, header: Header | Message, received_ns: int) -> None:
+        """Append a message as it came, with its header, to the channel of its key.
+
+        Raises: LogError: the file cannot be written, or is closed.
+        """
+        self._append(topic, ENCODING, data, received_ns, header.tick, header.sequence)
+        # The end of the run and its faults must not wait for the closing of the log.
+        if header.kind in _URGENT:
+            self.flush()
+
+    def announce(self, name: str, incarnation: int, received_ns: int) -> None:
+        """Append that the token of a process has appeared.
+
+        Raises: LogError: the file cannot be written, or is closed.
+        """
+        self._announced[name] = max(incarnation, self._announced.get(name, -1))
+        self._append(TOKENS, TOKENS_ENCODING, self._tokens(name), received_ns)
+
+    def _tokens(self, *now: str) -> bytes:
+        return orjson.dumps({"announced": self._announced, "now": now})
+
+    def _append(
+        self, topic: str, encoding: str, data: bytes, received_ns: int, tick: int = 0, sequence: int = 0
+    ) -> None:
         if self._closed:
-            raise LogError(f"{self._path}: the log is closed, got a {message.kind}")
-        data = to_json(message)
+            raise LogError(f"{self._path}: the log is closed, got an entry of {topic}")
         with self._guarded():
             if self._pending_bytes and received_ns - self._pending_since_ns > _CHUNK_NS:
                 self._finish_chunk()
             if not self._pending_bytes:
                 self._pending_since_ns = received_ns
-            self._pending_bytes += len(data)
-            self._writer.add_message(
-                self._channels.of_message(topic_of(message), message.kind),
-                log_time=min(message.tick * self._period_ns, _LAST_TIME_NS),
-                publish_time=min(max(received_ns, 0), _LAST_TIME_NS),
-                sequence=message.sequence % _SEQUENCES,
-                data=data,
-            )
-            # The end of the run and its faults must not wait for the closing of the log.
-            if self._pending_bytes > CHUNK_BYTES or isinstance(message, Control | FaultNote):
+                if self._announced and topic != TOKENS:  # so that a damaged chunk costs no other
+                    self._append_to_chunk(TOKENS, TOKENS_ENCODING, self._tokens(), received_ns, tick, 0)
+            self._append_to_chunk(topic, encoding, data, received_ns, tick, sequence)
+            if self._pending_bytes > CHUNK_BYTES:
                 self._finish_chunk()
+
+    def _append_to_chunk(
+        self, topic: str, encoding: str, data: bytes, received_ns: int, tick: int, sequence: int
+    ) -> None:
+        channel = self._channels.get(topic)
+        if channel is None:
+            channel = self._channels[topic] = self._writer.register_channel(topic, encoding, 0)
+        self._pending_bytes += len(data)
+        self._writer.add_message(
+            channel,
+            log_time=min(max(tick * self._period_ns, 0), LAST_TIME_NS),
+            publish_time=min(max(received_ns, 0), LAST_TIME_NS),
+            sequence=sequence % SEQUENCES,
+            data=data,
+        )
 
     def flush(self) -> None:
         """Write all messages to the file, for live readers and against kills.
@@ -179,61 +223,55 @@ class LogWriter:
             raise LogError(f"{self._path}: cannot write the log ({error.strerror or error})") from error
 
 
-def topic_of(message: Message) -> str:
-    """Return the channel of a message; each kind has its own, also where kinds share a network key."""
-    match message:
-        case LinkChange():  # shares the key of the rosters
-            return f"/{message.kind}"
-        case Plan(agent=agent):  # has two keys
-            return f"/{message.kind}/{agent}"
-    return _KEYS.of(message).removeprefix(_KEYS.prefix)
-
-
-def kind_of(topic: str) -> str:
-    """Return the message kind of a channel of `topic_of`; another program's channel gives an unknown kind."""
-    return topic.lstrip("/").split("/", 1)[0]
-
-
-def read_log(path: Path, *, horizons: bool = True) -> RunLog:
-    """Read all that can be read of a log.
+def read_log(path: Path, *, horizons: bool = True, setup: Setup | None = None) -> RunLog:
+    """Read all that can be read of a log, each message checked as by a receiver of the run (`LogReception`).
 
     A file cut or damaged anywhere behind its first bytes gives the messages of every intact chunk and a sentence in
-    `cut`. Messages equal the written ones bit for bit.
+    `cut`. Messages equal the sent ones bit for bit.
 
     Args:
         path: The file.
         horizons: Keep whole plans. Otherwise plans have their first step only and no corrections, which saves most of
             the memory.
+        setup: The run, if it is known already; otherwise it is taken from the header of the log.
     Raises: LogError: no such file, not an MCAP file, or not the log of a run.
     """
     messages: list[Recorded] = []
-    unknown: list[tuple[str, str]] = []  # channel and description
+    unknown: list[str] = []  # descriptions
+
+    def keep(read: Iterator[Read], received_ns: int) -> None:
+        for message, _ in read:
+            if not horizons and isinstance(message, Plan):
+                message = replace(message, inputs=message.inputs[:1].copy(), corrections=message.corrections[:0])
+            messages.append(Recorded(message=message, received_ns=received_ns))
+
     try:
         with path.open("rb") as file:
             salvage = Salvage(file)
-            for topic, entry in salvage.entries():
-                kind = kind_of(topic)
-                if kind not in KINDS:
-                    unknown.append((topic, f"a channel {topic!r}"))
+            reception: LogReception | None = None
+            received_ns = 0
+            for channel, entry in salvage.entries():
+                if not is_known(channel):
+                    unknown.append(f"a channel {channel.topic!r} with encoding {channel.message_encoding!r}")
                     continue
+                if reception is None:
+                    setup = setup or setup_in(salvage.metadata.get(METADATA, {}), path.parent)
+                    reception = LogReception(setup)
+                received_ns = entry.publish_time
                 try:
-                    message = from_json(kind, entry.data)
-                except (ValueError, TypeError) as error:
-                    unknown.append((topic, f"{kind}: {error}"))
-                    continue
-                if not horizons and isinstance(message, Plan):
-                    message = replace(message, inputs=message.inputs[:1].copy(), corrections=message.corrections[:0])
-                messages.append(Recorded(message=message, received_ns=entry.publish_time))
+                    keep(reception.read(channel.topic, entry.data, received_ns, salvage.damaged), received_ns)
+                except MessageError as error:
+                    unknown.append(f"{channel.topic}: {error}")
+            if reception is not None:
+                keep(reception.close(), received_ns)
     except OSError as error:
         raise LogError(f"{path}: cannot read the log ({error.strerror or error})") from error
     except NotMcapError as error:
         raise LogError(f"{path}: {error}") from error
-    header = salvage.metadata.get(_METADATA)
+    header = salvage.metadata.get(METADATA)
     if header is None and salvage.ended and not salvage.damaged:
-        raise LogError(f'{path}: an MCAP file, but not the log of a run (no metadata record "{_METADATA}")')
-    derived = salvage.metadata.get(DERIVED, {})
-    cut = _cut(messages, [text for topic, text in unknown if topic not in derived], salvage)
-    return RunLog(header=header or {}, messages=tuple(messages), cut=cut)
+        raise LogError(f'{path}: an MCAP file, but not the log of a run (no metadata record "{METADATA}")')
+    return RunLog(header=header or {}, messages=tuple(messages), cut=_cut(messages, unknown, salvage))
 
 
 def _cut(messages: list[Recorded], unknown: list[str], salvage: Salvage) -> str:

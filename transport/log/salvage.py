@@ -20,8 +20,12 @@ from mcap.writer import MCAP0_MAGIC
 _RECORD_HEADER = struct.Struct("<BQ")  # opcode, length of the body
 MESSAGE_HEADER = struct.Struct("<HIQQ")  # channel, sequence, log and publish time, ns; the message data follows
 
-# Exceptions that a damaged record can cause while it is decoded.
-DAMAGE = (McapError, zstandard.ZstdError, struct.error, ValueError, MemoryError, OverflowError)
+# Exceptions that a damaged record can cause while it is decoded; lz4 raises RuntimeError.
+DAMAGE = (McapError, RuntimeError, zstandard.ZstdError, struct.error, ValueError, MemoryError, OverflowError)
+
+
+# Channel of messages whose channel record is damaged.
+LOST = Channel(id=0, topic="", message_encoding="", metadata={}, schema_id=0)
 
 
 class NotMcapError(ValueError):
@@ -52,12 +56,12 @@ class Salvage:
         self.ended = self.data_ended = False
         self.damaged = 0
 
-    def entries(self) -> Iterator[tuple[str, Message]]:
-        """Yield the messages in file order, each with its topic; "" if the record of its channel is lost.
+    def entries(self) -> Iterator[tuple[Channel, Message]]:
+        """Yield the messages in file order, each with its channel; `LOST` if the record of that is lost.
 
         Raises: OSError: the file cannot be read.
         """
-        topics: dict[int, str] = {}
+        channels: dict[int, Channel] = {}
         # A damaged chunk may hold the only channel record ahead of the summary. From the first message of an unknown
         # channel on, all messages wait for the summary, which keeps their order.
         waiting: list[Message] = []
@@ -73,19 +77,19 @@ class Salvage:
                         self.metadata[metadata.name] = metadata.metadata
                     elif code == Opcode.CHANNEL:
                         channel = Channel.read(_stream(data[begin:end]))
-                        topics.setdefault(channel.id, channel.topic)
+                        channels.setdefault(channel.id, channel)
                     elif code == Opcode.MESSAGE:
                         content = data[begin:end]
                         number, sequence, log_ns, publish_ns = MESSAGE_HEADER.unpack_from(content)
                         message = Message(number, log_ns, content[MESSAGE_HEADER.size :], publish_ns, sequence)
-                        if waiting or number not in topics:
+                        if waiting or number not in channels:
                             waiting.append(message)
                         else:
-                            yield topics[number], message
+                            yield channels[number], message
             except DAMAGE:
                 self.damaged += 1
         for message in waiting:
-            yield topics.get(message.channel_id, ""), message
+            yield channels.get(message.channel_id, LOST), message
         if footer_end >= 0:
             self._file.seek(-len(MCAP0_MAGIC), SEEK_END)
             self.ended = self._file.read() == MCAP0_MAGIC

@@ -1,6 +1,5 @@
 """A log read while it is written, by readers that take no part in the run."""
 
-import re
 from collections import OrderedDict
 from collections.abc import Collection
 from contextlib import suppress
@@ -10,17 +9,16 @@ from pathlib import Path
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Channel
+from mcap.records import Channel, Metadata
 from mcap.writer import MCAP0_MAGIC
 
-from protocol.wire.messages import KINDS, Message
-from transport.log.json_messages import from_json
-from transport.log.run_log import LogError, kind_of
+from protocol.scenario.setup import Setup
+from protocol.wire.codec import decode
+from protocol.wire.messages import KINDS, Message, MessageError, Plan, StepReport
+from transport.log.channels import is_known
+from transport.log.log_reception import LogReception, Read, setup_in
+from transport.log.run_log import METADATA, LogError
 from transport.log.salvage import DAMAGE, MESSAGE_HEADER, chunk_content, frames, records
-
-# The JSON of a plan or report begins with the fields it is looked up by; only plans have a negotiation.
-_LOOKUP_FIELDS = re.compile(rb'"tick":(\d+),"agent":(\d+),(?:"start_tick":\d+,"negotiation":(\d+),)?')
-_LOOKUP_BYTES = 200
 
 # Decompressed chunks kept in memory: messages that are looked up together lie close together.
 _CACHED_CHUNKS = 8
@@ -77,29 +75,35 @@ class Unread:
         if data is None:
             return None
         try:
-            message = from_json(self.kind, data[slice(*self.span)])
-        except (ValueError, TypeError):
+            message = decode(data[slice(*self.span)])
+        except MessageError:
             return None
-        return message if message.tick == self.tick else None
+        return message if (message.kind, message.tick) == (self.kind, self.tick) else None
 
 
 class LogTail:
-    """Reader that follows one log.
+    """Reader that follows one log and checks its messages as `read_log` does.
 
     Args:
         path: The file, which need not exist yet.
-        kinds: Kinds of messages to read; others are skipped without decoding.
+        kinds: Kinds of messages to return.
         later: Those of them that are left in the file as `Unread`, which saves most of the memory.
+        setup: The run, if it is known already; otherwise it is taken from the header of the log.
 
     Attributes:
         ended: Whether the data section has come to its proper end.
     """
 
-    def __init__(self, path: Path, kinds: Collection[str] = KINDS, later: Collection[str] = ()) -> None:
+    def __init__(
+        self, path: Path, kinds: Collection[str] = KINDS, later: Collection[str] = (), setup: Setup | None = None
+    ) -> None:
         self._path, self._wanted, self._later = path, frozenset(kinds), frozenset(later)
         self._chunks = Chunks(path)
         self._offset = len(MCAP0_MAGIC)  # of the next record
-        self._kinds: dict[int, str] = {}  # by channel
+        self._topics: dict[int, str] = {}  # by channel
+        self._setup = setup
+        self._reception: LogReception | None = None
+        self._damaged = 0  # parts of the file
         self.ended = False
 
     def read(self) -> list[Message | Unread]:
@@ -117,10 +121,14 @@ class LogTail:
                 file.seek(self._offset)
                 for opcode, offset, body in frames(file):
                     self._offset = offset + len(body)
-                    with suppress(*DAMAGE):
+                    try:
                         self._read_record(opcode, offset, body, found)
+                    except DAMAGE:
+                        self._damaged += 1
                     if opcode == Opcode.DATA_END:
                         self.ended = True
+                        if self._reception is not None:
+                            found += [message for message, _ in self._reception.close()]
                         break
         except FileNotFoundError:
             pass
@@ -134,31 +142,50 @@ class LogTail:
         Raises: one of `DAMAGE`: it cannot be decoded.
         """
         for code, data, begin, end in records(opcode, body):
-            if code == Opcode.CHANNEL:
+            if code == Opcode.METADATA:
+                metadata = Metadata.read(ReadDataStream(BytesIO(data[begin:end])))
+                if metadata.name == METADATA and self._setup is None:
+                    self._setup = setup_in(metadata.metadata, self._path.parent)
+            elif code == Opcode.CHANNEL:
                 channel = Channel.read(ReadDataStream(BytesIO(data[begin:end])))
-                self._kinds[channel.id] = kind_of(channel.topic)
+                if is_known(channel):
+                    self._topics[channel.id] = channel.topic
             elif code == Opcode.MESSAGE:
-                number = MESSAGE_HEADER.unpack(data[begin : min(begin + MESSAGE_HEADER.size, end)])[0]
-                kind = self._kinds.get(number, "")
+                number, _, _, received_ns = MESSAGE_HEADER.unpack(data[begin : min(begin + MESSAGE_HEADER.size, end)])
+                topic = self._topics.get(number)
                 begin += MESSAGE_HEADER.size
-                if kind not in self._wanted:
+                if topic is None:
                     continue
-                lookup = None
-                if opcode == Opcode.CHUNK and kind in self._later:
-                    lookup = _LOOKUP_FIELDS.search(data, begin, min(begin + _LOOKUP_BYTES, end))
-                if lookup is None:
-                    with suppress(ValueError, TypeError):
-                        found.append(from_json(kind, data[begin:end]))
-                    continue
-                tick, agent, negotiation = (int(number or 0) for number in lookup.groups())
-                found.append(
-                    Unread(
-                        kind=kind,
-                        tick=tick,
-                        agent=agent,
-                        negotiation=negotiation,
-                        chunks=self._chunks,
-                        chunk=(offset, len(body)),
-                        span=(begin, end),
-                    )
-                )
+                if self._reception is None:
+                    self._reception = LogReception(self._setup)
+                with suppress(MessageError):
+                    for read in self._reception.read(topic, data[begin:end], received_ns, self._damaged):
+                        if read[0].kind not in self._wanted:
+                            continue
+                        chunk = (offset, len(body)) if opcode == Opcode.CHUNK else None
+                        found.append(self._unread(read, data, begin, chunk) or read[0])
+
+    def _unread(self, read: Read, content: bytes, begin: int, chunk: tuple[int, int] | None) -> Unread | None:
+        """Return a message as one that stays in the file; None if it must not, or its bytes are elsewhere.
+
+        Args:
+            read: Message and bytes.
+            content: Content of the chunk.
+            begin: Where its entry begins there.
+            chunk: Offset and size of the chunk; None for an entry outside of one.
+        """
+        message, data = read
+        if message.kind not in self._later or not isinstance(message, Plan | StepReport):
+            return None
+        if chunk is None or data is None:
+            return None
+        at = content.find(data, begin)
+        return Unread(
+            kind=message.kind,
+            tick=message.tick,
+            agent=message.agent,
+            negotiation=message.negotiation if isinstance(message, Plan) else 0,
+            chunks=self._chunks,
+            chunk=chunk,
+            span=(at, at + len(data)),
+        )

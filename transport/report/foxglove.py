@@ -1,7 +1,7 @@
-"""Copy of a log for Foxglove, with additional channels for transforms, 3D scene and numbers.
+"""Copy of a log for Foxglove: messages as JSON, and additional channels for transforms, 3D scene and numbers.
 
-Messages follow Foxglove's schemas (https://docs.foxglove.dev/docs/visualization/message-schemas/introduction). Written
-after a run, so that recording takes no more time.
+Additional messages follow Foxglove's schemas
+(https://docs.foxglove.dev/docs/visualization/message-schemas/introduction).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -13,11 +13,10 @@ import orjson
 from mcap.writer import CompressionType, Writer
 
 from model.arrays import Array
-from protocol.wire.messages import KINDS
-from transport.log.json_messages import JsonChannels
-from transport.log.run_log import DERIVED
-from transport.log.salvage import Salvage
+from transport.log.channels import topic_of
+from transport.log.run_log import LAST_TIME_NS, SEQUENCES, RunLog
 from transport.report.foxglove_schemas import NUMBERS, SCHEMAS
+from transport.report.json_messages import JsonChannels, to_json
 from transport.scene.geometry import (
     ARM,
     BODY,
@@ -51,10 +50,13 @@ CHANNELS: Mapping[str, str] = {
     "/numbers": NUMBERS,
 }
 
+# Metadata record with the header of the log; another name than in a log, which the copy is not.
+METADATA = "exported run"
+
 Json = dict[str, Any]
 
 
-def write_foxglove(builder: SceneBuilder, log: Path, out: Path) -> int:
+def write_foxglove(builder: SceneBuilder, log: RunLog, out: Path) -> int:
     """Write the copy of a log, complete or cut; return the number of ticks with a scene.
 
     Args:
@@ -63,23 +65,22 @@ def write_foxglove(builder: SceneBuilder, log: Path, out: Path) -> int:
         out: File to write or replace.
     Raises: OSError: it cannot be written.
     """
-    with log.open("rb") as original:
-        salvage = Salvage(original)
-        entries = list(salvage.entries())
+    period_ns = builder.setup.period_ns
     partial = out.with_name(out.name + ".partial")
     with partial.open("wb") as file:
         copy = Writer(file, compression=CompressionType.ZSTD)
         channels = JsonChannels(copy)
         copy.start(library="payload-transport")
-        for name, values in {**salvage.metadata, DERIVED: dict(CHANNELS)}.items():
-            copy.add_metadata(name, values)
-        for topic, entry in entries:
-            kind = topic.lstrip("/").split("/", 1)[0]
-            if kind in KINDS:
-                channel = channels.of_message(topic, kind)
-                copy.add_message(
-                    channel, entry.log_time, entry.data, publish_time=entry.publish_time, sequence=entry.sequence
-                )
+        copy.add_metadata(METADATA, log.header)
+        for entry in log.messages:
+            message = entry.message
+            copy.add_message(
+                channels.of_message(topic_of(message), message.kind),
+                min(message.tick * period_ns, LAST_TIME_NS),
+                to_json(message),
+                publish_time=entry.received_ns,
+                sequence=message.sequence % SEQUENCES,
+            )
 
         def put(topic: str, at_ns: int, content: Json) -> None:
             name = CHANNELS[topic]
@@ -88,7 +89,6 @@ def write_foxglove(builder: SceneBuilder, log: Path, out: Path) -> int:
             copy.add_message(channel, at_ns, data, publish_time=at_ns)
 
         ticks = sorted(builder.history.plant_states)
-        period_ns = builder.setup.period_ns
         for tick in ticks:
             scene, at_ns = builder.at(tick), tick * period_ns
             if tick == ticks[0]:

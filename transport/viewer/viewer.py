@@ -165,7 +165,7 @@ def open_viewer(folder: Path, host: str, port: int) -> Viewer:
     if running is not None:
         _lower_priority()
         setup = setup_of(folder)
-        tail = LogTail(folder / LOG, KINDS, LATER)
+        tail = LogTail(folder / LOG, KINDS, LATER, setup)
         return Viewer(SceneBuilder(setup, RunHistory(setup)), host=host, port=port, tail=tail, live=running)
     run = open_run(folder)
     builder = SceneBuilder.of(run.setup, run.log)

@@ -84,7 +84,7 @@ def _export_foxglove(path: Path, out: Path) -> None:
         fail(f"--foxglove: {file.path} has no scenario, or one of another version", EXIT_USAGE)
     try:
         with exit_on(LogError, code=EXIT_USAGE, option="--foxglove"):
-            ticks = write_foxglove(SceneBuilder.of(file.setup, file.log), file.path, out)
+            ticks = write_foxglove(SceneBuilder.of(file.setup, file.log), file.log, out)
     except OSError as error:
         fail(f"--foxglove: cannot write {out} ({error.strerror or error})", EXIT_USAGE)
     typer.echo(f" {out}  {ticks} ticks")

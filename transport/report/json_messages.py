@@ -9,7 +9,6 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-import numpy as np
 import orjson
 from mcap.writer import Writer
 
@@ -37,25 +36,6 @@ def to_json(message: Message) -> bytes:
         else:
             content[name] = value
     return orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY)
-
-
-def from_json(kind: str, data: bytes) -> Message:
-    """Return the message of a kind (key of `protocol.wire.messages.KINDS`) in a JSON object of `to_json`.
-
-    Raises: ValueError, TypeError: it is not a message of that kind.
-    """
-    content = orjson.loads(data)
-    values: dict[str, Any] = {}
-    for name, hint in _FIELDS[kind].items():
-        if name not in content or (name in _MATRICES and _shape_of(name) not in content):
-            raise ValueError(f"{name}: expected a value, got nothing")
-        value = content[name]
-        if hint == Array:
-            value = np.array(value, dtype=np.float64)
-            if name in _MATRICES:
-                value = value.reshape(content[_shape_of(name)])
-        values[name] = value
-    return KINDS[kind](**values)
 
 
 def json_schema(kind: str) -> dict[str, Any]:

@@ -1,0 +1,161 @@
+"""A log holds what came; who reads it sees what a receiver of the run would have accepted."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.opcode import Opcode
+from mcap.writer import MCAP0_MAGIC
+
+from protocol.wire.codec import encode
+from protocol.wire.header import header_of
+from protocol.wire.keys import Keys
+from protocol.wire.messages import Message, Plan, PlantState, Record, Rejected, Relay, Tick
+from protocol.wire.outbox import Outbox
+from tests.support import runs
+from tests.support.logs import HEADER, with_scenario
+from transport.log.run_log import LogWriter, RunLog, read_log
+from transport.log.salvage import frames
+from transport.log.tail import LogTail
+
+TICKS = 30
+RUN = runs.setup("controller.horizon=5", runs.ticks(TICKS))
+KEYS = Keys("log")
+PROCESSES = ("coordinator", "plant", "agent1", "agent2", "agent3", "agent4")
+
+Entry = tuple[str, bytes]
+
+
+@pytest.fixture(scope="module")
+def flight() -> list[Message]:
+    """Every message of a short run."""
+    return runs.recorded(RUN)
+
+
+def entry(message: Message) -> Entry:
+    """Return the key, without prefix, and the bytes of a message that came alone."""
+    return KEYS.end(KEYS.of(message)), encode(message)
+
+
+def bundled(flight: Sequence[Message]) -> list[Entry]:
+    """Return the entries of the same run with relayed plans."""
+    found: list[Entry] = []
+    coordinator, plant = Outbox("coordinator", 0), Outbox("plant", 0)
+    alone = [message for message in flight if message.kind in ("roster", "control")]
+    for k in range(TICKS + 1):
+        now = [message for message in flight if message not in alone]
+        relayed = [
+            m for m in now if (m.kind in ("plan", "report") and m.tick == k - 1) or (m.kind, m.tick) == ("tick", k)
+        ]
+        kept = [m for m in now if (m.kind, m.tick) in (("plant_state", k - 1), ("measurement", k))]
+        for out, kind, messages in ((coordinator, Relay, relayed), (plant, Record, kept)):
+            keys, parts = zip(*map(entry, messages), strict=True)
+            tick = max(message.tick for message in messages)
+            bundle = out.stamp(kind, tick=tick, to_follow=int(k < TICKS), keys=keys, parts=parts)
+            found.append((kind.kind, encode(bundle)))
+    return [entry(alone[0]), *found, entry(alone[-1])]
+
+
+def write(path: Path, entries: Sequence[Entry], announced: Sequence[tuple[str, int]] | None = None) -> Path:
+    """Write the log of entries as they came, 1 ms apart, behind the tokens of all processes."""
+    with LogWriter(path, with_scenario(HEADER, RUN), period_ns=RUN.period_ns) as writer:
+        for name, incarnation in announced if announced is not None else [(name, 0) for name in PROCESSES]:
+            writer.announce(name, incarnation, 0)
+        for number, (key, data) in enumerate(entries):
+            header = header_of(data)
+            assert header is not None
+            writer.add(f"/{key}", data, header, 1_000_000 * number)
+    return path
+
+
+def accepted(log: RunLog) -> set[bytes]:
+    """Return the messages of a log but notices of refusals, as bytes."""
+    return {encode(entry.message) for entry in log.messages if not isinstance(entry.message, Rejected)}
+
+
+def refused(log: RunLog) -> dict[tuple[str, str], int]:
+    """Return how many messages were refused in the name of the recorder, by sender and reason."""
+    counts: dict[tuple[str, str], int] = {}
+    for notice in log.of(Rejected):
+        assert notice.sender == "recorder"
+        at = notice.offender, notice.reason
+        counts[at] = counts.get(at, 0) + notice.count
+    return counts
+
+
+def test_bundles_read_as_their_messages(tmp_path: Path, flight: list[Message]) -> None:
+    """A log of bundles has the same messages bit for bit as one of messages that came alone."""
+    together = read_log(write(tmp_path / "relayed.mcap", bundled(flight)))
+    alone = read_log(write(tmp_path / "direct.mcap", [entry(message) for message in flight]))
+    assert accepted(together) == accepted(alone) == {encode(message) for message in flight}
+    assert len(together.messages) == len(alone.messages) == len(flight)
+    assert together.cut == alone.cut == ""
+
+
+@pytest.mark.parametrize("relayed", [False, True])
+def test_bad_messages_change_nothing(tmp_path: Path, flight: list[Message], relayed: bool) -> None:
+    """Garbled, repeated, forged and implausible messages are counted and shut out none, whether before or after it."""
+    said = bundled(flight) if relayed else [entry(message) for message in flight]
+    at = len(said) // 2
+    key, data = said[at]
+    plan = next(message for message in flight if isinstance(message, Plan) and message.tick == TICKS - 1)
+    absurd = replace(plan, inputs=plan.inputs * 0.0 + 1e5)
+    garbled = data[:-20] + bytes(np.random.default_rng(3).integers(0, 256, 20, dtype=np.uint8))
+    bad = [(key, data[: len(data) // 2]), said[at - 1], said[3], entry(replace(plan, sender="agent3")), entry(absurd)]
+    disturbed = [*said[:at], (key, garbled), said[at], *bad, *said[at + 1 :]]
+    log = read_log(write(tmp_path / "run.mcap", disturbed))
+    assert accepted(log) == {encode(message) for message in flight}
+    counts = refused(log)
+    assert counts.pop((plan.sender, "outside_limits")) == 1 or relayed
+    assert counts.pop(("agent3", "wrong_sender")) == 1
+    assert {reason for _, reason in counts} >= {"replayed"}
+    assert sum(counts.values()) >= 3
+    tail = [message for message in LogTail(tmp_path / "run.mcap").read() if not isinstance(message, Rejected)]
+    assert {encode(message) for message in tail if isinstance(message, Message)} == accepted(log)
+
+
+def test_tokens_decide(tmp_path: Path, flight: list[Message]) -> None:
+    """A message ahead of its sender's token waits for it; without one it is refused, as is one of an earlier start."""
+    first = next(message for message in flight if isinstance(message, Plan) and message.agent == 2)
+    path, known = tmp_path / "run.mcap", [(name, 0) for name in PROCESSES if name != "agent2"]
+    assert accepted(read_log(write(path, [entry(first)], known))) == set()
+    log = read_log(write(path, [entry(first)], [*known, ("agent2", 1)]))
+    assert refused(log) == {("agent2", "wrong_incarnation"): 1}
+    header = header_of(encode(first))
+    assert header is not None
+    with LogWriter(path, with_scenario(HEADER, RUN), period_ns=RUN.period_ns) as writer:
+        writer.add("/plan/2", encode(first), header, 0)
+        writer.announce("agent2", 0, 1)
+    log = read_log(path)
+    assert accepted(log) == {encode(first)}
+    assert refused(log) == {}
+
+
+def test_a_damaged_chunk_costs_no_other(tmp_path: Path, flight: list[Message]) -> None:
+    """Messages behind a damaged chunk are read, although it had the tokens and many ticks."""
+    path = write(tmp_path / "run.mcap", [entry(message) for message in flight])
+    data = bytearray(path.read_bytes())
+    with path.open("rb") as file:
+        file.seek(len(MCAP0_MAGIC))
+        chunks = [(offset, len(body)) for opcode, offset, body in frames(file) if opcode == Opcode.CHUNK]
+    for offset, size in chunks[:-2]:
+        data[offset + size // 2] ^= 0xFF
+    path.write_bytes(data)
+    log = read_log(path)
+    found = [encode(entry.message) for entry in log.messages]
+    assert found == [encode(message) for message in flight][-len(found) :]
+    assert 0 < len(found) < len(flight)
+    assert max(tick.tick for tick in log.of(Tick)) == max(state.tick for state in log.of(PlantState)) == TICKS - 1
+
+
+def test_without_a_scenario_order_is_checked(tmp_path: Path, flight: list[Message]) -> None:
+    """A log that has lost its metadata gives every message once."""
+    path = tmp_path / "run.mcap"
+    with LogWriter(path, {}, period_ns=RUN.period_ns) as writer:
+        for message in [*flight, *flight]:
+            writer.write(message, 0)
+    log = read_log(path)
+    assert accepted(log) == {encode(message) for message in flight}
+    assert sum(refused(log).values()) == len(flight)

@@ -1,0 +1,42 @@
+"""Channels of a log: one for each network key, one for what the recorder says itself, one for tokens."""
+
+from mcap.records import Channel
+
+from protocol.wire.codec import VERSION
+from protocol.wire.keys import RECORDER, Keys
+from protocol.wire.messages import LinkChange, Message, Plan
+
+# Encoding of the bytes of messages (docs/protocol.md); a log of another version of the protocol has another.
+ENCODING = f"payload-transport/{VERSION}"
+# Beginning of the channels of messages that the recorder made; no message from the network can be there.
+OWN = f"/{RECORDER}/"
+# Tokens that the recorder has seen: a JSON object with `announced`, incarnations by process, and `now`, the processes
+# whose token has appeared just now.
+TOKENS, TOKENS_ENCODING = "/tokens", "json"
+
+KEYS = Keys("log")
+
+
+def is_known(channel: Channel) -> bool:
+    """Return whether this version reads a channel."""
+    return channel.message_encoding == (TOKENS_ENCODING if channel.topic == TOKENS else ENCODING)
+
+
+def channel_of(message: Message) -> str:
+    """Return the channel in which a message is in the log if it came alone."""
+    return OWN + message.kind if message.sender == RECORDER else KEYS.of(message).removeprefix(KEYS.prefix)
+
+
+def topic_of(message: Message) -> str:
+    """Return the channel of a message in descriptions and exports; each kind has its own, in bundles or not."""
+    match message:
+        case LinkChange():  # shares the key of the rosters
+            return f"/{message.kind}"
+        case Plan(agent=agent):  # has two keys
+            return f"/{message.kind}/{agent}"
+    return KEYS.of(message).removeprefix(KEYS.prefix)
+
+
+def kind_of(topic: str) -> str:
+    """Return the message kind of a channel of `topic_of`."""
+    return topic.lstrip("/").split("/", 1)[0]
