@@ -153,7 +153,7 @@ class Admission:
     def take(self, key: str, data: bytes) -> Message | Sample | None:
         """Return the sample or message in some bytes; None as for `read`, which reads all that are not handed over."""
         sample = self._samples.take(key, data)
-        return self.read(key, data) if sample is None else sample
+        return self.read(key, data) if sample is None or self._is_lone_plan(sample.header) else sample
 
     def follows(self, sample: Sample) -> bool:
         """Return whether a sample is in order by its header; if so, it counts for the order of later ones.
@@ -274,9 +274,13 @@ class Admission:
 
     def _check_route(self, message: Message, bundle: Bundle | None) -> None:
         """Refuse a plan that comes alone in a run with relayed plans: the coordinator would count, not relay it."""
-        if self._refuses_lone_plans and bundle is None and isinstance(message, Plan) and message.negotiation == 0:
+        if bundle is None and self._is_lone_plan(message):
             text = f"plan of {message.sender} alone, expected it in an answer"
             raise MessageError("wrong_sender", text, message.sender)
+
+    def _is_lone_plan(self, message: Message | Header) -> bool:
+        """Return whether a message that came alone should have come in an answer: a plan that is no proposal."""
+        return self._refuses_lone_plans and message.kind == Plan.kind and place_in(message) == (message.tick, 0)
 
     def _check_order(self, key: str, message: Message | Header) -> None:
         if self._is_up_to_date and message.tick > self.tick + self.window:

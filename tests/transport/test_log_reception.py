@@ -53,7 +53,7 @@ def bundled(flight: Sequence[Message]) -> list[Entry]:
         for out, kind, messages in ((coordinator, Relay, relayed), (plant, Record, kept)):
             keys, parts = zip(*map(entry, messages), strict=True)
             tick = max(message.tick for message in messages)
-            bundle = out.stamp(kind, tick=tick, to_follow=int(k < TICKS), keys=keys, parts=parts)
+            bundle = out.stamp(kind, tick=tick, keys=keys, parts=parts)
             found.append((kind.kind, encode(bundle)))
     return [entry(alone[0]), *found, entry(alone[-1])]
 

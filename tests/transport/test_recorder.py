@@ -186,9 +186,9 @@ def test_progress_follows_headers(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     recorder = Recorder(RUN, KEYS.run, writer, Endpoints(listen=[], connect=[]), 1.0)
     coordinator, plant = Outbox("coordinator", 0), Outbox("plant", 0)
 
-    def hear(out: Outbox, kind: type[Bundle], tick: int, *parts: Message, to_follow: int = 1, cut: int = 0) -> None:
+    def hear(out: Outbox, kind: type[Bundle], tick: int, *parts: Message, cut: int = 0) -> None:
         keys, encoded = tuple(KEYS.end(KEYS.of(part)) for part in parts), tuple(map(encode, parts))
-        message = out.stamp(kind, tick=tick, to_follow=to_follow, keys=keys, parts=encoded)
+        message = out.stamp(kind, tick=tick, keys=keys, parts=encoded)
         data = encode(message)
         taken = recorder.admission.take(KEYS.of(message), data[: len(data) - cut])
         assert isinstance(taken, Sample)

@@ -51,8 +51,6 @@ _READ = frozenset(kind.kind for kind in (Roster, LinkChange, Control, Rejected, 
 _UNREAD = {*KINDS, *BUNDLES} - _READ
 # Kinds among these that tell of the newest tick, and of the plant's state.
 _OF_TICKS, _OF_PLANT = (Tick.kind, Relay.kind), (PlantState.kind, Record.kind)
-# Place of a record without a plant state: the first of a run has measurements alone.
-_ONLY_MEASURED = (0, -1)
 
 # Wake-ups cost the run processor time, so messages are gathered in batches; in a paced run for less than a tick.
 _GATHER_S, _GATHER_PACED_S = 0.03, 0.01
@@ -114,7 +112,10 @@ class Recorder:
         self._writer = writer
         self._writing = threading.Lock()  # notes come from another thread
         self._keys = Keys(run)
-        self.admission = Admission(RECORDER, self._keys, setup, self.rejected, _UNREAD, self._announce)
+        relayed = setup.scenario.clock.relayed
+        self.admission = Admission(
+            RECORDER, self._keys, setup, self.rejected, _UNREAD, self._announce, refuses_lone_plans=relayed
+        )
         self._newest_state = NewestState()
         self._join_timeout_s = join_timeout_s
         self._has_ended = has_ended
@@ -125,7 +126,7 @@ class Recorder:
             digest=setup.scenario.digest(),
             endpoints=endpoints,
             admission=self.admission,
-            relayed=setup.scenario.clock.relayed,
+            relayed=relayed,
             serves=True,
             gather_s=_GATHER_PACED_S if setup.scenario.clock.speed > 0.0 else _GATHER_S,
         )
@@ -260,10 +261,10 @@ class Recorder:
         if header.tick >= self._ticks or not self.admission.follows(sample):
             return
         if header.kind in _OF_TICKS:
-            self.tick = header.tick
+            self.tick = max(header.tick, self.tick)
         elif header.kind in _OF_PLANT:
             self._newest_state.add(sample)
-            if self.started_s is None and header.place != _ONLY_MEASURED:
+            if self.started_s is None and (header.tick > 0 or header.kind == PlantState.kind):
                 self.started_s = time.monotonic()
 
     def _handle(self, message: Message, at_ns: int) -> None:

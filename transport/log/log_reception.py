@@ -34,8 +34,7 @@ class LogReception:
 
     def __init__(self, setup: Setup | None) -> None:
         rejections = Rejections()
-        relayed = setup is not None and setup.scenario.clock.relayed
-        self._admission = Admission(RECORDER, KEYS, setup, rejections, refuses_lone_plans=relayed)
+        self._admission = Admission(RECORDER, KEYS, setup, rejections)
         self._unbundling = Unbundling(RECORDER, KEYS, self._admission)
         self._plausibility = None if setup is None else Plausibility(setup)
         self._rejections = rejections
