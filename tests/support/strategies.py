@@ -31,6 +31,7 @@ from protocol.wire.messages import (
     MAX_NEGOTIATION_ITERATIONS,
     MAX_TICK,
     MAX_UAVS,
+    Answer,
     Bundle,
     Control,
     Message,
@@ -77,6 +78,7 @@ _OWN: dict[tuple[type[Message], str], SearchStrategy[Any]] = {
     (Plan, "negotiation"): st.integers(0, MAX_NEGOTIATION_ITERATIONS - 1),
     (PlantState, "plan_ticks"): st.lists(st.integers(-3, MAX_TICK), max_size=_UAVS),
     (Control, "exit_code"): st.integers(0, 255),
+    (Answer, "keys"): st.lists(st.sampled_from(("plan/1", "unshared/2", "report/3")), max_size=2, unique=True),
 }
 
 
