@@ -18,6 +18,9 @@ def main() -> None:
     except KeyboardInterrupt:  # during the imports
         sys.exit(EXIT_INTERRUPTED)
     finally:
+        # CPython remembers an interrupt during `exec` of a text, as in the definition of a dataclass, and would end by
+        # SIGINT whatever the exit code; the next `exec` forgets it.
+        exec("")  # noqa: S102  # nothing is executed
         # The exit code is decided. The interpreter restores the default handlers when it shuts down; a signal during
         # that would still kill the process.
         for number in (signal.SIGINT, signal.SIGTERM):
