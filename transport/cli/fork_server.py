@@ -37,7 +37,7 @@ def serve(own: socket.socket) -> None:
         os.chdir(request["folder"])
         arguments = request["arguments"]
         with contextlib.suppress(Exception):  # reads the scenario into the cache; the process reports its errors
-            read_setup(arguments[arguments.index("--scenario") + 1], None).model  # noqa: B018
+            read_setup(arguments[arguments.index("--scenario") + 1], None, allow_large=True).model  # noqa: B018
         gc.collect()
         gc.freeze()  # a collection after the fork would copy shared memory
         own.send(b"%d" % _started(request, *descriptors))
