@@ -5,7 +5,7 @@ import platform
 import shutil
 import signal
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -66,8 +66,10 @@ def new_folder(parent: Path, name: str) -> Path:
     return folder
 
 
-def simulate(setup: Setup, folder: Path, console: Console) -> Finished:
+def simulate(setup: Setup, folder: Path, console: Console, started: Callable[[], None] = lambda: None) -> Finished:
     """Start the processes of a run, record it in a new folder, and wait for its end.
+
+    `started` is called once the processes are started.
 
     Returns: The end of the run; every process has ended and the log is complete.
     Raises: RunError: the folder exists, or a process ended before the run began. HarnessError: no free port.
@@ -89,13 +91,18 @@ def simulate(setup: Setup, folder: Path, console: Console) -> Finished:
             raise RunError(str(error), EXIT_SCENARIO) from error
         recording = found.pop(RECORDER)
         try:
-            return _simulate(setup, folder, console, found, recording)
+            return _simulate(setup, folder, console, found, recording, started)
         except BusError as error:
             raise RunError(str(error), EXIT_UNREACHABLE) from error
 
 
 def _simulate(
-    setup: Setup, folder: Path, console: Console, places: Mapping[str, Endpoints], recording: Endpoints
+    setup: Setup,
+    folder: Path,
+    console: Console,
+    places: Mapping[str, Endpoints],
+    recording: Endpoints,
+    started: Callable[[], None],
 ) -> Finished:
     """Simulate a run with given endpoints of its processes and of its recorder."""
     scenario, names = setup.scenario, list(places)
@@ -121,6 +128,7 @@ def _simulate(
         try:
             recorder.start(names)
             live.write(folder, live.LiveRun(run, called, os.getpid(), keys, is_client=recording.mode == "client"))
+            started()
             _watch(harness, recorder, progress, FaultScript(setup, harness, recorder))
             if recorder.control is not None:
                 harness.wait(_LEAVE_S)
