@@ -191,7 +191,7 @@ SORT_OF_TYPE = {
     Parts: "parts",
 }
 ALL_KINDS = KINDS | BUNDLES
-for other in set(ALL_KINDS.values()) - set(SORTS):
+for other in [kind for kind in ALL_KINDS.values() if kind not in SORTS]:
     hints = get_type_hints(other, include_extras=True)
     own = [field.name for field in dataclasses.fields(other) if field.name not in HEAD]
     SORTS[other] = {

@@ -120,7 +120,14 @@ def test_an_intruder(exchange: str, tmp_path: Path) -> None:
     receivers = ["coordinator", "plant", *agents]  # no intruder reaches the recorder, which has no listening port
     keys = Keys(RUN)
     hears = {name: keys.subscriptions(name, relayed=exchange == "relayed") for name in receivers}
-    command = ["run", "paper", *settings(*flight, f"network.base_port={base}"), "--out", RUN, "--no-figures"]
+    command = [
+        "run",
+        "paper",
+        *settings(*flight, f"network.base_port={base}", "network.secret=false"),
+        "--out",
+        RUN,
+        "--no-figures",
+    ]
     process = start(*command, "--format", "json", cwd=tmp_path)
 
     expected, bundles = dict.fromkeys(receivers, 0), dict.fromkeys(receivers, 0)

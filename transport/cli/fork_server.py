@@ -5,6 +5,7 @@
 
 import contextlib
 import gc
+import itertools
 import json
 import os
 import socket
@@ -37,7 +38,8 @@ def serve(own: socket.socket) -> None:
         os.chdir(request["folder"])
         arguments = request["arguments"]
         with contextlib.suppress(Exception):  # reads the scenario into the cache; the process reports its errors
-            read_setup(arguments[arguments.index("--scenario") + 1], None).model  # noqa: B018
+            settings = [value for option, value in itertools.pairwise(arguments) if option == "--set"]
+            read_setup(arguments[arguments.index("--scenario") + 1], settings).model  # noqa: B018
         gc.collect()
         gc.freeze()  # a collection after the fork would copy shared memory
         own.send(b"%d" % _started(request, *descriptors))
