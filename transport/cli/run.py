@@ -16,7 +16,6 @@ from transport.cli.options import (
     SetOption,
 )
 from transport.cli.output import Format
-from transport.flight.fork_server import fork_server
 
 
 def run(
@@ -38,7 +37,6 @@ def run(
 
     Example: transport run paper --set controller.relaxation=0.5 --out runs/relaxed
     """
-    fork_server()  # imports for the processes of the run while this process imports for itself
     run_scenario = import_function("transport.cli.run_scenario:run_scenario")
     viewer_address = (host, port) if show else None
     run_scenario(scenario, settings, out, output, figures=figures, viewer_address=viewer_address, allow_large=large)
