@@ -23,8 +23,8 @@ from protocol.wire.messages import Measurement, Plan
 # Past ticks that can still be corrected; an older state is no better than the prediction.
 WINDOW = 64
 
-# Integration steps per sampling period: local error below 1e-8 at 50 ms, with motor lag below 1e-5 after a jump over the
-# whole range of the inputs; far below any sensor.
+# Integration steps per sampling period: local error below 1e-8 at 50 ms, with motor lag below 1e-5 after large jumps
+# of the commands; far below any sensor.
 STEPS = 2
 
 
@@ -33,10 +33,10 @@ class StateEstimator:
 
     Args:
         model: The system as the controller knows it.
-        reference: Reference state at a tick, of the size of the estimates: the initial estimate of a process that joins then.
+        reference: Reference state at a tick, as large as an estimate: the first one of a process that joins then.
         period_s: Sampling period, s.
         disturbance: Estimator of the external forces, fed with the prediction errors; None for no forces.
-        motor_lag_s: Time constant of the motors, s; if it is positive, estimates are [x, a], (n + m,), instead of x, (n,).
+        motor_lag_s: Time constant of the motors, s; if it is positive, estimates are [x, a], (n + m,), not x, (n,).
     """
 
     def __init__(
@@ -162,9 +162,7 @@ class StateEstimator:
         If integration from a received state diverges, use the reference state.
         """
         model = next((model for since, model, _ in reversed(self._breaks) if since <= tick), self._model)
-        ahead, _ = motors.integrate(
-            model, self._estimates[-1], u, self._period_s, STEPS, self._motor_lag_s, forces
-        )
+        ahead, _ = motors.integrate(model, self._estimates[-1], u, self._period_s, STEPS, self._motor_lag_s, forces)
         if np.abs(ahead).max() > state.LARGEST:
             return self._reference_at(tick + 1)
         for since, _, moved in self._breaks:

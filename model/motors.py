@@ -27,7 +27,7 @@ def decay(lag_s: float, duration_s: float) -> float:
 def deviations(lag_s: float, step_s: float) -> tuple[float, float]:
     """Return the deviations of two held inputs, half a step each, that stand for exp(-t / lag) over a step.
 
-    They have its mean and its first moment over the step, s. Source: docs/equations.md (53).
+    They have its mean and its first moment over the step, s. Source: docs/equations.md (54).
     """
     left = decay(lag_s, step_s)
     mean = lag_s / step_s * (1.0 - left)
@@ -44,7 +44,7 @@ def held(a: Array, u: Array, lag_s: float, step_s: float) -> tuple[tuple[Array, 
         u: Command, held, (m,).
         lag_s: Time constant > 0, s.
         step_s: s.
-    Source: docs/equations.md (52), (53).
+    Source: docs/equations.md (53), (54).
     """
     deviation = a - u
     first, second = deviations(lag_s, step_s)
@@ -65,7 +65,7 @@ def integrate(
         lag_s: Time constant of the motors, s; without lag the actual inputs are the command.
         forces: External forces, held; see `Model.integrate`.
     Returns: State, of the size of z, and the largest local error estimate of the integration under held inputs, SI.
-    Source: docs/equations.md (52), (53).
+    Source: docs/equations.md (53), (54).
     """
     if lag_s == 0.0:
         return model.integrate(z, u, duration_s, steps, forces=forces)
@@ -86,7 +86,7 @@ def lagged(linear: Linearisation, a: Array, u: Array, lag_s: float) -> Linearisa
         a: The actual inputs, (m,).
         u: Command about which the commands are expanded, (m,).
         lag_s: Time constant > 0, s.
-    Source: docs/equations.md (54).
+    Source: docs/equations.md (55).
     """
     pattern, order = with_lag(linear.pattern)
     rate = np.full(len(a), 1.0 / lag_s)

@@ -105,7 +105,7 @@ class Controller:
     def linearise(self, x0: Array, u0: Array, forces: Array | None = None) -> Linear:
         """Linearise the model about (x0, u0), under estimated external forces; with motor lag about the actual inputs.
 
-        Source: docs/equations.md (15), (37), (40), (54); paper (13).
+        Source: docs/equations.md (15), (37), (40), (55); paper (13).
         """
         u_target = self.cost.u_target
         if forces is not None and self.settings.weights.penalised_input == "deviation":

@@ -121,7 +121,7 @@ def regulator(
         released: UAVs no longer on their rods, 0-based; all their states are left out.
         motor_lag_s: Time constant of the motors, s; their actual inputs are further states if it is positive.
     Raises: FeedbackError: the recursion does not converge, or its feedback does not stabilise the team.
-    Source: docs/equations.md (33)-(34), (45), (54).
+    Source: docs/equations.md (33)-(34), (45), (55).
     """
     linear = model.linearise(hover.x, hover.u)
     T = tangent(hover.x, off, released)

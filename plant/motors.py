@@ -37,7 +37,7 @@ class Rotors:
         self._back = np.linalg.inv(self.mixing)
 
     def limited(self, inputs: Array) -> Array:
-        """Return the inputs that limited rotors make of commands, (N, 4). Source: docs/equations.md (55)."""
+        """Return the inputs that limited rotors make of commands, (N, 4). Source: docs/equations.md (56)."""
         thrusts = inputs @ self._back.T
         # The difference alone is mixed back, so that commands within the limits pass without rounding.
         limited: Array = inputs + (np.clip(thrusts, *self._limits) - thrusts) @ self.mixing.T
@@ -71,7 +71,7 @@ class Motors:
         """Yield the actual inputs over a sampling period, to be held one after the other; the state advances with them.
 
         Given are the command, held, (4 N,), and the number of integration steps. Without lag this is one input for the
-        period; with lag two for each integration step. Source: docs/equations.md (52), (53).
+        period; with lag two for each integration step. Source: docs/equations.md (53), (54).
 
         Yields: Inputs, (4 N,), how long they are held, s, and in how many integration steps.
         """

@@ -231,7 +231,8 @@ class PlantNode:
             )
         ]
         if not self._motors.ideal:
-            found.append(self._out.stamp(ActualInputs, tick=k, u=mean))
+            uavs = tuple(range(1, len(sources) + 1))
+            found.append(self._out.stamp(ActualInputs, tick=k, uavs=uavs, inputs=mean.reshape(len(uavs), state.INPUTS)))
         return found
 
     def _divergence(self, tick: int, x: Array) -> str:

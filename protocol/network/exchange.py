@@ -11,7 +11,18 @@ from protocol.scenario.setup import Setup
 from protocol.wire.bundles import Answer, Bundle, Record, Relay
 from protocol.wire.codec import encode
 from protocol.wire.keys import Keys
-from protocol.wire.messages import ActualInputs, Control, Event, Measurement, Message, Plan, PlantState, Roster, StepReport, Tick
+from protocol.wire.messages import (
+    ActualInputs,
+    Control,
+    Event,
+    Measurement,
+    Message,
+    Plan,
+    PlantState,
+    Roster,
+    StepReport,
+    Tick,
+)
 from protocol.wire.names import AGENT, COORDINATOR, PLANT, RECORDER
 from protocol.wire.outbox import Outbox
 

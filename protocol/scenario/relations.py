@@ -189,9 +189,9 @@ def _drag(scenario: Scenario) -> Iterator[Problem]:
 
 def _motors(scenario: Scenario) -> Iterator[Problem]:
     """A lag is none, or long enough for the exponential of the discretisation."""
-    period_s = scenario.controller.sampling_period_s
-    lags = {"controller.motor_lag_s": scenario.controller.motor_lag_s, "plant.motors.lag_s": scenario.plant.motors.lag_s}
-    for key, lag_s in lags.items():
+    plant, controller = scenario.plant, scenario.controller
+    period_s = controller.sampling_period_s
+    for key, lag_s in (("controller.motor_lag_s", controller.motor_lag_s), ("plant.motors.lag_s", plant.motors.lag_s)):
         if 0.0 < lag_s < _SHORTEST_LAG * period_s:
             expected = f"expected 0 or at least a hundredth of the sampling period, {_SHORTEST_LAG * period_s:g}"
             yield key, f"{expected}, got {lag_s}"

@@ -162,7 +162,8 @@ class Setup:
             for i, thrust in enumerate(self.hover.u[::4]):
                 low, high = rotors.thrust_N
                 if not low <= thrust / 4.0 <= high:
-                    expected = f"expected a range that contains a quarter of UAV{i + 1}'s hover thrust, {thrust / 4.0:.2f} N"
+                    quarter = f"a quarter of the hover thrust of UAV{i + 1}, {thrust / 4.0:.2f} N"
+                    expected = f"expected a range that contains {quarter}"
                     raise ScenarioError(source, "plant.motors.rotors.thrust_N", f"{expected}, got {[low, high]}")
         separation = self.settings.separation
         if separation is None or self.system.N < 2:

@@ -1,9 +1,9 @@
 """All messages of a run, and the other events that nodes receive.
 
 Per tick: coordinator -> plant `Tick`; plant -> each agent `Measurement`; agent -> plant, coordinator and, when it is
-shared, the other agents `Plan`. For the record: plant `PlantState` and `ActualInputs`, agents `StepReport`, any process `Rejected`.
-Around them: coordinator `Roster`, `LinkChange` and `Control`. In lockstep most of them travel in bundles: `Answer`,
-`Relay` and `Record`.
+shared, the other agents `Plan`. For the record: plant `PlantState` and `ActualInputs`, agents `StepReport`, any process
+`Rejected`. Around them: coordinator `Roster`, `LinkChange` and `Control`. In lockstep most of them travel in bundles:
+`Answer`, `Relay` and `Record`.
 """
 
 from collections.abc import Callable, Mapping

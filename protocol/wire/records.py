@@ -93,7 +93,8 @@ class ActualInputs(Message):
     kind: ClassVar[str] = "actual_inputs"
     route: ClassVar[Route] = Route(sender=PLANT, receivers=(RECORDER,), grows="tick")
 
-    u: Annotated[Array, Shape(lambda _: (None,))]  # (4 N,), N and N m
+    uavs: Ids  # all of them, 1-based ids, ascending
+    inputs: Annotated[Array, Shape(lambda message: (len(message.uavs), INPUTS))]  # (N, 4), N and N m
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
