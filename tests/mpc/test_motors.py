@@ -80,10 +80,7 @@ def test_prediction_is_the_simulation(lag_s: float, shared: bool) -> None:
         others = np.setdiff1d(np.arange(setup.system.m), one.own)
         K_x, K_a = law.K[:, :n], law.K[:, n:]
         by_law = (
-            setup.hover.u
-            + (at.x + states[:-1] - setup.x) @ K_x.T
-            + (z[n:] + actual[:-1] - setup.hover.u) @ K_a.T
-            + c
+            setup.hover.u + (at.x + states[:-1] - setup.x) @ K_x.T + (z[n:] + actual[:-1] - setup.hover.u) @ K_a.T + c
         )
         np.testing.assert_allclose(commands[:, others], by_law[:, others], rtol=0.0, atol=SAME)
 
