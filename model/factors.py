@@ -115,7 +115,7 @@ def _with_lag(pattern: Pattern) -> tuple[Pattern, npt.NDArray[np.intp]]:
 
     follow = [[(n + j, entries + j)] for j in range(m)]
     command = [[(j, entries + m + j)] for j in range(m)]
-    factors = [
+    factors: list[list[list[tuple[int, int]]]] = [
         [row("X", i) + row("U", i, n) for i in range(n)] + follow,
         [[] for _ in range(n)] + command,
         [row("P", i) for i in range(n)] + [[] for _ in range(m)],

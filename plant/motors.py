@@ -29,7 +29,7 @@ class Rotors:
 
     def __init__(self, section: RotorsSection) -> None:
         arm = section.arm_m / np.sqrt(2.0)
-        self._limits = section.thrust_N
+        self._least, self._most = section.thrust_N
         # A thrust f against z at (x, y) has the moments -y f about x and x f about y.
         self.mixing = np.vstack(
             [np.ones(4), -arm * np.array(_ARMS_Y), arm * np.array(_ARMS_X), section.drag_to_thrust_m * np.array(_DRAG)]
@@ -40,7 +40,7 @@ class Rotors:
         """Return the inputs that limited rotors make of commands, (N, 4). Source: docs/equations.md (56)."""
         thrusts = inputs @ self._back.T
         # The difference alone is mixed back, so that commands within the limits pass without rounding.
-        limited: Array = inputs + (np.clip(thrusts, *self._limits) - thrusts) @ self.mixing.T
+        limited: Array = inputs + (np.clip(thrusts, self._least, self._most) - thrusts) @ self.mixing.T
         return limited
 
 

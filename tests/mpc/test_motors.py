@@ -8,6 +8,7 @@ from scipy.linalg import expm
 
 from model.arrays import Array
 from model.linearisation import Linearisation
+from model.native import Places
 from model.state import input_indices
 from mpc.controller import Controller, Linear, StepResult
 from mpc.cost import Cost
@@ -85,7 +86,7 @@ def test_prediction_is_the_simulation(lag_s: float, shared: bool) -> None:
         np.testing.assert_allclose(commands[:, others], by_law[:, others], rtol=0.0, atol=SAME)
 
 
-def inputs_of(prediction: Prediction, v: Array, own: Array) -> Array:
+def inputs_of(prediction: Prediction, v: Array, own: Places) -> Array:
     """Return the commands of all UAVs for decisions v, (N_p, m_own)."""
     U = prediction.U_all + (convolve(prediction.feedback, v) if len(prediction.feedback) else 0.0)
     U[:, own] = prediction.U_free + v

@@ -49,7 +49,8 @@ def test_rotors_have_the_wrench_of_their_thrusts() -> None:
     drag = 0.016 * np.array([1.0, 1.0, -1.0, -1.0])  # about z down; opposite to the sense of rotation
     thrusts = np.array([3.0, 5.0, 7.0, 4.0])
     forces = np.outer(thrusts, [0.0, 0.0, -1.0])
-    moment = np.cross(at, forces).sum(axis=0) + [0.0, 0.0, drag @ thrusts]
+    moment = np.cross(at, forces).sum(axis=0)
+    moment[2] += drag @ thrusts
     found = Rotors(ROTORS).mixing @ thrusts
     np.testing.assert_allclose(found, [19.0, *moment], rtol=0.0, atol=ROUNDING)
 
@@ -62,7 +63,8 @@ def test_limited_rotors() -> None:
     np.testing.assert_array_equal(rotors.limited(possible), possible)
     thrusts = np.random.default_rng(4).uniform(-5.0, 20.0, (50, 4))
     found = rotors.limited(thrusts @ rotors.mixing.T) @ np.linalg.inv(rotors.mixing).T
-    np.testing.assert_allclose(found, np.clip(thrusts, *ROTORS.thrust_N), rtol=0.0, atol=1e-10)
+    least, most = ROTORS.thrust_N
+    np.testing.assert_allclose(found, np.clip(thrusts, least, most), rtol=0.0, atol=1e-10)
 
 
 def test_at_the_largest_thrust_there_are_no_moments() -> None:
