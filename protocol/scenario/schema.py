@@ -261,6 +261,7 @@ class NetworkSection(Section):
     router: str | None = None
     keys: str | None = None
     insecure: bool = False
+    secret: bool = True
 
 
 class Scenario(Section):

@@ -8,7 +8,6 @@ from typer import Option
 from transport.cli.lazy import import_function
 from transport.cli.options import FiguresOption, FormatOption, HostOption, PortOption, ScenarioArgument, SetOption
 from transport.cli.output import Format
-from transport.flight.fork_server import fork_server
 
 
 def run(
@@ -29,6 +28,5 @@ def run(
 
     Example: transport run paper --set controller.relaxation=0.5 --out runs/relaxed
     """
-    fork_server()  # imports for the processes of the run while this process imports for itself
     run_scenario = import_function("transport.cli.run_scenario:run_scenario")
     run_scenario(scenario, settings, out, output, figures=figures, viewer_address=(host, port) if show else None)

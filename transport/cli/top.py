@@ -26,6 +26,7 @@ from transport.cli.active_run import ConnectOption, RunOption, find_active
 from transport.cli.output import Format, exit_on, fail, show_json
 from transport.cli.scenario_setup import read_setup
 from transport.cli.top_table import table_of
+from transport.flight.harness import keys_setting
 from transport.monitor.watch import Watch
 
 # Interval between two tables on a terminal, and elsewhere, s.
@@ -97,7 +98,7 @@ def _find(run: str | None, connect: list[str] | None, scenario: str | None, sett
     if settings:
         fail("--set: expected --scenario with it, as a run folder has its values", EXIT_USAGE)
     folder, there = find_active(run, "name its folder with --run, or its scenario with --scenario")
-    setup = read_setup(str(folder / "scenario.toml"), None)
+    setup = read_setup(str(folder / "scenario.toml"), [keys_setting(there.keys)] if there.keys else None)
     endpoints = {at for name, at in there.endpoints.items() if name != RECORDER}
     return _Run(there.run, sorted(endpoints), setup, there.is_client)
 
