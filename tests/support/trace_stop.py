@@ -54,7 +54,7 @@ def stop(pid: int, *, first_thread: bool) -> bool:
             if _libc.ptrace(_SEIZE, thread, None, None) == 0 and _libc.ptrace(_INTERRUPT, thread, None, None) == 0:
                 with suppress(ChildProcessError):
                     os.waitpid(thread, _WALL)
-    return _libc.ptrace(_INTERRUPT, pid, None, None) == 0
+    return bool(_libc.ptrace(_INTERRUPT, pid, None, None) == 0)
 
 
 def _threads(pid: int) -> set[int]:

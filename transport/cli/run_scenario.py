@@ -15,7 +15,9 @@ from transport.cli.options import RUNS
 from transport.cli.output import Format, exit_on, fail
 from transport.cli.scenario_setup import read_setup
 from transport.flight.harness import HarnessError
-from transport.flight.run import RunError, new_folder, simulate
+from transport.flight.run import simulate
+from transport.flight.run_error import RunError
+from transport.flight.run_files import new_folder
 from transport.viewer.process import viewer_beside
 from transport.viewer.server import ViewerError, require_viser
 
@@ -41,7 +43,7 @@ def run_scenario(
         with exit_on(RunError), exit_on(HarnessError, code=EXIT_UNREACHABLE):
             finished = simulate(setup, folder, Console(stderr=True))
         report = import_function("transport.cli.run_report:report")
-        report(folder, output, figures=figures, setup=setup)
+        report(finished.folder, output, figures=figures, setup=setup)
         if linger is not None and finished.exit_code != EXIT_INTERRUPTED:
             linger()
     if finished.exit_code != 0:
