@@ -23,7 +23,7 @@ from functools import cache
 from pathlib import Path
 from typing import IO, Any
 
-from protocol.network.parent import ENVIRONMENT, python
+from protocol.network.parent import ENVIRONMENT, PARENT_PIPE, python
 from transport.flight.vitals import Pulse, kill_leftovers
 
 # Program of the server; it imports all commands, so it cannot be imported here.
@@ -130,7 +130,7 @@ class ForkServer:
                     stdout=subprocess.DEVNULL,
                     stderr=subprocess.DEVNULL,
                     pass_fds=[other.fileno()],
-                    env={**ENVIRONMENT, **os.environ},
+                    env={**ENVIRONMENT, **os.environ, PARENT_PIPE: "1"},  # a stopped server notices its parent's end
                     start_new_session=True,  # Ctrl-C is handled by this process
                 )
             except OSError:

@@ -65,8 +65,7 @@ class LogFile:
             ChunkIndexes(indexes).attach(self._writer)
             self._writer.start(library="payload-transport")
             self._writer.add_metadata(METADATA, dict(header))
-            self._opened = opened
-            self.flush()
+            self._file.flush()
             self._opened = opened.pop_all()
 
     def append(self, entry: Entry) -> None:
@@ -90,24 +89,24 @@ class LogFile:
     def flush(self) -> None:
         """Finish the chunk: all entries are in the file."""
         with self._closed_on_error():
+            self._check()
             self._writer.flush()  # type: ignore[no-untyped-call]
             self.pending.clear()
             self._pending_bytes = 0
-            self._check()
 
     def close(self) -> None:
         """Write the index and close the file; a second time, or after a failure, does nothing."""
         if not self.closed:
             with self._closed_on_error():
-                self._writer.finish()  # type: ignore[no-untyped-call]
-                self.pending.clear()
-                self._file.flush()
                 self._check()
+                self._writer.finish()  # type: ignore[no-untyped-call]
+                self._file.flush()
+                self.pending.clear()
             self.closed = True
             self._opened.close()
 
     def _check(self) -> None:
-        """Raise OSError if the file at the path is another one, or was cut: the system does not report either."""
+        """Raise OSError if the file at the path is another one, or was cut: writing to it would not fail."""
         own = os.fstat(self._file.fileno())
         try:
             is_there = os.path.samestat(self.path.stat(), own)

@@ -4,8 +4,10 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 
+import orjson
 from mcap.records import Channel, Message
 
+from transport.log.channels import TOKENS
 from transport.log.log_file import Entry, LogFile
 from transport.log.salvage import LOST, NotMcapError, Salvage
 
@@ -85,13 +87,17 @@ class RelocatingFile:
 
     def _move(self, reason: str) -> None:
         self._has_moved = True
+        second: Path | str = "a second place"
         try:
-            file = LogFile(self._second_place(), self._header)
-            for entry in (*self._readable(), *self._file.pending):
+            second = self._second_place()
+            file = LogFile(second, self._header)
+            for entry in self._readable():
                 file.append(entry)
+            for entry in self._file.pending:
+                file.append(_announcing_all(entry))
             file.flush()
         except OSError as error:
-            self._lose(f"{reason}, nor go on in {error.filename or 'a second place'} ({error.strerror or error})")
+            self._lose(f"{reason}, nor go on in {second} ({error.strerror or error})")
             return
         self._file = file
         self._say(f"{reason}; it goes on in {file.path}")
@@ -119,3 +125,11 @@ class RelocatingFile:
         with suppress(NotMcapError, OSError):
             self._written.seek(0)
             yield from Salvage(self._written).entries()
+
+
+def _announcing_all(entry: Entry) -> Entry:
+    """Return an entry, with all tokens announced anew if it has tokens: messages behind a gap may be of any tick."""
+    if entry.topic != TOKENS:
+        return entry
+    announced = orjson.loads(entry.data)["announced"]
+    return entry._replace(data=orjson.dumps({"announced": announced, "now": list(announced)}))
