@@ -74,9 +74,7 @@ def test_a_run_without_injections(tmp_path: Path) -> None:
 
 def test_an_exit_code_that_does_not_fit_is_found(tmp_path: Path) -> None:
     """A command that refuses its scenario ends with a code that no injection can cause."""
-    result = execute(
-        SignalRun(number=2, settings=REFUSED, injections=()), tmp_path, threading.Event()
-    )
+    result = execute(SignalRun(number=2, settings=REFUSED, injections=()), tmp_path, threading.Event())
     assert result.exit_code == 3
     assert result.problems == {"wrong exit code": "3, expected one of 0, 4, 6"}
 
@@ -85,9 +83,7 @@ def test_a_traceback_is_found(tmp_path: Path) -> None:
     """A traceback in the output of any process is named by its file and last line."""
     (tmp_path / "logs").mkdir()
     (tmp_path / "logs" / "agent1.log").write_text("Traceback (most recent call last):\n  ...\nValueError: no\n")
-    result = execute(
-        SignalRun(number=5, settings=REFUSED, injections=()), tmp_path, threading.Event()
-    )
+    result = execute(SignalRun(number=5, settings=REFUSED, injections=()), tmp_path, threading.Event())
     assert result.problems["traceback"] == "agent1.log: ValueError: no"
 
 
