@@ -18,13 +18,12 @@ import sys
 import threading
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import IO, Any
 
 from protocol.network.parent import ENVIRONMENT, PARENT_PIPE, python
-from transport.flight.vitals import Pulse, kill_leftovers
+from transport.flight.vitals import Pulse, has_died, kill_leftovers
 
 # Program of the server; it imports all commands, so it cannot be imported here.
 _PROGRAM = "transport.cli.fork_server"
@@ -34,8 +33,8 @@ REQUEST_BYTES = 128 * 1024
 # processor time for one request, s: the imports take 1 s.
 _STOPPED_S, _IDLE_S, _USED_S = 2.0, 10.0, 30.0
 _LOOK_S = 0.1
-# Time for a killed process to disappear, s; a tracer may keep it for good.
-KILLED_S = 5.0
+# Time for a killed process to end, s.
+_KILLED_S, _KILLED_POLL_S = 5.0, 0.01
 _PR_SET_CHILD_SUBREAPER = 36  # <sys/prctl.h>
 # Variables that affect imports: if they have changed since the start of the server, it is not used.
 _AT_IMPORT = ("PAYLOAD_TRANSPORT_", "PYTHON", "HOME", "XDG_", "PATH", "LD_", "OPENBLAS_", "OMP_", "MKL_")
@@ -101,6 +100,8 @@ class Forked:
         self.send_signal(signal.SIGKILL)
 
 
+_SERVERS: set[int] = set()  # process ids of all servers that this process has started
+
 Started = Forked | subprocess.Popen[bytes]
 
 
@@ -137,6 +138,7 @@ class ForkServer:
                 own.close()
                 return
         self._socket = own
+        _SERVERS.add(self._process.pid)
 
     def start(self, arguments: Sequence[str], output: IO[bytes], extra: Mapping[str, str]) -> Started:
         """Start `transport` as a child with an output file and additions to the environment of this process."""
@@ -147,7 +149,7 @@ class ForkServer:
                 return _fork(self._socket, server.pid, arguments, output, environment)
             except (OSError, ValueError):
                 self.close()  # the server only saves time: go on without it
-                _end_half_started(server.pid, arguments)
+                _end_half_started(arguments)
         return subprocess.Popen(
             [*python("transport"), *arguments],
             stdin=subprocess.PIPE,
@@ -162,11 +164,11 @@ class ForkServer:
         if self._socket is not None:
             self._socket.close()
             self._socket = None
-        if self._process is not None:
+        if self._process is not None and self._process.poll() is None:
             self._process.kill()
-            with suppress(subprocess.TimeoutExpired):
-                self._process.wait(KILLED_S)
-            self._process = None
+            deadline = time.monotonic() + _KILLED_S
+            while self._process.poll() is None and not has_died(self._process.pid) and time.monotonic() < deadline:
+                time.sleep(_KILLED_POLL_S)
 
 
 def _fork(
@@ -203,12 +205,12 @@ def _await_answer(server: socket.socket, pulse: Pulse) -> None:
             raise TimeoutError(f"the fork server does not answer: it is {pulse.description}")
 
 
-def _end_half_started(server: int, arguments: Sequence[str]) -> None:
+def _end_half_started(arguments: Sequence[str]) -> None:
     """End a process that a server forked but did not announce before it was killed: it would take the name and port."""
     titles = frozenset({FORK_SERVER_TITLE, " ".join(["transport", *arguments])})
-    deadline = time.monotonic() + KILLED_S
-    while kill_leftovers(os.getpid(), titles, frozenset({server})) and time.monotonic() < deadline:
-        time.sleep(_LOOK_S / 10.0)
+    deadline = time.monotonic() + _KILLED_S
+    while kill_leftovers(os.getpid(), titles, frozenset(_SERVERS)) and time.monotonic() < deadline:
+        time.sleep(_KILLED_POLL_S)
 
 
 def _at_import(environment: Mapping[str, str]) -> dict[str, str]:
