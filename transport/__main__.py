@@ -5,6 +5,7 @@ import sys
 
 from protocol.network.parent import ending_signals, wake_with_its_end
 from protocol.wire.exit_codes import EXIT_INTERRUPTED
+from transport.flight.fork_server import fork_server
 
 
 def main() -> None:
@@ -13,6 +14,8 @@ def main() -> None:
         wake_with_its_end()
         for number in set(ending_signals()) - {signal.SIGINT}:
             signal.signal(number, signal.default_int_handler)  # before the imports: they take a while
+        if sys.argv[1:2] == ["run"] and "--help" not in sys.argv:
+            fork_server()  # imports for the processes of the run while this process imports for itself
         from transport.cli.main import app
 
         app(prog_name="transport")

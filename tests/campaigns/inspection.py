@@ -1,4 +1,4 @@
-"""What a command leaves behind: processes, tracebacks, logs that do not open."""
+"""Remains of a command: processes, tracebacks, logs that do not open."""
 
 import os
 import signal

@@ -57,7 +57,7 @@ class Injection:
 
     @property
     def sent(self) -> str:
-        """What is sent, and when a stop ends."""
+        """The signal sent, and when a stop ends."""
         return self.kind if self.resumed_s is None else f"{self.kind}, CONT after {self.resumed_s:g} s"
 
     @property

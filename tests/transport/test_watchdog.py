@@ -16,7 +16,7 @@ JOIN_S, BARRIER_S = 30.0, 5.0
 
 
 class FakePulse:
-    """What a test says of a process, by its id."""
+    """Pulse of a process as a test has it, by its id."""
 
     now: dict[int, tuple[float, float]] = {}  # noqa: RUF012  # set by each test
 

@@ -5,8 +5,8 @@ import platform
 import shutil
 import signal
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from model import native
 from model.compiled import compile_functions
 from protocol.network.endpoints import Endpoints, endpoints_of_all, process_names
 from protocol.network.process import Place
-from protocol.network.security import SecurityError
+from protocol.network.security import Security, SecurityError
 from protocol.network.session import BusError
 from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import (
@@ -34,7 +34,7 @@ from transport.flight.harness import ORDERLY_ENDS, Child, Harness, check_ports, 
 from transport.flight.progress import RunProgress
 from transport.flight.recorder import Recorder
 from transport.flight.run_error import RunError
-from transport.flight.run_files import create, open_log, refuse_existing
+from transport.flight.run_files import create, open_log, own_keys, refuse_existing
 from transport.flight.signals import collected_signals
 from transport.flight.watchdog import Watchdog
 from transport.log.relocating_file import RelocatingFile
@@ -55,8 +55,10 @@ class Finished:
     reason: str
 
 
-def simulate(setup: Setup, folder: Path, console: Console) -> Finished:
+def simulate(setup: Setup, folder: Path, console: Console, started: Callable[[], None] = lambda: None) -> Finished:
     """Start the processes of a run, record it in a new folder, and wait for its end.
+
+    `started` is called once the processes are started.
 
     Returns: The end of the run; every process has ended and the log is complete.
     Raises: RunError: the folder exists, or a process ended before the run began. HarnessError: no free port.
@@ -78,13 +80,18 @@ def simulate(setup: Setup, folder: Path, console: Console) -> Finished:
             raise RunError(str(error), EXIT_SCENARIO) from error
         recording = found.pop(RECORDER)
         try:
-            return _simulate(setup, folder, console, found, recording)
+            return _simulate(setup, folder, console, found, recording, started)
         except BusError as error:
             raise RunError(str(error), EXIT_UNREACHABLE) from error
 
 
 def _simulate(
-    setup: Setup, folder: Path, console: Console, places: Mapping[str, Endpoints], recording: Endpoints
+    setup: Setup,
+    folder: Path,
+    console: Console,
+    places: Mapping[str, Endpoints],
+    recording: Endpoints,
+    started: Callable[[], None],
 ) -> Finished:
     """Simulate a run with given endpoints of its processes and of its recorder."""
     scenario, names = setup.scenario, list(places)
@@ -92,11 +99,14 @@ def _simulate(
     text = create(folder, setup)
     header = run_header(setup, run, len(names), text)
     called = {name: [*place.listen, *place.connect][0] for name, place in [*places.items(), (RECORDER, recording)]}
-    keys = "" if recording.security is None else str(recording.security.folder)
     with (
-        Harness(run, folder / "scenario.toml", places, folder / "logs") as harness,
+        own_keys(scenario, folder) as own,
+        Harness(run, folder / "scenario.toml", places, folder / "logs", own) as harness,
         RunProgress(setup, console) as progress,
     ):
+        if own is not None:
+            recording = replace(recording, security=Security(own, ()))
+        keys = "" if recording.security is None else str(recording.security.folder)
         harness.start(observers=[RECORDER])
         writer, file = open_log(folder, setup, header, progress.say)
         recorder = Recorder(
@@ -110,6 +120,7 @@ def _simulate(
         try:
             recorder.start(names)
             live.write(folder, live.LiveRun(run, called, os.getpid(), keys, is_client=recording.mode == "client"))
+            started()
             _watch(recorder, progress, _Local(harness, FaultScript(setup, harness, recorder), Watchdog(setup, harness)))
             if recorder.control is not None:
                 harness.wait(_LEAVE_S)

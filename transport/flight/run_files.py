@@ -1,12 +1,15 @@
 """Folders of runs: their names, and what is in them before the run begins."""
 
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
 import tomli_w
 
+from protocol.network.security import new_secret
+from protocol.scenario.schema import Scenario
 from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import EXIT_USAGE
 from transport.flight.run_error import RunError
@@ -45,6 +48,24 @@ def create(folder: Path, setup: Setup) -> str:
     except OSError as error:
         raise RunError(f"--out: cannot create {folder} ({error.strerror})", EXIT_USAGE) from error
     return text
+
+
+@contextmanager
+def own_keys(scenario: Scenario, folder: Path) -> Iterator[Path | None]:
+    """Make the secret of a run in its folder; None where other keys protect the run, or it is to be open.
+
+    Raises: RunError: it cannot be written.
+    """
+    network = scenario.network
+    if network.keys is not None or network.router is not None or not network.secret:
+        yield None
+        return
+    with ExitStack() as stack:
+        try:
+            keys = stack.enter_context(new_secret(folder.resolve() / "keys"))
+        except OSError as error:
+            raise RunError(f"--out: cannot write to {folder} ({error.strerror})", EXIT_USAGE) from error
+        yield keys
 
 
 def open_log(

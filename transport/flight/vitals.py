@@ -57,7 +57,7 @@ def _state(stat: Path) -> str:
 
 
 class Pulse:
-    """What repeated looks have seen of a process.
+    """Findings of repeated looks at a process.
 
     Time counts only while it is looked at, and not while the process waits for a processor, so that a busy host or a
     stopped observer does not make a process look dead.
@@ -92,7 +92,7 @@ class Pulse:
 
     @property
     def description(self) -> str:
-        """What keeps the process from working, for an error: "stopped by a tracer", "asleep", "busy"."""
+        """State of the process in words: "stopped by a tracer", "asleep", "busy"."""
         state = "" if self._last is None else self._last.state
         return _STOPPED.get(state, "busy" if state in _BUSY else "asleep")
 
