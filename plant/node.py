@@ -5,7 +5,6 @@ interval: with actuation "immediate" from the plans of tick k, with "next_tick" 
 agents compute at the same time.
 """
 
-import math
 from collections import deque
 from collections.abc import Sequence
 
@@ -15,6 +14,7 @@ from model import state
 from model.arrays import Array
 from model.failure import motor_off_state, no_inputs, released_state
 from mpc.fail_safe import FailSafe
+from plant.engines import Engine
 from plant.environment import Environment
 from plant.schedule import MOTOR_OFF, ActuatorSchedule
 from protocol.admission.arrivals import Arrivals
@@ -54,8 +54,8 @@ class PlantNode:
         self.incarnation = incarnation
         self._out = Outbox(self.name, incarnation)
         self.environment = Environment(setup)
+        self.engine = Engine(setup, self.environment.system)
         self._period_s = setup.settings.sampling_period_s
-        self.steps = math.ceil(self._period_s / setup.scenario.plant.step_s - 1e-9)
         clock = setup.scenario.clock
         self._delay = 1 if clock.next_tick else 0
         self._waits = clock.mode == "lockstep"
@@ -190,8 +190,10 @@ class PlantNode:
             if fault == "release":
                 self.environment.release([uav])
                 self._x = released_state(self._x, uav)
+                self.engine.replace(self.environment.system, self._x)
             else:
                 self._x = motor_off_state(self._x, uav)
+                self.engine.reset(self._x)
 
     def _integrate(self, now_ns: int) -> PlantState:
         k, x = self._state_tick, self._x
@@ -202,8 +204,8 @@ class PlantNode:
             u = no_inputs(u, self._off)
             sources = tuple(MOTOR_OFF if i in self._off else source for i, source in enumerate(sources))
         forces = self.environment.forces(k, x)
-        end, error = self.environment.model.integrate(x, u, self._period_s, self.steps, forces=forces)
-        reason = self._divergence(k + 1, end)
+        end, error = self.engine.advance(u, forces, self._period_s)
+        reason = self.engine.failure or self._divergence(k + 1, end)
         self._diverged = bool(reason)
         self._x, self._u, self._state_tick = end, u, k + 1
         self._arrived = {tick: agents for tick, agents in self._arrived.items() if tick > k - self._delay}
@@ -213,7 +215,7 @@ class PlantNode:
             x=x,
             u=u,
             plan_ticks=sources,
-            local_error=error if np.isfinite(end).all() and math.isfinite(error) else -1.0,
+            local_error=error if np.isfinite(end).all() else -1.0,
             diverged=reason,
         )
 

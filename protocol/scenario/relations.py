@@ -5,11 +5,15 @@ from collections.abc import Iterator
 
 from protocol.scenario.errors import ScenarioError
 from protocol.scenario.link_sections import LinkChangeSection, LinkOverrideSection
+from protocol.scenario.plant_sections import MujocoSection
 from protocol.scenario.schema import Scenario
 from protocol.wire.names import COORDINATOR, PLANT, agent_name
 
 # Largest distance of a path from the origin along any axis, m.
 FURTHEST_M = 1e5
+
+# Contacts of MuJoCo have a time constant of 0.02 s, which takes two steps at least.
+LONGEST_MUJOCO_STEP_S = 0.01
 
 # States in which a fault can happen to its target, and the state it leaves.
 _FAULTS = {
@@ -41,6 +45,7 @@ def check_relations(scenario: Scenario, source: str) -> None:
         _sharing(scenario),
         _limits(scenario),
         _drag(scenario),
+        _engine(scenario),
         _path(scenario),
         _network(scenario),
     ):
@@ -177,6 +182,26 @@ def _drag(scenario: Scenario) -> Iterator[Problem]:
         if drag * period_s > mass:
             expected = f"expected at most mass over sampling period {mass / period_s:g}"
             yield f"plant.wind.{key}", f"{expected}, got {drag}"
+
+
+def _engine(scenario: Scenario) -> Iterator[Problem]:
+    """Settings without effect on the engine, a ground that the path goes through, and steps too long for contacts."""
+    plant, period_s = scenario.plant, scenario.controller.sampling_period_s
+    expected = "expected plant.engine = 'mujoco' or an engine of your own with it"
+    if plant.engine == "rods":
+        if plant.ground_m is not None:
+            yield "plant.ground_m", f"{expected}, got 'rods', which has no ground"
+        if plant.mujoco != MujocoSection():
+            yield "plant.mujoco", f"{expected}, got 'rods'"
+    if plant.mujoco.step_s > min(period_s, LONGEST_MUJOCO_STEP_S):
+        expected = (
+            f"expected at most the sampling period {period_s} and {LONGEST_MUJOCO_STEP_S} s, as contacts are stiff"
+        )
+        yield "plant.mujoco.step_s", f"{expected}, got {plant.mujoco.step_s}"
+    if plant.mujoco.suspension == "cables":
+        for event in scenario.faults.event:
+            if event.do == "release":
+                yield "plant.mujoco.suspension", "expected 'rods' with a fault 'release', got 'cables'"
 
 
 def _path(scenario: Scenario) -> Iterator[Problem]:

@@ -1,6 +1,7 @@
 """The scenario that a command is given, read and checked."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
 
@@ -12,9 +13,16 @@ from transport.cli.output import fail
 
 def read_setup(scenario: str, settings: Sequence[str] | None) -> Setup:
     """Return the setup of a scenario, file or name, with changes KEY=VALUE; end the command if it is refused."""
-    try:
+    with scenario_errors(settings):
         path = find_scenario(scenario)
         return _setup(path, tuple(settings or ()), _file_version(path))
+
+
+@contextmanager
+def scenario_errors(settings: Sequence[str] | None) -> Iterator[None]:
+    """End the command if a scenario is refused, naming the setting that gave the field."""
+    try:
+        yield
     except ScenarioError as error:
         fail(str(error.blaming(settings or [])), EXIT_SCENARIO)
 

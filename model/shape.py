@@ -1,0 +1,23 @@
+"""The box that a payload is taken for where it touches the ground; the equations of motion know no shape."""
+
+import numpy as np
+
+from model.arrays import Array
+from model.parameters import System
+
+# Least half length of each edge, m.
+_LEAST_M = 0.05
+
+
+def payload_half_size(system: System) -> Array:
+    """Return half the edges of the payload's box, (3,), m: about its centre of mass, as far as its attachment points.
+
+    Edges are parallel to the axes of the payload frame.
+    """
+    rho = np.array([uav.rho for uav in system.uavs])
+    return np.asarray(np.maximum(np.abs(rho).max(axis=0), _LEAST_M))
+
+
+def resting_height(system: System, ground_m: float) -> float:
+    """Return z of the centre of mass of a level payload on the ground, inertial frame (z down), m."""
+    return ground_m - float(payload_half_size(system)[2])
