@@ -18,6 +18,12 @@ def payload_half_size(system: System) -> Array:
     return np.asarray(np.maximum(np.abs(rho).max(axis=0), _LEAST_M))
 
 
+def payload_corners(system: System) -> Array:
+    """Return the corners of the payload's box, (8, 3), payload frame, m."""
+    signs = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+    return signs * payload_half_size(system)
+
+
 def resting_height(system: System, ground_m: float) -> float:
     """Return z of the centre of mass of a level payload on the ground, inertial frame (z down), m."""
     return ground_m - float(payload_half_size(system)[2])
