@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 
 from model.arrays import Array
+from model.failure import RELEASED_MASS_KG
 from model.parameters import System
 from model.shape import payload_half_size
 from protocol.scenario.plant_sections import PlantSection
@@ -66,11 +67,13 @@ def _rod(system: System, section: PlantSection, i: int) -> str:
 
 def _uav(system: System, i: int, joint: str, pos: str) -> str:
     uav = system.uavs[i]
+    # A released UAV is a bob below the payload, which may lie on the ground.
+    ball = f'<geom type="sphere" size="{_UAV_RADIUS_M}" {_MEETS_GROUND}/>' if uav.mass > RELEASED_MASS_KG else ""
     kind = ' type="ball"' if joint == "joint" else ""
     place = f' pos="{pos}"' if pos else ""
     return (
         f'<body name="uav{i}"{place}><{joint} name="uav{i}"{kind}/>{_inertial(uav.mass, uav.inertia)}'
-        f'<geom type="sphere" size="{_UAV_RADIUS_M}" {_MEETS_GROUND}/><site name="uav{i}"/></body>'
+        f'{ball}<site name="uav{i}"/></body>'
     )
 
 

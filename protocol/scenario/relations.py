@@ -47,6 +47,7 @@ def check_relations(scenario: Scenario, source: str) -> None:
         _drag(scenario),
         _engine(scenario),
         _path(scenario),
+        _on_the_ground(scenario),
         _network(scenario),
     ):
         for field, problem in problems:
@@ -138,7 +139,8 @@ def _faults(scenario: Scenario, agents: list[str]) -> Iterator[Problem]:
             expected = f"expected what can be done to {target}, which is {state[target]} by then"
             yield f"{field}.do", f"{expected}, got {event.do!r}"
         state[target] = after
-    if uavs and all(state[uav] in ("off", "released") for uav in uavs):
+    grounded = scenario.plant.ground_m is not None and all(state[uav] == "released" for uav in uavs)
+    if uavs and not grounded and all(state[uav] in ("off", "released") for uav in uavs):
         expected = "expected at least one UAV that keeps its motors"
         yield "faults.event", f"{expected}, got motor_off or release for all {len(uavs)}"
 
@@ -218,6 +220,21 @@ def _path(scenario: Scenario) -> Iterator[Problem]:
                 key = "way" if phase.way else "displacement_m"
                 yield f"maneuver.phase.{i}.{key}", f"{expected}, got {furthest:g} m"
         reached = [a + b for a, b in zip(reached, phase.displacement_m, strict=True)]
+
+
+def _on_the_ground(scenario: Scenario) -> Iterator[Problem]:
+    """Take-offs and landings are vertical, and need a ground."""
+    for i, phase in enumerate(scenario.maneuver.phase, start=1):
+        if phase.kind == "move":
+            continue
+        field, (x, y, z) = f"maneuver.phase.{i}", phase.displacement_m
+        if scenario.plant.ground_m is None:
+            yield f"{field}.kind", f"expected plant.ground_m with it, got {phase.kind!r} without a ground"
+        if phase.way is not None:
+            yield f"{field}.kind", f"expected 'move' with a path from a file, got {phase.kind!r}"
+        if x != 0.0 or y != 0.0 or (z >= 0.0 if phase.kind == "take_off" else z <= 0.0):
+            direction = "up, negative z" if phase.kind == "take_off" else "down, positive z"
+            yield f"{field}.displacement_m", f"expected a way straight {direction}, got {phase.displacement_m}"
 
 
 def _network(scenario: Scenario) -> Iterator[Problem]:

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import AfterValidator, Field
 from pydantic_core import PydanticCustomError
 
-from model.maneuver import Profile
+from model.maneuver import PhaseKind, Profile
 from model.parameters import GRAVITY
 from mpc.settings import (
     Constraint,
@@ -89,6 +89,7 @@ class PhaseSection(Section):
     name: str
     duration_s: Positive
     displacement_m: Vector
+    kind: PhaseKind = "move"
     way: list[list[float]] | None = None
     file: str | None = None
 
@@ -98,6 +99,7 @@ class ManeuverSection(Section):
 
     start_m: Vector = [0.0, 0.0, -10.0]
     profile: Profile = "ramp"
+    press_m: NotNegative = 0.2
     phase: Annotated[list[PhaseSection], Field(min_length=1)]
 
 

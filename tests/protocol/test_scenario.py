@@ -20,6 +20,7 @@ from tests.support.runs import PAPER, SCENARIOS, SHORT, setup, ticks
 OTHER_WORDS = {
     "profile": "step",
     "engine": "mujoco",
+    "kind": "land",
     "suspension": "cables",
     "penalised_input": "absolute",
     "solver": "clarabel",
