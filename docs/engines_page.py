@@ -43,11 +43,7 @@ SUSPENSIONS: Mapping[str, tuple[str, ...]] = {
 }
 
 SEEDS = 10
-DELIVERIES: Mapping[str, tuple[str, ...]] = {
-    "noise of `windy`": (),
-    "and gusts of 1 m/s": ("plant.wind.gust_mps=[1.0,1.0,1.0]",),
-    "and 200 ms delay, 30 % packet loss": IMPAIRED,
-}
+DELIVERIES: Mapping[str, tuple[str, ...]] = {"noise of `windy`": ()}
 # The delivery without its release, held for long.
 HELD = Run("delivery", ("faults.event=[]", "maneuver.phase.5.duration_s=10.0"))
 
@@ -221,14 +217,14 @@ def _team(uavs: int, engine: str) -> Scenario:
     return resized(scenario, path.parent, uavs, group=None, name=None, source=str(path))
 
 
-def renew(tables: Sequence[Measured]) -> None:
-    """Simulate, and renew the tables of the document."""
+def renew(tables: Sequence[Measured], jobs: int = 2) -> None:
+    """Simulate in some processes, and renew the tables of the document."""
     names = ["origin", "speed", *(part.name for part in tables)]
     for name in names:
         place(DOCUMENT, name)  # refused before minutes are spent
     runs = list(dict.fromkeys(run for part in tables for run in part.runs))
     found: dict[Run, Flight] = {}
-    for run, flight in each_on_cores(simulate, runs, 2):
+    for run, flight in each_on_cores(simulate, runs, jobs):
         found[run] = flight
         sys.stderr.write(f"\r{DOCUMENT.name}: {len(found)} of {len(runs)} simulations")
     sys.stderr.write("\n")

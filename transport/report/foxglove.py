@@ -174,7 +174,8 @@ def _reference(builder: SceneBuilder, at_ns: int) -> Iterator[Json]:
 def _now(builder: SceneBuilder, scene: Scene, at_ns: int) -> Iterator[Json]:
     """Yield the entities that change at every tick: rods, thrust, predicted paths, links."""
     setup = builder.setup
-    rods = np.stack([scene.uavs_I, scene.attachments_I], axis=1).reshape(-1, 3)
+    rods = np.stack([scene.uavs_I, scene.attachments_I], axis=1)
+    rods = np.delete(rods, [uav - 1 for uav in scene.released], axis=0).reshape(-1, 3)
     yield _entity("rods", INERTIAL, at_ns, lines=[_line(rods, _GREY)])
     thrusts = enumerate(zip(scene.uavs_I, scene.thrusts_I, strict=True))
     arrows = [_arrow(tail, thrust, builder.hover_N, uav_colour(i)) for i, (tail, thrust) in thrusts]

@@ -67,6 +67,7 @@ class Scene:
         cost: Stage cost.
         attitude_deg: Roll, pitch, yaw of the payload, (3,), deg.
         fail_safe: UAVs, 1-based, whose plans have run out.
+        released: UAVs, 1-based, that have left their rods.
     """
 
     tick: int
@@ -86,6 +87,7 @@ class Scene:
     cost: float
     attitude_deg: Array
     fail_safe: tuple[int, ...]
+    released: tuple[int, ...]
 
     @property
     def error_m(self) -> float:
@@ -158,6 +160,7 @@ class SceneBuilder:
             cost=self._cost.stage(y, y_ref, plant_state.u),
             attitude_deg=np.degrees(view.Theta0),
             fail_safe=tuple(i + 1 for i, source in enumerate(plant_state.plan_ticks) if source == FAIL_SAFE),
+            released=self.history.released(tick),
         )
 
     def _contacts(self, r0_I: Array, R_payload: Array) -> Array:

@@ -139,6 +139,10 @@ class View3D:
                 mark.position = scene.contacts_I[k]
         for node in (self._team, self._load, self._payload, *self._uavs):
             node.visible = True
+        for uav in scene.released:
+            self._uavs[uav - 1].visible = False
+        for i, rod in enumerate(self._rods):
+            rod.visible = i + 1 not in scene.released
         if self._shown["thrust"]:
             tips_I = scene.uavs_I + scene.thrusts_I * (_ARROW_M / self._builder.hover_N)
             self._thrust.points = (np.stack([scene.uavs_I, tips_I], axis=1) - centre_I).astype(np.float32)
