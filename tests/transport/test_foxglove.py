@@ -130,7 +130,8 @@ def test_ground_and_contacts(tmp_path: Path) -> None:
     record_run(runs.setup(runs.ticks(2), *ON_THE_GROUND), tmp_path)
     result = CliRunner().invoke(app, ["log", "export", str(tmp_path), "--foxglove", str(tmp_path / "foxglove.mcap")])
     assert result.exit_code == 0, result.stderr
-    slabs, marks = [], []
+    slabs: list[Any] = []
+    marks: list[Any] = []
     for topic, _, message, _, _ in added(tmp_path):
         for entity in message.get("entities", ()) if topic.startswith("/scene") else ():
             slabs += entity["cubes"] if entity["id"] == "ground" else []
