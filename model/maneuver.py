@@ -137,7 +137,7 @@ class Maneuver:
         """Return how far below the payload's path the controllers' reference is, (k,), m, and its rate, (k,), m/s.
 
         Zero in flight. On the ground the team then pulls with less than the payload's weight. Source: docs/equations.md
-        (53).
+        (57).
         """
         level = np.full(len(t_s), float(self.phases[0].kind == "take_off"))
         rate = np.zeros(len(t_s))
@@ -175,7 +175,7 @@ class Reference:
 
         They are those of the maneuver, and below its path while the payload stands on the ground.
 
-        Source: docs/equations.md (53).
+        Source: docs/equations.md (57).
         """
         y, x, (depth, rate) = self.outputs(t_s), self.states(t_s), self.maneuver.press(t_s)
         y[:, 2 : 3 * self._system.N : 3] += depth[:, None]

@@ -27,7 +27,7 @@ _SAME_STATE = 1e-6
 # How far the length of a rod direction may be from 1: beyond rounding, below any error of a real rod.
 _UNIT = 1e-3
 _METHODS = ("reset", "advance", "state")
-_NO_ERROR_ESTIMATE = -1.0
+UNKNOWN_ERROR = -1.0
 
 
 class EngineError(ValueError):
@@ -77,7 +77,7 @@ class Engine:
 
         Returns: State at its end, (n,), the last one if the engine has failed; the local error, -1 if it is unknown.
         """
-        error = _NO_ERROR_ESTIMATE
+        error = UNKNOWN_ERROR
         if not self.failure:
             with self._failing():
                 with _told("advance"):

@@ -201,6 +201,11 @@ def main(file, run, digest, port):
     coordinator, own = (f"tcp/127.0.0.1:{int(port) + i}" for i in range(2))
     config = {"mode": "peer", "listen": {"endpoints": [own]}, "connect": {"endpoints": [coordinator]}}
     config["scouting"] = {"multicast": {"enabled": False}, "gossip": {"enabled": False}}
+    secret = Path(file).parent / "keys" / "secret.txt"  # `transport run` lets only processes with it connect
+    if secret.exists():
+        user, password = secret.read_text(encoding="utf-8").strip().split(":", 1)
+        login = {"user": user, "password": password, "dictionary_file": str(secret.resolve())}
+        config["transport"] = {"auth": {"usrpwd": login}}
 
     def watch(sample):
         name = str(sample.key_expr).split("/")[3]

@@ -7,6 +7,7 @@ from pydantic import AfterValidator, Field
 from pydantic_core import PydanticCustomError
 
 from mpc.settings import NotNegative, Positive
+from protocol.scenario.motor_sections import MotorsSection
 from protocol.scenario.sections import NotNegativeVector, Section, Vector
 
 
@@ -55,9 +56,11 @@ class PlantSection(Section):
     ground_m: float | None = None
     mujoco: MujocoSection = MujocoSection()
     step_s: Positive = 0.01
+    tolerance: Annotated[float, Field(ge=1e-12, le=10.0)] = 1e-9
     max_attitude_deg: Annotated[float, Field(gt=0.0, lt=90.0)] = 80.0
     max_error_m: Positive = 20.0
     payload_mass_factor: MassFactor = 1.0
     uav_mass_factor: MassFactor = 1.0
+    motors: MotorsSection = MotorsSection()
     wind: WindSection = WindSection()
     noise: NoiseSection = NoiseSection()

@@ -3,10 +3,14 @@
 import re
 from collections.abc import Iterator
 
+from protocol.scenario.budget import estimate
 from protocol.scenario.errors import ScenarioError
+from protocol.scenario.faults import OF_UAVS
 from protocol.scenario.link_sections import LinkChangeSection, LinkOverrideSection
+from protocol.scenario.magnitudes import out_of_range
 from protocol.scenario.plant_sections import MujocoSection
 from protocol.scenario.schema import Scenario
+from protocol.wire.codec import MAX_BYTES
 from protocol.wire.names import COORDINATOR, PLANT, agent_name
 
 # Largest distance of a path from the origin along any axis, m.
@@ -14,6 +18,8 @@ FURTHEST_M = 1e5
 
 # Contacts of MuJoCo have a time constant of 0.02 s, which takes two steps at least.
 LONGEST_MUJOCO_STEP_S = 0.01
+# Shortest lag of motors other than none, in sampling periods: the discretisation takes exponentials of its reciprocal.
+_SHORTEST_LAG = 0.01
 
 # States in which a fault can happen to its target, and the state it leaves.
 _FAULTS = {
@@ -23,8 +29,8 @@ _FAULTS = {
     "restart": (("running", "stopped", "killed"), "running"),
     "motor_off": (("running",), "off"),
     "release": (("running", "off"), "released"),  # the motors of a running one go off with it
+    "degrade": (("running",), "running"),
 }
-_UAV_FAULTS = ("motor_off", "release")
 
 # Field, and what was expected there and what came.
 Problem = tuple[str, str]
@@ -37,6 +43,7 @@ def check_relations(scenario: Scenario, source: str) -> None:
     """
     agents = [agent_name(agent) for agent in range(1, len(scenario.owned) + 1)]
     for problems in (
+        out_of_range(scenario),
         _ownership(scenario),
         _links(scenario, agents),
         _controller(scenario),
@@ -46,9 +53,11 @@ def check_relations(scenario: Scenario, source: str) -> None:
         _limits(scenario),
         _drag(scenario),
         _engine(scenario),
+        _motors(scenario),
         _path(scenario),
         _on_the_ground(scenario),
         _network(scenario),
+        _messages(scenario),
     ):
         for field, problem in problems:
             raise ScenarioError(source, field, problem)
@@ -129,11 +138,14 @@ def _faults(scenario: Scenario, agents: list[str]) -> Iterator[Problem]:
     state = dict.fromkeys([*processes, *uavs], "running")
     for i, event in sorted(enumerate(scenario.faults.event, start=1), key=lambda entry: entry[1].at_s):
         field, target = f"faults.event.{i}", event.target
-        possible = uavs if event.do in _UAV_FAULTS else processes
+        possible = uavs if event.do in OF_UAVS else processes
         if target not in possible:
             yield f"{field}.target", f"expected one of {', '.join(possible)}, got {target!r}"
         if event.do == "restart" and target not in agents:
             yield f"{field}.do", f"expected an agent to restart, as a run ends with its {target}, got 'restart'"
+        if (event.do == "degrade") != (event.efficiency is not None):
+            expected = "expected an efficiency" if event.do == "degrade" else "expected none but with 'degrade'"
+            yield f"{field}.efficiency", f"{expected}, got {event.efficiency or 'nothing'}"
         before, after = _FAULTS[event.do]
         if state[target] not in before:
             expected = f"expected what can be done to {target}, which is {state[target]} by then"
@@ -206,6 +218,16 @@ def _engine(scenario: Scenario) -> Iterator[Problem]:
                 yield "plant.mujoco.suspension", "expected 'rods' with a fault 'release', got 'cables'"
 
 
+def _motors(scenario: Scenario) -> Iterator[Problem]:
+    """A lag is none, or long enough for the exponential of the discretisation."""
+    plant, controller = scenario.plant, scenario.controller
+    period_s = controller.sampling_period_s
+    for key, lag_s in (("controller.motor_lag_s", controller.motor_lag_s), ("plant.motors.lag_s", plant.motors.lag_s)):
+        if 0.0 < lag_s < _SHORTEST_LAG * period_s:
+            expected = f"expected 0 or at least a hundredth of the sampling period, {_SHORTEST_LAG * period_s:g}"
+            yield key, f"{expected}, got {lag_s}"
+
+
 def _path(scenario: Scenario) -> Iterator[Problem]:
     """A path stays where float64 resolves positions to well below a millimetre, and where measurements are valid."""
     expected = f"expected a path within {FURTHEST_M:g} m of the origin"
@@ -241,3 +263,13 @@ def _network(scenario: Scenario) -> Iterator[Problem]:
     router = scenario.network.router
     if router is not None and not re.fullmatch(r"(tcp|tls)/\S+:\d+", router):
         yield "network.router", f"expected an endpoint such as tls/192.0.2.1:7447, got {router!r}"
+
+
+def _messages(scenario: Scenario) -> Iterator[Problem]:
+    """The largest message, plans and reports of a tick, fits into what every receiver accepts."""
+    if not scenario.clock.relayed:
+        return
+    size = estimate(scenario).relay_bytes
+    if size > MAX_BYTES:
+        text = f"expected plans of a tick of at most {MAX_BYTES:,} bytes in one message, got {size:,.0f}"
+        yield "controller.horizon", f"{text}; set clock.exchange = 'direct', or a shorter horizon"

@@ -158,6 +158,7 @@ class ControllerSection(Section):
     negotiation_iterations: Annotated[int, Field(ge=1, le=MAX_NEGOTIATION_ITERATIONS)] = 1
     relaxation: Annotated[float | str, AfterValidator(_relaxation)] = _DEFAULT.relaxation
     solver: SolverName = _DEFAULT.solver
+    motor_lag_s: NotNegative = _DEFAULT.motor_lag_s
     share: Literal["always", "on_change"] = "always"
     share_threshold: NotNegative = 0.01
     share_heartbeat_s: Positive = 1.0
@@ -205,8 +206,9 @@ class FaultSection(Section):
     """Fault of a process or a UAV at an instant of the run."""
 
     at_s: NotNegative
-    do: Literal["kill", "stop", "continue", "restart", "motor_off", "release"]
+    do: Literal["kill", "stop", "continue", "restart", "motor_off", "release", "degrade"]
     target: str
+    efficiency: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
 
 
 class FaultsSection(Section):
@@ -226,6 +228,7 @@ class NetworkSection(Section):
     router: str | None = None
     keys: str | None = None
     insecure: bool = False
+    secret: bool = True
 
 
 class Scenario(Section):

@@ -24,6 +24,7 @@ from protocol.scenario.faults import Fault, scripted
 from protocol.scenario.links import Link, link
 from protocol.scenario.schema import Scenario, UavSection
 from protocol.scenario.sections import SettingsSection
+from protocol.scenario.text_file import read_text
 from protocol.wire.messages import Measurement, Plan
 from protocol.wire.names import PLANT
 
@@ -183,6 +184,14 @@ class Setup:
             if not low <= thrust <= high:
                 expected = f"expected a range that contains the hover thrust {thrust:.2f} N of UAV{i + 1}"
                 raise ScenarioError(source, "controller.limits.thrust_N", f"{expected}, got {[low, high]}")
+        rotors = self.scenario.plant.motors.rotors
+        if rotors is not None:
+            for i, thrust in enumerate(self.hover.u[::4]):
+                low, high = rotors.thrust_N
+                if not low <= thrust / 4.0 <= high:
+                    quarter = f"a quarter of the hover thrust of UAV{i + 1}, {thrust / 4.0:.2f} N"
+                    expected = f"expected a range that contains {quarter}"
+                    raise ScenarioError(source, "plant.motors.rotors.thrust_N", f"{expected}, got {[low, high]}")
         separation = self.settings.separation
         if separation is None or self.system.N < 2:
             return
@@ -206,7 +215,7 @@ def _samples(scenario: Scenario, source: str) -> dict[str, tuple[float, ...]]:
             raise ScenarioError(source, "links.samples", f"{expected}, got {section.samples!r}")
         path = Path(source).parent / section.samples
         try:
-            values = [float(word) for word in path.read_text(encoding="utf-8").replace(",", " ").split()]
+            values = [float(word) for word in read_text(path).replace(",", " ").split()]
         except OSError as error:
             raise ScenarioError(source, "links.samples", f"cannot read {path} ({error.strerror})") from error
         except ValueError as error:

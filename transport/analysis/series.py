@@ -35,6 +35,7 @@ class Series:
         on_rods: Whether a UAV has not been released, (T, N).
         separation_m: Smallest distance between two UAVs on their rods, (T,), m; infinite for one UAV.
         violation: Largest constraint violation relative to the constraint's range, (T,); see `_violation`.
+        local_error: Largest local error estimate of the plant's integration where it is finite, (<= T,), SI.
     """
 
     ticks: npt.NDArray[np.int64]
@@ -49,6 +50,7 @@ class Series:
     on_rods: npt.NDArray[np.bool_]
     separation_m: Array
     violation: Array
+    local_error: Array
 
     @property
     def payload_error_I(self) -> Array:
@@ -98,6 +100,7 @@ def series_of(setup: Setup, log: RunLog) -> Series:
         on_rods=_on_rods(N, ticks, failures),
         separation_m=separation_m,
         violation=_violation(setup, ticks, u, separation_m),
+        local_error=np.array([e for tick in ticks if (e := plant_states[tick].local_error) >= 0.0], dtype=np.float64),
     )
 
 

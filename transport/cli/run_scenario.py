@@ -1,4 +1,4 @@
-"""The work of `transport run`: its imports take long, so `run` starts the fork server before them.
+"""The work of `transport run`: its imports take long, so the fork server is started before them (`transport.__main__`).
 
 For the same reason the report is imported after the simulation.
 """
@@ -13,9 +13,10 @@ from protocol.network.endpoints import process_names
 from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_UNREACHABLE, EXIT_USAGE
 from protocol.wire.names import COORDINATOR
-from transport.cli.lazy import import_function
+from transport.cli.lazy import load
 from transport.cli.options import RUNS
 from transport.cli.output import Format, exit_on, fail
+from transport.cli.report_process import ReportProcess
 from transport.cli.scenario_setup import read_setup, scenario_errors
 from transport.flight.harness import HarnessError
 from transport.flight.run import RunError, new_folder, simulate
@@ -32,9 +33,10 @@ def run_scenario(
     figures: bool,
     external: list[str],
     viewer_address: tuple[str, int] | None,
+    allow_large: bool,
 ) -> None:
     """Run a scenario, record and report it; arguments are the options of `transport run`."""
-    setup = read_setup(scenario, settings)
+    setup = read_setup(scenario, settings, allow_large=allow_large)
     _check_external(setup, external)
     folder = out if out is not None else new_folder(RUNS, setup.scenario.name)
     viewer: AbstractContextManager[Callable[[], None] | None] = nullcontext()
@@ -43,10 +45,15 @@ def run_scenario(
             require_viser()
         viewer = viewer_beside(folder, *viewer_address, setup.scenario.clock.join_timeout_s)
     with viewer as linger:
-        with exit_on(RunError), exit_on(HarnessError, code=EXIT_UNREACHABLE), scenario_errors(settings):
-            finished = simulate(setup, folder, Console(stderr=True), external)
-        report = import_function("transport.cli.run_report:report")
-        report(folder, output, figures=figures, setup=setup)
+        with ReportProcess(folder) as reporter:
+            prepare = reporter.prepare if figures else lambda: None
+            with exit_on(RunError), exit_on(HarnessError, code=EXIT_UNREACHABLE), scenario_errors(settings):
+                finished = simulate(setup, folder, Console(stderr=True), prepare, external)
+            run_report = load("transport.cli.run_report")
+            if reporter.report():
+                run_report.show_written(folder, output)
+            else:
+                run_report.report(folder, output, figures=figures, setup=setup)
         if linger is not None and finished.exit_code != EXIT_INTERRUPTED:
             linger()
     if finished.exit_code != 0:

@@ -4,16 +4,19 @@ import tomli_w
 import typer
 
 from plant.engines import checked_engine
-from transport.cli.options import ScenarioArgument, SetOption
+from protocol.scenario.budget import estimate
+from transport.cli.options import LargeOption, ScenarioArgument, SetOption
 from transport.cli.scenario_setup import read_setup, scenario_errors
 
 
-def validate(scenario: ScenarioArgument, settings: SetOption = None) -> None:
+def validate(scenario: ScenarioArgument, settings: SetOption = None, large: LargeOption = False) -> None:
     """Check a scenario and print it with every default.
+
+    An estimate of what the run takes follows on standard error.
 
     Example: transport validate paper --set controller.horizon=10
     """
-    setup = read_setup(scenario, settings)
+    setup = read_setup(scenario, settings, allow_large=large)
     with scenario_errors(settings):
         engine = checked_engine(setup)
     typer.echo(tomli_w.dumps(setup.scenario.tree()), nl=False)
@@ -23,3 +26,4 @@ def validate(scenario: ScenarioArgument, settings: SetOption = None) -> None:
     sizes = f"{setup.system.N} UAVs, {len(setup.agents)} agents, {setup.ticks} ticks"
     about = f"{sizes}, hover thrust {hover} N, digest {setup.scenario.digest()}"
     typer.echo(f"valid: {about}, engine {engine}", err=True)
+    typer.echo(f"estimate: {estimate(setup.scenario).text()}", err=True)

@@ -4,8 +4,9 @@ import os
 import shutil
 import signal
 import time
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -16,8 +17,9 @@ from model.compiled import compile_functions
 from plant.engines import checked_engine
 from protocol.network.endpoints import Endpoints, endpoints_of_all, process_names
 from protocol.network.process import Place
-from protocol.network.security import SecurityError
+from protocol.network.security import Security, SecurityError, new_secret
 from protocol.network.session import BusError
+from protocol.scenario.schema import Scenario
 from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_SCENARIO, EXIT_UNREACHABLE, EXIT_USAGE
 from protocol.wire.keys import RECORDER, Keys
@@ -65,10 +67,16 @@ def new_folder(parent: Path, name: str) -> Path:
     return folder
 
 
-def simulate(setup: Setup, folder: Path, console: Console, external: Collection[str] = ()) -> Finished:
+def simulate(
+    setup: Setup,
+    folder: Path,
+    console: Console,
+    started: Callable[[], None] = lambda: None,
+    external: Collection[str] = (),
+) -> Finished:
     """Start the processes of a run, record it in a new folder, and wait for its end.
 
-    Processes that are `external` are not started: they join from elsewhere.
+    `started` is called once the processes are started. Processes that are `external` are not: they join from elsewhere.
 
     Returns: The end of the run; every process has ended and the log is complete.
     Raises: RunError: the folder exists, or a process ended before the run began. HarnessError: no free port.
@@ -92,7 +100,7 @@ def simulate(setup: Setup, folder: Path, console: Console, external: Collection[
             raise RunError(str(error), EXIT_SCENARIO) from error
         recording = found.pop(RECORDER)
         try:
-            return _simulate(setup, folder, console, found, recording, engine, external)
+            return _simulate(setup, folder, console, found, recording, started, engine, external)
         except BusError as error:
             raise RunError(str(error), EXIT_UNREACHABLE) from error
 
@@ -103,6 +111,7 @@ def _simulate(
     console: Console,
     places: Mapping[str, Endpoints],
     recording: Endpoints,
+    started: Callable[[], None],
     engine: str,
     external: Collection[str],
 ) -> Finished:
@@ -112,12 +121,15 @@ def _simulate(
     text = _create(folder, setup)
     header = run_header(setup, run, len(names), text, engine)
     called = {name: [*place.listen, *place.connect][0] for name, place in [*places.items(), (RECORDER, recording)]}
-    keys = "" if recording.security is None else str(recording.security.folder)
-    own = {name: place for name, place in places.items() if name not in external}
+    started_here = {name: place for name, place in places.items() if name not in external}
     with (
-        Harness(run, folder / "scenario.toml", own, folder / "logs") as harness,
+        _own_keys(scenario, folder) as own,
+        Harness(run, folder / "scenario.toml", started_here, folder / "logs", own) as harness,
         RunProgress(setup, console) as progress,
     ):
+        if own is not None:
+            recording = replace(recording, security=Security(own, ()))
+        keys = "" if recording.security is None else str(recording.security.folder)
         harness.start(observers=[RECORDER])
         writer = _open_log(folder, header, setup.period_ns)
         recorder = Recorder(
@@ -135,6 +147,7 @@ def _simulate(
                 ends = f"listens on {listen or 'nothing'}, connects to {connect}"
                 progress.say(f"waiting for {name} of run {run}, digest {scenario.digest()}; it {ends}")
             live.write(folder, live.LiveRun(run, called, os.getpid(), keys, is_client=recording.mode == "client"))
+            started()
             _watch(harness, recorder, progress, FaultScript(setup, harness, recorder))
             if recorder.control is not None:
                 harness.wait(_LEAVE_S)
@@ -144,6 +157,17 @@ def _simulate(
             if recorder.error is None and not harness.ended():
                 _discard_if_empty(folder, recorder)
     return _finished(folder, recorder)
+
+
+@contextmanager
+def _own_keys(scenario: Scenario, folder: Path) -> Iterator[Path | None]:
+    """Make the secret of a run in its folder; None where other keys protect the run, or it is to be open."""
+    network = scenario.network
+    if network.keys is not None or network.router is not None or not network.secret:
+        yield None
+        return
+    with new_secret(folder.resolve() / "keys") as keys:
+        yield keys
 
 
 def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finished:
