@@ -1,19 +1,17 @@
 """One run on this machine, from scenario to run folder."""
 
 import os
-import platform
 import shutil
 import signal
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
-from importlib.metadata import version
 from pathlib import Path
 
 from rich.console import Console
 
-from model import native
 from model.compiled import compile_functions
+from plant.engines import checked_engine
 from protocol.network.endpoints import Endpoints, endpoints_of_all, process_names
 from protocol.network.process import Place
 from protocol.network.security import Security, SecurityError
@@ -27,10 +25,11 @@ from protocol.wire.exit_codes import (
     EXIT_USAGE,
 )
 from protocol.wire.keys import RECORDER, Keys
-from protocol.wire.names import COORDINATOR
+from protocol.wire.names import COORDINATOR, PLANT
 from transport.flight import live
 from transport.flight.fault_script import FaultScript
 from transport.flight.harness import ORDERLY_ENDS, Child, Harness, check_ports, free_ports
+from transport.flight.header import run_header
 from transport.flight.progress import RunProgress
 from transport.flight.recorder import Recorder
 from transport.flight.run_error import RunError
@@ -55,15 +54,23 @@ class Finished:
     reason: str
 
 
-def simulate(setup: Setup, folder: Path, console: Console, started: Callable[[], None] = lambda: None) -> Finished:
+def simulate(
+    setup: Setup,
+    folder: Path,
+    console: Console,
+    started: Callable[[], None] = lambda: None,
+    external: Collection[str] = (),
+) -> Finished:
     """Start the processes of a run, record it in a new folder, and wait for its end.
 
-    `started` is called once the processes are started.
+    `started` is called once the processes are started. Processes that are `external` are not: they join from elsewhere.
 
     Returns: The end of the run; every process has ended and the log is complete.
     Raises: RunError: the folder exists, or a process ended before the run began. HarnessError: no free port.
+        ScenarioError: the plant's engine cannot be used.
     """
     refuse_existing(folder)
+    engine = "external" if PLANT in external else checked_engine(setup)
     scenario = setup.scenario
     with console.status("compiling the model for this processor, once"):
         compile_functions(setup.system.N)
@@ -80,7 +87,7 @@ def simulate(setup: Setup, folder: Path, console: Console, started: Callable[[],
             raise RunError(str(error), EXIT_SCENARIO) from error
         recording = found.pop(RECORDER)
         try:
-            return _simulate(setup, folder, console, found, recording, started)
+            return _simulate(setup, folder, console, found, recording, started, engine, external)
         except BusError as error:
             raise RunError(str(error), EXIT_UNREACHABLE) from error
 
@@ -92,16 +99,19 @@ def _simulate(
     places: Mapping[str, Endpoints],
     recording: Endpoints,
     started: Callable[[], None],
+    engine: str,
+    external: Collection[str],
 ) -> Finished:
     """Simulate a run with given endpoints of its processes and of its recorder."""
     scenario, names = setup.scenario, list(places)
     run = folder.name if Keys.allows(folder.name) else scenario.name
     text = create(folder, setup)
-    header = run_header(setup, run, len(names), text)
+    header = run_header(setup, run, len(names), text, engine)
     called = {name: [*place.listen, *place.connect][0] for name, place in [*places.items(), (RECORDER, recording)]}
+    started_here = {name: place for name, place in places.items() if name not in external}
     with (
         own_keys(scenario, folder) as own,
-        Harness(run, folder / "scenario.toml", places, folder / "logs", own) as harness,
+        Harness(run, folder / "scenario.toml", started_here, folder / "logs", own) as harness,
         RunProgress(setup, console) as progress,
     ):
         if own is not None:
@@ -119,6 +129,10 @@ def _simulate(
         )
         try:
             recorder.start(names)
+            for name in external:
+                listen, connect = (", ".join(at) for at in (places[name].listen, places[name].connect))
+                ends = f"listens on {listen or 'nothing'}, connects to {connect}"
+                progress.say(f"waiting for {name} of run {run}, digest {scenario.digest()}; it {ends}")
             live.write(folder, live.LiveRun(run, called, os.getpid(), keys, is_client=recording.mode == "client"))
             started()
             _watch(recorder, progress, _Local(harness, FaultScript(setup, harness, recorder), Watchdog(setup, harness)))
@@ -147,7 +161,7 @@ def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finis
     names = process_names(setup.scenario)
     text = create(folder, setup)
     with RunProgress(setup, console) as progress:
-        header = run_header(setup, place.run, len(names), text)
+        header = run_header(setup, place.run, len(names), text, setup.scenario.plant.engine)
         writer, file = open_log(folder, setup, header, progress.say)
         try:
             recorder = Recorder(setup, place.run, writer, place.endpoints, place.join_timeout_s, place.incarnation)
@@ -162,47 +176,6 @@ def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finis
             recorder.close()
             _discard_if_empty(folder, recorder)
     return _finished(file, recorder)
-
-
-def run_header(setup: Setup, run: str, processes: int, scenario_toml: str) -> Mapping[str, str]:
-    """Return the metadata of a run's log."""
-    return {
-        "run_id": run,
-        "scenario": scenario_toml,
-        "seed": str(setup.scenario.seed),
-        "processes": str(processes),
-        "versions": versions(),
-        "machine": machine(),
-        "command_started_ns": str(_command_started_ns()),
-    }
-
-
-def versions() -> str:
-    """Return the versions of Python, packages and kernels that results depend on, in one line."""
-    packages = ("payload-transport", "numpy", "casadi", "daqp", "clarabel", "eclipse-zenoh")
-    found = [f"python {platform.python_version()}", *(f"{package} {version(package)}" for package in packages)]
-    return ", ".join([*found, f"kernels {'compiled' if native.AVAILABLE else 'plain'}"])
-
-
-def machine() -> str:
-    """Return the machine in one line: processor, cores this process may use, system."""
-    processor = platform.processor() or platform.machine()
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.exists():
-        names = [line.split(":", 1)[1].strip() for line in cpuinfo.read_text().splitlines() if "model name" in line]
-        processor = names[0] if names else processor
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return f"{processor}, {cores} cores, {platform.system()} {platform.release()}"
-
-
-def _command_started_ns() -> int:
-    """Return the wall-clock time at which this process was started, ns since 1970; now where /proc is missing."""
-    try:
-        ticks = int(Path("/proc/self/stat").read_text().rsplit(")", 1)[1].split()[19])
-        up_s = float(Path("/proc/uptime").read_text().split()[0])
-        return time.time_ns() - round((up_s - ticks / os.sysconf("SC_CLK_TCK")) * 1e9)
-    except (OSError, ValueError, IndexError):
-        return time.time_ns()
 
 
 def _discard_if_empty(folder: Path, recorder: Recorder) -> None:
