@@ -14,7 +14,7 @@ from protocol.scenario.path_file import PathFileError, with_paths
 from protocol.scenario.relations import check_relations
 from protocol.scenario.schema import Scenario
 
-__all__ = ["ScenarioError", "find_scenario", "read_scenario", "validate"]
+__all__ = ["ScenarioError", "find_scenario", "read_scenario", "validate", "with_settings"]
 
 
 def find_scenario(name: str) -> Path:
@@ -51,6 +51,14 @@ def read_scenario(path: Path, settings: Sequence[str] = ()) -> Scenario:
         raise ScenarioError(source, "", f"cannot be read ({error})") from error
     except tomllib.TOMLDecodeError as error:
         raise ScenarioError(source, "", f"not valid TOML: {error}") from error
+    return with_settings(tree, settings, source)
+
+
+def with_settings(tree: dict[str, Any], settings: Sequence[str], source: str) -> Scenario:
+    """Return the scenario in a tree of plain data, which is changed, with settings on top as in `read_scenario`.
+
+    Raises: ScenarioError: as `read_scenario`; `source` is the file of the tree.
+    """
     for setting in settings:
         _apply(tree, setting)
     try:

@@ -13,6 +13,7 @@ from typing import IO
 
 from protocol.network.endpoints import Endpoints
 from protocol.network.parent import PARENT_PIPE, STANDBY
+from protocol.wire.errors import TransportError
 from protocol.wire.exit_codes import EXIT_DIVERGED, EXIT_INTERRUPTED, EXIT_OVERRUN, EXIT_UNREACHABLE
 from protocol.wire.names import COORDINATOR
 from transport.flight.fork_server import Started, fork_server
@@ -24,7 +25,7 @@ ORDERLY_ENDS = {0, EXIT_UNREACHABLE, EXIT_OVERRUN, EXIT_DIVERGED, EXIT_INTERRUPT
 _GRACE_S = 5.0
 
 
-class HarnessError(RuntimeError):
+class HarnessError(TransportError, RuntimeError):
     """The processes of a run could not be started."""
 
 

@@ -21,6 +21,7 @@ from protocol.network.process import Place
 from protocol.network.security import SecurityError
 from protocol.network.session import BusError
 from protocol.scenario.setup import Setup
+from protocol.wire.errors import TransportError
 from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_SCENARIO, EXIT_UNREACHABLE, EXIT_USAGE
 from protocol.wire.keys import RECORDER, Keys
 from protocol.wire.names import COORDINATOR
@@ -39,7 +40,7 @@ _POLL_S = 0.05
 _CATCH_UP_S = 2.0
 
 
-class RunError(RuntimeError):
+class RunError(TransportError, RuntimeError):
     """A run that could not be started: one line for the user, and the exit code of the command."""
 
     def __init__(self, text: str, exit_code: int) -> None:

@@ -15,6 +15,11 @@ from transport.report.figures_timing import draw_timing
 from transport.report.style import COMPONENTS, RC, WIDTH_IN, line_width, save_both, scale_cost, shade_phases
 from transport.scene.colours import uav_style
 
+# Names of the figures of a run.
+FIGURES = ("performance", "trajectories", "timing")
+# Of these, the ones whose files are cropped, since the size of the drawing depends on the maneuver.
+CROPPED = ("trajectories",)
+
 # Labels of the four panels of the performance figure.
 PERFORMANCE = (
     "UAV position\nerror, norm (m)",
@@ -38,17 +43,33 @@ def draw(setup: Setup, log: RunLog, folder: Path) -> list[Path]:
         return []
     folder.mkdir(parents=True, exist_ok=True)
     with mpl.rc_context(RC):
-        drawn = [
-            draw_performance(setup, series, folder / "performance.png"),
-            draw_trajectories(setup, series, folder / "trajectories.png"),
-            draw_timing(setup, log, folder / "timing.png"),
-        ]
-    return [path for path in drawn if path is not None]
+        drawn = []
+        for name in FIGURES:
+            figure = Figure()
+            if fill(figure, name, setup, log, series):
+                drawn.append(save_both(figure, folder / f"{name}.png", cropped=name in CROPPED))
+    return drawn
 
 
-def draw_performance(setup: Setup, series: Series, path: Path) -> Path:
-    """Draw position errors of UAVs and payload, payload attitude and cost over time; at least one tick."""
-    figure = Figure(figsize=(WIDTH_IN, 7.0), layout="constrained")
+def fill(figure: Figure, name: str, setup: Setup, log: RunLog, series: Series) -> bool:
+    """Draw one of `FIGURES` of a run with at least one tick into an empty figure; return whether there is any data.
+
+    Figure and drawing take the style from `matplotlib.rcParams`: call it within `rc_context(RC)`.
+    """
+    match name:
+        case "performance":
+            _draw_performance(figure, setup, series)
+        case "trajectories":
+            draw_trajectories(figure, setup, series)
+        case _:
+            return draw_timing(figure, setup, log)
+    return True
+
+
+def _draw_performance(figure: Figure, setup: Setup, series: Series) -> None:
+    """Draw position errors of UAVs and payload, payload attitude and cost over time."""
+    figure.set_size_inches(WIDTH_IN, 7.0)
+    figure.set_layout_engine("constrained")
     panels = list(figure.subplots(4, 1, sharex=True))
     plot_performance(setup, series, panels)
     for panel, label in zip(panels, PERFORMANCE, strict=True):
@@ -57,7 +78,6 @@ def draw_performance(setup: Setup, series: Series, path: Path) -> Path:
     for panel in panels[:3]:
         panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
     figure.align_ylabels(panels)
-    return save_both(figure, path)
 
 
 def plot_performance(setup: Setup, series: Series, panels: list[Axes]) -> None:
