@@ -18,8 +18,8 @@ _EVERY_S = 0.1
 
 
 def console(*, shown: bool) -> Console:
-    """Return the console for progress: standard error, never a widget of a notebook."""
-    return Console(stderr=True, quiet=not shown, force_jupyter=False)
+    """Return the console for progress: standard error; lines of text, not a widget, in a notebook."""
+    return Console(stderr=not _in_notebook(), quiet=not shown, force_jupyter=False)
 
 
 @contextmanager

@@ -75,7 +75,9 @@ class Run:
 
     def __repr__(self) -> str:
         cost, attitude_deg = self.summary["cost"]["mean"], self.summary["attitude_max_deg"]
-        numbers = [] if cost is None else [f"mean cost {cost:.3g}", f"payload attitude max {attitude_deg or 0.0:.2f} deg"]
+        numbers = (
+            [] if cost is None else [f"mean cost {cost:.3g}", f"payload attitude max {attitude_deg or 0.0:.2f} deg"]
+        )
         name, time_s = self.summary["scenario"], self.summary["sim_time_s"]
         return f"Run({name!r}: {', '.join([self.outcome, f'{time_s:.2f} s', *numbers])})"
 

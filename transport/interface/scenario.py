@@ -253,7 +253,11 @@ def _hint(found: Any, name: str) -> str:
     """Return what there is instead of an unknown key."""
     if isinstance(found, list):
         return f"expected an entry from 1 to {len(found)}"
-    known = [info.alias or field for field, info in type(found).model_fields.items()] if isinstance(found, BaseModel) else []
+    known = (
+        [info.alias or field for field, info in type(found).model_fields.items()]
+        if isinstance(found, BaseModel)
+        else []
+    )
     near = difflib.get_close_matches(name, known, n=1)
     return f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known) or 'none'}"
 

@@ -99,7 +99,7 @@ class RunSeries(Mapping[str, Array]):
         return len(QUANTITIES)
 
     def __repr__(self) -> str:
-        rows = [f"{name:22}{str(self[name].shape):14}{quantity.meaning}" for name, quantity in QUANTITIES.items()]
+        rows = [f"{name:22}{self[name].shape!s:14}{quantity.meaning}" for name, quantity in QUANTITIES.items()]
         return "\n".join([f"{len(self['time_s'])} ticks; name, shape, meaning:", *rows])
 
     def _repr_html_(self) -> str:
