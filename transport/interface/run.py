@@ -75,11 +75,10 @@ class Run:
 
     def __repr__(self) -> str:
         cost, attitude_deg = self.summary["cost"]["mean"], self.summary["attitude_max_deg"]
-        numbers = (
-            [] if cost is None else [f"mean cost {cost:.3g}", f"payload attitude max {attitude_deg or 0.0:.2f} deg"]
-        )
-        name, time_s = self.summary["scenario"], self.summary["sim_time_s"]
-        return f"Run({name!r}: {', '.join([self.outcome, f'{time_s:.2f} s', *numbers])})"
+        parts = [self.outcome, f"{self.summary['sim_time_s']:.2f} s"]
+        parts += [] if cost is None else [f"mean cost {cost:.3g}"]
+        parts += [] if attitude_deg is None else [f"payload attitude max {attitude_deg:.2f} deg"]
+        return f"Run({self.summary['scenario']!r}: {', '.join(parts)})"
 
     def __str__(self) -> str:
         """Return the table that `transport run` prints."""
@@ -91,7 +90,7 @@ class Run:
     def to_pandas(self, table: TableName = "series") -> "pd.DataFrame":
         """Return a table: "series" has a row per tick, "steps" one per agent and tick, as steps.csv (docs/summary.md).
 
-        Columns of "series" are those of `RunSeries.columns`, with time as index; those of "steps" are in docs/summary.md.
+        Columns of "series" are those of `RunSeries.columns`, with time as index.
 
         Raises: ArgumentError: no such table, or pandas is missing.
         """
