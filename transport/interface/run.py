@@ -39,8 +39,8 @@ class Run:
 
     >>> import transport
     >>> run = transport.fly("paper", phases=[{"name": "hover", "duration_s": 0.5, "displacement_m": [0, 0, 0]}])
-    >>> run.completed, run.summary["ticks"], run.series["time_s"][-1]
-    (True, 10, 0.45)
+    >>> run.completed, run.summary["ticks"], run.series["payload_position_m"].shape
+    (True, 10, (10, 3))
 
     Attributes:
         scenario: The scenario as it was simulated; changes of it do not affect the run.

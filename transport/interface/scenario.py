@@ -231,6 +231,11 @@ class Section:
     def __dir__(self) -> list[str]:
         return [*super().__dir__(), *type(self._data).model_fields]
 
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Section) and self._data == other._data
+
+    __hash__ = None  # type: ignore[assignment]  # it changes
+
     def __repr__(self) -> str:
         return repr(self._data)
 

@@ -68,7 +68,8 @@ class RunSeries(Mapping[str, Array]):
     """Series of a run by name: read-only arrays with one row per recorded tick; names end in the unit.
 
     >>> import transport
-    >>> series = transport.fly("paper", phases=[transport.phase("hover", 0.5)], progress=False).series
+    >>> hover = [{"name": "hover", "duration_s": 0.5, "displacement_m": [0, 0, 0]}]
+    >>> series = transport.fly("paper", phases=hover).series
     >>> series["payload_error_m"].shape, series.unit("payload_error_m"), series.axes("thrust_N")
     ((10, 3), 'm', ('uav',))
     >>> bool((series["thrust_N"] <= series["thrust_limits_N"][:, 1:]).all())
