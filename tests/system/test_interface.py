@@ -57,7 +57,7 @@ def open_files() -> list[str]:
             target = str(entry.readlink())
         except OSError:
             continue
-        if target.startswith(("socket:", "pipe:", "/dev/shm/", "anon_inode:[pidfd]")):
+        if target.startswith(("socket:", "pipe:", "/dev/shm/", "anon_inode:[pidfd]")):  # noqa: S108  # only read
             found.append(target.partition(":[")[0])
     return sorted(found)
 
@@ -94,17 +94,20 @@ def test_an_interrupt_ends_the_processes(tmp_path: Path) -> None:
     done = threading.Event()
 
     def interrupt() -> None:
-        wait_for(lambda: (folder / "run.mcap").exists() and (folder / "run.mcap").stat().st_size > 50_000)
+        wait_for(lambda: done.is_set() or ((log := folder / "run.mcap").exists() and log.stat().st_size > 50_000))
         if not done.is_set():
             os.kill(os.getpid(), signal.SIGINT)
 
-    thread = threading.Thread(target=interrupt)
-    thread.start()
-    with pytest.raises(KeyboardInterrupt):
+    def fly() -> None:
         try:
             transport.fly("paper", {"clock.speed": 1.0}, processes=True, progress=False, folder=folder)
         finally:
             done.set()
+
+    thread = threading.Thread(target=interrupt)
+    thread.start()
+    with pytest.raises(KeyboardInterrupt):
+        fly()
     thread.join()
     assert children() == before
     assert transport.load(folder).outcome == "aborted"
