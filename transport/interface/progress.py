@@ -18,8 +18,10 @@ _EVERY_S = 0.1
 
 
 def console(*, shown: bool) -> Console:
-    """Return the console for progress: standard error; lines of text, not a widget, in a notebook."""
-    return Console(stderr=not _in_notebook(), quiet=not shown, force_jupyter=False)
+    """Return the console for progress: standard error; in a notebook lines of text, neither a widget nor a terminal."""
+    if _in_notebook():
+        return Console(quiet=not shown, force_jupyter=False, force_terminal=False)
+    return Console(stderr=True, quiet=not shown)
 
 
 @contextmanager
