@@ -5,6 +5,7 @@ import sys
 
 from protocol.network.parent import wake_with_its_end
 from protocol.wire.exit_codes import EXIT_INTERRUPTED
+from transport.flight.fork_server import fork_server
 
 
 def main() -> None:
@@ -12,6 +13,8 @@ def main() -> None:
     try:
         wake_with_its_end()
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # before the imports: they take a while
+        if sys.argv[1:2] == ["run"] and "--help" not in sys.argv:
+            fork_server()  # imports for the processes of the run while this process imports for itself
         from transport.cli.main import app
 
         app(prog_name="transport")

@@ -2,13 +2,16 @@
 
 With certificates every link is TLS, both ends authenticate, and each process admits from a peer only the messages that
 the name in its certificate may send. Passwords are for a router alone: a client proves its name to the router, but the
-router proves nothing, so in a mesh they could not tell processes apart.
+router proves nothing, so in a mesh they could not tell processes apart. A secret is one password for all processes of a
+run on one host: it keeps strangers out, and all who have it may send every message.
 """
 
 import ipaddress
+import re
+import secrets
 import ssl
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -17,6 +20,10 @@ from protocol.wire.keys import ACTING, OPERATOR, READING, ROUTER, WATCHER, Keys
 
 # Files of a folder of keys; besides them NAME.pem and NAME.key, or NAME.password, for each name.
 AUTHORITY, USERS = "ca.pem", "users.txt"
+
+# File of the one secret of a run: a line "user:password", as Zenoh reads it.
+SHARED = "secret.txt"
+_SECRET_USER, _SECRET_BYTES = "run", 24
 
 # Messages of a TLS handshake in either direction, at most.
 _FLIGHTS = 4
@@ -38,17 +45,19 @@ class SecurityError(ValueError):
 class Security:
     """The keys of this host and the processes of the run."""
 
-    folder: Path  # certificates or passwords made by `transport deploy keys`
+    folder: Path  # certificates or passwords made by `transport deploy keys`, or the secret of a run
     names: tuple[str, ...]  # processes that take part: coordinator, plant, agent1, ..., recorder
 
     @property
-    def kind(self) -> Literal["certificates", "passwords"]:
+    def kind(self) -> Literal["certificates", "passwords", "secret"]:
         """Kind of keys in the folder.
 
         Raises: SecurityError: there are none.
         """
         if (self.folder / AUTHORITY).is_file():
             return "certificates"
+        if (self.folder / SHARED).is_file():
+            return "secret"
         if (self.folder / USERS).is_file() or next(self.folder.glob("*.password"), None) is not None:
             return "passwords"
         what = "a folder with ca.pem or passwords (transport deploy keys)"
@@ -64,6 +73,9 @@ class Security:
 
         Raises: SecurityError: naming the file, what was expected and what came.
         """
+        if self.kind == "secret":
+            self._secret()
+            return
         if self.kind == "passwords":
             if mode == "peer":
                 expected = "expected network.router with passwords, which only a router can check, got a mesh"
@@ -88,6 +100,9 @@ class Security:
     def configuration(self, name: str, prefix: str, *, mode: str) -> dict[str, Any]:
         """Return the security part of Zenoh's configuration of a process; `prefix` is that of its key expressions."""
         self.check(name, mode=mode)
+        if self.kind == "secret":
+            shared = {"user": _SECRET_USER, "password": self._secret(), "dictionary_file": str(self.folder / SHARED)}
+            return {"transport": {"auth": {"usrpwd": shared}}}
         if self.kind == "passwords":
             auth: dict[str, Any] = {"user": name, "password": self._password(name)}
             if mode != "router":
@@ -112,12 +127,44 @@ class Security:
     def _files(self, name: str) -> tuple[Path, Path, Path]:
         return self.folder / AUTHORITY, self.folder / f"{name}.pem", self.folder / f"{name}.key"
 
+    def _secret(self) -> str:
+        file = self.folder / SHARED
+        try:
+            text, mode = file.read_text(encoding="utf-8"), file.stat().st_mode
+        except (OSError, UnicodeDecodeError) as error:
+            raise SecurityError(f"network.keys: cannot read {file} ({error})") from error
+        if mode & 0o077:
+            expected = "expected a file that only its owner can read (chmod 600)"
+            raise SecurityError(f"network.keys: {file}: {expected}, got permissions {mode & 0o777:o}")
+        found = re.fullmatch(rf"{_SECRET_USER}:(\S{{16,}})\n?", text)
+        if found is None:
+            raise SecurityError(f"network.keys: {file}: expected a line {_SECRET_USER}:SECRET of 16 or more characters")
+        return found[1]
+
     def _password(self, name: str) -> str:
         file = self.folder / f"{name}.password"
         try:
             return file.read_text(encoding="utf-8").strip()
         except OSError as error:
             raise SecurityError(f"network.keys: expected the file {file}, got none ({error.strerror})") from error
+
+
+@contextmanager
+def new_secret(folder: Path) -> Iterator[Path]:
+    """Make a folder of keys with a random secret, which only this user can read; remove it in the end.
+
+    Raises: OSError: the folder exists or cannot be made.
+    """
+    folder.mkdir(mode=0o700)
+    file = folder / SHARED
+    file.touch(mode=0o600, exist_ok=False)
+    file.write_text(f"{_SECRET_USER}:{secrets.token_hex(_SECRET_BYTES)}\n", encoding="utf-8")
+    try:
+        yield folder
+    finally:
+        with suppress(OSError):
+            file.unlink(missing_ok=True)
+            folder.rmdir()
 
 
 def access_control(names: Sequence[str], prefix: str, attribute: str) -> dict[str, Any]:

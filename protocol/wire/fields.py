@@ -224,6 +224,9 @@ End = Annotated[str, _end]
 Count = Annotated[int, integer()]
 # From 1.
 Number = Annotated[int, integer(1)]
+# In one notice, of which there is one a second: a process reads less, so that more is forged.
+MAX_REFUSALS = 10_000_000
+Refusals = Annotated[int, integer(1, MAX_REFUSALS)]
 # In ticks; -1 where nothing was ever received.
 Age = Annotated[int, integer(-1)]
 Agent = Annotated[int, integer(1, MAX_UAVS)]

@@ -16,8 +16,8 @@ from protocol.wire.fields import (
     Ids,
     MessageError,
     Name,
-    Number,
     Reason,
+    Refusals,
     Shape,
     Text,
     integers,
@@ -107,5 +107,5 @@ class Rejected(Message):
 
     offender: Text  # sender according to the messages, or the key they came under
     reason: Reason  # why they were refused
-    count: Number  # how many since the last message about this offender and reason
+    count: Refusals  # how many since the last message about this offender and reason
     example: Text  # the error of the first of all of them, for people

@@ -9,6 +9,7 @@ import pytest
 from protocol.wire.fields import (
     MAX_KEY,
     MAX_PARTS,
+    MAX_REFUSALS,
     Age,
     Agent,
     Count,
@@ -20,6 +21,7 @@ from protocol.wire.fields import (
     Name,
     Number,
     Parts,
+    Refusals,
     Text,
 )
 from protocol.wire.messages import (
@@ -64,6 +66,7 @@ WRONG: dict[str, list[Any]] = {
         b"plant",
     ],
     "count": [-1, MAX_TICK + 1, 1.0, NAN, True, "1", None, [1], np.float64(1.0), np.bool_(True)],
+    "refusals": [0, -1, MAX_REFUSALS + 1, 1.0, True, "1", None],
     "number": [0, -1, MAX_TICK + 1, 1.0, True, "1", None],
     "negotiation_iterations": [-1, MAX_NEGOTIATION_ITERATIONS, 1.0, True, "1", None],
     "end": ["agent", "agent0", "Plant", "any", "*", " ", 3, None, b"plant"],
@@ -162,7 +165,7 @@ SORTS: dict[type[Message], dict[str, str]] = {
     },
     PlantState: {"x": "array", "u": "array", "plan_ticks": "list", "local_error": "float", "diverged": "text"},
     FaultNote: {"target": "name", "what": "text", "origin": "word"},
-    Rejected: {"offender": "text", "reason": "word", "count": "number", "example": "text"},
+    Rejected: {"offender": "text", "reason": "word", "count": "refusals", "example": "text"},
     Control: {"outcome": "word", "reason": "text", "exit_code": "code"},
 }
 HEAD = {"sender": "name", "incarnation": "count", "sequence": "count", "tick": "count"}
@@ -181,6 +184,7 @@ SORT_OF_TYPE = {
     End: "end",
     Count: "count",
     Number: "number",
+    Refusals: "refusals",
     Age: "age",
     Agent: "agent",
     Ids: "ids",
@@ -191,7 +195,7 @@ SORT_OF_TYPE = {
     Parts: "parts",
 }
 ALL_KINDS = KINDS | BUNDLES
-for other in set(ALL_KINDS.values()) - set(SORTS):
+for other in [kind for kind in ALL_KINDS.values() if kind not in SORTS]:
     hints = get_type_hints(other, include_extras=True)
     own = [field.name for field in dataclasses.fields(other) if field.name not in HEAD]
     SORTS[other] = {

@@ -142,7 +142,7 @@ def test_defaults() -> None:
     assert tree["plant"].pop("step_s") <= 0.01
     assert (tree["plant"]["max_attitude_deg"], tree["plant"]["max_error_m"]) == (80.0, 20.0)
     assert tree["faults"] == {"event": []}
-    assert tree["network"] == {"host": "127.0.0.1", "insecure": False}
+    assert tree["network"] == {"host": "127.0.0.1", "insecure": False, "secret": True}
 
 
 def test_one_agent_for_each_uav_by_default() -> None:

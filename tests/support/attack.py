@@ -23,7 +23,7 @@ _REMOTE, _BLOCK = zenoh.Locality.REMOTE, zenoh.CongestionControl.BLOCK
 
 
 def tls(folder: Path | None, name: str, authority: Path | None = None) -> dict[str, Any]:
-    """Return Zenoh's TLS section with the certificate of a name, or without certificate.
+    """Return Zenoh's section `transport` with the certificate of a name, or without certificate.
 
     Args:
         folder: Folder of keys; None for no certificate.
@@ -31,14 +31,10 @@ def tls(folder: Path | None, name: str, authority: Path | None = None) -> dict[s
         authority: Trusted authority, by default the folder's own.
     """
     if folder is None:
-        return {"root_ca_certificate": str(authority)}
+        return {"link": {"tls": {"root_ca_certificate": str(authority)}}}
     certificate, key = str(folder / f"{name}.pem"), str(folder / f"{name}.key")
-    return {
-        "root_ca_certificate": str(authority or folder / "ca.pem"),
-        "enable_mtls": True,
-        "connect_certificate": certificate,
-        "connect_private_key": key,
-    }
+    own = {"enable_mtls": True, "connect_certificate": certificate, "connect_private_key": key}
+    return {"link": {"tls": {"root_ca_certificate": str(authority or folder / "ca.pem"), **own}}}
 
 
 @contextmanager
@@ -49,7 +45,7 @@ def session(
 
     Args:
         endpoints: Endpoints of the processes of a run.
-        secure: Zenoh's TLS section, or None.
+        secure: Zenoh's section `transport`, from `tls` or with a password, or None.
         timeout_s: Timeout of the connections, s.
     Raises: zenoh.ZError: one of them refuses the connection.
     """
@@ -60,7 +56,7 @@ def session(
         "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
     }
     if secure is not None:
-        configuration["transport"] = {"link": {"tls": secure}}
+        configuration["transport"] = secure
     with zenoh.open(zenoh.Config.from_json5(json.dumps(configuration))) as opened:
         yield opened
 

@@ -8,6 +8,7 @@ from hypothesis.strategies import DrawFn, SearchStrategy
 
 from protocol.wire.fields import (
     MAX_KEY,
+    MAX_REFUSALS,
     Age,
     Agent,
     Ages,
@@ -21,6 +22,7 @@ from protocol.wire.fields import (
     Name,
     Number,
     Parts,
+    Refusals,
     Shape,
     Text,
     checks,
@@ -61,6 +63,7 @@ _BY_TYPE: dict[Any, SearchStrategy[Any]] = {
     End: _name | st.just(""),
     Count: _count,
     Number: st.integers(1, MAX_TICK),
+    Refusals: st.integers(1, MAX_REFUSALS),
     Age: _age,
     Agent: _agent,
     Ids: st.lists(_agent, max_size=_UAVS, unique=True).map(sorted),

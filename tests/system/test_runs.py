@@ -29,9 +29,9 @@ from tests.support.commands import (
     transport,
     wait_for,
 )
+from tests.support.intrusion import table
 from tests.support.keyrings import NAMES, keyring
 from tests.support.logs import record_run
-from tests.system.test_intruder import table
 from transport.cli.main import app
 from transport.cli.metrics import process_endpoints
 from transport.monitor.exporter import Exporter

@@ -16,6 +16,7 @@ from tests.support import runs
 from tests.support.logs import SINGLE_UAV, record_run
 from transport.analysis.steps import WALL_CLOCK
 from transport.log.run_log import LogError
+from transport.report.beside import beside
 from transport.report.report import summary_table, write_report
 
 SCHEMA = json.loads(files("transport.analysis").joinpath("summary.schema.json").read_text(encoding="utf-8"))
@@ -210,3 +211,15 @@ def test_reasons_are_no_markup(flight: tuple[Path, list[Message]]) -> None:
     summary = write_report(flight[0], figures=False)
     text = printed(summary | {"outcome": "aborted", "reason": "agent2 [/bold] is gone"})
     assert "agent2 [/bold] is gone" in text
+
+
+@pytest.mark.parametrize("forks", [False, True])
+def test_failed_work_beside_is_raised(forks: bool) -> None:
+    """A failure of work beside a block is raised, forked or not; a fork changes nothing in this process."""
+    done: list[int] = []
+    with pytest.raises((ChildProcessError, ZeroDivisionError)), beside(lambda: 1 / 0, forks=forks):
+        done.append(1)
+    assert done == [1] * forks
+    with beside(lambda: done.append(2), forks=forks):
+        done.append(3)
+    assert done == ([1, 3] if forks else [2, 3])

@@ -5,7 +5,7 @@
 
 import contextlib
 import gc
-import importlib
+import itertools
 import json
 import os
 import socket
@@ -19,6 +19,7 @@ import setproctitle
 from protocol.network.parent import wake_with_its_end
 from protocol.wire.exit_codes import EXIT_INTERRUPTED
 from transport.__main__ import main
+from transport.cli.lazy import load
 from transport.cli.scenario_setup import read_setup
 from transport.flight.fork_server import REQUEST_BYTES
 
@@ -28,7 +29,7 @@ def serve(own: socket.socket) -> None:
     wake_with_its_end()
     setproctitle.setproctitle("transport fork-server")  # before the environment moves: titles use its memory
     for name in ("main", "agent", "coordinator", "plant"):
-        importlib.import_module(f"transport.cli.{name}")
+        load(f"transport.cli.{name}")
     while True:
         content, descriptors, _, _ = socket.recv_fds(own, REQUEST_BYTES, 2)
         if not content:
@@ -37,7 +38,8 @@ def serve(own: socket.socket) -> None:
         os.chdir(request["folder"])
         arguments = request["arguments"]
         with contextlib.suppress(Exception):  # reads the scenario into the cache; the process reports its errors
-            read_setup(arguments[arguments.index("--scenario") + 1], None).model  # noqa: B018
+            settings = [value for option, value in itertools.pairwise(arguments) if option == "--set"]
+            read_setup(arguments[arguments.index("--scenario") + 1], settings, allow_large=True).model  # noqa: B018
         gc.collect()
         gc.freeze()  # a collection after the fork would copy shared memory
         own.send(b"%d" % _started(request, *descriptors))

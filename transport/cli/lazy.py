@@ -1,5 +1,6 @@
 """Command groups that import a command when it is called: `--help` and other commands do not pay for its imports."""
 
+import gc
 from collections.abc import Mapping
 from importlib import import_module
 from typing import Any, ClassVar
@@ -16,7 +17,16 @@ Table = Mapping[str, tuple[str, str]]
 def import_function(target: str) -> Any:
     """Return the function of a text "module:function", importing the module."""
     module, _, function = target.partition(":")
-    return getattr(import_module(module), function)
+    return getattr(load(module), function)
+
+
+def load(module: str) -> Any:
+    """Import a module without garbage collections: they find nothing, and take a tenth of the time."""
+    gc.disable()
+    try:
+        return import_module(module)
+    finally:
+        gc.enable()
 
 
 class LazyGroup(TyperGroup):

@@ -6,12 +6,17 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
-from protocol.wire.exit_codes import EXIT_USAGE
+from protocol.network.parent import stand_by
+from protocol.scenario.file import ScenarioError
+from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_UNREACHABLE, EXIT_USAGE
+from transport.cli.lazy import load
 from transport.cli.options import FormatOption
 from transport.cli.output import Format, exit_on, fail
-from transport.cli.run_report import report
-from transport.log.run_log import LogError, read_log
+from transport.cli.run_report import show
+from transport.log.run_folder import open_run
+from transport.log.run_log import LogError
 from transport.report.animation import AnimationError, animate_run, check_animation
+from transport.report.report import report_run
 
 
 def plot(
@@ -27,13 +32,17 @@ def plot(
 
     Example: transport plot runs/20260102-101500-paper --animate flight.gif
     """
+    load("transport.report.figures")  # before the wait
+    if not stand_by():  # started by `transport run`, which has ended
+        raise typer.Exit(EXIT_UNREACHABLE)
     with exit_on(AnimationError, code=EXIT_USAGE, option="--animate"):
         check_animation(animation)
-    log = folder / "run.mcap"
-    with exit_on(LogError, code=EXIT_USAGE):
-        if not read_log(log, horizons=False).messages:
-            fail(f"{log}: expected a log with messages, got one without a readable message", EXIT_USAGE)
-    report(folder, output, figures=True, setup=None)
+    with exit_on(LogError, code=EXIT_USAGE), exit_on(ScenarioError, code=EXIT_SCENARIO):
+        run = open_run(folder, horizons=False)
+    if not run.log.messages:
+        log = folder / "run.mcap"
+        fail(f"{log}: expected a log with messages, got one without a readable message", EXIT_USAGE)
+    show(folder, output, report_run(run, forks=True))
     if animation is not None:
         with exit_on(AnimationError, LogError, OSError, code=EXIT_USAGE, option="--animate"):
             animate_run(folder, animation)

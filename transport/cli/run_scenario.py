@@ -1,4 +1,4 @@
-"""The work of `transport run`: its imports take long, so `run` starts the fork server before them.
+"""The work of `transport run`: its imports take long, so the fork server is started before them (`transport.__main__`).
 
 For the same reason the report is imported after the simulation.
 """
@@ -10,9 +10,10 @@ from pathlib import Path
 from rich.console import Console
 
 from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_UNREACHABLE, EXIT_USAGE
-from transport.cli.lazy import import_function
+from transport.cli.lazy import load
 from transport.cli.options import RUNS
 from transport.cli.output import Format, exit_on, fail
+from transport.cli.report_process import ReportProcess
 from transport.cli.scenario_setup import read_setup
 from transport.flight.harness import HarnessError
 from transport.flight.run import RunError, new_folder, simulate
@@ -28,9 +29,10 @@ def run_scenario(
     *,
     figures: bool,
     viewer_address: tuple[str, int] | None,
+    allow_large: bool,
 ) -> None:
     """Run a scenario, record and report it; arguments are the options of `transport run`."""
-    setup = read_setup(scenario, settings)
+    setup = read_setup(scenario, settings, allow_large=allow_large)
     folder = out if out is not None else new_folder(RUNS, setup.scenario.name)
     viewer: AbstractContextManager[Callable[[], None] | None] = nullcontext()
     if viewer_address is not None:
@@ -38,10 +40,15 @@ def run_scenario(
             require_viser()
         viewer = viewer_beside(folder, *viewer_address, setup.scenario.clock.join_timeout_s)
     with viewer as linger:
-        with exit_on(RunError), exit_on(HarnessError, code=EXIT_UNREACHABLE):
-            finished = simulate(setup, folder, Console(stderr=True))
-        report = import_function("transport.cli.run_report:report")
-        report(folder, output, figures=figures, setup=setup)
+        with ReportProcess(folder) as reporter:
+            prepare = reporter.prepare if figures else lambda: None
+            with exit_on(RunError), exit_on(HarnessError, code=EXIT_UNREACHABLE):
+                finished = simulate(setup, folder, Console(stderr=True), prepare)
+            run_report = load("transport.cli.run_report")
+            if reporter.report():
+                run_report.show_written(folder, output)
+            else:
+                run_report.report(folder, output, figures=figures, setup=setup)
         if linger is not None and finished.exit_code != EXIT_INTERRUPTED:
             linger()
     if finished.exit_code != 0:

@@ -1,5 +1,6 @@
 """Local harness: starts the processes of a run, watches them, and always ends them."""
 
+import json
 import signal
 import socket
 import subprocess
@@ -69,12 +70,14 @@ class Harness:
         scenario: Resolved scenario file.
         mesh: Endpoints by process name.
         logs: Folder for their output.
+        keys: Folder of keys in place of the scenario's.
     """
 
     run: str
     scenario: Path
     mesh: Mapping[str, Endpoints]
     logs: Path
+    keys: Path | None = None
     children: list[Child] = field(default_factory=list)
     _spares: dict[str, Child] = field(default_factory=dict)  # standby processes by name
     _files: ExitStack = field(default_factory=ExitStack)
@@ -173,11 +176,18 @@ class Harness:
         endpoints = self.mesh[name]
         role = ["agent", "--id", name.removeprefix("agent")] if name.startswith("agent") else [name]
         options = [("--scenario", str(self.scenario)), ("--run", self.run), ("--incarnation", str(incarnation))]
+        options += [] if self.keys is None else [("--set", keys_setting(self.keys))]
         options += [("--listen", endpoint) for endpoint in endpoints.listen]
         options += [("--connect", endpoint) for endpoint in endpoints.connect]
         if name == COORDINATOR:
             options += [("--observer", observer) for observer in observers]
-        return [*role, *(text for option in options for text in option)]
+        # The parent has checked the scenario's size.
+        return [*role, "--allow-large", *(text for option in options for text in option)]
+
+
+def keys_setting(folder: Path | str) -> str:
+    """Return the setting of a scenario that names a folder of keys."""
+    return f"network.keys={json.dumps(str(folder))}"
 
 
 @contextmanager

@@ -5,8 +5,9 @@ import platform
 import shutil
 import signal
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -18,8 +19,9 @@ from model import native
 from model.compiled import compile_functions
 from protocol.network.endpoints import Endpoints, endpoints_of_all, process_names
 from protocol.network.process import Place
-from protocol.network.security import SecurityError
+from protocol.network.security import Security, SecurityError, new_secret
 from protocol.network.session import BusError
+from protocol.scenario.schema import Scenario
 from protocol.scenario.setup import Setup
 from protocol.wire.errors import TransportError
 from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_SCENARIO, EXIT_UNREACHABLE, EXIT_USAGE
@@ -67,8 +69,10 @@ def new_folder(parent: Path, name: str) -> Path:
     return folder
 
 
-def simulate(setup: Setup, folder: Path, console: Console) -> Finished:
+def simulate(setup: Setup, folder: Path, console: Console, started: Callable[[], None] = lambda: None) -> Finished:
     """Start the processes of a run, record it in a new folder, and wait for its end.
+
+    `started` is called once the processes are started.
 
     Returns: The end of the run; every process has ended and the log is complete.
     Raises: RunError: the folder exists, or a process ended before the run began. HarnessError: no free port.
@@ -90,13 +94,18 @@ def simulate(setup: Setup, folder: Path, console: Console) -> Finished:
             raise RunError(str(error), EXIT_SCENARIO) from error
         recording = found.pop(RECORDER)
         try:
-            return _simulate(setup, folder, console, found, recording)
+            return _simulate(setup, folder, console, found, recording, started)
         except BusError as error:
             raise RunError(str(error), EXIT_UNREACHABLE) from error
 
 
 def _simulate(
-    setup: Setup, folder: Path, console: Console, places: Mapping[str, Endpoints], recording: Endpoints
+    setup: Setup,
+    folder: Path,
+    console: Console,
+    places: Mapping[str, Endpoints],
+    recording: Endpoints,
+    started: Callable[[], None],
 ) -> Finished:
     """Simulate a run with given endpoints of its processes and of its recorder."""
     scenario, names = setup.scenario, list(places)
@@ -104,11 +113,14 @@ def _simulate(
     text = _create(folder, setup)
     header = run_header(setup, run, len(names), text)
     called = {name: [*place.listen, *place.connect][0] for name, place in [*places.items(), (RECORDER, recording)]}
-    keys = "" if recording.security is None else str(recording.security.folder)
     with (
-        Harness(run, folder / "scenario.toml", places, folder / "logs") as harness,
+        _own_keys(scenario, folder) as own,
+        Harness(run, folder / "scenario.toml", places, folder / "logs", own) as harness,
         RunProgress(setup, console) as progress,
     ):
+        if own is not None:
+            recording = replace(recording, security=Security(own, ()))
+        keys = "" if recording.security is None else str(recording.security.folder)
         harness.start(observers=[RECORDER])
         writer = _open_log(folder, header, setup.period_ns)
         recorder = Recorder(
@@ -122,6 +134,7 @@ def _simulate(
         try:
             recorder.start(names)
             live.write(folder, live.LiveRun(run, called, os.getpid(), keys, is_client=recording.mode == "client"))
+            started()
             _watch(harness, recorder, progress, FaultScript(setup, harness, recorder))
             if recorder.control is not None:
                 harness.wait(_LEAVE_S)
@@ -131,6 +144,17 @@ def _simulate(
             if recorder.error is None and not harness.ended():
                 _discard_if_empty(folder, recorder)
     return _finished(folder, recorder)
+
+
+@contextmanager
+def _own_keys(scenario: Scenario, folder: Path) -> Iterator[Path | None]:
+    """Make the secret of a run in its folder; None where other keys protect the run, or it is to be open."""
+    network = scenario.network
+    if network.keys is not None or network.router is not None or not network.secret:
+        yield None
+        return
+    with new_secret(folder.resolve() / "keys") as keys:
+        yield keys
 
 
 def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finished:

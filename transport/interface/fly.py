@@ -96,7 +96,7 @@ def load(folder: "str | PathLike[str]") -> Run:
     if not (path / "run.mcap").exists():
         raise LogError(f"{path}: expected a run folder, got no run.mcap in it")
     recorded = open_run(path)
-    return Run(Scenario(recorded.scenario_file), recorded.setup, recorded.log, path)
+    return Run(Scenario(recorded.scenario_file, allow_large=True), recorded.setup, recorded.log, path)
 
 
 def _in_memory(scenario: Scenario, setup: Setup, *, shown: bool) -> Run:

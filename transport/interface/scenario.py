@@ -9,6 +9,7 @@ from typing import Any, Unpack
 import tomli_w
 from pydantic import BaseModel
 
+from protocol.scenario.budget import check_budget
 from protocol.scenario.file import ScenarioError, find_scenario, read_scenario, with_settings
 from protocol.scenario.schema import Scenario as ScenarioTree
 from protocol.scenario.setup import Setup
@@ -47,6 +48,7 @@ class Scenario:
     Args:
         source: Scenario file, name of one that comes with the package, or another scenario.
         settings: Changes by dotted key.
+        allow_large: Whether runs may exceed the limits on ticks, memory and log of `transport validate`.
         short: Changes by short name (`transport.interface.settings.KEY_OF`).
 
     Raises: ScenarioError: naming file or setting, field, expected, got. ArgumentError: an argument of the wrong kind.
@@ -55,21 +57,25 @@ class Scenario:
     _path: Path
     _data: ScenarioTree
     _setup: Setup
+    _allow_large: bool
 
     def __init__(
         self,
         source: "str | PathLike[str] | Scenario" = "paper",
         settings: Settings | None = None,
+        *,
+        allow_large: bool = False,
         **short: Unpack[ShortSettings],
     ) -> None:
         changes = settings_of(settings, short)
+        self._allow_large = allow_large or (isinstance(source, Scenario) and source._allow_large)
         if isinstance(source, Scenario):
             self._take(source._path, source._data, source._setup)
             if changes:
                 self._change(changes)
             return
         path = find_scenario(file_name(source, "scenario"))
-        data = read_scenario(path, changes)
+        data = read_scenario(path, changes, allow_large=allow_large)
         self._take(path, data, _setup_of(data, path, changes))
 
     def set(self, settings: Settings | None = None, **short: Unpack[ShortSettings]) -> None:
@@ -178,7 +184,10 @@ class Scenario:
             raise ArgumentError(f"group: expected 1 to {uavs} UAVs per agent, got {group!r}")
         source = str(self._path)
         data = resized(self._data, self._path.parent, uavs, group=group, name=name, source=source)
+        if not self._allow_large:
+            check_budget(data, source)
         made = Scenario.__new__(Scenario)
+        made._allow_large = self._allow_large
         made._take(self._path, data, Setup.of(data, source))
         return made
 
@@ -199,7 +208,7 @@ class Scenario:
 
     def _replace(self, tree: dict[str, Any], changes: list[str]) -> None:
         """Become the scenario of a tree with changes, or stay as it is if that is refused."""
-        data = with_settings(tree, changes, str(self._path))
+        data = with_settings(tree, changes, str(self._path), allow_large=self._allow_large)
         self._take(self._path, data, _setup_of(data, self._path, changes))
 
     def _take(self, path: Path, data: ScenarioTree, setup: Setup) -> None:

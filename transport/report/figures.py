@@ -1,5 +1,6 @@
 """Figures of a run: performance over time (paper Fig. 3, 5), trajectories (Fig. 4), timing."""
 
+from functools import partial
 from pathlib import Path
 
 import matplotlib as mpl
@@ -10,6 +11,7 @@ from matplotlib.figure import Figure
 from protocol.scenario.setup import Setup
 from transport.analysis.series import Series, series_of
 from transport.log.run_log import RunLog
+from transport.report.beside import beside
 from transport.report.figures_3d import draw_trajectories
 from transport.report.figures_timing import draw_timing
 from transport.report.style import COMPONENTS, RC, WIDTH_IN, line_width, save_both, scale_cost, shade_phases
@@ -33,8 +35,10 @@ _COST_DECADES = 5
 _SMALLEST_M, _SMALLEST_DEG = 1e-3, 1e-2
 
 
-def draw(setup: Setup, log: RunLog, folder: Path) -> list[Path]:
+def draw(setup: Setup, log: RunLog, folder: Path, *, forks: bool = False) -> list[Path]:
     """Draw performance, trajectories and timing of a run as PNG and SVG, as far as its log goes.
+
+    With `forks` a forked process draws performance, half of the work, beside the others (`transport.report.beside`).
 
     Returns: The PNG files, without those that have no data.
     """
@@ -42,13 +46,18 @@ def draw(setup: Setup, log: RunLog, folder: Path) -> list[Path]:
     if not len(series.ticks):
         return []
     folder.mkdir(parents=True, exist_ok=True)
-    with mpl.rc_context(RC):
-        drawn = []
-        for name in FIGURES:
-            figure = Figure()
-            if fill(figure, name, setup, log, series):
-                drawn.append(save_both(figure, folder / f"{name}.png", cropped=name in CROPPED))
-    return drawn
+    first, *rest = (partial(_write, name, setup, log, series, folder) for name in FIGURES)
+    with mpl.rc_context(RC), beside(first, forks=forks):
+        others = [write() for write in rest]
+    return [folder / f"{FIGURES[0]}.png", *(other for other in others if other is not None)]
+
+
+def _write(name: str, setup: Setup, log: RunLog, series: Series, folder: Path) -> Path | None:
+    """Write one of `FIGURES` as PNG and SVG; return the PNG file, None without data."""
+    figure = Figure()
+    if not fill(figure, name, setup, log, series):
+        return None
+    return save_both(figure, folder / f"{name}.png", cropped=name in CROPPED)
 
 
 def fill(figure: Figure, name: str, setup: Setup, log: RunLog, series: Series) -> bool:

@@ -6,6 +6,7 @@ import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -18,11 +19,15 @@ from transport.analysis.counted import counted
 from transport.analysis.metrics import summarise
 from transport.analysis.steps import steps_columns, steps_rows
 from transport.analysis.swing import SWING_S
-from transport.log.run_folder import open_run
+from transport.log.run_folder import RecordedRun, open_run
 from transport.log.run_log import RunLog
+from transport.report.beside import beside
 
 # Violations below this share of a constraint's range are within the solver's tolerance.
 HELD = 1e-6
+
+# Largest local error of the plant's integration with which trajectories are accurate.
+ACCURATE = 1e-6
 
 # Number of faults in the table, so that it fits a screen.
 _SHOWN_FAULTS = 8
@@ -31,24 +36,30 @@ _COLOURS = {"completed": "green", "diverged": "red", "aborted": "red", "unknown"
 
 
 def write_report(folder: Path, *, figures: bool = True, setup: Setup | None = None) -> dict[str, Any]:
-    """Write or replace summary.json, steps.csv and the figures of a recorded run; return the summary.
+    """Write or replace the report of a recorded run as `report_run` does, without forks; return the summary.
 
-    Figures take most of the time. The run is read from the folder unless it is given.
+    The scenario is read from the folder unless the setup is given.
 
     Raises: LogError: there is no readable log; ScenarioError: the folder's scenario cannot be read.
     """
-    run = open_run(folder, horizons=False, setup=setup)
-    setup, log = run.setup, counted(run.setup, run.log)
+    return report_run(open_run(folder, horizons=False, setup=setup), figures=figures)
+
+
+def report_run(run: RecordedRun, *, figures: bool = True, forks: bool = False) -> dict[str, Any]:
+    """Write or replace summary.json, steps.csv and the figures of a recorded run; return the summary.
+
+    Figures take most of the time; with `forks` on two cores half of it (`transport.report.beside`).
+    """
+    folder, setup, log = run.folder, run.setup, counted(run.setup, run.log)
     summary = summarise(setup, log)
     write_whole(folder / "summary.json", orjson.dumps(summary, option=orjson.OPT_INDENT_2) + b"\n")
-    with _atomic_file(folder / "steps.csv") as file:
-        _write_steps(file, setup, log)
-    if figures:
-        from transport.report.figures import draw  # loads matplotlib, 0.3 s that runs without figures save
+    with beside(partial(_write_steps, folder / "steps.csv", setup, log), forks=forks):
+        if figures:
+            from transport.report.figures import draw  # loads matplotlib, 0.3 s that runs without figures save
 
-        for old in [file for kind in ("png", "svg") for file in (folder / "figures").glob(f"*.{kind}")]:
-            old.unlink()  # figures of an older run
-        draw(setup, log, folder / "figures")
+            for old in [file for kind in ("png", "svg") for file in (folder / "figures").glob(f"*.{kind}")]:
+                old.unlink()  # figures of an older run
+            draw(setup, log, folder / "figures", forks=forks)
     return summary
 
 
@@ -60,6 +71,15 @@ def summary_table(summary: Mapping[str, Any]) -> Table:
     for name, text in _lines(summary):
         table.add_row(name, Text(text))
     return table
+
+
+def warnings(summary: Mapping[str, Any]) -> list[str]:
+    """Return the reasons not to trust the numbers of a run, one line each, from the result of `write_report`."""
+    error = summary["local_error_max"]
+    if error is None or error <= ACCURATE:
+        return []
+    advice = "set a smaller plant.tolerance or plant.step_s"
+    return [f"the plant's integration has a local error of {error:.1e}, above {ACCURATE:g}: {advice}"]
 
 
 def _title(summary: Mapping[str, Any]) -> Text:
@@ -90,6 +110,7 @@ def _lines(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("payload swing", _swing(payload)),
         ("separation", _text(summary["separation_min_m"], ".3f", "min {} m")),
         ("limits", _constraints(summary["constraint_violation_max"])),
+        ("integration", _text(summary["local_error_max"], ".1e", "largest local error {}")),
         ("agent step", _milliseconds(summary["agent_step_ms"])),
         ("rest of tick", _milliseconds(summary["rest_of_tick_ms"])),
         *([("deadlines", _deadlines(summary["deadline"]))] if summary["deadline"]["plans"] else []),
@@ -168,8 +189,8 @@ def _text(value: float | None, form: str, sentence: str = "{}") -> str:
     return "-" if value is None else sentence.format(format(value, form))
 
 
-def _write_steps(file: BinaryIO, setup: Setup, log: RunLog) -> None:
-    with io.TextIOWrapper(file, encoding="utf-8", newline="") as text:
+def _write_steps(path: Path, setup: Setup, log: RunLog) -> None:
+    with _atomic_file(path) as file, io.TextIOWrapper(file, encoding="utf-8", newline="") as text:
         # Floats are written by repr, which reads back as the same bits.
         writer = csv.DictWriter(text, steps_columns(setup), lineterminator="\n")
         writer.writeheader()

@@ -121,6 +121,8 @@ def save(figure: Figure, path: Path, *, cropped: bool = False) -> Path:
 
 
 def save_both(figure: Figure, path: Path, *, cropped: bool = False) -> Path:
-    """Write a figure as PNG and as SVG; return the PNG file."""
+    """Write a figure as PNG and as SVG, laid out once; return the PNG file."""
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")  # otherwise each file would be laid out anew, in as much time as it is drawn
     save(figure, path.with_suffix(".svg"), cropped=cropped)
     return save(figure, path, cropped=cropped)

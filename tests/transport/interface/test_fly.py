@@ -11,6 +11,7 @@ from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 import pytest
 import threadpoolctl
@@ -21,6 +22,7 @@ from protocol.scenario.setup import Setup
 from protocol.wire.messages import Message, Plan, PlantState
 from tests.support.runs import recorded, reproducible
 from transport.interface.series import QUANTITIES
+from transport.report.style import RC, save_both
 
 # A maneuver of 30 ticks.
 PHASES = (
@@ -71,8 +73,8 @@ def test_a_saved_run_is_the_same_run(run: transport.Run, tmp_path: Path) -> None
         np.testing.assert_array_equal(loaded.series[name], run.series[name])
     for name in ("performance", "trajectories", "timing"):
         figure = run.plot(name)  # type: ignore[arg-type]
-        figure.savefig(tmp_path / "own.svg")  # first, as the report does: each drawing moves the layout a little
-        figure.savefig(tmp_path / "own.png", metadata={"Software": None})
+        with mpl.rc_context(RC):
+            save_both(figure, tmp_path / "own.png")
         assert (tmp_path / "own.png").read_bytes() == (folder / "figures" / f"{name}.png").read_bytes(), name
     with pytest.raises(transport.ArgumentError, match="folder: expected a folder that does not exist yet"):
         run.save(folder)

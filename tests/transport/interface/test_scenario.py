@@ -113,6 +113,15 @@ def test_a_key_returns_to_its_default() -> None:
         del scenario["clock.barrier"]
 
 
+def test_large_runs_are_admitted_on_purpose() -> None:
+    """A run beyond the budget is refused, or admitted with all its copies and changes."""
+    hours = [{"name": "hover", "duration_s": 1e6, "displacement_m": [0.0, 0.0, 0.0]}]
+    with pytest.raises(transport.ScenarioError, match="--allow-large admits more"):
+        transport.Scenario("paper", phases=hours)
+    large = transport.Scenario("paper", phases=hours, allow_large=True)
+    assert large.copy(horizon=5).maneuver.phase[0].duration_s == 1e6
+
+
 def test_copies_are_independent() -> None:
     """A change of a copy, or of the original, does not reach the other."""
     first = transport.Scenario("paper")

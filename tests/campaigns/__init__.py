@@ -1,0 +1,1 @@
+"""Campaigns: long random attacks on the software, each with a table of what was tried."""

@@ -1,0 +1,197 @@
+"""Campaign of hostile messages: `python -m tests.campaigns.wire --messages N --seed S`.
+
+Intruders send bad messages of every sort to runs with processes: an open one, one with its secret, one with
+certificates. An open run has to end with the bits of a run without intruder. Where there is a secret or certificates,
+sessions without them must not connect, and a session with the certificate of one agent may send under that name only.
+Exit code 1 if a run differs, or a session without keys connects.
+"""
+
+import argparse
+import json
+import signal
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zenoh
+
+from protocol.admission.admission import Admission
+from protocol.network.endpoints import process_names
+from protocol.scenario.file import find_scenario, read_scenario
+from protocol.scenario.setup import Setup
+from protocol.wire.keys import Keys
+from protocol.wire.rejections import Rejections
+from tests.support import attack
+from tests.support.commands import free_base, settings, start, wait_for
+from tests.support.garbage import Garbage
+from tests.support.intrusion import bombard, intruding, proofs_of_connection, table
+from tests.support.keyrings import keyring
+from tests.support.logs import record_run
+from transport.report.report import write_report
+
+# Paced to real time at the most, so that intruders have time; a flood slows it down.
+_TICKS = 400
+_FLIGHT = (
+    f"maneuver.phase=[{{name='climb',duration_s={0.05 * _TICKS},displacement_m=[0.0,0.0,-1.0]}}]",
+    "controller.horizon=5",
+    "clock.speed=1.0",
+)
+# The last messages are sent well before the end, so that all of them arrive during the run.
+_LAST_TICK = _TICKS - 40
+# Messages at a time, and time between, s: below the rate at which receivers slow a sender down for good.
+_BURST, _PAUSE_S = 200, 0.01
+# Messages of three ticks: older ones have reached all processes.
+_DELAY = 60
+# Time for one run on a busy machine, and for a session that must not connect, s.
+_RUN_S, _REFUSED_S = 600.0, 0.7
+
+_ACCESS = ("open", "secret", "certificates")
+
+
+@dataclass(slots=True)
+class Result:
+    """Result of the runs with one kind of access.
+
+    Attributes:
+        runs: Number of runs.
+        sent: Number of messages by sort.
+        refused: Messages that processes counted as refused, each process for itself.
+        tried, connected: Sessions without keys that tried to connect, and that did.
+        findings: Descriptions of what must not happen.
+    """
+
+    runs: int = 0
+    sent: Counter[str] = field(default_factory=Counter)
+    refused: int = 0
+    tried: int = 0
+    connected: int = 0
+    findings: list[str] = field(default_factory=list)
+
+
+def campaign(access: str, messages: int, seed: int, folder: Path) -> Result:
+    """Attack runs with one kind of access until so many messages are sent; where none connects, one run."""
+    result = Result()
+    while result.sent.total() < messages:
+        before = result.sent.total()
+        _attack(access, messages - before, np.random.default_rng((seed, result.runs)), folder, result)
+        sys.stderr.write(f"{access}: run {result.runs}, {result.sent.total()} messages sent\n")
+        if result.sent.total() == before:
+            break
+    return result
+
+
+def _attack(access: str, messages: int, rng: np.random.Generator, folder: Path, result: Result) -> None:
+    name, base = f"{access}-{result.runs}", free_base()
+    result.runs += 1
+    exchange = ("relayed", "direct")[result.runs % 2]
+    flight = (*_FLIGHT, f"clock.exchange={exchange}")
+    network = {
+        "open": ("network.secret=false",),
+        "secret": (),
+        "certificates": (f"network.keys={keyring('one')}",),
+    }[access]
+    run = Setup.of(read_scenario(find_scenario("paper"), flight), "paper")
+    keys, names = Keys(name), process_names(run.scenario)
+    scheme = "tls" if access == "certificates" else "tcp"
+    endpoints = [f"{scheme}/127.0.0.1:{base + i}" for i in range(len(names))]
+    command = ["run", "paper", *settings(*flight, f"network.base_port={base}", *network), "--out", name, "--no-figures"]
+    process = start(*command, "--format", "json", cwd=folder)
+    try:
+        wait_for(lambda: (folder / name / "live.json").exists() or process.poll() is not None)
+        for secure in _strangers(access):
+            result.tried += 1
+            with suppress(zenoh.ZError), attack.session(endpoints[:1], secure, _REFUSED_S):
+                result.connected += 1
+                result.findings.append(f"{name}: a session without keys has connected")
+        if access != "secret":
+            secure = attack.tls(keyring("one"), "agent1") if access == "certificates" else None
+            max_bytes = Admission("recorder", keys, run, Rejections()).max_bytes
+            source = Garbage("recorder", keys, run, max_bytes, rng, incarnation=0, delay=_DELAY)
+            relayed = exchange == "relayed"
+            awaited, hears = proofs_of_connection(keys, run.agents, relayed=relayed), list[str]()
+            if access == "certificates":  # the session hears what agent 1 may hear
+                awaited = {f"{keys.prefix}/measurement/1"}
+                hears = keys.subscriptions("agent1", relayed=relayed)
+            with intruding(keys, endpoints, secure, hears) as mesh:
+                shots = bombard(
+                    mesh,
+                    source,
+                    process,
+                    awaited,
+                    shots=messages,
+                    until_tick=_LAST_TICK,
+                    burst=_BURST,
+                    pause_s=_PAUSE_S,
+                    timeout_s=_RUN_S,
+                )
+                result.sent.update(sort for sort, _, _ in shots)
+        printed, errors = process.communicate(timeout=_RUN_S)
+    finally:
+        if process.poll() is None:
+            process.send_signal(signal.SIGTERM)
+            process.communicate(timeout=_RUN_S)
+    if process.returncode != 0:
+        result.findings.append(f"{name}: exit code {process.returncode}: {errors.strip().splitlines()[-1:]}")
+        return
+    summary: dict[str, Any] = json.loads(printed)
+    result.refused += summary["messages"]["rejected"]
+    if table(folder / name) != _calm(folder, flight):
+        result.findings.append(f"{name}: the steps differ from those of a run without intruder")
+
+
+def _strangers(access: str) -> Iterator[dict[str, Any] | None]:
+    """Yield Zenoh's sections `transport` of sessions without the right keys."""
+    if access == "secret":
+        yield None
+        for user in ("run", "root"):
+            yield {"auth": {"usrpwd": {"user": user, "password": "0" * 48}}}
+    elif access == "certificates":
+        yield attack.tls(None, "", keyring("one") / "ca.pem")
+        yield attack.tls(keyring("other"), "agent1", keyring("one") / "ca.pem")
+
+
+def _calm(folder: Path, flight: Sequence[str]) -> list[dict[str, str]]:
+    """Return the steps of the same run in memory; they do not depend on how messages travel."""
+    calm = folder / "calm"
+    if not calm.exists():
+        record_run(Setup.of(read_scenario(find_scenario("paper"), flight), "paper"), calm)
+        write_report(calm, figures=False)
+    return table(calm)
+
+
+def main() -> int:
+    """Run the campaign with the options of the command line; return its exit code."""
+    parser = argparse.ArgumentParser(prog="python -m tests.campaigns.wire", description=__doc__)
+    parser.add_argument("--messages", type=int, default=1_000_000, help="messages in all, half of them to open runs")
+    parser.add_argument("--seed", type=int, default=0, help="random seed of the messages")
+    parser.add_argument("--access", choices=_ACCESS, action="append", help="kinds of access; all by default")
+    options = parser.parse_args()
+    chosen = options.access or _ACCESS
+    each = options.messages // len([access for access in chosen if access != "secret"] or [1])
+    with tempfile.TemporaryDirectory(prefix="wire-") as folder:
+        results = {access: campaign(access, each, options.seed, Path(folder)) for access in chosen}
+    rows: dict[str, list[object]] = {"messages sent": list(results)}
+    for sort in sorted({sort for result in results.values() for sort in result.sent}):
+        rows[f"  {sort}"] = [result.sent[sort] for result in results.values()]
+    rows |= {
+        "all": [result.sent.total() for result in results.values()],
+        "refused by processes": [result.refused for result in results.values()],
+        "runs": [result.runs for result in results.values()],
+        "sessions without keys": [result.tried for result in results.values()],
+        "of them connected": [result.connected for result in results.values()],
+    }
+    findings = [finding for result in results.values() for finding in result.findings]
+    lines = [f"{name:<28}" + "".join(f"{value:>14}" for value in values) for name, values in rows.items()]
+    lines += findings or ["all runs equal bit for bit to one without intruder"]
+    sys.stdout.write("\n".join(lines) + "\n")
+    return 1 if findings else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,92 @@
+"""The secret of a run on one host: processes and commands that have it connect, others do not."""
+
+import json
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import zenoh
+
+from protocol.network.security import SHARED, Security, SecurityError, new_secret
+from tests.support.attack import session
+from tests.support.commands import settings, start, transport, wait_for
+
+# Slower than real time, so that there is time to connect; ended by the test.
+FLIGHT = ("clock.speed=0.1",)
+# Timeout of a connection that has to be refused, and of one that has to be made on a busy machine.
+REFUSED_S, PATIENCE_S = 0.7, 60.0
+
+
+@pytest.fixture(scope="module")
+def active(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Yield the folder of an active run with its secret; end the run, and check that the secret is gone."""
+    parent = tmp_path_factory.mktemp("runs")
+    folder = parent / "guarded"
+    process = start("run", "resilient", *settings(*FLIGHT), "--out", str(folder), "--no-figures", cwd=parent)
+    try:
+        assert wait_for(lambda: (folder / "live.json").exists(), PATIENCE_S)
+        yield folder
+    finally:
+        process.terminate()
+        process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 130
+    assert not (folder / "keys").exists()
+
+
+def credentials(user: str, password: str) -> dict[str, object]:
+    """Return Zenoh's section for a user."""
+    return {"auth": {"usrpwd": {"user": user, "password": password}}}
+
+
+def test_only_the_secret_connects(active: Path) -> None:
+    """Every process refuses sessions without the secret or with another one, and admits one with it."""
+    file = active / "keys" / SHARED
+    assert stat.S_IMODE(file.stat().st_mode) == 0o600
+    assert stat.S_IMODE(file.parent.stat().st_mode) == 0o700
+    user, password = file.read_text(encoding="utf-8").strip().split(":")
+    endpoints = json.loads((active / "live.json").read_bytes())["endpoints"]
+    assert len(endpoints) == 7
+    for name in ("coordinator", "agent1", "recorder"):
+        endpoint = endpoints[name]
+        for given in (None, credentials(user, "0" * len(password)), credentials("root", password)):
+            with pytest.raises(zenoh.ZError), session([endpoint], given, REFUSED_S):
+                pass
+    with session(list(endpoints.values()), credentials(user, password), PATIENCE_S) as opened:
+        found = [str(reply.ok.key_expr) for reply in opened.liveliness().get("transport/*/alive/**") if reply.ok]
+    assert {key.split("/")[3] for key in found} >= {"coordinator", "plant", "agent1", "agent4"}
+
+
+def test_commands_find_the_secret(active: Path) -> None:
+    """`status`, `link` and `top` reach the run through its folder; by endpoint alone they do not."""
+    for command in (["status"], ["link", "set", "--delay", "0.1"], ["top", "--once"]):
+        result = transport(*command, "--run", str(active), cwd=active.parent)
+        assert result.returncode == 0, result.stderr
+    endpoint = json.loads((active / "live.json").read_bytes())["endpoints"]["coordinator"]
+    result = transport("status", "--run", "guarded", "--connect", endpoint, cwd=active.parent)
+    assert result.returncode == 4
+    keys = str(active / "keys")
+    result = transport("status", "--run", "guarded", "--connect", endpoint, "--keys", keys, cwd=active.parent)
+    assert result.returncode == 0, result.stderr
+
+
+@pytest.mark.parametrize(
+    ("content", "mode", "expected"),
+    [
+        ("run:" + "a" * 32, 0o644, "only its owner can read"),
+        ("run:short", 0o600, "expected a line run:SECRET"),
+        ("somewhere:" + "a" * 32, 0o600, "expected a line run:SECRET"),
+        ("", 0o600, "expected a line run:SECRET"),
+    ],
+)
+def test_bad_secrets_are_refused(content: str, mode: int, expected: str, tmp_path: Path) -> None:
+    """A secret that others can read, or that is none, is refused with the name of its file."""
+    with new_secret(tmp_path / "keys") as folder:
+        Security(folder, ()).check("agent1", mode="peer")
+        file = folder / SHARED
+        file.write_text(content, encoding="utf-8")
+        file.chmod(mode)
+        with pytest.raises(SecurityError, match=expected) as raised:
+            Security(folder, ()).check("agent1", mode="peer")
+        assert str(file) in str(raised.value)
+    assert not (tmp_path / "keys").exists()

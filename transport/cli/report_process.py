@@ -1,0 +1,59 @@
+"""The process that reports a run: it imports while the run is simulated, and works once the run has ended."""
+
+import os
+import subprocess
+import sys
+from contextlib import suppress
+from pathlib import Path
+from typing import Self
+
+from protocol.network.parent import PARENT_PIPE, STANDBY
+from transport.flight.fork_server import Started, fork_server
+
+# Time for the process to end before it is killed.
+_GRACE_S = 2.0
+
+
+class ReportProcess:
+    """A forked `transport plot` of one run folder that waits for the end of the run; leaving the context ends it.
+
+    It may fork in turn, to draw on several cores, which this process with its threads may not.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._process: Started | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._process is None:
+            return
+        self._process.terminate()
+        try:
+            self._process.wait(_GRACE_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        if self._process.stdin is not None:
+            with suppress(BrokenPipeError):
+                self._process.stdin.close()
+
+    def prepare(self) -> None:
+        """Start the process, where processes are forked."""
+        if sys.platform == "linux":
+            with Path(os.devnull).open("wb") as output:  # if it fails, the report is made once more, and errors told
+                extra = {PARENT_PIPE: "1", STANDBY: "1"}
+                self._process = fork_server().start(["plot", str(self._folder.absolute())], output, extra)
+
+    def report(self) -> bool:
+        """Let the process report, and wait for its end; return whether it has written the report."""
+        if self._process is None or self._process.stdin is None:
+            return False
+        try:
+            self._process.stdin.write(b"\n")
+            self._process.stdin.flush()
+        except BrokenPipeError:  # it has ended
+            return False
+        return self._process.wait() == 0

@@ -1,0 +1,41 @@
+"""Work in a forked process while this one goes on."""
+
+import os
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+
+@contextmanager
+def beside(work: Callable[[], object], *, forks: bool) -> Iterator[None]:
+    """Do some work in a forked process while the block runs; without `forks` in this process, before the block.
+
+    Only processes of one thread may fork.
+
+    Raises: ChildProcessError: the work failed in the forked process; its traceback is on standard error.
+    """
+    if not forks:
+        work()
+        yield
+        return
+    pid = os.fork()
+    if pid == 0:
+        _do(work)
+    try:
+        yield
+    finally:
+        _, status = os.waitpid(pid, 0)
+    if status:
+        raise ChildProcessError(f"a forked process of the report failed (exit status {status})")
+
+
+def _do(work: Callable[[], object]) -> None:
+    """Do the work and end this process."""
+    code = 1
+    try:
+        work()
+        code = 0
+    except BaseException:  # noqa: BLE001  # no caller would report it
+        traceback.print_exc()
+    finally:
+        os._exit(code)
