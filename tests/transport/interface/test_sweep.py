@@ -78,7 +78,7 @@ def test_figures(table: transport.Sweep) -> None:
         ((None, "pie"), "kind: expected 'curves' or 'map', got 'pie'"),
     ):
         with pytest.raises(transport.ArgumentError, match=text):
-            table.plot(*arguments)  # type: ignore[arg-type]
+            table.plot(*arguments)
 
 
 def test_texts(table: transport.Sweep) -> None:
