@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from protocol.wire.errors import TransportError
     from transport.experiments.errors import ExperimentError
     from transport.flight.harness import HarnessError
-    from transport.flight.run import RunError
+    from transport.flight.run_error import RunError
     from transport.interface.fly import fly, load
     from transport.interface.run import Run
     from transport.interface.scenario import Scenario
@@ -36,7 +36,7 @@ _MODULES = {
     "TransportError": "protocol.wire.errors",
     "ArgumentError": "transport.interface.settings",
     "ScenarioError": "protocol.scenario.errors",
-    "RunError": "transport.flight.run",
+    "RunError": "transport.flight.run_error",
     "HarnessError": "transport.flight.harness",
     "ExperimentError": "transport.experiments.errors",
     "LogError": "transport.log.run_log",

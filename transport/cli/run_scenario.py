@@ -16,7 +16,9 @@ from transport.cli.output import Format, exit_on, fail
 from transport.cli.report_process import ReportProcess
 from transport.cli.scenario_setup import read_setup
 from transport.flight.harness import HarnessError
-from transport.flight.run import RunError, new_folder, simulate
+from transport.flight.run import simulate
+from transport.flight.run_error import RunError
+from transport.flight.run_files import new_folder
 from transport.viewer.process import viewer_beside
 from transport.viewer.server import ViewerError, require_viser
 
@@ -45,10 +47,10 @@ def run_scenario(
             with exit_on(RunError), exit_on(HarnessError, code=EXIT_UNREACHABLE):
                 finished = simulate(setup, folder, Console(stderr=True), prepare)
             run_report = load("transport.cli.run_report")
-            if reporter.report():
+            if finished.folder == folder and reporter.report():
                 run_report.show_written(folder, output)
             else:
-                run_report.report(folder, output, figures=figures, setup=setup)
+                run_report.report(finished.folder, output, figures=figures, setup=setup)
         if linger is not None and finished.exit_code != EXIT_INTERRUPTED:
             linger()
     if finished.exit_code != 0:

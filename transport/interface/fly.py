@@ -16,6 +16,8 @@ from protocol.wire.messages import Message
 from transport.flight import memory
 from transport.flight import run as processes_run
 from transport.flight.fork_server import close_fork_server
+from transport.flight.run_error import RunError
+from transport.flight.run_files import new_folder
 from transport.interface.progress import console, run_progress
 from transport.interface.run import Run
 from transport.interface.scenario import Scenario
@@ -124,10 +126,10 @@ def _header(setup: Setup, began_ns: int) -> dict[str, str]:
 
 
 def _in_processes(scenario: Scenario, setup: Setup, folder: Path | None, *, shown: bool) -> Run:
-    target = processes_run.new_folder(RUNS, setup.scenario.name) if folder is None else folder
+    target = new_folder(RUNS, setup.scenario.name) if folder is None else folder
     try:
         finished = processes_run.simulate(setup, target, console(shown=shown))
-    except processes_run.RunError as error:
+    except RunError as error:
         if error.exit_code == EXIT_INTERRUPTED:
             raise KeyboardInterrupt from error
         raise
