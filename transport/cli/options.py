@@ -16,7 +16,7 @@ RUNS = Path("runs")
 ScenarioArgument = Annotated[
     str,
     Argument(
-        help="Scenario file, or name of a ready-made one: paper, centralized, resilient, windy, collision.",
+        help="Scenario file, or name of a ready-made one: paper, centralized, resilient, windy, delivery, collision.",
         show_default=True,
     ),
 ]
@@ -24,6 +24,9 @@ ScenarioOption = Annotated[str, Option("--scenario", help="Scenario file or name
 SetOption = Annotated[
     list[str] | None,
     Option("--set", metavar="KEY=VALUE", help="Change a scenario value, e.g. controller.horizon=10. Repeatable."),
+]
+LargeOption = Annotated[
+    bool, Option("--allow-large", help="Accept a run beyond the limits on size, memory, log and computation.")
 ]
 FormatOption = Annotated[Format, Option("--format", help="Output format.")]
 FiguresOption = Annotated[bool, Option("--figures/--no-figures", help="Draw the figures.")]
