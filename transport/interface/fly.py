@@ -1,7 +1,6 @@
 """Simulating a run, and loading a recorded one."""
 
 import time
-from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 from typing import Unpack
@@ -9,6 +8,7 @@ from typing import Unpack
 import tomli_w
 
 from model.compiled import compile_functions
+from plant.engines import checked_engine
 from protocol.scenario.file import ScenarioError
 from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import EXIT_INTERRUPTED
@@ -16,6 +16,7 @@ from protocol.wire.messages import Message
 from transport.flight import memory
 from transport.flight import run as processes_run
 from transport.flight.fork_server import close_fork_server
+from transport.flight.header import run_header
 from transport.flight.run_error import RunError
 from transport.flight.run_files import new_folder
 from transport.interface.progress import console, run_progress
@@ -119,9 +120,8 @@ def _in_memory(scenario: Scenario, setup: Setup, *, shown: bool) -> Run:
 
 def _header(setup: Setup, began_ns: int) -> dict[str, str]:
     """Return the metadata of a run in this process, which began at a time, ns since 1970."""
-    header: Mapping[str, str] = processes_run.run_header(
-        setup, setup.scenario.name, 1, tomli_w.dumps(setup.scenario.tree())
-    )
+    text = tomli_w.dumps(setup.scenario.tree())
+    header = run_header(setup, setup.scenario.name, 1, text, checked_engine(setup))
     return {**header, "command_started_ns": str(began_ns)}
 
 

@@ -24,7 +24,7 @@ from transport.experiments.simulation import NUMBERS, Result
 from transport.experiments.statistics import PointStatistics, statistics_of
 from transport.experiments.table import WIDTH, cases_csv, cases_rows, points_csv, points_rows, table_of
 from transport.experiments.workers import check_cluster, on_cluster, on_cores
-from transport.flight.run import machine
+from transport.flight.header import machine
 from transport.interface.figure import RunFigure, drawn
 from transport.interface.optional import require_pandas
 from transport.interface.progress import console
