@@ -56,6 +56,7 @@ class PlantNode:
         self.environment = Environment(setup)
         self._period_s = setup.settings.sampling_period_s
         self.steps = math.ceil(self._period_s / setup.scenario.plant.step_s - 1e-9)
+        self._tolerance = setup.scenario.plant.tolerance
         clock = setup.scenario.clock
         self._delay = 1 if clock.next_tick else 0
         self._waits = clock.mode == "lockstep"
@@ -202,7 +203,9 @@ class PlantNode:
             u = no_inputs(u, self._off)
             sources = tuple(MOTOR_OFF if i in self._off else source for i, source in enumerate(sources))
         forces = self.environment.forces(k, x)
-        end, error = self.environment.model.integrate(x, u, self._period_s, self.steps, forces=forces)
+        end, error = self.environment.model.integrate(
+            x, u, self._period_s, self.steps, forces=forces, tolerance=self._tolerance
+        )
         reason = self._divergence(k + 1, end)
         self._diverged = bool(reason)
         self._x, self._u, self._state_tick = end, u, k + 1

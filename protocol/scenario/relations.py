@@ -3,9 +3,12 @@
 import re
 from collections.abc import Iterator
 
+from protocol.scenario.budget import estimate
 from protocol.scenario.errors import ScenarioError
 from protocol.scenario.link_sections import LinkChangeSection, LinkOverrideSection
+from protocol.scenario.magnitudes import out_of_range
 from protocol.scenario.schema import Scenario
+from protocol.wire.codec import MAX_BYTES
 from protocol.wire.names import COORDINATOR, PLANT, agent_name
 
 # Largest distance of a path from the origin along any axis, m.
@@ -33,6 +36,7 @@ def check_relations(scenario: Scenario, source: str) -> None:
     """
     agents = [agent_name(agent) for agent in range(1, len(scenario.owned) + 1)]
     for problems in (
+        out_of_range(scenario),
         _ownership(scenario),
         _links(scenario, agents),
         _controller(scenario),
@@ -43,6 +47,7 @@ def check_relations(scenario: Scenario, source: str) -> None:
         _drag(scenario),
         _path(scenario),
         _network(scenario),
+        _messages(scenario),
     ):
         for field, problem in problems:
             raise ScenarioError(source, field, problem)
@@ -199,3 +204,13 @@ def _network(scenario: Scenario) -> Iterator[Problem]:
     router = scenario.network.router
     if router is not None and not re.fullmatch(r"(tcp|tls)/\S+:\d+", router):
         yield "network.router", f"expected an endpoint such as tls/192.0.2.1:7447, got {router!r}"
+
+
+def _messages(scenario: Scenario) -> Iterator[Problem]:
+    """The largest message, plans and reports of a tick, fits into what every receiver accepts."""
+    if not scenario.clock.relayed:
+        return
+    size = estimate(scenario).relay_bytes
+    if size > MAX_BYTES:
+        text = f"expected plans of a tick of at most {MAX_BYTES:,} bytes in one message, got {size:,.0f}"
+        yield "controller.horizon", f"{text}; set clock.exchange = 'direct', or a shorter horizon"

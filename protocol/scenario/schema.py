@@ -238,6 +238,7 @@ class PlantSection(Section):
     """Ground truth: its integration, its difference from the controller's model, limits beyond which a run diverged."""
 
     step_s: Positive = 0.01
+    tolerance: Annotated[float, Field(ge=1e-12, le=10.0)] = 1e-9
     max_attitude_deg: Annotated[float, Field(gt=0.0, lt=90.0)] = 80.0
     max_error_m: Positive = 20.0
     payload_mass_factor: MassFactor = 1.0

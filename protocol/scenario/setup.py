@@ -23,6 +23,7 @@ from protocol.scenario.faults import Fault, scripted
 from protocol.scenario.links import Link, link
 from protocol.scenario.schema import Scenario, UavSection
 from protocol.scenario.sections import SettingsSection
+from protocol.scenario.text_file import read_text
 from protocol.wire.messages import Measurement, Plan
 from protocol.wire.names import PLANT
 
@@ -180,7 +181,7 @@ def _samples(scenario: Scenario, source: str) -> dict[str, tuple[float, ...]]:
             raise ScenarioError(source, "links.samples", f"{expected}, got {section.samples!r}")
         path = Path(source).parent / section.samples
         try:
-            values = [float(word) for word in path.read_text(encoding="utf-8").replace(",", " ").split()]
+            values = [float(word) for word in read_text(path).replace(",", " ").split()]
         except OSError as error:
             raise ScenarioError(source, "links.samples", f"cannot read {path} ({error.strerror})") from error
         except ValueError as error:

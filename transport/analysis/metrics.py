@@ -119,6 +119,7 @@ def _flight(setup: Setup, series: Series) -> dict[str, Any]:
         },
         "separation_min_m": _number(series.separation_m.min(initial=np.inf)),
         "constraint_violation_max": _largest(series.violation),
+        "local_error_max": _largest(series.local_error),
     }
 
 

@@ -34,6 +34,7 @@ class Series:
         attitude_deg: Payload roll, pitch, yaw, (T, 3), deg.
         separation_m: Smallest distance between two UAVs on their rods, (T,), m; infinite for one UAV.
         violation: Largest constraint violation relative to the constraint's range, (T,); see `_violation`.
+        local_error: Largest local error estimate of the plant's integration where it is finite, (<= T,), SI.
     """
 
     ticks: npt.NDArray[np.int64]
@@ -47,6 +48,7 @@ class Series:
     attitude_deg: Array
     separation_m: Array
     violation: Array
+    local_error: Array
 
     @property
     def payload_error_I(self) -> Array:
@@ -95,6 +97,7 @@ def series_of(setup: Setup, log: RunLog) -> Series:
         attitude_deg=np.degrees(x[:, state.THETA0]),
         separation_m=separation_m,
         violation=_violation(setup, ticks, u, separation_m),
+        local_error=np.array([e for tick in ticks if (e := plant_states[tick].local_error) >= 0.0], dtype=np.float64),
     )
 
 

@@ -39,7 +39,7 @@ def serve(own: socket.socket) -> None:
         arguments = request["arguments"]
         with contextlib.suppress(Exception):  # reads the scenario into the cache; the process reports its errors
             settings = [value for option, value in itertools.pairwise(arguments) if option == "--set"]
-            read_setup(arguments[arguments.index("--scenario") + 1], settings).model  # noqa: B018
+            read_setup(arguments[arguments.index("--scenario") + 1], settings, allow_large=True).model  # noqa: B018
         gc.collect()
         gc.freeze()  # a collection after the fork would copy shared memory
         own.send(b"%d" % _started(request, *descriptors))

@@ -25,6 +25,9 @@ SetOption = Annotated[
     list[str] | None,
     Option("--set", metavar="KEY=VALUE", help="Change a scenario value, e.g. controller.horizon=10. Repeatable."),
 ]
+LargeOption = Annotated[
+    bool, Option("--allow-large", help="Accept a run beyond the limits on size, memory, log and computation.")
+]
 FormatOption = Annotated[Format, Option("--format", help="Output format.")]
 FiguresOption = Annotated[bool, Option("--figures/--no-figures", help="Draw the figures.")]
 HostOption = Annotated[

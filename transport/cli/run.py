@@ -6,7 +6,15 @@ from typing import Annotated
 from typer import Option
 
 from transport.cli.lazy import import_function
-from transport.cli.options import FiguresOption, FormatOption, HostOption, PortOption, ScenarioArgument, SetOption
+from transport.cli.options import (
+    FiguresOption,
+    FormatOption,
+    HostOption,
+    LargeOption,
+    PortOption,
+    ScenarioArgument,
+    SetOption,
+)
 from transport.cli.output import Format
 
 
@@ -21,6 +29,7 @@ def run(
     show: Annotated[bool, Option("--view", help="Show the run in the browser, live and afterwards.")] = False,
     host: HostOption = "127.0.0.1",
     port: PortOption = 8080,
+    large: LargeOption = False,
 ) -> None:
     """Run a scenario with all its processes; record and report it.
 
@@ -29,4 +38,5 @@ def run(
     Example: transport run paper --set controller.relaxation=0.5 --out runs/relaxed
     """
     run_scenario = import_function("transport.cli.run_scenario:run_scenario")
-    run_scenario(scenario, settings, out, output, figures=figures, viewer_address=(host, port) if show else None)
+    viewer_address = (host, port) if show else None
+    run_scenario(scenario, settings, out, output, figures=figures, viewer_address=viewer_address, allow_large=large)

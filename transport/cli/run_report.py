@@ -13,7 +13,7 @@ from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
 from transport.cli.output import Format, exit_on, show_json
 from transport.log.run_log import LogError
-from transport.report.report import summary_table, write_report
+from transport.report.report import summary_table, warnings, write_report
 
 
 def report(folder: Path, output: Format, *, figures: bool, setup: Setup | None) -> None:
@@ -30,6 +30,8 @@ def show_written(folder: Path, output: Format) -> None:
 
 def show(folder: Path, output: Format, summary: Mapping[str, Any]) -> None:
     """Print a summary and the files of its run folder."""
+    for warning in warnings(summary):
+        typer.echo(f"warning: {warning}", err=True)
     if output is Format.json:
         show_json(summary)
         return

@@ -29,9 +29,10 @@ def run_scenario(
     *,
     figures: bool,
     viewer_address: tuple[str, int] | None,
+    allow_large: bool,
 ) -> None:
     """Run a scenario, record and report it; arguments are the options of `transport run`."""
-    setup = read_setup(scenario, settings)
+    setup = read_setup(scenario, settings, allow_large=allow_large)
     folder = out if out is not None else new_folder(RUNS, setup.scenario.name)
     viewer: AbstractContextManager[Callable[[], None] | None] = nullcontext()
     if viewer_address is not None:

@@ -10,11 +10,14 @@ from protocol.wire.exit_codes import EXIT_SCENARIO
 from transport.cli.output import fail
 
 
-def read_setup(scenario: str, settings: Sequence[str] | None) -> Setup:
-    """Return the setup of a scenario, file or name, with changes KEY=VALUE; end the command if it is refused."""
+def read_setup(scenario: str, settings: Sequence[str] | None, *, allow_large: bool = False) -> Setup:
+    """Return the setup of a scenario, file or name, with changes KEY=VALUE; end the command if it is refused.
+
+    The run may exceed the limits of `protocol.scenario.budget` with `allow_large`.
+    """
     try:
         path = find_scenario(scenario)
-        return _setup(path, tuple(settings or ()), _file_version(path))
+        return _setup(path, tuple(settings or ()), allow_large, _file_version(path))
     except ScenarioError as error:
         fail(str(error.blaming(settings or [])), EXIT_SCENARIO)
 
@@ -29,6 +32,6 @@ def _file_version(path: Path) -> tuple[int, ...]:
 
 
 @lru_cache(maxsize=1)
-def _setup(path: Path, settings: tuple[str, ...], _: tuple[int, ...]) -> Setup:
+def _setup(path: Path, settings: tuple[str, ...], allow_large: bool, _: tuple[int, ...]) -> Setup:
     """Read a setup; cached until the file is rewritten, as the fork server reads it for all processes of a run."""
-    return Setup.of(read_scenario(path, settings), str(path))
+    return Setup.of(read_scenario(path, settings, allow_large=allow_large), str(path))

@@ -3,19 +3,23 @@
 import tomli_w
 import typer
 
-from transport.cli.options import ScenarioArgument, SetOption
+from protocol.scenario.budget import estimate
+from transport.cli.options import LargeOption, ScenarioArgument, SetOption
 from transport.cli.scenario_setup import read_setup
 
 
-def validate(scenario: ScenarioArgument, settings: SetOption = None) -> None:
+def validate(scenario: ScenarioArgument, settings: SetOption = None, large: LargeOption = False) -> None:
     """Check a scenario and print it with every default.
+
+    An estimate of what the run takes follows on standard error.
 
     Example: transport validate paper --set controller.horizon=10
     """
-    setup = read_setup(scenario, settings)
+    setup = read_setup(scenario, settings, allow_large=large)
     typer.echo(tomli_w.dumps(setup.scenario.tree()), nl=False)
     for doubt in setup.doubts():
         typer.echo(f"warning: {doubt}", err=True)
     hover = ", ".join(f"{thrust:.2f}" for thrust in setup.hover.u[::4])
     sizes = f"{setup.system.N} UAVs, {len(setup.agents)} agents, {setup.ticks} ticks"
     typer.echo(f"valid: {sizes}, hover thrust {hover} N, digest {setup.scenario.digest()}", err=True)
+    typer.echo(f"estimate: {estimate(setup.scenario).text()}", err=True)

@@ -8,6 +8,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from protocol.scenario.budget import check_budget
 from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
 from protocol.scenario.schema import Scenario
 from protocol.scenario.setup import Setup
@@ -55,10 +56,13 @@ class Case:
     timed: bool = False  # whether processor time and messages are measured as well
 
 
-def cases_of(points: Sequence[Point], settings: Sequence[str], seeds: int, *, timed: bool = False) -> list[Case]:
+def cases_of(
+    points: Sequence[Point], settings: Sequence[str], seeds: int, *, timed: bool = False, allow_large: bool = False
+) -> list[Case]:
     """Return every run of a sweep: each point with the seeds 0, 1, ...; one seed for a deterministic point.
 
-    The settings are applied before those of the points. Every point is repeated if processor time is measured.
+    The settings are applied before those of the points. Every point is repeated if processor time is measured. With
+    `allow_large` runs may exceed the limits of `protocol.scenario.budget`.
 
     Raises: ScenarioError: a point that cannot be simulated, naming file, field, expected, got.
     """
@@ -66,6 +70,8 @@ def cases_of(points: Sequence[Point], settings: Sequence[str], seeds: int, *, ti
     for index, point in enumerate(points):
         path = find_scenario(point.scenario)
         scenario = _scenario(path, point, settings)
+        if not allow_large:
+            check_budget(scenario, str(path))
         if scenario.clock.mode != "lockstep":
             # In real time the result would depend on the machine and its load.
             raise ScenarioError(str(path), "clock.mode", f"expected lockstep, got {scenario.clock.mode}")
@@ -80,7 +86,7 @@ def cases_of(points: Sequence[Point], settings: Sequence[str], seeds: int, *, ti
 def _scenario(path: Path, point: Point, settings: Sequence[str]) -> Scenario:
     """Return the scenario of a point, before its seed."""
     changes = [*settings, *point.settings]
-    scenario = read_scenario(path, changes)
+    scenario = read_scenario(path, changes, allow_large=True)
     if point.team is None:
         return scenario
     for setting in changes:

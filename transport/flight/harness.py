@@ -180,7 +180,8 @@ class Harness:
         options += [("--connect", endpoint) for endpoint in endpoints.connect]
         if name == COORDINATOR:
             options += [("--observer", observer) for observer in observers]
-        return [*role, *(text for option in options for text in option)]
+        # The parent has checked the scenario's size.
+        return [*role, "--allow-large", *(text for option in options for text in option)]
 
 
 def keys_setting(folder: Path | str) -> str:

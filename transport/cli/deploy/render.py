@@ -24,7 +24,7 @@ def render(
 
     Example: transport deploy render --hosts hosts.toml --keys keys --out deployment
     """
-    setup = read_setup(scenario, settings)
+    setup = read_setup(scenario, settings, allow_large=True)
     inventory = inventory_of(hosts, setup)
     with optional_packages():
         from deploy.keys import KeysError

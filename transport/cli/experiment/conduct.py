@@ -65,7 +65,13 @@ def conduct(experiment: Experiment, options: ExperimentOptions) -> None:
     if isinstance(options, SweepOptions):
         _check(options)
     folder = new_folder(options, experiment.name)
-    cases = cases_of(experiment.points, options.changes(), options.repetitions, timed=experiment.timed)
+    cases = cases_of(
+        experiment.points,
+        options.changes(),
+        options.repetitions,
+        timed=experiment.timed,
+        allow_large=options.allow_large,
+    )
     console = Console(stderr=True)
     trial = trial_note(options, console)
     with Results(folder, experiment.name, machine()) as results:

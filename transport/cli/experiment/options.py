@@ -8,6 +8,7 @@ from typer import Option
 
 from protocol.scenario.file import find_scenario, read_scenario
 from protocol.scenario.schema import Scenario
+from transport.cli.options import LargeOption
 from transport.experiments.errors import refused
 
 T = TypeVar("T", str, int, float)
@@ -36,6 +37,7 @@ class ExperimentOptions:
     seeds: Annotated[int | None, Option("--seeds", min=1, help="Repetitions of random runs: seeds 0, 1, ...")] = None
     out: Annotated[Path | None, Option("--out", help=_OUT)] = None
     jobs: Annotated[int | None, Option("--jobs", min=1, help="Parallel runs; default: all cores (scaling: 1).")] = None
+    allow_large: LargeOption = False
     quick: Annotated[bool, Option("--quick", help="Few and short runs: a trial, no measurement.")] = False
     # Not options, as they are not annotated.
     default_seeds: int = 1
@@ -80,4 +82,7 @@ class SweepOptions(ExperimentOptions):
         """
         if len(set(self.names)) < len(self.names):
             raise refused("--scenario", "each value once", ", ".join(self.names))
-        return {name: read_scenario(find_scenario(name), self.changes()) for name in self.names}
+        return {
+            name: read_scenario(find_scenario(name), self.changes(), allow_large=self.allow_large)
+            for name in self.names
+        }
