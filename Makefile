@@ -31,7 +31,7 @@ figures: $(VENV)/.installed ## run every experiment and renew figures and tables
 	@$(BIN)/python docs/results_page.py
 
 docs: $(VENV)/.installed-docs ## build the site into build/site; open build/site/index.html (no server, no network)
-	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 	@echo build/site/index.html
 
 reference: $(VENV)/.installed ## renew pages and pictures made from the code: keys of the scenario, commands, architecture
