@@ -5,6 +5,7 @@ from collections.abc import Iterator
 
 from protocol.scenario.budget import estimate
 from protocol.scenario.errors import ScenarioError
+from protocol.scenario.faults import OF_UAVS
 from protocol.scenario.link_sections import LinkChangeSection, LinkOverrideSection
 from protocol.scenario.magnitudes import out_of_range
 from protocol.scenario.schema import Scenario
@@ -14,6 +15,9 @@ from protocol.wire.names import COORDINATOR, PLANT, agent_name
 # Largest distance of a path from the origin along any axis, m.
 FURTHEST_M = 1e5
 
+# Shortest lag of motors other than none, in sampling periods: the discretisation takes exponentials of its reciprocal.
+_SHORTEST_LAG = 0.01
+
 # States in which a fault can happen to its target, and the state it leaves.
 _FAULTS = {
     "kill": (("running", "stopped"), "killed"),
@@ -22,8 +26,8 @@ _FAULTS = {
     "restart": (("running", "stopped", "killed"), "running"),
     "motor_off": (("running",), "off"),
     "release": (("running", "off"), "released"),  # the motors of a running one go off with it
+    "degrade": (("running",), "running"),
 }
-_UAV_FAULTS = ("motor_off", "release")
 
 # Field, and what was expected there and what came.
 Problem = tuple[str, str]
@@ -45,6 +49,7 @@ def check_relations(scenario: Scenario, source: str) -> None:
         _sharing(scenario),
         _limits(scenario),
         _drag(scenario),
+        _motors(scenario),
         _path(scenario),
         _network(scenario),
         _messages(scenario),
@@ -128,11 +133,14 @@ def _faults(scenario: Scenario, agents: list[str]) -> Iterator[Problem]:
     state = dict.fromkeys([*processes, *uavs], "running")
     for i, event in sorted(enumerate(scenario.faults.event, start=1), key=lambda entry: entry[1].at_s):
         field, target = f"faults.event.{i}", event.target
-        possible = uavs if event.do in _UAV_FAULTS else processes
+        possible = uavs if event.do in OF_UAVS else processes
         if target not in possible:
             yield f"{field}.target", f"expected one of {', '.join(possible)}, got {target!r}"
         if event.do == "restart" and target not in agents:
             yield f"{field}.do", f"expected an agent to restart, as a run ends with its {target}, got 'restart'"
+        if (event.do == "degrade") != (event.efficiency is not None):
+            expected = "expected an efficiency" if event.do == "degrade" else "expected none but with 'degrade'"
+            yield f"{field}.efficiency", f"{expected}, got {event.efficiency or 'nothing'}"
         before, after = _FAULTS[event.do]
         if state[target] not in before:
             expected = f"expected what can be done to {target}, which is {state[target]} by then"
@@ -182,6 +190,16 @@ def _drag(scenario: Scenario) -> Iterator[Problem]:
         if drag * period_s > mass:
             expected = f"expected at most mass over sampling period {mass / period_s:g}"
             yield f"plant.wind.{key}", f"{expected}, got {drag}"
+
+
+def _motors(scenario: Scenario) -> Iterator[Problem]:
+    """A lag is none, or long enough for the exponential of the discretisation."""
+    plant, controller = scenario.plant, scenario.controller
+    period_s = controller.sampling_period_s
+    for key, lag_s in (("controller.motor_lag_s", controller.motor_lag_s), ("plant.motors.lag_s", plant.motors.lag_s)):
+        if 0.0 < lag_s < _SHORTEST_LAG * period_s:
+            expected = f"expected 0 or at least a hundredth of the sampling period, {_SHORTEST_LAG * period_s:g}"
+            yield key, f"{expected}, got {lag_s}"
 
 
 def _path(scenario: Scenario) -> Iterator[Problem]:

@@ -30,6 +30,7 @@ from mpc.settings import (
     Weights,
 )
 from protocol.scenario.link_sections import LinksSection
+from protocol.scenario.motor_sections import MotorsSection
 from protocol.scenario.sections import NotNegativeVector, Section, SettingsSection, Vector, like
 from protocol.wire.messages import MAX_HORIZON, MAX_NEGOTIATION_ITERATIONS
 from protocol.wire.names import MAX_UAVS
@@ -156,6 +157,7 @@ class ControllerSection(Section):
     negotiation_iterations: Annotated[int, Field(ge=1, le=MAX_NEGOTIATION_ITERATIONS)] = 1
     relaxation: Annotated[float | str, AfterValidator(_relaxation)] = _DEFAULT.relaxation
     solver: SolverName = _DEFAULT.solver
+    motor_lag_s: NotNegative = _DEFAULT.motor_lag_s
     share: Literal["always", "on_change"] = "always"
     share_threshold: NotNegative = 0.01
     share_heartbeat_s: Positive = 1.0
@@ -203,8 +205,9 @@ class FaultSection(Section):
     """Fault of a process or a UAV at an instant of the run."""
 
     at_s: NotNegative
-    do: Literal["kill", "stop", "continue", "restart", "motor_off", "release"]
+    do: Literal["kill", "stop", "continue", "restart", "motor_off", "release", "degrade"]
     target: str
+    efficiency: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
 
 
 class FaultsSection(Section):
@@ -243,6 +246,7 @@ class PlantSection(Section):
     max_error_m: Positive = 20.0
     payload_mass_factor: MassFactor = 1.0
     uav_mass_factor: MassFactor = 1.0
+    motors: MotorsSection = MotorsSection()
     wind: WindSection = WindSection()
     noise: NoiseSection = NoiseSection()
 

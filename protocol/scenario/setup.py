@@ -158,6 +158,14 @@ class Setup:
             if not low <= thrust <= high:
                 expected = f"expected a range that contains the hover thrust {thrust:.2f} N of UAV{i + 1}"
                 raise ScenarioError(source, "controller.limits.thrust_N", f"{expected}, got {[low, high]}")
+        rotors = self.scenario.plant.motors.rotors
+        if rotors is not None:
+            for i, thrust in enumerate(self.hover.u[::4]):
+                low, high = rotors.thrust_N
+                if not low <= thrust / 4.0 <= high:
+                    quarter = f"a quarter of the hover thrust of UAV{i + 1}, {thrust / 4.0:.2f} N"
+                    expected = f"expected a range that contains {quarter}"
+                    raise ScenarioError(source, "plant.motors.rotors.thrust_N", f"{expected}, got {[low, high]}")
         separation = self.settings.separation
         if separation is None or self.system.N < 2:
             return

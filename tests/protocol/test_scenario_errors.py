@@ -257,6 +257,54 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
         "faults.event",
         "expected at least one UAV that keeps its motors, got motor_off or release for all 4",
     ),
+    # Motors.
+    (
+        "faults.event=[{at_s=1,do='degrade',target='uav3'}]",
+        "faults.event.1.efficiency",
+        "expected an efficiency, got nothing",
+    ),
+    (
+        "faults.event=[{at_s=1,do='motor_off',target='uav3',efficiency=0.5}]",
+        "faults.event.1.efficiency",
+        "expected none but with 'degrade', got 0.5",
+    ),
+    (
+        "faults.event=[{at_s=1,do='degrade',target='uav3',efficiency=1.5}]",
+        "faults.event.1.efficiency",
+        "expected a number <= 1.0, got 1.5",
+    ),
+    (
+        "faults.event=[{at_s=1,do='degrade',target='agent3',efficiency=0.5}]",
+        "faults.event.1.target",
+        "expected one of uav1, uav2, uav3, uav4, got 'agent3'",
+    ),
+    (
+        "faults.event=[{at_s=1,do='motor_off',target='uav3'},{at_s=2,do='degrade',target='uav3',efficiency=0.5}]",
+        "faults.event.2.do",
+        "expected what can be done to uav3, which is off by then, got 'degrade'",
+    ),
+    ("plant.motors.lag_s=-1", "plant.motors.lag_s", "expected a number >= 0.0, got -1"),
+    (
+        "plant.motors.lag_s=1e-4",
+        "plant.motors.lag_s",
+        "expected 0 or at least a hundredth of the sampling period, 0.0005, got 0.0001",
+    ),
+    (
+        "controller.motor_lag_s=1e-4",
+        "controller.motor_lag_s",
+        "expected 0 or at least a hundredth of the sampling period, 0.0005, got 0.0001",
+    ),
+    ("plant.motors.thrust_step_N=-1", "plant.motors.thrust_step_N", "expected a number >= 0.0, got -1"),
+    (
+        "plant.motors.rotors={arm_m=0.2,drag_to_thrust_m=0.02,thrust_N=[5.0,5.0]}",
+        "plant.motors.rotors.thrust_N",
+        "expected [smallest, largest] with smallest < largest, got [5.0, 5.0]",
+    ),
+    (
+        "plant.motors.rotors={arm_m=0.2,drag_to_thrust_m=0.02,thrust_N=[0.0,5.0]}",
+        "plant.motors.rotors.thrust_N",
+        "expected a range that contains a quarter of the hover thrust of UAV1, 5.52 N, got [0.0, 5.0]",
+    ),
     # The truth, and what is to be estimated of it.
     ("plant.payload_mass_factor=0", "plant.payload_mass_factor", "expected a number > 0.0, got 0"),
     ("plant.uav_mass_factor=1000", "plant.uav_mass_factor", "expected a number <= 100.0, got 1000"),

@@ -40,6 +40,10 @@ DARK = "links.override=[{from='agent2',to='agent1',loss=1.0}]"
 LATE = "links.delay_s=0.2"
 
 
+LAW = ("controller.prediction=closed_loop", "controller.received_plans=by_age", "controller.relaxation=auto")
+MOTORS = ("plant.motors.lag_s=0.05", "controller.motor_lag_s=0.05")
+
+
 def builder_of(folder: Path, *settings: str) -> SceneBuilder:
     """Return the scene builder of a short run."""
     run = runs.setup(runs.SHORT, *settings)
@@ -51,14 +55,19 @@ def builder_of(folder: Path, *settings: str) -> SceneBuilder:
 @pytest.fixture(scope="module")
 def distributed(tmp_path_factory: pytest.TempPathFactory) -> SceneBuilder:
     """Delayed plans and one link with 100 % loss, with the shared control law."""
-    law = ("controller.prediction=closed_loop", "controller.received_plans=by_age", "controller.relaxation=auto")
-    return builder_of(tmp_path_factory.mktemp("distributed"), DARK, LATE, *law)
+    return builder_of(tmp_path_factory.mktemp("distributed"), DARK, LATE, *LAW)
 
 
 @pytest.fixture(scope="module")
-def centralized(tmp_path_factory: pytest.TempPathFactory) -> SceneBuilder:
+def lagging(tmp_path_factory: pytest.TempPathFactory) -> SceneBuilder:
+    """The same with motors whose lag the agents know."""
+    return builder_of(tmp_path_factory.mktemp("lagging"), DARK, LATE, *LAW, *MOTORS)
+
+
+@pytest.fixture(scope="module", params=[(), MOTORS], ids=["ideal", "lagging"])
+def centralized(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> SceneBuilder:
     """One agent that owns all UAVs."""
-    return builder_of(tmp_path_factory.mktemp("centralized"), "agents.owned=[[1,2,3,4]]")
+    return builder_of(tmp_path_factory.mktemp("centralized"), "agents.owned=[[1,2,3,4]]", *request.param)
 
 
 def test_positions_at_hover(distributed: SceneBuilder) -> None:
@@ -85,9 +94,11 @@ def test_the_centralized_agent_predicts_the_next_state(centralized: SceneBuilder
         np.testing.assert_allclose(prediction.payload_I[1], after.payload_I, atol=STEP_M)
 
 
-def test_agents_predict_half_a_second(distributed: SceneBuilder) -> None:
+@pytest.mark.parametrize("motors", ["distributed", "lagging"])
+def test_agents_predict_half_a_second(motors: str, request: pytest.FixtureRequest) -> None:
     """With the shared control law each agent predicts its own UAV half a second ahead, despite delayed plans."""
-    before, after = distributed.at(14), distributed.at(24)
+    builder: SceneBuilder = request.getfixturevalue(motors)
+    before, after = builder.at(14), builder.at(24)
     assert [prediction.agent for prediction in before.predictions] == [1, 2, 3, 4]
     assert np.linalg.norm(after.uavs_I - before.uavs_I, axis=1).min() > 10.0 * NEAR_M
     for prediction in before.predictions:
