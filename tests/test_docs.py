@@ -208,5 +208,5 @@ def test_help_shows_whole_sentences() -> None:
 
 def test_reasons_of_refusals_are_described() -> None:
     """The table in docs/protocol.md has a row for each reason a message is refused for, and for no other."""
-    _, _, section = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8").partition("## What is refused\n")
+    _, _, section = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8").partition("## Refused messages\n")
     assert re.findall(r"^\| `(\w+)` \|", section, re.MULTILINE) == list(get_args(Reason))
