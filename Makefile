@@ -28,6 +28,7 @@ figures: $(VENV)/.installed ## run every experiment and renew figures and tables
 	@$(BIN)/python docs/values_page.py
 	@$(BIN)/python docs/guarantees_page.py
 	@$(BIN)/python docs/time_page.py
+	@$(BIN)/python docs/engines_page.py
 	@$(BIN)/python docs/results_page.py
 
 docs: $(VENV)/.installed-docs ## build the site into build/site; open build/site/index.html (no server, no network)

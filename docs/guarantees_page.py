@@ -231,10 +231,10 @@ TABLES = (
     Measured("instants", tuple(map(_at, INSTANTS)), instants),
     detailed("deaths", "agent killed", DEATHS),
     detailed("returns", "restarted at", RETURNS),
+    Measured("actuation", tuple(_actuated(setting, clock) for setting in ACTUATION for clock in CLOCKS), actuation),
     Measured("lags", tuple(_lagging(lag_s, known) for lag_s in LAGS_S for known in KNOWN), lags),
     Measured("degraded", tuple(_degraded(share, text) for share in EFFICIENCIES for text in ESTIMATES), degraded),
     detailed("limited", "motors", {text: Run("resilient", (setting,)) for text, setting in LIMITED.items()}),
-    Measured("actuation", tuple(_actuated(setting, clock) for setting in ACTUATION for clock in CLOCKS), actuation),
 )
 
 

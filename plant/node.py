@@ -15,6 +15,7 @@ from model import state
 from model.arrays import Array
 from model.failure import motor_off_state, no_inputs, released_state
 from mpc.fail_safe import FailSafe
+from plant.engines import UNKNOWN_ERROR, Engine
 from plant.environment import Environment
 from plant.motors import Motors
 from plant.schedule import MOTOR_OFF, ActuatorSchedule
@@ -56,9 +57,9 @@ class PlantNode:
         self.incarnation = incarnation
         self._out = Outbox(self.name, incarnation)
         self.environment = Environment(setup)
+        self.engine = Engine(setup, self.environment.system)
         self._period_s = setup.settings.sampling_period_s
         self.steps = math.ceil(self._period_s / setup.scenario.plant.step_s - 1e-9)
-        self._tolerance = setup.scenario.plant.tolerance
         clock = setup.scenario.clock
         self._delay = 1 if clock.next_tick else 0
         self._waits = clock.mode == "lockstep"
@@ -200,8 +201,10 @@ class PlantNode:
             if fault == "release":
                 self.environment.release([uav])
                 self._x = released_state(self._x, uav)
+                self.engine.replace(self.environment.system, self._x)
             else:
                 self._x = motor_off_state(self._x, uav)
+                self.engine.reset(self._x)
 
     def _integrate(self, now_ns: int) -> list[Message]:
         k, x = self._state_tick, self._x
@@ -212,13 +215,11 @@ class PlantNode:
             u = no_inputs(u, self._off)
             sources = tuple(MOTOR_OFF if i in self._off else source for i, source in enumerate(sources))
         forces = self.environment.forces(k, x)
-        end, error, mean = x, 0.0, np.zeros_like(u)
-        for actual, duration_s, steps in self._motors.inputs(u, self._period_s, self.steps):
-            end, local_error = self.environment.model.integrate(
-                end, actual, duration_s, steps, forces=forces, tolerance=self._tolerance
-            )
+        end, error, mean = x, UNKNOWN_ERROR, np.zeros_like(u)
+        for actual, duration_s, _ in self._motors.inputs(u, self._period_s, self.steps):
+            end, local_error = self.engine.advance(actual, forces, duration_s)
             error, mean = max(local_error, error), mean + duration_s / self._period_s * actual
-        reason = self._divergence(k + 1, end)
+        reason = self.engine.failure or self._divergence(k + 1, end)
         self._diverged = bool(reason)
         self._x, self._u, self._state_tick = end, u, k + 1
         self._arrived = {tick: agents for tick, agents in self._arrived.items() if tick > k - self._delay}
@@ -229,7 +230,7 @@ class PlantNode:
                 x=x,
                 u=u,
                 plan_ticks=sources,
-                local_error=error if np.isfinite(end).all() and math.isfinite(error) else -1.0,
+                local_error=error if np.isfinite(end).all() else -1.0,
                 diverged=reason,
             )
         ]

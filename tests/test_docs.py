@@ -36,6 +36,7 @@ PAGES = {
     "values.md": "values_page",
     "guarantees.md": "guarantees_page",
     "time.md": "time_page",
+    "engines.md": "engines_page",
 }
 
 # Names of the tables of such a program, once each of their runs has been read.

@@ -66,7 +66,7 @@ def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
         except DiagramError as error:
             raise PluginError(f"{page.file.src_uri}: {error}") from error
 
-    return CHART.sub(chart, LINK.sub(pointed, NAMED.sub(titled, PICTURES.sub("images/", markdown))))
+    return CHART.sub(chart, LINK.sub(pointed, NAMED.sub(titled, PICTURES.sub("", markdown))))
 
 
 def on_page_content(html: str, page: Page, **_: object) -> str:

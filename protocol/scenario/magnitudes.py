@@ -14,9 +14,21 @@ Range = tuple[float, float]
 # Longest duration and delay: decades, still countable in ticks and nanoseconds.
 LONGEST_S = 1e9
 
+WEIGHTS: Range = (1e-12, 1e8)
+
 # By the end of the key; the longest one that fits counts.
 RANGES: dict[str, Range] = {
     "": (1e-12, 1e12),
+    # Weights of the cost: the condition of the QP is about their ratio.
+    "position": WEIGHTS,
+    "attitude": WEIGHTS,
+    "yaw_rate": WEIGHTS,
+    "payload_velocity": WEIGHTS,
+    "terminal": WEIGHTS,
+    "thrust": WEIGHTS,
+    "moments": WEIGHTS,
+    "weight": WEIGHTS,
+    "penalty": WEIGHTS,
     "_s": (1e-9, LONGEST_S),
     "sampling_period_s": (1e-5, 10.0),
     "barrier_timeout_s": (1e-3, 1e6),

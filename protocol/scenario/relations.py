@@ -8,6 +8,7 @@ from protocol.scenario.errors import ScenarioError
 from protocol.scenario.faults import OF_UAVS
 from protocol.scenario.link_sections import LinkChangeSection, LinkOverrideSection
 from protocol.scenario.magnitudes import out_of_range
+from protocol.scenario.plant_sections import MujocoSection
 from protocol.scenario.schema import Scenario
 from protocol.wire.codec import MAX_BYTES
 from protocol.wire.names import COORDINATOR, PLANT, agent_name
@@ -15,6 +16,8 @@ from protocol.wire.names import COORDINATOR, PLANT, agent_name
 # Largest distance of a path from the origin along any axis, m.
 FURTHEST_M = 1e5
 
+# Contacts of MuJoCo have a time constant of 0.02 s, which takes two steps at least.
+LONGEST_MUJOCO_STEP_S = 0.01
 # Shortest lag of motors other than none, in sampling periods: the discretisation takes exponentials of its reciprocal.
 _SHORTEST_LAG = 0.01
 
@@ -49,8 +52,10 @@ def check_relations(scenario: Scenario, source: str) -> None:
         _sharing(scenario),
         _limits(scenario),
         _drag(scenario),
+        _engine(scenario),
         _motors(scenario),
         _path(scenario),
+        _on_the_ground(scenario),
         _network(scenario),
         _messages(scenario),
     ):
@@ -146,7 +151,8 @@ def _faults(scenario: Scenario, agents: list[str]) -> Iterator[Problem]:
             expected = f"expected what can be done to {target}, which is {state[target]} by then"
             yield f"{field}.do", f"{expected}, got {event.do!r}"
         state[target] = after
-    if uavs and all(state[uav] in ("off", "released") for uav in uavs):
+    grounded = scenario.plant.ground_m is not None and all(state[uav] == "released" for uav in uavs)
+    if uavs and not grounded and all(state[uav] in ("off", "released") for uav in uavs):
         expected = "expected at least one UAV that keeps its motors"
         yield "faults.event", f"{expected}, got motor_off or release for all {len(uavs)}"
 
@@ -192,6 +198,26 @@ def _drag(scenario: Scenario) -> Iterator[Problem]:
             yield f"plant.wind.{key}", f"{expected}, got {drag}"
 
 
+def _engine(scenario: Scenario) -> Iterator[Problem]:
+    """Settings without effect on the engine, a ground that the path goes through, and steps too long for contacts."""
+    plant, period_s = scenario.plant, scenario.controller.sampling_period_s
+    expected = "expected plant.engine = 'mujoco' or an engine of your own with it"
+    if plant.engine == "rods":
+        if plant.ground_m is not None:
+            yield "plant.ground_m", f"{expected}, got 'rods', which has no ground"
+        if plant.mujoco != MujocoSection():
+            yield "plant.mujoco", f"{expected}, got 'rods'"
+    if plant.mujoco.step_s > min(period_s, LONGEST_MUJOCO_STEP_S):
+        expected = (
+            f"expected at most the sampling period {period_s} and {LONGEST_MUJOCO_STEP_S} s, as contacts are stiff"
+        )
+        yield "plant.mujoco.step_s", f"{expected}, got {plant.mujoco.step_s}"
+    if plant.mujoco.suspension == "cables":
+        for event in scenario.faults.event:
+            if event.do == "release":
+                yield "plant.mujoco.suspension", "expected 'rods' with a fault 'release', got 'cables'"
+
+
 def _motors(scenario: Scenario) -> Iterator[Problem]:
     """A lag is none, or long enough for the exponential of the discretisation."""
     plant, controller = scenario.plant, scenario.controller
@@ -216,6 +242,21 @@ def _path(scenario: Scenario) -> Iterator[Problem]:
                 key = "way" if phase.way else "displacement_m"
                 yield f"maneuver.phase.{i}.{key}", f"{expected}, got {furthest:g} m"
         reached = [a + b for a, b in zip(reached, phase.displacement_m, strict=True)]
+
+
+def _on_the_ground(scenario: Scenario) -> Iterator[Problem]:
+    """Take-offs and landings are vertical, and need a ground."""
+    for i, phase in enumerate(scenario.maneuver.phase, start=1):
+        if phase.kind == "move":
+            continue
+        field, (x, y, z) = f"maneuver.phase.{i}", phase.displacement_m
+        if scenario.plant.ground_m is None:
+            yield f"{field}.kind", f"expected plant.ground_m with it, got {phase.kind!r} without a ground"
+        if phase.way is not None:
+            yield f"{field}.kind", f"expected 'move' with a path from a file, got {phase.kind!r}"
+        if x != 0.0 or y != 0.0 or (z >= 0.0 if phase.kind == "take_off" else z <= 0.0):
+            direction = "up, negative z" if phase.kind == "take_off" else "down, positive z"
+            yield f"{field}.displacement_m", f"expected a way straight {direction}, got {phase.displacement_m}"
 
 
 def _network(scenario: Scenario) -> Iterator[Problem]:

@@ -18,6 +18,7 @@ ONE_UAV_ASIDE = (
 LONGEST_SHOWN = 80
 
 ENDS = "expected one of plant, agent1, agent2, agent3, agent4, got "
+GROUND = ("plant.engine=mujoco", "plant.ground_m=0.0")
 REALTIME = "clock.mode=realtime"
 ON_CHANGE = ("controller.prediction=closed_loop", "controller.received_plans=by_age", "controller.share=on_change")
 
@@ -256,6 +257,37 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
         "{at_s=1,do='release',target='uav3'},{at_s=1,do='motor_off',target='uav4'}]",
         "faults.event",
         "expected at least one UAV that keeps its motors, got motor_off or release for all 4",
+    ),
+    # On the ground.
+    (
+        "maneuver.phase.1.kind=land",
+        "maneuver.phase.1.kind",
+        "expected plant.ground_m with it, got 'land' without a ground",
+    ),
+    (
+        ("maneuver.phase.1.kind=land", *GROUND),
+        "maneuver.phase.1.displacement_m",
+        "straight down, positive z, got [0.0, 0.0, 0.0]",
+    ),
+    (
+        ("maneuver.phase.2.kind=take_off", *GROUND),
+        "maneuver.phase.2",
+        "expected a take-off from z = -0.125 m, where the payload stands on the ground, got -10",
+    ),
+    (
+        ("maneuver.phase.4.kind=land", *GROUND),
+        "maneuver.phase.4",
+        "expected a landing at z = -0.125 m, where the payload stands on the ground, got -10",
+    ),
+    (
+        ("plant.engine=mujoco", "plant.ground_m=-12.0"),
+        "maneuver.start_m",
+        "expected z of at most -12.125 m, where the payload stands on the ground, got -10",
+    ),
+    (
+        ("maneuver.phase.4.displacement_m=[0.0,0.0,20.0]", *GROUND),
+        "maneuver.phase.4",
+        "expected a path above z = -0.125 m, where the payload stands on the ground, got 7.5",
     ),
     # Motors.
     (

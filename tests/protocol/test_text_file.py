@@ -12,7 +12,7 @@ from protocol.scenario.text_file import read_text
 
 
 def refusal(folder: Path, name: str) -> str:
-    """What is said of a scenario whose maneuver, or else whose links, name a file."""
+    """Return the errors of a scenario whose maneuver, or else whose links, name a file."""
     path = folder / "scenario.toml"
     path.write_bytes(find_scenario("paper").read_bytes())
     texts = []

@@ -123,7 +123,7 @@ def _list(tree: Tree, rng: random.Random) -> None:
     entries = node[key]
     if not isinstance(entries, list):
         return
-    changed = (
+    changed: tuple[list[Any], ...] = (
         [],
         entries * 2,
         entries * 300,

@@ -99,7 +99,7 @@ def test_every_document_is_a_page(site: Path, pages: dict[Path, Page]) -> None:
 
 
 def test_nothing_is_loaded_from_the_network(site: Path, pages: dict[Path, Page]) -> None:
-    """What pages and style sheets load are files of the site that exist."""
+    """Pages and style sheets load only files of the site that exist."""
     found = [(path, address) for path, page in pages.items() for address in page.loaded]
     for sheet in site.rglob("*.css"):
         found += [(sheet, address) for address in CSS_ADDRESS.findall(sheet.read_text(encoding="utf-8"))]

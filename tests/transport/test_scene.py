@@ -225,3 +225,17 @@ def test_straight_paths_take_two_points() -> None:
     assert np.linalg.norm(left[1:] + left[:-1], axis=1).min() / 2.0 > 1.0 - 2.0 * NEAR_M  # the middles of its pieces
     for few in range(3):
         np.testing.assert_array_equal(simplified(circle[:few], NEAR_M), circle[:few])
+
+
+def test_contacts_with_the_ground(tmp_path: Path) -> None:
+    """The lower corners of a payload on the ground touch it; those of one that has been lifted do not."""
+    builder = builder_of(tmp_path, "plant.engine=mujoco", "plant.ground_m=-9.875")
+    first, last = builder.at(0), builder.at(builder.history.last)
+    np.testing.assert_allclose(first.contacts_I[:, 2], -9.875, atol=ROUNDING)
+    assert sorted(map(tuple, first.contacts_I[:, :2].tolist())) == [
+        (x, y) for x in (-0.25, 0.25) for y in (-0.25, 0.25)
+    ]
+    assert last.payload_I[2] < -10.1
+    assert last.contacts_I.shape == (0, 3)
+    # The drawn payload is as deep as the box that touches the ground.
+    assert payload_mesh(builder.setup.system, grounded=True)[0][:, 2].max() == pytest.approx(0.125)

@@ -44,6 +44,7 @@ def summarise(setup: Setup, log: RunLog) -> dict[str, Any]:
         "faults": events(setup, log, control),
         # From "python 3.12.1, numpy 2.0.0" to names and versions.
         "versions": dict(v.rsplit(" ", 1) for v in log.header.get("versions", "").split(", ") if " " in v),
+        "engine": log.header.get("engine", setup.scenario.plant.engine),
         "machine": log.header.get("machine", ""),
         "seed": setup.scenario.seed,
         "log_cut": log.cut or None,

@@ -16,7 +16,7 @@ RUNS = Path("runs")
 ScenarioArgument = Annotated[
     str,
     Argument(
-        help="Scenario file, or name of a ready-made one: paper, centralized, resilient, windy, collision.",
+        help="Scenario file, or name of a ready-made one: paper, centralized, resilient, windy, delivery, collision.",
         show_default=True,
     ),
 ]

@@ -18,7 +18,7 @@ from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_UNREACHABLE, EXIT_USAGE
 from protocol.wire.keys import Keys, RunNameError
 from transport.cli.options import LargeOption, ScenarioOption, SetOption
 from transport.cli.output import exit_on, fail
-from transport.cli.scenario_setup import read_setup
+from transport.cli.scenario_setup import read_setup, scenario_errors
 
 RunNameOption = Annotated[str | None, Option("--run", help="Name of the run; the scenario's name by default.")]
 ListenOption = Annotated[
@@ -72,5 +72,5 @@ class ProcessOptions:
         """Run the main function of a process and end the command with the exit code it returns."""
         setup = self.setup()
         place = self.place(setup, name)
-        with exit_on(BusError, code=EXIT_UNREACHABLE):
+        with exit_on(BusError, code=EXIT_UNREACHABLE), scenario_errors(self.settings):
             raise typer.Exit(body(setup, place))

@@ -26,6 +26,10 @@ def run(
     ] = None,
     output: FormatOption = Format.text,
     figures: FiguresOption = True,
+    external: Annotated[
+        list[str] | None,
+        Option("--external", metavar="NAME", help="Process that you start yourself: plant, agent1, ... Repeatable."),
+    ] = None,
     show: Annotated[bool, Option("--view", help="Show the run in the browser, live and afterwards.")] = False,
     host: HostOption = "127.0.0.1",
     port: PortOption = 8080,
@@ -39,4 +43,13 @@ def run(
     """
     run_scenario = import_function("transport.cli.run_scenario:run_scenario")
     viewer_address = (host, port) if show else None
-    run_scenario(scenario, settings, out, output, figures=figures, viewer_address=viewer_address, allow_large=large)
+    run_scenario(
+        scenario,
+        settings,
+        out,
+        output,
+        figures=figures,
+        external=external or [],
+        viewer_address=viewer_address,
+        allow_large=large,
+    )

@@ -1,6 +1,7 @@
 """The scenario that a command is given, read and checked."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
 
@@ -15,9 +16,16 @@ def read_setup(scenario: str, settings: Sequence[str] | None, *, allow_large: bo
 
     The run may exceed the limits of `protocol.scenario.budget` with `allow_large`.
     """
-    try:
+    with scenario_errors(settings):
         path = find_scenario(scenario)
         return _setup(path, tuple(settings or ()), allow_large, _file_version(path))
+
+
+@contextmanager
+def scenario_errors(settings: Sequence[str] | None) -> Iterator[None]:
+    """End the command if a scenario is refused, naming the setting that gave the field."""
+    try:
+        yield
     except ScenarioError as error:
         fail(str(error.blaming(settings or [])), EXIT_SCENARIO)
 

@@ -3,9 +3,10 @@
 import tomli_w
 import typer
 
+from plant.engines import checked_engine
 from protocol.scenario.budget import estimate
 from transport.cli.options import LargeOption, ScenarioArgument, SetOption
-from transport.cli.scenario_setup import read_setup
+from transport.cli.scenario_setup import read_setup, scenario_errors
 
 
 def validate(scenario: ScenarioArgument, settings: SetOption = None, large: LargeOption = False) -> None:
@@ -16,10 +17,13 @@ def validate(scenario: ScenarioArgument, settings: SetOption = None, large: Larg
     Example: transport validate paper --set controller.horizon=10
     """
     setup = read_setup(scenario, settings, allow_large=large)
+    with scenario_errors(settings):
+        engine = checked_engine(setup)
     typer.echo(tomli_w.dumps(setup.scenario.tree()), nl=False)
     for doubt in setup.doubts():
         typer.echo(f"warning: {doubt}", err=True)
     hover = ", ".join(f"{thrust:.2f}" for thrust in setup.hover.u[::4])
     sizes = f"{setup.system.N} UAVs, {len(setup.agents)} agents, {setup.ticks} ticks"
-    typer.echo(f"valid: {sizes}, hover thrust {hover} N, digest {setup.scenario.digest()}", err=True)
+    about = f"{sizes}, hover thrust {hover} N, digest {setup.scenario.digest()}"
+    typer.echo(f"valid: {about}, engine {engine}", err=True)
     typer.echo(f"estimate: {estimate(setup.scenario).text()}", err=True)

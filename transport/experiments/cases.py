@@ -8,6 +8,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from plant.engines import checked_engine, engine_version
 from protocol.scenario.budget import check_budget
 from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
 from protocol.scenario.schema import Scenario
@@ -75,7 +76,9 @@ def cases_of(
         if scenario.clock.mode != "lockstep":
             # In real time the result would depend on the machine and its load.
             raise ScenarioError(str(path), "clock.mode", f"expected lockstep, got {scenario.clock.mode}")
-        samples_s = Setup.of(scenario, str(path)).samples_s  # refuses an impossible setup before the first run
+        setup = Setup.of(scenario, str(path))  # refuses an impossible setup before the first run
+        samples_s = setup.samples_s
+        checked_engine(setup)
         for seed in range(seeds if timed or is_random(scenario) else 1):
             seeded = scenario.model_copy(update={"seed": seed})
             key = key_of(seeded, samples_s)
@@ -98,9 +101,12 @@ def _scenario(path: Path, point: Point, settings: Sequence[str]) -> Scenario:
 
 
 def key_of(scenario: Scenario, samples_s: Mapping[str, tuple[float, ...]]) -> str:
-    """Return the fingerprint of what determines a result: scenario without addresses, measured delays, version."""
+    """Return the fingerprint of what determines a result.
+
+    That is the scenario without addresses, the measured delays, the version of the package and that of the engine.
+    """
     tree = {name: part for name, part in scenario.tree().items() if name != "network"}
-    content = [tree, sorted(samples_s.items()), version("payload-transport")]
+    content = [tree, sorted(samples_s.items()), version("payload-transport"), engine_version(scenario.plant.engine)]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 

@@ -24,7 +24,7 @@ def render(
 
     Example: transport deploy render --hosts hosts.toml --keys keys --out deployment
     """
-    setup = read_setup(scenario, settings, allow_large=True)
+    setup = read_setup(scenario, settings)
     inventory = inventory_of(hosts, setup)
     with optional_packages():
         from deploy.keys import KeysError

@@ -27,7 +27,7 @@ from transport.experiments.simulation import Result, simulate_in_processes
 from transport.experiments.sweep import Simulate, report, sweep
 from transport.experiments.table import WIDTH, WIDTH_OF_VARIANTS, table_of
 from transport.experiments.workers import check_cluster, on_cluster, on_cores
-from transport.flight.run import machine
+from transport.flight.header import machine
 
 
 def sweep_command(
