@@ -20,10 +20,15 @@ from diagrams import DiagramError, drawn  # noqa: E402
 from mathml import FormulaError, with_mathml  # noqa: E402
 
 ROOT = FOLDER.parent.parent
-# Pages made of files outside docs/, by their name in the site.
-OUTSIDE = {"index.md": "README.md", "changelog.md": "CHANGELOG.md"}
+# Pages made of other files, by their name in the site; links in these files start at the root of the project.
+OUTSIDE = {
+    "index.md": "README.md",
+    "changelog.md": "CHANGELOG.md",
+    "python-reference.md": "docs/site/python-reference.md",
+}
 # Where README.md finds its pictures on the page of the package.
 PICTURES = re.compile(r"https://raw\.githubusercontent\.com/[\w./-]+?/main/docs/(?=images/)")
+TO_FOLDER = re.compile(r"\[([^\]\n]*)\]\(([^)\s#]+)\)")
 LINK = re.compile(r"(\]\()([^)\s#]+)((?:#[^)\s]*)?\))")
 # A link whose text is the name of a page.
 NAMED = re.compile(r"\[(?:docs/)?[\w-]+\.md\](\((?:docs/)?([\w-]+\.md)(?:#[^)\s]*)?\))")
@@ -57,6 +62,10 @@ def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
         title = TITLE.search(page_file.read_text(encoding="utf-8")) if page_file.exists() else None
         return f"[{title[1]}]{found[1]}" if title else found[0]
 
+    def without_folder(found: re.Match[str]) -> str:
+        is_folder = "://" not in found[2] and (ROOT / base / found[2]).is_dir()
+        return found[1] if is_folder else found[0]  # a site has no lists of files
+
     def pointed(found: re.Match[str]) -> str:
         return f"{found[1]}{_target(base, found[2])}{found[3]}"
 
@@ -66,7 +75,9 @@ def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
         except DiagramError as error:
             raise PluginError(f"{page.file.src_uri}: {error}") from error
 
-    return CHART.sub(chart, LINK.sub(pointed, NAMED.sub(titled, PICTURES.sub("", markdown))))
+    return CHART.sub(
+        chart, LINK.sub(pointed, NAMED.sub(titled, TO_FOLDER.sub(without_folder, PICTURES.sub("", markdown))))
+    )
 
 
 def on_page_content(html: str, page: Page, **_: object) -> str:

@@ -11,11 +11,12 @@ from model.parameters import ParameterError
 from mpc.feedback import FeedbackError
 from mpc.settings import SettingsError
 from protocol.scenario.schema import Scenario
+from protocol.wire.errors import TransportError
 
 T = TypeVar("T")
 
 
-class ScenarioError(ValueError):
+class ScenarioError(TransportError, ValueError):
     """An invalid scenario: `file or option: field: expected ..., got ...`.
 
     The field is the dotted path of the key, list entries counted from 1; it may be empty.

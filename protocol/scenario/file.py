@@ -16,7 +16,7 @@ from protocol.scenario.relations import check_relations
 from protocol.scenario.schema import Scenario
 from protocol.scenario.text_file import read_text
 
-__all__ = ["ScenarioError", "find_scenario", "read_scenario", "validate"]
+__all__ = ["ScenarioError", "find_scenario", "read_scenario", "validate", "with_settings"]
 
 
 def find_scenario(name: str) -> Path:
@@ -54,6 +54,14 @@ def read_scenario(path: Path, settings: Sequence[str] = (), *, allow_large: bool
         raise ScenarioError(source, "", f"cannot be read ({error})") from error
     except (ValueError, RecursionError) as error:  # also of integers of thousands of digits, and of deep nesting
         raise ScenarioError(source, "", f"not valid TOML: {error}") from error
+    return with_settings(tree, settings, source, allow_large=allow_large)
+
+
+def with_settings(tree: dict[str, Any], settings: Sequence[str], source: str, *, allow_large: bool = False) -> Scenario:
+    """Return the scenario in a tree of plain data, which is changed, with settings on top as in `read_scenario`.
+
+    Raises: ScenarioError: as `read_scenario`; `source` is the file of the tree.
+    """
     for setting in settings:
         _apply(tree, setting)
     try:

@@ -246,6 +246,7 @@ def main() -> int:
     parser.add_argument("--out", type=Path, help="folder for runs with problems; runs/signals-SEED by default")
     options = parser.parse_args()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # the commands inherit it, and would ignore SIGHUP under nohup
     folder = options.out or Path("runs") / f"signals-{options.seed}"
     runs = [random_run(options.seed, number) for number in range(options.first, options.runs)]
     try:

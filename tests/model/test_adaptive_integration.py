@@ -12,7 +12,7 @@ from model.arrays import Array
 from model.linearisation import Model
 from model.rotations import rotation
 from model.state import StateView
-from protocol.scenario.schema import PlantSection
+from protocol.scenario.plant_sections import PlantSection
 from tests.model.test_integration import HELD_THRUST, TRAJECTORY_TOLERANCE, deviation, exact
 from tests.support import engine, reference
 from tests.support.paper_form import attitude

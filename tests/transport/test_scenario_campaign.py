@@ -66,3 +66,10 @@ def test_every_problem_is_found(
     else:
         monkeypatch.setattr(scenarios, "validate", broken)
     assert attempt(PAPER, tmp_path, ticks=1)[0] == outcome
+
+
+def test_a_process_that_sleeps_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A scenario that makes its process wait for something that does not come is found as well."""
+    monkeypatch.setattr(scenarios, "_ASLEEP_S", 0.1)
+    monkeypatch.setattr(scenarios, "validate", lambda _: signal.pause())
+    assert attempt(PAPER, tmp_path, ticks=1)[0] == "silent"

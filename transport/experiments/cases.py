@@ -73,16 +73,26 @@ def cases_of(
         scenario = _scenario(path, point, settings)
         if not allow_large:
             check_budget(scenario, str(path))
-        if scenario.clock.mode != "lockstep":
-            # In real time the result would depend on the machine and its load.
-            raise ScenarioError(str(path), "clock.mode", f"expected lockstep, got {scenario.clock.mode}")
-        setup = Setup.of(scenario, str(path))  # refuses an impossible setup before the first run
-        samples_s = setup.samples_s
-        checked_engine(setup)
-        for seed in range(seeds if timed or is_random(scenario) else 1):
-            seeded = scenario.model_copy(update={"seed": seed})
-            key = key_of(seeded, samples_s)
-            cases.append(Case(point=index, scenario=seeded, source=str(path), key=key, timed=timed))
+        cases += cases_of_point(index, scenario, path, seeds, timed=timed)
+    return cases
+
+
+def cases_of_point(index: int, scenario: Scenario, path: Path, seeds: int, *, timed: bool = False) -> list[Case]:
+    """Return the runs of the point with an index, whose scenario comes from a file; as `cases_of`.
+
+    Raises: ScenarioError: the scenario cannot be simulated.
+    """
+    if scenario.clock.mode != "lockstep":
+        # In real time the result would depend on the machine and its load.
+        raise ScenarioError(str(path), "clock.mode", f"expected lockstep, got {scenario.clock.mode}")
+    setup = Setup.of(scenario, str(path))  # refuses an impossible setup before the first run
+    samples_s = setup.samples_s
+    checked_engine(setup)
+    cases = []
+    for seed in range(seeds if timed or is_random(scenario) else 1):
+        seeded = scenario.model_copy(update={"seed": seed})
+        key = key_of(seeded, samples_s)
+        cases.append(Case(point=index, scenario=seeded, source=str(path), key=key, timed=timed))
     return cases
 
 

@@ -113,13 +113,24 @@ def fork_server() -> "ForkServer":
     return server
 
 
+def close_fork_server() -> None:
+    """End the server of this process, if there is one; a later call of `fork_server` starts another."""
+    if fork_server.cache_info().currsize:
+        server = fork_server()
+        atexit.unregister(server.close)
+        fork_server.cache_clear()
+        server.close()
+        if sys.platform == "linux":
+            _adopt_orphans(False)
+
+
 class ForkServer:
     """Client of the server process, which starts to import at once; forked processes outlive the server."""
 
     def __init__(self) -> None:
         self._socket: socket.socket | None = None
         self._process: subprocess.Popen[bytes] | None = None
-        if sys.platform != "linux" or not _adopts_orphans():
+        if sys.platform != "linux" or not _adopt_orphans(True):
             return
         self._imported = _at_import(os.environ)
         own, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -217,10 +228,10 @@ def _at_import(environment: Mapping[str, str]) -> dict[str, str]:
     return {name: value for name, value in environment.items() if name.startswith(_AT_IMPORT)}
 
 
-def _adopts_orphans() -> bool:
-    """Make this process the new parent of orphaned descendants, such as forked processes; return whether it is."""
+def _adopt_orphans(adopt: bool) -> bool:
+    """Make this process, or not, the new parent of orphaned descendants, such as forked processes; return success."""
     try:
         os.close(os.pidfd_open(os.getpid()))  # missing in older kernels and some sandboxes
-        return bool(ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0) == 0)
+        return bool(ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, int(adopt), 0, 0, 0) == 0)
     except (OSError, AttributeError):
         return False

@@ -15,6 +15,7 @@ from typing import IO
 
 from protocol.network.endpoints import Endpoints
 from protocol.network.parent import PARENT_PIPE, STANDBY
+from protocol.wire.errors import TransportError
 from protocol.wire.exit_codes import EXIT_DIVERGED, EXIT_INTERRUPTED, EXIT_OVERRUN, EXIT_UNREACHABLE
 from protocol.wire.names import COORDINATOR
 from transport.flight.fork_server import Started, fork_server
@@ -28,7 +29,7 @@ _GRACE_S = 5.0
 _POLL_S = 0.05
 
 
-class HarnessError(RuntimeError):
+class HarnessError(TransportError, RuntimeError):
     """The processes of a run could not be started."""
 
 

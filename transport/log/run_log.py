@@ -15,6 +15,7 @@ import orjson
 
 from protocol.scenario.setup import Setup
 from protocol.wire.codec import encode
+from protocol.wire.errors import TransportError
 from protocol.wire.header import Header
 from protocol.wire.keys import RECORDER
 from protocol.wire.messages import Control, FaultNote, Message, MessageError, Plan
@@ -34,7 +35,7 @@ SEQUENCES = 2**32  # MCAP numbers have 32 bits; the message has the full number
 M = TypeVar("M", bound=Message)
 
 
-class LogError(RuntimeError):
+class LogError(TransportError, RuntimeError):
     """A log that cannot be read or written; the text names the file and the reason."""
 
 

@@ -17,6 +17,11 @@ from transport.report.figures_timing import draw_timing
 from transport.report.style import COMPONENTS, RC, WIDTH_IN, line_width, save_both, scale_cost, shade_phases
 from transport.scene.colours import uav_style
 
+# Names of the figures of a run.
+FIGURES = ("performance", "trajectories", "timing")
+# Of these, the ones whose files are cropped, since the size of the drawing depends on the maneuver.
+CROPPED = ("trajectories",)
+
 # Labels of the four panels of the performance figure.
 PERFORMANCE = (
     "UAV position\nerror, norm (m)",
@@ -41,18 +46,39 @@ def draw(setup: Setup, log: RunLog, folder: Path, *, forks: bool = False) -> lis
     if not len(series.ticks):
         return []
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / "performance.png"
-    with mpl.rc_context(RC), beside(partial(draw_performance, setup, series, path), forks=forks):
-        others = [
-            draw_trajectories(setup, series, folder / "trajectories.png"),
-            draw_timing(setup, log, folder / "timing.png"),
-        ]
-    return [path, *(other for other in others if other is not None)]
+    first, *rest = (partial(_write, name, setup, log, series, folder) for name in FIGURES)
+    with mpl.rc_context(RC), beside(first, forks=forks):
+        others = [write() for write in rest]
+    return [folder / f"{FIGURES[0]}.png", *(other for other in others if other is not None)]
 
 
-def draw_performance(setup: Setup, series: Series, path: Path) -> Path:
-    """Draw position errors of UAVs and payload, payload attitude and cost over time; at least one tick."""
-    figure = Figure(figsize=(WIDTH_IN, 7.0), layout="constrained")
+def _write(name: str, setup: Setup, log: RunLog, series: Series, folder: Path) -> Path | None:
+    """Write one of `FIGURES` as PNG and SVG; return the PNG file, None without data."""
+    figure = Figure()
+    if not fill(figure, name, setup, log, series):
+        return None
+    return save_both(figure, folder / f"{name}.png", cropped=name in CROPPED)
+
+
+def fill(figure: Figure, name: str, setup: Setup, log: RunLog, series: Series) -> bool:
+    """Draw one of `FIGURES` of a run with at least one tick into an empty figure; return whether there is any data.
+
+    Figure and drawing take the style from `matplotlib.rcParams`: call it within `rc_context(RC)`.
+    """
+    match name:
+        case "performance":
+            _draw_performance(figure, setup, series)
+        case "trajectories":
+            draw_trajectories(figure, setup, series)
+        case _:
+            return draw_timing(figure, setup, log)
+    return True
+
+
+def _draw_performance(figure: Figure, setup: Setup, series: Series) -> None:
+    """Draw position errors of UAVs and payload, payload attitude and cost over time."""
+    figure.set_size_inches(WIDTH_IN, 7.0)
+    figure.set_layout_engine("constrained")
     panels = list(figure.subplots(4, 1, sharex=True))
     plot_performance(setup, series, panels)
     for panel, label in zip(panels, PERFORMANCE, strict=True):
@@ -61,7 +87,6 @@ def draw_performance(setup: Setup, series: Series, path: Path) -> Path:
     for panel in panels[:3]:
         panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
     figure.align_ylabels(panels)
-    return save_both(figure, path)
 
 
 def plot_performance(setup: Setup, series: Series, panels: list[Axes]) -> None:
