@@ -23,7 +23,7 @@ def set_links(
     delay_s: Annotated[float | None, Option("--delay", min=0.0, help="Fixed delay, s.")] = None,
     jitter_s: Annotated[float | None, Option("--jitter", min=0.0, help="Scale of the random delay, s.")] = None,
     distribution: Annotated[
-        str | None, Option("--distribution", help="Distribution of the random delay (docs/scenario.md).")
+        str | None, Option("--distribution", help="Distribution of the random delay (docs/keys.md).")
     ] = None,
     loss: Annotated[float | None, Option("--loss", min=0.0, max=1.0, help="Probability of packet loss.")] = None,
     duplicate: Annotated[
