@@ -13,7 +13,7 @@ def main() -> None:
     try:
         wake_with_its_end()
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # before the imports: they take a while
-        if sys.argv[1:2] == ["run"] and "--help" not in sys.argv:
+        if sys.argv[1:2] == ["run"] and not {"-h", "--help"} & set(sys.argv):
             fork_server()  # imports for the processes of the run while this process imports for itself
         from transport.cli.main import app
 

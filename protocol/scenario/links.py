@@ -16,6 +16,7 @@ from pydantic import ValidationError
 
 from model.arrays import Array
 from protocol.scenario.draws import draw_key, generator
+from protocol.scenario.errors import first_problem
 from protocol.scenario.link_sections import LinkOverrideSection, LinkSection, LinksSection
 from protocol.wire.messages import LinkChange, MessageError
 from protocol.wire.names import PLANT
@@ -253,7 +254,11 @@ def link_change(source: str, target: str, settings: str) -> LinkOverrideSection:
     try:
         change = LinkOverrideSection.model_validate({**given, **ends})
     except ValidationError as error:
-        raise LinkError(" ".join(str(error).split())[:200]) from error
+        unknown = sorted(set(given) - set(LinkSection.model_fields))
+        if unknown:
+            known = ", ".join(LinkSection.model_fields)
+            raise LinkError(f"{unknown[0]}: expected a key of a link ({known}), got an unknown one") from error
+        raise LinkError(str(first_problem(error, ""))) from error
     if (change.samples is not None) != (change.distribution == "empirical"):
         raise LinkError(
             f"samples: expected a file with distribution empirical and with no other, got {change.samples!r}"

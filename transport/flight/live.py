@@ -52,5 +52,6 @@ def read(folder: Path) -> LiveRun | None:
 
 def newest_folder(parent: Path) -> Path | None:
     """Return the folder of the most recent active run below a folder."""
-    folders = sorted(parent.glob(f"*/{_FILE}"), key=lambda path: path.stat().st_mtime, reverse=True)
+    found = (path for path in parent.glob(f"*/{_FILE}") if not path.parent.is_symlink())  # `latest` is one of them
+    folders = sorted(found, key=lambda path: path.stat().st_mtime, reverse=True)
     return next((path.parent for path in folders if read(path.parent) is not None), None)

@@ -32,6 +32,7 @@ from transport.flight.harness import ORDERLY_ENDS, Child, Harness, check_ports, 
 from transport.flight.progress import RunProgress
 from transport.flight.recorder import Recorder
 from transport.flight.signals import collected_signals
+from transport.log.latest import forget_latest, point_latest
 from transport.log.run_log import LogError, LogWriter
 
 # Time for the processes to end after the run before they are killed.
@@ -240,12 +241,14 @@ def _create(folder: Path, setup: Setup) -> str:
                 (folder / name).write_text("\n".join(map(repr, delays_s)) + "\n", encoding="utf-8")
     except OSError as error:
         raise RunError(f"--out: cannot create {folder} ({error.strerror})", EXIT_USAGE) from error
+    point_latest(folder)
     return text
 
 
 def _discard_if_empty(folder: Path, recorder: Recorder) -> None:
     """Remove the folder of a run without any message, so that the same command can be repeated."""
     if recorder.received == 0:
+        forget_latest(folder)
         shutil.rmtree(folder, ignore_errors=True)
 
 
