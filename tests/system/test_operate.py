@@ -51,7 +51,9 @@ def operated(
         patch.chdir(home)
         try:
             assert wait_for(is_flying(home / "runs" / "live", TEAM)), process.communicate(timeout=10)
-            assert wait_for(lambda: invoke("status")[0] == 0 and json.loads(succeed("status", "--format", "json"))["tick"] > 5)
+            assert wait_for(
+                lambda: invoke("status")[0] == 0 and json.loads(succeed("status", "--format", "json"))["tick"] > 5
+            )
             refusals = [
                 invoke("fault", "kill", "agent9"),
                 invoke("fault", "stab", "agent1"),

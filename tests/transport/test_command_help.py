@@ -102,7 +102,7 @@ def test_the_shell_completes(line: str, expected: str, recorded: Path) -> None:
         text=True,
         check=False,
         cwd=recorded,
-        env={**os.environ, **environment, "PYTHONPATH": os.getcwd()},
+        env={**os.environ, **environment, "PYTHONPATH": str(Path.cwd())},
     )
     assert done.stdout.splitlines()[:1] == [expected], done.stderr
 

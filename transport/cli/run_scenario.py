@@ -3,7 +3,6 @@
 For the same reason the report is imported after the simulation.
 """
 
-from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
@@ -17,7 +16,7 @@ from transport.cli.report_process import ReportProcess
 from transport.cli.scenario_setup import read_setup
 from transport.flight.harness import HarnessError
 from transport.flight.run import RunError, new_folder, simulate
-from transport.viewer.process import viewer_beside
+from transport.viewer.process import ViewerBeside, viewer_beside
 from transport.viewer.server import ViewerError, require_viser
 
 
@@ -33,22 +32,23 @@ def run_scenario(
     """Run a scenario, record and report it; arguments are the options of `transport run`."""
     setup = read_setup(scenario, settings)
     folder = out if out is not None else new_folder(RUNS, setup.scenario.name)
-    viewer: AbstractContextManager[Callable[[], None] | None] = nullcontext()
+    viewer: AbstractContextManager[ViewerBeside | None] = nullcontext()
     if viewer_address is not None:
         with exit_on(ViewerError, code=EXIT_USAGE):
             require_viser()
         viewer = viewer_beside(folder, *viewer_address, setup.scenario.clock.join_timeout_s)
-    with viewer as linger:
+    with viewer as beside:
         with ReportProcess(folder) as reporter:
             prepare = reporter.prepare if figures else lambda: None
             with exit_on(RunError), exit_on(HarnessError, code=EXIT_UNREACHABLE):
-                finished = simulate(setup, folder, Console(stderr=True), prepare)
+                ready = beside.wait_until_ready if beside is not None else lambda: None
+                finished = simulate(setup, folder, Console(stderr=True), prepare, ready)
             run_report = load("transport.cli.run_report")
             if reporter.report():
                 run_report.show_written(folder, output)
             else:
                 run_report.report(folder, output, figures=figures, setup=setup)
-        if linger is not None and finished.exit_code != EXIT_INTERRUPTED:
-            linger()
+        if beside is not None and finished.exit_code != EXIT_INTERRUPTED:
+            beside.wait_for_user()
     if finished.exit_code != 0:
         fail(finished.reason, finished.exit_code)

@@ -69,10 +69,16 @@ def new_folder(parent: Path, name: str) -> Path:
     return folder
 
 
-def simulate(setup: Setup, folder: Path, console: Console, started: Callable[[], None] = lambda: None) -> Finished:
+def simulate(
+    setup: Setup,
+    folder: Path,
+    console: Console,
+    started: Callable[[], None] = lambda: None,
+    ready: Callable[[], None] = lambda: None,
+) -> Finished:
     """Start the processes of a run, record it in a new folder, and wait for its end.
 
-    `started` is called once the processes are started.
+    `started` is called once the processes are started; before the first tick they wait for `ready` to return.
 
     Returns: The end of the run; every process has ended and the log is complete.
     Raises: RunError: the folder exists, or a process ended before the run began. HarnessError: no free port.
@@ -94,7 +100,7 @@ def simulate(setup: Setup, folder: Path, console: Console, started: Callable[[],
             raise RunError(str(error), EXIT_SCENARIO) from error
         recording = found.pop(RECORDER)
         try:
-            return _simulate(setup, folder, console, found, recording, started)
+            return _simulate(setup, folder, console, found, recording, started, ready)
         except BusError as error:
             raise RunError(str(error), EXIT_UNREACHABLE) from error
 
@@ -106,6 +112,7 @@ def _simulate(
     places: Mapping[str, Endpoints],
     recording: Endpoints,
     started: Callable[[], None],
+    ready: Callable[[], None],
 ) -> Finished:
     """Simulate a run with given endpoints of its processes and of its recorder."""
     scenario, names = setup.scenario, list(places)
@@ -132,8 +139,9 @@ def _simulate(
             has_ended=lambda: harness.has_ended(COORDINATOR),
         )
         try:
-            recorder.start(names)
             live.write(folder, live.LiveRun(run, called, os.getpid(), keys, is_client=recording.mode == "client"))
+            ready()  # the coordinator waits for the recorder
+            recorder.start(names)
             started()
             _watch(harness, recorder, progress, FaultScript(setup, harness, recorder))
             if recorder.control is not None:

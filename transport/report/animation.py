@@ -89,7 +89,7 @@ def _write_gif(frames: Iterator[Figure], out: Path) -> None:
 def _palette() -> Array:
     """Return the palette of a GIF, (k, 3), 0..255, at most 256 colours."""
     inks = [to_rgb(ink) for ink in _INKS] + [
-        np.divide(age_colour(age_s), 255.0) for age_s in (0.05, 0.1, 0.2, 0.3, 0.5)
+        np.divide(age_colour(age_s, 0.0), 255.0) for age_s in (0.0, 0.05, 0.1, 0.2, 0.3, 0.5)
     ]
     faded = [1.0 - share * (1.0 - np.asarray(ink)) for ink in inks for share in _SHADES]
     return np.round(255.0 * np.vstack([*(np.full(3, grey) for grey in _GREYS), *faded]))
