@@ -26,6 +26,7 @@ def plot(
     animation: Annotated[
         Path | None, Option("--animate", metavar="FILE", help="Also write an animation: .gif, .mp4 (ffmpeg).")
     ] = None,
+    pdf: Annotated[bool, Option("--pdf", help="Also write the figures as PDF.")] = False,
 ) -> None:
     """Regenerate metrics and figures of a recorded run.
 
@@ -44,7 +45,7 @@ def plot(
     if not run.log.messages:
         log = folder / "run.mcap"
         fail(f"{log}: expected a log with messages, got one without a readable message", EXIT_USAGE)
-    show(folder, output, report_run(run, forks=True))
+    show(folder, output, report_run(run, forks=True, pdf=pdf))
     if animation is not None:
         with exit_on(AnimationError, LogError, OSError, code=EXIT_USAGE, option="--animate"):
             animate_run(folder, animation)

@@ -1,6 +1,5 @@
 """3D figure of a run: paths of UAVs and payload, and the formation at the ends of the phases."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from model.rotations import rotation
 from model.state import StateView
 from protocol.scenario.setup import Setup
 from transport.analysis.series import Series
-from transport.report.style import PAYLOAD, REFERENCE, WIDTH_IN, save_both
+from transport.report.style import PAYLOAD, REFERENCE, WIDTH_IN
 from transport.scene.colours import uav_style
 
 # Smallest distance between drawn formations, m.
@@ -23,9 +22,9 @@ _SLIMMEST = 0.3
 _UP = np.array([1.0, 1.0, -1.0])  # z points down in the data and up on paper
 
 
-def draw_trajectories(setup: Setup, series: Series, path: Path) -> Path:
-    """Draw the 3D figure, altitude up; at least one tick."""
-    figure = Figure(figsize=(WIDTH_IN, 5.6))
+def draw_trajectories(figure: Figure, setup: Setup, series: Series) -> None:
+    """Draw the 3D figure, altitude up, into an empty figure; at least one tick."""
+    figure.set_size_inches(WIDTH_IN, 5.6)
     axes: Any = figure.add_axes((0.0, 0.03, 1.0, 1.0), projection="3d")
     payload_I = StateView(series.x).r0_I
     line(axes, series.payload_reference_I, color=REFERENCE, linewidth=1.0, linestyle="--")
@@ -39,9 +38,7 @@ def draw_trajectories(setup: Setup, series: Series, path: Path) -> Path:
     handles = [Line2D([], [], label=f"UAV{i + 1}", **uav_style(i)) for i in range(setup.system.N)]
     handles.append(Line2D([], [], color=PAYLOAD, label="payload"))
     handles.append(Line2D([], [], color=REFERENCE, linestyle="--", label="reference"))
-    # Cropped, since the size of the drawing depends on the maneuver.
     axes.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, 0.98), ncols=min(len(handles), 3))
-    return save_both(figure, path, cropped=True)
 
 
 def _rows_to_draw(setup: Setup, series: Series) -> list[int]:

@@ -1,6 +1,5 @@
 """Figure of wall-clock times: agent steps per tick, stages of a step, and the rest of a tick."""
 
-from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
@@ -13,7 +12,7 @@ from protocol.scenario.setup import Setup
 from protocol.wire.messages import STAGES, StepReport
 from transport.analysis.metrics import rest_of_tick_ms
 from transport.log.run_log import RunLog
-from transport.report.style import WIDTH_IN, save_both, shade_phases
+from transport.report.style import WIDTH_IN, shade_phases
 from transport.scene.colours import uav_style
 
 _REST = "#8c8c8c"
@@ -28,12 +27,13 @@ _DOTS: dict[str, Any] = {
 }
 
 
-def draw_timing(setup: Setup, log: RunLog, path: Path) -> Path | None:
-    """Draw step times and rest of each tick above, medians by stage below; return None without any step."""
+def draw_timing(figure: Figure, setup: Setup, log: RunLog) -> bool:
+    """Draw step times and rest of each tick above, medians by stage below; return False without any step."""
     reports = list(log.of(StepReport))
     if not reports:
-        return None
-    figure = Figure(figsize=(WIDTH_IN, 4.6), layout="constrained")
+        return False
+    figure.set_size_inches(WIDTH_IN, 4.6)
+    figure.set_layout_engine("constrained")
     over_time, by_agent = figure.subplots(2, 1, height_ratios=(1.5, 1.0))
     rest_ms = rest_of_tick_ms(setup, log)
     _over_time(setup, over_time, reports, rest_ms)
@@ -53,7 +53,7 @@ def draw_timing(setup: Setup, log: RunLog, path: Path) -> Path | None:
     by_agent.grid(visible=False, axis="y")
     by_agent.set_xlabel("median time per tick (ms)")
     by_agent.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
-    return save_both(figure, path)
+    return True
 
 
 def _over_time(setup: Setup, axes: Axes, reports: list[StepReport], rest_ms: dict[int, float]) -> None:
