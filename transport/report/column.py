@@ -18,10 +18,12 @@ _MOST = 5
 _LIMIT = "#B2182B"
 
 
-def column_panels(figure: Figure, count: int, height_in: float, marks: Sequence[Mark] = ()) -> list[Axes]:
-    """Return stacked panels of an empty figure, which gets its size, with room for the caption of marks."""
+def column_panels(
+    figure: Figure, count: int, height_in: float, marks: Sequence[Mark] = (), *, top_in: float = _TOP_IN
+) -> list[Axes]:
+    """Return stacked panels of an empty figure, which gets its size, with room above and for the caption of marks."""
     below_in = _BOTTOM_IN + caption_height_in(marks)
-    total_in = _TOP_IN + count * height_in + (count - 1) * _GAP_IN + below_in
+    total_in = top_in + count * height_in + (count - 1) * _GAP_IN + below_in
     figure.set_size_inches(COLUMN_IN, total_in)
     width = 1.0 - (_LEFT_IN + _RIGHT_IN) / COLUMN_IN
     panels: list[Axes] = []

@@ -55,7 +55,11 @@ def draw_inputs(figure: Figure, setup: Setup, log: RunLog, series: Series) -> No
         for k, (agent, (times_s, values_s)) in enumerate(ages.items()):
             style = uav_style(setup.owned[agent - 1][0])
             panels[place].plot(
-                times_s, values_s, label=f"agent {agent}" if k == 0 else str(agent), linewidth=line_width(k, len(ages), 1.8), **style
+                times_s,
+                values_s,
+                label=f"agent {agent}" if k == 0 else str(agent),
+                linewidth=line_width(k, len(ages), 1.8),
+                **style,
             )
         panels[place].set_ylim(bottom=0.0)
         head(panels[place], "oldest plan used (s)")
