@@ -27,6 +27,7 @@ figures: $(VENV)/.installed ## run every experiment and renew figures and tables
 	@$(BIN)/python docs/scenario_page.py
 	@$(BIN)/python docs/guarantees_page.py
 	@$(BIN)/python docs/time_page.py
+	@$(BIN)/python docs/engines_page.py
 	@$(BIN)/python docs/results_page.py
 
 lint: $(VENV)/.installed-dev ## style and types, as continuous integration sees them

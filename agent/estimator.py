@@ -4,6 +4,9 @@ The measurement of tick k holds the payload and the owned UAVs. The others' stat
 least one tick late. The estimator keeps its past estimates, inserts each received state at its tick, and predicts
 forward from there with the inputs now known for that time. Without disturbance the result is the plant state,
 independent of the delay.
+
+With motor lag the state is [x, a]: the actual inputs a, which no message has, follow from hover with the commands. An
+error in them decays with the lag.
 """
 
 from collections.abc import Callable
@@ -12,7 +15,7 @@ import numpy as np
 
 from agent.announced import AnnouncedInputs
 from agent.disturbance import DisturbanceEstimator
-from model import state
+from model import motors, state
 from model.arrays import Array
 from model.linearisation import Model
 from protocol.wire.messages import Measurement, Plan
@@ -20,8 +23,9 @@ from protocol.wire.messages import Measurement, Plan
 # Past ticks that can still be corrected; an older state is no better than the prediction.
 WINDOW = 64
 
-# Integration steps per sampling period: local error below 1e-8 at 50 ms, far below any sensor.
-_STEPS = 2
+# Integration steps per sampling period: local error below 1e-8 at 50 ms, with motor lag below 1e-5 after large jumps
+# of the commands; far below any sensor.
+STEPS = 2
 
 
 class StateEstimator:
@@ -29,9 +33,10 @@ class StateEstimator:
 
     Args:
         model: The system as the controller knows it.
-        reference: Reference state at a tick, (n,): the initial estimate of a process that joins then.
+        reference: Reference state at a tick, as large as an estimate: the first one of a process that joins then.
         period_s: Sampling period, s.
         disturbance: Estimator of the external forces, fed with the prediction errors; None for no forces.
+        motor_lag_s: Time constant of the motors, s; if it is positive, estimates are [x, a], (n + m,), not x, (n,).
     """
 
     def __init__(
@@ -40,11 +45,13 @@ class StateEstimator:
         reference: Callable[[int], Array],
         period_s: float,
         disturbance: DisturbanceEstimator | None = None,
+        motor_lag_s: float = 0.0,
     ) -> None:
         self._model = model
         self._reference = reference
         self._period_s = period_s
         self._disturbance = disturbance
+        self._motor_lag_s = motor_lag_s
         self._learned = -1  # newest tick whose measurement the disturbance estimator has
         self._first = 0  # tick of the oldest estimate kept
         self._estimates: list[Array] = []
@@ -66,8 +73,8 @@ class StateEstimator:
         """Take in a measurement of a tick not later than the one to be estimated."""
         if measurement.tick >= self._first:
             self._measured[measurement.tick] = measurement
-            # The disturbance acts in the period before, which is therefore predicted again.
-            self._changed(measurement.tick - (self._disturbance is not None))
+            # Disturbance and reported inputs act in the period before, which is therefore predicted again.
+            self._changed(measurement.tick - (self._disturbance is not None or self._motor_lag_s > 0.0))
 
     def change(self, tick: int, model: Model, moved: Callable[[Array], Array]) -> None:
         """Change the system from a tick on, not before that of the previous change.
@@ -78,7 +85,7 @@ class StateEstimator:
         self._changed(tick - 1)
 
     def estimate(self, k: int, announced: AnnouncedInputs) -> Array:
-        """Return the estimate at tick k, (n,), read-only, with the announced inputs between the ticks as known now.
+        """Return the estimate at tick k, read-only, with the announced inputs between the ticks as known now.
 
         Ticks come in order; gaps are bridged by prediction.
         """
@@ -95,6 +102,8 @@ class StateEstimator:
         for tick in range(begin, k):
             u = announced.at(tick, before=k, x=self._estimates[-1])
             if self._disturbance is None:
+                if self._motor_lag_s > 0.0:
+                    self._report(u, tick + 1)
                 self._estimates.append(self._overwritten(self._predicted(tick, u), tick + 1))
             else:
                 self._estimates.append(self._disturbed(tick, u, self._disturbance))
@@ -102,7 +111,7 @@ class StateEstimator:
         return self._estimates[-1]
 
     def known(self, tick: int) -> Array | None:
-        """Return the estimate at a past tick, (n,), read-only; None where it is not kept."""
+        """Return the estimate at a past tick, read-only; None where it is not kept."""
         at = tick - self._first
         return self._estimates[at] if 0 <= at < len(self._estimates) else None
 
@@ -129,17 +138,23 @@ class StateEstimator:
         The correction is made once for each period with measurements at both ends.
         """
         end = self._measured.get(tick + 1)
-        if end is not None:
-            # A wrong input would look like a force: use the reported inputs, not the announced ones.
-            for uav, inputs in zip(end.uavs, end.inputs, strict=True):
-                u[state.input_slice(uav - 1)] = inputs
+        # A wrong input would look like a force.
+        self._report(u, tick + 1)
         forces = disturbance.forces
         ahead = self._predicted(tick, u, forces)
         found = self._overwritten(ahead.copy(), tick + 1)
         if end is not None and tick in self._measured and tick >= self._learned:
             self._learned = tick + 1
-            disturbance.learn(ahead, found)
+            n = self._model.system.n
+            disturbance.learn(ahead[:n], found[:n])
         return found
+
+    def _report(self, u: Array, tick: int) -> None:
+        """Replace announced inputs until a tick by those that the own actuators report, if measured."""
+        measurement = self._measured.get(tick)
+        if measurement is not None:
+            for uav, inputs in zip(measurement.uavs, measurement.inputs, strict=True):
+                u[state.input_slice(uav - 1)] = inputs
 
     def _predicted(self, tick: int, u: Array, forces: Array | None = None) -> Array:
         """Predict the next state from the newest estimate.
@@ -147,7 +162,7 @@ class StateEstimator:
         If integration from a received state diverges, use the reference state.
         """
         model = next((model for since, model, _ in reversed(self._breaks) if since <= tick), self._model)
-        ahead, _ = model.integrate(self._estimates[-1], u, self._period_s, _STEPS, forces=forces)
+        ahead, _ = motors.integrate(model, self._estimates[-1], u, self._period_s, STEPS, self._motor_lag_s, forces)
         if np.abs(ahead).max() > state.LARGEST:
             return self._reference_at(tick + 1)
         for since, _, moved in self._breaks:
@@ -156,7 +171,7 @@ class StateEstimator:
         return ahead
 
     def _reference_at(self, tick: int) -> Array:
-        """Return the reference state at a tick, with the failures so far, (n,)."""
+        """Return the reference state at a tick, with the failures so far."""
         x = self._reference(tick)
         for since, _, moved in self._breaks:
             if since <= tick:

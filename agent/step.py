@@ -11,9 +11,10 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
+from agent.estimator import STEPS
 from agent.sharing import Sharing
 from agent.team_estimate import Known, TeamEstimate
-from model import state
+from model import motors, state
 from model.arrays import Array, ShapeError
 from model.discretisation import Discrete
 from model.state import input_indices
@@ -23,9 +24,6 @@ from mpc.regulation import CostToGo
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import STAGES, Message, Plan, StepReport
 from protocol.wire.outbox import Outbox
-
-# Integration steps for the prediction over one period with actuation "next_tick"; see `agent.estimator`.
-_AHEAD_STEPS = 2
 
 # Stages counted as computation (not waiting or publishing), before the negotiation and in each of its iterations.
 _PREPARATION, _ITERATION = ("estimate", "linearise", "discretise"), ("condense", "solve")
@@ -83,11 +81,13 @@ class Planner:
         controller, hover = self._controller, self._setup.hover
         forces = self._team.forces
         U = np.tile(hover.u, (self._setup.settings.horizon, 1))
-        law = controller.law(hover.x, np.tile(hover.x, (len(U), 1)), np.zeros_like(U), forces)
+        lag_s = self._setup.settings.motor_lag_s
+        x0 = np.concatenate([hover.x, hover.u]) if lag_s > 0.0 else hover.x
+        law = controller.law(x0, np.tile(hover.x, (len(U), 1)), np.zeros_like(U), forces)
         y_ref = np.tile(self._setup.model.outputs(hover.x), (len(U) + 1, 1))
-        end = controller.end(hover.x, hover.x, forces)
-        controller.step(hover.x, hover.u, U, y_ref, law, forces, end=end)
-        self._setup.model.integrate(hover.x, hover.u, self._setup.settings.sampling_period_s, _AHEAD_STEPS)
+        end = controller.end(x0, hover.x, forces)
+        controller.step(x0, hover.u, U, y_ref, law, forces, end=end)
+        motors.integrate(self._setup.model, x0, hover.u, self._setup.settings.sampling_period_s, STEPS, lag_s)
 
     def begin(self, known: Known) -> Step:
         """Estimate the state at a tick and form the problem that follows from it."""
@@ -98,7 +98,7 @@ class Planner:
         forces, announced = team.forces, team.announced
         if setup.scenario.clock.next_tick:
             start, u0 = k + 1, announced.at(k, before=k, x=x)
-            x0, _ = controller.model.integrate(x, u0, period_s, _AHEAD_STEPS, forces=forces)
+            x0, _ = motors.integrate(controller.model, x, u0, period_s, STEPS, setup.settings.motor_lag_s, forces)
         else:
             start, x0, u0 = k, x, team.inputs_until(k)
         U = announced.sequence(start, steps, before=k)
@@ -119,7 +119,7 @@ class Planner:
         watch.append(self._stopwatch())
         step = Step(
             known=known,
-            uav_states=state.StateView(x).uavs[list(self._owned)],
+            uav_states=state.StateView(x[: setup.system.n]).uavs[list(self._owned)],
             start=start,
             y_ref=setup.Y_ref[start : start + steps + 1],
             U=U,

@@ -3,6 +3,8 @@
 from collections.abc import Sequence, Set
 from dataclasses import dataclass
 
+import numpy as np
+
 from agent.announced import AnnouncedInputs
 from agent.disturbance import DisturbanceEstimator
 from agent.estimator import WINDOW, StateEstimator
@@ -58,7 +60,9 @@ class TeamEstimate:
             self._disturbance = DisturbanceEstimator(
                 setup.model, setup.hover, self._owned, period_s, section.disturbance.time_constant_s
             )
-        self.estimator = StateEstimator(setup.model, self._reference, period_s, self._disturbance)
+        self.estimator = StateEstimator(
+            setup.model, self._reference, period_s, self._disturbance, setup.settings.motor_lag_s
+        )
         self.announced = AnnouncedInputs(
             setup.owned,
             setup.hover.u,
@@ -81,7 +85,7 @@ class TeamEstimate:
         return None if self._disturbance is None else self._disturbance.forces
 
     def update(self, known: Known) -> Array:
-        """Take in what is known at a tick and return the estimated state, (n,)."""
+        """Take in what is known at a tick and return the estimated state, (n,); with motor lag (n + m,)."""
         k = known.measurement.tick
         self._update_roster(known)
         for plan in known.plans:
@@ -172,9 +176,9 @@ class TeamEstimate:
         return cached[3]
 
     def _reference(self, tick: int) -> Array:
-        """Return the reference state at a tick, (n,)."""
+        """Return the reference state at a tick, (n,); with motor lag (n + m,), the actual inputs those of hover."""
         reference: Array = self._setup.X_ref[tick].copy()
-        return reference
+        return np.concatenate([reference, self._setup.hover.u]) if self._setup.settings.motor_lag_s else reference
 
     def _with_states_as_received(self, x: Array, k: int) -> Array:
         """Return the estimate with the others' states as last received, not predicted to the tick."""

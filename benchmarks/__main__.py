@@ -13,7 +13,7 @@ from benchmarks import aims, loop, network, parts, solvers, step
 from benchmarks.effort import FULL, QUICK, Effort
 from benchmarks.page import BenchmarkError, Table, check, write
 from protocol.wire.exit_codes import EXIT_INTERRUPTED
-from transport.flight.run import machine
+from transport.flight.header import machine
 
 DOCUMENT = Path(__file__).resolve().parent.parent / "docs" / "performance.md"
 

@@ -7,6 +7,7 @@ from benchmarks.effort import Effort
 from benchmarks.page import BenchmarkError, Table
 from benchmarks.runs import messages, setup
 from benchmarks.timing import WARM_UP, Times, in_turns, joined
+from model.arrays import Array
 from plant.node import PlantNode
 from protocol.admission.admission import Admission
 from protocol.scenario.setup import Setup
@@ -38,11 +39,13 @@ def measure(effort: Effort, log: Callable[[str], None]) -> list[Table]:
 
 def integration(run: Setup, sent: list[Message], repetitions: int) -> Times:
     """Time one sampling period of the plant from every state of a run."""
-    plant, period_s = PlantNode(run), run.settings.sampling_period_s
-    integrate = plant.environment.model.integrate
-    tasks = {
-        str(m.tick): partial(integrate, m.x, m.u, period_s, plant.steps) for m in sent if isinstance(m, PlantState)
-    }
+    engine, period_s = PlantNode(run).engine, run.settings.sampling_period_s
+
+    def integrate(x: Array, u: Array) -> None:
+        engine.reset(x)
+        engine.advance(u, None, period_s)
+
+    tasks = {str(m.tick): partial(integrate, m.x, m.u) for m in sent if isinstance(m, PlantState)}
     return joined(in_turns(tasks, repetitions).values())
 
 

@@ -1,6 +1,6 @@
-"""Renew the measured tables of docs/guarantees.md: part of `make figures`, two minutes on two cores."""
+"""Renew the measured tables of docs/guarantees.md: part of `make figures`, four minutes on two cores."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from simulations import Found, Measured, Result, Run, cost, one, renew
@@ -172,6 +172,59 @@ def instants(found: Found) -> str:
     return table(["motors off at", "during", "flight"], rows)
 
 
+LAGS_S = (0.02, 0.03, 0.035, 0.04, 0.05, 0.1)
+KNOWN: Mapping[str, Callable[[float], tuple[str, ...]]] = {
+    "unknown": lambda _: (),
+    "unknown, `next_tick`": lambda _: ("clock.actuation=next_tick",),
+    "known": lambda lag_s: (f"controller.motor_lag_s={lag_s:g}",),
+    "taken for 50 ms": lambda _: ("controller.motor_lag_s=0.05",),
+}
+
+
+def _lagging(lag_s: float, known: str) -> Run:
+    return Run("resilient", (f"plant.motors.lag_s={lag_s:g}", *KNOWN[known](lag_s)))
+
+
+def _costly(result: Result) -> str:
+    return f"completes, {cost(result)}" if result.completed else f"**diverges** at {result.end_s:.1f} s"
+
+
+def lags(found: Found) -> str:
+    """Return the table of motors that lag."""
+    rows = [
+        [f"{1e3 * lag_s:g} ms", *(_costly(one(found, _lagging(lag_s, known))) for known in KNOWN)] for lag_s in LAGS_S
+    ]
+    return table(["`plant.motors.lag_s`", *KNOWN], rows)
+
+
+ESTIMATES: Mapping[str, tuple[str, ...]] = {"no estimate": (), "estimate": ("controller.disturbance.estimate=true",)}
+EFFICIENCIES = (0.9, 0.8, 0.6, 0.4)
+
+
+def _degraded(efficiency: float, estimate: str) -> Run:
+    event = f'{{at_s=10.0,do="degrade",target="uav3",efficiency={efficiency}}}'
+    return Run("resilient", (f"faults.event=[{event}]", *ESTIMATES[estimate]))
+
+
+def degraded(found: Found) -> str:
+    """Return the table of a UAV whose motors degrade."""
+    rows = []
+    for efficiency in EFFICIENCIES:
+        results = [one(found, _degraded(efficiency, estimate)) for estimate in ESTIMATES]
+        rows.append([f"{efficiency:g}", *(f"{_costly(result)}, {attitude(result)}".rstrip(", ") for result in results)])
+    return table(["efficiency of UAV 3 from 10 s on", *ESTIMATES], rows)
+
+
+def _rotors(most_N: float) -> str:
+    return f"plant.motors.rotors={{arm_m=0.25,drag_to_thrust_m=0.016,thrust_N=[0.0,{most_N:g}]}}"
+
+
+LIMITED: Mapping[str, str] = {
+    **{f"rotors of at most {most_N:g} N": _rotors(most_N) for most_N in (12.0, 6.0, 5.8, 5.7)},
+    **{f"thrust in steps of {step_N:g} N": f"plant.motors.thrust_step_N={step_N:g}" for step_N in (0.1, 1.0, 8.0)},
+}
+
+
 TABLES = (
     detailed("network", "network", {text: Run("resilient", settings) for text, settings in NETWORKS.items()}),
     Measured("failures", tuple(run for runs in FAILURES.values() for run in runs.values()), failures),
@@ -179,6 +232,9 @@ TABLES = (
     detailed("deaths", "agent killed", DEATHS),
     detailed("returns", "restarted at", RETURNS),
     Measured("actuation", tuple(_actuated(setting, clock) for setting in ACTUATION for clock in CLOCKS), actuation),
+    Measured("lags", tuple(_lagging(lag_s, known) for lag_s in LAGS_S for known in KNOWN), lags),
+    Measured("degraded", tuple(_degraded(share, text) for share in EFFICIENCIES for text in ESTIMATES), degraded),
+    detailed("limited", "motors", {text: Run("resilient", (setting,)) for text, setting in LIMITED.items()}),
 )
 
 

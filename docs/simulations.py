@@ -21,7 +21,7 @@ from transport.analysis.series import series_of
 from transport.experiments.cases import Case, Point, Team, cases_of
 from transport.experiments.workers import each_on_cores
 from transport.flight import memory
-from transport.flight.run import machine, versions
+from transport.flight.header import machine, versions
 from transport.log.run_log import Recorded, RunLog
 
 RESULTS = ROOT / "runs" / "figures" / "simulations"

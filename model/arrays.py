@@ -44,5 +44,11 @@ def frozen(*arrays: npt.NDArray[Any]) -> None:
         array.setflags(write=False)
 
 
+def padded(rows: Array, columns: int) -> Array:
+    """Return rows with zeros behind them, up to a number of columns; the rows themselves if they have as many."""
+    missing = columns - rows.shape[1]
+    return np.pad(rows, ((0, 0), (0, missing))) if missing else rows
+
+
 def _text(shape: Sequence[object]) -> str:
     return "(" + ", ".join(str(length) for length in shape) + ")"

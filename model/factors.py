@@ -82,3 +82,49 @@ def of_matrices(A_c: Array, B_c: Array, C: Array) -> tuple[Pattern, Array]:
     columns = np.concatenate([np.tile(np.arange(matrix.shape[1]), len(matrix)) for matrix in matrices])
     pattern = Pattern.of([matrix.shape for matrix in matrices], begins, columns.tolist())
     return pattern, np.concatenate([matrix.reshape(-1) for matrix in matrices])
+
+
+def with_lag(pattern: Pattern) -> tuple[Pattern, npt.NDArray[np.intp]]:
+    """Return the pattern of a system whose inputs a follow commands u by a' = (u - a) / lag: states [x, a], inputs u.
+
+        X = [[X, U], [0, -1/lag]],    U = [[0], [1/lag]],    P = [[P], [0]],    V_x = [V_x, V_u],    V_u = 0
+
+    Returns: The pattern, and the order of its entries, taken from those of the system, -1/lag (m,) and 1/lag (m,).
+    """
+    found = _WITH_LAG.get(id(pattern))
+    if found is None:
+        if len(_WITH_LAG) >= _MOST_PATTERNS:
+            _WITH_LAG.clear()
+        found = _WITH_LAG[id(pattern)] = pattern, *_with_lag(pattern)
+    return found[1], found[2]
+
+
+# By identity; the patterns are kept, so that no other has the same one.
+_WITH_LAG: dict[int, tuple[Pattern, Pattern, npt.NDArray[np.intp]]] = {}
+_MOST_PATTERNS = 64
+
+
+def _with_lag(pattern: Pattern) -> tuple[Pattern, npt.NDArray[np.intp]]:
+    (n, m), r, (p, _) = pattern.shapes[1], pattern.shapes[2][1], pattern.shapes[5]
+    entries = len(pattern.index)
+
+    def row(name: str, i: int, shift: int = 0) -> list[tuple[int, int]]:
+        """Return columns, shifted, and entries of a row of a factor."""
+        at = pattern.first_rows[NAMES.index(name)] + i
+        return [(int(pattern.index[k]) + shift, k) for k in range(pattern.begin[at], pattern.begin[at + 1])]
+
+    follow = [[(n + j, entries + j)] for j in range(m)]
+    command = [[(j, entries + m + j)] for j in range(m)]
+    factors: list[list[list[tuple[int, int]]]] = [
+        [row("X", i) + row("U", i, n) for i in range(n)] + follow,
+        [[] for _ in range(n)] + command,
+        [row("P", i) for i in range(n)] + [[] for _ in range(m)],
+        [row("V_x", i) + row("V_u", i, n) for i in range(r)],
+        [[] for _ in range(r)],
+        [row("C", i) for i in range(p)],
+    ]
+    shapes = [(n + m, n + m), (n + m, m), (n + m, r), (r, n + m), (r, m), (p, n + m)]
+    begins = [np.cumsum([0, *map(len, factor)]).tolist() for factor in factors]
+    flat = [entry for factor in factors for one in factor for entry in one]
+    lagged = Pattern.of(shapes, begins, [column for column, _ in flat])
+    return lagged, np.array([k for _, k in flat], dtype=np.intp)

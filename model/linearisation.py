@@ -1,5 +1,6 @@
 """The numerical model of one system: derivative, outputs, exact linearisation, integration."""
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,6 +12,7 @@ import numpy.typing as npt
 from model.arrays import Array
 from model.compiled import Compiled, functions
 from model.factors import NAMES, Pattern, of_matrices
+from model.integration import Integrator
 from model.parameters import System
 from model.state import input_indices
 
@@ -77,10 +79,9 @@ class Model:
         found = functions(system.N)
         self._derivative, self._tensions = Compiled(found["derivative"]), Compiled(found["tensions"])
         self._velocities, self._outputs = Compiled(found["velocities"]), Compiled(found["outputs"])
-        self._linearise, self._step = Compiled(found["linearise"]), found["step"]
+        self._linearise, self._integrator = Compiled(found["linearise"]), Integrator(found["step"])
         self._pattern = _pattern(found["linearise"])
         self._without_effect = np.concatenate([self._pattern.columns(name, self._off) for name in ("U", "V_u")])
-        self._steps: dict[int, Compiled] = {}
         self._no_forces = np.zeros(3 + 3 * system.N)
 
     def _effective(self, u: Array) -> Array:
@@ -127,9 +128,19 @@ class Model:
         return np.column_stack([self.derivative(x, u, forces=unit) - f for unit in np.eye(len(self._no_forces))])
 
     def integrate(
-        self, x: Array, u: Array, duration_s: float, steps: int, *, forces: Array | None = None
+        self,
+        x: Array,
+        u: Array,
+        duration_s: float,
+        steps: int,
+        *,
+        forces: Array | None = None,
+        tolerance: float = math.inf,
     ) -> tuple[Array, float]:
-        """Return the state after `duration_s` of constant input, by `steps` Dormand-Prince steps of order 5.
+        """Return the state after `duration_s` of constant input, by Dormand-Prince steps of order 5.
+
+        The steps are equal if none of their error estimates exceeds the tolerance. Otherwise the interval is
+        integrated again, with steps halved where their estimate exceeds the tolerance.
 
         Args:
             x: State, (n,).
@@ -137,13 +148,13 @@ class Model:
             duration_s: s.
             steps: Number of equal steps, >= 1; the rods are projected back after each.
             forces: Held.
-        Returns: State, (n,), and the largest local error estimate of any step and component, SI.
+            tolerance: Largest local error estimate of a step and component, SI; infinite: all steps are equal.
+        Returns: State, (n,), and the largest local error estimate of any step and component, SI. It exceeds the
+            tolerance only where the shortest or the most possible steps (model/integration.py) do not suffice.
+        Source: docs/equations.md (13b), (13c).
         """
-        if steps not in self._steps:
-            self._steps[steps] = Compiled(_last_and_errors(self._step, steps))
-        held = self._acting(forces)
-        end, errors = self._steps[steps](x, self._effective(u), self._p, held, duration_s / steps)
-        return end, float(errors[0])
+        held = self._effective(u), self._p, self._acting(forces)
+        return self._integrator.integrate(x, held, duration_s, steps, tolerance)
 
 
 def _pattern(linearise: ca.Function) -> Pattern:
@@ -160,9 +171,3 @@ def _zeroed(vector: Array, entries: npt.NDArray[np.intp]) -> Array:
         vector = vector.copy()
         vector[entries] = 0.0
     return vector
-
-
-def _last_and_errors(step: ca.Function, steps: int) -> ca.Function:
-    x, *held = (ca.MX.sym(f"argument{i}", step.size1_in(i)) for i in range(step.n_in()))
-    states, errors = step.mapaccum(steps)(x, *[ca.repmat(argument, 1, steps) for argument in held])
-    return ca.Function("integrate", [x, *held], [states[:, -1], ca.mmax(ca.fabs(errors))])

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal, get_args
 
 import numpy as np
@@ -12,6 +13,11 @@ from model.hover import Hover
 from model.parameters import ParameterError, System
 
 Profile = Literal["ramp", "min_jerk", "step"]
+PhaseKind = Literal["move", "take_off", "land"]
+
+# Share of a take-off before the payload rises, and of a landing after it has reached the ground: there its weight goes
+# from the ground to the team, or back.
+HANDOVER = 0.25
 
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
@@ -22,6 +28,7 @@ class Phase:
         name: For figures and progress, e.g. "climb".
         duration_s: > 0.
         displacement_I: From start to end of the phase, (3,), inertial frame (z down), m.
+        kind: "take_off" begins and "land" ends with the payload on the ground; both rise and sink with minimum jerk.
         way: Times since the start of the phase, s, and positions relative to it, m, (k, 4), from zeros to duration and
             displacement, at constant speed between rows. None: straight, by the profile.
     """
@@ -29,16 +36,24 @@ class Phase:
     name: str
     duration_s: float
     displacement_I: Array
+    kind: PhaseKind
     way: Array | None
 
     def __init__(
-        self, *, name: str, duration_s: float, displacement_I: ArrayLike, way: ArrayLike | None = None
+        self,
+        *,
+        name: str,
+        duration_s: float,
+        displacement_I: ArrayLike,
+        kind: PhaseKind = "move",
+        way: ArrayLike | None = None,
     ) -> None:
         if not (np.isfinite(duration_s) and duration_s > 0.0):
             raise ParameterError(f"phase {name!r}: expected a duration > 0 s, got {duration_s!r}")
         object.__setattr__(self, "name", name)
         object.__setattr__(self, "duration_s", float(duration_s))
         object.__setattr__(self, "displacement_I", checked(f"phase {name!r} displacement", displacement_I, (3,)))
+        object.__setattr__(self, "kind", kind)
         object.__setattr__(self, "way", None if way is None else self._checked_way(way))
 
     def _checked_way(self, way: ArrayLike) -> Array:
@@ -62,20 +77,29 @@ class Maneuver:
         start_I: Payload position at t = 0, (3,), inertial frame, m.
         phases: In this order; the end is held.
         profile: Of straight phases: constant speed, minimum jerk, or a step at the beginning.
+        press_m: How far below the ground the controllers' reference is while the ground carries the payload, m: the
+            larger, the less of its weight the team holds.
     """
 
     start_I: Array
     phases: tuple[Phase, ...]
     profile: Profile
+    press_m: float
 
-    def __init__(self, *, start_I: ArrayLike, phases: Sequence[Phase], profile: Profile = "ramp") -> None:
+    def __init__(
+        self, *, start_I: ArrayLike, phases: Sequence[Phase], profile: Profile = "ramp", press_m: float = 0.0
+    ) -> None:
         if not phases:
             raise ParameterError("maneuver: expected at least one phase, got none")
+        for phase, after in pairwise(phases):
+            if phase.kind == "land" and after.kind == "move" and after.displacement_I.any():
+                raise ParameterError(f"phase {after.name!r}: expected a take-off, or no way, after a landing")
         if profile not in get_args(Profile):
             raise ParameterError(f"profile: expected one of {', '.join(get_args(Profile))}, got {profile!r}")
         object.__setattr__(self, "start_I", checked("maneuver start", start_I, (3,)))
         object.__setattr__(self, "phases", tuple(phases))
         object.__setattr__(self, "profile", profile)
+        object.__setattr__(self, "press_m", press_m)
 
     @property
     def duration_s(self) -> float:
@@ -103,12 +127,38 @@ class Maneuver:
             if phase.way is not None:
                 covered, speed = _along(phase.way, t_s - begin)
             else:
-                s, s_dot = _profile(self.profile, (t_s - begin) / phase.duration_s)
-                covered = s[:, None] * phase.displacement_I
-                speed = (s_dot / phase.duration_s)[:, None] * phase.displacement_I
+                s, s_dot = self._progress(phase, t_s - begin)
+                covered, speed = s[:, None] * phase.displacement_I, s_dot[:, None] * phase.displacement_I
             r, v = r + covered, v + speed
             begin += phase.duration_s
         return r, v
+
+    def press(self, t_s: Array) -> tuple[Array, Array]:
+        """Return how far below the payload's path the controllers' reference is, (k,), m, and its rate, (k,), m/s.
+
+        Zero in flight. On the ground the team then pulls with less than the payload's weight. Source: docs/equations.md
+        (57).
+        """
+        level = np.full(len(t_s), float(self.phases[0].kind == "take_off"))
+        rate = np.zeros(len(t_s))
+        begin = 0.0
+        for phase in self.phases:
+            span = HANDOVER * phase.duration_s
+            if phase.kind != "move":
+                sign, first = (1.0, phase.duration_s - span) if phase.kind == "land" else (-1.0, 0.0)
+                s, s_dot = _profile("min_jerk", (t_s - begin - first) / span)
+                level, rate = level + sign * s, rate + sign / span * s_dot
+            begin += phase.duration_s
+        return self.press_m * level, self.press_m * rate
+
+    def _progress(self, phase: Phase, t_s: Array) -> tuple[Array, Array]:
+        """Return the share of a straight phase's displacement since its beginning, and its rate, (k,), 1/s."""
+        begin, span, profile = 0.0, phase.duration_s, self.profile
+        if phase.kind != "move":
+            span, profile = (1.0 - HANDOVER) * phase.duration_s, "min_jerk"
+            begin = phase.duration_s - span if phase.kind == "take_off" else 0.0
+        s, s_dot = _profile(profile, (t_s - begin) / span)
+        return s, s_dot / span
 
 
 class Reference:
@@ -119,6 +169,21 @@ class Reference:
         self._system, self._hover = system, hover
         rods = state.StateView(hover.x).e_P
         self._offsets = np.array([uav.rho - uav.rod_length * e for uav, e in zip(system.uavs, rods, strict=True)])
+
+    def followed(self, t_s: Array) -> tuple[Array, Array]:
+        """Return the outputs and states that controllers are to follow at times t_s, (k, 4 N + 9) and (k, 12 + 12 N).
+
+        They are those of the maneuver, and below its path while the payload stands on the ground.
+
+        Source: docs/equations.md (57).
+        """
+        y, x, (depth, rate) = self.outputs(t_s), self.states(t_s), self.maneuver.press(t_s)
+        y[:, 2 : 3 * self._system.N : 3] += depth[:, None]
+        y[:, -4] += depth
+        y[:, -1] += rate
+        x[:, state.R0.start + 2] += depth
+        x[:, state.V0.start + 2] += rate
+        return y, x
 
     def outputs(self, t_s: Array) -> Array:
         """Return y_ref at times t_s, (k,), s: level payload, no yaw rates, (k, 4 N + 9), SI.

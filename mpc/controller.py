@@ -9,6 +9,7 @@ from model.discretisation import Discrete, euler, zero_order_hold
 from model.failure import failed_model
 from model.hover import Hover
 from model.linearisation import Model
+from model.motors import lagged
 from model.state import LARGEST
 from mpc import plan
 from mpc.decision import Decision
@@ -80,7 +81,7 @@ class Controller:
         """One step of the controller.
 
         Args:
-            x0: State at the first step of the horizon, (n,).
+            x0: State at the first step of the horizon, (n,); with motor lag [x, actual inputs], (n + m,).
             u0: Inputs in force just before it, all UAVs, (m,): linearisation point and origin of the rates.
             U: Announced inputs of all UAVs over the horizon, (N_p, m); the owned columns hold the
                 previous plan, shifted.
@@ -93,7 +94,8 @@ class Controller:
         Raises: ShapeError: an argument of the wrong shape or not finite.
         """
         system, steps = self.model.system, self.settings.horizon
-        x0, u0 = checked("x0", x0, (system.n,)), checked("u0", u0, (system.m,))
+        states = system.n + (system.m if self.settings.motor_lag_s > 0.0 else 0)
+        x0, u0 = checked("x0", x0, (states,)), checked("u0", u0, (system.m,))
         U, y_ref = checked("U", U, (steps, system.m)), checked("y_ref", y_ref, (steps + 1, system.p))
         linear = self.linearise(x0, u0, forces)
         prediction = self.predict(linear, self.discretise(linear), U, law)
@@ -101,14 +103,19 @@ class Controller:
         return self.conclude(self.solve(qp), prediction, U, law, ticks_since_start)
 
     def linearise(self, x0: Array, u0: Array, forces: Array | None = None) -> Linear:
-        """Linearise the model about (x0, u0), under estimated external forces.
+        """Linearise the model about (x0, u0), under estimated external forces; with motor lag about the actual inputs.
 
-        Source: docs/equations.md (15), (37), (40); paper (13).
+        Source: docs/equations.md (15), (37), (40), (55); paper (13).
         """
         u_target = self.cost.u_target
         if forces is not None and self.settings.weights.penalised_input == "deviation":
             u_target = u_target + self.regulation.target.M_u @ forces
-        return Linear(x0=x0, u0=u0, model=self.model.linearise(x0, u0, forces=forces), u_target=u_target)
+        lag_s, n = self.settings.motor_lag_s, self.model.system.n
+        if lag_s == 0.0:
+            return Linear(x0=x0, u0=u0, model=self.model.linearise(x0, u0, forces=forces), u_target=u_target)
+        x0, actual = x0[:n], x0[n:]
+        model = lagged(self.model.linearise(x0, actual, forces=forces), actual, u0, lag_s)
+        return Linear(x0=x0, u0=u0, model=model, u_target=u_target)
 
     def discretise(self, linear: Linear) -> Discrete:
         """Return the difference equation over the sampling period. Source: docs/equations.md (16)-(17)."""

@@ -14,10 +14,11 @@ import numpy as np
 import numpy.typing as npt
 
 from model import state
-from model.arrays import Array, frozen
+from model.arrays import Array, frozen, padded
 from model.discretisation import zero_order_hold
 from model.hover import Hover
 from model.linearisation import Model
+from model.motors import lagged
 from model.state import input_indices
 from mpc.cost import Cost
 
@@ -47,7 +48,7 @@ class FeedbackLaw:
     """The shared control law over one horizon.
 
     Attributes:
-        K: Feedback gain, (m, n).
+        K: Feedback gain, (m, n); with motor lag n counts the actual inputs.
         u_rest: Input that holds the reference state: hover, shifted by external forces, (m,).
         error: x0 - x_ref, x_ref shifted likewise, at steps 0..N_p-1, (N_p, n).
         feedforward: Response to the reference ahead, (N_p, m).
@@ -69,6 +70,8 @@ class FeedbackLaw:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Regulator:
     """The regulator of the team about hover, in coordinates xi = T' (x - x_hover) of the manifold.
+
+    With motor lag the actual inputs are further states, and n counts them.
 
     Attributes:
         K: Feedback gain of all inputs, (m, n).
@@ -100,6 +103,7 @@ def regulator(
     further: Array | None = None,
     off: Collection[int] = (),
     released: Collection[int] = (),
+    motor_lag_s: float = 0.0,
 ) -> Regulator:
     """Return the linear-quadratic regulator of the team about hover.
 
@@ -115,20 +119,24 @@ def regulator(
         further: Further terms of the cost, (t, n): square roots of the weights times slopes at hover.
         off: UAVs without motors, 0-based; their attitudes are decoupled from all else and left out.
         released: UAVs no longer on their rods, 0-based; all their states are left out.
+        motor_lag_s: Time constant of the motors, s; their actual inputs are further states if it is positive.
     Raises: FeedbackError: the recursion does not converge, or its feedback does not stabilise the team.
-    Source: docs/equations.md (33)-(34), (45).
+    Source: docs/equations.md (33)-(34), (45), (55).
     """
     linear = model.linearise(hover.x, hover.u)
+    T = tangent(hover.x, off, released)
+    if motor_lag_s > 0.0:
+        linear, T = lagged(linear, hover.u, hover.u, motor_lag_s), with_motors(T, off)
     discrete = zero_order_hold(linear, period_s)
-    K: Array = np.zeros((len(hover.u), len(hover.x)))
+    K: Array = np.zeros((len(hover.u), len(T)))
     for uav, own in (uncontrolled or {}).items():
         K[state.input_slice(uav), state.uav_slice(uav)] = own
     controlled = np.setdiff1d(np.arange(len(hover.u)), input_indices(sorted(uncontrolled or {})))
-    T = tangent(hover.x, off, released)
     A, B = T.T @ (discrete.A + discrete.B @ K) @ T, T.T @ discrete.B[:, controlled]
     C, R = linear.C @ T, cost.R[controlled]
     weighted = C.T @ (cost.Q[:, None] * C)
     if further is not None:
+        further = padded(further, len(T))
         weighted += T.T @ further.T @ further @ T
     try:
         P, discount = _riccati(A, B, weighted, R), 1.0
@@ -149,7 +157,7 @@ def regulator(
     largest = float(np.abs(np.linalg.eigvals(A_closed)).max())
     if not largest < math.exp(_GROWTH * period_s):
         raise FeedbackError(f"{expected}, got a closed loop whose largest eigenvalue is {largest:.3g}")
-    gain = float(np.abs(K).max()) / math.sqrt(cost.Q.max() / cost.R.min())
+    gain = float(np.abs(K[:, : len(hover.x)]).max()) / math.sqrt(cost.Q.max() / cost.R.min())
     if not gain < _GAIN:
         raise FeedbackError(f"{expected}, got a gain {gain:.3g} times that of an integrator")
     frozen(K, P, root, T, controlled, A, A_closed, preview_gain)
@@ -200,3 +208,17 @@ def tangent(x: Array, off: Collection[int] = (), released: Collection[int] = ())
         out[state.uav_slice(uav)] = True
     kept: Array = basis[:, ~basis[out].any(axis=0)]
     return kept
+
+
+def with_motors(T: Array, off: Collection[int]) -> Array:
+    """Return a basis of directions of states and actual inputs from that of states, (n, r): (n + m, r + m).
+
+    The inputs of UAVs without motors, 0-based, are left out: 4 columns less for each.
+    """
+    n = len(T)
+    m = (n - state.PAYLOAD) // state.PER_UAV * state.INPUTS
+    kept = np.setdiff1d(np.arange(m), input_indices(sorted(off)))
+    basis = np.zeros((n + m, T.shape[1] + len(kept)))
+    basis[:n, : T.shape[1]] = T
+    basis[n + kept, T.shape[1] + np.arange(len(kept))] = 1.0
+    return basis

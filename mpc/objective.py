@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from model import native
-from model.arrays import Array
+from model.arrays import Array, padded
 from model.linearisation import Linearisation
 from model.native import Places
 from model.state import input_indices
@@ -68,11 +68,11 @@ class Objective:
         """
         if len(self._user_costs):
             terms = self._user_costs.at(linear.x0)
-            slope, at_x0 = np.ascontiguousarray(terms.slope), terms.value
+            slope, at_x0 = np.ascontiguousarray(padded(terms.slope, len(prediction.effect))), terms.value
         else:
-            slope, at_x0 = np.zeros((0, len(linear.x0))), np.zeros(0)
+            slope, at_x0 = np.zeros((0, len(prediction.effect))), np.zeros(0)
         terminal, responding, Q = self._terminal, _NONE, self._Q
-        root, error, end_slope = np.zeros((0, len(linear.x0))), _NO_END, _NO_END
+        root, error, end_slope = np.zeros((0, len(prediction.effect))), _NO_END, _NO_END
         if end is not None:
             terminal = 0.0  # the stage cost of the last state is part of the cost-to-go
             root, error, end_slope = end.root, end.error, end.slope

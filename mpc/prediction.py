@@ -22,7 +22,7 @@ class Linear:
 
     Attributes:
         x0: State of the linearisation, (n,).
-        u0: Input of the linearisation, (m,).
+        u0: Input from which the inputs deviate, (m,).
         model: f, A_c, B_c, y, C.
         u_target: Input without cost, (m,).
     """
@@ -38,6 +38,8 @@ class Prediction:
     """The states and inputs over the horizon as affine functions of the decision v.
 
         dx(k) = dX_free(k) + sum_{j < k} A^(k-1-j) B v(j),    u_own(k) = U_free(k) + v(k)
+
+    With motor lag the actual inputs are further states, and n counts them.
 
     Attributes:
         effect: A^j B, (n, N_p, m_own).

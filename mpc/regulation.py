@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from model.arrays import Array
+from model.arrays import Array, padded
 from model.failure import failed_hover, failed_model
 from model.hover import Hover
 from model.linearisation import Model
@@ -55,6 +55,7 @@ class Regulation:
 
     def __init__(self, model: Model, hover: Hover, settings: ControllerSettings, X_ref: Array | None = None) -> None:
         self._whole, self._whole_hover = model, hover
+        self._lag_s = settings.motor_lag_s
         self._settings, self.user_costs = settings, UserCosts(settings.costs, model)
         self._fail_safe = FailSafe(model.system, hover.u)
         self._X_ref = X_ref if settings.preview else None
@@ -106,7 +107,7 @@ class Regulation:
         """Return the shared control law over the horizon; None with open-loop prediction.
 
         Args:
-            x0: State at the first step of the horizon, (n,).
+            x0: State at the first step of the horizon, (n,); with motor lag [x, actual inputs], (n + m,).
             x_ref: Reference states at steps 0..N_p-1, (N_p, n).
             c: Announced corrections of all UAVs, (N_p, m).
             forces: Estimated external forces, (3 + 3 N,), inertial frame, N; None without estimate.
@@ -115,10 +116,10 @@ class Regulation:
         """
         if self.regulator is None or self._settings.prediction != "closed_loop":
             return None
-        u_rest, error = self.hover.u, x0 - x_ref
+        u_rest, error = self.hover.u, self._error(x0, x_ref)
         feedforward = self.feedforward(start, len(x_ref))
         if forces is not None:
-            u_rest, error = u_rest + self.target.M_u @ forces, error - self.target.M_x @ forces
+            u_rest, error = u_rest + self.target.M_u @ forces, error - self._shift(forces)
             feedforward = feedforward + self._forced(self.regulator)[0] @ forces
         return FeedbackLaw(K=self.regulator.K, u_rest=u_rest, error=error, feedforward=feedforward, c=c)
 
@@ -134,10 +135,10 @@ class Regulation:
         """
         if self.regulator is None or self._settings.terminal != "riccati":
             return None
-        error = x0 - x_ref
+        error = self._error(x0, x_ref)
         slope = np.zeros_like(x0) if self._preview is None else self._preview.slope[self._within(instant, 1)][0]
         if forces is not None:
-            error = error - self.target.M_x @ forces
+            error = error - self._shift(forces)
             slope = slope + self._forced(self.regulator)[1] @ forces
         return CostToGo(root=self.regulator.root, error=error, slope=slope)
 
@@ -147,18 +148,34 @@ class Regulation:
             return np.zeros((steps, self._model.system.m))
         return self._preview.feedforward[self._within(start, steps)]
 
+    def _error(self, x0: Array, x_ref: Array) -> Array:
+        """Return the deviation of a state from reference states, (..., n); actual inputs deviate from hover."""
+        n = x_ref.shape[-1]
+        if len(x0) == n:
+            return x0 - x_ref
+        actual = np.broadcast_to(x0[n:] - self.hover.u, (*x_ref.shape[:-1], len(x0) - n))
+        return np.concatenate([x0[:n] - x_ref, actual], axis=-1)
+
+    def _shift(self, forces: Array) -> Array:
+        """Return the deviation of the target from hover under forces, (n,); in it the actual inputs are the command."""
+        shift: Array = self.target.M_x @ forces
+        return shift if self._lag_s == 0.0 else np.concatenate([shift, self.target.M_u @ forces])
+
     def _regulate(self) -> None:
         further = self.user_costs.about(self.hover.x)
         period_s = self._settings.sampling_period_s
         found = regulator(
-            self._model, self.hover, self.cost, period_s, self._uncontrolled, further, self._off, self._released
-        )
+            self._model, self.hover, self.cost, period_s, self._uncontrolled, further, self._off, self._released,
+            self._lag_s,
+        )  # fmt: skip
         self.regulator = found
         if self._X_ref is not None:
             # On the reference, the output error is zero; the user's terms are not.
             values = np.array([self.user_costs.at(x).value for x in self._X_ref])
-            pull = (np.sqrt(self.user_costs.weights) * values) @ further
-            self._preview = preview(found, self._X_ref, pull)
+            states = len(found.T)
+            pull = (np.sqrt(self.user_costs.weights) * values) @ padded(further, states)
+            # The actual inputs of the reference are those of hover: their deviation from the last ones is zero.
+            self._preview = preview(found, padded(self._X_ref, states), pull)
 
     def _within(self, start: int, steps: int) -> slice | npt.NDArray[np.intp]:
         """Return instants of the maneuver; later ones are replaced by its last."""
@@ -177,7 +194,7 @@ class Regulation:
             missed = C.T @ (self.cost.Q[:, None] * (C @ self.target.M_x))
             further = self.user_costs.about(self.hover.x)
             missed = missed + further.T @ (further @ self.target.M_x)
-            p = at_rest(regulator, regulator.T.T @ missed)
+            p = at_rest(regulator, regulator.T.T @ padded(missed.T, len(regulator.T)).T)
             feedforward = np.zeros_like(self.target.M_u)
             feedforward[regulator.controlled] = regulator.preview_gain @ p
             self._by_forces = feedforward, regulator.T @ p

@@ -169,6 +169,7 @@ class ControllerSettings:
         relaxation: w in (0, 1]; the published plan is w U* + (1 - w) U_shifted, in closed loop the same of the
             corrections.
         solver: First choice; Clarabel takes over when the residual check fails.
+        motor_lag_s: Time constant of the motors that the controller predicts with; 0: inputs act at once.
     """
 
     sampling_period_s: Positive = 0.05
@@ -185,6 +186,7 @@ class ControllerSettings:
     discretisation: DiscretisationName = "exact"
     relaxation: Annotated[float, Interval(gt=0.0, le=1.0)] = 1.0
     solver: SolverName = "daqp"
+    motor_lag_s: NotNegative = 0.0
 
     def __post_init__(self) -> None:
         _check(self)

@@ -24,17 +24,18 @@ _SAME = 1e-9  # tolerance, in intervals
 
 
 class Environment:
-    """Physics of the plant.
+    """Wind, drag, sensors and actual masses of the plant.
 
     Attributes:
-        model: Equations of motion with the actual masses.
+        system: Actual parameters of the bodies.
+        model: Equations of motion with them.
     """
 
     def __init__(self, setup: Setup) -> None:
         section = setup.scenario.plant
         nominal = section.payload_mass_factor == section.uav_mass_factor == 1.0
-        system = _scaled(setup.system, section.payload_mass_factor, section.uav_mass_factor)
-        self.model = setup.model if nominal else Model(system)
+        self.system = _scaled(setup.system, section.payload_mass_factor, section.uav_mass_factor)
+        self.model = setup.model if nominal else Model(self.system)
         self._seed = setup.scenario.seed
         wind = section.wind
         self._mean_I, self._gust_I = np.array(wind.speed_mps), np.array(wind.gust_mps)
@@ -52,7 +53,8 @@ class Environment:
 
     def release(self, uavs: Collection[int]) -> None:
         """Replace UAVs, 0-based, by bobs of negligible mass and drag. Source: docs/equations.md (50)."""
-        self.model = Model(with_released(self.model.system, uavs))
+        self.system = with_released(self.system, uavs)
+        self.model = Model(self.system)
         self._drag[[1 + uav for uav in uavs]] = 0.0
 
     def wind(self, tick: int) -> Array:

@@ -10,6 +10,5 @@ from protocol.wire.names import COORDINATOR
 def run(setup: Setup, place: Place) -> int:
     """Simulate the plant until the run ends; see `protocol.network.process.run_node`."""
     node = PlantNode(setup, place.incarnation)
-    # The first integration compiles the chain of steps: do that before the first tick.
-    node.environment.model.integrate(setup.initial_state(), setup.hover.u, setup.settings.sampling_period_s, node.steps)
+    node.engine.warm_up(setup)
     return run_node(node, place, setup, [COORDINATOR, *[agent_name(agent) for agent in setup.agents]])

@@ -15,16 +15,19 @@ from model import state
 from model.arrays import Array
 from model.failure import motor_off_state, no_inputs, released_state
 from mpc.fail_safe import FailSafe
+from plant.engines import UNKNOWN_ERROR, Engine
 from plant.environment import Environment
+from plant.motors import Motors
 from plant.schedule import MOTOR_OFF, ActuatorSchedule
 from protocol.admission.arrivals import Arrivals
 from protocol.admission.membership import Membership
 from protocol.admission.plausibility import check_moment
 from protocol.admission.reception import Reception
-from protocol.scenario.faults import uav_faults
+from protocol.scenario.faults import degradations, uav_faults
 from protocol.scenario.links import LinkChanges
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import (
+    ActualInputs,
     Control,
     Event,
     LinkChange,
@@ -54,6 +57,7 @@ class PlantNode:
         self.incarnation = incarnation
         self._out = Outbox(self.name, incarnation)
         self.environment = Environment(setup)
+        self.engine = Engine(setup, self.environment.system)
         self._period_s = setup.settings.sampling_period_s
         self.steps = math.ceil(self._period_s / setup.scenario.plant.step_s - 1e-9)
         clock = setup.scenario.clock
@@ -70,6 +74,8 @@ class PlantNode:
         self._path, _ = setup.maneuver.path(self._period_s * instants)
         self._schedule = ActuatorSchedule(setup.hover.u, fail_safe, setup.settings.limits, self._period_s)
         self._uav_faults = deque(uav_faults(setup.faults))  # still to come
+        self._degradations = deque(degradations(setup.faults))
+        self._motors = Motors(setup.scenario.plant.motors, setup.hover.u, bool(self._degradations))
         self._off: set[int] = set()  # UAVs without motors, 0-based
         self._x: Array = setup.initial_state()
         self._u: Array = setup.hover.u.copy()  # in force until now
@@ -135,7 +141,7 @@ class PlantNode:
             if self._can_measure():
                 out += self._measure()
             elif self._can_integrate():
-                out.append(self._integrate(now_ns))
+                out += self._integrate(now_ns)
             else:
                 return out
 
@@ -184,16 +190,23 @@ class PlantNode:
 
     def _fail_uavs(self, tick: int) -> None:
         """Apply the scenario's failures of UAVs due at a tick, before it is measured."""
+        while self._degradations and self._degradations[0][0] <= tick:
+            _, uav, efficiency = self._degradations.popleft()
+            if uav not in self._off:
+                self._motors.degrade(uav, efficiency)
         while self._uav_faults and self._uav_faults[0][0] <= tick:
             _, fault, uav = self._uav_faults.popleft()
             self._off.add(uav)
+            self._motors.degrade(uav, 0.0)
             if fault == "release":
                 self.environment.release([uav])
                 self._x = released_state(self._x, uav)
+                self.engine.replace(self.environment.system, self._x)
             else:
                 self._x = motor_off_state(self._x, uav)
+                self.engine.reset(self._x)
 
-    def _integrate(self, now_ns: int) -> PlantState:
+    def _integrate(self, now_ns: int) -> list[Message]:
         k, x = self._state_tick, self._x
         for plan in self._plans.take(k, now_ns)[0]:
             self._schedule.add(plan)
@@ -202,20 +215,29 @@ class PlantNode:
             u = no_inputs(u, self._off)
             sources = tuple(MOTOR_OFF if i in self._off else source for i, source in enumerate(sources))
         forces = self.environment.forces(k, x)
-        end, error = self.environment.model.integrate(x, u, self._period_s, self.steps, forces=forces)
-        reason = self._divergence(k + 1, end)
+        end, error, mean = x, UNKNOWN_ERROR, np.zeros_like(u)
+        for actual, duration_s, _ in self._motors.inputs(u, self._period_s, self.steps):
+            end, local_error = self.engine.advance(actual, forces, duration_s)
+            error, mean = max(local_error, error), mean + duration_s / self._period_s * actual
+        reason = self.engine.failure or self._divergence(k + 1, end)
         self._diverged = bool(reason)
         self._x, self._u, self._state_tick = end, u, k + 1
         self._arrived = {tick: agents for tick, agents in self._arrived.items() if tick > k - self._delay}
-        return self._out.stamp(
-            PlantState,
-            tick=k,
-            x=x,
-            u=u,
-            plan_ticks=sources,
-            local_error=error if np.isfinite(end).all() and math.isfinite(error) else -1.0,
-            diverged=reason,
-        )
+        found: list[Message] = [
+            self._out.stamp(
+                PlantState,
+                tick=k,
+                x=x,
+                u=u,
+                plan_ticks=sources,
+                local_error=error if np.isfinite(end).all() else -1.0,
+                diverged=reason,
+            )
+        ]
+        if not self._motors.ideal:
+            uavs = tuple(range(1, len(sources) + 1))
+            found.append(self._out.stamp(ActualInputs, tick=k, uavs=uavs, inputs=mean.reshape(len(uavs), state.INPUTS)))
+        return found
 
     def _divergence(self, tick: int, x: Array) -> str:
         """Return why the run has diverged, empty if it has not."""

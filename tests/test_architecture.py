@@ -21,7 +21,7 @@ ROOMS = {
         {"flight", "analysis", "scene"},
         {"report", "viewer", "doctor"},
         {"experiments"},
-        {"cli"},
+        {"cli", "interface"},
     ),
 }
 MOST_ROOMS = 14  # more cannot be taken in at a glance

@@ -10,7 +10,10 @@ import pytest
 
 from protocol.scenario.file import read_scenario
 from protocol.scenario.setup import Setup
-from tests.support.runs import SCENARIOS
+from tests.support.runs import SCENARIOS, plant_states, recorded
+
+# The engine of the document and the one here, both far below what a controller notices.
+ENGINES_M = 1e-5
 
 DOCUMENT = Path(__file__).resolve().parents[1] / "docs" / "bring-your-own.md"
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
@@ -25,7 +28,7 @@ def blocks(language: str) -> list[str]:
 
 def test_the_path_of_the_document(tmp_path: Path) -> None:
     """An eight of 2 m, from rest to rest, where the phase before ended; the scenario around it is valid."""
-    (program,) = blocks("python")
+    program, _ = blocks("python")
     subprocess.run([sys.executable, "-c", program], cwd=tmp_path, check=True, timeout=60)
     phases, _ = blocks("toml")
     ready = (SCENARIOS / "resilient.toml").read_text(encoding="utf-8")
@@ -48,3 +51,18 @@ def test_the_constraint_of_the_document(tmp_path: Path) -> None:
     path.write_text((SCENARIOS / "resilient.toml").read_text(encoding="utf-8") + "\n" + constraint, encoding="utf-8")
     run = Setup.of(read_scenario(path), str(path))
     assert [(c.expression, c.penalty, c.soft) for c in run.settings.constraints] == [("r0[2] >= -11.0", 0.5, True)]
+
+
+@pytest.mark.slow
+def test_the_engine_of_the_document(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The class flies the paper's maneuver as the engine here does."""
+    _, engine = blocks("python")
+    (tmp_path / "mine.py").write_text(engine, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    path = SCENARIOS / "resilient.toml"
+    paths = []
+    for name in ("mine:Adaptive", "rods"):
+        run = Setup.of(read_scenario(path, [f"plant.engine={name}"]), str(path))
+        paths.append(np.array([entry.x for entry in plant_states(recorded(run))]))
+    assert len(paths[0]) == 500
+    assert np.abs(paths[0] - paths[1]).max() < ENGINES_M

@@ -40,7 +40,12 @@ KEY_ROW = re.compile(r"\| `(\w+)` \| [^|]+ \| ([^|]+) \| [^|]+ \|")
 LIKE_LINKS = ("links.measurement", "links.actuation", "links.override", "links.change")
 
 # Programs that renew the measured tables of a document.
-PAGES = {"scenario.md": "scenario_page", "guarantees.md": "guarantees_page", "time.md": "time_page"}
+PAGES = {
+    "scenario.md": "scenario_page",
+    "guarantees.md": "guarantees_page",
+    "time.md": "time_page",
+    "engines.md": "engines_page",
+}
 
 # Names of the tables of such a program, once each of their runs has been read.
 TABLES = """

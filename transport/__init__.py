@@ -1,7 +1,65 @@
-"""Running, recording, analysing and showing runs of the project. Import fails if another file hides a package."""
+"""Running, recording, analysing and showing runs of the project. Import fails if another file hides a package.
 
+The names of the Python interface (docs/python.md) are imported when they are first used, so that the command line does
+not wait for them.
+"""
+
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from protocol.scenario.errors import ScenarioError
+    from protocol.wire.errors import TransportError
+    from transport.experiments.errors import ExperimentError
+    from transport.flight.harness import HarnessError
+    from transport.flight.run_error import RunError
+    from transport.interface.fly import fly, load
+    from transport.interface.run import Run
+    from transport.interface.scenario import Scenario
+    from transport.interface.series import RunSeries
+    from transport.interface.settings import ArgumentError
+    from transport.interface.sweep import Sweep, sweep
+    from transport.log.run_log import LogError
+    from transport.viewer.server import ViewerError
+
+# Module of each name of the Python interface.
+_MODULES = {
+    "fly": "transport.interface.fly",
+    "load": "transport.interface.fly",
+    "sweep": "transport.interface.sweep",
+    "Scenario": "transport.interface.scenario",
+    "Run": "transport.interface.run",
+    "RunSeries": "transport.interface.series",
+    "Sweep": "transport.interface.sweep",
+    "TransportError": "protocol.wire.errors",
+    "ArgumentError": "transport.interface.settings",
+    "ScenarioError": "protocol.scenario.errors",
+    "RunError": "transport.flight.run_error",
+    "HarnessError": "transport.flight.harness",
+    "ExperimentError": "transport.experiments.errors",
+    "LogError": "transport.log.run_log",
+    "ViewerError": "transport.viewer.server",
+}
+
+__all__ = [
+    "ArgumentError",
+    "ExperimentError",
+    "HarnessError",
+    "LogError",
+    "Run",
+    "RunError",
+    "RunSeries",
+    "Scenario",
+    "ScenarioError",
+    "Sweep",
+    "TransportError",
+    "ViewerError",
+    "fly",
+    "load",
+    "sweep",
+]
 
 _HERE = Path(__file__).resolve().parent.parent
 _PACKAGES = ("model", "mpc", "protocol", "agent", "plant", "coordinator", "deploy", "scenarios")
@@ -23,3 +81,16 @@ def _hidden() -> str:
 _text = _hidden()
 if _text:
     raise ImportError(_text)
+
+
+def __getattr__(name: str) -> Any:
+    """Return a name of the Python interface, importing its module."""
+    if name not in _MODULES:
+        raise AttributeError(f"module 'transport' has no attribute {name!r}")
+    found = getattr(import_module(_MODULES[name]), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -3,16 +3,17 @@
 import signal
 import sys
 
-from protocol.network.parent import wake_with_its_end
+from protocol.network.parent import ending_signals, wake_with_its_end
 from protocol.wire.exit_codes import EXIT_INTERRUPTED
 from transport.flight.fork_server import fork_server
 
 
 def main() -> None:
-    """Run the command; SIGTERM ends it like Ctrl-C, from the first import to the end."""
+    """Run the command; SIGTERM and SIGHUP end it like Ctrl-C, from the first import to the end."""
     try:
         wake_with_its_end()
-        signal.signal(signal.SIGTERM, signal.default_int_handler)  # before the imports: they take a while
+        for number in set(ending_signals()) - {signal.SIGINT}:
+            signal.signal(number, signal.default_int_handler)  # before the imports: they take a while
         if sys.argv[1:2] == ["run"] and not {"-h", "--help"} & set(sys.argv):
             fork_server()  # imports for the processes of the run while this process imports for itself
         from transport.cli.main import app
@@ -26,7 +27,7 @@ def main() -> None:
         exec("")  # noqa: S102  # nothing is executed
         # The exit code is decided. The interpreter restores the default handlers when it shuts down; a signal during
         # that would still kill the process.
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in ending_signals():
             signal.signal(number, signal.SIG_IGN)
 
 

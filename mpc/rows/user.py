@@ -79,11 +79,10 @@ class UserRows:
         end, prediction, u0 = self._state_rows, step.prediction, step.linear.u0
         if end:
             on = self._on_state.expressions.at(step.linear.x0)
-            effect = (on.slope @ prediction.effect.reshape(len(prediction.effect), -1)).reshape(
-                -1, *self._decision.shape
-            )
+            n = on.slope.shape[1]  # motors, which may be further states, are not in the expressions
+            effect = (on.slope @ prediction.effect[:n].reshape(n, -1)).reshape(-1, *self._decision.shape)
             condensing.fill(effect * self._decision.scale, to.A[:end])
-            values = on.value + prediction.dX_free[1:] @ on.slope.T
+            values = on.value + prediction.dX_free[1:, :n] @ on.slope.T
             to.lower[:end], to.upper[:end] = _bounds(self._on_state.equality, values)
         if self._kept.any():
             on, own = self._on_input.expressions.at(u0), self._decision.own

@@ -8,7 +8,17 @@ import numpy as np
 from model import state
 from model.arrays import Array
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import Measurement, Message, MessageError, Plan, PlantState, Roster, StepReport, Tick
+from protocol.wire.messages import (
+    ActualInputs,
+    Measurement,
+    Message,
+    MessageError,
+    Plan,
+    PlantState,
+    Roster,
+    StepReport,
+    Tick,
+)
 from protocol.wire.names import agent_name
 
 # Deviation of a rod direction's length from 1 that sensor noise can cause.
@@ -78,6 +88,8 @@ class Plausibility:
                 self._check_uavs("off", message.off)
             case StepReport():
                 self._check_others("peers", message.peers)
+            case ActualInputs():
+                self._check_uavs("uavs", message.uavs)
             case PlantState():
                 if len(message.x) != self._states:
                     raise MessageError("wrong_shape", f"x: expected {self._states} numbers, got {len(message.x)}")

@@ -14,7 +14,7 @@ from typing import Any
 import zenoh
 
 from protocol.admission.admission import Admission
-from protocol.admission.rate_limit import RateLimit
+from protocol.admission.rate_limit import REQUEST_BURST, REQUEST_RATE_HZ, RateLimit
 from protocol.admission.samples import Sample
 from protocol.admission.unbundling import Unbundling
 from protocol.network.endpoints import Endpoints
@@ -107,6 +107,7 @@ class Bus:
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._tokens: list[zenoh.LivelinessToken] = []
         self.admission, self._rate_limit = admission, RateLimit()
+        self._request_limit = RateLimit(REQUEST_RATE_HZ, REQUEST_BURST)
         self._peers = Peers(name, incarnation, digest, self._keys, admission)
         log_errors(to_output=name not in (RECORDER, WATCHER))
         self._session = open_session(endpoints, patience_s, name, self._keys, reach_s)
@@ -117,7 +118,7 @@ class Bus:
             self._session.declare_subscriber(key, arrived) for key in self._keys.subscriptions(name, relayed=relayed)
         ]
         if name != WATCHER:  # a watcher has no token, so it is not asked either
-            self._declared.append(self._session.declare_queryable(self._keys.request(name, "*"), self._put))
+            self._declared.append(self._session.declare_queryable(self._keys.request(name, "*"), self._asked))
         self._declared += [
             self._session.liveliness().declare_subscriber(f"{self._keys.prefix}/{kind}/**", self._put, history=True)
             for kind in ("alive", "ready")
@@ -325,6 +326,11 @@ class Bus:
             self._rate_limit.hold()
         else:
             self._put(sample)
+
+    def _asked(self, query: zenoh.Query) -> None:
+        """Put a request into the inbox, on a thread of its own, where a client that sends too many waits."""
+        self._request_limit.hold()
+        self._put(query)
 
     def _put(self, item: _Item) -> None:
         self._inbox.put((time.time_ns(), item))

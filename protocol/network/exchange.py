@@ -11,7 +11,18 @@ from protocol.scenario.setup import Setup
 from protocol.wire.bundles import Answer, Bundle, Record, Relay
 from protocol.wire.codec import encode
 from protocol.wire.keys import Keys
-from protocol.wire.messages import Control, Event, Measurement, Message, Plan, PlantState, Roster, StepReport, Tick
+from protocol.wire.messages import (
+    ActualInputs,
+    Control,
+    Event,
+    Measurement,
+    Message,
+    Plan,
+    PlantState,
+    Roster,
+    StepReport,
+    Tick,
+)
 from protocol.wire.names import AGENT, COORDINATOR, PLANT, RECORDER
 from protocol.wire.outbox import Outbox
 
@@ -111,7 +122,7 @@ class _Plant(_Bundled):
     def send(self, message: Message) -> None:
         if isinstance(message, Measurement):
             self._put(self._keys.of(message), self._keep(message))
-        elif isinstance(message, PlantState):
+        elif isinstance(message, PlantState | ActualInputs):
             self._keep(message)
         else:
             super().send(message)

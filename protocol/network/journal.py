@@ -3,6 +3,7 @@
 import json
 import sys
 import time
+from contextlib import suppress
 
 
 class Journal:
@@ -19,5 +20,6 @@ class Journal:
         else:
             entry = {"time": time.time(), "run_id": self._run, "role": self._role, "event": event, **keys}
             line = json.dumps(entry, default=str)
-        sys.stderr.write(line + "\n")
-        sys.stderr.flush()
+        with suppress(OSError):  # the disk is full: the process works without its log lines
+            sys.stderr.write(line + "\n")
+            sys.stderr.flush()

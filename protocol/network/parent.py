@@ -24,6 +24,12 @@ ENVIRONMENT = {
 _PR_SET_PDEATHSIG = 1  # <sys/prctl.h>
 
 
+def ending_signals() -> list[signal.Signals]:
+    """Return the signals that end a process in order, without SIGHUP where the user has it ignored (nohup)."""
+    is_ignored = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    return [signal.SIGINT, signal.SIGTERM, *([] if is_ignored else [signal.SIGHUP])]
+
+
 def python(module: str) -> list[str]:
     """Return the command that starts a module of this project as a child process.
 

@@ -19,7 +19,7 @@ from protocol.network.bus import Bus, Interrupted, Left
 from protocol.network.endpoints import Endpoints
 from protocol.network.exchange import Exchange, exchange_of
 from protocol.network.journal import Journal
-from protocol.network.parent import PARENT_PIPE
+from protocol.network.parent import PARENT_PIPE, ending_signals
 from protocol.network.security import exposed
 from protocol.scenario.faults import Fault, due
 from protocol.scenario.setup import Setup
@@ -173,12 +173,12 @@ def _fail_if_due(faults: Sequence[Fault], name: str, message: Message, exchange:
 
 
 def _watch_signals(bus: Bus) -> None:
-    """Turn Ctrl-C, SIGTERM and the end of the parent into an interruption of the bus."""
+    """Turn Ctrl-C, SIGTERM, SIGHUP and the end of the parent into an interruption of the bus."""
 
     def interrupt(number: int, _: FrameType | None) -> None:
         bus.interrupt(f"interrupted ({signal.Signals(number).name})")
 
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in ending_signals():
         signal.signal(number, interrupt)
     if os.environ.get(PARENT_PIPE):
         threading.Thread(target=_watch_parent, args=(bus,), daemon=True).start()

@@ -78,7 +78,9 @@ def configuration(endpoints: Endpoints, patience_s: float, name: str, keys: Keys
             "link": {
                 "rx": {"max_message_size": _MAX_RECEIVED_BYTES},
                 "tx": {"queue": {"congestion_control": {"block": {"wait_before_close": round(patience_s * 1e6)}}}},
-            }
+            },
+            # Zenoh keeps its segments until the process ends, and leaves them in /dev/shm when it is killed.
+            "shared_memory": {"enabled": False},
         },
         "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
     }

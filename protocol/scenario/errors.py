@@ -11,11 +11,12 @@ from model.parameters import ParameterError
 from mpc.feedback import FeedbackError
 from mpc.settings import SettingsError
 from protocol.scenario.schema import Scenario
+from protocol.wire.errors import TransportError
 
 T = TypeVar("T")
 
 
-class ScenarioError(ValueError):
+class ScenarioError(TransportError, ValueError):
     """An invalid scenario: `file or option: field: expected ..., got ...`.
 
     The field is the dotted path of the key, list entries counted from 1; it may be empty.
@@ -64,8 +65,8 @@ def _short(text: str) -> str:
     return text if len(text) <= 80 else text[:77] + "..."
 
 
-def first_problem(error: ValidationError, source: str) -> ScenarioError:
-    """Return the first problem found by pydantic, as one line in the project's words."""
+def first_problem(error: ValidationError, source: str, root: type[BaseModel] = Scenario) -> ScenarioError:
+    """Return the first problem that pydantic found in a section `root`, as one line in the project's words."""
     # Unknown keys first: a mistyped key is also a missing one, and the typo tells more.
     problems = sorted(error.errors(), key=lambda problem: problem["type"] != "extra_forbidden")
     problem = problems[0]
@@ -76,7 +77,7 @@ def first_problem(error: ValidationError, source: str) -> ScenarioError:
     field = ".".join(str(part + 1) if isinstance(part, int) else part for part in location)
     kind, context, value = problem["type"], problem.get("ctx", {}), problem["input"]
     if kind == "extra_forbidden":
-        known = _known_keys(location[:-1])
+        known = _known_keys(root, location[:-1])
         near = difflib.get_close_matches(str(location[-1]), known, n=1, cutoff=0.5)
         hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known)}"
         return ScenarioError(source, field, f"unknown key; {hint}")
@@ -113,8 +114,7 @@ def _is_union_branch(part: int | str) -> bool:
     return isinstance(part, str) and (part in ("float", "constrained-float", "int", "str") or "[" in part)
 
 
-def _known_keys(location: Iterable[int | str]) -> list[str]:
-    section: type[BaseModel] = Scenario
+def _known_keys(section: type[BaseModel], location: Iterable[int | str]) -> list[str]:
     for part in location:
         if isinstance(part, int):
             continue

@@ -13,7 +13,10 @@ from typing import Literal
 from protocol.scenario.schema import Scenario
 from protocol.wire.messages import Measurement, Message, Tick
 
-Action = Literal["kill", "stop", "continue", "start", "motor_off", "release"]
+Action = Literal["kill", "stop", "continue", "start", "motor_off", "release", "degrade"]
+
+# Faults that the plant applies to its UAVs.
+OF_UAVS = ("motor_off", "release", "degrade")
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,12 +24,13 @@ class Fault:
     """One fault.
 
     "kill" and "stop" happen when the tick opens for the target; "continue" and "start" bring it back before the tick
-    opens; "motor_off" and "release" apply from the tick on.
+    opens; "motor_off", "release" and "degrade" apply from the tick on.
     """
 
     tick: int
     do: Action
-    target: str  # process name; for "motor_off" and "release" the name of a UAV, such as "uav3"
+    target: str  # process name; for faults of UAVs the name of a UAV, such as "uav3"
+    efficiency: float = 1.0  # of the motors, for "degrade"
 
 
 def uav_name(uav: int) -> str:
@@ -39,12 +43,20 @@ UavFault = tuple[int, Literal["motor_off", "release"], int]
 
 
 def uav_faults(faults: Sequence[Fault]) -> tuple[UavFault, ...]:
-    """Return the faults of UAVs in the order of time."""
+    """Return the failures of UAVs in the order of time."""
     return tuple(
-        (fault.tick, fault.do, int(fault.target.removeprefix("uav")) - 1)
-        for fault in faults
-        if fault.do in ("motor_off", "release")
+        (fault.tick, fault.do, _uav(fault)) for fault in faults if fault.do == "motor_off" or fault.do == "release"
     )
+
+
+def degradations(faults: Sequence[Fault]) -> tuple[tuple[int, int, float], ...]:
+    """Return ticks, UAVs, 0-based, and efficiencies of degraded motors, in the order of time."""
+    return tuple((fault.tick, _uav(fault), fault.efficiency) for fault in faults if fault.do == "degrade")
+
+
+def _uav(fault: Fault) -> int:
+    """Return the target of a fault of a UAV, 0-based."""
+    return int(fault.target.removeprefix("uav")) - 1
 
 
 def scripted(scenario: Scenario) -> tuple[Fault, ...]:
@@ -54,8 +66,11 @@ def scripted(scenario: Scenario) -> tuple[Fault, ...]:
     down: dict[str, int] = {}  # processes that do not run, and since which tick
     for event in sorted(scenario.faults.event, key=lambda event: event.at_s):
         tick, target = math.ceil(event.at_s / period_s - 1e-9), event.target
-        if event.do in ("motor_off", "release"):
+        if event.do == "motor_off" or event.do == "release":
             found.append(Fault(tick, event.do, target))
+            continue
+        if event.do == "degrade":
+            found.append(Fault(tick, event.do, target, event.efficiency or 1.0))
             continue
         if event.do in ("kill", "stop"):
             found.append(Fault(tick, "kill" if event.do == "kill" else "stop", target))

@@ -9,12 +9,14 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from protocol.scenario.budget import check_budget
 from protocol.scenario.errors import ScenarioError, first_problem, key_of, option
 from protocol.scenario.path_file import PathFileError, with_paths
 from protocol.scenario.relations import check_relations
 from protocol.scenario.schema import Scenario
+from protocol.scenario.text_file import read_text
 
-__all__ = ["ScenarioError", "find_scenario", "read_scenario", "validate"]
+__all__ = ["ScenarioError", "find_scenario", "read_scenario", "validate", "with_settings"]
 
 
 def find_scenario(name: str) -> Path:
@@ -34,27 +36,39 @@ def find_scenario(name: str) -> Path:
     return folder / f"{name}.toml"
 
 
-def read_scenario(path: Path, settings: Sequence[str] = ()) -> Scenario:
+def read_scenario(path: Path, settings: Sequence[str] = (), *, allow_large: bool = False) -> Scenario:
     """Read and validate a scenario file.
 
     Args:
         path: TOML file.
         settings: Changes on top of it, "dotted.key=value" with a TOML value; list entries by number from 1.
+        allow_large: Whether the run may exceed the limits of `protocol.scenario.budget`.
     Raises: ScenarioError: naming file, field, expected and got; the setting in place of the file if it gave the field.
     """
     source = str(path)
     try:
-        tree = tomllib.loads(path.read_text(encoding="utf-8"))
+        tree = tomllib.loads(read_text(path, regular=False))
     except FileNotFoundError as error:
         raise ScenarioError(source, "", "no such file") from error
     except (OSError, UnicodeDecodeError) as error:
         raise ScenarioError(source, "", f"cannot be read ({error})") from error
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # also of integers of thousands of digits, and of deep nesting
         raise ScenarioError(source, "", f"not valid TOML: {error}") from error
+    return with_settings(tree, settings, source, allow_large=allow_large)
+
+
+def with_settings(tree: dict[str, Any], settings: Sequence[str], source: str, *, allow_large: bool = False) -> Scenario:
+    """Return the scenario in a tree of plain data, which is changed, with settings on top as in `read_scenario`.
+
+    Raises: ScenarioError: as `read_scenario`; `source` is the file of the tree.
+    """
     for setting in settings:
         _apply(tree, setting)
     try:
-        return validate(tree, source)
+        scenario = validate(tree, source)
+        if not allow_large:
+            check_budget(scenario, source)
+        return scenario
     except ScenarioError as error:
         raise error.blaming(settings) from error.__cause__
 
@@ -85,6 +99,8 @@ def _apply(tree: dict[str, Any], setting: str) -> None:
         value = tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
         value = text.strip()  # bare words are text: solver=clarabel
+    except (ValueError, RecursionError) as error:
+        raise ScenarioError(option(setting), "", f"not valid TOML: {error}") from error
     *parents, last = key.split(".")
     node: Any = tree
     for part in parents:

@@ -7,7 +7,7 @@ order anything arrives.
 
 import json
 import math
-from bisect import insort
+from bisect import bisect_right
 from collections.abc import Iterable, Mapping
 from operator import itemgetter
 from typing import Any
@@ -18,6 +18,7 @@ from model.arrays import Array
 from protocol.scenario.draws import draw_key, generator
 from protocol.scenario.errors import first_problem
 from protocol.scenario.link_sections import LinkOverrideSection, LinkSection, LinksSection
+from protocol.scenario.magnitudes import LONGEST_S, out_of_range
 from protocol.wire.messages import LinkChange, MessageError
 from protocol.wire.names import PLANT
 
@@ -26,9 +27,6 @@ _LOSS, _BURST, _JITTER, _DUPLICATE, _ECHO, _REORDER, _DRAWS = 0, 1, 2, 4, 5, 7, 
 
 # Streams of them at each tick: of the burst chain, and of the message (and those of the negotiation before it).
 _CHAIN, _MESSAGE = 2**32, 0
-
-# Upper limit of a delay: decades, so practically never, but still countable in ticks and nanoseconds.
-_LONGEST_S = 1e9
 
 # Rounding of a delay that is a whole number of sampling periods must not cost one more.
 _SLACK = 1e-9
@@ -79,9 +77,11 @@ class Link:
         """
         if change.covers(self.sender, self.receiver):
             given = {key: getattr(change, key) for key in change.model_fields_set & LinkSection.model_fields.keys()}
-            insort(self._changes, (tick, given), key=itemgetter(0))
-            del self._sections[1:]
-            for start, keys in self._changes:
+            at = bisect_right(self._changes, tick, key=itemgetter(0))
+            self._changes.insert(at, (tick, given))
+            # Sections before it stay as they are; usually it is the latest.
+            del self._sections[1 + at :]
+            for start, keys in self._changes[at:]:
                 self._sections.append((start, self._sections[-1][1].model_copy(update=keys)))
 
     def impairments(self, tick: int) -> LinkSection:
@@ -113,7 +113,7 @@ class Link:
             delays[0] += section.reorder_s
         if draw[_DUPLICATE] < section.duplicate:
             delays.append(self._delay(section, draw[_ECHO : _ECHO + 2]))
-        return [min(delay, _LONGEST_S) for delay in delays]
+        return [min(delay, LONGEST_S) for delay in delays]
 
     def usable_ticks(self, tick: int, after: int = 1) -> list[int]:
         """Return the ticks from which the message of a tick can be used: the first at or after its arrival.
@@ -254,11 +254,9 @@ def link_change(source: str, target: str, settings: str) -> LinkOverrideSection:
     try:
         change = LinkOverrideSection.model_validate({**given, **ends})
     except ValidationError as error:
-        unknown = sorted(set(given) - set(LinkSection.model_fields))
-        if unknown:
-            known = ", ".join(LinkSection.model_fields)
-            raise LinkError(f"{unknown[0]}: expected a key of a link ({known}), got an unknown one") from error
-        raise LinkError(str(first_problem(error, ""))) from error
+        raise LinkError(str(first_problem(error, "", LinkOverrideSection))) from error
+    for field, problem in out_of_range(change):
+        raise LinkError(f"{field}: {problem}")
     if (change.samples is not None) != (change.distribution == "empirical"):
         raise LinkError(
             f"samples: expected a file with distribution empirical and with no other, got {change.samples!r}"

@@ -8,6 +8,8 @@ import math
 from pathlib import Path
 from typing import Any
 
+from protocol.scenario.text_file import read_text
+
 COLUMNS = "t_s,x_m,y_m,z_m"
 
 # More than an hour with a row for each of the usual sampling periods.
@@ -26,7 +28,7 @@ def way_of(path: Path) -> list[list[float]]:
     Raises: PathFileError: it cannot be read, or is invalid.
     """
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = read_text(path).splitlines()
     except OSError as error:
         raise PathFileError(f"cannot read {path} ({error.strerror})") from error
     except UnicodeDecodeError as error:

@@ -3,13 +3,23 @@
 import re
 from collections.abc import Iterator
 
+from protocol.scenario.budget import estimate
 from protocol.scenario.errors import ScenarioError
+from protocol.scenario.faults import OF_UAVS
 from protocol.scenario.link_sections import LinkChangeSection, LinkOverrideSection
+from protocol.scenario.magnitudes import out_of_range
+from protocol.scenario.plant_sections import MujocoSection
 from protocol.scenario.schema import Scenario
+from protocol.wire.codec import MAX_BYTES
 from protocol.wire.names import COORDINATOR, PLANT, agent_name
 
 # Largest distance of a path from the origin along any axis, m.
 FURTHEST_M = 1e5
+
+# Contacts of MuJoCo have a time constant of 0.02 s, which takes two steps at least.
+LONGEST_MUJOCO_STEP_S = 0.01
+# Shortest lag of motors other than none, in sampling periods: the discretisation takes exponentials of its reciprocal.
+_SHORTEST_LAG = 0.01
 
 # States in which a fault can happen to its target, and the state it leaves.
 _FAULTS = {
@@ -19,8 +29,8 @@ _FAULTS = {
     "restart": (("running", "stopped", "killed"), "running"),
     "motor_off": (("running",), "off"),
     "release": (("running", "off"), "released"),  # the motors of a running one go off with it
+    "degrade": (("running",), "running"),
 }
-_UAV_FAULTS = ("motor_off", "release")
 
 # Field, and what was expected there and what came.
 Problem = tuple[str, str]
@@ -33,6 +43,7 @@ def check_relations(scenario: Scenario, source: str) -> None:
     """
     agents = [agent_name(agent) for agent in range(1, len(scenario.owned) + 1)]
     for problems in (
+        out_of_range(scenario),
         _ownership(scenario),
         _links(scenario, agents),
         _controller(scenario),
@@ -41,8 +52,12 @@ def check_relations(scenario: Scenario, source: str) -> None:
         _sharing(scenario),
         _limits(scenario),
         _drag(scenario),
+        _engine(scenario),
+        _motors(scenario),
         _path(scenario),
+        _on_the_ground(scenario),
         _network(scenario),
+        _messages(scenario),
     ):
         for field, problem in problems:
             raise ScenarioError(source, field, problem)
@@ -123,17 +138,21 @@ def _faults(scenario: Scenario, agents: list[str]) -> Iterator[Problem]:
     state = dict.fromkeys([*processes, *uavs], "running")
     for i, event in sorted(enumerate(scenario.faults.event, start=1), key=lambda entry: entry[1].at_s):
         field, target = f"faults.event.{i}", event.target
-        possible = uavs if event.do in _UAV_FAULTS else processes
+        possible = uavs if event.do in OF_UAVS else processes
         if target not in possible:
             yield f"{field}.target", f"expected one of {', '.join(possible)}, got {target!r}"
         if event.do == "restart" and target not in agents:
             yield f"{field}.do", f"expected an agent to restart, as a run ends with its {target}, got 'restart'"
+        if (event.do == "degrade") != (event.efficiency is not None):
+            expected = "expected an efficiency" if event.do == "degrade" else "expected none but with 'degrade'"
+            yield f"{field}.efficiency", f"{expected}, got {event.efficiency or 'nothing'}"
         before, after = _FAULTS[event.do]
         if state[target] not in before:
             expected = f"expected what can be done to {target}, which is {state[target]} by then"
             yield f"{field}.do", f"{expected}, got {event.do!r}"
         state[target] = after
-    if uavs and all(state[uav] in ("off", "released") for uav in uavs):
+    grounded = scenario.plant.ground_m is not None and all(state[uav] == "released" for uav in uavs)
+    if uavs and not grounded and all(state[uav] in ("off", "released") for uav in uavs):
         expected = "expected at least one UAV that keeps its motors"
         yield "faults.event", f"{expected}, got motor_off or release for all {len(uavs)}"
 
@@ -179,6 +198,36 @@ def _drag(scenario: Scenario) -> Iterator[Problem]:
             yield f"plant.wind.{key}", f"{expected}, got {drag}"
 
 
+def _engine(scenario: Scenario) -> Iterator[Problem]:
+    """Settings without effect on the engine, a ground that the path goes through, and steps too long for contacts."""
+    plant, period_s = scenario.plant, scenario.controller.sampling_period_s
+    expected = "expected plant.engine = 'mujoco' or an engine of your own with it"
+    if plant.engine == "rods":
+        if plant.ground_m is not None:
+            yield "plant.ground_m", f"{expected}, got 'rods', which has no ground"
+        if plant.mujoco != MujocoSection():
+            yield "plant.mujoco", f"{expected}, got 'rods'"
+    if plant.mujoco.step_s > min(period_s, LONGEST_MUJOCO_STEP_S):
+        expected = (
+            f"expected at most the sampling period {period_s} and {LONGEST_MUJOCO_STEP_S} s, as contacts are stiff"
+        )
+        yield "plant.mujoco.step_s", f"{expected}, got {plant.mujoco.step_s}"
+    if plant.mujoco.suspension == "cables":
+        for event in scenario.faults.event:
+            if event.do == "release":
+                yield "plant.mujoco.suspension", "expected 'rods' with a fault 'release', got 'cables'"
+
+
+def _motors(scenario: Scenario) -> Iterator[Problem]:
+    """A lag is none, or long enough for the exponential of the discretisation."""
+    plant, controller = scenario.plant, scenario.controller
+    period_s = controller.sampling_period_s
+    for key, lag_s in (("controller.motor_lag_s", controller.motor_lag_s), ("plant.motors.lag_s", plant.motors.lag_s)):
+        if 0.0 < lag_s < _SHORTEST_LAG * period_s:
+            expected = f"expected 0 or at least a hundredth of the sampling period, {_SHORTEST_LAG * period_s:g}"
+            yield key, f"{expected}, got {lag_s}"
+
+
 def _path(scenario: Scenario) -> Iterator[Problem]:
     """A path stays where float64 resolves positions to well below a millimetre, and where measurements are valid."""
     expected = f"expected a path within {FURTHEST_M:g} m of the origin"
@@ -195,7 +244,32 @@ def _path(scenario: Scenario) -> Iterator[Problem]:
         reached = [a + b for a, b in zip(reached, phase.displacement_m, strict=True)]
 
 
+def _on_the_ground(scenario: Scenario) -> Iterator[Problem]:
+    """Take-offs and landings are vertical, and need a ground."""
+    for i, phase in enumerate(scenario.maneuver.phase, start=1):
+        if phase.kind == "move":
+            continue
+        field, (x, y, z) = f"maneuver.phase.{i}", phase.displacement_m
+        if scenario.plant.ground_m is None:
+            yield f"{field}.kind", f"expected plant.ground_m with it, got {phase.kind!r} without a ground"
+        if phase.way is not None:
+            yield f"{field}.kind", f"expected 'move' with a path from a file, got {phase.kind!r}"
+        if x != 0.0 or y != 0.0 or (z >= 0.0 if phase.kind == "take_off" else z <= 0.0):
+            direction = "up, negative z" if phase.kind == "take_off" else "down, positive z"
+            yield f"{field}.displacement_m", f"expected a way straight {direction}, got {phase.displacement_m}"
+
+
 def _network(scenario: Scenario) -> Iterator[Problem]:
     router = scenario.network.router
     if router is not None and not re.fullmatch(r"(tcp|tls)/\S+:\d+", router):
         yield "network.router", f"expected an endpoint such as tls/192.0.2.1:7447, got {router!r}"
+
+
+def _messages(scenario: Scenario) -> Iterator[Problem]:
+    """The largest message, plans and reports of a tick, fits into what every receiver accepts."""
+    if not scenario.clock.relayed:
+        return
+    size = estimate(scenario).relay_bytes
+    if size > MAX_BYTES:
+        text = f"expected plans of a tick of at most {MAX_BYTES:,} bytes in one message, got {size:,.0f}"
+        yield "controller.horizon", f"{text}; set clock.exchange = 'direct', or a shorter horizon"

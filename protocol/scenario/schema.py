@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import AfterValidator, Field
 from pydantic_core import PydanticCustomError
 
-from model.maneuver import Profile
+from model.maneuver import PhaseKind, Profile
 from model.parameters import GRAVITY
 from mpc.settings import (
     Constraint,
@@ -30,7 +30,8 @@ from mpc.settings import (
     Weights,
 )
 from protocol.scenario.link_sections import LinksSection
-from protocol.scenario.sections import NotNegativeVector, Section, SettingsSection, Vector, like
+from protocol.scenario.plant_sections import PlantSection
+from protocol.scenario.sections import Section, SettingsSection, Vector, like
 from protocol.wire.messages import MAX_HORIZON, MAX_NEGOTIATION_ITERATIONS
 from protocol.wire.names import MAX_UAVS
 
@@ -51,7 +52,6 @@ def _relaxation(value: float | str) -> float | str:
     raise PydanticCustomError("relaxation", "expected a number in (0, 1] or 'auto'")
 
 
-MassFactor = Annotated[float, Field(gt=0.0, le=100.0)]
 Inertia = Annotated[list[float] | list[list[float]], AfterValidator(_inertia)]
 
 
@@ -89,6 +89,7 @@ class PhaseSection(Section):
     name: str
     duration_s: Positive
     displacement_m: Vector
+    kind: PhaseKind = "move"
     way: list[list[float]] | None = None
     file: str | None = None
 
@@ -98,6 +99,7 @@ class ManeuverSection(Section):
 
     start_m: Vector = [0.0, 0.0, -10.0]
     profile: Profile = "ramp"
+    press_m: NotNegative = 0.2
     phase: Annotated[list[PhaseSection], Field(min_length=1)]
 
 
@@ -156,6 +158,7 @@ class ControllerSection(Section):
     negotiation_iterations: Annotated[int, Field(ge=1, le=MAX_NEGOTIATION_ITERATIONS)] = 1
     relaxation: Annotated[float | str, AfterValidator(_relaxation)] = _DEFAULT.relaxation
     solver: SolverName = _DEFAULT.solver
+    motor_lag_s: NotNegative = _DEFAULT.motor_lag_s
     share: Literal["always", "on_change"] = "always"
     share_threshold: NotNegative = 0.01
     share_heartbeat_s: Positive = 1.0
@@ -203,47 +206,15 @@ class FaultSection(Section):
     """Fault of a process or a UAV at an instant of the run."""
 
     at_s: NotNegative
-    do: Literal["kill", "stop", "continue", "restart", "motor_off", "release"]
+    do: Literal["kill", "stop", "continue", "restart", "motor_off", "release", "degrade"]
     target: str
+    efficiency: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
 
 
 class FaultsSection(Section):
     """Scripted faults."""
 
     event: list[FaultSection] = []
-
-
-class WindSection(Section):
-    """Moving air, inertial frame, and the drag of the bodies in it."""
-
-    speed_mps: Vector = [0.0, 0.0, 0.0]
-    gust_mps: NotNegativeVector = [0.0, 0.0, 0.0]
-    gust_time_constant_s: Positive = 2.0
-    drag_payload_kgps: NotNegative = 0.4
-    drag_uav_kgps: NotNegative = 0.2
-
-
-class NoiseSection(Section):
-    """Standard deviations of the measurements."""
-
-    position_m: NotNegative = 0.0
-    velocity_mps: NotNegative = 0.0
-    attitude_rad: NotNegative = 0.0
-    rate_rads: NotNegative = 0.0
-    rod_direction_rad: NotNegative = 0.0
-    rod_rate_rads: NotNegative = 0.0
-
-
-class PlantSection(Section):
-    """Ground truth: its integration, its difference from the controller's model, limits beyond which a run diverged."""
-
-    step_s: Positive = 0.01
-    max_attitude_deg: Annotated[float, Field(gt=0.0, lt=90.0)] = 80.0
-    max_error_m: Positive = 20.0
-    payload_mass_factor: MassFactor = 1.0
-    uav_mass_factor: MassFactor = 1.0
-    wind: WindSection = WindSection()
-    noise: NoiseSection = NoiseSection()
 
 
 class NetworkSection(Section):

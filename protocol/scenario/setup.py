@@ -14,6 +14,7 @@ from model.hover import Hover, hover
 from model.linearisation import Model
 from model.maneuver import Maneuver, Phase, Reference
 from model.parameters import Payload, System, Uav
+from model.shape import resting_height
 from mpc.regulation import Regulation
 from mpc.rows.user import compile_constraints
 from mpc.settings import Constraint, ControllerSettings, CostTerm, Limits, Separation, Tilt, Weights
@@ -23,10 +24,14 @@ from protocol.scenario.faults import Fault, scripted
 from protocol.scenario.links import Link, link
 from protocol.scenario.schema import Scenario, UavSection
 from protocol.scenario.sections import SettingsSection
+from protocol.scenario.text_file import read_text
 from protocol.wire.messages import Measurement, Plan
 from protocol.wire.names import PLANT
 
 T = TypeVar("T")
+
+# How far a payload that takes off or lands may be from the ground, m.
+_ON_GROUND_M = 1e-3
 
 
 @dataclass(frozen=True)
@@ -67,6 +72,7 @@ class Setup:
         building(source, "controller.constraint", lambda: compile_constraints(settings.constraints, system))
         building(source, "controller.cost", lambda: UserCosts(settings.costs, setup.model).about(equilibrium.x))
         building(source, "controller.prediction", lambda: Regulation(setup.model, equilibrium, settings))
+        setup._check_ground(source)
         setup._check_hover_is_possible(source)
         return setup
 
@@ -83,12 +89,12 @@ class Setup:
     @cached_property
     def Y_ref(self) -> Array:
         """Reference outputs at every instant that any horizon reaches, (K, 4 N + 9)."""
-        return self.reference.outputs(self._instants_s())
+        return self.reference.followed(self._instants_s())[0]
 
     @cached_property
     def X_ref(self) -> Array:
         """Reference states at the same instants, (K, n)."""
-        return self.reference.states(self._instants_s())
+        return self.reference.followed(self._instants_s())[1]
 
     def _instants_s(self) -> Array:
         instants = np.arange(self.ticks + self.settings.horizon + 2, dtype=np.float64)
@@ -150,6 +156,27 @@ class Setup:
                 found.append(f"phase {phase.name!r}: {asked}; from rest to rest full thrust takes {takes_s:.1f} s")
         return found
 
+    def _check_ground(self, source: str) -> None:
+        """Check that take-offs begin and landings end on the ground, and that no path leads below it."""
+        ground_m = self.scenario.plant.ground_m
+        if ground_m is None:
+            return  # without take-offs and landings: protocol.scenario.relations
+        resting_m = resting_height(self.system, ground_m)
+        height_m = float(self.maneuver.start_I[2])
+        if height_m > resting_m + _ON_GROUND_M:
+            expected = f"expected z of at most {resting_m:g} m, where the payload stands on the ground"
+            raise ScenarioError(source, "maneuver.start_m", f"{expected}, got {height_m:g}")
+        for number, phase in enumerate(self.maneuver.phases, start=1):
+            before_m, height_m = height_m, height_m + float(phase.displacement_I[2])
+            lowest_m = height_m if phase.way is None else before_m + float(phase.way[:, 3].max())
+            field, expected = f"maneuver.phase.{number}", f"z = {resting_m:g} m, where the payload stands on the ground"
+            if phase.kind == "take_off" and abs(before_m - resting_m) > _ON_GROUND_M:
+                raise ScenarioError(source, field, f"expected a take-off from {expected}, got {before_m:g}")
+            if phase.kind == "land" and abs(height_m - resting_m) > _ON_GROUND_M:
+                raise ScenarioError(source, field, f"expected a landing at {expected}, got {height_m:g}")
+            if lowest_m > resting_m + _ON_GROUND_M:
+                raise ScenarioError(source, field, f"expected a path above {expected}, got {lowest_m:g}")
+
     def _check_hover_is_possible(self, source: str) -> None:
         limits = self.settings.limits
         for i, thrust in enumerate(self.hover.u[::4]):
@@ -157,6 +184,14 @@ class Setup:
             if not low <= thrust <= high:
                 expected = f"expected a range that contains the hover thrust {thrust:.2f} N of UAV{i + 1}"
                 raise ScenarioError(source, "controller.limits.thrust_N", f"{expected}, got {[low, high]}")
+        rotors = self.scenario.plant.motors.rotors
+        if rotors is not None:
+            for i, thrust in enumerate(self.hover.u[::4]):
+                low, high = rotors.thrust_N
+                if not low <= thrust / 4.0 <= high:
+                    quarter = f"a quarter of the hover thrust of UAV{i + 1}, {thrust / 4.0:.2f} N"
+                    expected = f"expected a range that contains {quarter}"
+                    raise ScenarioError(source, "plant.motors.rotors.thrust_N", f"{expected}, got {[low, high]}")
         separation = self.settings.separation
         if separation is None or self.system.N < 2:
             return
@@ -180,7 +215,7 @@ def _samples(scenario: Scenario, source: str) -> dict[str, tuple[float, ...]]:
             raise ScenarioError(source, "links.samples", f"{expected}, got {section.samples!r}")
         path = Path(source).parent / section.samples
         try:
-            values = [float(word) for word in path.read_text(encoding="utf-8").replace(",", " ").split()]
+            values = [float(word) for word in read_text(path).replace(",", " ").split()]
         except OSError as error:
             raise ScenarioError(source, "links.samples", f"cannot read {path} ({error.strerror})") from error
         except ValueError as error:
@@ -198,9 +233,10 @@ def _uav(section: UavSection) -> Uav:
 def _maneuver(scenario: Scenario) -> Maneuver:
     section = scenario.maneuver
     phases = [
-        Phase(name=p.name, duration_s=p.duration_s, displacement_I=p.displacement_m, way=p.way) for p in section.phase
+        Phase(name=p.name, duration_s=p.duration_s, displacement_I=p.displacement_m, kind=p.kind, way=p.way)
+        for p in section.phase
     ]
-    return Maneuver(start_I=section.start_m, phases=phases, profile=section.profile)
+    return Maneuver(start_I=section.start_m, phases=phases, profile=section.profile, press_m=section.press_m)
 
 
 def _settings(scenario: Scenario) -> ControllerSettings:

@@ -13,7 +13,7 @@ from protocol.wire.coordination import Tick
 from protocol.wire.fields import Agent, KeyEnds, MessageError, Parts
 from protocol.wire.message import BUNDLES, Message, Route
 from protocol.wire.names import AGENT, COORDINATOR, PLANT, RECORDER, WATCHER
-from protocol.wire.records import PlantState, StepReport
+from protocol.wire.records import ActualInputs, PlantState, StepReport
 
 _ANSWERS = (Plan.kind, Plan.route.unshared_key, StepReport.kind)
 # A plan and a report: all answers of a tick must fit into one relay.
@@ -79,4 +79,4 @@ class Record(Bundle):
 
     kind: ClassVar[str] = "record"
     route: ClassVar[Route] = Route(sender=PLANT, receivers=(COORDINATOR, RECORDER, WATCHER))
-    carries: ClassVar[tuple[str, ...]] = (PlantState.kind, Measurement.kind)
+    carries: ClassVar[tuple[str, ...]] = (PlantState.kind, ActualInputs.kind, Measurement.kind)

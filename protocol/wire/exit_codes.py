@@ -8,4 +8,5 @@ EXIT_DIVERGED = 6  # the simulation diverged
 EXIT_CASE_FAILED = 7  # a simulation of an experiment raised an error
 EXIT_DIFFERENT = 8  # replayed plans differ from the recorded ones
 EXIT_CHECK_FAILED = 9  # a check of `transport doctor` failed
-EXIT_INTERRUPTED = 130  # Ctrl-C or SIGTERM
+EXIT_UNRECORDED = 10  # the log or the report cannot be written
+EXIT_INTERRUPTED = 130  # Ctrl-C, SIGTERM or SIGHUP

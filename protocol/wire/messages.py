@@ -1,9 +1,9 @@
 """All messages of a run, and the other events that nodes receive.
 
 Per tick: coordinator -> plant `Tick`; plant -> each agent `Measurement`; agent -> plant, coordinator and, when it is
-shared, the other agents `Plan`. For the record: plant `PlantState`, agents `StepReport`, any process `Rejected`.
-Around them: coordinator `Roster`, `LinkChange` and `Control`. In lockstep most of them travel in bundles: `Answer`,
-`Relay` and `Record`.
+shared, the other agents `Plan`. For the record: plant `PlantState` and `ActualInputs`, agents `StepReport`, any process
+`Rejected`. Around them: coordinator `Roster`, `LinkChange` and `Control`. In lockstep most of them travel in bundles:
+`Answer`, `Relay` and `Record`.
 """
 
 from collections.abc import Callable, Mapping
@@ -16,7 +16,7 @@ from protocol.wire.coordination import Control, LinkChange, Outcome, Roster, Tic
 from protocol.wire.fields import MAX_HORIZON, MAX_NEGOTIATION_ITERATIONS, MAX_TEXT, MAX_TICK, MessageError, Reason
 from protocol.wire.message import BUNDLES, KINDS, Message
 from protocol.wire.names import MAX_UAVS, agent_name, is_name
-from protocol.wire.records import STAGES, FaultNote, FaultOrigin, PlantState, Rejected, StepReport
+from protocol.wire.records import STAGES, ActualInputs, FaultNote, FaultOrigin, PlantState, Rejected, StepReport
 
 
 @dataclass(frozen=True, slots=True)

@@ -84,6 +84,20 @@ class PlantState(Message):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ActualInputs(Message):
+    """Plant to the record: mean of the actual inputs over [t_k, t_{k+1}), where the motors make them differ.
+
+    Sent only in a run whose motors are not ideal. With those of `PlantState`, the commands, it explains the motion.
+    """
+
+    kind: ClassVar[str] = "actual_inputs"
+    route: ClassVar[Route] = Route(sender=PLANT, receivers=(RECORDER,), grows="tick")
+
+    uavs: Ids  # all of them, 1-based ids, ascending
+    inputs: Annotated[Array, Shape(lambda message: (len(message.uavs), INPUTS))]  # (N, 4), N and N m
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FaultNote(Message):
     """Fault injected into a process, or a process that ended by itself; written to the log only, never sent."""
 

@@ -9,7 +9,7 @@ import pytest
 
 from agent.announced import AnnouncedInputs, Law
 from agent.estimator import WINDOW, StateEstimator
-from model import state
+from model import motors, state
 from model.arrays import Array
 from mpc.regulation import Regulation
 from protocol.scenario.setup import Setup
@@ -25,6 +25,8 @@ NOISE = np.tile([2.0, 0.05, 0.05, 0.05], 4)
 # The truth takes ten integration steps per period, the estimator one or two. What they differ by after one period
 # is the estimator's local error, 4e-8 at most on this flight, far below any sensor; ten periods partly add up.
 ONE_PERIOD, TEN_PERIODS = 1e-7, 5e-7
+# The same with motors that lag, over four periods: two steps per period of a method of order 4 against ten.
+AFTER_MOTORS = 2e-6
 
 FOUR, PAIRS = "agents.owned=[[1],[2],[3],[4]]", "agents.owned=[[1,2],[3,4]]"
 
@@ -117,6 +119,38 @@ def test_perfect_network(ownership: str) -> None:
     found = estimates(plant_state, arriving(plant_state, lambda k: k + 1))
     assert_close(found, plant_state, range(TICKS + 1), ONE_PERIOD)
     assert np.abs(plant_state.X[-1] - plant_state.X[0]).max() > 0.1  # the flight has gone somewhere
+
+
+@pytest.mark.parametrize("delay", [1, 4])
+def test_motors_that_lag(delay: int) -> None:
+    """Actual inputs follow from announced and reported commands, so that states are exact; a wrong guess decays."""
+    lag_s, run = 0.06, setup(FOUR)
+    rng = np.random.default_rng(12)
+    U = run.hover.u + 0.3 * NOISE * rng.uniform(-1.0, 1.0, (TICKS, run.system.m))
+    wrong = 0.3 * NOISE * rng.uniform(-1.0, 1.0, run.system.m)
+    Z = [np.concatenate([run.initial_state(), run.hover.u + wrong])]
+    for u in U:
+        Z.append(motors.integrate(run.model, Z[-1], u, PERIOD_S, 10, lag_s)[0])
+    truth = Flight(run, np.array(Z)[:, : run.system.n], U)
+
+    guess = np.concatenate([run.initial_state(), run.hover.u])
+    estimator = StateEstimator(run.model, lambda _: guess.copy(), PERIOD_S, motor_lag_s=lag_s)
+    announced, own = AnnouncedInputs(run.owned, run.hover.u, own=1), state.input_indices(run.owned[0])
+    for k in range(TICKS + 1):
+        for agent in run.agents[1:]:
+            if k >= delay:
+                announced.add(truth.plan(agent, k - delay, steps=8))
+                estimator.take(truth.plan(agent, k - delay, steps=8))
+        seen = measurement(run, 1, k, x=truth.X[k])
+        found = estimated(estimator, replace(seen, inputs=U[k - 1, own].reshape(1, 4)) if k else seen, announced)
+        if k < delay:
+            continue
+        # The first guess of the actual inputs errs by `wrong`.
+        left = np.abs(wrong).max() * np.exp(-k * PERIOD_S / lag_s)
+        assert np.abs(found[run.system.n :] - Z[k][run.system.n :]).max() <= left + ONE_PERIOD
+        if left < 1e-9:
+            np.testing.assert_allclose(found[: run.system.n], truth.X[k], rtol=0.0, atol=AFTER_MOTORS)
+    assert left < 1e-9
 
 
 def test_own_measurement_is_taken_as_it_is() -> None:

@@ -167,3 +167,66 @@ def test_impossible_phases_are_refused() -> None:
         Maneuver(start_I=[0.0, 0.0, 0.0], phases=[])
     with pytest.raises(ShapeError, match="maneuver start: expected finite numbers, got nan"):
         Maneuver(start_I=[0.0, 0.0, float("nan")], phases=paper_maneuver().phases)
+
+
+def delivery(press_m: float = 0.2) -> Maneuver:
+    """From the ground up, along, and down to the ground again."""
+    return Maneuver(
+        start_I=[0.0, 0.0, -0.125],
+        phases=[
+            Phase(name="up", kind="take_off", duration_s=4.0, displacement_I=[0.0, 0.0, -2.0]),
+            Phase(name="along", duration_s=3.0, displacement_I=[3.0, 0.0, 0.0]),
+            Phase(name="down", kind="land", duration_s=8.0, displacement_I=[0.0, 0.0, 2.0]),
+            Phase(name="rest", duration_s=2.0, displacement_I=[0.0, 0.0, 0.0]),
+        ],
+        profile="ramp",
+        press_m=press_m,
+    )
+
+
+def test_the_payload_stands_while_its_weight_goes_over() -> None:
+    """In the first quarter of a take-off and the last of a landing the path stands still, and is smooth in between."""
+    maneuver = delivery()
+    r, v = maneuver.path(np.array([0.0, 0.5, 1.0, 4.0, 7.0, 13.0, 14.0, 17.0]))
+    assert r[:, 2] == pytest.approx([-0.125, -0.125, -0.125, -2.125, -2.125, -0.125, -0.125, -0.125])
+    assert np.abs(v[[0, 1, 2, 5, 6, 7], 2]).max() == 0.0
+    assert maneuver.path(np.array([2.5]))[1][0, 2] == pytest.approx(-2.0 / 3.0 * 15.0 / 8.0)  # the fastest: half-way
+
+
+def test_what_controllers_follow_is_below_the_path_on_the_ground() -> None:
+    """From `press_m` to nothing and back, for all outputs of height and their rates alike."""
+    times_s = np.linspace(0.0, 17.0, 341)
+    maneuver = delivery()
+    depth, rate = maneuver.press(times_s)
+    assert depth[times_s == 0.0] == depth[-1] == 0.2
+    assert np.abs(depth[(times_s >= 1.0) & (times_s <= 13.0)]).max() < PATH_TOLERANCE_M
+    ahead, behind = (maneuver.press(times_s + step)[0] for step in (DIFFERENCE_STEP_S, -DIFFERENCE_STEP_S))
+    assert np.abs((ahead - behind) / (2.0 * DIFFERENCE_STEP_S) - rate).max() < SPEED_TOLERANCE
+    system = table_1()
+    reference = Reference(system, hover(system), maneuver)
+    y, x = reference.followed(times_s)
+    flown_y, flown_x = reference.outputs(times_s), reference.states(times_s)
+    lower = np.zeros(system.p)
+    lower[[2, 5, 8, 11, -4]] = 1.0
+    faster = np.zeros(system.p)
+    faster[-1] = 1.0
+    np.testing.assert_allclose(y - flown_y, np.outer(depth, lower) + np.outer(rate, faster), atol=PATH_TOLERANCE_M)
+    assert (x - flown_x)[:, [2, 5]] == pytest.approx(np.column_stack([depth, rate]))
+    assert np.abs(np.delete(x - flown_x, [2, 5], axis=1)).max() == 0.0
+
+
+def test_without_the_ground_they_follow_the_path() -> None:
+    """The reference of a maneuver in the air is its path, bit for bit."""
+    system, times_s = table_1(), np.linspace(0.0, 30.0, 601)
+    reference = Reference(system, hover(system), paper_maneuver())
+    y, x = reference.followed(times_s)
+    np.testing.assert_array_equal(y, reference.outputs(times_s))
+    np.testing.assert_array_equal(x, reference.states(times_s))
+
+
+def test_after_a_landing_comes_a_take_off() -> None:
+    """A payload on the ground is not dragged along."""
+    land = Phase(name="down", kind="land", duration_s=8.0, displacement_I=[0.0, 0.0, 2.0])
+    along = Phase(name="along", duration_s=3.0, displacement_I=[3.0, 0.0, 0.0])
+    with pytest.raises(ParameterError, match="phase 'along': expected a take-off, or no way, after a landing"):
+        Maneuver(start_I=[0.0, 0.0, -2.125], phases=[land, along])

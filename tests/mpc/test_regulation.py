@@ -123,6 +123,8 @@ def corrections(case: Case, settings: ControllerSettings, starts: Sequence[int] 
         forces = rng.normal(0.0, 2.0, 3 + 3 * case.system.N) if case.forced else None
         x = held(X_ref, k, 1)[0] + small_state(at, rng, 0.05)
         u0 = at.u + 0.1 * rng.standard_normal(len(at.u))
+        if settings.motor_lag_s > 0.0:
+            x = np.concatenate([x, at.u + 0.1 * rng.standard_normal(len(at.u))])
         found = optimum(one, X_ref, k, x, u0, forces)
         assert found.solution.status == "solved"
         assert not np.any(found.solution.row_multipliers), "a constraint is active: the theorem says nothing"
@@ -137,6 +139,20 @@ def corrections(case: Case, settings: ControllerSettings, starts: Sequence[int] 
 def test_no_agent_leaves_the_law(case: Case, horizon: int) -> None:
     """c = 0 is the optimum of every program, from any small state and instant, docs/equations.md (36a)-(36e)."""
     assert max(corrections(case, replace(LQ, horizon=horizon))) < NO_CORRECTION
+
+
+@pytest.mark.parametrize(
+    ("name", "lag_s", "horizon"),
+    [
+        ("single, all", 0.005, 1),
+        ("single, all", 0.1, 20),
+        ("pair, all, pair gone", 0.03, 5),
+        ("centralized, all", 0.1, 5),
+    ],
+)
+def test_no_agent_leaves_the_law_of_motors(name: str, lag_s: float, horizon: int) -> None:
+    """With motors that lag, c = 0 is the optimum as well: gain, preview, cost-to-go and prediction are of (55)."""
+    assert max(corrections(CASES[name], replace(LQ, horizon=horizon, motor_lag_s=lag_s))) < NO_CORRECTION
 
 
 @pytest.mark.parametrize("change", [{"terminal": "multiple"}, {"preview": False}])

@@ -179,7 +179,7 @@ def test_truth_is_the_integrated_state() -> None:
 @pytest.mark.parametrize(("step_s", "steps"), [(0.005, 10), (0.05, 1), (0.02, 3), (0.0125, 4)])
 def test_integration_steps(step_s: float, steps: int) -> None:
     """The integration takes the fewest equal steps that are no longer than the scenario's."""
-    run = setup(f"plant.step_s={step_s}")
+    run = setup(f"plant.step_s={step_s}", "plant.tolerance=1.0")
     node = ready(run)
     tell(node, tick(0))
     shove = np.tile([25.0, 0.1, 0.2, 0.1], (20, 1))

@@ -9,7 +9,7 @@ import pytest
 
 from protocol.admission import rate_limit as rate_limit
 from protocol.admission.admission import Admission
-from protocol.admission.rate_limit import BURST, WINDOW, WINDOW_S, RateLimit
+from protocol.admission.rate_limit import BURST, REQUEST_BURST, REQUEST_RATE_HZ, WINDOW, WINDOW_S, RateLimit
 from protocol.network.health import Offset, offset, usage
 from protocol.wire.codec import VERSION, encode
 from protocol.wire.header import Header, header_of, place_of
@@ -161,15 +161,16 @@ class FakeTime:
         self.now_s += length_s
 
 
-def test_rate_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("rate_hz", "burst"), [(rate_limit.RATE_HZ, BURST), (REQUEST_RATE_HZ, REQUEST_BURST)])
+def test_rate_limit(rate_hz: float, burst: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """A burst is free; each later message takes its share of the rate, whichever sender used the burst."""
-    clock, held = FakeTime(monkeypatch), RateLimit()
-    for _ in range(int(BURST)):
+    clock, held = FakeTime(monkeypatch), RateLimit(rate_hz, burst)
+    for _ in range(int(burst)):
         held.hold()
     assert clock.slept_s == 0.0
-    for _ in range(10 * int(BURST)):
+    for _ in range(1000):
         held.hold()
-    assert clock.slept_s == pytest.approx(10 * BURST / rate_limit.RATE_HZ, rel=0.2)
+    assert clock.slept_s == pytest.approx(1000 / rate_hz, rel=0.2)
     clock.now_s += 10.0  # a pause without messages
     before_s = clock.slept_s
     held.hold()

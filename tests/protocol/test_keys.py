@@ -6,6 +6,7 @@ from protocol.wire.keys import Keys, RunNameError, Token, matches
 from protocol.wire.messages import (
     BUNDLES,
     KINDS,
+    ActualInputs,
     Answer,
     Control,
     FaultNote,
@@ -67,6 +68,7 @@ def listeners(message: Message) -> set[str]:
         (StepReport, {"recorder"}),
         (Rejected, {"recorder"}),
         (PlantState, {"coordinator", "recorder"}),
+        (ActualInputs, {"recorder"}),
         (Answer, {"coordinator"}),
         (Relay, {"plant", "recorder", "agent1", "agent2", "agent12", "agent123"}),
         (Record, {"coordinator", "recorder"}),

@@ -19,6 +19,9 @@ from tests.support.runs import PAPER, SCENARIOS, SHORT, setup, ticks
 # A value of the same type that differs, for what cannot simply be counted up.
 OTHER_WORDS = {
     "profile": "step",
+    "engine": "mujoco",
+    "kind": "land",
+    "suspension": "cables",
     "penalised_input": "absolute",
     "solver": "clarabel",
     "share": "on_change",

@@ -18,6 +18,7 @@ ONE_UAV_ASIDE = (
 LONGEST_SHOWN = 80
 
 ENDS = "expected one of plant, agent1, agent2, agent3, agent4, got "
+GROUND = ("plant.engine=mujoco", "plant.ground_m=0.0")
 REALTIME = "clock.mode=realtime"
 ON_CHANGE = ("controller.prediction=closed_loop", "controller.received_plans=by_age", "controller.share=on_change")
 
@@ -256,6 +257,85 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
         "{at_s=1,do='release',target='uav3'},{at_s=1,do='motor_off',target='uav4'}]",
         "faults.event",
         "expected at least one UAV that keeps its motors, got motor_off or release for all 4",
+    ),
+    # On the ground.
+    (
+        "maneuver.phase.1.kind=land",
+        "maneuver.phase.1.kind",
+        "expected plant.ground_m with it, got 'land' without a ground",
+    ),
+    (
+        ("maneuver.phase.1.kind=land", *GROUND),
+        "maneuver.phase.1.displacement_m",
+        "straight down, positive z, got [0.0, 0.0, 0.0]",
+    ),
+    (
+        ("maneuver.phase.2.kind=take_off", *GROUND),
+        "maneuver.phase.2",
+        "expected a take-off from z = -0.125 m, where the payload stands on the ground, got -10",
+    ),
+    (
+        ("maneuver.phase.4.kind=land", *GROUND),
+        "maneuver.phase.4",
+        "expected a landing at z = -0.125 m, where the payload stands on the ground, got -10",
+    ),
+    (
+        ("plant.engine=mujoco", "plant.ground_m=-12.0"),
+        "maneuver.start_m",
+        "expected z of at most -12.125 m, where the payload stands on the ground, got -10",
+    ),
+    (
+        ("maneuver.phase.4.displacement_m=[0.0,0.0,20.0]", *GROUND),
+        "maneuver.phase.4",
+        "expected a path above z = -0.125 m, where the payload stands on the ground, got 7.5",
+    ),
+    # Motors.
+    (
+        "faults.event=[{at_s=1,do='degrade',target='uav3'}]",
+        "faults.event.1.efficiency",
+        "expected an efficiency, got nothing",
+    ),
+    (
+        "faults.event=[{at_s=1,do='motor_off',target='uav3',efficiency=0.5}]",
+        "faults.event.1.efficiency",
+        "expected none but with 'degrade', got 0.5",
+    ),
+    (
+        "faults.event=[{at_s=1,do='degrade',target='uav3',efficiency=1.5}]",
+        "faults.event.1.efficiency",
+        "expected a number <= 1.0, got 1.5",
+    ),
+    (
+        "faults.event=[{at_s=1,do='degrade',target='agent3',efficiency=0.5}]",
+        "faults.event.1.target",
+        "expected one of uav1, uav2, uav3, uav4, got 'agent3'",
+    ),
+    (
+        "faults.event=[{at_s=1,do='motor_off',target='uav3'},{at_s=2,do='degrade',target='uav3',efficiency=0.5}]",
+        "faults.event.2.do",
+        "expected what can be done to uav3, which is off by then, got 'degrade'",
+    ),
+    ("plant.motors.lag_s=-1", "plant.motors.lag_s", "expected a number >= 0.0, got -1"),
+    (
+        "plant.motors.lag_s=1e-4",
+        "plant.motors.lag_s",
+        "expected 0 or at least a hundredth of the sampling period, 0.0005, got 0.0001",
+    ),
+    (
+        "controller.motor_lag_s=1e-4",
+        "controller.motor_lag_s",
+        "expected 0 or at least a hundredth of the sampling period, 0.0005, got 0.0001",
+    ),
+    ("plant.motors.thrust_step_N=-1", "plant.motors.thrust_step_N", "expected a number >= 0.0, got -1"),
+    (
+        "plant.motors.rotors={arm_m=0.2,drag_to_thrust_m=0.02,thrust_N=[5.0,5.0]}",
+        "plant.motors.rotors.thrust_N",
+        "expected [smallest, largest] with smallest < largest, got [5.0, 5.0]",
+    ),
+    (
+        "plant.motors.rotors={arm_m=0.2,drag_to_thrust_m=0.02,thrust_N=[0.0,5.0]}",
+        "plant.motors.rotors.thrust_N",
+        "expected a range that contains a quarter of the hover thrust of UAV1, 5.52 N, got [0.0, 5.0]",
     ),
     # The truth, and what is to be estimated of it.
     ("plant.payload_mass_factor=0", "plant.payload_mass_factor", "expected a number > 0.0, got 0"),

@@ -21,7 +21,7 @@ SHORT = (
 ENDLESS = ("clock.speed=1.0",)
 
 # Time to start six processes on a busy machine with two cores, s.
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0
 
 
 def command(*arguments: str | Path) -> list[str]:

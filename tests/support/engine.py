@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from model import state
@@ -44,11 +45,7 @@ class Accelerations:
 
 def accelerations(system: System, x: Array, u: Array, forces: Array | None = None) -> Accelerations:
     """Evaluate MuJoCo's forward dynamics at one state and input, under forces on payload and UAVs, (3 + 3 N,)."""
-    engine = mujoco.MjModel.from_xml_string(_xml(system))
-    for i in range(system.N):
-        rod = engine.body(f"rod{i}").id
-        engine.body_mass[rod] = 0.0
-        engine.body_inertia[rod] = [0.0, 0.0, _ROD_SPIN_INERTIA]
+    engine = _engine(system)
     data = mujoco.MjData(engine)
     _place(system, engine, data, x)
     attitudes = [attitude(Theta) for Theta in StateView(x).Theta]
@@ -77,6 +74,63 @@ def accelerations(system: System, x: Array, u: Array, forces: Array | None = Non
     )
 
 
+def motion(system: System, x: Array, u: Array, duration_s: float) -> list[Array]:
+    """Return the state after `duration_s` of held input: SciPy's DOP853 about MuJoCo's forward dynamics.
+
+    Attitudes are quaternions here, so there is no singularity. Returns: payload position and velocity (inertial frame),
+    attitude, angular velocity; rod directions and angular velocities (payload frame); UAV attitudes and rates.
+    """
+    engine, N = _engine(system), system.N
+    data = mujoco.MjData(engine)
+    _place(system, engine, data, x)
+    positions, turns = len(data.qpos), [3 + 4 * k for k in range(1 + 2 * N)]  # beginnings of the quaternions
+
+    def derivative(_: float, y: Array) -> Array:
+        for at in turns:
+            y[at : at + 4] /= np.linalg.norm(y[at : at + 4])
+        data.qpos, data.qvel = y[:positions], y[positions:]
+        mujoco.mj_kinematics(engine, data)
+        for i in range(N):
+            R = data.body(f"uav{i}").xmat.reshape(3, 3)
+            thrust, *tau = u[state.input_slice(i)]
+            data.xfrc_applied[engine.body(f"uav{i}").id] = [*(-thrust * R[:, 2]), *(R @ tau)]
+        mujoco.mj_forward(engine, data)
+        rates = np.zeros(positions)
+        rates[:3] = data.qvel[:3]
+        for k, at in enumerate(turns):
+            w, v, omega = y[at], y[at + 1 : at + 4], data.qvel[3 + 3 * k : 6 + 3 * k]
+            rates[at : at + 4] = 0.5 * np.array([-v @ omega, *(w * omega + np.cross(v, omega))])
+        return np.concatenate([rates, data.qacc])
+
+    start = np.concatenate([data.qpos, data.qvel])
+    end = solve_ivp(derivative, (0.0, duration_s), start, method="DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
+    R = [_matrix(end[at : at + 4]) for at in turns]
+    rates = end[positions + 3 :].reshape(-1, 3)
+    R0, omega0 = R[0], rates[0]
+    Omega = [omega0 + R[1 + 2 * i] @ rates[1 + 2 * i] for i in range(N)]
+    attitudes = [R0 @ R[1 + 2 * i] @ R[2 + 2 * i] for i in range(N)]
+    return [
+        end[:3],
+        end[positions : positions + 3],
+        R0,
+        omega0,
+        np.array([R[1 + 2 * i][:, 2] for i in range(N)]),
+        np.array(Omega),
+        np.array(attitudes),
+        np.array([rates[2 + 2 * i] + attitudes[i].T @ R0 @ Omega[i] for i in range(N)]),
+    ]
+
+
+def _engine(system: System) -> mujoco.MjModel:
+    """Return the system compiled, with massless rods."""
+    engine = mujoco.MjModel.from_xml_string(_xml(system))
+    for i in range(system.N):
+        rod = engine.body(f"rod{i}").id
+        engine.body_mass[rod] = 0.0
+        engine.body_inertia[rod] = [0.0, 0.0, _ROD_SPIN_INERTIA]
+    return engine
+
+
 def _place(system: System, engine: mujoco.MjModel, data: mujoco.MjData, x: Array) -> None:
     """Write the state into MuJoCo's coordinates: quaternions and rates relative to the parent body."""
     view = StateView(x)
@@ -97,6 +151,10 @@ def _rotation_to(e: Array) -> Array:
     least = np.eye(3)[np.argmin(np.abs(e))]  # the axis farthest from e, so that the product is far from zero
     first = np.cross(least, e) / np.linalg.norm(np.cross(least, e))
     return np.column_stack([first, np.cross(e, first), e])
+
+
+def _matrix(quaternion: Array) -> Array:
+    return np.asarray(Rotation.from_quat(quaternion, scalar_first=True).as_matrix())
 
 
 def _quaternion(R: Array) -> Array:

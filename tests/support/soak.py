@@ -30,7 +30,7 @@ from protocol.network.health import usage
 from protocol.wire.codec import decode
 from protocol.wire.messages import Tick
 from transport.flight import live
-from transport.flight.run import machine
+from transport.flight.header import machine
 
 # Share of the time left out, in which caches fill.
 _WARM_UP = 0.1

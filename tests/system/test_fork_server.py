@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import IO
 
@@ -15,7 +16,10 @@ import pytest
 from protocol.network.health import command_of
 from protocol.network.parent import PARENT_PIPE
 from tests.support.commands import command, wait_for
+from tests.support.trace_stop import trace_stopped
+from transport.flight import fork_server as fork_server_module
 from transport.flight.fork_server import Forked, ForkServer, Started
+from transport.flight.vitals import has_died
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
 
@@ -172,3 +176,42 @@ def test_environment_and_folder_of_now(server: ForkServer, tmp_path: Path, monke
     assert isinstance(process, Forked)
     assert process.wait(60.0) == 0
     assert max(map(len, (tmp_path / "log").read_text().splitlines())) <= 50
+
+
+@pytest.mark.parametrize("first_thread", [None, False], ids=["SIGSTOP", "trace stop"])
+def test_a_server_that_does_not_answer_is_given_up(
+    first_thread: bool | None, server: ForkServer, tmp_path: Path
+) -> None:
+    """A stopped server, also one that its tracer keeps from being reaped, is ended, and the command started anew."""
+    assert server._process is not None
+    pid = server._process.pid
+    with ExitStack() as stops:
+        if first_thread is None:
+            os.kill(pid, signal.SIGSTOP)
+        else:
+            stops.enter_context(trace_stopped(pid, first_thread=first_thread))
+        process = begin(server, tmp_path / "out.log", "--version")
+        assert isinstance(process, subprocess.Popen)
+        assert has_died(pid)
+        assert process.wait(60.0) == 0
+
+
+def test_a_process_of_a_server_that_was_given_up_is_ended(
+    server: ForkServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A server that has forked a process but not said so leaves none beside the one that is started in its place."""
+
+    def is_running() -> list[int]:
+        pids = [int(entry.name) for entry in Path("/proc").iterdir() if entry.name.isdecimal()]
+        return [pid for pid in pids if command_of(str(pid))[-len(LONELY) :] == [*LONELY]]
+
+    def give_up(*_: object) -> None:
+        assert wait_for(lambda: len(is_running()) == 1)
+        raise TimeoutError
+
+    monkeypatch.setattr(fork_server_module, "_await_answer", give_up)
+    process = begin(server, tmp_path / "agent.log", *LONELY)
+    assert isinstance(process, subprocess.Popen)
+    assert wait_for(lambda: is_running() == [process.pid])
+    process.kill()
+    process.wait()

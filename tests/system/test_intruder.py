@@ -35,7 +35,7 @@ FLIGHT = (
 )
 
 # Number of bad messages: in total, on a busy machine at least, and at a time; the last are sent well before the end.
-SHOTS, FEWEST, BURST, LAST_TICK = 4000, 1000, 40, 100
+SHOTS, FEWEST, BURST, LAST_TICK = 4000, 1000, 120, 100
 
 # Messages in a bundle: plan and report of four agents, and a tick.
 MOST_PARTS = 9

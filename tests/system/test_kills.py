@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from protocol.wire.messages import Control
 from tests.support.commands import ENDLESS, PATIENCE_S, is_flying, processes_of, settings, start, transport, wait_for
 from transport.log.run_log import read_log
 
@@ -56,6 +57,25 @@ def test_a_process_told_to_end_leaves_at_once(victim: str, tmp_path: Path) -> No
     assert processes_of(run) == {}
 
 
+@pytest.mark.slow
+def test_a_process_stopped_before_the_run_is_named(tmp_path: Path) -> None:
+    """A plant that is stopped while the processes join: exit code 4, the plant named, a log with the reason."""
+    process = start(
+        "run", "paper", *settings("clock.join_timeout_s=8.0"), "--out", "join", "--no-figures", cwd=tmp_path
+    )
+    assert wait_for(lambda: "plant" in processes_of("join"))
+    os.kill(processes_of("join")["plant"], signal.SIGSTOP)
+    _, errors = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == LOST
+    line = errors.splitlines()[-1]
+    assert line.startswith("transport: plant does not answer: stopped by a signal for ")
+    assert "Traceback" not in errors
+    assert processes_of("join") == {}
+    log = read_log(tmp_path / "join" / "run.mcap")
+    assert [f"transport: {end.reason}" for end in log.of(Control)] == [line]
+    assert not log.cut
+
+
 @pytest.mark.parametrize("exchange", BOTH)
 @pytest.mark.parametrize("victim", ["coordinator", "plant", "agent1", "agent4"])
 def test_a_killed_process_ends_the_run_in_order(victim: str, exchange: str, tmp_path: Path) -> None:
@@ -74,7 +94,7 @@ def test_a_killed_process_ends_the_run_in_order(victim: str, exchange: str, tmp_
     assert not read_log(tmp_path / run / "run.mcap").cut
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, pytest.param(signal.SIGHUP, marks=pytest.mark.slow)])
 def test_an_interrupted_run_is_reported(number: signal.Signals, tmp_path: Path) -> None:
     """Ctrl-C and SIGTERM end the run in order: exit code 130, a report of the simulated part, no process left."""
     process = take_off(tmp_path, "interrupted")

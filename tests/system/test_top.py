@@ -22,7 +22,7 @@ MILLISECOND_NS = 1_000_000
 LONG = (
     "maneuver.phase=[{name='hover',duration_s=0.5,displacement_m=[0,0,0]},"
     "{name='climb',duration_s=9.5,displacement_m=[0,0,-2]}]",
-    "clock.speed=0.5",
+    "clock.speed=0.1",
 )
 REALTIME = ("clock.mode='realtime'", "clock.speed=0.5", "clock.actuation='next_tick'")
 
@@ -128,8 +128,8 @@ def test_a_run_that_is_watched(tmp_path: Path) -> None:
         for process in (to_the_end, interrupted):
             assert process.stdout is not None
             assert process.stdout.readline() == "seen\n"  # the first table shows that the command watches
-        once = transport("top", "--once", "--format", "json", cwd=tmp_path)
         interrupted.send_signal(signal.SIGINT)
+        once = transport("top", "--once", "--format", "json", cwd=tmp_path)
         _, errors = interrupted.communicate(timeout=PATIENCE_S)
         assert interrupted.returncode == 130, errors
         assert "Traceback" not in errors

@@ -14,7 +14,7 @@ from model.arrays import Array
 from protocol.scenario.file import read_scenario
 from protocol.scenario.setup import Setup
 from protocol.scenario.team import resized
-from protocol.wire.messages import Control, Message, Roster, StepReport
+from protocol.wire.messages import ActualInputs, Control, Message, Roster, StepReport
 from tests.support.commands import SHORT, settings, transport
 from tests.support.logs import log_of
 from tests.support.runs import SCENARIOS
@@ -176,9 +176,16 @@ def test_no_controller_anticipates_the_fault() -> None:
 
 @pytest.mark.parametrize("exchange", ["relayed", pytest.param("direct", marks=pytest.mark.slow)])
 def test_processes_fly_the_same(exchange: str, tmp_path: Path) -> None:
-    """Across processes a motor failure and a release give bitwise the in-memory run."""
-    event = "faults.event=[{at_s=0.5,do='motor_off',target='uav3'},{at_s=0.55,do='release',target='uav3'}]"
-    changes = settings(SHORT, event, f"clock.exchange={exchange}")
+    """Across processes a motor failure and a release give bitwise the in-memory run, with ideal and with other motors.
+
+    The motors are ideal in the direct run; in the relayed one they lag, as the controllers know, and one UAV's degrade.
+    """
+    failure = "{at_s=0.5,do='motor_off',target='uav3'},{at_s=0.55,do='release',target='uav3'}"
+    motors = ("plant.motors={lag_s=0.05,thrust_step_N=0.01}", "controller.motor_lag_s=0.05")
+    ideal = exchange == "direct"
+    degraded = "{at_s=0.3,do='degrade',target='uav1',efficiency=0.95}"
+    events = f"faults.event=[{failure if ideal else f'{degraded},{failure}'}]"
+    changes = settings(SHORT, events, f"clock.exchange={exchange}", *(() if ideal else motors))
     result = transport("run", "resilient", *changes, "--out", "run", "--no-figures", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     folder, again = tmp_path / "run", tmp_path / "again"
@@ -191,9 +198,17 @@ def test_processes_fly_the_same(exchange: str, tmp_path: Path) -> None:
     found, expected = (series_of(run, read_log(place / "run.mcap")) for place in (folder, again))
     np.testing.assert_array_equal(found.x, expected.x)
     np.testing.assert_array_equal(found.u, expected.u)
+    actual = [
+        [(m.tick, m.inputs.tobytes()) for m in read_log(place / "run.mcap").of(ActualInputs)]
+        for place in (folder, again)
+    ]
+    assert actual[0] == actual[1]
+    assert len(actual[0]) == (0 if ideal else run.ticks)
     for place in (folder, again):
         faults = json.loads((place / "summary.json").read_text())["faults"]
+        first = (6, "fault", ["uav1"], "motors of uav1 degraded to 0.95 of their inputs by script")
         assert [(fault["tick"], fault["kind"], fault["processes"], fault["what"]) for fault in faults] == [
+            *(() if ideal else (first,)),
             (10, "fault", ["uav3"], "uav3 motors off at t = 0.50 s by script"),
             (11, "fault", ["uav3"], "uav3 released at t = 0.55 s by script"),
         ]

@@ -18,11 +18,16 @@ from transport.log.run_log import read_log
 
 SHARED_ON_CHANGE = ("controller.share=on_change", "controller.share_threshold=0.02", "controller.share_heartbeat_s=0.4")
 RELEASED = "faults.event=[{at_s=0.5,do='motor_off',target='uav3'},{at_s=0.55,do='release',target='uav3'}]"
+MOTORS = (
+    "plant.motors={lag_s=0.06,thrust_step_N=0.1,rotors={arm_m=0.25,drag_to_thrust_m=0.016,thrust_N=[0.5,6.0]}}",
+    "controller.motor_lag_s=0.05",
+    "faults.event=[{at_s=0.5,do='degrade',target='uav2',efficiency=0.95}]",
+)
 CASES = {
     "plain": (),
     "negotiation": (ITERATIONS,),
     "impaired negotiation": (HEAVY, ITERATIONS, NEXT_TICK),
-    "shared on change": (*SHARED_ON_CHANGE, "links.loss=0.3"),
+    "shared on change with motors": (*SHARED_ON_CHANGE, *MOTORS, "links.loss=0.3"),
 }
 SLOW = {"two UAVs each": ("agents.owned=[[1,2],[3,4]]",), "released": (RELEASED,)}
 

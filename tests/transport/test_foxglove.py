@@ -24,6 +24,8 @@ from transport.report.json_messages import to_json
 
 EXACT = 1e-12
 TICKS = 6
+# The payload starts 10 m up, its box reaches 0.125 m further down: it stands on this ground.
+ON_THE_GROUND = ("plant.engine=mujoco", "plant.ground_m=-9.875")
 
 
 @pytest.fixture(scope="module")
@@ -121,3 +123,23 @@ def test_exactly_one_output(copied: Path, outputs: list[str], message: str) -> N
     result = CliRunner().invoke(app, ["log", "export", str(copied), *outputs])
     assert result.exit_code == 2
     assert message in result.stderr
+
+
+def test_ground_and_contacts(tmp_path: Path) -> None:
+    """The top of a slab below the whole path is the ground; marks are where the payload's box touches it."""
+    record_run(runs.setup(runs.ticks(2), *ON_THE_GROUND), tmp_path)
+    result = CliRunner().invoke(app, ["log", "export", str(tmp_path), "--foxglove", str(tmp_path / "foxglove.mcap")])
+    assert result.exit_code == 0, result.stderr
+    slabs: list[Any] = []
+    marks: list[Any] = []
+    for topic, _, message, _, _ in added(tmp_path):
+        for entity in message.get("entities", ()) if topic.startswith("/scene") else ():
+            slabs += entity["cubes"] if entity["id"] == "ground" else []
+            if entity["id"] == "contacts":
+                marks.append([sphere["pose"]["position"] for sphere in entity["spheres"]])
+    (slab,) = slabs
+    top_m = slab["pose"]["position"]["z"] - slab["size"]["z"] / 2.0
+    assert top_m == pytest.approx(-9.875)
+    assert len(marks) == 2
+    assert sorted((mark["x"], mark["y"]) for mark in marks[0]) == [(x, y) for x in (-0.25, 0.25) for y in (-0.25, 0.25)]
+    assert {mark["z"] for mark in marks[0]} == {-9.875}

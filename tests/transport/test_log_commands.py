@@ -17,7 +17,7 @@ from transport.log.run_log import LogWriter
 
 KILL = (
     *("clock.on_agent_loss='continue'", "controller.prediction='closed_loop'", "controller.relaxation='auto'"),
-    "faults.event=[{at_s=0.5,do='kill',target='agent3'}]",
+    "faults.event=[{at_s=0.5,do='kill',target='agent3'},{at_s=0.2,do='degrade',target='uav4',efficiency=0.9}]",
 )
 
 
@@ -131,6 +131,9 @@ def test_tables_hold_the_bits(flight: tuple[Path, list[Message]], tmp_path: Path
     for row in (from_csv, from_parquet):
         assert np.array([float(row[name]) for name in names]).tobytes() == np.array(expected).tobytes()
     assert names[-5:-3] == ["uav4_thrust_N", "uav4_moment_x_Nm"]
+    actual = rows(tmp_path / "actual_inputs.csv")[4 * 20 + 3]
+    assert (actual["tick"], actual["uav"]) == ("20", "4")
+    assert float(actual["thrust_N"]) == pytest.approx(0.9 * plant_state.u[12], rel=1e-12)
     plan = next(
         message for message in messages if isinstance(message, Plan) and (message.agent, message.tick) == (2, 15)
     )

@@ -14,6 +14,7 @@ from tests.support.logs import SINGLE_UAV, log_of, plan, plant_state, report
 from transport.analysis.metrics import rest_of_tick_ms, summarise
 from transport.analysis.series import series_of
 from transport.analysis.steps import steps_columns, steps_rows
+from transport.report.report import warnings
 
 # A few roundings of numbers of order one to a hundred.
 ROUNDING = 1e-12
@@ -145,6 +146,23 @@ def test_violations_are_shares_of_the_range() -> None:
     distance_m = series_of(run, log_of([plant_state(run, 0, close)])).separation_m[0]
     assert distance_m < 0.4
     assert worst(plant_state(run, 0, close)) == pytest.approx((0.4 - distance_m) / 0.4, rel=ROUNDING)
+
+
+def test_largest_local_error_and_its_warning() -> None:
+    """The summary has the largest local error of the integration; above 1e-6 a warning says so."""
+    run = runs.setup(HOVER)
+
+    def summary(*errors: float) -> dict[str, Any]:
+        states = [replace(plant_state(run, tick), local_error=error) for tick, error in enumerate(errors)]
+        return summarise(run, log_of(states))
+
+    assert summary(1e-12, 3e-11, 2e-11)["local_error_max"] == 3e-11
+    assert summary(1e-12, -1.0)["local_error_max"] == 1e-12  # -1: not finite, the run has diverged
+    assert summary()["local_error_max"] is None
+    assert warnings(summary(1e-12, 9e-7)) == warnings(summary()) == []
+    (line,) = warnings(summary(1e-12, 2e-6))
+    assert "local error of 2.0e-06" in line
+    assert "plant.tolerance" in line
 
 
 def test_a_perfect_network_loses_nothing() -> None:

@@ -17,6 +17,9 @@ OVERRUN_M = 0.01
 WALL_M = 2.1
 APART_M = 0.4
 
+# How near to its place a delivered payload rests, and how far it is lifted on its way.
+PLACE_M, LIFT_M = 0.05, 1.9
+
 LEAD = slice(0, 2)  # UAVs 1 and 2, in front
 REAR = slice(2, 4)
 
@@ -76,3 +79,21 @@ def test_wind_is_flown_through() -> None:
     # Gusts shake the formation and leave it where it should be; the payload hangs under it, swinging.
     assert np.abs(series.uav_errors_I.mean(axis=(0, 1))).max() < 0.05
     assert np.linalg.norm(series.payload_error_I, axis=1).max() < 1.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [3, 8])
+def test_the_delivery_arrives(seed: int) -> None:
+    """From the ground around the corner to the ground: the payload rests within 5 cm of its place, level, and alone."""
+    run, series, _ = flown("delivery", f"seed={seed}")
+    assert min(run.scenario.plant.noise.model_dump().values()) > 0.0
+    errors_m = np.linalg.norm(series.payload_error_I, axis=1)
+    last = series.times_s >= 21.0  # released
+    assert errors_m[last].max() < PLACE_M
+    assert np.abs(series.payload_velocity_I[-1]).max() < 1e-3
+    assert np.abs(series.attitude_deg[last, :2]).max() < 0.1  # level; its heading is that of the flight
+    assert not series.u[last].any()
+    assert -series.x[:, 2].min() > LIFT_M
+    # It went around the corner, not across.
+    corner_m = np.linalg.norm(series.x[:, :2] - np.array([3.0, 0.0]), axis=1).min()
+    assert corner_m < 0.2

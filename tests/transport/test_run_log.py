@@ -23,7 +23,8 @@ from tests.support import runs
 from tests.support.samples import sample
 from tests.support.strategies import messages as any_message
 from transport.log.channels import ENCODING, TOKENS
-from transport.log.run_log import CHUNK_BYTES, CHUNK_S, LogError, LogWriter, RunLog, read_log
+from transport.log.log_file import CHUNK_BYTES, CHUNK_S
+from transport.log.run_log import LogError, LogWriter, RunLog, read_log
 from transport.log.salvage import Salvage
 
 HEADER = {"run_id": "r1", "scenario": "name = 'x'\n", "versions": "python 3.12", "note": "Ω0"}

@@ -40,6 +40,10 @@ DARK = "links.override=[{from='agent2',to='agent1',loss=1.0}]"
 LATE = "links.delay_s=0.2"
 
 
+LAW = ("controller.prediction=closed_loop", "controller.received_plans=by_age", "controller.relaxation=auto")
+MOTORS = ("plant.motors.lag_s=0.05", "controller.motor_lag_s=0.05")
+
+
 def builder_of(folder: Path, *settings: str) -> SceneBuilder:
     """Return the scene builder of a short run."""
     run = runs.setup(runs.SHORT, *settings)
@@ -51,14 +55,19 @@ def builder_of(folder: Path, *settings: str) -> SceneBuilder:
 @pytest.fixture(scope="module")
 def distributed(tmp_path_factory: pytest.TempPathFactory) -> SceneBuilder:
     """Delayed plans and one link with 100 % loss, with the shared control law."""
-    law = ("controller.prediction=closed_loop", "controller.received_plans=by_age", "controller.relaxation=auto")
-    return builder_of(tmp_path_factory.mktemp("distributed"), DARK, LATE, *law)
+    return builder_of(tmp_path_factory.mktemp("distributed"), DARK, LATE, *LAW)
 
 
 @pytest.fixture(scope="module")
-def centralized(tmp_path_factory: pytest.TempPathFactory) -> SceneBuilder:
+def lagging(tmp_path_factory: pytest.TempPathFactory) -> SceneBuilder:
+    """The same with motors whose lag the agents know."""
+    return builder_of(tmp_path_factory.mktemp("lagging"), DARK, LATE, *LAW, *MOTORS)
+
+
+@pytest.fixture(scope="module", params=[(), MOTORS], ids=["ideal", "lagging"])
+def centralized(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> SceneBuilder:
     """One agent that owns all UAVs."""
-    return builder_of(tmp_path_factory.mktemp("centralized"), "agents.owned=[[1,2,3,4]]")
+    return builder_of(tmp_path_factory.mktemp("centralized"), "agents.owned=[[1,2,3,4]]", *request.param)
 
 
 def test_positions_at_hover(distributed: SceneBuilder) -> None:
@@ -85,9 +94,11 @@ def test_the_centralized_agent_predicts_the_next_state(centralized: SceneBuilder
         np.testing.assert_allclose(prediction.payload_I[1], after.payload_I, atol=STEP_M)
 
 
-def test_agents_predict_half_a_second(distributed: SceneBuilder) -> None:
+@pytest.mark.parametrize("motors", ["distributed", "lagging"])
+def test_agents_predict_half_a_second(motors: str, request: pytest.FixtureRequest) -> None:
     """With the shared control law each agent predicts its own UAV half a second ahead, despite delayed plans."""
-    before, after = distributed.at(14), distributed.at(24)
+    builder: SceneBuilder = request.getfixturevalue(motors)
+    before, after = builder.at(14), builder.at(24)
     assert [prediction.agent for prediction in before.predictions] == [1, 2, 3, 4]
     assert np.linalg.norm(after.uavs_I - before.uavs_I, axis=1).min() > 10.0 * NEAR_M
     for prediction in before.predictions:
@@ -216,3 +227,17 @@ def test_straight_paths_take_two_points() -> None:
     assert np.linalg.norm(left[1:] + left[:-1], axis=1).min() / 2.0 > 1.0 - 2.0 * NEAR_M  # the middles of its pieces
     for few in range(3):
         np.testing.assert_array_equal(simplified(circle[:few], NEAR_M), circle[:few])
+
+
+def test_contacts_with_the_ground(tmp_path: Path) -> None:
+    """The lower corners of a payload on the ground touch it; those of one that has been lifted do not."""
+    builder = builder_of(tmp_path, "plant.engine=mujoco", "plant.ground_m=-9.875")
+    first, last = builder.at(0), builder.at(builder.history.last)
+    np.testing.assert_allclose(first.contacts_I[:, 2], -9.875, atol=ROUNDING)
+    assert sorted(map(tuple, first.contacts_I[:, :2].tolist())) == [
+        (x, y) for x in (-0.25, 0.25) for y in (-0.25, 0.25)
+    ]
+    assert last.payload_I[2] < -10.1
+    assert last.contacts_I.shape == (0, 3)
+    # The drawn payload is as deep as the box that touches the ground.
+    assert payload_mesh(builder.setup.system, grounded=True)[0][:, 2].max() == pytest.approx(0.125)

@@ -3,8 +3,9 @@
 from collections.abc import Iterable
 from typing import Any
 
+from protocol.scenario.faults import degradations, uav_name
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import Control, FaultNote, Message, Roster, Tick, agent_name
+from protocol.wire.messages import ActualInputs, Control, FaultNote, Message, Roster, Tick, agent_name
 from transport.log.run_log import RunLog
 
 _ORIGIN = {"script": " by script", "person": " by hand", "unknown": ""}
@@ -27,12 +28,17 @@ def events(setup: Setup, log: RunLog, control: Control | None) -> list[dict[str,
             }
         )
 
+    degraded = degradations(setup.faults)
     before: Roster | None = None
     off: set[tuple[str, int]] = set()  # UAVs with their motors off, and released ones
     for message, received_ns in ((entry.message, entry.received_ns) for entry in log.messages):
         if isinstance(message, FaultNote):
             what = f"{message.target} {message.what}{_ORIGIN[message.origin]}"
             add(message, received_ns, "fault", what, [message.target])
+        elif isinstance(message, ActualInputs):
+            for uav, efficiency in ((uav, share) for tick, uav, share in degraded if tick == message.tick):
+                what = f"motors of {uav_name(uav)} degraded to {efficiency:g} of their inputs by script"
+                add(message, received_ns, "fault", what, [uav_name(uav)])
         elif isinstance(message, Roster):
             now_off = {("off", uav) for uav in message.off} | {("released", uav) for uav in message.released}
             if now_off != off:

@@ -44,6 +44,7 @@ def summarise(setup: Setup, log: RunLog) -> dict[str, Any]:
         "faults": events(setup, log, control),
         # From "python 3.12.1, numpy 2.0.0" to names and versions.
         "versions": dict(v.rsplit(" ", 1) for v in log.header.get("versions", "").split(", ") if " " in v),
+        "engine": log.header.get("engine", setup.scenario.plant.engine),
         "machine": log.header.get("machine", ""),
         "seed": setup.scenario.seed,
         "log_cut": log.cut or None,
@@ -119,6 +120,7 @@ def _flight(setup: Setup, series: Series) -> dict[str, Any]:
         },
         "separation_min_m": _number(series.separation_m.min(initial=np.inf)),
         "constraint_violation_max": _largest(series.violation),
+        "local_error_max": _largest(series.local_error),
     }
 
 

@@ -32,8 +32,10 @@ class Series:
         uav_references_I: Reference positions of the UAVs, (T, N, 3), inertial frame, m.
         cost: Stage cost, docs/equations.md (21), (T,); of the remaining team after a UAV failure.
         attitude_deg: Payload roll, pitch, yaw, (T, 3), deg.
+        on_rods: Whether a UAV has not been released, (T, N).
         separation_m: Smallest distance between two UAVs on their rods, (T,), m; infinite for one UAV.
         violation: Largest constraint violation relative to the constraint's range, (T,); see `_violation`.
+        local_error: Largest local error estimate of the plant's integration where it is finite, (<= T,), SI.
     """
 
     ticks: npt.NDArray[np.int64]
@@ -45,8 +47,10 @@ class Series:
     uav_references_I: Array
     cost: Array
     attitude_deg: Array
+    on_rods: npt.NDArray[np.bool_]
     separation_m: Array
     violation: Array
+    local_error: Array
 
     @property
     def payload_error_I(self) -> Array:
@@ -93,8 +97,10 @@ def series_of(setup: Setup, log: RunLog) -> Series:
         uav_references_I=y_ref[:, : 3 * N].reshape(len(ticks), N, 3),
         cost=_stage_costs(setup, ticks, failures, y, y_ref, u),
         attitude_deg=np.degrees(x[:, state.THETA0]),
+        on_rods=_on_rods(N, ticks, failures),
         separation_m=separation_m,
         violation=_violation(setup, ticks, u, separation_m),
+        local_error=np.array([e for tick in ticks if (e := plant_states[tick].local_error) >= 0.0], dtype=np.float64),
     )
 
 
@@ -120,12 +126,18 @@ def _stage_costs(
     return costs
 
 
+def _on_rods(N: int, ticks: npt.NDArray[np.int64], failures: Sequence[UavFault]) -> npt.NDArray[np.bool_]:
+    """Return which UAVs have not been released at each tick, (T, N)."""
+    present = np.ones((len(ticks), N), dtype=bool)
+    for tick, what, uav in failures:
+        present[ticks >= tick, uav] &= what != "release"
+    return present
+
+
 def _separation(uavs_I: Array, ticks: npt.NDArray[np.int64], failures: Sequence[UavFault]) -> Array:
     """Return the smallest distance between any two UAVs on their rods, (T,), m."""
     smallest = np.full(len(uavs_I), np.inf)
-    present = np.ones(uavs_I.shape[:2], dtype=bool)
-    for tick, what, uav in failures:
-        present[ticks >= tick, uav] &= what != "release"
+    present = _on_rods(uavs_I.shape[1], ticks, failures)
     for i in range(uavs_I.shape[1]):
         for j in range(i + 1, uavs_I.shape[1]):
             distance = np.linalg.norm(uavs_I[:, i] - uavs_I[:, j], axis=1)

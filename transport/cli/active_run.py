@@ -28,8 +28,9 @@ KeysOption = Annotated[
 
 def find_active(run: str | None, advice: str) -> tuple[Path, live.LiveRun]:
     """Return folder and addresses of an active run, the most recent one by default; or end the command with advice."""
-    folders = [live.newest_folder(RUNS)] if run is None else [Path(run), RUNS / run]
-    found = next(((at, there) for at in folders if at is not None and (there := live.read(at)) is not None), None)
+    with exit_on(live.LiveError, code=EXIT_USAGE):
+        folders = [live.newest_folder(RUNS)] if run is None else [Path(run), RUNS / run]
+        found = next(((at, there) for at in folders if at is not None and (there := live.read(at)) is not None), None)
     if found is None:
         fail(f"no active run in {f'{RUNS}/' if run is None else run}; {advice}", EXIT_USAGE)
     return found

@@ -17,7 +17,7 @@ from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
 from transport.cli.options import FiguresOption, FormatOption
 from transport.cli.output import Format, exit_on, fail, show_json
 from transport.cli.recorded_run import complete_run, newest_runs, run_folder
-from transport.flight.run import new_folder
+from transport.flight.run_files import new_folder
 from transport.log.run_folder import open_run
 from transport.log.run_log import LogError
 from transport.report.compare import Compared, Row, doubts, rows

@@ -21,13 +21,13 @@ from protocol.wire.exit_codes import EXIT_INTERRUPTED
 from transport.__main__ import main
 from transport.cli.lazy import load
 from transport.cli.scenario_setup import read_setup
-from transport.flight.fork_server import REQUEST_BYTES
+from transport.flight.fork_server import FORK_SERVER_TITLE, REQUEST_BYTES
 
 
 def serve(own: socket.socket) -> None:
     """Start a process for each request from a socket until its other end is closed."""
     wake_with_its_end()
-    setproctitle.setproctitle("transport fork-server")  # before the environment moves: titles use its memory
+    setproctitle.setproctitle(FORK_SERVER_TITLE)  # before the environment moves: titles use its memory
     for name in ("main", "agent", "coordinator", "plant"):
         load(f"transport.cli.{name}")
     while True:
@@ -39,7 +39,7 @@ def serve(own: socket.socket) -> None:
         arguments = request["arguments"]
         with contextlib.suppress(Exception):  # reads the scenario into the cache; the process reports its errors
             settings = [value for option, value in itertools.pairwise(arguments) if option == "--set"]
-            read_setup(arguments[arguments.index("--scenario") + 1], settings).model  # noqa: B018
+            read_setup(arguments[arguments.index("--scenario") + 1], settings, allow_large=True).model  # noqa: B018
         gc.collect()
         gc.freeze()  # a collection after the fork would copy shared memory
         own.send(b"%d" % _started(request, *descriptors))

@@ -42,7 +42,7 @@ def metrics(
         from transport.monitor.exporter import Exporter
     except ModuleNotFoundError as error:
         fail(f"expected the package {error.name}, got none: pip install 'payload-transport[metrics]'", EXIT_USAGE)
-    described = read_setup(scenario, settings).scenario
+    described = read_setup(scenario, settings, allow_large=True).scenario
     registry = CollectorRegistry()
     with exit_on(SecurityError, code=EXIT_SCENARIO):
         registry.register(Exporter(run or described.name, process_endpoints(described, connect)))

@@ -24,7 +24,7 @@ ScenarioArgument = Annotated[
     str,
     Argument(
         metavar="SCENARIO",
-        help="Scenario file, or name of a ready-made one: paper, centralized, resilient, windy, collision, playground.",
+        help="Scenario file, or name: paper, centralized, resilient, windy, delivery, collision, playground.",
         autocompletion=_scenarios,
         show_default=True,
     ),
@@ -41,6 +41,9 @@ ScenarioOption = Annotated[
 SetOption = Annotated[
     list[str] | None,
     Option("--set", metavar="KEY=VALUE", help="Change a scenario value, e.g. controller.horizon=10. Repeatable."),
+]
+LargeOption = Annotated[
+    bool, Option("--allow-large", help="Accept a run beyond the limits on size, memory, log and computation.")
 ]
 FormatOption = Annotated[Format, Option("--format", metavar="FORMAT", help="Output format: text or json.")]
 FiguresOption = Annotated[bool, Option("--figures/--no-figures", help="Draw the figures.")]

@@ -8,7 +8,7 @@ from typer import Option
 
 from protocol.network.parent import stand_by
 from protocol.scenario.file import ScenarioError
-from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_UNREACHABLE, EXIT_USAGE
+from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_UNREACHABLE, EXIT_UNRECORDED, EXIT_USAGE
 from transport.cli.lazy import load
 from transport.cli.options import FormatOption
 from transport.cli.output import Format, exit_on, fail
@@ -45,7 +45,11 @@ def plot(
     if not run.log.messages:
         log = folder / "run.mcap"
         fail(f"{log}: expected a log with messages, got one without a readable message", EXIT_USAGE)
-    show(folder, output, report_run(run, forks=True, pdf=pdf))
+    try:
+        summary = report_run(run, forks=True, pdf=pdf)
+    except OSError as error:
+        fail(f"{folder}: cannot write the report ({error.strerror or error})", EXIT_UNRECORDED)
+    show(folder, output, summary)
     if animation is not None:
         with exit_on(AnimationError, LogError, OSError, code=EXIT_USAGE, option="--animate"):
             animate_run(folder, animation)

@@ -16,9 +16,9 @@ from protocol.network.session import BusError
 from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_UNREACHABLE, EXIT_USAGE
 from protocol.wire.keys import Keys, RunNameError
-from transport.cli.options import ScenarioOption, SetOption
+from transport.cli.options import LargeOption, ScenarioOption, SetOption
 from transport.cli.output import exit_on, fail
-from transport.cli.scenario_setup import read_setup
+from transport.cli.scenario_setup import read_setup, scenario_errors
 
 RunNameOption = Annotated[
     str | None, Option("--run", metavar="NAME", help="Name of the run; the scenario's name by default.")
@@ -50,10 +50,11 @@ class ProcessOptions:
     connect: ConnectOption = None
     incarnation: IncarnationOption = None
     join_timeout: JoinOption = None
+    allow_large: LargeOption = False
 
     def setup(self) -> Setup:
         """Return the setup of the scenario."""
-        return read_setup(self.scenario, self.settings)
+        return read_setup(self.scenario, self.settings, allow_large=self.allow_large)
 
     def place(self, setup: Setup, name: str) -> Place:
         """Return the place of a process in its run; options that are refused end the command."""
@@ -77,5 +78,5 @@ class ProcessOptions:
         """Run the main function of a process and end the command with the exit code it returns."""
         setup = self.setup()
         place = self.place(setup, name)
-        with exit_on(BusError, code=EXIT_UNREACHABLE):
+        with exit_on(BusError, code=EXIT_UNREACHABLE), scenario_errors(self.settings):
             raise typer.Exit(body(setup, place))

@@ -11,7 +11,9 @@ from transport.cli.options import RUNS, FiguresOption, FormatOption, ScenarioOpt
 from transport.cli.output import Format, exit_on, fail
 from transport.cli.process import ConnectOption, JoinOption, ProcessOptions, RunNameOption
 from transport.cli.run_report import report
-from transport.flight.run import RunError, new_folder, observe
+from transport.flight.run import observe
+from transport.flight.run_error import RunError
+from transport.flight.run_files import new_folder
 
 
 def record(
@@ -38,6 +40,6 @@ def record(
     folder = out if out is not None else new_folder(RUNS, setup.scenario.name)
     with exit_on(RunError):
         finished = observe(setup, place, folder, Console(stderr=True))
-    report(folder, output, figures=figures, setup=setup)
+    report(finished.folder, output, figures=figures, setup=setup)
     if finished.exit_code != 0:
         fail(finished.reason, finished.exit_code)

@@ -118,14 +118,16 @@ def _changed_setup(run: RecordedRun, settings: list[str], against: str | None) -
         return run.setup
     source = str(run.scenario_file)
     if against is None:
-        scenario = read_scenario(run.scenario_file, settings)
+        scenario = read_scenario(run.scenario_file, settings, allow_large=True)
     else:
         stray = [setting for setting in settings if not setting.startswith("controller.")]
         if stray:
             fail(f"--set: with --against expected a value of the controller, got {stray[0]!r}", EXIT_USAGE)
         path = find_scenario(against)
         source = str(path)
-        scenario = run.setup.scenario.model_copy(update={"controller": read_scenario(path, settings).controller})
+        scenario = run.setup.scenario.model_copy(
+            update={"controller": read_scenario(path, settings, allow_large=True).controller}
+        )
     # Files of measured delays are relative to the run folder.
     setup = Setup.of(scenario, str(run.scenario_file))
     for key, value_of in _FIXED:

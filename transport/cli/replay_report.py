@@ -10,7 +10,7 @@ from rich.text import Text
 
 from transport.analysis.replay import Replay
 from transport.analysis.replay_compare import Comparison, Difference, Tally
-from transport.flight.run import versions
+from transport.flight.header import versions
 from transport.log.run_folder import RecordedRun
 
 # Smaller differences of inputs, N or N m, are rounding: other numbers on the way to the same decision.

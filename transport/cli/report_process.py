@@ -9,9 +9,13 @@ from typing import Self
 
 from protocol.network.parent import PARENT_PIPE, STANDBY
 from transport.flight.fork_server import Started, fork_server
+from transport.flight.vitals import Pulse
 
 # Time for the process to end before it is killed.
 _GRACE_S = 2.0
+# A process that has been stopped for this long, or has not run although it could, s, is not waited for: it may wait for
+# processes that draw for it.
+_STOPPED_S, _IDLE_S, _LOOK_S = 2.0, 30.0, 0.25
 
 
 class ReportProcess:
@@ -35,7 +39,8 @@ class ReportProcess:
             self._process.wait(_GRACE_S)
         except subprocess.TimeoutExpired:
             self._process.kill()
-            self._process.wait()
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(_GRACE_S)  # a tracer may keep it for longer
         if self._process.stdin is not None:
             with suppress(BrokenPipeError):
                 self._process.stdin.close()
@@ -56,4 +61,9 @@ class ReportProcess:
             self._process.stdin.flush()
         except BrokenPipeError:  # it has ended
             return False
-        return self._process.wait() == 0
+        pulse = Pulse(self._process.pid)
+        while pulse.stopped_s < _STOPPED_S and pulse.idle_s < _IDLE_S:
+            with suppress(subprocess.TimeoutExpired):
+                return self._process.wait(_LOOK_S) == 0
+            pulse.look()
+        return False

@@ -33,7 +33,7 @@ def router(
 
     Example: transport router --listen tcp/127.0.0.1:7400
     """
-    setup = read_setup(scenario, settings)
+    setup = read_setup(scenario, settings, allow_large=True)
     security = security_of(setup.scenario)
     endpoints = Endpoints(listen=listen, connect=connect or [], mode="router", security=security)
     over = threading.Event()

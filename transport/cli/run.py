@@ -6,7 +6,15 @@ from typing import Annotated
 from typer import Option
 
 from transport.cli.lazy import import_function
-from transport.cli.options import FiguresOption, FormatOption, HostOption, PortOption, ScenarioArgument, SetOption
+from transport.cli.options import (
+    FiguresOption,
+    FormatOption,
+    HostOption,
+    LargeOption,
+    PortOption,
+    ScenarioArgument,
+    SetOption,
+)
 from transport.cli.output import Format
 
 
@@ -18,9 +26,14 @@ def run(
     ] = None,
     output: FormatOption = Format.text,
     figures: FiguresOption = True,
+    external: Annotated[
+        list[str] | None,
+        Option("--external", metavar="NAME", help="Process that you start yourself: plant, agent1, ... Repeatable."),
+    ] = None,
     show: Annotated[bool, Option("--view", help="Show the run in the browser, live and afterwards.")] = False,
     host: HostOption = "127.0.0.1",
     port: PortOption = 8080,
+    large: LargeOption = False,
 ) -> None:
     """Run a scenario with all its processes; record and report it.
 
@@ -29,4 +42,14 @@ def run(
     Example: transport run paper --set controller.relaxation=0.5 --out runs/relaxed
     """
     run_scenario = import_function("transport.cli.run_scenario:run_scenario")
-    run_scenario(scenario, settings, out, output, figures=figures, viewer_address=(host, port) if show else None)
+    viewer_address = (host, port) if show else None
+    run_scenario(
+        scenario,
+        settings,
+        out,
+        output,
+        figures=figures,
+        external=external or [],
+        viewer_address=viewer_address,
+        allow_large=large,
+    )

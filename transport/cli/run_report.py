@@ -10,16 +10,19 @@ from rich.console import Console
 
 from protocol.scenario.file import ScenarioError
 from protocol.scenario.setup import Setup
-from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
-from transport.cli.output import Format, exit_on, show_json
+from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_UNRECORDED, EXIT_USAGE
+from transport.cli.output import Format, exit_on, fail, show_json
 from transport.log.run_log import LogError
-from transport.report.report import summary_table, write_report
+from transport.report.report import summary_table, warnings, write_report
 
 
 def report(folder: Path, output: Format, *, figures: bool, setup: Setup | None) -> None:
     """Write the report of a run folder and print its summary; without a setup it is read from the folder."""
     with exit_on(LogError, code=EXIT_USAGE), exit_on(ScenarioError, code=EXIT_SCENARIO):
-        summary = write_report(folder, figures=figures, setup=setup)
+        try:
+            summary = write_report(folder, figures=figures, setup=setup)
+        except OSError as error:
+            fail(f"{folder}: cannot write the report ({error.strerror or error})", EXIT_UNRECORDED)
     show(folder, output, summary)
 
 
@@ -30,6 +33,8 @@ def show_written(folder: Path, output: Format) -> None:
 
 def show(folder: Path, output: Format, summary: Mapping[str, Any]) -> None:
     """Print a summary and the files of its run folder."""
+    for warning in warnings(summary):
+        typer.echo(f"warning: {warning}", err=True)
     if output is Format.json:
         show_json(summary)
         return

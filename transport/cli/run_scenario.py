@@ -8,14 +8,19 @@ from pathlib import Path
 
 from rich.console import Console
 
+from protocol.network.endpoints import process_names
+from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_UNREACHABLE, EXIT_USAGE
+from protocol.wire.names import COORDINATOR
 from transport.cli.lazy import load
 from transport.cli.options import RUNS
 from transport.cli.output import Format, exit_on, fail
 from transport.cli.report_process import ReportProcess
-from transport.cli.scenario_setup import read_setup
+from transport.cli.scenario_setup import read_setup, scenario_errors
 from transport.flight.harness import HarnessError
-from transport.flight.run import RunError, new_folder, simulate
+from transport.flight.run import simulate
+from transport.flight.run_error import RunError
+from transport.flight.run_files import new_folder
 from transport.viewer.process import ViewerBeside, viewer_beside
 from transport.viewer.server import ViewerError, require_viser
 
@@ -27,10 +32,13 @@ def run_scenario(
     output: Format,
     *,
     figures: bool,
+    external: list[str],
     viewer_address: tuple[str, int] | None,
+    allow_large: bool,
 ) -> None:
     """Run a scenario, record and report it; arguments are the options of `transport run`."""
-    setup = read_setup(scenario, settings)
+    setup = read_setup(scenario, settings, allow_large=allow_large)
+    _check_external(setup, external)
     folder = out if out is not None else new_folder(RUNS, setup.scenario.name)
     viewer: AbstractContextManager[ViewerBeside | None] = nullcontext()
     if viewer_address is not None:
@@ -40,15 +48,26 @@ def run_scenario(
     with viewer as beside:
         with ReportProcess(folder) as reporter:
             prepare = reporter.prepare if figures else lambda: None
-            with exit_on(RunError), exit_on(HarnessError, code=EXIT_UNREACHABLE):
+            with exit_on(RunError), exit_on(HarnessError, code=EXIT_UNREACHABLE), scenario_errors(settings):
                 ready = beside.wait_until_ready if beside is not None else lambda: None
-                finished = simulate(setup, folder, Console(stderr=True), prepare, ready)
+                finished = simulate(setup, folder, Console(stderr=True), prepare, ready, external)
             run_report = load("transport.cli.run_report")
-            if reporter.report():
+            if finished.folder == folder and reporter.report():
                 run_report.show_written(folder, output)
             else:
-                run_report.report(folder, output, figures=figures, setup=setup)
+                run_report.report(finished.folder, output, figures=figures, setup=setup)
         if beside is not None and finished.exit_code != EXIT_INTERRUPTED:
             beside.wait_for_user()
     if finished.exit_code != 0:
         fail(finished.reason, finished.exit_code)
+
+
+def _check_external(setup: Setup, external: list[str]) -> None:
+    """End the command if a process that is not to be started does not exist, or has scripted faults."""
+    names = [name for name in process_names(setup.scenario) if name != COORDINATOR]
+    for name in external:
+        if name not in names:
+            fail(f"--external: expected one of {', '.join(names)}, got {name!r}", EXIT_USAGE)
+        if any(fault.target == name for fault in setup.faults):
+            expected = "expected a process without scripted faults, which need one that the run has started"
+            fail(f"--external: {expected}, got {name!r}", EXIT_USAGE)

@@ -86,7 +86,7 @@ def top(
 
 def _find(run: str | None, connect: list[str] | None, scenario: str | None, settings: list[str] | None) -> _Run:
     if scenario is not None:
-        setup = read_setup(scenario, settings)
+        setup = read_setup(scenario, settings, allow_large=True)
         name = run or setup.scenario.name
         if not Keys.allows(name):
             fail(f"--run: expected the name of a run with --scenario, got {name!r}", EXIT_USAGE)
@@ -98,7 +98,8 @@ def _find(run: str | None, connect: list[str] | None, scenario: str | None, sett
     if settings:
         fail("--set: expected --scenario with it, as a run folder has its values", EXIT_USAGE)
     folder, there = find_active(run, "name its folder with --run, or its scenario with --scenario")
-    setup = read_setup(str(folder / "scenario.toml"), [keys_setting(there.keys)] if there.keys else None)
+    changes = [keys_setting(there.keys)] if there.keys else None
+    setup = read_setup(str(folder / "scenario.toml"), changes, allow_large=True)
     endpoints = {at for name, at in there.endpoints.items() if name != RECORDER}
     return _Run(there.run, sorted(endpoints), setup, there.is_client)
 

@@ -8,6 +8,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from plant.engines import checked_engine, engine_version
+from protocol.scenario.budget import check_budget
 from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
 from protocol.scenario.schema import Scenario
 from protocol.scenario.setup import Setup
@@ -55,10 +57,13 @@ class Case:
     timed: bool = False  # whether processor time and messages are measured as well
 
 
-def cases_of(points: Sequence[Point], settings: Sequence[str], seeds: int, *, timed: bool = False) -> list[Case]:
+def cases_of(
+    points: Sequence[Point], settings: Sequence[str], seeds: int, *, timed: bool = False, allow_large: bool = False
+) -> list[Case]:
     """Return every run of a sweep: each point with the seeds 0, 1, ...; one seed for a deterministic point.
 
-    The settings are applied before those of the points. Every point is repeated if processor time is measured.
+    The settings are applied before those of the points. Every point is repeated if processor time is measured. With
+    `allow_large` runs may exceed the limits of `protocol.scenario.budget`.
 
     Raises: ScenarioError: a point that cannot be simulated, naming file, field, expected, got.
     """
@@ -66,21 +71,35 @@ def cases_of(points: Sequence[Point], settings: Sequence[str], seeds: int, *, ti
     for index, point in enumerate(points):
         path = find_scenario(point.scenario)
         scenario = _scenario(path, point, settings)
-        if scenario.clock.mode != "lockstep":
-            # In real time the result would depend on the machine and its load.
-            raise ScenarioError(str(path), "clock.mode", f"expected lockstep, got {scenario.clock.mode}")
-        samples_s = Setup.of(scenario, str(path)).samples_s  # refuses an impossible setup before the first run
-        for seed in range(seeds if timed or is_random(scenario) else 1):
-            seeded = scenario.model_copy(update={"seed": seed})
-            key = key_of(seeded, samples_s)
-            cases.append(Case(point=index, scenario=seeded, source=str(path), key=key, timed=timed))
+        if not allow_large:
+            check_budget(scenario, str(path))
+        cases += cases_of_point(index, scenario, path, seeds, timed=timed)
+    return cases
+
+
+def cases_of_point(index: int, scenario: Scenario, path: Path, seeds: int, *, timed: bool = False) -> list[Case]:
+    """Return the runs of the point with an index, whose scenario comes from a file; as `cases_of`.
+
+    Raises: ScenarioError: the scenario cannot be simulated.
+    """
+    if scenario.clock.mode != "lockstep":
+        # In real time the result would depend on the machine and its load.
+        raise ScenarioError(str(path), "clock.mode", f"expected lockstep, got {scenario.clock.mode}")
+    setup = Setup.of(scenario, str(path))  # refuses an impossible setup before the first run
+    samples_s = setup.samples_s
+    checked_engine(setup)
+    cases = []
+    for seed in range(seeds if timed or is_random(scenario) else 1):
+        seeded = scenario.model_copy(update={"seed": seed})
+        key = key_of(seeded, samples_s)
+        cases.append(Case(point=index, scenario=seeded, source=str(path), key=key, timed=timed))
     return cases
 
 
 def _scenario(path: Path, point: Point, settings: Sequence[str]) -> Scenario:
     """Return the scenario of a point, before its seed."""
     changes = [*settings, *point.settings]
-    scenario = read_scenario(path, changes)
+    scenario = read_scenario(path, changes, allow_large=True)
     if point.team is None:
         return scenario
     for setting in changes:
@@ -92,9 +111,12 @@ def _scenario(path: Path, point: Point, settings: Sequence[str]) -> Scenario:
 
 
 def key_of(scenario: Scenario, samples_s: Mapping[str, tuple[float, ...]]) -> str:
-    """Return the fingerprint of what determines a result: scenario without addresses, measured delays, version."""
+    """Return the fingerprint of what determines a result.
+
+    That is the scenario without addresses, the measured delays, the version of the package and that of the engine.
+    """
     tree = {name: part for name, part in scenario.tree().items() if name != "network"}
-    content = [tree, sorted(samples_s.items()), version("payload-transport")]
+    content = [tree, sorted(samples_s.items()), version("payload-transport"), engine_version(scenario.plant.engine)]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 

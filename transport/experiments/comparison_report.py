@@ -23,7 +23,7 @@ from transport.experiments.simulation import NUMBERS, Result
 from transport.experiments.statistics import Estimate
 from transport.experiments.sweep import Simulate, sweep
 from transport.experiments.table import cases_csv, csv_bytes, empty_table
-from transport.flight.run import machine
+from transport.flight.header import machine
 from transport.report.report import write_whole
 
 WIDTH = 130

@@ -1,9 +1,10 @@
 """Errors that end an experiment."""
 
+from protocol.wire.errors import TransportError
 from protocol.wire.exit_codes import EXIT_USAGE
 
 
-class ExperimentError(RuntimeError):
+class ExperimentError(TransportError, RuntimeError):
     """An experiment that cannot be started or completed: one line for the user, and exit code of the process."""
 
     def __init__(self, text: str, exit_code: int = EXIT_USAGE) -> None:

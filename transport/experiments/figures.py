@@ -21,11 +21,17 @@ _DRAWN_FROM_STATISTICS = {"scaling": draw_scaling, "variants": draw_variants, "t
 def draw(experiment: Experiment, measured: Sequence[PointStatistics], folder: Path) -> list[Path]:
     """Draw an experiment to figure.png and figure.svg, which replace older ones; return these files."""
     with mpl.rc_context({**RC, "svg.hashsalt": experiment.name}):
-        figure = Figure(layout="constrained")
-        if experiment.drawn_as in _DRAWN_FROM_STATISTICS:
-            _DRAWN_FROM_STATISTICS[experiment.drawn_as](figure, measured)
-        elif experiment.y is not None:
-            draw_maps(figure, experiment.x, experiment.y, measured)
-        else:
-            draw_curves(figure, experiment, measured)
+        figure = Figure()
+        fill(figure, experiment, measured)
         return [save(figure, folder / f"figure.{kind}") for kind in ("png", "svg")]
+
+
+def fill(figure: Figure, experiment: Experiment, measured: Sequence[PointStatistics]) -> None:
+    """Draw an experiment into an empty figure, in the style of `matplotlib.rcParams`."""
+    figure.set_layout_engine("constrained")
+    if experiment.drawn_as in _DRAWN_FROM_STATISTICS:
+        _DRAWN_FROM_STATISTICS[experiment.drawn_as](figure, measured)
+    elif experiment.y is not None:
+        draw_maps(figure, experiment.x, experiment.y, measured)
+    else:
+        draw_curves(figure, experiment, measured)

@@ -4,6 +4,7 @@ import fcntl
 import os
 from dataclasses import asdict
 from pathlib import Path
+from typing import Self
 
 import orjson
 
@@ -14,7 +15,40 @@ from transport.report.report import write_whole
 _IDENTITY, _RESULTS = "experiment.json", "results.jsonl"
 
 
-class Results:
+class ResultsInMemory:
+    """Results of an experiment that has no folder.
+
+    Attributes:
+        folder: None.
+        notices: Ignored lines of a folder's file: none.
+    """
+
+    folder: Path | None = None
+
+    def __init__(self) -> None:
+        self.notices: list[str] = []
+        self._by_key: dict[str, Result] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Nothing is open."""
+
+    def __getitem__(self, key: str) -> Result:
+        """Return the result of a simulated case."""
+        return self._by_key[key]
+
+    def done(self, key: str) -> bool:
+        """Return whether a case has a result other than an error."""
+        return key in self._by_key and self._by_key[key].outcome != ERROR
+
+    def add(self, result: Result) -> None:
+        """Keep a result."""
+        self._by_key[result.key] = result
+
+
+class Results(ResultsInMemory):
     """Results of an experiment, written to disk at once.
 
     The folder is created unless it exists; the machine is noted for the reader. Lines of the file that were ignored
@@ -24,9 +58,8 @@ class Results:
     """
 
     def __init__(self, folder: Path, experiment: str, machine: str) -> None:
+        super().__init__()
         self.folder = folder
-        self.notices: list[str] = []
-        self._by_key: dict[str, Result] = {}
         try:
             _identify(folder, experiment, machine)
             self._file = os.open(folder / _RESULTS, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
@@ -39,25 +72,14 @@ class Results:
             raise refused("--out", "a folder that no other experiment uses", f"{folder}, which is in use") from error
         self._read(folder / _RESULTS)
 
-    def __enter__(self) -> "Results":
-        return self
-
     def __exit__(self, *_: object) -> None:
         os.close(self._file)
-
-    def __getitem__(self, key: str) -> Result:
-        """Return the result of a simulated case."""
-        return self._by_key[key]
-
-    def done(self, key: str) -> bool:
-        """Return whether a case has a result other than an error."""
-        return key in self._by_key and self._by_key[key].outcome != ERROR
 
     def add(self, result: Result) -> None:
         """Write a result to disk; it survives a crash of this process or host."""
         os.write(self._file, orjson.dumps(asdict(result)) + b"\n")
         os.fsync(self._file)
-        self._by_key[result.key] = result
+        super().add(result)
 
     def _read(self, path: Path) -> None:
         content = path.read_bytes()

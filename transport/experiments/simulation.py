@@ -20,6 +20,7 @@ from transport.analysis.metrics import summarise
 from transport.experiments.cases import Case, key_of
 from transport.experiments.resource_use import resource_use
 from transport.flight import memory, run
+from transport.flight.run_error import RunError
 from transport.log.run_log import Recorded, RunLog, read_log
 from transport.report.report import write_report
 
@@ -86,14 +87,14 @@ def simulate_in_processes(case: Case, folder: Path) -> Result:
     def simulate(setup: Setup) -> tuple[dict[str, Any], RunLog]:
         shutil.rmtree(own, ignore_errors=True)  # left by an interrupted run
         try:
-            exit_code = run.simulate(setup, own, Console(file=io.StringIO())).exit_code
-        except run.RunError as error:
-            exit_code = error.exit_code
-            if exit_code != EXIT_INTERRUPTED:
-                raise
-        if exit_code == EXIT_INTERRUPTED:
+            finished = run.simulate(setup, own, Console(file=io.StringIO()))
+        except RunError as error:
+            if error.exit_code == EXIT_INTERRUPTED:
+                raise KeyboardInterrupt from error
+            raise
+        if finished.exit_code == EXIT_INTERRUPTED:
             raise KeyboardInterrupt
-        return write_report(own, figures=False), read_log(own / "run.mcap")
+        return write_report(finished.folder, figures=False), read_log(finished.folder / "run.mcap")
 
     return _result(case, simulate)
 

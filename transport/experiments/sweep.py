@@ -11,7 +11,7 @@ from transport.experiments.errors import ExperimentError
 from transport.experiments.experiment import Experiment
 from transport.experiments.figures import draw
 from transport.experiments.resource_use import RESOURCES
-from transport.experiments.results import Results
+from transport.experiments.results import ResultsInMemory
 from transport.experiments.simulation import NUMBERS, Result
 from transport.experiments.statistics import PointStatistics, statistics_of
 from transport.experiments.table import cases_csv, points_csv
@@ -22,7 +22,7 @@ Simulate = Callable[[Sequence[Case]], Iterable[Result]]
 
 
 def sweep(
-    experiment: Experiment, cases: Sequence[Case], simulate: Simulate, results: Results, console: Console
+    experiment: Experiment, cases: Sequence[Case], simulate: Simulate, results: ResultsInMemory, console: Console
 ) -> list[Result]:
     """Simulate the cases without a result and keep each result at once; return all in the order of the cases."""
     for notice in results.notices:
@@ -40,8 +40,9 @@ def sweep(
                 progress.advance(f"{point.scenario}, {point.text}, seed {case.scenario.seed}: {result.outcome}")
     except (KeyboardInterrupt, ExperimentError):
         done = sum(results.done(case.key) for case in cases)
-        hint = f"{done} of {len(cases)} runs are kept; resume with: --out {results.folder}"
-        console.print(hint, highlight=False, soft_wrap=True)
+        if results.folder is not None:
+            hint = f"{done} of {len(cases)} runs are kept; resume with: --out {results.folder}"
+            console.print(hint, highlight=False, soft_wrap=True)
         raise
     return [results[case.key] for case in cases]
 

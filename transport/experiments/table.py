@@ -68,6 +68,12 @@ def cases_csv(
     points: Sequence[Point], cases: Iterable[Case], results: Iterable[Result], numbers: Sequence[str] = NUMBERS
 ) -> bytes:
     """Return one row for each run, in the order of the sweep; floats are written without loss."""
+    columns = ["scenario", *points[0].labels, "seed", "outcome", "reason", *numbers]
+    return csv_bytes(cases_rows(points, cases, results), columns)
+
+
+def cases_rows(points: Sequence[Point], cases: Iterable[Case], results: Iterable[Result]) -> list[dict[str, Any]]:
+    """Return one row for each run, values by column, in the order of the sweep."""
     rows: list[dict[str, Any]] = []
     for case, result in zip(cases, results, strict=True):
         point = points[case.point]
@@ -81,11 +87,16 @@ def cases_csv(
                 **result.numbers,
             }
         )
-    return csv_bytes(rows, ["scenario", *points[0].labels, "seed", "outcome", "reason", *numbers])
+    return rows
 
 
 def points_csv(measured: Sequence[PointStatistics]) -> bytes:
     """Return one row for each point: number of runs, and means of completed runs with 95 % confidence intervals."""
+    return csv_bytes(points_rows(measured))
+
+
+def points_rows(measured: Sequence[PointStatistics]) -> list[dict[str, Any]]:
+    """Return one row for each point, values by column."""
     rows = []
     for m in measured:
         row: dict[str, Any] = {"scenario": m.point.scenario, **m.point.labels, "flights": m.runs}
@@ -94,7 +105,7 @@ def points_csv(measured: Sequence[PointStatistics]) -> bytes:
         for name, value in m.numbers.items():
             row |= {name: value and value.mean, f"{name}_ci95": value and value.half_width}
         rows.append(row)
-    return csv_bytes(rows)
+    return rows
 
 
 def table_of(title: str, measured: Sequence[PointStatistics], *, timed: bool = False) -> Table:

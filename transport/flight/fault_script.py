@@ -7,7 +7,7 @@ import signal
 import time
 from collections.abc import Callable, Mapping
 
-from protocol.scenario.faults import Fault
+from protocol.scenario.faults import OF_UAVS, Fault
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import FaultOrigin, Request
 from transport.flight.harness import Child, Harness
@@ -23,7 +23,7 @@ class FaultScript:
     def __init__(self, setup: Setup, harness: Harness, recorder: Recorder) -> None:
         self._setup, self._harness, self._recorder = setup, harness, recorder
         # The plant applies the failures of UAVs.
-        self._faults = [fault for fault in setup.faults if fault.do not in ("motor_off", "release")]
+        self._faults = [fault for fault in setup.faults if fault.do not in OF_UAVS]
         self._dead: set[int] = set()  # children whose end has been noted
         self._seen_dead_s: dict[int, float] = {}  # when the end of others was first seen
         for target in {fault.target for fault in self._faults if fault.do == "start"}:

@@ -1,31 +1,35 @@
 """Local harness: starts the processes of a run, watches them, and always ends them."""
 
 import json
+import os
 import signal
 import socket
 import subprocess
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
 
 from protocol.network.endpoints import Endpoints
 from protocol.network.parent import PARENT_PIPE, STANDBY
+from protocol.wire.errors import TransportError
 from protocol.wire.exit_codes import EXIT_DIVERGED, EXIT_INTERRUPTED, EXIT_OVERRUN, EXIT_UNREACHABLE
 from protocol.wire.names import COORDINATOR
 from transport.flight.fork_server import Started, fork_server
+from transport.flight.vitals import Pulse, has_died
 
 # Exit codes of a process after the end of its run.
 ORDERLY_ENDS = {0, EXIT_UNREACHABLE, EXIT_OVERRUN, EXIT_DIVERGED, EXIT_INTERRUPTED}
 
-# Time for a process to end before it is killed.
+# Time for a process to end before it is killed, and for a killed one, s: time in which it could run.
 _GRACE_S = 5.0
+_POLL_S = 0.05
 
 
-class HarnessError(RuntimeError):
+class HarnessError(TransportError, RuntimeError):
     """The processes of a run could not be started."""
 
 
@@ -70,6 +74,10 @@ class Harness:
         mesh: Endpoints by process name.
         logs: Folder for their output.
         keys: Folder of keys in place of the scenario's.
+
+    Attributes:
+        children: Processes in the order of their starts.
+        notices: Sentences about processes that did not end by themselves.
     """
 
     run: str
@@ -78,6 +86,7 @@ class Harness:
     logs: Path
     keys: Path | None = None
     children: list[Child] = field(default_factory=list)
+    notices: list[str] = field(default_factory=list)
     _spares: dict[str, Child] = field(default_factory=dict)  # standby processes by name
     _files: ExitStack = field(default_factory=ExitStack)
 
@@ -88,8 +97,10 @@ class Harness:
         self.end()
 
     def start(self, observers: Sequence[str] = ()) -> None:
-        """Start all processes of the mesh."""
-        self.logs.mkdir(parents=True, exist_ok=True)
+        """Start all processes of the mesh.
+
+        Raises: HarnessError: the folder for their output cannot be written.
+        """
         for name in self.mesh:
             self.children.append(self._start(name, observers))
 
@@ -128,14 +139,14 @@ class Harness:
         old, spare = self.child(name), self._spares.pop(name, None)
         if old is not None:
             old.process.kill()
-            old.process.wait()
+            self._wait_given([old])
         incarnation = 0 if old is None else old.incarnation + 1
         if spare is not None and spare.incarnation == incarnation and spare.go():
             self.children.append(spare)
             return
         if spare is not None:
             spare.process.kill()
-            spare.process.wait()
+            self._wait_given([spare])
         self.children.append(self._start(name, (), incarnation))
 
     def wait(self, timeout_s: float) -> bool:
@@ -149,24 +160,46 @@ class Harness:
         return True
 
     def end(self) -> None:
-        """End all running children: SIGTERM, and SIGKILL after a grace period."""
+        """End all running children: SIGTERM, and SIGKILL after a grace period; note those that had to be killed."""
         self.children += self._spares.values()
         self._spares.clear()
         for child in self.alive():
             child.process.terminate()
             child.process.send_signal(signal.SIGCONT)  # a stopped process ignores SIGTERM
-        if not self.wait(_GRACE_S):
-            for child in self.alive():
+        for child, pulse in self._wait_given(self.alive()):
+            if child.process.poll() is None:
                 child.process.kill()
+                self.notices.append(f"{child.name} did not end: {pulse.description}; it was killed")
+        for child, _ in self._wait_given(self.alive()):
+            self.notices.append(f"{child.name} (process {child.process.pid}) does not end by SIGKILL")
         for child in self.children:
-            child.process.wait()
             if child.process.stdin is not None:
-                child.process.stdin.close()
+                with suppress(OSError):
+                    child.process.stdin.close()
         self._files.close()
+
+    def _wait_given(self, children: Sequence[Child]) -> list[tuple[Child, Pulse]]:
+        """Give children a grace period to end, in which they could run; return those that have not ended."""
+        left = [(child, Pulse(child.process.pid)) for child in children]
+        while left := [found for found in left if not _has_ended(found[0])]:
+            for _, pulse in left:
+                pulse.look()
+            if all(pulse.given_s > _GRACE_S for _, pulse in left):
+                break
+            with suppress(subprocess.TimeoutExpired):
+                left[0][0].process.wait(_POLL_S)
+        return left
 
     def _start(self, name: str, observers: Sequence[str], incarnation: int = 0, *, standby: bool = False) -> Child:
         log = self.logs / (f"{name}.log" if incarnation == 0 else f"{name}-{incarnation}.log")
-        output: IO[bytes] = self._files.enter_context(log.open("wb"))
+        try:
+            self.logs.mkdir(parents=True, exist_ok=True)
+            output: IO[bytes] = self._files.enter_context(log.open("wb"))
+        except OSError as error:
+            if incarnation == 0:
+                raise HarnessError(f"{log}: cannot write the output of {name} ({error.strerror})") from error
+            log = Path(os.devnull)  # a process that is started again must not wait for the folder
+            output = self._files.enter_context(log.open("wb"))
         extra = {PARENT_PIPE: "1", STANDBY: "1" if standby else ""}
         process = fork_server().start(self._arguments(name, observers, incarnation), output, extra)
         return Child(name, process, log, incarnation)
@@ -180,12 +213,18 @@ class Harness:
         options += [("--connect", endpoint) for endpoint in endpoints.connect]
         if name == COORDINATOR:
             options += [("--observer", observer) for observer in observers]
-        return [*role, *(text for option in options for text in option)]
+        # The parent has checked the scenario's size.
+        return [*role, "--allow-large", *(text for option in options for text in option)]
 
 
 def keys_setting(folder: Path | str) -> str:
     """Return the setting of a scenario that names a folder of keys."""
     return f"network.keys={json.dumps(str(folder))}"
+
+
+def _has_ended(child: Child) -> bool:
+    """Return whether a child has ended, also while a tracer keeps this process from reaping it."""
+    return child.process.poll() is not None or has_died(child.process.pid)
 
 
 @contextmanager

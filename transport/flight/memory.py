@@ -4,6 +4,7 @@ Time stands still while messages are in the queue and then jumps to the next wak
 wall time. Scripted faults apply as to processes.
 """
 
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -18,6 +19,9 @@ from protocol.scenario.setup import Setup
 from protocol.wire.keys import Keys, matches
 from protocol.wire.messages import Control, Message, Presence
 from protocol.wire.node import Node
+
+# Runs in several threads take turns: the number of BLAS threads, which decides the order of sums, is the process's.
+_TURN = threading.RLock()
 
 
 def simulate(
@@ -36,7 +40,7 @@ def simulate(
         stopwatch: Steady clock of the step reports, ns.
     Raises: RuntimeError: deadlock of the nodes, which is a bug.
     """
-    with threadpoolctl.threadpool_limits(1):
+    with _TURN, threadpoolctl.threadpool_limits(1):
         return InMemoryRun(setup, record, stopwatch).run()
 
 

@@ -49,14 +49,14 @@ class ConsoleProgress:
 class RunProgress(ConsoleProgress):
     """Progress of a run."""
 
-    def __init__(self, setup: Setup, console: Console) -> None:
+    def __init__(self, setup: Setup, console: Console, waiting: str = "waiting for the processes") -> None:
         columns = (TextColumn("{task.description:<9}"), BarColumn(), TextColumn("{task.fields[status]}"))
         super().__init__(console, *columns, TimeRemainingColumn())
         self._setup = setup
         self._cost = Cost(setup.settings.weights, setup.hover)
         self._duration_s = setup.ticks * setup.settings.sampling_period_s
         if self._bar is not None:
-            self._task = self._bar.add_task("starting", total=self._duration_s, status="waiting for the processes")
+            self._task = self._bar.add_task("starting", total=self._duration_s, status=waiting)
 
     def show(self, plant_state: PlantState | None, started_s: float | None) -> None:
         """Draw the newest state, None before the first, given the steady-clock time of the first, s."""

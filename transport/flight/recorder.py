@@ -8,6 +8,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Collection
+from contextlib import suppress
 
 from protocol.admission.admission import Admission
 from protocol.admission.plausibility import check_moment
@@ -39,12 +40,10 @@ from protocol.wire.messages import (
 )
 from protocol.wire.names import COORDINATOR
 from protocol.wire.outbox import Outbox, lost
+from transport.flight.departures import Departures
 from transport.flight.newest_state import NewestState
 from transport.log.gaps import END_NOT_RECORDED
 from transport.log.run_log import LogError, LogWriter
-
-# Reason of the end of a run whose coordinator has gone.
-_GONE = "coordinator is gone"
 
 # Kinds of messages that the recorder reads; of the others it reads the header.
 _READ = frozenset(kind.kind for kind in (Roster, LinkChange, Control, Rejected, FaultNote))
@@ -74,6 +73,7 @@ class Recorder:
         started_s: Steady-clock time of the first plant state, or None.
         control: How the run ended, once it has.
         notices: Roster changes after the start, and faults.
+        gone: Reason of the end of a run whose coordinator has gone.
         error: Why recording ended early, or None.
         received: Number of messages in the log.
         tick: The newest open tick, -1 before the first.
@@ -119,6 +119,7 @@ class Recorder:
         self._newest_state = NewestState()
         self._join_timeout_s = join_timeout_s
         self._has_ended = has_ended
+        self.gone = f"{COORDINATOR} is gone"
         self._bus = Bus(
             name=RECORDER,
             incarnation=incarnation,
@@ -158,6 +159,14 @@ class Recorder:
         """Wait for the end of the recording."""
         self._thread.join(timeout_s)
 
+    def end_early(self, reason: str) -> None:
+        """Stop, and write to the log why the run did not begin."""
+        self.stop("closing")
+        self.join()
+        if self.control is None:
+            with suppress(LogError):
+                self._end(reason)
+
     def note(self, target: str, what: str, origin: FaultOrigin, tick: int | None = None) -> None:
         """Log a fault of a process at a tick, by default the newest."""
         tick = max(self.tick, 0) if tick is None else tick
@@ -189,18 +198,16 @@ class Recorder:
             self._bus.close()  # the coordinator waits for this
 
     def _record(self) -> None:
-        present = set(self._expected)  # have not said that they have sent their last message
-        gone: set[str] = set()  # those of them without a token
-        newest: dict[str, int] = {}  # incarnations
+        departures = Departures(self._expected)
         deadline: float | None = None
         trail_ends: float | None = None
-        while present or self.control is None:
+        while departures.present or self.control is None:
             timeout_s = None if deadline is None else max(0.0, deadline - time.monotonic())
             if self.control is not None:
                 trail_ends = trail_ends or time.monotonic() + _LONGEST_TRAIL_S
                 if time.monotonic() > trail_ends:
                     break
-                timeout_s = _QUIET_S if present <= gone else _TRAIL_S
+                timeout_s = _QUIET_S if departures.are_gone else _TRAIL_S
             event = self._next(timeout_s)
             if event is None:
                 break
@@ -208,19 +215,11 @@ class Recorder:
                 case Interrupted():
                     return
                 case Left(name=name):
-                    present.discard(name)
-                case Presence(name=name, alive=False):
-                    if event.incarnation >= newest.get(name, 0):
-                        gone.add(name)
-                    if name == COORDINATOR and self.control is None:
-                        deadline = time.monotonic() + _OVERTAKEN_S
-                case Presence(name=name):
-                    # Reconnected after a standstill of that process or of this one.
-                    newest[name] = max(event.incarnation, newest.get(name, 0))
-                    gone.discard(name)
-                    present.update({name} & set(self._expected))
-                    if name == COORDINATOR and self.control is None:
-                        deadline = None
+                    departures.present.discard(name)
+                case Presence():
+                    departures.note(event)
+                    if event.name == COORDINATOR and self.control is None:
+                        deadline = None if event.alive else time.monotonic() + _OVERTAKEN_S
                 case Request():
                     self.requests.put(event)
                 case _:
@@ -229,7 +228,7 @@ class Recorder:
                 self._take(notice)
         if self.control is None:
             # The end of the run may have been sent during a standstill of this process.
-            self._end(END_NOT_RECORDED if self._has_ended() else _GONE)
+            self._end(END_NOT_RECORDED if self._has_ended() else self.gone)
 
     def _next(self, timeout_s: float | None) -> BusEvent | None:
         """Return the next event, or None after the timeout; flush the log in a pause."""

@@ -1,4 +1,4 @@
-"""Collection of SIGINT and SIGTERM while a run is active."""
+"""Collection of the signals that end a run in order, while it is active."""
 
 import signal
 import threading
@@ -6,10 +6,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
+from protocol.network.parent import ending_signals
+
 
 @contextmanager
 def collected_signals() -> Iterator[list[str]]:
-    """Collect the names of received SIGINT and SIGTERM instead of ending; only in the main thread."""
+    """Collect the names of received SIGINT, SIGTERM and SIGHUP instead of ending; only in the main thread."""
     received: list[str] = []
 
     def note(number: int, _: FrameType | None) -> None:
@@ -18,7 +20,7 @@ def collected_signals() -> Iterator[list[str]]:
     if threading.current_thread() is not threading.main_thread():
         yield received
         return
-    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.signal(number, note) for number in ending_signals()}
     try:
         yield received
     finally:

@@ -48,4 +48,4 @@ def setup_of(folder: Path) -> Setup:
     Raises: ScenarioError: the scenario cannot be read.
     """
     path = folder / "scenario.toml"
-    return Setup.of(read_scenario(path), str(path))
+    return Setup.of(read_scenario(path, allow_large=True), str(path))  # its run has been allowed

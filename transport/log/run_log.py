@@ -6,36 +6,28 @@ messages, describes the run. `transport log export` makes files for other progra
 """
 
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryFile
 from typing import TypeVar
 
 import orjson
-from mcap.writer import CompressionType, Writer
 
 from protocol.scenario.setup import Setup
 from protocol.wire.codec import encode
+from protocol.wire.errors import TransportError
 from protocol.wire.header import Header
 from protocol.wire.keys import RECORDER
 from protocol.wire.messages import Control, FaultNote, Message, MessageError, Plan
 from transport.log.channels import ENCODING, TOKENS, TOKENS_ENCODING, channel_of, is_known
-from transport.log.chunk_indexes import ChunkIndexes
+from transport.log.log_file import METADATA, Entry, LogFile
 from transport.log.log_reception import LogReception, Read, setup_in
+from transport.log.relocating_file import RelocatingFile
 from transport.log.salvage import NotMcapError, Salvage
 
-# A chunk ends at this size, before compression (about ten ticks of four agents), or at this age. A kill loses at most
-# one chunk; live readers wait for it.
-CHUNK_BYTES = 64 * 1024
-CHUNK_S = 0.05
-_CHUNK_NS = round(CHUNK_S * 1e9)
-# The cheapest one: see docs/decisions.md.
-_COMPRESSION = CompressionType.LZ4
 # Kinds of messages that are in the file as soon as they are written.
 _URGENT = (Control.kind, FaultNote.kind)
 
-METADATA = "run"
 # Largest time of an MCAP record, ns, and number of its sequence numbers.
 LAST_TIME_NS = 2**63 - 1
 SEQUENCES = 2**32  # MCAP numbers have 32 bits; the message has the full number
@@ -43,7 +35,7 @@ SEQUENCES = 2**32  # MCAP numbers have 32 bits; the message has the full number
 M = TypeVar("M", bound=Message)
 
 
-class LogError(RuntimeError):
+class LogError(TransportError, RuntimeError):
     """A log that cannot be read or written; the text names the file and the reason."""
 
 
@@ -86,30 +78,18 @@ class LogWriter:
     """Writes the log of one run. The file can be read at any moment; a kill loses at most the unfinished chunk.
 
     Args:
-        path: File to create.
+        path: File to create, or an open file.
         header: Metadata of the run, as `read_log` returns it.
         period_ns: Sampling period, ns: converts ticks to log times.
     Raises: LogError: the file cannot be written.
     """
 
-    def __init__(self, path: Path, header: Mapping[str, str], *, period_ns: int) -> None:
-        self._path = path
+    def __init__(self, path: Path | RelocatingFile, header: Mapping[str, str], *, period_ns: int) -> None:
+        self._path = path if isinstance(path, Path) else path.path
         self._period_ns = period_ns
-        self._pending_bytes = 0  # in the unfinished chunk
-        self._pending_since_ns = 0  # arrival of its first message
         self._announced: dict[str, int] = {}  # newest incarnation of each process
-        self._channels: dict[str, int] = {}
-        self._closed = False
-        self._opened = ExitStack()
-        with self._guarded(), ExitStack() as opened:
-            file = opened.enter_context(path.open("wb"))
-            indexes = opened.enter_context(TemporaryFile(dir=path.parent))
-            self._writer = Writer(file, chunk_size=2 * CHUNK_BYTES, compression=_COMPRESSION, enable_data_crcs=True)
-            ChunkIndexes(indexes).attach(self._writer)
-            self._writer.start(library="payload-transport")
-            self._writer.add_metadata(METADATA, dict(header))
-            self._finish_chunk()
-            self._opened = opened.pop_all()
+        with self._guarded():
+            self._file = LogFile(path, header) if isinstance(path, Path) else path
 
     def __enter__(self) -> "LogWriter":
         return self
@@ -120,7 +100,7 @@ class LogWriter:
     @property
     def is_up_to_date(self) -> bool:
         """Whether all messages are in the file."""
-        return self._closed or not self._pending_bytes
+        return self._file.closed or not self._file.pending
 
     def write(self, message: Message, received_ns: int) -> None:
         """Append a message of this process, or one that was checked, received at a wall-clock time, ns since 1970.
@@ -155,33 +135,15 @@ class LogWriter:
     def _append(
         self, topic: str, encoding: str, data: bytes, received_ns: int, tick: int = 0, sequence: int = 0
     ) -> None:
-        if self._closed:
+        if self._file.closed:
             raise LogError(f"{self._path}: the log is closed, got an entry of {topic}")
+        log_ns = min(max(tick * self._period_ns, 0), LAST_TIME_NS)
+        received_ns = min(max(received_ns, 0), LAST_TIME_NS)
         with self._guarded():
-            if self._pending_bytes and received_ns - self._pending_since_ns > _CHUNK_NS:
-                self._finish_chunk()
-            if not self._pending_bytes:
-                self._pending_since_ns = received_ns
-                if self._announced and topic != TOKENS:  # so that a damaged chunk costs no other
-                    self._append_to_chunk(TOKENS, TOKENS_ENCODING, self._tokens(), received_ns, tick, 0)
-            self._append_to_chunk(topic, encoding, data, received_ns, tick, sequence)
-            if self._pending_bytes > CHUNK_BYTES:
-                self._finish_chunk()
-
-    def _append_to_chunk(
-        self, topic: str, encoding: str, data: bytes, received_ns: int, tick: int, sequence: int
-    ) -> None:
-        channel = self._channels.get(topic)
-        if channel is None:
-            channel = self._channels[topic] = self._writer.register_channel(topic, encoding, 0)
-        self._pending_bytes += len(data)
-        self._writer.add_message(
-            channel,
-            log_time=min(max(tick * self._period_ns, 0), LAST_TIME_NS),
-            publish_time=min(max(received_ns, 0), LAST_TIME_NS),
-            sequence=sequence % SEQUENCES,
-            data=data,
-        )
+            self._file.finish_old(received_ns)
+            if not self._file.pending and self._announced and topic != TOKENS:  # a damaged chunk costs no other
+                self._file.append(Entry(TOKENS, TOKENS_ENCODING, self._tokens(), 0, received_ns, 0))
+            self._file.append(Entry(topic, encoding, data, log_ns, received_ns, sequence % SEQUENCES))
 
     def flush(self) -> None:
         """Write all messages to the file, for live readers and against kills.
@@ -190,36 +152,22 @@ class LogWriter:
         """
         if not self.is_up_to_date:
             with self._guarded():
-                self._finish_chunk()
+                self._file.flush()
 
     def close(self) -> None:
         """Write the index and close the file; a second time, or after a failure, does nothing.
 
         Raises: LogError: the file cannot be written.
         """
-        if self._closed:
-            return
         with self._guarded():
-            self._writer.finish()  # type: ignore[no-untyped-call]
-            self._closed = True
-            self._opened.close()
-
-    def _finish_chunk(self) -> None:
-        self._writer.flush()  # type: ignore[no-untyped-call]
-        self._pending_bytes = 0
+            self._file.close()
 
     @contextmanager
     def _guarded(self) -> Iterator[None]:
-        """Turn a failed write into a LogError and close the file as it is.
-
-        Nothing may follow a record that was written in part: no reader would find it.
-        """
+        """Turn a failed write into a LogError."""
         try:
             yield
         except OSError as error:
-            self._closed = True
-            with suppress(OSError):
-                self._opened.close()
             raise LogError(f"{self._path}: cannot write the log ({error.strerror or error})") from error
 
 

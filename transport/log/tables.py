@@ -6,7 +6,7 @@ from typing import Any
 
 from model.arrays import Array
 from model.state import INPUTS, PAYLOAD, PER_UAV
-from protocol.wire.messages import KINDS, STAGES, Measurement, Message, Plan, PlantState, StepReport
+from protocol.wire.messages import KINDS, STAGES, ActualInputs, Measurement, Message, Plan, PlantState, StepReport
 from transport.log.run_log import RunLog
 from transport.log.units import INPUT_NAMES, PAYLOAD_NAMES, UAV_STATE_NAMES
 
@@ -18,14 +18,15 @@ _SPREAD = {
     Plan.kind: ("uavs", "uav_states", "inputs", "corrections"),
     StepReport.kind: ("peers", "plan_ages", "state_ages", "force", "times_ms"),
     PlantState.kind: ("x", "u", "plan_ticks"),
+    ActualInputs.kind: ("uavs", "inputs"),
 }
 
 
 def tables(log: RunLog, period_s: float | None) -> dict[str, list[Row]]:
     """Return the messages of a log by kind, each row as values by column (docs/log.md).
 
-    Measurements and plans have one row per UAV, other messages one row. Tuples of numbers become text with blanks in
-    between. An unknown sampling period, s, leaves `t_s` empty.
+    Measurements, plans and actual inputs have one row per UAV, other messages one row. Tuples of numbers become text
+    with blanks in between. An unknown sampling period, s, leaves `t_s` empty.
     """
     found: dict[str, list[Row]] = {kind: [] for kind in KINDS}
     for entry in log.messages:
@@ -86,6 +87,9 @@ def _spread(message: Message) -> Iterator[Row]:
                 row |= _named(f"uav{i + 1}_", INPUT_NAMES, message.u[INPUTS * i : INPUTS * (i + 1)])
                 row[f"uav{i + 1}_plan_tick"] = plan_tick
             yield row
+        case ActualInputs():
+            for uav, inputs in zip(message.uavs, message.inputs, strict=True):
+                yield {"uav": uav, **_named("", INPUT_NAMES, inputs)}
         case _:
             yield {}
 

@@ -16,8 +16,9 @@ from protocol.scenario.setup import Setup
 from protocol.wire.codec import decode
 from protocol.wire.messages import KINDS, Message, MessageError, Plan, StepReport
 from transport.log.channels import is_known
+from transport.log.log_file import METADATA
 from transport.log.log_reception import LogReception, Read, setup_in
-from transport.log.run_log import METADATA, LogError
+from transport.log.run_log import LogError
 from transport.log.salvage import DAMAGE, MESSAGE_HEADER, chunk_content, frames, records
 
 # Decompressed chunks kept in memory: messages that are looked up together lie close together.

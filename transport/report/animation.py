@@ -55,7 +55,9 @@ def animate_run(folder: Path, out: Path) -> Path:
 
 
 def animate(builder: SceneBuilder, series: Series, out: Path, *, speed: float | None = None) -> Path:
-    """Animate a run of at least one tick as far as its log goes, in `LENGTH_S` or at a multiple of real time; return the file.
+    """Animate a run of at least one tick as far as its log goes; return the file.
+
+    It takes `LENGTH_S`, or as given a multiple of real time.
 
     Raises: AnimationError: another kind of file, or an MP4 without ffmpeg.
     """

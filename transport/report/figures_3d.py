@@ -28,13 +28,14 @@ def draw_trajectories(figure: Figure, setup: Setup, series: Series) -> None:
     axes: Any = figure.add_axes((0.0, 0.03, 1.0, 1.0), projection="3d")
     payload_I = StateView(series.x).r0_I
     line(axes, series.payload_reference_I, color=REFERENCE, linewidth=1.0, linestyle="--")
+    uavs_I = np.where(series.on_rods[..., None], series.uavs_I, np.nan)  # released ones have left
     for i in range(setup.system.N):
         line(axes, series.uav_references_I[:, i], color=REFERENCE, linewidth=0.6, linestyle="--")
-        line(axes, series.uavs_I[:, i], linewidth=1.3, **uav_style(i))
+        line(axes, uavs_I[:, i], linewidth=1.3, **uav_style(i))
     line(axes, payload_I, color=PAYLOAD, linewidth=1.3)
     for k in _rows_to_draw(setup, series):
         _formation(axes, setup, series, k)
-    frame(axes, np.concatenate([series.uavs_I.reshape(-1, 3), payload_I]) * _UP)
+    frame(axes, np.concatenate([series.uavs_I[series.on_rods], payload_I]) * _UP)
     handles = [Line2D([], [], label=f"UAV{i + 1}", **uav_style(i)) for i in range(setup.system.N)]
     handles.append(Line2D([], [], color=PAYLOAD, label="payload"))
     handles.append(Line2D([], [], color=REFERENCE, linestyle="--", label="reference"))
@@ -59,6 +60,8 @@ def _formation(axes: Any, setup: Setup, series: Series, k: int) -> None:
     R_IP = rotation(view.Theta0)
     corners = np.array([view.r0_I + R_IP @ uav.rho for uav in setup.system.uavs])
     for i, corner in enumerate(corners):
+        if not series.on_rods[k, i]:
+            continue
         line(axes, np.array([series.uavs_I[k, i], corner]), color="#555555", linewidth=0.8)
         axes.plot(*(series.uavs_I[k, i] * _UP), marker="o", markersize=4.0, color=uav_style(i)["color"])
     outline = np.vstack([corners, corners[:1]])

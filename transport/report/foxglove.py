@@ -13,6 +13,7 @@ import orjson
 from mcap.writer import CompressionType, Writer
 
 from model.arrays import Array
+from protocol.scenario.setup import Setup
 from transport.log.channels import topic_of
 from transport.log.run_log import LAST_TIME_NS, SEQUENCES, RunLog
 from transport.report.foxglove_schemas import NUMBERS, SCHEMAS
@@ -36,10 +37,12 @@ from transport.scene.scene import Scene, SceneBuilder
 # Foxglove draws z up; the inertial frame, z down, is its root turned about x.
 ROOT, INERTIAL, PAYLOAD = "map", "inertial", "payload"
 _UPSIDE_DOWN = {"x": 1.0, "y": 0.0, "z": 0.0, "w": 0.0}
-_GREY, _DARK = (140, 140, 140), (60, 60, 60)
+_GREY, _DARK, _GROUND, _CONTACT = (140, 140, 140), (60, 60, 60), (225, 222, 214), (178, 24, 43)
 # Thickness of lines, m, and length of a thrust arrow at hover, m.
 _LINE_M, _ARROW_M = 0.02, 0.6
 _LINE_LIST = 2
+# Thickness of the drawn ground, its margin around the path, and radius of a mark where the payload touches it, m.
+_GROUND_M, _MARGIN_M, _CONTACT_M = 0.02, 3.0, 0.03
 
 # Additional channels and their schemas.
 CHANNELS: Mapping[str, str] = {
@@ -123,7 +126,8 @@ def _transform(time: Json, parent: str, child: str, translation: Array, rotation
 def _bodies(builder: SceneBuilder, at_ns: int) -> Iterator[Json]:
     """Yield payload and UAVs, each in its own frame, which the transforms move."""
     system = builder.setup.system
-    vertices, faces = payload_mesh(system)
+    ground_m = builder.setup.scenario.plant.ground_m
+    vertices, faces = payload_mesh(system, grounded=ground_m is not None)
     mesh = {
         "pose": _pose(np.zeros(3)),
         "points": [_vector(point) for point in vertices],
@@ -132,6 +136,8 @@ def _bodies(builder: SceneBuilder, at_ns: int) -> Iterator[Json]:
         "indices": faces.reshape(-1).tolist(),
     }
     yield _entity("payload", PAYLOAD, at_ns, locked=True, triangles=[mesh])
+    if ground_m is not None:
+        yield _entity("ground", INERTIAL, at_ns, cubes=[_ground(builder.setup, ground_m)])
     span = uav_span(builder.start_I)
     for i in range(system.N):
         parts = [(2.0 * BODY, BODY, np.zeros(3), uav_colour(i))]
@@ -168,11 +174,15 @@ def _reference(builder: SceneBuilder, at_ns: int) -> Iterator[Json]:
 def _now(builder: SceneBuilder, scene: Scene, at_ns: int) -> Iterator[Json]:
     """Yield the entities that change at every tick: rods, thrust, predicted paths, links."""
     setup = builder.setup
-    rods = np.stack([scene.uavs_I, scene.attachments_I], axis=1).reshape(-1, 3)
+    rods = np.stack([scene.uavs_I, scene.attachments_I], axis=1)
+    rods = np.delete(rods, [uav - 1 for uav in scene.released], axis=0).reshape(-1, 3)
     yield _entity("rods", INERTIAL, at_ns, lines=[_line(rods, _GREY)])
     thrusts = enumerate(zip(scene.uavs_I, scene.thrusts_I, strict=True))
     arrows = [_arrow(tail, thrust, builder.hover_N, uav_colour(i)) for i, (tail, thrust) in thrusts]
     yield _entity("thrust", INERTIAL, at_ns, arrows=arrows)
+    if setup.scenario.plant.ground_m is not None:
+        marks = [_sphere(corner, _CONTACT, 2.0 * _CONTACT_M) for corner in scene.contacts_I]
+        yield _entity("contacts", INERTIAL, at_ns, spheres=marks)
     for prediction in scene.predictions:
         own = setup.owned[prediction.agent - 1]
         paths = [(prediction.payload_I, own[0]), *((prediction.uavs_I[:, k], uav) for k, uav in enumerate(own))]
@@ -225,6 +235,19 @@ def _line(points: Any, colour: Colour, thickness_m: float = _LINE_M) -> Json:
         "colors": [],
         "indices": [],
     }
+
+
+def _ground(setup: Setup, ground_m: float) -> Json:
+    """Return a thin slab whose top is the ground, below the whole maneuver."""
+    times_s = setup.settings.sampling_period_s * np.arange(setup.ticks, dtype=np.float64)
+    way_I = setup.maneuver.path(times_s)[0]
+    low, high = way_I.min(axis=0) - _MARGIN_M, way_I.max(axis=0) + _MARGIN_M
+    middle = np.array([*(low + high)[:2] / 2.0, ground_m + _GROUND_M / 2.0])
+    return {"pose": _pose(middle), "size": _vector([*(high - low)[:2], _GROUND_M]), "color": _colour(_GROUND)}
+
+
+def _sphere(centre: Array, colour: Colour, diameter_m: float) -> Json:
+    return {"pose": _pose(centre), "size": _vector([diameter_m] * 3), "color": _colour(colour)}
 
 
 def _arrow(tail: Array, force: Array, hover: float, colour: Colour) -> Json:

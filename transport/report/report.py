@@ -26,6 +26,9 @@ from transport.report.beside import beside
 # Violations below this share of a constraint's range are within the solver's tolerance.
 HELD = 1e-6
 
+# Largest local error of the plant's integration with which trajectories are accurate.
+ACCURATE = 1e-6
+
 # Number of faults in the table, so that it fits a screen.
 _SHOWN_FAULTS = 8
 
@@ -70,6 +73,15 @@ def summary_table(summary: Mapping[str, Any]) -> Table:
     return table
 
 
+def warnings(summary: Mapping[str, Any]) -> list[str]:
+    """Return the reasons not to trust the numbers of a run, one line each, from the result of `write_report`."""
+    error = summary["local_error_max"]
+    if error is None or error <= ACCURATE:
+        return []
+    advice = "set a smaller plant.tolerance or plant.step_s"
+    return [f"the plant's integration has a local error of {error:.1e}, above {ACCURATE:g}: {advice}"]
+
+
 def _title(summary: Mapping[str, Any]) -> Text:
     outcome = summary["outcome"]
     reason = f": {summary['reason']}" if summary["reason"] else ""
@@ -98,6 +110,7 @@ def _lines(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("payload swing", _swing(payload)),
         ("separation", _text(summary["separation_min_m"], ".3f", "min {} m")),
         ("limits", _constraints(summary["constraint_violation_max"])),
+        ("integration", _text(summary["local_error_max"], ".1e", "largest local error {}")),
         ("agent step", _milliseconds(summary["agent_step_ms"])),
         ("rest of tick", _milliseconds(summary["rest_of_tick_ms"])),
         *([("deadlines", _deadlines(summary["deadline"]))] if summary["deadline"]["plans"] else []),

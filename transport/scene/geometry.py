@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from model.arrays import Array
 from model.parameters import System
+from model.shape import payload_half_size
 from transport.scene.colours import uav_style
 from transport.scene.link_history import LinkState
 from transport.scene.scene import Scene
@@ -65,12 +66,16 @@ def quaternion_from_up(direction: Array) -> Array:
     return q / size if size > 1e-9 else np.array([0.0, 1.0, 0.0, 0.0])
 
 
-def payload_mesh(system: System) -> tuple[Array, Array]:
-    """Return vertices (V, 3), payload frame, m, and triangles (F, 3) of a plate with all attachments on its top."""
+def payload_mesh(system: System, *, grounded: bool = False) -> tuple[Array, Array]:
+    """Return vertices (V, 3), payload frame, m, and triangles (F, 3) of a plate with all attachments on its top.
+
+    Where there is a ground, the plate is as thick as the box that touches it.
+    """
     core = _CORE_M * np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
     flat = np.vstack([[uav.rho[:2] for uav in system.uavs], core])
     height = float(np.mean([uav.rho[2] for uav in system.uavs]))
-    points = np.vstack([np.column_stack([flat, np.full(len(flat), height + z)]) for z in (0.0, _PLATE_M)])
+    bottom = float(payload_half_size(system)[2]) if grounded else height + _PLATE_M
+    points = np.vstack([np.column_stack([flat, np.full(len(flat), z)]) for z in (height, bottom)])
     hull = ConvexHull(points)
     triangles = hull.simplices.copy()
     for triangle, normal in zip(triangles, hull.equations[:, :3], strict=True):

@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 
 from agent.announced import AnnouncedInputs
+from model import motors
 from model.arrays import Array
 from model.compiled import Compiled, functions
 from mpc.feedback import FeedbackError
@@ -16,6 +17,8 @@ from transport.scene.run_history import RunHistory
 
 # Longest integration step, s; at order 5 its error is far below the width of a line.
 _STEP_S = 0.05
+# Share of an earlier command at which its effect on the actual inputs has decayed.
+_FORGOTTEN = 1e-6
 
 
 class Predictor:
@@ -60,8 +63,22 @@ class Predictor:
         forces = np.zeros(3 + 3 * setup.system.N)
         if report is not None:
             forces[:3] = report.force
-        ahead = self._rollout(plant_state.x, U.reshape(-1), x_ref.reshape(-1), forces)[0]
-        return np.vstack([plant_state.x, ahead.T])
+        start = plant_state.x
+        if setup.settings.motor_lag_s > 0.0:
+            start = np.concatenate([start, self._actual(history, tick)])
+        ahead = self._rollout(start, U.reshape(-1), x_ref.reshape(-1), forces)[0]
+        return np.vstack([plant_state.x, ahead.T[:, : len(plant_state.x)]])
+
+    def _actual(self, history: RunHistory, tick: int) -> Array:
+        """Return the actual inputs at a tick as its agents estimate them: by the lag from the commands before, (m,)."""
+        settings = self._setup.settings
+        left = motors.decay(settings.motor_lag_s, settings.sampling_period_s)
+        a: Array = self._setup.hover.u
+        for k in range(max(0, tick - math.ceil(math.log(_FORGOTTEN) / math.log(left))), tick):
+            before = history.plant_states.get(k)
+            if before is not None:
+                a = before.u + left * (a - before.u)
+        return a
 
 
 def _used(history: RunHistory, report: StepReport | None, tick: int) -> list[Plan]:
@@ -84,21 +101,32 @@ def _regulation(setup: Setup) -> Regulation | None:
 
 
 def _rollout(setup: Setup, regulation: Regulation | None) -> ca.Function:
-    """Return (x0, U row by row, x_ref row by row, F) -> states after each sampling period, (n, N_p)."""
+    """Return (x0, U row by row, x_ref row by row, F) -> states after each sampling period, (n, N_p).
+
+    With motor lag x0 and the states are [x, actual inputs], (n + m,).
+    """
     system, settings = setup.system, setup.settings
     n, m, steps = system.n, system.m, settings.horizon
-    x, u, x_ref = ca.MX.sym("x", n), ca.MX.sym("u", m), ca.MX.sym("x_ref", n)
+    lag_s = settings.motor_lag_s
+    z = ca.MX.sym("z", n + m if lag_s > 0.0 else n)
+    u, x_ref = ca.MX.sym("u", m), ca.MX.sym("x_ref", n)
     F = ca.MX.sym("F", 3 + 3 * system.N)
     step = functions(system.N)["step"]
     regulator = None if regulation is None else regulation.regulator
-    held = u if regulator is None else u + ca.mtimes(ca.DM(regulator.K), x - x_ref)
+    error = ca.vertcat(z[:n] - x_ref, z[n:] - ca.DM(setup.hover.u)) if lag_s > 0.0 else z - x_ref
+    held = u if regulator is None else u + ca.mtimes(ca.DM(regulator.K), error)
     lower, upper = settings.limits.lower(system.N), settings.limits.upper(system.N)
     held = ca.fmin(ca.fmax(held, ca.DM(lower)), ca.DM(upper))
     parts = max(1, math.ceil(settings.sampling_period_s / _STEP_S - 1e-9))
-    after = x
+    p, step_s, after, a = ca.DM(system.vector()), settings.sampling_period_s / parts, z[:n], z[n:]
     for _ in range(parts):
-        after = step(after, held, ca.DM(system.vector()), F, settings.sampling_period_s / parts)[0]
-    one = ca.Function("one", [x, u, x_ref, F], [after])
+        if lag_s > 0.0:
+            for share in motors.deviations(lag_s, step_s):
+                after = step(after, held + share * (a - held), p, F, step_s / 2.0)[0]
+            a = held + motors.decay(lag_s, step_s) * (a - held)
+        else:
+            after = step(after, held, p, F, step_s)[0]
+    one = ca.Function("one", [z, u, x_ref, F], [ca.vertcat(after, a) if lag_s > 0.0 else after])
     U, X_ref = ca.MX.sym("U", m * steps), ca.MX.sym("X_ref", n * steps)
-    ahead = one.mapaccum(steps)(x, ca.reshape(U, m, steps), ca.reshape(X_ref, n, steps), ca.repmat(F, 1, steps))
-    return ca.Function("rollout", [x, U, X_ref, F], [ahead])
+    ahead = one.mapaccum(steps)(z, ca.reshape(U, m, steps), ca.reshape(X_ref, n, steps), ca.repmat(F, 1, steps))
+    return ca.Function("rollout", [z, U, X_ref, F], [ahead])

@@ -85,6 +85,11 @@ class RunHistory:
         roster = self._roster(tick)
         return frozenset(self._setup.agents if roster is None else roster.agents)
 
+    def released(self, tick: int) -> tuple[int, ...]:
+        """Return the UAVs, 1-based, that have left their rods by a tick."""
+        roster = self._roster(tick)
+        return () if roster is None else tuple(roster.released)
+
     def is_whole(self, tick: int) -> bool:
         """Return whether every agent is on the roster and every UAV has its motors at a tick."""
         roster = self._roster(tick)

@@ -6,6 +6,7 @@ import numpy as np
 
 from model.arrays import Array
 from model.rotations import rotation
+from model.shape import payload_corners
 from model.state import INPUTS, StateView
 from mpc.cost import Cost
 from plant.schedule import FAIL_SAFE
@@ -15,6 +16,9 @@ from transport.log.run_log import LogError, RunLog
 from transport.scene.link_history import LinkHistory, LinkState
 from transport.scene.predictor import Predictor
 from transport.scene.run_history import RunHistory
+
+# A corner this near to the ground is drawn as touching it, m.
+_TOUCHING_M = 2e-3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,12 +60,14 @@ class Scene:
         R_uavs: Attitudes, body to inertial frame, (N, 3, 3).
         attachments_I: Attachments of the rods to the payload, (N, 3).
         thrusts_I: Thrust forces, (N, 3), N.
+        contacts_I: Corners of the payload's box that touch the ground, (k, 3).
         predictions: Predicted paths of the agents that made a plan at this tick.
         links: Links between agents.
         agents: All agents.
         cost: Stage cost.
         attitude_deg: Roll, pitch, yaw of the payload, (3,), deg.
         fail_safe: UAVs, 1-based, whose plans have run out.
+        released: UAVs, 1-based, that have left their rods.
     """
 
     tick: int
@@ -74,12 +80,14 @@ class Scene:
     R_uavs: Array
     attachments_I: Array
     thrusts_I: Array
+    contacts_I: Array
     predictions: tuple[PredictedPaths, ...]
     links: tuple[LinkState, ...]
     agents: tuple[AgentState, ...]
     cost: float
     attitude_deg: Array
     fail_safe: tuple[int, ...]
+    released: tuple[int, ...]
 
     @property
     def error_m(self) -> float:
@@ -142,6 +150,7 @@ class SceneBuilder:
             R_uavs=R_uavs,
             attachments_I=np.array([view.r0_I + R_payload @ uav.rho for uav in setup.system.uavs]),
             thrusts_I=-thrusts[:, None] * R_uavs[:, :, 2],
+            contacts_I=self._contacts(view.r0_I, R_payload),
             predictions=self._predictions(tick),
             links=self.link_history.states(tick, [report for report in reports if report is not None]),
             agents=tuple(
@@ -151,6 +160,7 @@ class SceneBuilder:
             cost=self._cost.stage(y, y_ref, plant_state.u),
             attitude_deg=np.degrees(view.Theta0),
             fail_safe=tuple(i + 1 for i, source in enumerate(plant_state.plan_ticks) if source == FAIL_SAFE),
+            released=self.history.released(tick),
         )
 
     def error_and_cost(self, tick: int) -> tuple[float, float]:
@@ -160,6 +170,15 @@ class SceneBuilder:
         y, y_ref = setup.model.outputs(plant_state.x), setup.reference.outputs(time_s)[0]
         error_I = StateView(plant_state.x).r0_I - setup.maneuver.path(time_s)[0][0]
         return float(np.linalg.norm(error_I)), self._cost.stage(y, y_ref, plant_state.u)
+
+    def _contacts(self, r0_I: Array, R_payload: Array) -> Array:
+        """Return the corners of the payload's box on the ground, (k, 3), m; none without a ground."""
+        ground_m = self.setup.scenario.plant.ground_m
+        if ground_m is None:
+            return np.zeros((0, 3))
+        corners_I = r0_I + payload_corners(self.setup.system) @ R_payload.T
+        touching: Array = corners_I[corners_I[:, 2] > ground_m - _TOUCHING_M]
+        return touching
 
     def paths(self, tick: int, points: int) -> tuple[Array, Array]:
         """Return the flown paths until a tick, with about so many points.

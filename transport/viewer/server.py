@@ -6,6 +6,8 @@ from contextlib import redirect_stdout
 from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
+from protocol.wire.errors import TransportError
+
 if TYPE_CHECKING:
     import viser
 
@@ -15,7 +17,7 @@ _PORTS = 100
 _IN_USE = (98, 48)
 
 
-class ViewerError(RuntimeError):
+class ViewerError(TransportError, RuntimeError):
     """The viewer cannot start; the text says why and what to do."""
 
 

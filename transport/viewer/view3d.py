@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.arrays import Array
+from model.shape import payload_corners
 from transport.scene.geometry import (
     ARM,
     BEAM,
@@ -44,6 +45,7 @@ LAYERS: Mapping[str, bool] = {
     "names": True,
 }
 
+_CONTACT = (178, 24, 43)
 _PAYLOAD, _ROD, _REFERENCE, _FLOWN = (60, 60, 60), (90, 90, 90), (150, 150, 150), (0, 0, 0)
 # Length of a thrust arrow at hover, m.
 _ARROW_M = 0.6
@@ -53,6 +55,8 @@ _VIEW, _VIEW_TEAM, _FOV = np.array([0.5, 1.1, -0.6]), np.array([0.9, 1.9, -2.2])
 # Points of a flown and of a reference path, and tolerance of the former in parts of the maneuver's size: wide lines are
 # a third of the work of a browser without a graphics processor.
 _POINTS, _POINTS_REFERENCE, _TOLERANCE = 240, 120, 5e-4
+# Colour and thickness of the drawn ground, m, as far below the grid; radius of a mark where the payload touches it, m.
+_GROUND, _GROUND_M, _CONTACT_M = (225, 222, 214), 0.02, 0.03
 _NO_SEGMENTS = np.zeros((1, 2, 3))
 
 
@@ -69,7 +73,7 @@ class View3D:
         self._add_surroundings()
         self._span_m = uav_span(builder.start_I)
         self._payload = self._add_body("/payload")
-        vertices, faces = payload_mesh(setup.system)
+        vertices, faces = payload_mesh(setup.system, grounded=setup.scenario.plant.ground_m is not None)
         scene.add_mesh_simple("/payload/body", vertices, faces, color=_PAYLOAD, flat_shading=True, side="double")
         self._rods = [self._add_rod(i) for i in range(self._N)]
         self._uavs = [self._add_uav(i) for i in range(self._N)]
@@ -78,6 +82,11 @@ class View3D:
                 f"/uav{i + 1}/name", f"UAV{i + 1}", anchor="bottom-center", font_screen_scale=0.9, position=offset
             )
             for i, offset in enumerate(name_offsets(builder.start_I))
+        ]
+        grounded = setup.scenario.plant.ground_m is not None
+        self._contacts = [
+            scene.add_icosphere(f"/contact{k}", radius=_CONTACT_M, color=_CONTACT, visible=False, cast_shadow=False)
+            for k in range(len(payload_corners(setup.system)) if grounded else 0)
         ]
         self._goal = scene.add_icosphere("/goal", radius=0.07, color=_REFERENCE, cast_shadow=False)
         self._paths = self._add_lines("/paths", 2.0)
@@ -124,8 +133,16 @@ class View3D:
         for i, (uav, rod) in enumerate(zip(self._uavs, self._rods, strict=True)):
             uav.position, uav.wxyz = scene.uavs_I[i], quaternion(scene.R_uavs[i])
             rod.wxyz = quaternion_from_up(scene.R_payload.T @ (scene.uavs_I[i] - scene.attachments_I[i]))
+        for k, mark in enumerate(self._contacts):
+            mark.visible = k < len(scene.contacts_I)
+            if mark.visible:
+                mark.position = scene.contacts_I[k]
         for node in (self._team, self._load, self._payload, *self._uavs):
             node.visible = True
+        for uav in scene.released:
+            self._uavs[uav - 1].visible = False
+        for i, rod in enumerate(self._rods):
+            rod.visible = i + 1 not in scene.released
         if self._shown["thrust"]:
             tips_I = scene.uavs_I + scene.thrusts_I * (_ARROW_M / self._builder.hover_N)
             self._thrust.points = (np.stack([scene.uavs_I, tips_I], axis=1) - centre_I).astype(np.float32)
@@ -186,11 +203,16 @@ class View3D:
         low, high = everything.min(axis=0), everything.max(axis=0)
         size, middle = float(np.linalg.norm(high - low)), (low + high) / 2.0
         self._size_m = size
-        floor = float(high[2]) + 0.5
+        ground_m = setup.scenario.plant.ground_m
+        floor = float(high[2]) + 0.5 if ground_m is None else ground_m
+        width = 2.0 * np.ceil(0.7 * size)
+        if ground_m is not None:
+            below = (round(middle[0]), round(middle[1]), ground_m + _GROUND_M)
+            scene.add_box("/ground", dimensions=(width, width, _GROUND_M), position=below, color=_GROUND)
         scene.add_grid(
             "/grid",
-            width=2.0 * np.ceil(0.7 * size),
-            height=2.0 * np.ceil(0.7 * size),
+            width=width,
+            height=width,
             position=(round(middle[0]), round(middle[1]), floor),
             cell_size=0.5,
             section_size=1.0,

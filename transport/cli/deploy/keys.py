@@ -31,7 +31,7 @@ def keys(
 
     Example: transport deploy keys --out keys
     """
-    setup = read_setup(scenario, None)
+    setup = read_setup(scenario, None, allow_large=True)
     with optional_packages():
         from deploy.keys import LOOPBACK, OTHERS, KeysError, make_certificates, make_passwords
     names = [*process_names(setup.scenario), *OTHERS]

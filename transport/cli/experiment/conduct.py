@@ -29,7 +29,7 @@ from transport.experiments.statistics import PointStatistics
 from transport.experiments.sweep import Simulate, report, sweep
 from transport.experiments.table import WIDTH, WIDTH_OF_VARIANTS, table_of
 from transport.experiments.workers import check_cluster, on_cluster, on_cores
-from transport.flight.run import machine
+from transport.flight.header import machine
 
 
 def sweep_command(
@@ -67,7 +67,13 @@ def conduct(experiment: Experiment, options: ExperimentOptions) -> None:
     if isinstance(options, SweepOptions):
         _check(options)
     folder = new_folder(options, experiment.name)
-    cases = cases_of(experiment.points, options.changes(), options.repetitions, timed=experiment.timed)
+    cases = cases_of(
+        experiment.points,
+        options.changes(),
+        options.repetitions,
+        timed=experiment.timed,
+        allow_large=options.allow_large,
+    )
     console = Console(stderr=True)
     trial = trial_note(options, console)
     with Results(folder, experiment.name, machine()) as results:

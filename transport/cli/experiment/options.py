@@ -8,7 +8,7 @@ from typer import Option
 
 from protocol.scenario.file import find_scenario, read_scenario
 from protocol.scenario.schema import Scenario
-from transport.cli.options import FormatOption
+from transport.cli.options import FormatOption, LargeOption
 from transport.cli.output import Format
 from transport.experiments.errors import refused
 
@@ -42,6 +42,7 @@ class ExperimentOptions:
     jobs: Annotated[
         int | None, Option("--jobs", metavar="COUNT", min=1, help="Parallel runs; default: all cores (scaling: 1).")
     ] = None
+    allow_large: LargeOption = False
     quick: Annotated[bool, Option("--quick", help="Few and short runs: a trial, no measurement.")] = False
     output: FormatOption = Format.text
     # Not options, as they are not annotated.
@@ -87,4 +88,7 @@ class SweepOptions(ExperimentOptions):
         """
         if len(set(self.names)) < len(self.names):
             raise refused("--scenario", "each value once", ", ".join(self.names))
-        return {name: read_scenario(find_scenario(name), self.changes()) for name in self.names}
+        return {
+            name: read_scenario(find_scenario(name), self.changes(), allow_large=self.allow_large)
+            for name in self.names
+        }

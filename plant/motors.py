@@ -1,0 +1,97 @@
+"""Motors of the plant, between the commands of the plans and the wrench on the UAVs, for any physics engine.
+
+In this order: the command's thrust is rounded to its steps; thrust and moments are distributed to the four rotors,
+limited there, and summed up again; the result follows with a first-order lag; what arrives is multiplied by the
+efficiency of the UAV's motors. Each stage that a scenario does not name is left out.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from model import motors, state
+from model.arrays import Array
+from protocol.scenario.motor_sections import MotorsSection, RotorsSection
+
+# Signs of a rotor's arm along y, along x, and of its drag moment: front right, rear left (both turning
+# counterclockwise seen from above), front left, rear right (clockwise); arms at 45 deg to the axes, x forward, z down.
+_ARMS_Y = (1.0, -1.0, -1.0, 1.0)
+_ARMS_X = (1.0, -1.0, 1.0, -1.0)
+_DRAG = (1.0, 1.0, -1.0, -1.0)
+
+
+class Rotors:
+    """Four equal rotors of a UAV: thrust and moments from their thrusts, and back.
+
+    Attributes:
+        mixing: (thrust, moments) per rotor thrust, (4, 4), the moments in m.
+    """
+
+    def __init__(self, section: RotorsSection) -> None:
+        arm = section.arm_m / np.sqrt(2.0)
+        self._least, self._most = section.thrust_N
+        # A thrust f against z at (x, y) has the moments -y f about x and x f about y.
+        self.mixing = np.vstack(
+            [np.ones(4), -arm * np.array(_ARMS_Y), arm * np.array(_ARMS_X), section.drag_to_thrust_m * np.array(_DRAG)]
+        )
+        self._back = np.linalg.inv(self.mixing)
+
+    def limited(self, inputs: Array) -> Array:
+        """Return the inputs that limited rotors make of commands, (N, 4). Source: docs/equations.md (56)."""
+        thrusts = inputs @ self._back.T
+        # The difference alone is mixed back, so that commands within the limits pass without rounding.
+        limited: Array = inputs + (np.clip(thrusts, self._least, self._most) - thrusts) @ self.mixing.T
+        return limited
+
+
+class Motors:
+    """Motors of all UAVs, with their state.
+
+    Args:
+        section: Lag, steps and rotors.
+        u_hover: Actual inputs at the beginning, (4 N,).
+        fails: Whether a UAV's efficiency changes in the run.
+
+    Attributes:
+        ideal: Actual inputs are the commands, without any stage.
+    """
+
+    def __init__(self, section: MotorsSection, u_hover: Array, fails: bool = False) -> None:
+        self.ideal = not (fails or section.lag_s or section.thrust_step_N or section.rotors)
+        self._lag_s, self._step_N = section.lag_s, section.thrust_step_N
+        self._rotors = None if section.rotors is None else Rotors(section.rotors)
+        self._a: Array = u_hover.copy()  # what the lag has reached
+        self._efficiency = np.ones(len(u_hover))
+
+    def degrade(self, uav: int, efficiency: float) -> None:
+        """Set the share of the inputs that a UAV's motors, 0-based, give from now on; 0 with the motors off."""
+        self._efficiency[state.input_slice(uav)] = efficiency
+
+    def inputs(self, u: Array, period_s: float, steps: int) -> Iterator[tuple[Array, float, int]]:
+        """Yield the actual inputs over a sampling period, to be held one after the other; the state advances with them.
+
+        Given are the command, held, (4 N,), and the number of integration steps. Without lag this is one input for the
+        period; with lag two for each integration step. Source: docs/equations.md (53), (54).
+
+        Yields: Inputs, (4 N,), how long they are held, s, and in how many integration steps.
+        """
+        if self.ideal:
+            yield u, period_s, steps
+            return
+        command = self._limited(u)
+        if self._lag_s == 0.0:
+            yield self._efficiency * command, period_s, steps
+            return
+        for _ in range(steps):
+            halves, self._a = motors.held(self._a, command, self._lag_s, period_s / steps)
+            for half in halves:
+                yield self._efficiency * half, period_s / steps / 2.0, 1
+
+    def _limited(self, u: Array) -> Array:
+        """Return commands in steps of the thrust and within the limits of the rotors, (4 N,)."""
+        inputs: Array = u.reshape(-1, state.INPUTS).copy()
+        if self._step_N:
+            inputs[:, 0] = np.round(inputs[:, 0] / self._step_N) * self._step_N
+        if self._rotors is not None:
+            inputs = self._rotors.limited(inputs)
+        return inputs.reshape(-1)

@@ -1,0 +1,119 @@
+"""The engine "mujoco": the team as bodies of the physics engine MuJoCo, with ground, contacts and rods with a mass."""
+
+import math
+from typing import Any
+
+import mujoco
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from model.arrays import Array
+from model.parameters import System
+from model.rotations import euler_angles, rotation
+from model.state import StateView
+from plant.mujoco_bodies import mjcf
+from protocol.scenario.plant_sections import PlantSection
+
+# MuJoCo would write its warnings into a file in the current folder; a run that becomes unstable ends as diverged.
+mujoco.set_mju_user_warning(lambda _: None)
+
+
+class MujocoEngine:
+    """MuJoCo, by Runge-Kutta steps of order 4 of at most `plant.mujoco.step_s`."""
+
+    version = mujoco.__version__
+
+    def __init__(self, system: System, section: PlantSection) -> None:
+        self._system, self._section = system, section
+        self._cables = section.mujoco.suspension == "cables"
+        self._model = mujoco.MjModel.from_xml_string(mjcf(system, section))
+        self._data = mujoco.MjData(self._model)
+        self._turns = np.zeros((1 + system.N, 3))  # attitudes of the last state, of payload and UAVs
+
+    def reset(self, x: Array) -> None:
+        """Continue from a state, (n,): without memory of earlier contacts and solutions."""
+        view, system, data = StateView(x), self._system, self._data
+        mujoco.mj_resetData(self._model, data)
+        R0 = rotation(view.Theta0)
+        _set(data.joint("payload"), [*view.r0_I, *_quaternion(R0)], [*(R0 @ view.v0_P), *view.omega0_P])
+        for i, uav in enumerate(system.uavs):
+            e_P, Omega_P, omega_B, R = view.e_P[i], view.Omega_P[i], view.omega_B[i], rotation(view.Theta[i])
+            if self._cables:
+                r_I = view.r0_I + R0 @ (uav.rho - uav.rod_length * e_P)
+                swing_P = uav.rod_length * np.cross(Omega_P, e_P)
+                v_I = R0 @ (view.v0_P + np.cross(view.omega0_P, uav.rho) - swing_P)
+                _set(data.joint(f"uav{i}"), [*r_I, *_quaternion(R)], [*v_I, *omega_B])
+                continue
+            rod_P = _rotation_to(e_P)
+            _set(data.joint(f"rod{i}"), _quaternion(rod_P), rod_P.T @ (Omega_P - view.omega0_P))
+            _set(data.joint(f"uav{i}"), _quaternion((R0 @ rod_P).T @ R), omega_B - R.T @ R0 @ Omega_P)
+        self._turns = np.vstack([view.Theta0[None], view.Theta])
+
+    def advance(self, u: Array, forces: Array | None, duration_s: float) -> None:
+        """Integrate an interval under held inputs, (4 N,), and forces, (3 + 3 N,)."""
+        model, data = self._model, self._data
+        steps = math.ceil(duration_s / self._section.mujoco.step_s - 1e-9)
+        model.opt.timestep = duration_s / steps
+        data.ctrl[:] = u
+        data.xfrc_applied[:] = 0.0
+        if forces is not None:
+            bodies = [data.body("payload"), *(data.body(f"uav{i}") for i in range(self._system.N))]
+            for body, force_I in zip(bodies, forces.reshape(-1, 3), strict=True):
+                body.xfrc_applied[:3] = force_I
+        mujoco.mj_step(model, data, nstep=steps)
+
+    def state(self) -> Array:
+        """Return the present state, (n,)."""
+        system, data = self._system, self._data
+        x = np.zeros(system.n)
+        view = StateView(x)
+        payload = data.joint("payload")
+        R0 = _matrix(payload.qpos[3:])
+        view.r0_I[:] = payload.qpos[:3]
+        view.v0_P[:] = R0.T @ payload.qvel[:3]
+        view.omega0_P[:] = payload.qvel[3:]
+        attitudes = [R0]
+        for i, uav in enumerate(system.uavs):
+            joint = data.joint(f"uav{i}")
+            if self._cables:
+                R = _matrix(joint.qpos[3:])
+                along_P = uav.rho + R0.T @ (view.r0_I - joint.qpos[:3])
+                towards_P = view.v0_P + np.cross(view.omega0_P, uav.rho) - R0.T @ joint.qvel[:3]
+                length = np.linalg.norm(along_P)
+                e_P = along_P / length
+                Omega_P = np.cross(e_P, towards_P) / length
+                view.omega_B[i] = joint.qvel[3:]
+            else:
+                rod = data.joint(f"rod{i}")
+                rod_P, turn = _matrix(rod.qpos), _matrix(joint.qpos)
+                e_P, R = rod_P[:, 2], R0 @ rod_P @ turn
+                spinning_P = view.omega0_P + rod_P @ rod.qvel
+                Omega_P = spinning_P - e_P * (e_P @ spinning_P)
+                view.omega_B[i] = joint.qvel + R.T @ R0 @ spinning_P
+            view.e_P[i], view.Omega_P[i] = e_P, Omega_P
+            attitudes.append(R)
+        angles = euler_angles(np.array(attitudes))
+        # Roll and yaw continue beyond half a turn, as when they are integrated.
+        angles += 2.0 * math.pi * np.round((self._turns - angles) / (2.0 * math.pi))
+        self._turns = angles
+        view.Theta0[:], view.Theta[:] = angles[0], angles[1:]
+        return x
+
+
+def _set(joint: Any, qpos: Any, qvel: Any) -> None:
+    joint.qpos[:], joint.qvel[:] = qpos, qvel
+
+
+def _rotation_to(e: Array) -> Array:
+    """Return a rotation whose third column is e, (3, 3)."""
+    least = np.eye(3)[np.argmin(np.abs(e))]  # the axis farthest from e, so that the product is far from zero
+    first = np.cross(least, e) / np.linalg.norm(np.cross(least, e))
+    return np.column_stack([first, np.cross(e, first), e])
+
+
+def _quaternion(R: Array) -> Array:
+    return np.asarray(Rotation.from_matrix(R).as_quat(scalar_first=True))
+
+
+def _matrix(quaternion: Array) -> Array:
+    return np.asarray(Rotation.from_quat(quaternion, scalar_first=True).as_matrix())

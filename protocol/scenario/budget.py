@@ -1,0 +1,156 @@
+"""Budget of a run: what a scenario asks of memory, disk and processor, estimated before anything starts.
+
+Each limit can be exceeded on purpose with the option --allow-large. Sizes of arrays are exact, the numbers of bytes and
+seconds were fitted to runs (`tests/protocol/test_budget.py` compares them with real ones).
+"""
+
+import math
+from dataclasses import dataclass
+
+from model.state import INPUTS, PAYLOAD, PER_UAV
+from protocol.scenario.errors import ScenarioError
+from protocol.scenario.schema import Scenario
+
+MB = 1e6
+
+# Limits without --allow-large.
+MOST_TICKS = 1_000_000
+MOST_PLANT_STEPS = 10_000
+MOST_VARIABLES = 5_000
+MOST_ROWS = 40_000
+MOST_PROCESS_BYTES = 1_000 * MB
+MOST_TOTAL_BYTES = 8_000 * MB
+MOST_LOG_BYTES = 4_000 * MB
+MOST_STEP_S = 2.0
+
+ADMITTED = "--allow-large admits more"
+
+_FLOAT = 8  # bytes
+# Interpreter and packages; and the functions of a model, per UAV.
+BASE_BYTES, _MODEL_BYTES = 60 * MB, 1 * MB
+# Bytes of a plan, report, measurement and plant state beside their arrays.
+_PLAN_BYTES, _REPORT_BYTES, _MEASUREMENT_BYTES, _PLANT_STATE_BYTES = 100.0, 260.0, 60.0, 60.0
+# Bytes of the log over bytes of its messages: compression.
+_COMPRESSED = 0.65
+# Bytes in the memory of the report per tick and agent: Python objects of plans and step reports.
+_REPORTED_BYTES = 4_000.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Budget:
+    """Estimate of what a run takes.
+
+    Attributes:
+        ticks: Sampling periods of the run.
+        plant_steps: Integration steps per sampling period before any is halved.
+        variables, rows: Size of the largest agent's QP, without the rows of the user's constraints on inputs.
+        relay_bytes: Largest message: all plans and reports of a tick.
+        agent_bytes: Memory of the largest agent.
+        process_bytes: Memory of the largest process: an agent, the plant, or the report after the run.
+        total_bytes: Memory of all processes.
+        log_bytes: Size of run.mcap.
+        step_s: Processor time of one step of the largest agent while few constraints are active, s.
+    """
+
+    ticks: int
+    plant_steps: int
+    variables: int
+    rows: int
+    relay_bytes: float
+    agent_bytes: float
+    process_bytes: float
+    total_bytes: float
+    log_bytes: float
+    step_s: float
+
+    def text(self) -> str:
+        """Return the estimate in one line."""
+        return (
+            f"{self.ticks} ticks, {self.plant_steps} integration steps per period, "
+            f"QP of {self.variables} variables and {self.rows} rows, "
+            f"{self.process_bytes / MB:.0f} MB per process, {self.total_bytes / MB:.0f} MB in all, "
+            f"log of {self.log_bytes / MB:.3g} MB, {1e3 * self.step_s:.2g} ms of processor time per step"
+        )
+
+
+def estimate(scenario: Scenario) -> Budget:
+    """Return the budget of a run, from sizes alone: nothing is built."""
+    controller, N, M = scenario.controller, len(scenario.system.uav), len(scenario.owned)
+    horizon, own = controller.horizon, max(map(len, scenario.owned))
+    n, outputs = PAYLOAD + PER_UAV * N, INPUTS * N + 9
+    ticks = ticks_of(scenario)
+    variables, rows = _program(scenario, own)
+    has_corrections = controller.prediction == "closed_loop"
+
+    plan = _FLOAT * own * (INPUTS * horizon * (1 + has_corrections) + PER_UAV) + _PLAN_BYTES
+    report = _REPORT_BYTES + 10.0 * M
+    measurement = _FLOAT * (PAYLOAD + (PER_UAV + INPUTS) * own) + _MEASUREMENT_BYTES + 3.0 * M
+    plant_state = _FLOAT * (n + INPUTS * N) + _PLANT_STATE_BYTES
+    tick_bytes = M * (plan * controller.negotiation_iterations + report + measurement) + plant_state
+
+    instants = ticks + horizon + 2
+    # Reference, with intermediate results; the preview and its recursion.
+    path_bytes = _FLOAT * instants * (3.5 * outputs + (7.0 * n if controller.preview else 0.0))
+    # Rows and their template; Hessian, its factor and copies; regulator and linear model.
+    matrix_bytes = _FLOAT * (2.0 * rows * variables + 3.0 * variables**2 + 6.0 * n**2 + 2.0 * n * variables)
+    base_bytes = BASE_BYTES + _MODEL_BYTES * N
+    agent_bytes = base_bytes + path_bytes + matrix_bytes
+    report_bytes = base_bytes + ticks * (M * _REPORTED_BYTES + 6.0 * _FLOAT * n)
+    rest_bytes = 4 * base_bytes  # plant, coordinator, recorder, fork server
+    return Budget(
+        ticks=ticks,
+        plant_steps=math.ceil(controller.sampling_period_s / scenario.plant.step_s - 1e-9),
+        variables=variables,
+        rows=rows,
+        relay_bytes=M * (plan + report + 60.0) + 200.0,
+        agent_bytes=agent_bytes,
+        process_bytes=max(agent_bytes, report_bytes),
+        total_bytes=M * agent_bytes + rest_bytes + (report_bytes - base_bytes),
+        log_bytes=_COMPRESSED * ticks * tick_bytes,
+        step_s=controller.negotiation_iterations
+        * (6e-4 + 7e-8 * n**2 + 1.5e-8 * rows * variables + 3.4e-11 * variables**3),
+    )
+
+
+def ticks_of(scenario: Scenario) -> int:
+    """Return the number of sampling instants of a run, as `Setup.ticks`."""
+    periods = sum(phase.duration_s for phase in scenario.maneuver.phase) / scenario.controller.sampling_period_s
+    return max(1, math.ceil(periods - 1e-9 * periods))
+
+
+def check_budget(scenario: Scenario, source: str) -> Budget:
+    """Return the budget of a run whose estimate is within all limits.
+
+    Raises: ScenarioError: a limit is exceeded, naming the field that causes it, the limit and the estimate.
+    """
+    found = estimate(scenario)
+    by_path = found.ticks > 20 * found.variables
+    size = "maneuver.phase" if by_path else "controller.horizon"
+    for field, got, most, unit, shown in (
+        ("maneuver.phase", found.ticks, MOST_TICKS, "sampling periods", ",d"),
+        ("plant.step_s", found.plant_steps, MOST_PLANT_STEPS, "integration steps per sampling period", ",d"),
+        ("controller.horizon", found.variables, MOST_VARIABLES, "variables of a QP", ",d"),
+        ("controller.horizon", found.rows, MOST_ROWS, "rows of a QP", ",d"),
+        (size, found.process_bytes / MB, MOST_PROCESS_BYTES / MB, "MB of memory per process", ",.0f"),
+        (size, found.total_bytes / MB, MOST_TOTAL_BYTES / MB, "MB of memory in all", ",.0f"),
+        ("maneuver.phase", found.log_bytes / MB, MOST_LOG_BYTES / MB, "MB of log", ",.0f"),
+        ("controller.horizon", found.step_s, MOST_STEP_S, "s of processor time per step", ",.2g"),
+    ):
+        if got > most:
+            expected = f"expected at most {format(most, shown)} {unit}, got {format(got, shown)}"
+            raise ScenarioError(source, field, f"{expected} ({ADMITTED})")
+    return found
+
+
+def _program(scenario: Scenario, own: int) -> tuple[int, int]:
+    """Return variables and rows of the QP of an agent with that many UAVs, as `mpc.rows.table` makes them."""
+    controller, N = scenario.controller, len(scenario.system.uav)
+    horizon = controller.horizon
+    decisions, slacks, rows = INPUTS * own * horizon, 0, INPUTS * own * (horizon - 1)
+    pairs = N * (N - 1) // 2 - (N - own) * (N - own - 1) // 2
+    if controller.separation is not None and pairs:
+        slacks, rows = slacks + 1, rows + pairs * horizon
+    if controller.tilt is not None:
+        slacks, rows = slacks + 1, rows + 4 * own * horizon
+    # Constraints of the user: at most a slack each, and a row per step.
+    return decisions + slacks + len(controller.constraint), rows + horizon * len(controller.constraint)

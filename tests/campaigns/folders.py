@@ -1,0 +1,311 @@
+"""Folders campaign: `python -m tests.campaigns.folders` damages the files of runs while they are written.
+
+In each run one thing happens to the run folder, the disk or a file of the run: it is removed, renamed, replaced, cut,
+or full. The run must fly on and say so at once; the log must open, in the run folder or in the place that the command
+names; the exit code must fit, no process may be left and no output may have a traceback. Exit code 1 if any run has a
+problem.
+"""
+
+import argparse
+import json
+import os
+import random
+import resource
+import shutil
+import subprocess
+import sys
+import threading
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from protocol.network.parent import python
+from protocol.wire.exit_codes import EXIT_UNRECORDED, EXIT_USAGE
+from protocol.wire.messages import Control
+from tests.campaigns.inspection import end_orphans, log_in, tracebacks, wait_for
+
+# Time for a run to begin, and to end, s.
+_PATIENCE_S = 90.0
+# Bytes of the log when the damage happens, at least and at most, and the space of a disk that becomes full.
+_FROM_BYTES, _TO_BYTES = 20_000, 300_000
+_DISK = "640k"
+_FILE_BYTES = 400_000
+_SETTINGS = ("maneuver.phase=[{name='climb',duration_s=12.0,displacement_m=[0,0,-6.0]}]", "clock.speed=6.0")
+
+_CHANGES_OF_STATE: Sequence[bytes] = (
+    b"",
+    b"{",
+    b"\xff\xfe",
+    b"[]",
+    b"7",
+    b"{}",
+    b'{"run": "a/b/*", "endpoints": {}, "pid": 1, "keys": "", "is_client": false}',
+    b'{"run": "a", "endpoints": {}, "pid": 1, "keys": "", "is_client": false}',
+    b'{"run": "a", "endpoints": {"coordinator": 5}, "pid": 1, "keys": "", "is_client": false}',
+    b'{"run": "a", "endpoints": {"coordinator": "tcp/127.0.0.1:1"}, "pid": "x", "keys": "", "is_client": false}',
+    b'{"run": "a", "endpoints": {"coordinator": "tcp/127.0.0.1:1"}, "pid": -1, "keys": "", "is_client": false}',
+    b'{"run": "a", "endpoints": {"coordinator": "tcp/127.0.0.1:1"}, "pid": 1, "keys": [], "is_client": false}',
+    b'{"run": "a", "endpoints": {"coordinator": "tcp/127.0.0.1:1"}, "pid": 1, "keys": "", "is_client": 3}',
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Damage:
+    """Something that happens to the files of a run.
+
+    Attributes:
+        apply: Function that does it to the run folder, given random numbers.
+        exit_codes: Exit codes that fit.
+        moves: Whether the log goes on in a second place; None if it may or may not.
+        is_whole: Whether the log that is named at the end tells how the run ended.
+        on: "disk" for a small file system, "limit" for a limit of the size of every file, "full" for a small file
+            system that holds the second place as well.
+    """
+
+    apply: Callable[[Path, random.Random], None]
+    exit_codes: frozenset[int] = frozenset({0})
+    moves: bool | None = True
+    is_whole: bool = True
+    on: str = ""
+
+
+def _cut(folder: Path, rng: random.Random) -> None:
+    log = folder / "run.mcap"
+    os.truncate(log, rng.choice((0, rng.randrange(1, log.stat().st_size))))
+
+
+def _replace(folder: Path, rng: random.Random) -> None:
+    new = folder / "new"
+    new.write_bytes(rng.randbytes(rng.randrange(2000)))
+    new.replace(folder / "run.mcap")
+
+
+def _rename(folder: Path, _: random.Random) -> None:
+    folder.rename(folder.parent / "elsewhere")
+
+
+def _make_unwritable(folder: Path, _: random.Random) -> None:
+    (folder / "summary.json").mkdir()  # stands for a folder that has become read-only, which root could write to
+
+
+def _change_state(folder: Path, rng: random.Random) -> None:
+    """Give live.json other content, ask for the status, and put the content back."""
+    state = folder / "live.json"
+    before, content = state.read_bytes(), rng.choice(_CHANGES_OF_STATE)
+    state.write_bytes(content)
+    asked = rng.choice((["status"], ["link", "clear"], ["fault", "stop", "agent1"], ["top", "--once"]))
+    result = subprocess.run(
+        [*python("transport"), *asked, "--run", folder.name],
+        cwd=folder.parent,
+        capture_output=True,
+        text=True,
+        timeout=_PATIENCE_S,
+        check=False,
+    )
+    state.write_bytes(before)
+    lines = result.stderr.splitlines()
+    if (
+        result.returncode != EXIT_USAGE
+        or len(lines) != 1
+        or "live.json: " not in lines[0]
+        or "expected" not in lines[0]
+    ):
+        raise AssertionError(
+            f"live.json with {content!r}: {asked[0]} ended with {result.returncode}, {result.stderr!r}"
+        )
+
+
+def _remove(name: str) -> Callable[[Path, random.Random], None]:
+    def apply(folder: Path, _: random.Random) -> None:
+        path = folder / name
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+
+    return apply
+
+
+def _nothing(_folder: Path, _rng: random.Random) -> None:
+    """Let the disk fill up."""
+
+
+DAMAGES: dict[str, Damage] = {
+    "log removed": Damage(apply=_remove("run.mcap")),
+    "log cut": Damage(apply=_cut),
+    "log replaced": Damage(apply=_replace),
+    "folder removed": Damage(apply=_remove("")),
+    "folder renamed": Damage(apply=_rename),
+    "outputs removed": Damage(apply=_remove("logs"), moves=False),
+    "scenario removed": Damage(apply=_remove("scenario.toml"), moves=False),
+    "report not writable": Damage(apply=_make_unwritable, exit_codes=frozenset({EXIT_UNRECORDED}), moves=False),
+    "state file changed": Damage(apply=_change_state, moves=False),
+    "disk full": Damage(apply=_nothing, on="disk"),
+    "both places full": Damage(
+        apply=_nothing, on="full", moves=None, exit_codes=frozenset({EXIT_UNRECORDED}), is_whole=False
+    ),
+    "file size limit": Damage(
+        apply=_nothing, on="limit", moves=None, exit_codes=frozenset({EXIT_UNRECORDED}), is_whole=False
+    ),
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Result:
+    """Result of a run: what was done, the exit code of the command, and what is wrong."""
+
+    number: int
+    name: str
+    exit_code: int
+    problems: tuple[str, ...]
+
+
+def execute(number: int, name: str, folder: Path, seed: int = 0) -> Result:
+    """Execute one run, damage its files, check it, and end all of its processes.
+
+    Args:
+        number: Number of the run, which with the seed gives its random numbers.
+        name: Key of `DAMAGES`.
+        folder: For its run folder and the output of the command; no other process may work there.
+        seed: Random seed of the campaign.
+    """
+    damage, rng = DAMAGES[name], random.Random(f"{seed}/{number}")  # noqa: S311  # no secret
+    second = folder / "second"
+    second.mkdir(parents=True)
+    run = folder / f"folders-{number}-{os.getpid()}"
+    output = folder / "output.txt"
+    with output.open("wb") as file:
+        command = subprocess.Popen(
+            _command(damage, run, folder),
+            cwd=folder,
+            env={**os.environ, "TMPDIR": str(_second_place(damage, folder))},
+            stdin=subprocess.DEVNULL,
+            stdout=file,
+            stderr=file,
+            start_new_session=True,
+            preexec_fn=_limit_file_size if damage.on == "limit" else None,  # no thread holds a lock
+        )
+    problems = []
+    try:
+        if not damage.on:
+            enough, log = rng.randrange(_FROM_BYTES, _TO_BYTES), run / "run.mcap"
+            wait_for(lambda: command.poll() is not None or (log.exists() and log.stat().st_size > enough), _PATIENCE_S)
+            try:
+                damage.apply(run, rng)
+            except (AssertionError, OSError) as error:
+                problems.append(str(error))
+        if not wait_for(lambda: command.poll() is not None, _PATIENCE_S):
+            problems.append("the command does not end")
+    finally:
+        if command.poll() is None:
+            command.kill()
+        command.wait()
+    orphans = end_orphans(folder)
+    problems += [f"processes left: {', '.join(orphans)}"] if orphans else []
+    problems += tracebacks(folder)
+    if command.returncode not in damage.exit_codes:
+        problems.append(f"exit code {command.returncode}, expected one of {sorted(damage.exit_codes)}")
+    problems += _problems_of_log(damage, run, output.read_text(errors="replace"))
+    return Result(number=number, name=name, exit_code=command.returncode, problems=tuple(problems))
+
+
+def _problems_of_log(damage: Damage, run: Path, said: str) -> Iterator[str]:
+    """Yield what is wrong with the log of a run, given what its command has said."""
+    lines = said.splitlines()
+    moved = [line.rsplit(" it goes on in ", 1)[1] for line in lines if " it goes on in " in line]
+    if damage.moves is not None and bool(moved) != damage.moves:
+        yield f"the log {'goes' if moved else 'does not go'} on in a second place"
+    if damage.on in ("full", "limit"):
+        if not any("goes on unrecorded" in line for line in lines):
+            yield "the command did not say that the run goes on unrecorded"
+        return  # the files of the small disk are gone with it
+    if damage.on == "disk" and not moved:
+        return
+    log, unreadable = log_in(Path(moved[0]).parent if moved else run)
+    if unreadable or log is None:
+        yield f"unreadable log: {unreadable or 'there is none'}"
+    elif damage.is_whole and [control.outcome for control in log.of(Control)] != ["completed"]:
+        yield "the log does not say that the run was completed"
+
+
+def _command(damage: Damage, run: Path, folder: Path) -> list[str]:
+    """Return the command of a run; on a small disk it is in a mount namespace, whose disk is the current folder."""
+    words = [*python("transport"), "run", "resilient", "--no-figures", "--out", run.name]
+    for setting in _SETTINGS:
+        words += ["--set", setting]
+    if damage.on not in ("disk", "full"):
+        return words
+    script = (
+        f'mkdir -p small && mount -t tmpfs -o size={_DISK} tmpfs small && mkdir -p small/second && cd small && "$@"'
+    )
+    return ["unshare", "--mount", "--map-root-user", "sh", "-c", script, str(folder), *words]
+
+
+def _second_place(damage: Damage, folder: Path) -> Path:
+    return folder / "small" / "second" if damage.on == "full" else folder / "second"
+
+
+def _limit_file_size() -> None:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (_FILE_BYTES, _FILE_BYTES))
+
+
+def can_mount() -> bool:
+    """Return whether this process may mount a file system in a namespace of its own."""
+    words = ["unshare", "--mount", "--map-root-user", "sh", "-c", "mount -t tmpfs tmpfs /mnt"]
+    try:
+        return subprocess.run(words, capture_output=True, check=False).returncode == 0
+    except OSError:
+        return False
+
+
+def table(results: Sequence[Result]) -> Iterator[str]:
+    """Yield a line for each kind of damage: how often each exit code came, and the problems."""
+    yield "runs by exit code"
+    for name in DAMAGES:
+        found = [result for result in results if result.name == name]
+        codes = Counter(result.exit_code for result in found)
+        problems = sum(bool(result.problems) for result in found)
+        outcomes = ", ".join(f"{count} x exit {code}" for code, count in sorted(codes.items()))
+        yield f"  {name:<22}{outcomes or 'no run'}{f', {problems} with problems' if problems else ''}"
+
+
+def main() -> int:
+    """Run the campaign with the options of the command line; return its exit code."""
+    parser = argparse.ArgumentParser(prog="python -m tests.campaigns.folders", description=__doc__)
+    parser.add_argument("--runs", type=int, default=len(DAMAGES), help="end before this number")
+    parser.add_argument("--first", type=int, default=0, help="number of the first run")
+    parser.add_argument("--seed", type=int, default=0, help="random seed of all runs")
+    parser.add_argument("--jobs", type=int, default=2, help="runs at a time; each has eight processes")
+    parser.add_argument("--out", type=Path, help="folder for runs with problems; runs/folders-SEED by default")
+    options = parser.parse_args()
+    folder = (options.out or Path("runs") / f"folders-{options.seed}").resolve()
+    names = [name for name, damage in DAMAGES.items() if damage.on not in ("disk", "full") or can_mount()]
+    stop = threading.Event()
+
+    def one(number: int) -> Result | None:
+        own = folder / str(number)
+        shutil.rmtree(own, ignore_errors=True)
+        if stop.is_set():
+            return None
+        result = execute(number, names[number % len(names)], own, options.seed)
+        if not result.problems:
+            shutil.rmtree(own, ignore_errors=True)
+        sys.stderr.write(f"run {number}: {result.name}: {'; '.join(result.problems) or 'no problem'}\n")
+        return result
+
+    with ThreadPoolExecutor(options.jobs) as pool:
+        try:
+            results = [result for result in pool.map(one, range(options.first, options.runs)) if result is not None]
+        except BaseException:
+            stop.set()
+            raise
+    bad = [result for result in results if result.problems]
+    lines = [*table(results), f"{len(results)} runs: {len(bad)} with problems"]
+    for result in bad:
+        lines += ["", f"run {result.number}, {result.name}, kept in {folder / str(result.number)}"]
+        lines += [f"  {json.dumps(problem)}" for problem in result.problems]
+    sys.stdout.write("\n".join(lines) + "\n")
+    return 1 if bad else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

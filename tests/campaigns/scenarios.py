@@ -1,0 +1,246 @@
+"""Campaign of mutated scenarios: `python -m tests.campaigns.scenarios --runs N --seed S`.
+
+Each mutated scenario goes through `transport validate` in a process of its own with limits on memory and processor
+time; a scenario that is accepted is simulated in memory for a few ticks. Neither may end with a traceback, use more
+than 1 GB, or compute for 10 s without a sign. The limits are of processor time, so the result does not depend on the
+load of the host. Exit code 1 if any scenario has a problem.
+"""
+
+import argparse
+import contextlib
+import io
+import json
+import os
+import random
+import resource
+import select
+import signal
+import sys
+import tempfile
+import time
+import tomllib
+import traceback
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from protocol.scenario.file import find_scenario, read_scenario
+from protocol.scenario.setup import Setup
+from protocol.wire.exit_codes import EXIT_SCENARIO
+from protocol.wire.messages import Message, PlantState
+from tests.support.mutations import KINDS, mutated
+from transport.cli.validate import validate
+from transport.flight.memory import simulate
+
+READY = ("paper", "centralized", "resilient", "precise", "windy", "collision")
+TICKS = 5
+
+LARGEST_BYTES = 1024**3
+SILENCE_S = 10.0  # of processor time
+_ADDRESS_BYTES = 6 * 1024**3  # stops a scenario before it stops the host
+_ASLEEP_S = 30.0  # of wall-clock time without processor time: waits for something that does not come
+
+REFUSED, ENDED, FLOWN = "refused", "ended early", "simulated"
+PROBLEMS = ("traceback", "no clear line", "over 1 GB", "silent")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Result:
+    """Result of one scenario: what became of it, one of `REFUSED`, `ENDED`, `FLOWN` or `PROBLEMS`, and its text."""
+
+    number: int
+    kind: str
+    outcome: str
+    text: str
+    peak_bytes: int
+    cpu_s: float
+
+
+class _Enough(Exception):  # noqa: N818  # no error
+    """Enough ticks were simulated."""
+
+
+def attempt(content: bytes, folder: Path, ticks: int = TICKS) -> tuple[str, str, int, float]:
+    """Validate and simulate a scenario in a forked process; return outcome, text, peak memory and processor time."""
+    path = folder / "scenario.toml"
+    path.write_bytes(content)
+    reads, writes = os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.close(reads)
+        code = 1
+        with contextlib.suppress(BaseException):
+            _limit()
+            _tell(writes, *_outcome(path, ticks))
+            code = 0
+        os._exit(code)
+    os.close(writes)
+    told, asleep = _read(reads, child)
+    _, status, used = os.wait4(child, 0)
+    lines = told.decode(errors="replace").splitlines()
+    outcome, text = json.loads(lines[-1]) if lines else ("", "")
+    if os.WIFSIGNALED(status):
+        number = os.WTERMSIG(status)
+        silent = asleep or number == signal.SIGPROF
+        outcome, text = ("silent", text) if silent else ("traceback", signal.Signals(number).name)
+    elif os.WEXITSTATUS(status) or not outcome:
+        outcome, text = "traceback", f"exit code {os.WEXITSTATUS(status)}"
+    peak = used.ru_maxrss * 1024
+    if peak > LARGEST_BYTES:
+        outcome = "over 1 GB"
+    return outcome, text, peak, used.ru_utime + used.ru_stime
+
+
+def _limit() -> None:
+    """Limit memory and processor time of this process; a limit of the latter ends it with SIGPROF."""
+    signal.signal(signal.SIGPROF, signal.SIG_DFL)
+    resource.setrlimit(resource.RLIMIT_AS, (_ADDRESS_BYTES, _ADDRESS_BYTES))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    null = os.open(os.devnull, os.O_RDWR)
+    for standard in (0, 1, 2):
+        os.dup2(null, standard)
+    _sign()
+
+
+def _sign() -> None:
+    """Start the time of silence anew."""
+    signal.setitimer(signal.ITIMER_PROF, SILENCE_S)
+
+
+def _tell(descriptor: int, outcome: str, text: str) -> None:
+    os.write(descriptor, json.dumps([outcome, text[:2000]]).encode() + b"\n")
+
+
+def _read(descriptor: int, child: int) -> tuple[bytes, bool]:
+    """Return all that the child says, and whether it had to be killed because it slept."""
+    told, used = b"", -1
+    try:
+        while True:
+            if select.select([descriptor], [], [], _ASLEEP_S)[0]:
+                some = os.read(descriptor, 65_536)
+                if not some:
+                    return told, False
+                told += some
+            elif used == (used := _cpu_ticks(child)):  # on a busy host a process may need long for little
+                os.kill(child, signal.SIGKILL)
+                return told, True
+    finally:
+        os.close(descriptor)
+
+
+def _cpu_ticks(process: int) -> int:
+    """Return the processor time of a process, clock ticks."""
+    after_name = Path(f"/proc/{process}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+    return int(after_name[11]) + int(after_name[12])
+
+
+def _outcome(path: Path, ticks: int) -> tuple[str, str]:
+    try:
+        refusal = _refusal(path)
+        if refusal is not None:
+            clear = refusal.startswith("transport: ") and refusal.count("\n") == 1 and "Error(" not in refusal
+            return (REFUSED if clear else "no clear line"), refusal
+        _sign()
+        return _simulated(Setup.of(read_scenario(path), str(path)), ticks)
+    except BaseException:  # noqa: BLE001  # any error here is a result
+        return "traceback", traceback.format_exc()
+
+
+def _refusal(path: Path) -> str | None:
+    """Return what `transport validate` says of a scenario it refuses, None of one it accepts."""
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
+            validate(str(path))
+    except typer.Exit as end:
+        return said.getvalue() if end.exit_code == EXIT_SCENARIO else f"exit code {end.exit_code}: {said.getvalue()}"
+    return None
+
+
+def _simulated(setup: Setup, ticks: int) -> tuple[str, str]:
+    seen = 0
+
+    def record(message: Message) -> None:
+        nonlocal seen
+        if isinstance(message, PlantState):
+            _sign()
+            seen += 1
+            if seen >= ticks:
+                raise _Enough
+
+    try:
+        end = simulate(setup, record)
+    except _Enough:
+        return FLOWN, ""
+    return (FLOWN if end.outcome == "completed" else ENDED), end.reason
+
+
+def scenario(seed: int, number: int) -> tuple[bytes, str]:
+    """Return a mutated scenario and the kind of its mutation."""
+    rng = random.Random(f"{seed}/{number}")  # noqa: S311  # no secret
+    tree: dict[str, Any] = tomllib.loads(find_scenario(rng.choice(READY)).read_text(encoding="utf-8"))
+    return mutated(tree, rng)
+
+
+def campaign(numbers: Sequence[int], seed: int, ticks: int = TICKS) -> Iterator[Result]:
+    """Try the mutated scenarios of some numbers, one after the other."""
+    for name in READY:  # compiled functions and caches, shared by the forked processes
+        path = find_scenario(name)
+        Setup.of(read_scenario(path), str(path)).model  # noqa: B018
+    with tempfile.TemporaryDirectory() as made:
+        folder = Path(made)
+        (folder / "delays.csv").write_text("0.01 0.02 0.05", encoding="utf-8")
+        (folder / "path.csv").write_text("t_s,x_m,y_m,z_m\n0,0,0,0\n2,0,0,-1\n4,1,0,-1\n", encoding="utf-8")
+        for number in numbers:
+            content, kind = scenario(seed, number)
+            outcome, text, peak, cpu_s = attempt(content, folder, ticks)
+            yield Result(number=number, kind=kind, outcome=outcome, text=text, peak_bytes=peak, cpu_s=cpu_s)
+
+
+def table(results: Sequence[Result]) -> str:
+    """Return a table of the outcomes by kind of mutation."""
+    columns = (REFUSED, FLOWN, ENDED, *PROBLEMS)
+    counts = Counter((result.kind, result.outcome) for result in results)
+    lines = [f"| last mutation | scenarios | {' | '.join(columns)} |", "|---" * (len(columns) + 2) + "|"]
+    for kind in (*KINDS, "all"):
+        found = {c: sum(n for (k, o), n in counts.items() if o == c and kind in (k, "all")) for c in columns}
+        lines.append(f"| {kind} | {sum(found.values())} | {' | '.join(str(found[c]) for c in columns)} |")
+    peak, cpu_s = max(result.peak_bytes for result in results), max(result.cpu_s for result in results)
+    lines.append(f"Largest: {peak / 1024**2:.0f} MiB of memory, {cpu_s:.1f} s of processor time.")
+    return "\n".join(lines)
+
+
+def _say(text: str) -> None:
+    sys.stdout.write(f"{text}\n")
+    sys.stdout.flush()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the campaign and print its table and problems; return 1 if there is a problem."""
+    parser = argparse.ArgumentParser(prog="python -m tests.campaigns.scenarios", description=__doc__)
+    parser.add_argument("--runs", type=int, default=200, help="number of scenarios")
+    parser.add_argument("--first", type=int, default=0, help="number of the first, to repeat one")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--ticks", type=int, default=TICKS, help="ticks to simulate")
+    parser.add_argument(
+        "--show", action="store_true", help="print each scenario's outcome, and the file of a single one"
+    )
+    options = parser.parse_args(arguments)
+    results, begin = [], time.monotonic()
+    if options.show and options.runs == 1:
+        sys.stdout.write(scenario(options.seed, options.first)[0].decode(errors="replace"))
+    for result in campaign(range(options.first, options.first + options.runs), options.seed, options.ticks):
+        results.append(result)
+        if options.show or result.outcome in PROBLEMS:
+            _say(f"{result.number} {result.kind} {result.outcome}: {result.text}")
+    _say(table(results))
+    _say(f"seed {options.seed}, {time.monotonic() - begin:.0f} s")
+    return 1 if any(result.outcome in PROBLEMS for result in results) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,113 @@
+"""Random runs of the signals campaign: settings and signals drawn from a seed and a number."""
+
+import random
+import signal
+from dataclasses import dataclass
+from typing import Literal
+
+# The command itself, which contains the recorder; its exit code is the run's.
+COMMAND = "transport"
+FORK_SERVER = "fork-server"
+_TARGETS = ("coordinator", "plant", "agent1", "agent2", "agent3", "agent4", FORK_SERVER, COMMAND, COMMAND)
+
+# What is sent: a signal, or a trace stop of all threads of a process or of the first one, which leaves its network
+# alive. A stop ends after a time, or never.
+Kind = Literal["KILL", "STOP", "SEGV", "TERM", "INT", "HUP", "trace stop", "trace stop of first thread"]
+KINDS: tuple[Kind, ...] = ("KILL", "STOP", "SEGV", "TERM", "INT", "HUP", "trace stop", "trace stop of first thread")
+_STOPS = frozenset(kind for kind in KINDS if "stop" in kind.lower())
+# Times after which a stopped process goes on, s: within every timeout, near Zenoh's 10 s, beyond; None for never.
+RESUMED_S: tuple[float | None, ...] = (None, 1.0, 7.0, 20.0)
+
+# Share of injections before the run, and latest time after the start of their process, s.
+_BEFORE, _JOINING_S = 0.3, 1.5
+# Latest time after the first tick, s: a run takes about 3 s, so some injections come while the report is written.
+_LATEST_S = 3.5
+_PACED = "maneuver.phase=[{name='climb',duration_s=3.0,displacement_m=[0,0,-1.5]}]"
+_UNPACED = "maneuver.phase=[{name='climb',duration_s=12.0,displacement_m=[0,0,-6.0]}]"
+_IMPAIRED = (
+    "links={delay_s=0.06,jitter_s=0.05,loss=0.1}",
+    "links={delay_s=0.02,loss=0.05,duplicate=0.2,reorder=0.2,reorder_s=0.1,measurement={loss=0.1},actuation={loss=0.1}}",
+    "links.partition=[{between=['agent1','agent2'],start_s=0.5,end_s=1.0}]",
+    "links.change=[{at_s=0.5,delay_s=0.1},{at_s=1.5,delay_s=0.0}]",
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Injection:
+    """A signal or a trace stop of one process.
+
+    Attributes:
+        target: Process name, `COMMAND` or `FORK_SERVER`.
+        kind: What is sent.
+        since: Whether `after_s` counts from the start of the process or from the first tick.
+        after_s: Time of the signal, s.
+        resumed_s: Time from a stop to its end, s; None for never.
+    """
+
+    target: str
+    kind: Kind
+    since: Literal["start", "first tick"]
+    after_s: float
+    resumed_s: float | None = None
+
+    @property
+    def is_final_stop(self) -> bool:
+        """Whether it stops the process for good."""
+        return self.kind in _STOPS and self.resumed_s is None
+
+    @property
+    def sent(self) -> str:
+        """The signal sent, and when a stop ends."""
+        return self.kind if self.resumed_s is None else f"{self.kind}, CONT after {self.resumed_s:g} s"
+
+    @property
+    def number(self) -> signal.Signals:
+        """The signal; SIGSTOP for a trace stop, which looks the same from outside."""
+        return signal.SIGSTOP if self.kind in _STOPS else signal.Signals[f"SIG{self.kind}"]
+
+    def __str__(self) -> str:
+        return f"{self.sent} to {self.target} {self.after_s:.2f} s after the {self.since}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SignalRun:
+    """A run as drawn: its number, changes of the scenario, and injections in any order."""
+
+    number: int
+    settings: tuple[str, ...]
+    injections: tuple[Injection, ...]
+
+
+def random_run(seed: int, number: int) -> SignalRun:
+    """Draw a run from the seed and its number."""
+    rng = random.Random(f"{seed}/{number}")  # noqa: S311  # no secret
+    pace = rng.choice(("fast", "paced", "realtime"))
+    settings = ["clock.barrier_timeout_s=1.0", f"clock.join_timeout_s={rng.choice(('10.0', '30.0'))}"]
+    settings += [f"clock.on_agent_loss={rng.choice(('abort', 'continue'))}"]
+    settings += [_UNPACED] if pace == "fast" else [_PACED, "clock.speed=1.0"]
+    if pace == "realtime":
+        settings += ["clock.mode=realtime", f"clock.on_overrun={rng.choice(('continue', 'continue', 'hold'))}"]
+    elif rng.random() < 0.2:
+        settings += ["controller.negotiation_iterations=2"]
+    if rng.random() < 0.3:
+        settings += [rng.choice(_IMPAIRED)]
+    if pace != "realtime" and rng.random() < 0.3:
+        settings += ["clock.exchange=direct"]
+    count = 2 if rng.random() < 0.3 else 1
+    return SignalRun(
+        number=number, settings=tuple(settings), injections=tuple(_random_injection(rng) for _ in range(count))
+    )
+
+
+def _random_injection(rng: random.Random) -> Injection:
+    target = rng.choice(_TARGETS)
+    kind = rng.choice((*KINDS, "STOP", "STOP"))
+    # The fork server has done its work by the first tick.
+    since: Literal["start", "first tick"] = "start" if rng.random() < _BEFORE or target == FORK_SERVER else "first tick"
+    return Injection(
+        target=target,
+        kind=kind,
+        since=since,
+        after_s=rng.uniform(0.0, _JOINING_S if since == "start" else _LATEST_S),
+        resumed_s=rng.choice(RESUMED_S) if kind == "STOP" else None,
+    )

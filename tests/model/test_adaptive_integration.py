@@ -1,0 +1,149 @@
+"""Adaptive integration: accurate at the plant's defaults, in calm and violent motion, with the same bits everywhere."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from model import integration, state
+from model.arrays import Array
+from model.linearisation import Model
+from model.rotations import rotation
+from model.state import StateView
+from protocol.scenario.plant_sections import PlantSection
+from tests.model.test_integration import HELD_THRUST, TRAJECTORY_TOLERANCE, deviation, exact
+from tests.support import engine, reference
+from tests.support.paper_form import attitude
+from tests.support.random_systems import random_input, random_state, random_system
+
+PERIOD_S, PERIODS = 0.05, 2
+DEFAULT = PlantSection()
+STEPS = round(PERIOD_S / DEFAULT.step_s)
+SINGULAR_DEG = 89.0  # pitch at which Euler rates are 57 times body rates
+
+
+def violent(case: int) -> tuple[Model, Array, Array]:
+    """One of the random states of hard spins, two fifths of them with a body 1 degree from its Euler singularity."""
+    rng = np.random.default_rng(4200 + case)
+    N = 1 + case % 6
+    system = random_system(rng, N)
+    x, u = random_state(rng, N, rate=4.0), random_input(rng, N)
+    if case % 5 == 0:
+        StateView(x).Theta0[1] = np.radians(SINGULAR_DEG)
+    if case % 5 == 1:
+        StateView(x).Theta[0, 1] = np.radians(-SINGULAR_DEG)
+    return Model(system), x, u
+
+
+def at_defaults(model: Model, x: Array, u: Array) -> tuple[Array, float]:
+    """State after some periods of the plant, and the largest error estimate."""
+    largest = 0.0
+    for _ in range(PERIODS):
+        x, error = model.integrate(x, u, PERIOD_S, STEPS, tolerance=DEFAULT.tolerance)
+        largest = max(largest, error)
+    return x, largest
+
+
+@pytest.mark.parametrize("name", HELD_THRUST)
+def test_reference_trajectories_at_the_defaults(name: str) -> None:
+    """The plant's default settings pass through every stored sample of the engines' trajectories, paper (2)-(10)."""
+    case = reference.trajectory(name)
+    model, x = Model(case.system), case.x[0]
+    for k, u in enumerate(case.u):
+        x, _ = model.integrate(x, u, case.period_s, STEPS, tolerance=DEFAULT.tolerance)
+        assert deviation(case, k + 1, x) < TRAJECTORY_TOLERANCE
+
+
+@pytest.mark.parametrize("case", range(50))
+def test_random_violent_trajectories_are_mujocos(case: int) -> None:
+    """Random systems in violent motion move as in MuJoCo, at the plant's default settings."""
+    model, x, u = violent(case)
+    end, _ = at_defaults(model, x, u)
+    view = StateView(end)
+    own = [
+        view.r0_I,
+        rotation(view.Theta0) @ view.v0_P,
+        attitude(view.Theta0),
+        view.omega0_P,
+        view.e_P,
+        view.Omega_P,
+        np.array([attitude(Theta) for Theta in view.Theta]),
+        view.omega_B,
+    ]
+    for mine, engines in zip(own, engine.motion(model.system, x, u, PERIODS * PERIOD_S), strict=True):
+        assert np.abs(mine - engines).max() < TRAJECTORY_TOLERANCE
+
+
+def test_violent_motion_is_beyond_equal_steps() -> None:
+    """The equal steps alone miss these motions by far more than the tolerance; halved steps state a smaller error."""
+    model, x, u = violent(0)
+    end = exact(model, x, u, PERIOD_S)
+    equal, estimate = model.integrate(x, u, PERIOD_S, STEPS)
+    halved, halved_estimate = model.integrate(x, u, PERIOD_S, STEPS, tolerance=DEFAULT.tolerance)
+    assert np.abs(equal - end).max() > 1e3 * TRAJECTORY_TOLERANCE
+    assert estimate > 1e3 * TRAJECTORY_TOLERANCE
+    assert np.abs(halved - end).max() < TRAJECTORY_TOLERANCE
+    assert 0.0 < halved_estimate <= DEFAULT.tolerance
+
+
+def test_calm_motion_has_the_bits_of_equal_steps() -> None:
+    """Where the equal steps are accurate the tolerance changes no bit, also beyond one block of steps."""
+    rng = np.random.default_rng(4300)
+    system = random_system(rng, 3)
+    model, x, u = Model(system), random_state(rng, 3, rate=0.1), 0.1 * random_input(rng, 3)
+    for steps in (10, 150):
+        end, error = model.integrate(x, u, PERIOD_S, steps)
+        with_tolerance = model.integrate(x, u, PERIOD_S, steps, tolerance=DEFAULT.tolerance)
+        assert error < DEFAULT.tolerance
+        assert with_tolerance[0].tobytes() == end.tobytes()
+        assert with_tolerance[1] == error
+
+
+def test_blocks_end_where_single_steps_end() -> None:
+    """More equal steps than one block holds end where as many calls of one step end, up to rounding."""
+    model, x, u = violent(2)
+    end, _ = model.integrate(x, u, PERIOD_S, 130)
+    for _ in range(130):
+        x, _ = model.integrate(x, u, PERIOD_S / 130, 1)
+    assert np.abs(end - x).max() < 1e-11 * np.abs(end).max()
+
+
+def test_work_is_bounded_and_the_error_stated(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the shortest or the most steps do not suffice, the integration ends and its error exceeds the tolerance."""
+    model, x, u = violent(0)
+    monkeypatch.setattr(integration, "MOST_STEPS", 50)
+    _, error = model.integrate(x, u, PERIOD_S, 1, tolerance=DEFAULT.tolerance)
+    assert error > DEFAULT.tolerance
+    monkeypatch.undo()
+    monkeypatch.setattr(integration, "SHORTEST", 1.0)
+    _, error = model.integrate(x, u, PERIOD_S, STEPS, tolerance=DEFAULT.tolerance)
+    assert error > DEFAULT.tolerance
+
+
+def test_a_state_that_overflows_ends_the_integration() -> None:
+    """A state beyond the floats ends the integration after the shortest steps, with an estimate that is not finite."""
+    model, x, u = violent(2)
+    x[state.OMEGA0] = 1e200
+    end, error = model.integrate(x, u, PERIOD_S, STEPS, tolerance=DEFAULT.tolerance)
+    assert not np.isfinite(end).all()
+    assert not error <= DEFAULT.tolerance
+
+
+def test_same_bits_without_compiled_code() -> None:
+    """Interpreted and compiled functions halve the same steps and end with the same bits, in other processes too."""
+    program = (
+        "from tests.model.test_adaptive_integration import at_defaults, violent\n"
+        "for case in (0, 3, 6): print(*(part if isinstance(part, float) else part.tobytes().hex()"
+        " for part in at_defaults(*violent(case))))"
+    )
+    texts = [
+        subprocess.run(
+            [sys.executable, "-c", program], env=os.environ | native, check=True, capture_output=True, text=True
+        ).stdout
+        for native in ({}, {"PAYLOAD_TRANSPORT_NATIVE": "0"})
+    ]
+    here = [at_defaults(*violent(case)) for case in (0, 3, 6)]
+    expected = "".join(f"{end.tobytes().hex()} {error}\n" for end, error in here)
+    assert texts == [expected, expected]

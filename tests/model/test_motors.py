@@ -1,0 +1,137 @@
+"""Lag of the motors: held inputs of order 4 against an ODE solver, and the expansion of motion and motors."""
+
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from scipy.integrate import quad, solve_ivp
+from scipy.linalg import expm
+
+from model.arrays import Array
+from model.discretisation import _zero_order_hold, zero_order_hold
+from model.linearisation import Model
+from model.motors import decay, deviations, held, integrate, lagged
+from model.parameters import table_1
+from tests.support.random_systems import random_forces, random_input, random_state, random_system
+
+PERIOD_S = 0.05
+LAGS_S = (0.005, 0.03, 0.1)
+# Deviation of the commands from the actual inputs at the beginning, N and N m: a tenth of the range of the inputs.
+JUMP = np.tile([4.5, 0.2, 0.2, 0.1], 4)
+
+# Relative to the largest entry; rounding of a series of some twenty terms.
+ROUNDING = 1e-12
+# Plant: five steps per period. Agents: two. After the jump above, SI.
+PLANT_ERROR, AGENT_ERROR = 1e-6, 2e-5
+
+
+@lru_cache
+def case() -> tuple[Model, Array, Array, Array, Array]:
+    """Return a model, a moving state, actual inputs, commands that differ from them, and forces."""
+    rng = np.random.default_rng(4)
+    system = table_1()
+    x, a = random_state(rng, system.N, rate=0.5), random_input(rng, system.N)
+    return Model(system), x, a, a + JUMP * rng.uniform(-1.0, 1.0, len(a)), random_forces(rng, system.N)
+
+
+def reference(lag_s: float) -> Array:
+    """Return state and actual inputs after a period by the augmented ODE x' = f(x, a), a' = (u - a) / lag."""
+    model, x, a, u, forces = case()
+    n = len(x)
+
+    def slope(_: float, z: Array) -> Array:
+        return np.concatenate([model.derivative(z[:n], z[n:], forces=forces), (u - z[n:]) / lag_s])
+
+    start = np.concatenate([x, a])
+    found = solve_ivp(slope, (0.0, PERIOD_S), start, method="DOP853", rtol=1e-12, atol=1e-13, max_step=lag_s / 2.0)
+    return np.asarray(found.y[:, -1])
+
+
+def error(lag_s: float, steps: int) -> float:
+    """Return the largest difference from the ODE solver after a period."""
+    model, x, a, u, forces = case()
+    found, local = integrate(model, np.concatenate([x, a]), u, PERIOD_S, steps, lag_s, forces)
+    assert 0.0 <= local < PLANT_ERROR
+    return float(np.abs(found - reference(lag_s)).max())
+
+
+@pytest.mark.parametrize("lag_s", LAGS_S[1:])
+def test_order_four(lag_s: float) -> None:
+    """Halving the step divides the error by 16, docs/equations.md (54)."""
+    errors = [error(lag_s, steps) for steps in (2, 4, 8)]
+    orders = np.log2(np.divide(errors[:-1], errors[1:]))
+    assert (np.abs(orders - 4.0) < 0.5).all(), orders
+
+
+@pytest.mark.parametrize("lag_s", LAGS_S)
+def test_accuracy(lag_s: float) -> None:
+    """Plant and agents follow the augmented ODE closely also where the lag is shorter than a step, (53), (54)."""
+    assert error(lag_s, 5) < PLANT_ERROR
+    assert error(lag_s, 2) < AGENT_ERROR
+
+
+@pytest.mark.parametrize("lag_s", LAGS_S)
+def test_moments_of_the_held_inputs(lag_s: float) -> None:
+    """The two held inputs have mean and first moment of the exponential; its end is the solution, (53), (54)."""
+    h, (first, second) = 0.02, deviations(lag_s, 0.02)
+    mean = quad(lambda t: np.exp(-t / lag_s), 0.0, h)[0] / h
+    moment = quad(lambda t: (t - h / 2.0) * np.exp(-t / lag_s), 0.0, h)[0]
+    assert (first + second) / 2.0 == pytest.approx(mean, rel=1e-12)
+    assert h**2 / 8.0 * (second - first) == pytest.approx(moment, rel=1e-9)
+    (one, other), end = held(np.zeros(1), np.ones(1), lag_s, h)
+    assert end[0] == pytest.approx(1.0 - np.exp(-h / lag_s), rel=1e-14)
+    assert (one[0], other[0]) == (1.0 - first, 1.0 - second)
+
+
+def test_without_lag_the_command_acts() -> None:
+    """With lag 0 the integration is that of the held command, bit for bit."""
+    model, x, _, u, forces = case()
+    found, local = integrate(model, x, u, PERIOD_S, 2, 0.0, forces)
+    expected, local_expected = model.integrate(x, u, PERIOD_S, 2, forces=forces)
+    np.testing.assert_array_equal(found, expected)
+    assert local == local_expected
+    assert decay(0.0, PERIOD_S) == 0.0
+
+
+def test_lag_to_zero() -> None:
+    """The difference from motion without lag falls in proportion to the lag."""
+    model, x, a, u, forces = case()
+    without, _ = model.integrate(x, u, PERIOD_S, 2, forces=forces)
+    lags_s = (2e-3, 1e-3, 5e-4)
+    differences = [
+        np.abs(integrate(model, np.concatenate([x, a]), u, PERIOD_S, 20, lag_s, forces)[0][: len(x)] - without).max()
+        for lag_s in lags_s
+    ]
+    ratios = np.divide(differences[:-1], differences[1:])
+    assert (np.abs(ratios - 2.0) < 0.2).all(), ratios
+
+
+@pytest.mark.parametrize("hold", [zero_order_hold, _zero_order_hold])
+@pytest.mark.parametrize("lag_s", [5e-4, *LAGS_S])
+def test_expansion_of_motion_and_motors(lag_s: float, hold: object) -> None:
+    """The factors of the augmented system multiply out to (55), and its hold is the matrix exponential's."""
+    rng = np.random.default_rng(8)
+    system = random_system(rng, 3)
+    model = Model(system, off=[1])
+    x, a = random_state(rng, system.N, rate=0.5), random_input(rng, system.N)
+    u, (n, m) = a + rng.standard_normal(len(a)), (system.n, system.m)
+    plain = model.linearise(x, a)
+    found = lagged(plain, a, u, lag_s)
+    A_c = np.block([[plain.A_c, plain.B_c], [np.zeros((m, n)), -np.eye(m) / lag_s]])
+    B_c = np.vstack([np.zeros((n, m)), np.eye(m) / lag_s])
+    np.testing.assert_array_equal(found.A_c, A_c)
+    np.testing.assert_array_equal(found.B_c, B_c)
+    np.testing.assert_array_equal(found.C, np.hstack([plain.C, np.zeros((len(plain.C), m))]))
+    np.testing.assert_array_equal(found.f, np.concatenate([plain.f, (u - a) / lag_s]))
+    np.testing.assert_array_equal(found.y, plain.y)
+    whole = np.zeros((n + 2 * m + 1, n + 2 * m + 1))
+    whole[: n + m] = np.hstack([A_c, B_c, found.f[:, None]])
+    expected = expm(PERIOD_S * whole)[: n + m]
+    discrete = hold(found, PERIOD_S)  # type: ignore[operator]
+    for got, columns in (
+        (discrete.A, slice(0, n + m)),
+        (discrete.B, slice(n + m, n + 2 * m)),
+        (discrete.f_d, n + 2 * m),
+    ):
+        scale = max(1.0, float(np.abs(expected[:, columns]).max()))
+        np.testing.assert_allclose(got, expected[:, columns], rtol=0.0, atol=ROUNDING * scale)

@@ -1,0 +1,250 @@
+"""The engine of the plant: found by name, checked in all it returns; an error of it ends the run in one line."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from model.arrays import Array
+from plant.engines import Engine, checked_engine, engine_version
+from plant.environment import Environment
+from plant.node import PlantNode
+from protocol.scenario.errors import ScenarioError
+from protocol.scenario.setup import Setup
+from protocol.wire.exit_codes import EXIT_DIVERGED
+from protocol.wire.messages import Control, Message
+from tests.support.runs import ALL, SHORT, integrated, plan, plant_states, recorded, reproducible, roster, setup, tick
+from transport.flight.memory import simulate
+
+# An engine of a person: another integrator of the same equations, to its tolerance.
+OWN = """
+from scipy.integrate import solve_ivp
+from model.linearisation import Model
+
+class Own:
+    version = "1.2"
+    def __init__(self, system, section):
+        self.model = Model(system)
+    def reset(self, x):
+        self.x = x
+    def advance(self, u, forces, duration_s):
+        def f(t, x): return self.model.derivative(x, u, forces=forces)
+        self.x = solve_ivp(f, (0.0, duration_s), self.x, rtol=1e-10, atol=1e-12).y[:, -1]
+    def state(self):
+        return self.x
+"""
+# Both integrate to 1e-9 a period; the controllers answer the difference.
+AGREEMENT = 1e-6
+FAILED = 0.01  # m, m/s or rad, by which any state of a hover changes when a UAV has failed
+
+# What is wrong with an engine: its `advance` and `state`, and the text of the run's end.
+FAILURES = {
+    "raises": (
+        "raise ZeroDivisionError('no air')",
+        "return self.x",
+        "advance raised ZeroDivisionError: no air (mine_raises.py:4)",
+    ),
+    "exits": ("import sys; sys.exit(3)", "return self.x", "advance raised SystemExit: 3 (mine_exits.py:4)"),
+    "shape": ("self.x = self.x[:-1]", "return self.x", "state: expected shape (60,), got (59,)"),
+    "texts": ("self.x = 'up'", "return self.x", "state raised ValueError: could not convert string to float"),
+    "rods": (
+        "self.x[12:15] *= 0.5",
+        "return self.x",
+        "expected a unit vector as rod direction of UAV1, got length 0.5",
+    ),
+    "nan": ("self.x[5] = float('nan')", "return self.x", "the state is no longer finite"),
+    "error": ("return 'small'", "return self.x", "advance raised TypeError: must be real number, not str at"),
+}
+
+
+def module(folder: Path, monkeypatch: pytest.MonkeyPatch, name: str, text: str) -> None:
+    """Write a module into a folder, go there, and forget the module after the test."""
+    (folder / f"{name}.py").write_text(text, encoding="utf-8")
+    monkeypatch.chdir(folder)
+    monkeypatch.delitem(sys.modules, name, raising=False)
+
+
+def broken(advance: str = "pass", state: str = "return self.x", reset: str = "self.x = x") -> str:
+    """The text of a module with a class whose methods are given."""
+    return (
+        "class Mine:\n"
+        "    def __init__(self, system, section): pass\n"
+        f"    def reset(self, x): {reset}\n"
+        f"    def advance(self, u, forces, duration_s): {advance}\n"
+        f"    def state(self): {state}\n"
+    )
+
+
+def refusal(run: Setup) -> str:
+    """Return the text with which an engine is refused, wherever it is built."""
+    with pytest.raises(ScenarioError) as checked:
+        checked_engine(run)
+    with pytest.raises(ScenarioError) as built:
+        PlantNode(run)
+    assert str(checked.value) == str(built.value)
+    assert checked.value.field == "plant.engine"
+    return checked.value.problem
+
+
+def ended(run: Setup) -> Control:
+    """Return how a run ends in memory."""
+    return simulate(run)
+
+
+def hovering(run: Setup, ticks: int) -> Array:
+    """Return the states of the plant, (ticks, n), while every agent plans hover."""
+    node = PlantNode(run)
+    messages = list(node.receive(roster(), 0))
+    for k in range(ticks):
+        messages += node.receive(tick(k), 0)
+        for agent in ALL:
+            messages += node.receive(plan(run, agent, k), 0)
+    return states(messages)
+
+
+def states(messages: list[Message]) -> Array:
+    """Plant states, (ticks, n)."""
+    return np.array([plant_state.x for plant_state in plant_states(messages)])
+
+
+def test_rods_is_the_model() -> None:
+    """The default engine integrates the controllers' equations: the same bits as the model itself."""
+    run = setup(SHORT)
+    engine = Engine(run, Environment(run).system)
+    u = run.hover.u * 1.02
+    found, error = engine.advance(u, None, 0.05)
+    np.testing.assert_array_equal(found, integrated(run, run.initial_state(), u))
+    assert 0.0 <= error < 1e-6
+    assert checked_engine(run) == f"rods {engine_version('rods')}"
+
+
+def test_parts_of_a_period_are_a_period() -> None:
+    """Two halves under the same inputs are the whole: inputs may change within a period."""
+    run = setup(SHORT)
+    whole, halves = (Engine(run, run.system) for _ in range(2))
+    forces = np.linspace(-1.0, 1.0, 15)
+    expected, _ = whole.advance(run.hover.u * 1.1, forces, 0.04)
+    halves.advance(run.hover.u * 1.1, forces, 0.02)
+    np.testing.assert_allclose(halves.advance(run.hover.u * 1.1, forces, 0.02)[0], expected, atol=1e-12)
+
+
+def test_an_engine_of_a_person_flies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A class in the current folder integrates the plant, wind and masses included, as the engine here does."""
+    module(tmp_path, monkeypatch, "mine_flies", OWN)
+    effects = ("plant.payload_mass_factor=1.1", "plant.wind.speed_mps=[2.0,0.0,0.0]", "plant.noise.position_m=0.01")
+    path = list(sys.path)
+    run = setup(SHORT, *effects, "plant.engine=mine_flies:Own")
+    own = recorded(run)
+    assert sys.path == path
+    assert checked_engine(run) == "mine_flies:Own 1.2"
+    assert np.abs(states(own) - states(recorded(setup(SHORT, *effects)))).max() < AGREEMENT
+    assert {plant_state.local_error for plant_state in plant_states(own)} == {-1.0}
+    # And once more: the same bits.
+    assert list(map(reproducible, own))[-1] == list(map(reproducible, recorded(run)))[-1]
+    assert states(own).tobytes() == states(recorded(run)).tobytes()
+
+
+def test_a_failed_uav_in_an_engine_of_a_person(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The plant hands over other bodies and states at a release: the class knows nothing of failures."""
+    module(tmp_path, monkeypatch, "mine_fails", OWN)
+    for do in ("motor_off", "release"):
+        fault = f"faults.event=[{{at_s=0.3,do='{do}',target='uav3'}}]"
+        own, here = (hovering(setup(fault, f"plant.engine={e}"), 12) for e in ("mine_fails:Own", "rods"))
+        assert np.abs(own - here).max() < AGREEMENT
+        assert np.abs(here[-1] - here[0]).max() > FAILED
+
+
+def test_the_version_without_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A class without a version has a hash of its file, which changes with it."""
+    found = []
+    for reset in ("self.x = x", "self.x = x.copy()"):
+        module(tmp_path, monkeypatch, "mine_versioned", broken(reset=reset))
+        found.append(engine_version("mine_versioned:Mine"))
+    assert len(set(found)) == 2
+    assert all(len(text) == 12 for text in found)
+
+
+@pytest.mark.parametrize("failure", FAILURES)
+def test_a_failing_engine_ends_the_run(failure: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever an engine does, the run ends at its first interval with one line that names engine and error."""
+    advance, state, text = FAILURES[failure]
+    name = f"mine_{failure}"
+    module(tmp_path, monkeypatch, name, broken(advance, state))
+    control = ended(setup(SHORT, f"plant.engine={name}:Mine"))
+    assert (control.outcome, control.exit_code) == ("diverged", EXIT_DIVERGED)
+    assert text in control.reason
+    assert "\n" not in control.reason
+    assert f"engine {name}:Mine" in control.reason or failure == "nan"
+    assert control.reason.endswith("at t = 0.00 s")
+
+
+@pytest.mark.parametrize(
+    ("engine", "text"),
+    [
+        ("mine_none:Mine", "expected a module 'mine_none' in {folder} or among the installed packages, got none"),
+        ("mine.none:Mine", "expected a module 'mine' in {folder} or among the installed packages, got none"),
+        ("mine_bad:Yours", "expected a class 'Yours' in {folder}/mine_bad.py, got none"),
+        ("mine_bad:number", "expected a class 'number' in {folder}/mine_bad.py, got an object of type int"),
+        ("mine_bad:Unready", "the constructor raised RuntimeError: no licence (mine_bad.py:2)"),
+        ("mine_bad:Half", "expected the methods reset, advance, state, got no advance"),
+        ("mine_bad:Late", "state: expected the state given to reset, got 0 instead of -10 at index 2"),
+        ("mine_broken:Mine", "its import raised SyntaxError: "),
+        ("mine_needs:Mine", "its import raised ModuleNotFoundError: No module named 'bullet_4711'"),
+        ("numpy:nothing_like_it", "expected a class 'nothing_like_it' in "),
+    ],
+)
+def test_an_engine_that_cannot_be_used(engine: str, text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is refused before anything starts: naming the key, what was expected, and what came."""
+    lines = [
+        "class Unready:",
+        "    def __init__(self, system, section): raise RuntimeError('no licence')",
+        "number = 3",
+    ]
+    lines += ["class Half:", "    def __init__(self, system, section): pass", "    def reset(self, x): pass"]
+    lines += ["    def state(self): pass"]
+    late = broken(state="return self.x", reset="self.x = x - x").replace("Mine", "Late")
+    module(tmp_path, monkeypatch, "mine_bad", "\n".join(lines) + "\n" + late)
+    module(tmp_path, monkeypatch, "mine_broken", "class Mine(\n")
+    module(tmp_path, monkeypatch, "mine_needs", "import bullet_4711\n")
+    assert refusal(setup(SHORT, f"plant.engine={engine}")).startswith(text.format(folder=tmp_path))
+
+
+@pytest.mark.parametrize(
+    "name", ["bullet", "mine", "mine:", ":Mine", "mine:Mine()", "a b:C", "../mine:Mine", "Rods", "", "mine.:Mine"]
+)
+def test_a_name_that_is_none(name: str) -> None:
+    """Anything but the two engines and a class is refused when the scenario is read."""
+    with pytest.raises(ScenarioError, match=r"expected 'rods', 'mujoco' or 'package\.module:Class', got"):
+        setup(f"plant.engine='{name}'")
+
+
+@pytest.mark.parametrize(
+    ("settings", "field"),
+    [
+        (["plant.ground_m=0.0"], "plant.ground_m"),
+        (["plant.mujoco.rod_mass_kg=0.1"], "plant.mujoco"),
+        (["plant.engine=mujoco", "plant.mujoco.step_s=0.011"], "plant.mujoco.step_s"),
+        (
+            [
+                "plant.engine=mujoco",
+                "plant.mujoco.suspension=cables",
+                "faults.event=[{at_s=0.1,do='release',target='uav3'}]",
+            ],
+            "plant.mujoco.suspension",
+        ),
+    ],
+)
+def test_settings_without_effect(settings: list[str], field: str) -> None:
+    """A setting that the engine cannot follow is refused instead of ignored."""
+    with pytest.raises(ScenarioError) as refused:
+        setup(*settings)
+    # As it was given on the command line: the key may stand in the setting.
+    assert field in str(refused.value)
+
+
+def test_a_missing_package(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without the package of an engine, the line says how to install it."""
+    monkeypatch.setattr("plant.engines.find_spec", lambda _: None)
+    problem = refusal(setup(SHORT, "plant.engine=mujoco"))
+    assert problem == "expected the package mujoco, got none; pip install 'payload-transport[mujoco]'"

@@ -1,0 +1,227 @@
+"""The engine "mujoco": its state is the one it was given, its motion that of the equations, its ground carries."""
+
+import time
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from model import state
+from model.arrays import Array
+from model.linearisation import Model
+from model.parameters import System, table_1
+from model.shape import payload_half_size, resting_height
+from model.state import StateView
+from plant.mujoco_engine import MujocoEngine
+from plant.rods import Rods
+from protocol.scenario.file import find_scenario, read_scenario
+from protocol.scenario.plant_sections import MujocoSection, PlantSection
+from protocol.scenario.setup import Setup
+from tests.support.random_systems import random_forces, random_input, random_state, random_system
+from tests.support.runs import plant_states, recorded
+
+# The engine's coordinates are quaternions and relative rates: there and back is rounding.
+ROUNDING = 1e-9
+# Rods of a hundredth of a gram, as they may not weigh nothing: an error in proportion to that.
+LIGHTEST = PlantSection(engine="mujoco", mujoco=MujocoSection(step_s=0.001, rod_mass_kg=1e-4))
+GROUND = PlantSection(engine="mujoco", ground_m=0.0)
+CABLES = PlantSection(engine="mujoco", mujoco=MujocoSection(suspension="cables"))
+GROUND_CABLES = CABLES.model_copy(update={"ground_m": 0.0})
+
+MUJOCO = "plant.engine=mujoco"
+IMPAIRED = ("links.delay_s=0.2", "links.loss=0.3")
+PATH_M = 0.002  # between paths of the payload with rods of 1 g and without mass
+SPEED = 20.0  # times real time, of processor time
+
+
+def at_rest(system: System, z: float) -> Array:
+    """Return a team at rest on vertical rods with the payload's centre at a height z, (n,)."""
+    x = np.zeros(system.n)
+    x[2] = z
+    StateView(x).e_P[:] = [0.0, 0.0, 1.0]
+    return x
+
+
+def advanced(engine: MujocoEngine | Rods, x: Array, u: Array, duration_s: float, forces: Array | None = None) -> Array:
+    """Return the state after a duration, in periods of 50 ms."""
+    engine.reset(x)
+    for _ in range(round(duration_s / 0.05)):
+        engine.advance(u, forces, 0.05)
+    return engine.state()
+
+
+@lru_cache
+def flight(name: str, *settings: str) -> Array:
+    """Return the states of a ready scenario flown in memory to its end, (ticks, n)."""
+    return np.array([entry.x for entry in plant_states(recorded(setup_of(name, *settings)))])
+
+
+def setup_of(name: str, *settings: str) -> Setup:
+    """Return a ready scenario with changes."""
+    path = find_scenario(name)
+    return Setup.of(read_scenario(path, settings), path.name)
+
+
+def payload_errors(name: str, *settings: str) -> Array:
+    """Return the distances of the payload from its reference, (ticks,), m."""
+    run, x = setup_of(name), flight(name, *settings)
+    times_s = run.settings.sampling_period_s * np.arange(run.ticks, dtype=np.float64)
+    return np.asarray(np.linalg.norm(x[:, state.R0] - run.maneuver.path(times_s)[0], axis=1))
+
+
+@pytest.mark.parametrize("section", [LIGHTEST, CABLES], ids=["rods", "cables"])
+@pytest.mark.parametrize("N", [1, 3, 6])
+def test_the_state_is_the_given_one(N: int, section: PlantSection) -> None:
+    """Reading out what was written is the identity, for rods in all directions and heads beyond half a turn."""
+    rng = np.random.default_rng(900 + N)
+    for _ in range(4):
+        engine = MujocoEngine(random_system(rng, N), section)
+        x = random_state(rng, N)
+        x[8] += 4.0 * np.pi  # turned twice
+        engine.reset(x)
+        np.testing.assert_allclose(engine.state(), x, atol=ROUNDING)
+
+
+@pytest.mark.parametrize("N", [1, 3, 6])
+def test_the_motion_is_that_of_the_equations(N: int) -> None:
+    """Random teams, states, inputs and forces: a period ends in nearly the same state, every component."""
+    rng = np.random.default_rng(950 + N)
+    for _ in range(4):
+        system = random_system(rng, N)
+        x, u, F = random_state(rng, N), random_input(rng, N), random_forces(rng, N)
+        found = advanced(MujocoEngine(system, LIGHTEST), x, u, 0.05, F)
+        expected = advanced(Rods(system, PlantSection(step_s=0.001)), x, u, 0.05, F)
+        moved = np.abs(expected - x).max()
+        assert np.abs(found - expected).max() < 2e-3 * moved
+
+
+def test_the_difference_is_the_mass_of_the_rods() -> None:
+    """Ten times lighter rods are ten times nearer to massless ones."""
+    rng = np.random.default_rng(980)
+    system = random_system(rng, 4)
+    x, u = random_state(rng, 4), random_input(rng, 4)
+    expected = advanced(Rods(system, PlantSection(step_s=0.001)), x, u, 0.2)
+    errors = []
+    for mass in (1e-1, 1e-2, 1e-3):
+        section = PlantSection(engine="mujoco", mujoco=MujocoSection(step_s=0.001, rod_mass_kg=mass))
+        errors.append(np.abs(advanced(MujocoEngine(system, section), x, u, 0.2) - expected).max())
+    assert all(5.0 < heavy / light < 20.0 for heavy, light in pairwise(errors)), errors
+
+
+def test_a_heading_goes_on_beyond_half_a_turn() -> None:
+    """A UAV that spins about its vertical has a heading that grows without a jump."""
+    system = table_1()
+    engine = MujocoEngine(system, LIGHTEST)
+    x = at_rest(system, -10.0)
+    StateView(x).omega_B[:, 2] = 6.0
+    u = hover_inputs(system)
+    engine.reset(x)
+    headings = []
+    for _ in range(40):
+        engine.advance(u, None, 0.05)
+        headings.append(StateView(engine.state()).Theta[0, 2])
+    np.testing.assert_allclose(np.diff(headings), 0.3, atol=1e-6)
+
+
+def hover_inputs(system: System, share: float = 1.0) -> Array:
+    """Return inputs that carry the UAVs and a share of the payload, (4 N,)."""
+    u = np.zeros(system.m)
+    u[::4] = [(uav.mass + share * system.payload.mass / system.N) * system.gravity for uav in system.uavs]
+    return u
+
+
+@pytest.mark.parametrize("section", [GROUND, GROUND_CABLES], ids=["rods", "cables"])
+def test_the_ground_carries_the_load(section: PlantSection) -> None:
+    """A load let down from 2 cm comes to rest on the ground, level; without it the same team falls on."""
+    system = table_1()
+    height = resting_height(system, 0.0)
+    assert height == -payload_half_size(system)[2] == -0.125
+    u = hover_inputs(system, 0.5)
+    end = StateView(advanced(MujocoEngine(system, section), at_rest(system, height - 0.02), u, 2.0))
+    assert end.r0_I == pytest.approx([0.0, 0.0, height], abs=2e-3)
+    assert np.abs(end.v0_P).max() < 1e-3
+    assert np.abs(end.Theta0).max() < 1e-3
+    free = section.model_copy(update={"ground_m": None})
+    assert advanced(MujocoEngine(system, free), at_rest(system, height - 0.02), u, 1.0)[2] > 0.5
+
+
+def test_uavs_lie_on_the_ground_too() -> None:
+    """Without thrust the rods fall over; no UAV ends below the ground."""
+    system = table_1()
+    model = Model(system)
+    x = at_rest(system, resting_height(system, 0.0))
+    StateView(x).e_P[:, 1] = [0.05, -0.05, -0.05, 0.05]
+    StateView(x).e_P[:] /= np.linalg.norm(StateView(x).e_P, axis=1, keepdims=True)
+    engine = MujocoEngine(system, GROUND)
+    engine.reset(x)
+    for _ in range(100):
+        engine.advance(np.zeros(system.m), None, 0.05)
+        heights = model.outputs(engine.state())[: 3 * system.N].reshape(-1, 3)[:, 2]
+        assert heights.max() < 0.02
+    assert heights.min() > -0.3
+
+
+def test_cables_pull_and_do_not_push() -> None:
+    """A cable carries the load at its length; UAVs that sink faster than the load fall freely beside it."""
+    system = table_1()
+    x = at_rest(system, -10.0)
+    engine = MujocoEngine(system, CABLES)
+    hanging = StateView(advanced(engine, x, hover_inputs(system), 1.0))
+    assert hanging.r0_I == pytest.approx([0.0, 0.0, -10.0], abs=0.01)
+    push = np.zeros(system.m)
+    forces = np.zeros(3 + 3 * system.N)
+    forces[5::3] = 30.0  # N on each UAV, down
+    pushed = advanced(engine, x, push, 0.2, forces)
+    # The load falls as without UAVs: 0.2 m in 0.2 s.
+    assert pushed[2] == pytest.approx(-10.0 + 0.5 * 9.81 * 0.2**2, abs=1e-3)
+    rods = advanced(MujocoEngine(system, LIGHTEST), x, push, 0.2, forces)
+    assert rods[2] > pushed[2] + 0.1
+
+
+def test_two_engines_are_equal_bit_for_bit() -> None:
+    """The same calls give the same bits, contacts included, also in an engine that has been used before."""
+    system = table_1()
+    x, u = at_rest(system, -0.15), hover_inputs(system, 0.3)
+    first, used = MujocoEngine(system, GROUND), MujocoEngine(system, GROUND)
+    advanced(used, at_rest(system, -0.2), 1.2 * u, 0.5)
+    assert advanced(first, x, u, 0.5).tobytes() == advanced(used, x, u, 0.5).tobytes()
+
+
+def test_it_is_fast() -> None:
+    """Four UAVs: twenty times real time at least, of processor time, reading the state out included."""
+    system = table_1()
+    engine = MujocoEngine(system, GROUND)
+    x, u = at_rest(system, resting_height(system, 0.0)), hover_inputs(system, 0.5)
+    begun_s = time.thread_time()
+    for _ in range(5):
+        advanced(engine, x, u, 0.4)
+        engine.state()
+    assert 2.0 / (time.thread_time() - begun_s) > SPEED
+
+
+@pytest.mark.slow
+def test_rods_of_a_gram_fly_the_same_path() -> None:
+    """Over the maneuver the payload is nowhere further than 2 mm from where massless rods have it."""
+    difference = flight("resilient", MUJOCO)[:, state.R0] - flight("resilient")[:, state.R0]
+    assert np.linalg.norm(difference, axis=1).max() < PATH_M
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["resilient", "precise"])
+@pytest.mark.parametrize("network", [(), IMPAIRED], ids=["perfect", "impaired"])
+def test_the_controllers_hold_in_mujoco(name: str, network: tuple[str, ...]) -> None:
+    """The maneuver completes, with a payload error of at most 1.3 times that of our equations, plus 1 cm."""
+    found, own = payload_errors(name, MUJOCO, *network), payload_errors(name, *network)
+    assert len(found) == len(own) == 500
+    assert found.max() < 1.3 * own.max() + 0.01
+    assert np.sqrt(np.mean(found**2)) < 1.3 * np.sqrt(np.mean(own**2)) + 0.01
+
+
+@pytest.mark.slow
+def test_rods_of_100_g_and_cables() -> None:
+    """Rods of which the controllers know nothing, with the estimate of forces; and cables: the maneuver completes."""
+    own = payload_errors("resilient").max()
+    heavy = ("plant.mujoco.rod_mass_kg=0.1", "controller.disturbance.estimate=true")
+    for changes in (heavy, ("plant.mujoco.suspension=cables",)):
+        assert payload_errors("resilient", MUJOCO, *changes).max() < 1.3 * own + 0.01

@@ -1,0 +1,201 @@
+"""Budgets: estimates against the sizes of real controllers, messages and logs; limits that are refused, and raised."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from mpc.decision import Decision
+from mpc.rows.table import Rows
+from protocol.scenario import budget
+from protocol.scenario.budget import check_budget, estimate
+from protocol.scenario.file import ScenarioError, find_scenario, read_scenario, validate
+from protocol.scenario.schema import Scenario
+from protocol.scenario.setup import Setup
+from protocol.scenario.team import resized
+from protocol.wire.codec import MAX_BYTES, encode
+from protocol.wire.messages import Message, Plan, StepReport
+from tests.support.logs import record_run
+from transport.flight.memory import simulate
+
+SHORT = "maneuver.phase=[{name='climb',duration_s=2.0,displacement_m=[0.0,0.0,-1.0]}]"
+
+TEAMS = [
+    ("paper", 4, 1),
+    ("resilient", 4, 1),
+    ("resilient", 6, 2),
+    ("resilient", 4, 4),
+    ("collision", 4, 1),
+    ("windy", 3, 3),
+]
+
+
+def scenario_of(name: str, uavs: int, group: int, *settings: str) -> Scenario:
+    """A ready scenario for a team of any size."""
+    path = find_scenario(name)
+    ready = read_scenario(path, [SHORT, *settings], allow_large=True)
+    return ready if uavs == 4 and group == 1 else resized(ready, path.parent, uavs, group=group, name=None, source=name)
+
+
+@pytest.mark.parametrize(("name", "uavs", "group"), TEAMS)
+def test_size_of_the_program(name: str, uavs: int, group: int) -> None:
+    """Variables and rows are those of the largest agent's QP; the user's constraints count as one row per step each."""
+    scenario = scenario_of(name, uavs, group, "controller.horizon=7")
+    setup = Setup.of(scenario, name)
+    largest = max(setup.owned, key=len)
+    decision = Decision(setup.system, setup.settings, largest)
+    rows = Rows(decision)
+    found = estimate(scenario)
+    assert found.ticks == setup.ticks
+    constraints = len(scenario.controller.constraint)
+    actual = decision.size + len(rows.penalties)
+    assert actual <= found.variables <= actual + constraints
+    actual_rows = len(rows._template)
+    assert actual_rows <= found.rows <= actual_rows + 7 * constraints
+
+
+@pytest.mark.parametrize("name", ["paper", "windy"])
+def test_size_of_the_log(name: str, tmp_path: Path) -> None:
+    """The log of a run is within a factor of two of its estimate."""
+    path = find_scenario(name)
+    scenario = read_scenario(path, ["maneuver.phase=[{name='climb',duration_s=6.0,displacement_m=[0.0,0.0,-2.0]}]"])
+    record_run(Setup.of(scenario, str(path)), tmp_path)
+    assert 0.5 < (tmp_path / "run.mcap").stat().st_size / estimate(scenario).log_bytes < 2.0
+
+
+@pytest.mark.parametrize(("uavs", "group", "horizon"), [(4, 1, 20), (4, 4, 10), (6, 2, 40)])
+def test_largest_message(uavs: int, group: int, horizon: int) -> None:
+    """Plans and reports of a tick together are at most the estimate, and not far below it."""
+    scenario = scenario_of("resilient", uavs, group, f"controller.horizon={horizon}", "maneuver.phase.1.duration_s=0.5")
+    sizes: dict[int, int] = {}
+
+    def record(message: Message) -> None:
+        if isinstance(message, Plan | StepReport):
+            sizes[message.tick] = sizes.get(message.tick, 0) + len(encode(message))
+
+    simulate(Setup.of(scenario, "resilient"), record)
+    assert 0.7 < max(sizes.values()) / estimate(scenario).relay_bytes <= 1.0
+
+
+# Memory beyond that of the interpreter and of a short run: a long path, and the matrices of one large agent.
+LARGE = {
+    "path": ("resilient", "maneuver.phase=[{name='hover',duration_s=500.0,displacement_m=[0.0,0.0,0.0]}]"),
+    "matrices": ("resilient", SHORT, "agents.owned=[[1,2,3,4]]", "controller.horizon=60"),
+}
+MEMORY_FACTOR = 2.0
+
+# In a process of its own; the kernel's peak of the memory of this program, whatever the one that started it had.
+PEAK = """
+import re, sys
+from pathlib import Path
+from protocol.scenario.file import find_scenario, read_scenario
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import PlantState
+from transport.flight.memory import simulate
+
+class Enough(Exception): pass
+
+def peak(name, settings):
+    path = find_scenario(name)
+    run = Setup.of(read_scenario(path, settings), str(path))
+    def record(message):
+        if isinstance(message, PlantState) and message.tick == 2: raise Enough
+    try: simulate(run, record)
+    except Enough: pass
+    return 1024 * int(re.search(r"VmHWM:\\s+(\\d+)", Path("/proc/self/status").read_text())[1])
+
+small = peak("resilient", [%r, "agents.owned=[[1,2,3,4]]", "controller.horizon=2"])
+print([small, peak(sys.argv[1], sys.argv[2:])])
+"""
+
+
+@pytest.mark.parametrize("case", list(LARGE))
+def test_memory(case: str) -> None:
+    """Memory of an agent beyond that of a small run is within a factor of two of its estimate."""
+    name, *settings = LARGE[case]
+    settings = [*settings, "agents.owned=[[1,2,3,4]]"]
+    command = [sys.executable, "-c", PEAK % SHORT, name, *settings]
+    small, large = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+    expected = estimate(read_scenario(find_scenario(name), settings)).agent_bytes - budget.BASE_BYTES
+    assert 1.0 / MEMORY_FACTOR < (large - small) / expected < MEMORY_FACTOR
+
+
+BEYOND = [
+    ("maneuver.phase.1.duration_s=5e8", "maneuver.phase", "expected at most 1,000,000 sampling periods, got 10,000,0"),
+    ("plant.step_s=1e-8", "plant.step_s", "expected at most 10,000 integration steps per sampling period, got 5,000,0"),
+    ("controller.horizon=3000", "controller.horizon", "expected at most 5,000 variables of a QP, got 12,0"),
+    ("maneuver.phase.1.duration_s=5000", "maneuver.phase", "expected at most 1,000 MB of memory per process, got 1,9"),
+]
+
+
+@pytest.mark.parametrize(("setting", "field", "text"), BEYOND)
+def test_large_runs_are_refused_unless_allowed(setting: str, field: str, text: str) -> None:
+    """A run beyond a limit is refused by the setting, the limit and the estimate; it is read with `allow_large`."""
+    path = find_scenario("resilient")
+    with pytest.raises(ScenarioError, match=text) as caught:
+        read_scenario(path, [setting])
+    assert str(caught.value).startswith(f"--set {setting}: ")
+    assert caught.value.field in (field, "")
+    assert "--allow-large admits more" in str(caught.value)
+    assert read_scenario(path, [setting], allow_large=True).name == "resilient"
+
+
+@pytest.mark.parametrize(
+    "limit",
+    [
+        "MOST_TICKS",
+        "MOST_PLANT_STEPS",
+        "MOST_VARIABLES",
+        "MOST_ROWS",
+        "MOST_PROCESS_BYTES",
+        "MOST_TOTAL_BYTES",
+        "MOST_LOG_BYTES",
+        "MOST_STEP_S",
+    ],
+)
+def test_every_limit_is_checked(limit: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A scenario within all limits is refused as soon as one of them is lower than its estimate."""
+    scenario = read_scenario(find_scenario("resilient"))
+    check_budget(scenario, "resilient")
+    monkeypatch.setattr(budget, limit, 0)
+    with pytest.raises(ScenarioError, match="expected at most"):
+        check_budget(scenario, "resilient")
+
+
+def test_a_relay_beyond_the_largest_message_is_refused_in_any_case() -> None:
+    """Relayed plans of a tick that no receiver accepts in one message are refused also with `allow_large`."""
+    path, settings = find_scenario("resilient"), ["controller.horizon=10000"]
+    team = resized(read_scenario(path), path.parent, 8, group=None, name=None, source="resilient")
+    with pytest.raises(ScenarioError, match=r"clock\.exchange") as caught:
+        validate({**team.tree(), "controller": {**team.tree()["controller"], "horizon": 10_000}}, "eight")
+    assert f"{MAX_BYTES:,}" in str(caught.value)
+    direct = {**team.tree(), "controller": {**team.tree()["controller"], "horizon": 10_000}}
+    assert validate({**direct, "clock": {**direct["clock"], "exchange": "direct"}}, "eight").name == "resilient-8"
+    assert read_scenario(path, settings, allow_large=True)  # four UAVs fit
+
+
+@pytest.mark.parametrize(
+    ("setting", "text"),
+    [
+        ("plant.noise.position_m=1e308", "expected a magnitude of at most 10000, got 1e+308"),
+        ("links.delay_s=1e308", "expected a magnitude of at most 1e+09, got 1e+308"),
+        ("links.override=[{delay_s=1e300}]", "links.override.1.delay_s: expected a magnitude of at most 1e+09"),
+        ("plant.step_s=1e-11", "expected a magnitude of at least 1e-09, got 1e-11"),
+        ("maneuver.phase.1.duration_s=5e11", "expected a magnitude of at most 1e+09, got 5e+11"),
+        ("controller.weights.thrust=1e300", "expected a magnitude of at most 1e+08, got 1e+300"),
+        ("controller.weights.moments=[1e-2,1e-300,1e-2]", "weights.moments.2: expected a magnitude of at least 1e-12"),
+        ("system.uav.2.rho_m=[1e200,0,0]", "system.uav.2.rho_m.1: expected a magnitude of at most 10000"),
+        ("system.payload.inertia_kgm2=[[1e99,0,0],[0,1,0],[0,0,1]]", "inertia_kgm2.1.1: expected a magnitude"),
+        ("clock.join_timeout_s=1e300", "expected a magnitude of at most 1e+06"),
+        ("controller.sampling_period_s=1e-7", "expected a magnitude of at least 1e-05"),
+        ("plant.wind.speed_mps=[0,0,-1e300]", "plant.wind.speed_mps.3: expected a magnitude of at most 10000"),
+    ],
+)
+def test_magnitudes_that_no_float_survives_are_refused_by_name(setting: str, text: str) -> None:
+    """A number far beyond anything physical is refused by its field, with `allow_large` too."""
+    with pytest.raises(ScenarioError) as caught:
+        read_scenario(find_scenario("resilient"), [setting], allow_large=True)
+    assert text in str(caught.value)
+    assert "\n" not in str(caught.value)

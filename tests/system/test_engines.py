@@ -1,0 +1,143 @@
+"""Engines and plants of a person among real processes: they fly, and what is wrong with them ends in one line."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from model.arrays import Array
+from protocol.scenario.file import find_scenario, read_scenario
+from protocol.scenario.setup import Setup
+from protocol.wire.exit_codes import EXIT_DIVERGED, EXIT_SCENARIO, EXIT_UNREACHABLE, EXIT_USAGE
+from protocol.wire.messages import PlantState
+from tests.support.commands import SHORT, free_base, processes_of, settings, start, transport, wait_for
+from tests.support.runs import plant_states, recorded
+from transport.log.run_log import read_log
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "docs" / "examples" / "foreign_plant.py"
+
+# Runge-Kutta steps of order 4 of 10 ms against Dormand-Prince steps of the same length, over 25 s of closed loop.
+FOREIGN_M = 1e-5
+
+BROKEN = """
+import time
+from plant.rods import Rods
+
+class Raising(Rods):
+    def advance(self, u, forces, duration_s):
+        raise OSError("the other program has gone")
+
+class Slow(Rods):
+    calls = 0
+    def advance(self, u, forces, duration_s):
+        self.calls += 1
+        if self.calls > 4:  # the first is before the run
+            time.sleep(60.0)
+        return super().advance(u, forces, duration_s)
+"""
+
+
+def setup_of(name: str, *changes: str) -> Setup:
+    """Return a ready scenario with changes."""
+    return Setup.of(read_scenario(find_scenario(name), changes), name)
+
+
+def states(folder: Path) -> Array:
+    """Return the recorded states of the plant, (ticks, n)."""
+    return np.array([entry.x for entry in read_log(folder / "run.mcap").of(PlantState)])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("changes", [(), (SHORT, "clock.exchange=direct")], ids=["maneuver", "direct"])
+def test_a_foreign_plant_flies(changes: tuple[str, ...], tmp_path: Path) -> None:
+    """A plant without code of the project integrates the maneuver like this one's, with relayed and direct plans."""
+    base = free_base()
+    options = settings(*changes, f"network.base_port={base}")
+    run = start("run", "resilient", "--external", "plant", *options, "--out", "mine", "--no-figures", cwd=tmp_path)
+    assert run.stderr is not None
+    line = run.stderr.readline()
+    found = re.fullmatch(
+        rf"waiting for plant of run mine, digest (\w+); it listens on tcp/127.0.0.1:{base + 1}, "
+        rf"connects to tcp/127.0.0.1:{base}\n",
+        line,
+    )
+    assert found is not None, line
+    words = [sys.executable, str(EXAMPLE), "mine/scenario.toml", "mine", found[1], str(base)]
+    plant = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, timeout=150, check=False)
+    _, errors = run.communicate(timeout=60)
+    assert (plant.returncode, run.returncode) == (0, 0), (plant.stderr, errors)
+    summary = json.loads((tmp_path / "mine" / "summary.json").read_text())
+    assert (summary["outcome"], summary["engine"], summary["rejections"]) == ("completed", "external", [])
+    assert summary["log_cut"] is None
+    assert not (tmp_path / "mine" / "logs" / "plant.log").exists()
+    own = np.array([entry.x for entry in plant_states(recorded(setup_of("resilient", *changes)))])
+    assert np.abs(states(tmp_path / "mine") - own).max() < FOREIGN_M
+
+
+@pytest.mark.slow
+def test_mujoco_across_processes(tmp_path: Path) -> None:
+    """With MuJoCo a run of separate processes equals the one in memory bit for bit, and the summary names it."""
+    changes = (SHORT, "plant.engine=mujoco")
+    done = transport("run", "resilient", *settings(*changes), "--out", "out", "--no-figures", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    own = np.array([entry.x for entry in plant_states(recorded(setup_of("resilient", *changes)))])
+    assert states(tmp_path / "out").tobytes() == own.tobytes()
+    assert re.fullmatch(r"mujoco \d+\.\d+\.\d+", json.loads((tmp_path / "out" / "summary.json").read_text())["engine"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("engine", "code", "text"),
+    [
+        (
+            "broken:Raising",
+            EXIT_DIVERGED,
+            "transport: engine broken:Raising: advance raised OSError: the other program has gone (broken.py:7) "
+            "at t = 0.00 s",
+        ),
+        ("broken:Slow", EXIT_UNREACHABLE, "transport: no agent answered tick 4 in time: is the plant alive?"),
+    ],
+)
+def test_an_engine_that_fails(engine: str, code: int, text: str, tmp_path: Path) -> None:
+    """An engine that raises, or needs longer than the barrier, ends the run in one line; no process is left behind."""
+    (tmp_path / "broken.py").write_text(BROKEN, encoding="utf-8")
+    options = settings(SHORT, f"plant.engine={engine}", "clock.barrier_timeout_s=2.0")
+    done = transport("run", "paper", *options, "--out", "out", "--no-figures", cwd=tmp_path)
+    assert done.returncode == code, done.stderr
+    assert done.stderr.strip().splitlines()[-1] == text
+    assert "Traceback" not in done.stderr
+    assert wait_for(lambda: not processes_of("out"))
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "text"),
+    [
+        (
+            ["--set", "plant.engine=broken:None"],
+            EXIT_SCENARIO,
+            "--set plant.engine=broken:None: expected a class 'None' in {folder}/broken.py, got none",
+        ),
+        (
+            ["--external", "coordinator"],
+            EXIT_USAGE,
+            "--external: expected one of plant, agent1, agent2, agent3, agent4, got 'coordinator'",
+        ),
+        (
+            ["--external", "agent2", "--set", "faults.event=[{at_s=1.0,do='kill',target='agent2'}]"],
+            EXIT_USAGE,
+            "--external: expected a process without scripted faults, which need one that the run has started, "
+            "got 'agent2'",
+        ),
+    ],
+)
+def test_what_cannot_run_is_refused(options: list[str], code: int, text: str, tmp_path: Path) -> None:
+    """Before anything starts: no process, no folder."""
+    (tmp_path / "broken.py").write_text(BROKEN, encoding="utf-8")
+    done = transport("run", "paper", *options, cwd=tmp_path)
+    assert done.returncode == code
+    assert done.stderr == f"transport: {text.format(folder=tmp_path)}\n"
+    assert not (tmp_path / "runs").exists()

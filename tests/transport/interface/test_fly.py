@@ -1,0 +1,224 @@
+"""`transport.fly`: the runs of the command line as objects, in any thread, interrupted or not."""
+
+import gc
+import io
+import os
+import signal
+import threading
+import weakref
+from collections.abc import Callable
+from contextlib import redirect_stderr, redirect_stdout
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+import threadpoolctl
+
+import transport
+from protocol.scenario.file import find_scenario, read_scenario
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import Message, Plan, PlantState
+from tests.support.runs import recorded, reproducible
+from transport.interface.series import QUANTITIES
+from transport.report.style import RC, save_both
+
+# A maneuver of 30 ticks.
+PHASES = (
+    {"name": "hover", "duration_s": 0.5, "displacement_m": [0.0, 0.0, 0.0]},
+    {"name": "climb", "duration_s": 1.0, "displacement_m": [0.0, 0.0, -0.5]},
+)
+SHORT = (
+    "maneuver.phase=["
+    + ",".join(
+        f"{{name='{phase['name']}',duration_s={phase['duration_s']},displacement_m={phase['displacement_m']}}}"
+        for phase in PHASES
+    )
+    + "]"
+)
+
+
+def short(name: str = "resilient", settings: dict[str, Any] | None = None, **arguments: Any) -> transport.Run:
+    """Return a short run."""
+    return transport.fly(name, settings, phases=PHASES, progress=False, **arguments)
+
+
+@pytest.fixture(scope="module")
+def run() -> transport.Run:
+    """Return a short run with delay and packet loss."""
+    return short("resilient", {"links.delay_s": 0.1, "links.loss": 0.2}, horizon=10)
+
+
+def test_it_is_the_run_of_the_command_line(run: transport.Run) -> None:
+    """Messages equal those of the same scenario with the same `--set`, bit for bit."""
+    settings = ["links.delay_s=0.1", "links.loss=0.2", "controller.horizon=10", SHORT]
+    path = find_scenario("resilient")
+    expected = recorded(Setup.of(read_scenario(path, settings), str(path)))
+    assert [str(reproducible(entry.message)) for entry in run.log.messages] == [
+        str(reproducible(message)) for message in expected
+    ]
+    states = [entry.message for entry in run.log.messages if isinstance(entry.message, PlantState)]
+    assert [state.x.tobytes() for state in states] == [m.x.tobytes() for m in expected if isinstance(m, PlantState)]
+
+
+def test_a_saved_run_is_the_same_run(run: transport.Run, tmp_path: Path) -> None:
+    """A run folder holds what the run held: messages, series, summary; figures are files with the same pixels."""
+    folder = run.save(tmp_path / "run")
+    loaded = transport.load(folder)
+    assert loaded.summary == run.summary
+    assert loaded.scenario.digest() == run.scenario.digest()
+    assert [e.message.kind for e in loaded.log.messages] == [e.message.kind for e in run.log.messages]
+    for name in QUANTITIES:
+        np.testing.assert_array_equal(loaded.series[name], run.series[name])
+    for name in ("performance", "trajectories", "timing"):
+        figure = run.plot(name)  # type: ignore[arg-type]
+        with mpl.rc_context(RC):
+            save_both(figure, tmp_path / "own.png", cropped=figure.cropped)
+        assert (tmp_path / "own.png").read_bytes() == (folder / "figures" / f"{name}.png").read_bytes(), name
+    with pytest.raises(transport.ArgumentError, match="folder: expected a folder that does not exist yet"):
+        run.save(folder)
+    copied = loaded.save(tmp_path / "copy")
+    assert transport.load(copied).summary == run.summary
+
+
+def test_series_have_names_units_and_shapes(run: transport.Run) -> None:
+    """Every series has a row per tick, the axes it names, the unit in its name, and cannot be written to."""
+    sizes = {"uav": 4, "agent": 4}
+    for name, quantity in QUANTITIES.items():
+        values = run.series[name]
+        expected = [sizes[axis] if isinstance(axis, str) else len(axis) for axis in quantity.axes]
+        assert values.shape == (30, *expected), name
+        ending = quantity.unit.replace("/s", "ps").replace(" ", "")
+        assert name.endswith(f"_{ending}") or not quantity.unit, name
+        with pytest.raises(ValueError, match="read-only"):
+            values[0] = 0.0
+    assert set(run.series) == set(QUANTITIES)
+    with pytest.raises(KeyError, match="expected one of time_s"):
+        run.series["speed"]
+    with pytest.raises(transport.ArgumentError, match="expected one of time_s"):
+        run.series.unit("speed")
+
+
+def test_series_agree_with_each_other(run: transport.Run) -> None:
+    """Errors are positions minus references; summary numbers are those of the series; delays show in the plan ages."""
+    series = run.series
+    np.testing.assert_allclose(
+        series["payload_position_m"] - series["payload_reference_m"], series["payload_error_m"], atol=1e-15
+    )
+    assert run.summary["cost"]["mean"] == pytest.approx(series["cost"].mean(), rel=1e-12)
+    assert run.summary["separation_min_m"] == series["separation_m"].min()
+    ages = series["plan_age_ticks"]
+    assert np.nanmin(ages) >= 2.0  # 100 ms are two periods
+    assert np.nanmax(ages) == run.summary["plan_age_ticks"]["max"]
+    assert np.nansum(series["plans_lost"]) == run.summary["messages"]["lost"] > 0
+    assert np.isnan(ages[0]).all()  # nothing has arrived at the first tick
+
+
+def test_tables(run: transport.Run) -> None:
+    """Tables for pandas have the series as columns, or a row per agent and tick."""
+    table = run.to_pandas()
+    assert table.index.name == "time_s"
+    np.testing.assert_array_equal(table["payload_error_m[z]"], run.series["payload_error_m"][:, 2])
+    np.testing.assert_array_equal(table["uav_error_m[3,y]"], run.series["uav_error_m"][:, 2, 1])
+    assert len(run.to_pandas("steps")) == 30 * 4
+    with pytest.raises(transport.ArgumentError, match="table: expected 'series' or 'steps'"):
+        run.to_pandas("plans")  # type: ignore[arg-type]
+
+
+def test_figures_are_shown_by_notebooks(run: transport.Run) -> None:
+    """A figure has a picture for notebooks, and leaves no window or open figure behind."""
+    figure = run.plot()
+    picture = figure._repr_png_()
+    assert picture.startswith(b"\x89PNG")
+    assert len(figure.axes) == 4
+    with pytest.raises(transport.ArgumentError, match="figure: expected one of performance, trajectories, timing"):
+        run.plot("cost")  # type: ignore[arg-type]
+
+
+def test_the_printed_run(run: transport.Run) -> None:
+    """`print(run)` is the table of `transport run`, its representation one line."""
+    assert str(run).splitlines()[0] == "resilient completed"
+    assert "payload attitude" in str(run)
+    assert repr(run).startswith("Run('resilient': completed, 1.50 s, mean cost ")
+
+
+def test_a_run_that_diverges_is_a_run() -> None:
+    """Divergence is a result, not an error."""
+    found = short("paper", {"links.delay_s": 0.4, "plant.max_attitude_deg": 0.0001})
+    assert (found.outcome, found.completed) == ("diverged", False)
+    assert found.summary["reason"]
+
+
+def test_nothing_is_printed_to_standard_output(tmp_path: Path) -> None:
+    """Standard output is the user's; progress goes to standard error, and can be silent."""
+    out, err = io.StringIO(), io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err):
+        short(folder=tmp_path / "run")
+    assert (out.getvalue(), err.getvalue()) == ("", "")
+    assert (tmp_path / "run" / "summary.json").exists()
+
+
+def test_real_time_needs_processes() -> None:
+    """In memory no time passes: a scenario in real time is refused, not simulated as another."""
+    with pytest.raises(transport.ScenarioError, match=r"clock.mode: expected lockstep in memory.*got realtime"):
+        short("paper", {"clock.mode": "realtime", "clock.speed": 1.0})
+
+
+def test_an_existing_folder_is_refused_before_the_run(tmp_path: Path) -> None:
+    """The run is not simulated in vain."""
+    with pytest.raises(transport.ArgumentError, match="folder: expected a folder that does not exist yet"):
+        transport.fly("paper", folder=tmp_path)
+
+
+def digest(run: transport.Run) -> list[bytes]:
+    """Return the bits of all plans and states."""
+    messages: list[Message] = [entry.message for entry in run.log.messages]
+    plans = [m.inputs.tobytes() for m in messages if isinstance(m, Plan)]
+    return plans + [m.x.tobytes() for m in messages if isinstance(m, PlantState)]
+
+
+def in_threads(count: int, do: Callable[[], Any]) -> list[Any]:
+    """Return the results of a function that several threads call at once."""
+    found: list[Any] = []
+    threads = [threading.Thread(target=lambda: found.append(do())) for _ in range(count)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    return found
+
+
+def test_threads() -> None:
+    """Runs in several threads at once, of one scenario object, have the same bits as one alone."""
+    scenario = transport.Scenario("resilient", phases=PHASES)
+    alone = digest(transport.fly(scenario, progress=False))
+    before = threadpoolctl.threadpool_info()
+    found = in_threads(3, lambda: digest(transport.fly(scenario, progress=False)))
+    assert found == [alone] * 3
+    assert threadpoolctl.threadpool_info() == before
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_an_interrupt_ends_a_simulation() -> None:
+    """Ctrl-C raises KeyboardInterrupt in the middle of a run; the next run has the same bits as ever."""
+    expected = digest(short())
+    timer = threading.Timer(0.4, os.kill, (os.getpid(), signal.SIGINT))
+    timer.start()
+    with pytest.raises(KeyboardInterrupt):
+        transport.fly("resilient", phases=[{**PHASES[0], "duration_s": 1e3}], progress=False)
+    timer.join()
+    assert digest(short()) == expected
+    assert threading.active_count() == 1
+
+
+def test_runs_leave_nothing_behind() -> None:
+    """Runs that nothing refers to are freed: no cache keeps messages or setups."""
+    references: list[Callable[[], object]] = []
+    for _ in range(3):
+        found = short("paper")
+        references += [weakref.ref(found), weakref.ref(found.series), weakref.ref(found.scenario.setup)]
+        found.plot()
+        del found
+    gc.collect()
+    assert [reference() for reference in references] == [None] * 9

@@ -1,0 +1,72 @@
+"""The names of `import transport`: complete, typed alike, and imported when they are used."""
+
+import ast
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+import transport
+from transport.interface.settings import KEY_OF, ShortSettings
+
+PACKAGES = ("model", "mpc", "protocol", "agent", "plant", "coordinator", "deploy", "transport")
+SOURCE = Path(transport.__file__).read_text(encoding="utf-8")
+
+
+def typed() -> dict[str, str]:
+    """Return the names that type checkers see, with their modules."""
+    block = next(node for node in ast.parse(SOURCE).body if isinstance(node, ast.If) and "TYPE" in ast.dump(node.test))
+    imports = [node for node in block.body if isinstance(node, ast.ImportFrom)]
+    return {alias.name: str(node.module) for node in imports for alias in node.names}
+
+
+def test_type_checkers_see_what_there_is() -> None:
+    """The imports for type checkers, the modules of the names and `__all__` agree, and each name is there."""
+    assert typed() == transport._MODULES
+    assert set(transport.__all__) == set(transport._MODULES)
+    for name, module in transport._MODULES.items():
+        assert getattr(transport, name) is getattr(import_module(module), name)
+    assert set(transport.__all__) <= set(dir(transport))
+
+
+def test_an_unknown_name() -> None:
+    """A name that is not there is an AttributeError, as in any module."""
+    with pytest.raises(AttributeError, match="module 'transport' has no attribute 'flyy'"):
+        _ = transport.flyy
+
+
+def test_importing_the_package_imports_nothing_else() -> None:
+    """`import transport`, as the command line does first, loads neither numpy nor pydantic nor the interface."""
+    program = "import sys, transport; print(sorted({'numpy', 'pydantic', 'transport.interface'} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_a_run_does_not_import_matplotlib() -> None:
+    """Simulating a run loads no figures."""
+    program = "import sys, transport; transport.fly; print('matplotlib' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
+
+
+def test_short_names_are_typed() -> None:
+    """Each short name has a type and a key; every key is one of the scenario."""
+    assert set(ShortSettings.__annotations__) == set(KEY_OF)
+    scenario = transport.Scenario("resilient")
+    for name, key in KEY_OF.items():
+        assert scenario[name] == scenario[key]
+
+
+def test_errors_have_one_base() -> None:
+    """Every error of the interface can be caught as TransportError."""
+    errors = [getattr(transport, name) for name in transport.__all__ if name.endswith("Error")]
+    assert len(errors) > 5
+    assert all(issubclass(error, transport.TransportError) for error in errors)
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_packages_are_marked_as_typed(package: str) -> None:
+    """Type checkers of users read our annotations."""
+    assert (Path(transport.__file__).parents[1] / package / "py.typed").exists()

@@ -1,0 +1,171 @@
+"""A `transport.Scenario` is valid at any time: each change is made as a whole or refused."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import transport
+from protocol.scenario.file import find_scenario, read_scenario
+from transport.interface.settings import settings_of
+
+READY = sorted(path.stem for path in find_scenario("paper").parent.glob("*.toml"))
+
+
+@pytest.mark.parametrize("name", READY)
+def test_it_is_the_scenario_of_the_command_line(name: str) -> None:
+    """Without changes the tree and the fingerprint are those of the file, also after saving."""
+    scenario = transport.Scenario(name)
+    assert scenario.tree() == read_scenario(find_scenario(name)).tree()
+    assert scenario.copy() == scenario
+
+
+def test_a_saved_scenario_is_the_same(tmp_path: Path) -> None:
+    """A file that was written reads back equal, and is not replaced."""
+    scenario = transport.Scenario("resilient", {"links.delay_s": 1.0 / 3.0}, horizon=12)
+    path = scenario.save(tmp_path / "mine.toml")
+    assert transport.Scenario(path).digest() == scenario.digest()
+    with pytest.raises(transport.ArgumentError, match=r"path: expected a file that does not exist yet, got "):
+        scenario.save(path)
+
+
+CHANGES: list[tuple[str, Any]] = [
+    ("links.delay_s", 0.25),
+    ("links.delay_s", np.float64(0.1)),
+    ("controller.horizon", np.int64(7)),
+    ("controller.solver", "clarabel"),
+    ("controller.disturbance.estimate", True),
+    ("agents.owned", [[1, 2], (3, 4)]),
+    ("plant.wind.gust_mps", np.array([1.0, 0.5, 0.0])),
+    ("system.uav.2.mass_kg", 1.7),
+    ("controller.tilt", {"limit_deg": 20.0}),
+    ("controller.constraint", [{"expression": "r0[2] >= -12.0", "penalty": 5.0}]),
+    ("faults.event", [{"at_s": 3.0, "do": "release", "target": "uav1"}]),
+]
+
+
+@pytest.mark.parametrize(("key", "value"), CHANGES)
+def test_a_change_is_that_of_the_command_line(key: str, value: Any) -> None:
+    """A Python value gives the same scenario as `--set key=value`, floats to the last bit."""
+    scenario = transport.Scenario("resilient")
+    try:
+        scenario[key] = value
+    except transport.ScenarioError:
+        pytest.fail(f"{key} was refused")
+    (text,) = settings_of({key: value}, {})
+    assert scenario.tree() == read_scenario(find_scenario("resilient"), [text]).tree()
+    assert scenario != transport.Scenario("resilient")
+
+
+REFUSED = [
+    ({"links.delay_s": -1.0}, "--set links.delay_s=-1.0: expected a number >= 0.0, got -1.0"),
+    ({"controller.horizn": 3}, "--set controller.horizn=3: unknown key; did you mean 'horizon'?"),
+    ({"controller.limits.thrust_N": [0.0, 5.0]}, "expected a range that contains the hover thrust"),
+    ({"agents.owned": [[1, 2], [3]]}, "expected each UAV once, got none for UAV4"),
+]
+
+
+@pytest.mark.parametrize(("settings", "text"), REFUSED)
+def test_a_refused_change_leaves_it_as_it_was(settings: dict[str, Any], text: str) -> None:
+    """A value out of range, a mistyped key, an impossible hover, a broken relation: one line, and nothing changes."""
+    scenario = transport.Scenario("resilient")
+    with pytest.raises(transport.ScenarioError) as caught:
+        scenario.set(settings)
+    assert text in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert scenario == transport.Scenario("resilient")
+
+
+def test_changes_that_are_valid_only_together() -> None:
+    """`set` takes several at once; one of them alone is refused."""
+    scenario = transport.Scenario("paper")
+    with pytest.raises(transport.ScenarioError, match="expected a number > 0 with mode realtime"):
+        scenario.clock.mode = "realtime"
+    scenario.set({"clock.mode": "realtime", "clock.speed": 1.0})
+    assert scenario.clock.speed == 1.0
+
+
+def test_sections_are_attributes() -> None:
+    """Sections read and write; list entries count from 0, in dotted keys from 1; lists cannot be changed unnoticed."""
+    scenario = transport.Scenario("resilient")
+    links = scenario.links
+    links.delay_s = 0.3
+    assert (links.delay_s, scenario.links.delay_s, scenario["delay_s"]) == (0.3, 0.3, 0.3)
+    scenario.system.uav[1].mass_kg = 1.75
+    assert scenario["system.uav.2.mass_kg"] == 1.75
+    assert isinstance(scenario.system.uav[0].rho_m, tuple)
+    with pytest.raises(AttributeError, match="links: unknown key 'delay'; did you mean 'delay_s'"):
+        _ = scenario.links.delay
+    with pytest.raises(transport.ScenarioError, match="unknown key; did you mean 'delay_s'"):
+        scenario.links.delay = 0.1
+    with pytest.raises(transport.ScenarioError, match="expected an entry from 1 to 4"):
+        _ = scenario["system.uav.9.mass_kg"]
+    assert {"links", "resized"} <= set(dir(scenario))
+
+
+def test_a_key_returns_to_its_default() -> None:
+    """`del` makes a key that of the schema's default."""
+    scenario = transport.Scenario("resilient", {"clock.barrier_timeout_s": 9.0})
+    del scenario["clock.barrier_timeout_s"]
+    assert scenario.clock.barrier_timeout_s == 5.0
+    with pytest.raises(transport.ScenarioError, match="unknown key"):
+        del scenario["clock.barrier"]
+
+
+def test_large_runs_are_admitted_on_purpose() -> None:
+    """A run beyond the budget is refused, or admitted with all its copies and changes."""
+    hours = [{"name": "hover", "duration_s": 1e6, "displacement_m": [0.0, 0.0, 0.0]}]
+    with pytest.raises(transport.ScenarioError, match="--allow-large admits more"):
+        transport.Scenario("paper", phases=hours)
+    large = transport.Scenario("paper", phases=hours, allow_large=True)
+    assert large.copy(horizon=5).maneuver.phase[0].duration_s == 1e6
+
+
+def test_copies_are_independent() -> None:
+    """A change of a copy, or of the original, does not reach the other."""
+    first = transport.Scenario("paper")
+    second = first.copy(horizon=9)
+    first["controller.horizon"] = 8
+    assert (first.controller.horizon, second.controller.horizon) == (8, 9)
+
+
+def test_a_team_of_another_size() -> None:
+    """A resized team is that of `transport scenario new`; impossible sizes are refused."""
+    six = transport.Scenario("resilient").resized(6, group=2, name="six")
+    assert (six.name, six.setup.system.N, len(six.setup.agents)) == ("six", 6, 3)
+    for uavs in (1, 10_000, 2.5):
+        with pytest.raises(transport.ArgumentError, match="uavs: expected 2 to"):
+            transport.Scenario("resilient").resized(uavs)  # type: ignore[arg-type]
+    with pytest.raises(transport.ArgumentError, match="group: expected 1 to 6"):
+        transport.Scenario("resilient").resized(6, group=7)
+
+
+WRONG: list[tuple[dict[str, Any], str]] = [
+    ({"settings": [("links.delay_s", 1)]}, "settings: expected a dictionary"),
+    ({"settings": {"links.delay_s": None}}, "links.delay_s: expected a number, text, true or false"),
+    ({"settings": {"links.delay_s": 1j}}, "links.delay_s: expected a number"),
+    ({"settings": {"faults.event": [{1: 2}]}}, "faults.event: expected keys of letters"),
+    ({"settings": {"delay": 1}}, "did you mean 'delay_s'"),
+    ({"settings": {"links.delay_s": 0.1}, "delay_s": 0.1}, "delay_s: expected each key once, got links.delay_s twice"),
+    ({"horizn": 3}, "horizn: expected a dotted key such as 'links.delay_s' or a short name; did you mean 'horizon'"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "text"), WRONG)
+def test_wrong_arguments(arguments: dict[str, Any], text: str) -> None:
+    """An argument of the wrong kind is refused with its name, expected and got, on one line."""
+    with pytest.raises(transport.ArgumentError) as caught:
+        transport.Scenario("paper", **arguments)
+    assert text in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_unknown_scenarios() -> None:
+    """A mistyped name, a missing file and another type are refused."""
+    with pytest.raises(transport.ScenarioError, match="did you mean 'resilient'"):
+        transport.Scenario("resilent")
+    with pytest.raises(transport.ScenarioError, match="no such file"):
+        transport.Scenario("missing.toml")
+    with pytest.raises(transport.ArgumentError, match="scenario: expected text or a path, got int"):
+        transport.Scenario(3)  # type: ignore[arg-type]

@@ -1,0 +1,132 @@
+"""`transport.sweep`: every combination once, results independent of workers, tables and figures."""
+
+import csv
+import os
+import signal
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import transport
+
+PHASES = (
+    {"name": "hover", "duration_s": 0.5, "displacement_m": [0.0, 0.0, 0.0]},
+    {"name": "climb", "duration_s": 0.5, "displacement_m": [0.0, 0.0, -0.25]},
+)
+GRID = {"links.delay_s": [0.0, 0.1], "loss": [0.0, 0.3]}
+
+
+def base(name: str = "resilient") -> transport.Scenario:
+    """Return a scenario with a short maneuver."""
+    return transport.Scenario(name, phases=PHASES)
+
+
+@pytest.fixture(scope="module")
+def table() -> transport.Sweep:
+    """Return a sweep over delay and packet loss with two seeds, simulated in this process."""
+    return transport.sweep({"mine": base()}, GRID, seeds=2, workers=1, progress=False)
+
+
+def test_points_and_runs(table: transport.Sweep) -> None:
+    """The points are the combinations in order; random ones are repeated with each seed, others not."""
+    points = table.rows()
+    assert [(row["scenario"], row["links.delay_s"], row["loss"], row["flights"]) for row in points] == [
+        ("mine", 0.0, 0.0, 1),
+        ("mine", 0.0, 0.3, 2),
+        ("mine", 0.1, 0.0, 1),
+        ("mine", 0.1, 0.3, 2),
+    ]
+    assert len(table) == 4
+    assert points[0]["cost_ratio"] == 1.0
+    assert points[2]["plan_age_mean_ticks"] > points[0]["plan_age_mean_ticks"]
+    assert len(table.to_pandas("runs")) == 6
+    assert list(table.to_pandas().columns)[:3] == ["scenario", "links.delay_s", "loss"]
+
+
+def test_a_point_is_the_run_of_fly(table: transport.Sweep) -> None:
+    """A run of a sweep has the numbers of the same run alone."""
+    alone = transport.fly(base(), delay_s=0.1, loss=0.3, seed=1, progress=False)
+    (row,) = (r for r in table.rows("runs") if (r["links.delay_s"], r["loss"], r["seed"]) == (0.1, 0.3, 1))
+    assert row["cost_mean"] == alone.summary["cost"]["mean"]
+    assert row["attitude_max_deg"] == alone.summary["attitude_max_deg"]
+
+
+def test_workers_do_not_change_results(table: transport.Sweep, tmp_path: Path) -> None:
+    """Two processes give the bits of one; a folder has tables and figure, and is resumed without a run."""
+    folder = tmp_path / "sweep"
+    parallel = transport.sweep({"mine": base()}, GRID, seeds=2, workers=2, folder=folder, progress=False)
+    assert parallel.rows("runs") == table.rows("runs")
+    with (folder / "cases.csv").open(encoding="utf-8") as file:
+        assert [row["cost_mean"] for row in csv.DictReader(file)] == [str(r["cost_mean"]) for r in table.rows("runs")]
+    assert {"points.csv", "cases.csv", "figure.png", "figure.svg"} <= {path.name for path in folder.iterdir()}
+    lines = (folder / "results.jsonl").read_text(encoding="utf-8")
+    transport.sweep({"mine": base()}, GRID, seeds=2, workers=1, folder=folder, progress=False)
+    assert (folder / "results.jsonl").read_text(encoding="utf-8") == lines
+
+
+def test_figures(table: transport.Sweep) -> None:
+    """Curves over any setting, one for each value of the others; a map of two."""
+    first = table.plot()
+    assert first.axes[-1].get_xlabel() == "links.delay_s"
+    assert [text.get_text() for text in first.legends[0].get_texts()] == ["loss 0", "loss 0.3"]
+    assert table.plot("loss").axes[-1].get_xlabel() == "loss"
+    assert table.plot(kind="map").axes[0].get_ylabel() == "loss"
+    for arguments, text in (
+        (("delay",), "x: expected one of links.delay_s, loss, got 'delay'"),
+        ((None, "pie"), "kind: expected 'curves' or 'map', got 'pie'"),
+    ):
+        with pytest.raises(transport.ArgumentError, match=text):
+            table.plot(*arguments)
+
+
+def test_texts(table: transport.Sweep) -> None:
+    """The printed table is that of the experiments."""
+    assert "cost mean" in str(table)
+    assert repr(table) == "Sweep(4 points, 6 runs)"
+    assert table._repr_html_().startswith("<pre>")
+
+
+WRONG: list[tuple[dict[str, Any], str]] = [
+    ({"grid": {}}, "grid: expected a dictionary such as"),
+    ({"grid": {"delay_s": 0.1}}, "delay_s: expected a list of values, got 0.1"),
+    ({"grid": {"delay_s": []}}, "delay_s: expected different values, at least one, got"),
+    ({"grid": {"delay_s": [0.1, 0.1]}}, "delay_s: expected different values"),
+    ({"grid": {"delay_s": [0.1], "links.delay_s": [0.2]}}, "grid: expected each setting once"),
+    ({"grid": {"seed": [1, 2]}}, "grid: expected other settings than the seed"),
+    ({"grid": GRID, "seeds": 0}, "seeds: expected a number >= 1, got 0"),
+    ({"grid": GRID, "workers": 0}, "workers: expected a number >= 1 or the address of a Dask cluster, got 0"),
+    ({"grid": GRID, "base": []}, "base: expected at least one scenario, got none"),
+    ({"grid": GRID, "base": ["paper", "paper"]}, "base: expected different names, or a dictionary with labels"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "text"), WRONG)
+def test_wrong_arguments(arguments: dict[str, Any], text: str) -> None:
+    """Impossible sweeps are refused with the argument's name, expected and got, before the first run."""
+    with pytest.raises(transport.ArgumentError) as caught:
+        transport.sweep(**{"base": "paper", "progress": False, **arguments})
+    assert text in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_refused_before_the_first_run(tmp_path: Path) -> None:
+    """A combination that cannot be simulated, or an address that is none, ends the sweep before it begins."""
+    folder = tmp_path / "sweep"
+    with pytest.raises(transport.ScenarioError, match="expected a number >= 0"):
+        transport.sweep("paper", {"delay_s": [0.0, -1.0]}, folder=folder, progress=False)
+    with pytest.raises(transport.ExperimentError, match="expected an address such as tcp://host:8786"):
+        transport.sweep("paper", {"delay_s": [0.0]}, workers="nowhere", folder=folder, progress=False)
+    assert not folder.exists()
+
+
+def test_an_interrupt_ends_a_sweep(tmp_path: Path) -> None:
+    """Ctrl-C raises KeyboardInterrupt; finished runs are kept in the folder."""
+    long = transport.Scenario("paper", phases=[{**PHASES[0], "duration_s": 1e3}])
+    timer = threading.Timer(1.0, os.kill, (os.getpid(), signal.SIGINT))
+    timer.start()
+    with pytest.raises(KeyboardInterrupt):
+        transport.sweep(long, {"delay_s": [0.0]}, workers=1, folder=tmp_path / "sweep", progress=False)
+    timer.join()
+    assert (tmp_path / "sweep" / "results.jsonl").exists()

@@ -1,0 +1,102 @@
+"""Folders of runs: their names, and what is in them before the run begins."""
+
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+
+import tomli_w
+
+from protocol.network.security import new_secret
+from protocol.scenario.schema import Scenario
+from protocol.scenario.setup import Setup
+from protocol.wire.exit_codes import EXIT_USAGE
+from transport.flight.run_error import RunError
+from transport.log.latest import point_latest
+from transport.log.relocating_file import RelocatingFile
+from transport.log.run_log import LogWriter
+
+_LOG = "run.mcap"
+
+
+def new_folder(parent: Path, name: str) -> Path:
+    """Return the path of a new run folder, named by time and scenario."""
+    stamp = datetime.now(UTC).strftime("%Y%m%d-%H%M%S")
+    folder, count = parent / f"{stamp}-{name}", 1
+    while folder.exists():
+        count += 1
+        folder = parent / f"{stamp}-{name}-{count}"
+    return folder
+
+
+def refuse_existing(folder: Path) -> None:
+    """Raise RunError if a run folder exists already."""
+    if folder.exists():
+        raise RunError(f"--out: expected a folder that does not exist yet, got {folder}", EXIT_USAGE)
+
+
+def create(folder: Path, setup: Setup) -> str:
+    """Create the run folder with the resolved scenario; return its text.
+
+    Raises: RunError: it exists, or cannot be written.
+    """
+    refuse_existing(folder)
+    text = tomli_w.dumps(setup.scenario.tree())
+    try:
+        folder.mkdir(parents=True)
+        _write_scenario(folder, setup, text)
+    except OSError as error:
+        raise RunError(f"--out: cannot create {folder} ({error.strerror})", EXIT_USAGE) from error
+    point_latest(folder)
+    return text
+
+
+@contextmanager
+def own_keys(scenario: Scenario, folder: Path) -> Iterator[Path | None]:
+    """Make the secret of a run in its folder; None where other keys protect the run, or it is to be open.
+
+    Raises: RunError: it cannot be written.
+    """
+    network = scenario.network
+    if network.keys is not None or network.router is not None or not network.secret:
+        yield None
+        return
+    with ExitStack() as stack:
+        try:
+            keys = stack.enter_context(new_secret(folder.resolve() / "keys"))
+        except OSError as error:
+            raise RunError(f"--out: cannot write to {folder} ({error.strerror})", EXIT_USAGE) from error
+        yield keys
+
+
+def open_log(
+    folder: Path, setup: Setup, header: Mapping[str, str], say: Callable[[str], None]
+) -> tuple[LogWriter, RelocatingFile]:
+    """Open the log of a run folder; its second place is a new folder in the temporary folder of the system.
+
+    `say` is called when the log has to go on there.
+
+    Raises: RunError: it cannot be written.
+    """
+
+    def second_place() -> Path:
+        second = Path(tempfile.mkdtemp(prefix=f"{folder.name}-"))
+        _write_scenario(second, setup, header["scenario"])
+        return second / _LOG
+
+    path = folder / _LOG
+    try:
+        file = RelocatingFile(path, header, second_place, say)
+    except OSError as error:
+        raise RunError(f"{path}: cannot write the log ({error.strerror or error})", EXIT_USAGE) from error
+    return LogWriter(file, header, period_ns=setup.period_ns), file
+
+
+def _write_scenario(folder: Path, setup: Setup, text: str) -> None:
+    """Write the scenario and the delays it names, so that the run folder is self-contained."""
+    (folder / "scenario.toml").write_text(text, encoding="utf-8")
+    for name, delays_s in setup.samples_s.items():
+        if not Path(name).is_absolute():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_text("\n".join(map(repr, delays_s)) + "\n", encoding="utf-8")

@@ -1,0 +1,1 @@
+"""Python interface: simulate, load, plot, view and save runs, sweep over settings, edit scenarios (docs/python.md)."""

@@ -1,0 +1,142 @@
+"""Simulating a run, and loading a recorded one."""
+
+import time
+from os import PathLike
+from pathlib import Path
+from typing import Unpack
+
+import tomli_w
+
+from model.compiled import compile_functions
+from plant.engines import checked_engine
+from protocol.scenario.file import ScenarioError
+from protocol.scenario.setup import Setup
+from protocol.wire.exit_codes import EXIT_INTERRUPTED
+from protocol.wire.messages import Message
+from transport.flight import memory
+from transport.flight import run as processes_run
+from transport.flight.fork_server import close_fork_server
+from transport.flight.header import run_header
+from transport.flight.run_error import RunError
+from transport.flight.run_files import new_folder
+from transport.interface.progress import console, run_progress
+from transport.interface.run import Run
+from transport.interface.scenario import Scenario
+from transport.interface.settings import ArgumentError, Settings, ShortSettings, file_name
+from transport.log.run_folder import open_run
+from transport.log.run_log import LogError, Recorded, RunLog
+from transport.report.report import write_report
+
+RUNS = Path("runs")
+
+
+def fly(
+    scenario: "str | PathLike[str] | Scenario" = "paper",
+    settings: Settings | None = None,
+    *,
+    processes: bool = False,
+    folder: "str | PathLike[str] | None" = None,
+    progress: bool = True,
+    **short: Unpack[ShortSettings],
+) -> Run:
+    """Simulate a run and return it, also if it diverges.
+
+    In memory by default: the whole team in this process, unpaced, nothing written, with the same results bit for bit as
+    with processes. With `processes=True` each agent, the plant and the coordinator is a process of its own, as in
+    `transport run`, recorded into a run folder.
+
+    >>> import transport
+    >>> hover = [{"name": "hover", "duration_s": 0.5, "displacement_m": [0.0, 0.0, 0.0]}]
+    >>> run = transport.fly("resilient", {"links.delay_s": 0.2}, horizon=10, phases=hover)
+    >>> run.completed, run.scenario.links.delay_s, run.scenario.controller.horizon
+    (True, 0.2, 10)
+    >>> transport.fly("resilient", horizn=10)
+    Traceback (most recent call last):
+        ...
+    transport.interface.settings.ArgumentError: horizn: expected a dotted key such as 'links.delay_s' or a short name; \
+did you mean 'horizon'?
+
+    Args:
+        scenario: Scenario file, name of one that comes with the package, or a `Scenario`.
+        settings: Changes by dotted key; list entries count from 1.
+        processes: Start a process for each part of the run.
+        folder: Run folder to create; by default none in memory, and runs/<time>-<scenario> with processes.
+        progress: Show the progress on standard error, or in the notebook.
+        short: Changes by short name (`transport.interface.settings.KEY_OF`), such as `horizon=10`.
+
+    Raises: ScenarioError: the scenario or a setting is refused. ArgumentError: an argument is. RunError, HarnessError:
+        the processes cannot be started. KeyboardInterrupt: Ctrl-C; no process is left.
+    """
+    # A setup of its own: the compiled functions of a setup must not be used by two threads.
+    flown = Scenario(scenario, settings, **short)
+    setup = Setup.of(flown.validated, str(flown.file))
+    target = None if folder is None else Path(file_name(folder, "folder"))
+    if target is not None and target.exists():
+        raise ArgumentError(f"folder: expected a folder that does not exist yet, got {target}")
+    if processes:
+        return _in_processes(flown, setup, target, shown=progress)
+    if flown.clock.mode != "lockstep":
+        expected = "expected lockstep in memory, where no time passes (processes=True runs in real time)"
+        raise ScenarioError(str(flown.file), "clock.mode", f"{expected}, got {flown.clock.mode}")
+    run = _in_memory(flown, setup, shown=progress)
+    if target is not None:
+        run.save(target)
+    return run
+
+
+def load(folder: "str | PathLike[str]") -> Run:
+    """Return a recorded run from its folder, also one that was cut off: `run.summary["log_cut"]` tells.
+
+    >>> import transport
+    >>> transport.load("runs/none")
+    Traceback (most recent call last):
+        ...
+    transport.log.run_log.LogError: runs/none: expected a run folder, got no run.mcap in it
+
+    Raises: LogError: no run folder, or a log that cannot be read. ScenarioError: its scenario cannot be read.
+    """
+    path = Path(file_name(folder, "folder"))
+    if not (path / "run.mcap").exists():
+        raise LogError(f"{path}: expected a run folder, got no run.mcap in it")
+    recorded = open_run(path)
+    return Run(Scenario(recorded.scenario_file, allow_large=True), recorded.setup, recorded.log, path)
+
+
+def _in_memory(scenario: Scenario, setup: Setup, *, shown: bool) -> Run:
+    began_ns = time.time_ns()
+    with console(shown=shown).status("compiling the model for this processor, once"):
+        compile_functions(setup.system.N)
+    header = _header(setup, began_ns)
+    messages: list[Recorded] = []
+    with run_progress(setup, shown=shown) as show:
+
+        def record(message: Message) -> None:
+            messages.append(Recorded(message=message, received_ns=time.time_ns()))
+            show(message)
+
+        memory.simulate(setup, record)
+    return Run(scenario, setup, RunLog(header=header, messages=tuple(messages), cut=""))
+
+
+def _header(setup: Setup, began_ns: int) -> dict[str, str]:
+    """Return the metadata of a run in this process, which began at a time, ns since 1970."""
+    text = tomli_w.dumps(setup.scenario.tree())
+    header = run_header(setup, setup.scenario.name, 1, text, checked_engine(setup))
+    return {**header, "command_started_ns": str(began_ns)}
+
+
+def _in_processes(scenario: Scenario, setup: Setup, folder: Path | None, *, shown: bool) -> Run:
+    target = new_folder(RUNS, setup.scenario.name) if folder is None else folder
+    try:
+        finished = processes_run.simulate(setup, target, console(shown=shown))
+    except RunError as error:
+        if error.exit_code == EXIT_INTERRUPTED:
+            raise KeyboardInterrupt from error
+        raise
+    finally:
+        close_fork_server()
+    write_report(target, setup=setup)
+    if finished.exit_code == EXIT_INTERRUPTED:
+        raise KeyboardInterrupt(f"interrupted; recorded in {target}")
+    recorded = open_run(target, setup=setup)
+    return Run(scenario, setup, recorded.log, target)

@@ -1,0 +1,151 @@
+"""A simulated or recorded run: summary, series, tables, figures, viewer, run folder."""
+
+import shutil
+from functools import cached_property
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from rich.console import Console
+
+from protocol.scenario.setup import Setup
+from transport.analysis.counted import counted
+from transport.analysis.metrics import summarise
+from transport.analysis.steps import steps_rows
+from transport.interface.optional import require_pandas
+from transport.interface.scenario import Scenario
+from transport.interface.series import RunSeries
+from transport.interface.settings import ArgumentError, file_name
+from transport.log.run_log import LogWriter, RunLog
+from transport.report.report import summary_table, write_report
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from transport.interface.figure import RunFigure
+    from transport.interface.viewing import RunViewer
+
+FigureName = Literal["performance", "trajectories", "timing"]
+TableName = Literal["series", "steps"]
+
+# Width of the printed summary, characters.
+_WIDTH = 100
+
+
+class Run:
+    """A run: its scenario, its messages, and what follows from them.
+
+    A run that diverged is a run as well: `completed` tells.
+
+    >>> import transport
+    >>> run = transport.fly("paper", phases=[{"name": "hover", "duration_s": 0.5, "displacement_m": [0, 0, 0]}])
+    >>> run.completed, run.summary["ticks"], run.series["payload_position_m"].shape
+    (True, 10, (10, 3))
+
+    Attributes:
+        scenario: The scenario as it was simulated; changes of it do not affect the run.
+        log: All messages.
+        folder: The run folder, or None for a run that has none.
+    """
+
+    def __init__(self, scenario: Scenario, setup: Setup, log: RunLog, folder: Path | None = None) -> None:
+        self.scenario, self.log, self.folder = scenario.copy(), log, folder
+        self._setup = setup
+        self._counted = counted(setup, log)
+
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        """The content of summary.json (docs/summary.md): outcome, cost, tracking, times, messages, faults, ..."""
+        return summarise(self._setup, self._counted)
+
+    @cached_property
+    def series(self) -> RunSeries:
+        """Time series: read-only arrays by name, with units."""
+        return RunSeries(self._setup, self._counted)
+
+    @property
+    def outcome(self) -> str:
+        """The end of the run: completed, diverged, aborted, or unknown for a log without its end."""
+        return str(self.summary["outcome"])
+
+    @property
+    def completed(self) -> bool:
+        """Whether the run reached the end of the maneuver."""
+        return self.outcome == "completed"
+
+    def __repr__(self) -> str:
+        cost, attitude_deg = self.summary["cost"]["mean"], self.summary["attitude_max_deg"]
+        parts = [self.outcome, f"{self.summary['sim_time_s']:.2f} s"]
+        parts += [] if cost is None else [f"mean cost {cost:.3g}"]
+        parts += [] if attitude_deg is None else [f"payload attitude max {attitude_deg:.2f} deg"]
+        return f"Run({self.summary['scenario']!r}: {', '.join(parts)})"
+
+    def __str__(self) -> str:
+        """Return the table that `transport run` prints."""
+        console = Console(width=_WIDTH, force_jupyter=False, force_terminal=False, no_color=True)
+        with console.capture() as capture:
+            console.print(summary_table(self.summary))
+        return "\n".join(line.rstrip() for line in capture.get().rstrip().splitlines())
+
+    def to_pandas(self, table: TableName = "series") -> "pd.DataFrame":
+        """Return a table: "series" has a row per tick, "steps" one per agent and tick, as steps.csv (docs/summary.md).
+
+        Columns of "series" are those of `RunSeries.columns`, with time as index.
+
+        Raises: ArgumentError: no such table, or pandas is missing.
+        """
+        pandas = require_pandas()
+        match table:
+            case "series":
+                columns = self.series.columns()
+                return pandas.DataFrame(columns).set_index("time_s")
+            case "steps":
+                return pandas.DataFrame(list(steps_rows(self._setup, self._counted)))
+        raise ArgumentError(f"table: expected 'series' or 'steps', got {table!r}")
+
+    def plot(self, figure: FigureName = "performance") -> "RunFigure":
+        """Return a figure of the report: "performance", "trajectories" or "timing".
+
+        It is a matplotlib figure: a notebook shows it, `savefig("name.png")` writes it, its axes can be changed.
+
+        Raises: ArgumentError: no such figure, or a run without a tick.
+        """
+        from transport.interface.figure import run_figure  # loads matplotlib, 0.5 s that runs without figures save
+
+        return run_figure(figure, self._setup, self._counted, self.series.source)
+
+    def view(self, host: str = "127.0.0.1", port: int = 8080) -> "RunViewer":
+        """Show the run in the browser; return the viewer, which shows until it is closed or this process ends.
+
+        Raises: ViewerError: viser is missing (extra `view`), or the address cannot be used.
+        """
+        from transport.interface.viewing import RunViewer  # loads the viewer, which other uses do not need
+
+        return RunViewer(self._setup, self.log, host, port)
+
+    def save(self, folder: "str | PathLike[str]", *, figures: bool = True) -> Path:
+        """Write the run folder that `transport run` writes, to a folder that does not exist yet; return its path.
+
+        Raises: ArgumentError: the folder exists or cannot be created. LogError: the log cannot be written.
+        """
+        target = Path(file_name(folder, "folder"))
+        try:
+            if self.folder is not None:
+                shutil.copytree(self.folder, target)
+                return target
+            target.mkdir(parents=True)
+            (target / "scenario.toml").write_text(self.log.header["scenario"], encoding="utf-8")
+            for name, delays_s in self._setup.samples_s.items():
+                if not Path(name).is_absolute():
+                    (target / name).parent.mkdir(parents=True, exist_ok=True)
+                    (target / name).write_text("\n".join(map(repr, delays_s)) + "\n", encoding="utf-8")
+        except FileExistsError as error:
+            raise ArgumentError(f"folder: expected a folder that does not exist yet, got {target}") from error
+        except OSError as error:
+            raise ArgumentError(f"folder: cannot create {target} ({error.strerror or error})") from error
+        with LogWriter(target / "run.mcap", self.log.header, period_ns=self._setup.period_ns) as writer:
+            for entry in self.log.messages:
+                writer.write(entry.message, entry.received_ns)
+        write_report(target, figures=figures)
+        self.folder = target
+        return target

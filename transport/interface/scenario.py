@@ -1,0 +1,302 @@
+"""Scenario as an object that stays valid: each change is checked as a whole, and made or refused."""
+
+import difflib
+from collections.abc import Mapping
+from os import PathLike
+from pathlib import Path
+from typing import Any, Unpack
+
+import tomli_w
+from pydantic import BaseModel
+
+from protocol.scenario.budget import check_budget
+from protocol.scenario.file import ScenarioError, find_scenario, read_scenario, with_settings
+from protocol.scenario.schema import Scenario as ScenarioTree
+from protocol.scenario.setup import Setup
+from protocol.scenario.team import FEWEST, MOST, given, resized
+from transport.interface.settings import (
+    ArgumentError,
+    Settings,
+    ShortSettings,
+    file_name,
+    key_of,
+    setting,
+    settings_of,
+)
+
+
+class Scenario:
+    """A scenario that can be changed and is valid at any time.
+
+    A change that would make an impossible scenario raises `ScenarioError` and leaves the scenario as it was. Sections
+    are attributes, list entries count from 0; dotted keys count list entries from 1, as on the command line.
+
+    >>> from transport import Scenario
+    >>> scenario = Scenario("resilient", horizon=10)
+    >>> scenario.links.delay_s = 0.2
+    >>> scenario["controller.horizon"], scenario.links.delay_s
+    (10, 0.2)
+    >>> scenario.links.loss = 1.5
+    Traceback (most recent call last):
+        ...
+    protocol.scenario.errors.ScenarioError: --set links.loss=1.5: expected a number <= 1.0, got 1.5
+    >>> scenario.links.loss
+    0.0
+    >>> scenario.resized(6)
+    Scenario('resilient-6': 6 UAVs, 6 agents, 25 s)
+
+    Args:
+        source: Scenario file, name of one that comes with the package, or another scenario.
+        settings: Changes by dotted key.
+        allow_large: Whether runs may exceed the limits on ticks, memory and log of `transport validate`.
+        short: Changes by short name (`transport.interface.settings.KEY_OF`).
+
+    Raises: ScenarioError: naming file or setting, field, expected, got. ArgumentError: an argument of the wrong kind.
+    """
+
+    _path: Path
+    _data: ScenarioTree
+    _setup: Setup
+    _allow_large: bool
+
+    def __init__(
+        self,
+        source: "str | PathLike[str] | Scenario" = "paper",
+        settings: Settings | None = None,
+        *,
+        allow_large: bool = False,
+        **short: Unpack[ShortSettings],
+    ) -> None:
+        changes = settings_of(settings, short)
+        self._allow_large = allow_large or (isinstance(source, Scenario) and source._allow_large)
+        if isinstance(source, Scenario):
+            self._take(source._path, source._data, source._setup)
+            if changes:
+                self._change(changes)
+            return
+        path = find_scenario(file_name(source, "scenario"))
+        data = read_scenario(path, changes, allow_large=allow_large)
+        self._take(path, data, _setup_of(data, path, changes))
+
+    def set(self, settings: Settings | None = None, **short: Unpack[ShortSettings]) -> None:
+        """Make several changes at once, such as those that are valid only together.
+
+        >>> import transport
+        >>> scenario = transport.Scenario("paper")
+        >>> scenario.set({"clock.mode": "realtime", "clock.speed": 1.0})
+        """
+        self._change(settings_of(settings, short))
+
+    def __getitem__(self, key: str) -> Any:
+        """Return the value of a dotted key or short name."""
+        found: Any = self._data
+        for part in key_of(key).split("."):
+            if isinstance(found, list) and part.isdecimal() and 1 <= int(part) <= len(found):
+                found = found[int(part) - 1]
+            elif isinstance(found, BaseModel) and (name := _field(found, part)) is not None:
+                found = getattr(found, name)
+            else:
+                raise ScenarioError(str(self._path), key_of(key), f"unknown key; {_hint(found, part)}")
+        return _shown(self, key_of(key), found)
+
+    def __setitem__(self, key: str, value: Any) -> None:
+        """Change the value of a dotted key or short name."""
+        self._change([setting(key, value)])
+
+    def __delitem__(self, key: str) -> None:
+        """Return a dotted key or short name to its default."""
+        self[key]  # refuses an unknown key
+        tree = given(self._data)
+        *above, last = key_of(key).split(".")
+        node: Any = tree
+        for part in above:
+            node = node[int(part) - 1] if isinstance(node, list) else node.get(part, {})
+        if isinstance(node, list):
+            del node[int(last) - 1]
+        else:
+            node.pop(last, None)
+        self._replace(tree, [])
+
+    def __getattr__(self, name: str) -> Any:
+        """Return a section, or a value of the top level."""
+        if name.startswith("_"):
+            raise AttributeError(name)
+        return getattr(Section(self, "", self._data), name)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name.startswith("_"):
+            super().__setattr__(name, value)
+        else:
+            setattr(Section(self, "", self._data), name, value)
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *type(self._data).model_fields]
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Scenario) and self._data == other._data
+
+    __hash__ = None  # type: ignore[assignment]  # it changes
+
+    def __repr__(self) -> str:
+        setup = self._setup
+        sizes = [f"{setup.system.N} UAV{'s' * (setup.system.N > 1)}", f"{len(setup.agents)} agent"]
+        sizes[1] += "s" * (len(setup.agents) > 1)
+        return f"Scenario({self._data.name!r}: {', '.join(sizes)}, {setup.maneuver.duration_s:g} s)"
+
+    @property
+    def file(self) -> Path:
+        """File that the scenario was read from; paths in the scenario are relative to its folder."""
+        return self._path
+
+    @property
+    def setup(self) -> Setup:
+        """The objects built from the scenario: system, hover, maneuver, controller settings."""
+        return self._setup
+
+    @property
+    def validated(self) -> ScenarioTree:
+        """The scenario as a frozen pydantic model."""
+        return self._data
+
+    def tree(self) -> dict[str, Any]:
+        """Return the scenario as plain data with every default."""
+        return self._data.tree()
+
+    def digest(self) -> str:
+        """Return the fingerprint that `transport validate` prints."""
+        return self._data.digest()
+
+    def copy(self, settings: Settings | None = None, **short: Unpack[ShortSettings]) -> "Scenario":
+        """Return a copy with changes."""
+        return Scenario(self, settings, **short)
+
+    def resized(self, uavs: int, *, group: int | None = None, name: str | None = None) -> "Scenario":
+        """Return a scenario with a team of another size, as `transport scenario new` makes it.
+
+        Args:
+            uavs: Number of UAVs.
+            group: UAVs per agent; by default as in this scenario.
+            name: Its name; by default from this scenario's and the number of UAVs.
+        """
+        if not isinstance(uavs, int) or not FEWEST <= uavs <= MOST:
+            raise ArgumentError(f"uavs: expected {FEWEST} to {MOST}, got {uavs!r}")
+        if group is not None and not (isinstance(group, int) and 1 <= group <= uavs):
+            raise ArgumentError(f"group: expected 1 to {uavs} UAVs per agent, got {group!r}")
+        source = str(self._path)
+        data = resized(self._data, self._path.parent, uavs, group=group, name=name, source=source)
+        if not self._allow_large:
+            check_budget(data, source)
+        made = Scenario.__new__(Scenario)
+        made._allow_large = self._allow_large
+        made._take(self._path, data, Setup.of(data, source))
+        return made
+
+    def save(self, path: "str | PathLike[str]") -> Path:
+        """Write the scenario, with every default, to a file that does not exist yet; return its path."""
+        target = Path(file_name(path, "path"))
+        try:
+            with target.open("x", encoding="utf-8") as file:
+                file.write(tomli_w.dumps(self._data.tree()))
+        except FileExistsError as error:
+            raise ArgumentError(f"path: expected a file that does not exist yet, got {target}") from error
+        except OSError as error:
+            raise ArgumentError(f"path: cannot write {target} ({error.strerror})") from error
+        return target
+
+    def _change(self, changes: list[str]) -> None:
+        self._replace(given(self._data), changes)
+
+    def _replace(self, tree: dict[str, Any], changes: list[str]) -> None:
+        """Become the scenario of a tree with changes, or stay as it is if that is refused."""
+        data = with_settings(tree, changes, str(self._path), allow_large=self._allow_large)
+        self._take(self._path, data, _setup_of(data, self._path, changes))
+
+    def _take(self, path: Path, data: ScenarioTree, setup: Setup) -> None:
+        self._path, self._data, self._setup = path, data, setup
+
+
+class Section:
+    """A section of a scenario; reading an attribute reads the value, setting one changes the scenario."""
+
+    _owner: Scenario
+    _key: str
+    _data: BaseModel
+
+    def __init__(self, owner: Scenario, key: str, data: BaseModel) -> None:
+        for name, value in (("_owner", owner), ("_key", key), ("_data", data)):
+            object.__setattr__(self, name, value)
+
+    def __getattr__(self, name: str) -> Any:
+        field = _field(self._data, name)
+        if field is None:
+            raise AttributeError(f"{self._key or 'scenario'}: unknown key {name!r}; {_hint(self._data, name)}")
+        return _shown(self._owner, self._key_of(field), getattr(self._data, field))
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        field = _field(self._data, name)
+        self._owner[self._key_of(name if field is None else field)] = value
+        object.__setattr__(self, "_data", _at(self._owner._data, self._key))
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *type(self._data).model_fields]
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Section) and self._data == other._data
+
+    __hash__ = None  # type: ignore[assignment]  # it changes
+
+    def __repr__(self) -> str:
+        return repr(self._data)
+
+    def _key_of(self, field: str) -> str:
+        """Return the dotted key of a field."""
+        model = type(self._data).model_fields
+        name = (model[field].alias or field) if field in model else field
+        return f"{self._key}.{name}" if self._key else name
+
+
+def _setup_of(data: ScenarioTree, path: Path, changes: list[str]) -> Setup:
+    """Return the setup of a scenario with changes, which its errors name."""
+    try:
+        return Setup.of(data, str(path))
+    except ScenarioError as error:
+        raise error.blaming(changes) from error.__cause__
+
+
+def _hint(found: Any, name: str) -> str:
+    """Return what there is instead of an unknown key."""
+    if isinstance(found, list):
+        return f"expected an entry from 1 to {len(found)}"
+    known = (
+        [info.alias or field for field, info in type(found).model_fields.items()]
+        if isinstance(found, BaseModel)
+        else []
+    )
+    near = difflib.get_close_matches(name, known, n=1)
+    return f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known) or 'none'}"
+
+
+def _field(section: BaseModel, name: str) -> str | None:
+    """Return the field of a section with a name or alias."""
+    fields = type(section).model_fields
+    if name in fields:
+        return name
+    return next((field for field, info in fields.items() if info.alias == name), None)
+
+
+def _at(data: Any, key: str) -> Any:
+    """Return the part of a scenario with a dotted key."""
+    for part in key.split(".") if key else ():
+        data = data[int(part) - 1] if isinstance(data, list) else getattr(data, _field(data, part) or part)
+    return data
+
+
+def _shown(owner: Scenario, key: str, value: Any) -> Any:
+    """Return a value of the scenario as the user gets it: sections, and lists as tuples, which cannot be changed."""
+    if isinstance(value, BaseModel):
+        return Section(owner, key, value)
+    if isinstance(value, list):
+        return tuple(_shown(owner, f"{key}.{number}", part) for number, part in enumerate(value, start=1))
+    if isinstance(value, Mapping):
+        return {name: _shown(owner, f"{key}.{name}", part) for name, part in value.items()}
+    return value

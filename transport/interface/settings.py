@@ -1,0 +1,134 @@
+"""Settings of a scenario as Python values: by dotted key, and by short names of frequent keys."""
+
+import difflib
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from typing import Any, Literal, TypedDict
+
+import numpy as np
+import tomli_w
+
+from protocol.wire.errors import TransportError
+
+Settings = Mapping[str, Any]
+
+
+class ArgumentError(TransportError, TypeError):
+    """An argument of the Python interface that is refused: its text is one line with argument, expected and got."""
+
+
+class ShortSettings(TypedDict, total=False):
+    """Keyword arguments that stand for keys of the scenario; `KEY_OF` has the keys, docs/scenario.md their meaning."""
+
+    seed: int
+    horizon: int
+    sampling_period_s: float
+    relaxation: float | Literal["auto"]
+    solver: Literal["daqp", "clarabel"]
+    prediction: Literal["open_loop", "closed_loop"]
+    share: Literal["always", "on_change"]
+    estimate_disturbance: bool
+    owned: Sequence[Sequence[int]]
+    delay_s: float
+    jitter_s: float
+    loss: float
+    on_agent_loss: Literal["abort", "continue"]
+    faults: Sequence[Mapping[str, Any]]
+    phases: Sequence[Mapping[str, Any]]
+    payload_mass_factor: float
+    wind_mps: Sequence[float]
+    gust_mps: Sequence[float]
+
+
+# Keys of the scenario by their short names.
+KEY_OF: Mapping[str, str] = {
+    "seed": "seed",
+    "horizon": "controller.horizon",
+    "sampling_period_s": "controller.sampling_period_s",
+    "relaxation": "controller.relaxation",
+    "solver": "controller.solver",
+    "prediction": "controller.prediction",
+    "share": "controller.share",
+    "estimate_disturbance": "controller.disturbance.estimate",
+    "owned": "agents.owned",
+    "delay_s": "links.delay_s",
+    "jitter_s": "links.jitter_s",
+    "loss": "links.loss",
+    "on_agent_loss": "clock.on_agent_loss",
+    "faults": "faults.event",
+    "phases": "maneuver.phase",
+    "payload_mass_factor": "plant.payload_mass_factor",
+    "wind_mps": "plant.wind.speed_mps",
+    "gust_mps": "plant.wind.gust_mps",
+}
+
+
+def key_of(name: str) -> str:
+    """Return the dotted key of a setting given by its key or its short name.
+
+    Raises: ArgumentError: a name without a dot that is neither a short name nor a key of the top level.
+    """
+    if name in KEY_OF:
+        return KEY_OF[name]
+    if "." in name or name in ("name", "seed", "schema"):
+        return name
+    near = difflib.get_close_matches(name, KEY_OF, n=1)
+    hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(KEY_OF)}"
+    raise ArgumentError(f"{name}: expected a dotted key such as 'links.delay_s' or a short name; {hint}")
+
+
+def setting(key: str, value: Any) -> str:
+    """Return a setting as the command line takes it, "dotted.key=value" with a TOML value.
+
+    Raises: ArgumentError: an unknown short name, or a value that TOML cannot hold.
+    """
+    return f"{key_of(key)}={_toml(value, key)}"
+
+
+def settings_of(settings: Settings | None, short: Mapping[str, Any]) -> list[str]:
+    """Return settings by dotted key, then keyword arguments, in the form of the command line.
+
+    Raises: ArgumentError: an unknown keyword argument, a key given twice, or a value that TOML cannot hold.
+    """
+    if settings is not None and not isinstance(settings, Mapping):
+        expected = "expected a dictionary such as {'links.delay_s': 0.2}"
+        raise ArgumentError(f"settings: {expected}, got {type(settings).__name__} {settings!r:.60}")
+    found: dict[str, str] = {}
+    for name, value in [*(settings or {}).items(), *short.items()]:
+        key = key_of(name)
+        if key in found:
+            raise ArgumentError(f"{name}: expected each key once, got {key} twice")
+        found[key] = f"{key}={_toml(value, name)}"
+    return list(found.values())
+
+
+def file_name(path: "str | PathLike[str]", argument: str) -> str:
+    """Return a path as text.
+
+    Raises: ArgumentError: neither text nor a path.
+    """
+    if isinstance(path, str | PathLike):
+        return str(path)
+    raise ArgumentError(f"{argument}: expected text or a path, got {type(path).__name__} {path!r:.60}")
+
+
+def _toml(value: Any, name: str) -> str:
+    """Return a value as TOML on one line; floats keep their bits."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{_bare(key, name)} = {_toml(part, name)}" for key, part in value.items()) + "}"
+    if isinstance(value, list | tuple | range):
+        return f"[{', '.join(_toml(part, name) for part in value)}]"
+    if isinstance(value, PathLike):
+        value = str(value)
+    if isinstance(value, bool | int | float | str):
+        return tomli_w.dumps({"_": value}).removeprefix("_ = ").rstrip("\n")
+    expected = "expected a number, text, true or false, or lists and dictionaries of these"
+    raise ArgumentError(f"{name}: {expected}, got {type(value).__name__} {value!r:.60}")
+
+
+def _bare(key: Any, name: str) -> str:
+    if isinstance(key, str) and key.replace("_", "").isalnum() and key.isascii():
+        return key
+    raise ArgumentError(f"{name}: expected keys of letters, digits and underscores, got {key!r:.60}")

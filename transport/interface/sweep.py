@@ -1,0 +1,267 @@
+"""Sweeps: a run for each combination of settings and each seed, on the cores of this machine or on a Dask cluster."""
+
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import joblib
+import numpy as np
+from rich.console import Console
+
+from model.compiled import compile_functions
+from protocol.wire.exit_codes import EXIT_CASE_FAILED
+from transport.experiments import sweep as experiment_sweep
+from transport.experiments.cases import Case, Point, cases_of_point
+from transport.experiments.errors import ExperimentError
+from transport.experiments.experiment import Axis, Experiment
+from transport.experiments.figures import draw, fill
+from transport.experiments.results import Results, ResultsInMemory
+from transport.experiments.simulation import NUMBERS, Result
+from transport.experiments.statistics import PointStatistics, statistics_of
+from transport.experiments.table import WIDTH, cases_csv, cases_rows, points_csv, points_rows, table_of
+from transport.experiments.workers import check_cluster, on_cluster, on_cores
+from transport.flight.header import machine
+from transport.interface.figure import RunFigure, drawn
+from transport.interface.optional import require_pandas
+from transport.interface.progress import console
+from transport.interface.scenario import Scenario
+from transport.interface.settings import ArgumentError, file_name, key_of
+from transport.report.report import write_whole
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Base = str | PathLike[str] | Scenario
+
+_NAME = "sweep"
+_CURVE = "settings"  # label of all keys but the one along the axis
+
+
+def sweep(
+    base: "Base | Sequence[Base] | Mapping[str, Base]",
+    grid: Mapping[str, Iterable[Any]],
+    *,
+    seeds: int = 1,
+    workers: int | str | None = None,
+    folder: "str | PathLike[str] | None" = None,
+    progress: bool = True,
+) -> "Sweep":
+    """Simulate every combination of the values of some settings, and return the results as a table.
+
+    A run that diverges is a result. Results do not depend on the number of workers.
+
+    >>> import transport
+    >>> hover = [{"name": "hover", "duration_s": 0.5, "displacement_m": [0.0, 0.0, 0.0]}]
+    >>> base = transport.Scenario("resilient", phases=hover)
+    >>> table = transport.sweep(base, {"delay_s": [0.0, 0.1]}, workers=1)
+    >>> [(row["delay_s"], row["completed"]) for row in table.rows()]
+    [(0.0, 1), (0.1, 1)]
+
+    Args:
+        base: Scenario file, name, `Scenario`, several of these, or a dictionary of these by label.
+        grid: Values by dotted key or short name, such as `{"links.delay_s": [0.0, 0.1, 0.2]}`.
+        seeds: Number of seeds, 0, 1, ...; a run without random parts is simulated once.
+        workers: Number of processes, by default one for each core; 1 simulates in this process. An address such as
+            "tcp://host:8786" stands for a Dask cluster (extra `cluster`).
+        folder: Folder for tables, figure and each result as it comes; a folder of the same sweep is resumed.
+        progress: Show the progress on standard error, or in the notebook.
+
+    Raises: ScenarioError, ArgumentError: a combination or an argument is refused, before the first run.
+        ExperimentError: a worker was lost, a run raised an error, or the folder cannot be used. KeyboardInterrupt:
+        Ctrl-C; no process is left.
+    """
+    values = _checked_grid(grid)
+    if not isinstance(seeds, int) or seeds < 1:
+        raise ArgumentError(f"seeds: expected a number >= 1, got {seeds!r}")
+    simulate = _simulator(workers)
+    points: list[Point] = []
+    cases: list[Case] = []
+    sizes: set[int] = set()
+    for label, scenario in _scenarios(base).items():
+        for number, combination in enumerate(itertools.product(*values.values())):
+            settings = dict(zip(values, combination, strict=True))
+            labels = {name: _label(value) for name, value in settings.items()}
+            text = ", ".join(f"{name} {value}" for name, value in labels.items())
+            changed = scenario.copy(settings)
+            cases += cases_of_point(len(points), changed.validated, changed.file, seeds)
+            points.append(Point(scenario=label, labels=labels, text=text, baseline=number == 0))
+            sizes.add(changed.setup.system.N)
+    experiment = Experiment(name=_NAME, points=tuple(points), x=Axis(next(iter(values)), next(iter(values))))
+    shown = console(shown=progress)
+    target = None if folder is None else Path(file_name(folder, "folder"))
+    with ResultsInMemory() if target is None else Results(target, _NAME, machine()) as results:
+        for size in sizes:
+            compile_functions(size)  # once, not in each worker
+        found = experiment_sweep.sweep(experiment, cases, simulate, results, shown)
+    made = Sweep(experiment, cases, found)
+    if target is not None:
+        made.save(target)
+    failed = [result for result in found if result.outcome == "error"]
+    if failed:
+        more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
+        raise ExperimentError(f"a run raised an error{more}: {failed[0].reason}", EXIT_CASE_FAILED)
+    return made
+
+
+class Sweep:
+    """The results of a sweep: a point for each combination of settings, and its runs.
+
+    Attributes:
+        points: Statistics of each point: means over completed runs with 95 % confidence intervals.
+    """
+
+    def __init__(self, experiment: Experiment, cases: Sequence[Case], results: Sequence[Result]) -> None:
+        self._experiment, self._cases, self._results = experiment, cases, results
+        by_point: list[list[Result]] = [[] for _ in experiment.points]
+        for case, result in zip(cases, results, strict=True):
+            by_point[case.point].append(result)
+        self.points: list[PointStatistics] = statistics_of(experiment.points, by_point, NUMBERS[1:])
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def __repr__(self) -> str:
+        return f"Sweep({len(self.points)} points, {len(self._results)} runs)"
+
+    def __str__(self) -> str:
+        """Return the table that the commands `transport experiment` print."""
+        wide = Console(width=WIDTH, force_jupyter=False, force_terminal=False, no_color=True)
+        with wide.capture() as capture:
+            wide.print(table_of("means of completed runs, ± 95 % confidence", self.points))
+        return "\n".join(line.rstrip() for line in capture.get().rstrip().splitlines())
+
+    def rows(self, table: Literal["points", "runs"] = "points") -> list[dict[str, Any]]:
+        """Return a row for each point, or for each run: values by column, as points.csv and cases.csv have them.
+
+        Columns are described in docs/experiments.md; the cost ratio is relative to the first combination of the grid.
+        """
+        match table:
+            case "points":
+                return points_rows(self.points)
+            case "runs":
+                return cases_rows(self._experiment.points, self._cases, self._results)
+        raise ArgumentError(f"table: expected 'points' or 'runs', got {table!r}")
+
+    def to_pandas(self, table: Literal["points", "runs"] = "points") -> "pd.DataFrame":
+        """Return the rows as a table of pandas (extra `pandas`)."""
+        pandas = require_pandas()
+        return pandas.DataFrame(self.rows(table))
+
+    def plot(self, x: str | None = None, kind: Literal["curves", "map"] = "curves") -> RunFigure:
+        """Return a figure: completed runs, mean cost and payload attitude over a setting; or a map of two settings.
+
+        Args:
+            x: Setting along the horizontal axis, as named in the grid; by default the first one.
+            kind: Curves, one for each combination of the other settings; or a map of cost over exactly two settings.
+
+        Raises: ArgumentError: no such setting, or no map of these settings.
+        """
+        experiment, measured = self._drawn_as(x, kind)
+        return drawn(lambda figure: fill(figure, experiment, measured))
+
+    def save(self, folder: "str | PathLike[str]") -> list[Path]:
+        """Write points.csv, cases.csv and the figure of `plot()` to a folder; return the files."""
+        target = Path(file_name(folder, "folder"))
+        try:
+            target.mkdir(parents=True, exist_ok=True)
+            tables = [target / "points.csv", target / "cases.csv"]
+            write_whole(tables[0], points_csv(self.points))
+            write_whole(tables[1], cases_csv(self._experiment.points, self._cases, self._results))
+            return [*tables, *draw(*self._drawn_as(None, "curves"), target)]
+        except OSError as error:
+            raise ArgumentError(f"folder: cannot write {target} ({error.strerror or error})") from error
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{self}</pre>"
+
+    def _drawn_as(self, x: str | None, kind: str) -> tuple[Experiment, list[PointStatistics]]:
+        """Return the experiment with the axes of a figure, and the statistics with the labels it is drawn by."""
+        names = list(self._experiment.points[0].labels)
+        along = names[0] if x is None else x
+        if along not in names:
+            raise ArgumentError(f"x: expected one of {', '.join(names)}, got {along!r}")
+        others = [name for name in names if name != along]
+        if kind == "map":
+            labels = [value for point in self._experiment.points for value in point.labels.values()]
+            if len(others) != 1 or not all(isinstance(value, float) for value in labels):
+                raise ArgumentError(f"kind: expected two settings with numbers for a map, got {', '.join(names)}")
+            axes = Axis(along, along), Axis(others[0], others[0])
+            experiment = Experiment(name=_NAME, points=self._experiment.points, x=axes[0], y=axes[1], drawn_as="map")
+            return experiment, self.points
+        if kind != "curves":
+            raise ArgumentError(f"kind: expected 'curves' or 'map', got {kind!r}")
+        measured = [
+            _replaced(m, {along: m.point.labels[along], **({_CURVE: _others(m.point, others)} if others else {})})
+            for m in self.points
+        ]
+        points = tuple(m.point for m in measured)
+        axis = Axis(along, along)
+        return Experiment(name=_NAME, points=points, x=axis, curves=_CURVE if others else None), measured
+
+
+def _replaced(m: PointStatistics, labels: Mapping[str, str | float]) -> PointStatistics:
+    """Return the statistics of a point under other labels."""
+    return replace(m, point=replace(m.point, labels=labels))
+
+
+def _others(point: Point, names: Sequence[str]) -> str:
+    """Return the settings of a point that tell its curve."""
+    texts = (f"{value:g}" if isinstance(value, float) else value for value in (point.labels[name] for name in names))
+    return ", ".join(f"{name} {text}" for name, text in zip(names, texts, strict=True))
+
+
+def _checked_grid(grid: Mapping[str, Iterable[Any]]) -> dict[str, list[Any]]:
+    """Return the values of each setting as a list."""
+    if not isinstance(grid, Mapping) or not grid:
+        raise ArgumentError(f"grid: expected a dictionary such as {{'links.delay_s': [0.0, 0.1]}}, got {grid!r:.60}")
+    found: dict[str, list[Any]] = {}
+    for name, values in grid.items():
+        if key_of(name) == "seed":
+            raise ArgumentError("grid: expected other settings than the seed (seeds=...), got the seed")
+        if isinstance(values, str | Mapping) or not isinstance(values, Iterable):
+            raise ArgumentError(f"{name}: expected a list of values, got {values!r:.60}")
+        found[name] = [value.item() if isinstance(value, np.generic) else value for value in values]
+        labels = [_label(value) for value in found[name]]
+        if not labels or len(set(labels)) < len(labels):
+            raise ArgumentError(f"{name}: expected different values, at least one, got {found[name]!r:.60}")
+    keys = [key_of(name) for name in found]
+    if len(set(keys)) < len(keys):
+        raise ArgumentError(f"grid: expected each setting once, got {', '.join(keys)}")
+    return found
+
+
+def _label(value: Any) -> str | float:
+    """Return a value as it tells a point from the others: a number, or text."""
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return float(value) if is_number else str(value)
+
+
+def _scenarios(base: "Base | Sequence[Base] | Mapping[str, Base]") -> dict[str, Scenario]:
+    """Return the scenarios of a sweep by label."""
+    if isinstance(base, Mapping):
+        found = {str(label): Scenario(one) for label, one in base.items()}
+    else:
+        several = [base] if isinstance(base, str | PathLike | Scenario) else list(base)
+        scenarios = [Scenario(one) for one in several]
+        found = {scenario.name: scenario for scenario in scenarios}
+        if len(found) < len(scenarios):
+            names = ", ".join(scenario.name for scenario in scenarios)
+            raise ArgumentError(f"base: expected different names, or a dictionary with labels, got {names}")
+    if not found:
+        raise ArgumentError("base: expected at least one scenario, got none")
+    return found
+
+
+def _simulator(workers: int | str | None) -> experiment_sweep.Simulate:
+    """Return the function that simulates cases."""
+    if isinstance(workers, str):
+        check_cluster(workers)
+        return partial(on_cluster, address=workers)
+    if workers is not None and (not isinstance(workers, int) or workers < 1):
+        raise ArgumentError(f"workers: expected a number >= 1 or the address of a Dask cluster, got {workers!r}")
+    jobs = joblib.cpu_count() if workers is None else workers
+    return lambda cases: on_cores(cases, min(jobs, len(cases)))

@@ -1,0 +1,61 @@
+"""The viewer of a run beside the user's own work: it is updated by a thread of this process."""
+
+import html
+import threading
+from typing import Self
+
+from protocol.scenario.setup import Setup
+from transport.log.run_log import RunLog
+from transport.scene.scene import SceneBuilder
+from transport.viewer.viewer import Viewer
+
+# Height of the viewer in a notebook, pixels.
+_HEIGHT = 600
+
+
+class RunViewer:
+    """Viewer of a run in this process; a context that closes it, or `close()` does.
+
+    Attributes:
+        address: URL for browsers.
+    """
+
+    def __init__(self, setup: Setup, log: RunLog, host: str, port: int) -> None:
+        self._viewer = Viewer(SceneBuilder.of(setup, log), host=host, port=port, notice=log.cut)
+        self.address = self._viewer.address
+        self._closed = threading.Event()
+        self._thread = threading.Thread(target=self._show, name="viewer", daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        return f"RunViewer({self.address}{', closed' if self._closed.is_set() else ''})"
+
+    def _repr_html_(self) -> str:
+        address = html.escape(self.address)
+        if self._closed.is_set():
+            return f"<p>{address} (closed)</p>"
+        frame = f'<iframe src="{address}" width="100%" height="{_HEIGHT}" style="border:0"></iframe>'
+        return f'<p><a href="{address}" target="_blank">{address}</a></p>{frame}'
+
+    def wait(self) -> None:
+        """Wait until the viewer is closed; Ctrl-C closes it."""
+        try:
+            self._closed.wait()
+        except KeyboardInterrupt:
+            self.close()
+
+    def close(self) -> None:
+        """Stop the server and disconnect the browsers; a second time does nothing."""
+        if not self._closed.is_set():
+            self._closed.set()
+            self._thread.join()
+            self._viewer.close()
+
+    def _show(self) -> None:
+        self._viewer.show_until(self._closed.is_set)
