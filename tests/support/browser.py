@@ -170,7 +170,7 @@ class Browser:
     def plots(self) -> list[str]:
         """Return the image of each plot in the panel."""
         script = "return [...document.querySelectorAll('.uplot canvas')].map((plot) => plot.toDataURL())"
-        found: list[str] = self.driver.execute_script(script)  # type: ignore[no-untyped-call]
+        found: list[str] = self.driver.execute_script(script)
         return found
 
     def pixels(self) -> Any:

@@ -4,6 +4,7 @@ import json
 import re
 import shlex
 import signal
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -59,15 +60,21 @@ def test_the_load_stays_in_the_air(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         found: dict[str, Any] = json.loads(invoke("status", "--format", "json"))
         return found
 
+    def has(members: list[int]) -> bool:
+        return bool(status()["members"] == members)
+
+    def is_at(tick: int) -> bool:
+        return bool(status()["tick"] >= tick)
+
     try:
         assert wait_for(is_flying(tmp_path / "runs" / "played", TEAM)), process.communicate(timeout=10)
         members = [1, 2, 3, 4]
         for words in commands:
             invoke(*words, *(["--once"] if words == ["top"] else []))  # it shows the agents until the run ends
             members = {"kill": [1, 3, 4], "stop": [1, 3, 4]}.get(words[1], [1, 2, 3, 4]) if len(words) > 1 else members
-            assert wait_for(lambda members=members: status()["members"] == members), words
+            assert wait_for(partial(has, members)), words
             until = status()["tick"] + BETWEEN
-            assert wait_for(lambda until=until: status()["tick"] >= until)
+            assert wait_for(partial(is_at, until))
     finally:
         process.send_signal(signal.SIGINT)
         _, errors = process.communicate(timeout=PATIENCE_S)

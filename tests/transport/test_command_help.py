@@ -57,7 +57,7 @@ def test_values_have_names_in_capitals() -> None:
             continue
         for parameter in command.params:
             is_flag = getattr(parameter, "is_flag", False)
-            name = parameter.metavar or ""  # type: ignore[attr-defined]
+            name = parameter.metavar or ""
             assert is_flag or re.fullmatch(r"[A-Z=|]+", name), f"{command.name}: {parameter.name}"
 
 

@@ -3,6 +3,7 @@
 import gc
 import sys
 from collections.abc import Mapping, Sequence
+from functools import partial
 from importlib import import_module
 from typing import Any, ClassVar
 
@@ -53,7 +54,7 @@ class Command(TyperCommand):
         found = ["[OPTIONS]"]
         for parameter in self.get_params(ctx):
             if parameter.param_type_name == "argument":
-                name = parameter.display_name_raw + ("..." if parameter.nargs != 1 else "")
+                name = _name(parameter) + ("..." if parameter.nargs != 1 else "")
                 found.append(name if parameter.required else f"[{name}]")
         return found
 
@@ -64,13 +65,16 @@ class Command(TyperCommand):
             record = parameter.get_help_record(ctx)
             if record is not None:
                 is_argument = parameter.param_type_name == "argument"
-                rows[parameter.param_type_name].append(
-                    (parameter.display_name_raw, record[1]) if is_argument else record
-                )
+                rows[parameter.param_type_name].append((_name(parameter), record[1]) if is_argument else record)
         for kind, records in rows.items():
             if records:
                 with formatter.section(f"{kind.capitalize()}s"):
                     formatter.write_dl(records)
+
+
+def _name(parameter: Any) -> str:
+    """Return the name of an argument in the help."""
+    return str(parameter.metavar or parameter.name)
 
 
 class LazyGroup(TyperGroup):
@@ -86,12 +90,21 @@ class LazyGroup(TyperGroup):
             **self.commands,
         }
 
-    def main(self, *arguments: Any, standalone_mode: bool = True, **options: Any) -> Any:
+    def main(
+        self,
+        args: Sequence[str] | None = None,
+        prog_name: str | None = None,
+        complete_var: str | None = None,
+        standalone_mode: bool = True,
+        windows_expand_args: bool = True,
+        **extra: Any,
+    ) -> Any:
         """Run the command line; a usage error is one line, like every other error."""
+        run = partial(super().main, args, prog_name, complete_var, False, windows_expand_args, **extra)
         if not standalone_mode:
-            return super().main(*arguments, standalone_mode=False, **options)
+            return run()
         try:
-            code = super().main(*arguments, standalone_mode=False, **options)
+            code = run()
         except typer.TyperException as error:
             context = getattr(error, "ctx", None)
             path = "transport" if context is None else context.command_path

@@ -73,10 +73,12 @@ def _oldest_plans_s(setup: Setup, log: RunLog) -> dict[int, tuple[Array, Array]]
     for report in log.of(StepReport):
         if report.agent in rows and any(age >= 0 for age in report.plan_ages):
             rows[report.agent][report.tick] = max(report.plan_ages)
-    found = {}
+    found: dict[int, tuple[Array, Array]] = {}
     for agent, ages in rows.items():
         if ages:
             ticks = np.arange(min(ages), max(ages) + 1)
-            values = np.array([ages.get(int(tick), np.nan) for tick in ticks])  # a gap while the agent made no step
-            found[agent] = ticks * period_s, values * period_s
+            values: Array = np.array(
+                [ages.get(int(tick), np.nan) for tick in ticks]
+            )  # a gap while the agent made no step
+            found[agent] = np.asarray(ticks * period_s, dtype=float), values * period_s
     return found
