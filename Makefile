@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 SCENARIO ?= paper
 
-.PHONY: run test test-slow test-all bench figures lint format lock audit licences clean help
+.PHONY: run test test-slow test-all bench figures docs reference lint format lock audit licences clean help
 
 help: ## show this
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1 \t/'
@@ -25,10 +25,20 @@ bench: $(VENV)/.installed-bench ## measure steps, solvers, messages and runs, an
 
 figures: $(VENV)/.installed ## run every experiment and renew figures and tables of README and docs (50 minutes)
 	@$(BIN)/python docs/scenario_page.py
+	@$(BIN)/python docs/values_page.py
 	@$(BIN)/python docs/guarantees_page.py
 	@$(BIN)/python docs/time_page.py
 	@$(BIN)/python docs/engines_page.py
 	@$(BIN)/python docs/results_page.py
+
+docs: $(VENV)/.installed-docs ## build the site into build/site; open build/site/index.html (no server, no network)
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+	@echo build/site/index.html
+
+reference: $(VENV)/.installed ## renew pages and pictures made from the code: keys of the scenario, commands, architecture
+	@$(BIN)/python docs/keys_page.py
+	@$(BIN)/python docs/commands_page.py
+	@$(BIN)/python docs/pictures.py
 
 lint: $(VENV)/.installed-dev ## style and types, as continuous integration sees them
 	@$(BIN)/ruff check .
@@ -76,6 +86,9 @@ $(VENV)/.installed-test: pyproject.toml | $(BIN)/python
 
 $(VENV)/.installed-bench: pyproject.toml | $(BIN)/python
 	$(call install,[bench])
+
+$(VENV)/.installed-docs: pyproject.toml | $(BIN)/python
+	$(call install,[docs])
 
 $(VENV)/.installed-supply: pyproject.toml | $(BIN)/python
 	$(call install,[supply])

@@ -223,7 +223,7 @@ SECTIONS = (
     ),
     Section(
         name="deaths",
-        title="An agent killed for good, at any time",
+        title="An agent killed without a restart, at any time",
         text="Random agents killed at random times, one in each run, never restarted. Their UAVs play the last plan "
         "and then hold hover thrust and level attitude.",
         columns={**SCENARIO, "killed": "agent", "at, s": "killed_s", **OUTCOME},
@@ -250,7 +250,7 @@ SECTIONS = (
     ),
     Section(
         name="ablation",
-        title="What each part contributes",
+        title="Contribution of each part",
         text="One setting changed at a time, on a perfect network and on one with 200 ms delay and 30 % loss.",
         columns={
             **SCENARIO,
@@ -263,7 +263,7 @@ SECTIONS = (
     ),
     Section(
         name="horizon",
-        title="What horizon and terminal weight decide",
+        title="Effect of horizon and terminal weight",
         text="The paper's N_p = 20 is a choice, and it prints no terminal weight. Each horizon with each weight where "
         "the prediction is open loop, on a perfect network and with a delay of 200 ms.",
         columns={

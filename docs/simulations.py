@@ -25,6 +25,7 @@ from transport.flight.header import machine, versions
 from transport.log.run_log import Recorded, RunLog
 
 RESULTS = ROOT / "runs" / "figures" / "simulations"
+DIVERGED = "diverged"
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,6 +120,11 @@ def attitude(result: Result) -> str:
 def cost(result: Result) -> str:
     """Return the mean cost."""
     return significant(result.cost_mean)
+
+
+def or_diverged(result: Result, cell: Callable[[Result], str]) -> str:
+    """Return a cell, or when the run diverged."""
+    return cell(result) if result.completed else f"{DIVERGED} at {result.end_s:.0f} s ({result.phase})"
 
 
 def one(found: Found, run: Run) -> Result:

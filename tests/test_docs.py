@@ -7,16 +7,12 @@ import sys
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, get_args, get_origin
+from typing import get_args
 
 import pytest
-from pydantic.fields import FieldInfo
 from typer.core import TyperGroup
 
 from protocol.scenario.file import find_scenario, read_scenario, validate
-from protocol.scenario.link_sections import LinkSection
-from protocol.scenario.schema import Scenario
-from protocol.scenario.sections import Section
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Reason
 from tests.support.command_tree import Command, below, command_of, every_command, root
@@ -27,21 +23,17 @@ PACKAGES = ("model", "mpc", "protocol", "agent", "plant", "coordinator", "deploy
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 EQUATIONS = ROOT / "docs" / "equations.md"
 SCENARIO = ROOT / "docs" / "scenario.md"
+KEYS = ROOT / "docs" / "keys.md"
 
 # A citation is the document's name, as text or as a link, and then numbers and ranges; or one number "in" it.
 NUMBERS = r"\(\d+[a-z]?\)(?:-\(\d+[a-z]?\))?"
 CITATION = re.compile(rf"equations\.md\)?\s+({NUMBERS}(?:,\s+{NUMBERS})*)|({NUMBERS}) (?:of|in) docs/equations\.md")
 RANGE = re.compile(r"\((\d+)([a-z]?)\)(?:-\((\d+)[a-z]?\))?")
 
-SECTION_HEADING = re.compile(r"### `(\[{1,2})([\w.]+)\]{1,2}`")
-TOP_LEVEL = "### Top level"
-KEY_ROW = re.compile(r"\| `(\w+)` \| [^|]+ \| ([^|]+) \| [^|]+ \|")
-# These have the keys of a link besides their own; the document says so instead of repeating them.
-LIKE_LINKS = ("links.measurement", "links.actuation", "links.override", "links.change")
-
 # Programs that renew the measured tables of a document.
 PAGES = {
     "scenario.md": "scenario_page",
+    "values.md": "values_page",
     "guarantees.md": "guarantees_page",
     "time.md": "time_page",
     "engines.md": "engines_page",
@@ -103,83 +95,14 @@ def test_equations_are_numbered_without_gaps() -> None:
     assert {tag[:-1] for tag in numbers if not tag.isdecimal()} <= {str(n) for n in plain}
 
 
-def nested(annotation: Any) -> tuple[type[Section], bool] | None:
-    """The section inside the type of a field, and whether the field is a list of them; None for a value."""
-    if isinstance(annotation, type) and issubclass(annotation, Section):
-        return annotation, False
-    for argument in get_args(annotation):
-        found = nested(argument)
-        if found is not None:
-            return found[0], found[1] or get_origin(annotation) is list
-    return None
-
-
-def sections(
-    section: type[Section] = Scenario, path: str = "", is_list: bool = False
-) -> Iterator[tuple[str, bool, dict[str, FieldInfo]]]:
-    """Every section of a scenario: dotted path, whether it is a list of tables, and its values by key."""
-    values = {}
-    for name, field in section.model_fields.items():
-        if path in LIKE_LINKS and name in LinkSection.model_fields:
-            continue
-        key = field.alias or name
-        inner = nested(field.annotation)
-        if inner is None:
-            values[key] = field
-        else:
-            yield from sections(inner[0], f"{path}.{key}" if path else key, inner[1])
-    if values or path in LIKE_LINKS:
-        yield path, is_list, values
-
-
-def described() -> dict[str, tuple[bool, dict[str, str]]]:
-    """The same as docs/scenario.md has it: by path, whether it is a list, and the default column by key."""
-    found: dict[str, tuple[bool, dict[str, str]]] = {}
-    rows: dict[str, str] | None = None
-    for line in prose(SCENARIO).splitlines():
-        heading, row = SECTION_HEADING.fullmatch(line), KEY_ROW.fullmatch(line)
-        if heading or line == TOP_LEVEL:
-            path, brackets = (heading[2], heading[1]) if heading else ("", "[")
-            assert path not in found, f"docs/scenario.md describes [{path}] twice"
-            rows = {}
-            found[path] = brackets == "[[", rows
-        elif line.startswith("#"):
-            rows = None
-        elif row and rows is not None:
-            assert row[1] not in rows, f"docs/scenario.md describes {row[1]} twice"
-            rows[row[1]] = row[2]
-    return found
-
-
-def test_scenario_keys_are_described() -> None:
-    """docs/scenario.md has a table for each section of a scenario, with a row for each key and no other."""
-    expected = {path: (is_list, set(values)) for path, is_list, values in sections()}
-    assert {path: (is_list, set(rows)) for path, (is_list, rows) in described().items()} == expected
-    assert sum(len(keys) for _, keys in expected.values()) > 60  # the walk has really been through the tree
-
-
-def test_defaults_are_described() -> None:
-    """The default column of docs/scenario.md is the default: "required", "left out" for none, or the TOML value."""
-    tables = described()
-    for path, _, values in sections():
-        for key, field in values.items():
-            cell = tables[path][1][key]
-            if field.is_required():
-                assert cell == "required", f"{path}.{key}"
-            elif field.default is None:
-                assert cell == "left out", f"{path}.{key}"
-            else:
-                value = tomllib.loads(f"value = {cell.strip('`')}")["value"]
-                assert (value, type(value)) == (field.default, type(field.default)), f"{path}.{key}"
-
-
 def test_scenario_examples_are_valid() -> None:
-    """TOML in docs/scenario.md, put after the paper's scenario, makes one that can be flown."""
-    blocks = [text for language, text in FENCE.findall(SCENARIO.read_text(encoding="utf-8")) if language == "toml"]
-    assert blocks
-    for block in blocks:
-        tree = tomllib.loads(PAPER.read_text(encoding="utf-8") + "\n" + block)
-        Setup.of(validate(tree, "docs/scenario.md"), "docs/scenario.md")
+    """TOML in docs/scenario.md and docs/keys.md, put after the paper's scenario, makes one that can be flown."""
+    for document in (SCENARIO, KEYS):
+        blocks = [text for language, text in FENCE.findall(document.read_text(encoding="utf-8")) if language == "toml"]
+        assert blocks
+        for block in blocks:
+            tree = tomllib.loads(PAPER.read_text(encoding="utf-8") + "\n" + block)
+            Setup.of(validate(tree, document.name), document.name)
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
@@ -286,5 +209,5 @@ def test_help_shows_whole_sentences() -> None:
 
 def test_reasons_of_refusals_are_described() -> None:
     """The table in docs/protocol.md has a row for each reason a message is refused for, and for no other."""
-    _, _, section = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8").partition("## What is refused\n")
+    _, _, section = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8").partition("## Refused messages\n")
     assert re.findall(r"^\| `(\w+)` \|", section, re.MULTILINE) == list(get_args(Reason))

@@ -38,6 +38,7 @@ RANGES: dict[str, Range] = {
     "speed": (1e-4, 1e4),
     "_m": (1e-12, 1e6),
     "way": (0.0, LONGEST_S),
+    "displacement_m": (0.0, 1e6),  # that of a path from a file is a difference of its rows
     "_mps": (1e-12, 1e4),
     "_mps2": (1e-6, 1e4),
     "_rad": (1e-12, 1e4),

@@ -1,6 +1,6 @@
 """The scenario: one validated tree that describes a run. Units are in the names; ids are 1-based.
 
-Every process of a run reads the same file; docs/scenario.md describes each key for people.
+Every process of a run reads the same file; keys.toml has unit and meaning of each key for people.
 """
 
 import hashlib

@@ -66,7 +66,7 @@ class LinkChange(Message):
     number: Number  # of the change in its run, from 1: a process that joins late receives all of them again
     source: End  # name of an end; empty for any agent
     target: End  # the same
-    settings: Text  # keys of a link and their new values, a JSON object (docs/scenario.md, `links`)
+    settings: Text  # keys of a link and their new values, a JSON object (docs/keys.md, `links`)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""The levels that section V reports, and the scale of the cost at which they hold (docs/scenario.md)."""
+"""The levels that section V reports, and the scale of the cost at which they hold (docs/values.md)."""
 
 import numpy as np
 import pytest

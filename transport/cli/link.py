@@ -28,7 +28,7 @@ def set_links(
     ] = None,
     distribution: Annotated[
         str | None,
-        Option("--distribution", metavar="NAME", help="Distribution of the random delay (docs/scenario.md)."),
+        Option("--distribution", metavar="NAME", help="Distribution of the random delay (docs/keys.md)."),
     ] = None,
     loss: Annotated[
         float | None, Option("--loss", metavar="PROBABILITY", min=0.0, max=1.0, help="Probability of packet loss.")

@@ -61,7 +61,7 @@ def _has(scenario: Scenario, key: str, value: str) -> bool:
 
 
 def _is_possible(scenario: Scenario, key: str, value: str) -> bool:
-    """Return whether a value can be combined with the scenario's other settings (docs/scenario.md, `[controller]`)."""
+    """Return whether a value can be combined with the scenario's other settings (docs/keys.md, `[controller]`)."""
     controller = scenario.controller
     chosen = {
         "controller.prediction": controller.prediction,

@@ -92,6 +92,8 @@ def _styled_curves(
         own = _curves(experiment, [m for m in measured if m.point.scenario == scenario])
         for index, (name, points) in enumerate(own.items()):
             shape = index if experiment.curves is not None else place
+            if len(scenarios) == 1:  # nothing else to tell by colour
+                colour = CURVES[shape % len(CURVES)][0]
             _, marker, line = CURVES[shape % len(CURVES)]
             style = {"color": colour, "marker": marker, "linestyle": line, "label": f"{scenario}\n{name}"}
             found.append((points, style))
@@ -109,7 +111,11 @@ def _legend_rows(curves: Sequence[tuple[list[PointStatistics], dict[str, Any]]],
     square: Any = {"marker": "s", "linestyle": "none", "markersize": 5.0}
     first = [Line2D([], [], color=colour, label=name, **square) for name, colour in colours.items()]
     second = [Line2D([], [], color="#555555", label=name, markersize=MARKER, **how) for name, how in shapes.items()]
-    return [first, *(second[i : i + 2] for i in range(0, len(second), 2))]
+    if len(first) == 1 and second:
+        for handle, (_, style) in zip(second, curves, strict=False):
+            handle.set_color(style["color"])
+        first = []
+    return [*([first] if first else []), *(second[i : i + 2] for i in range(0, len(second), 2))]
 
 
 def _draw_legend_rows(figure: Figure, rows: Sequence[list[Line2D]]) -> None:

@@ -7,7 +7,7 @@ from transport.experiments.cases import Point
 from transport.experiments.errors import refused
 from transport.experiments.experiment import NONE, SMALLEST, Axis, Experiment, check_numbers, distinct
 
-# Standard deviation of one unit of `links.jitter_s`, and the mean it adds, by distribution (docs/scenario.md).
+# Standard deviation of one unit of `links.jitter_s`, and the mean it adds, by distribution (docs/keys.md).
 # A lognormal number whose logarithm has unit variance has a mean of 1 / sqrt(e - 1) standard deviations.
 JITTER = {
     "uniform": (1.0 / math.sqrt(12.0), 0.0),

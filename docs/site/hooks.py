@@ -1,0 +1,118 @@
+"""Steps of the site's build beside those of MkDocs.
+
+README.md and CHANGELOG.md become pages, files outside docs/ that a page links to are copied into the site, formulas
+become MathML and flowcharts SVG. A page that cannot be converted ends the build.
+"""
+
+import re
+import sys
+from pathlib import Path, PurePosixPath
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.exceptions import PluginError
+from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
+
+FOLDER = Path(__file__).resolve().parent
+sys.path.insert(0, str(FOLDER))  # a hook is loaded by its path, without its package
+
+from diagrams import DiagramError, drawn  # noqa: E402
+from mathml import FormulaError, with_mathml  # noqa: E402
+
+ROOT = FOLDER.parent.parent
+# Pages made of other files, by their name in the site; links in these files start at the root of the project.
+OUTSIDE = {
+    "index.md": "README.md",
+    "changelog.md": "CHANGELOG.md",
+    "python-reference.md": "docs/site/python-reference.md",
+}
+# Where README.md finds its pictures on the page of the package.
+PICTURES = re.compile(r"https://raw\.githubusercontent\.com/[\w./-]+?/main/docs/(?=images/)")
+TO_FOLDER = re.compile(r"\[([^\]\n]*)\]\(([^)\s#]+)\)")
+LINK = re.compile(r"(\]\()([^)\s#]+)((?:#[^)\s]*)?\))")
+# A link whose text is the name of a page.
+NAMED = re.compile(r"\[(?:docs/)?[\w-]+\.md\](\((?:docs/)?([\w-]+\.md)(?:#[^)\s]*)?\))")
+TITLE = re.compile(r"^# (.+)$", re.MULTILINE)
+CHART = re.compile(r"^```mermaid\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+FENCE = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add pages from outside docs/, the site's own style and script, and files that pages link to."""
+    for name, source in OUTSIDE.items():
+        files.append(File.generated(config, name, content=(ROOT / source).read_text(encoding="utf-8")))
+    for asset in sorted((FOLDER / "assets").iterdir()):
+        files.append(File.generated(config, f"assets/{asset.name}", abs_src_path=str(asset)))
+    linked: set[PurePosixPath] = set()
+    for file in files.documentation_pages():
+        base = PurePosixPath("." if file.src_uri in OUTSIDE else "docs")
+        text = FENCE.sub("", file.content_string)
+        linked |= {path for _, target, _ in LINK.findall(text) if (path := _copied(base, target)) is not None}
+    for path in sorted(linked):
+        files.append(File.generated(config, f"files/{path}", abs_src_path=str(ROOT / path)))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
+    """Point links at the files of the site, name pages by their titles, and draw flowcharts."""
+    base = PurePosixPath("." if page.file.src_uri in OUTSIDE else "docs")
+
+    def titled(found: re.Match[str]) -> str:
+        page_file = ROOT / "docs" / found[2]
+        title = TITLE.search(page_file.read_text(encoding="utf-8")) if page_file.exists() else None
+        return f"[{title[1]}]{found[1]}" if title else found[0]
+
+    def without_folder(found: re.Match[str]) -> str:
+        is_folder = "://" not in found[2] and (ROOT / base / found[2]).is_dir()
+        return found[1] if is_folder else found[0]  # a site has no lists of files
+
+    def pointed(found: re.Match[str]) -> str:
+        return f"{found[1]}{_target(base, found[2])}{found[3]}"
+
+    def chart(found: re.Match[str]) -> str:
+        try:
+            return f'<div class="diagram">{drawn(found[1])}</div>'
+        except DiagramError as error:
+            raise PluginError(f"{page.file.src_uri}: {error}") from error
+
+    return CHART.sub(
+        chart, LINK.sub(pointed, NAMED.sub(titled, TO_FOLDER.sub(without_folder, PICTURES.sub("", markdown))))
+    )
+
+
+def on_page_content(html: str, page: Page, **_: object) -> str:
+    """Convert formulas."""
+    try:
+        return with_mathml(html, page.file.src_uri)
+    except FormulaError as error:
+        raise PluginError(str(error)) from error
+
+
+def _resolved(base: PurePosixPath, target: str) -> PurePosixPath | None:
+    """Return the file of the project that a link leads to, relative to the project; None for an address."""
+    if "://" in target or target.startswith("mailto:"):
+        return None
+    path = (ROOT / base / target).resolve()
+    return PurePosixPath(path.relative_to(ROOT).as_posix()) if path.is_file() and path.is_relative_to(ROOT) else None
+
+
+def _copied(base: PurePosixPath, target: str) -> PurePosixPath | None:
+    """Return the path of a file that the site needs a copy of; None if it has it as a page or a picture."""
+    path = _resolved(base, target)
+    if path is None or str(path) in OUTSIDE.values():
+        return None
+    inside = path.parts[0] == "docs" and (path.suffix == ".md" or path.parts[1] == "images")
+    return None if inside else path
+
+
+def _target(base: PurePosixPath, target: str) -> str:
+    """Return a link of a page as the site needs it; all pages of the site are in one folder."""
+    path = _resolved(base, target)
+    if path is None:
+        return target
+    for name, source in OUTSIDE.items():
+        if str(path) == source:
+            return name
+    if _copied(base, target) is not None:
+        return f"files/{path}"
+    return str(path.relative_to("docs"))
