@@ -132,7 +132,7 @@ def test_figures_are_shown_by_notebooks(run: transport.Run) -> None:
     picture = figure._repr_png_()
     assert picture.startswith(b"\x89PNG")
     assert len(figure.axes) == 4
-    with pytest.raises(transport.ArgumentError, match="figure: expected one of performance, trajectories, timing"):
+    with pytest.raises(transport.ArgumentError, match="expected one of performance, inputs, trajectories, timing"):
         run.plot("cost")  # type: ignore[arg-type]
 
 
