@@ -14,7 +14,7 @@ def main() -> None:
         wake_with_its_end()
         for number in set(ending_signals()) - {signal.SIGINT}:
             signal.signal(number, signal.default_int_handler)  # before the imports: they take a while
-        if sys.argv[1:2] == ["run"] and "--help" not in sys.argv:
+        if sys.argv[1:2] == ["run"] and not {"-h", "--help"} & set(sys.argv):
             fork_server()  # imports for the processes of the run while this process imports for itself
         from transport.cli.main import app
 

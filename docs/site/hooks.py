@@ -56,6 +56,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
     """Point links at the files of the site, name pages by their titles, and draw flowcharts."""
     base = PurePosixPath("." if page.file.src_uri in OUTSIDE else "docs")
+    if page.file.src_uri == "keys.md":
+        page.meta["search"] = {"boost": 4}  # the definition of a key comes before pages that mention it
 
     def titled(found: re.Match[str]) -> str:
         page_file = ROOT / "docs" / found[2]

@@ -19,7 +19,7 @@ from protocol.admission.samples import Sample
 from protocol.admission.unbundling import Unbundling
 from protocol.network.endpoints import Endpoints
 from protocol.network.health import Offset, usage
-from protocol.network.joining import Expected, Peers
+from protocol.network.joining import WAITING_S, Expected, Peers, waiting_for
 from protocol.network.session import BusError, fetch_answer, in_bounded_time, log_errors, open_session
 from protocol.wire.codec import VERSION, encode
 from protocol.wire.keys import RECORDER, WATCHER, Keys
@@ -135,23 +135,33 @@ class Bus:
         """Bundle that the last event came in, or None."""
         return self._unbundling.bundle
 
-    def join(self, expected: Collection[str], timeout_s: float) -> Interrupted | None:
+    def join(
+        self, expected: Collection[str], timeout_s: float, on_wait: Callable[[str], object] = lambda _: None
+    ) -> Interrupted | None:
         """Announce this process and wait until all expected processes are up.
+
+        Every `WAITING_S` seconds `on_wait` is called with a sentence about the missing ones.
 
         Returns: None when all are up, or the interruption that came first.
         Raises: BusError: a process did not appear, runs another scenario, or has this name already.
         """
         self._declare_token(self._keys.alive(self.name, self.incarnation, self._digest, VERSION))
         deadline = time.monotonic() + timeout_s
+        sign_s = time.monotonic() + WAITING_S
         early: list[tuple[int, _Item]] = []
         awaited = Expected(self.name, expected, lambda: self.ask(COORDINATOR, "status", timeout_s=1.0))
         while missing := awaited.missing(self._peers.alive):
-            left_s = deadline - time.monotonic()
+            now_s = time.monotonic()
+            if now_s >= sign_s:
+                sign_s += WAITING_S
+                on_wait(waiting_for(missing, deadline - now_s))
             try:
-                at_ns, item = self._inbox.get(timeout=max(0.0, min(left_s, awaited.update_every_s)))
+                at_ns, item = self._inbox.get(
+                    timeout=max(0.0, min(deadline, sign_s, now_s + awaited.update_every_s) - now_s)
+                )
             except queue.Empty:
-                if left_s > awaited.update_every_s:
-                    awaited.update()
+                if time.monotonic() < deadline:
+                    awaited.update_if_begun()
                     continue
                 called = ", ".join(self._endpoints.connect) or "none: it is called"
                 raise BusError(

@@ -13,6 +13,13 @@ from protocol.wire.names import COORDINATOR, PLANT
 
 # How often a process that joins a run that has begun asks for the processes that still take part.
 _ASK_EVERY_S = 0.5
+# Interval between two signs of life of a process that waits for others, s.
+WAITING_S = 5.0
+
+
+def waiting_for(missing: Collection[str], left_s: float) -> str:
+    """Return a sentence about the processes that one waits for."""
+    return f"waiting for {', '.join(sorted(missing))}; gives up in {max(0.0, left_s):.0f} s"
 
 
 class Peers:
@@ -106,6 +113,11 @@ class Expected:
         """Note that the run has begun: the coordinator is ready, which it is once it has seen all processes."""
         self.update_every_s = _ASK_EVERY_S
         self.update()
+
+    def update_if_begun(self) -> None:
+        """Ask the coordinator again if the run has begun; before, it does not answer."""
+        if self.update_every_s < math.inf:
+            self.update()
 
     def update(self) -> None:
         """Ask the coordinator; in a run that has begun wait only for the processes that take part, and observers."""

@@ -101,7 +101,7 @@ def run_node(
             node.publish_ns += time.monotonic_ns() - begun_ns
 
         bus.before_wait = settle
-        interruption = bus.join(expected, place.join_timeout_s)
+        interruption = bus.join(expected, place.join_timeout_s, lambda text: journal.log("waiting", text=text))
         if interruption is None:
             clock: dict[str, float] = {}
             if bus.offset is not None:

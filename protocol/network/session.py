@@ -1,6 +1,7 @@
 """Zenoh sessions: their configuration, requests from outside a run, and a router."""
 
 import json
+import re
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -22,10 +23,15 @@ _MAX_RECEIVED_BYTES = 2 * MAX_BYTES
 
 # Duration of one attempt of a client to connect.
 _TRY_MS = 500
+_SOURCE_FILE = re.compile(r"\s*\bat \S+\.rs:\d+\.?")
 
 
 class BusError(RuntimeError):
     """The network cannot be used: the text says what was tried and what to do."""
+
+
+class UnreachableError(BusError):
+    """No endpoint that a client may connect to accepts it."""
 
 
 def open_session(endpoints: Endpoints, patience_s: float, name: str, keys: Keys, reach_s: float) -> zenoh.Session:
@@ -48,9 +54,7 @@ def open_session(endpoints: Endpoints, patience_s: float, name: str, keys: Keys,
                 raise BusError(_listen_problem(endpoints, str(error))) from error
             if time.monotonic() > deadline:
                 where = ", ".join(endpoints.connect)
-                raise BusError(
-                    f"{name}: no router accepts it at {where} within {reach_s:g} s ({str(error)[:200]})"
-                ) from error
+                raise UnreachableError(f"{name}: no router accepts it at {where} within {reach_s:g} s") from error
 
 
 def configuration(endpoints: Endpoints, patience_s: float, name: str, keys: Keys) -> dict[str, Any]:
@@ -93,7 +97,8 @@ def _listen_problem(endpoints: Endpoints, detail: str) -> str:
     where = ", ".join(endpoints.listen)
     if "in use" in detail:
         return f"{where}: address already in use; choose another base port, or end the process that has it"
-    return f"{where}: cannot listen ({detail[:200]})"
+    # Zenoh's texts name files of its source.
+    return f"{where}: cannot listen ({_SOURCE_FILE.sub('', detail)[:200].strip()})"
 
 
 def ask(
@@ -122,7 +127,12 @@ def ask(
     # One endpoint may be a process or a router; a client can connect to either.
     endpoints = Endpoints(listen=[], connect=connect, mode="client" if len(connect) == 1 else "peer", security=security)
     deadline = time.monotonic() + timeout_s
-    session = open_session(endpoints, 1.0, OPERATOR if what in ACTING else WATCHER, keys, timeout_s)
+    try:
+        session = open_session(endpoints, 1.0, OPERATOR if what in ACTING else WATCHER, keys, timeout_s)
+    except UnreachableError as error:
+        raise BusError(
+            f"{name} of run {run} is not reachable at {', '.join(connect)}: it has ended, or takes other keys"
+        ) from error
     try:
         while not any(reply.ok for reply in session.liveliness().get(f"{keys.prefix}/alive/{name}/**", timeout=1.0)):
             if time.monotonic() > deadline:

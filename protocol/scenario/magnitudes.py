@@ -44,7 +44,7 @@ RANGES: dict[str, Range] = {
     "_rad": (1e-12, 1e4),
     "_rads": (1e-12, 1e4),
     "position_m": (1e-12, 1e4),
-    "_kg": (1e-6, 1e6),
+    "_kg": (1e-9, 1e6),
     "_kgm2": (1e-12, 1e9),
     "rod_length_m": (1e-3, 1e4),
     "rho_m": (1e-12, 1e4),

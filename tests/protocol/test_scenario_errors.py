@@ -199,7 +199,7 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
     # Faults.
     ("faults.event=[{at_s=1,do='kill'}]", "faults.event.1.target", "expected a value, got nothing"),
     ("faults.event=[{at_s=-1,do='kill',target='plant'}]", "faults.event.1.at_s", "expected a number >= 0.0, got -1"),
-    ("faults.event=[{at_s=1,do='stab',target='plant'}]", "faults.event.1.do", "or 'release', got 'stab'"),
+    ("faults.event=[{at_s=1,do='stab',target='plant'}]", "faults.event.1.do", "'release' or 'degrade', got 'stab'"),
     (
         "faults.event=[{at_s=1,do='kill',target='agent5'}]",
         "faults.event.1.target",

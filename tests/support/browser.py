@@ -167,6 +167,12 @@ class Browser:
         self.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", slider)
         slider.send_keys(*keys)
 
+    def plots(self) -> list[str]:
+        """Return the image of each plot in the panel."""
+        script = "return [...document.querySelectorAll('.uplot canvas')].map((plot) => plot.toDataURL())"
+        found: list[str] = self.driver.execute_script(script)
+        return found
+
     def pixels(self) -> Any:
         """Return the pixels of the 3D view, (height, width, 3), 0..1."""
         data = self.driver.find_element("css selector", "canvas").screenshot_as_png

@@ -150,6 +150,18 @@ def test_messages_of_announced_processes_are_accepted(network: tuple[Plant, zeno
     assert plant.bus.next(PATIENCE_S) == Presence("coordinator", 0, alive=False)
 
 
+def test_a_process_that_waits_gives_signs_of_life(
+    network: tuple[Plant, zenoh.Session], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """While others are missing, a sentence names them at every interval, until the time is over."""
+    monkeypatch.setattr("protocol.network.bus.WAITING_S", 0.1)
+    said: list[str] = []
+    with pytest.raises(BusError, match="no sign of agent1, agent2 within 1 s"):
+        network[0].bus.join(["agent1", "agent2"], 1.0, said.append)
+    assert 2 <= len(said) <= 10
+    assert all(text.startswith("waiting for agent1, agent2; gives up in ") for text in said)
+
+
 @pytest.mark.slow
 def test_a_flood_delays_no_timeout(network: tuple[Plant, zenoh.Session]) -> None:
     """An endless flood of bad messages does not delay the end of a wait for events."""

@@ -36,7 +36,7 @@ def succeed(*arguments: str) -> str:
 
 def members() -> list[int]:
     """Return the agents on the roster of the most recent run in runs/."""
-    found: list[int] = json.loads(succeed("status"))["members"]
+    found: list[int] = json.loads(succeed("status", "--format", "json"))["members"]
     return found
 
 
@@ -51,7 +51,9 @@ def operated(
         patch.chdir(home)
         try:
             assert wait_for(is_flying(home / "runs" / "live", TEAM)), process.communicate(timeout=10)
-            assert wait_for(lambda: invoke("status")[0] == 0 and json.loads(succeed("status"))["tick"] > 5)
+            assert wait_for(
+                lambda: invoke("status")[0] == 0 and json.loads(succeed("status", "--format", "json"))["tick"] > 5
+            )
             refusals = [
                 invoke("fault", "kill", "agent9"),
                 invoke("fault", "stab", "agent1"),
@@ -74,8 +76,8 @@ def operated(
             succeed("fault", "continue", "agent4")
             assert wait_for(lambda: members() == [1, 2, 3, 4])
             succeed("link", "clear")
-            tick = json.loads(succeed("status"))["tick"]
-            assert wait_for(lambda: json.loads(succeed("status"))["tick"] > tick + 10)
+            tick = json.loads(succeed("status", "--format", "json"))["tick"]
+            assert wait_for(lambda: json.loads(succeed("status", "--format", "json"))["tick"] > tick + 10)
         finally:
             process.send_signal(signal.SIGINT)
             output, errors = process.communicate(timeout=PATIENCE_S)
@@ -99,11 +101,11 @@ def test_impossible_requests_are_refused(operated: tuple[dict[str, Any], Path, l
     """A process, action, link or run that does not exist is refused in one line with expected and got, exit code 2."""
     expected = [
         "target: expected one of coordinator, plant, agent1, agent2, agent3, agent4, got 'agent9'",
-        "do: expected one of kill, stop, continue, restart, got 'stab'",
+        "ACTION: expected one of kill, stop, continue, restart, got 'stab'",
         "target: expected an agent to restart, as a run ends with its plant",
         "target: expected one of coordinator, plant, agent1, agent2, agent3, agent4, got 'recorder'",
         "from: expected one of plant, agent1, agent2, agent3, agent4, got 'agent9'",
-        "distribution",
+        "distribution: expected 'uniform'",
         "expected at least one of --delay, --jitter, --loss, ..., got none",
         "no active run in nowhere; name its folder with --run",
         "agent3 is not running",

@@ -84,7 +84,7 @@ def test_a_run_under_attack(sort: str, exchange: str, tmp_path: Path) -> None:
         attempts.start()
         with attack.session(endpoints, attack.tls(keyring("one"), "agent1")) as forger:
             # Asked within this process: on a busy host the run would end before a new process has started.
-            status = ["status", "--run", str(tmp_path / "out"), "--process"]
+            status = ["status", "--format", "json", "--run", str(tmp_path / "out"), "--process"]
             asked, other = (CliRunner().invoke(app, [*status, name]) for name in ("agent2", "agent7"))
             families = {family.name: family for family in Exporter("out", process_endpoints(scenario)).collect()}
             for key in FORGED_KEYS:

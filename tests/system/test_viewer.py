@@ -6,6 +6,7 @@ import re
 import signal
 import socket
 import threading
+import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -14,6 +15,7 @@ from typing import TypeVar
 
 import numpy as np
 import pytest
+from rich.console import Console
 from typer.testing import CliRunner
 
 from model.arrays import Array
@@ -25,8 +27,10 @@ from tests.support.browser import END, RIGHT, Browser, Drawing, browser, connect
 from tests.support.commands import PATIENCE_S, processes_of, settings, start, wait_for
 from tests.support.logs import record_run
 from transport.cli.main import app
+from transport.flight import live
 from transport.flight.live import LiveRun
 from transport.flight.memory import simulate
+from transport.flight.run import simulate as run_processes
 from transport.log.run_folder import setup_of
 from transport.log.run_log import read_log
 from transport.log.tail import LogTail, Unread
@@ -56,7 +60,7 @@ SIDEWAYS = (
 SLOWLY = "clock.speed=0.25"  # real time has to keep up on a busy machine
 DRAWINGS = 12
 ROD_M = 1e-3  # poses and points have single precision, at some hundred metres
-DELAY_STEPS = 10  # of 10 ms
+DELAY_STEPS = 10  # of 0.01 s
 AGENTS, VICTIM = 4, 2
 WANTED = {"delay_s": 0.1, "loss": 0.0}
 
@@ -97,13 +101,16 @@ def test_a_recorded_run_is_shown(recorded: Path, window: Browser) -> None:
     with shown(recorded) as viewer:
         window.open(viewer.address)
         assert wait_for(lambda: "hover" in (window.text() or ""))
-        before, pixels = viewer.view3d.payload_I, window.pixels()
+        assert window.driver.title == "transport: paper"
+        before, pixels, plots = viewer.view3d.payload_I, window.pixels(), window.plots()
         window.press(1.5, END)
         assert wait_for(lambda: viewer.shown is not None and viewer.shown.tick == 29)
         assert wait_for(lambda: "climb" in (window.text() or ""))
         assert np.linalg.norm(viewer.view3d.payload_I - before) > SEEN_M
         changed = np.abs(window.pixels() - pixels).max(axis=2) > 0.1
         assert changed.mean() > PIXELS
+        assert len(plots) == 4
+        assert wait_for(lambda: all(old != new for old, new in zip(plots, window.plots(), strict=True)))
         assert window.hosts() == {"127.0.0.1"}
         assert window.console() == []
 
@@ -168,6 +175,22 @@ def live_run(folder: Path, *settings_: str) -> Iterator[str]:
 
 
 @pytest.mark.slow
+def test_a_run_waits_until_its_viewer_is_ready(tmp_path: Path) -> None:
+    """No tick is opened before `ready`, with which `transport run --view` waits for the viewer, has returned."""
+    seen: list[bool] = []
+
+    def ready() -> None:
+        assert live.read(tmp_path / "run") is not None  # a viewer can open the run
+        time.sleep(1.0)
+        seen.append(any(True for _ in LogTail(tmp_path / "run" / "run.mcap").read()))
+
+    setup = runs.setup(runs.SHORT)
+    finished = run_processes(setup, tmp_path / "run", Console(stderr=True), ready=ready)
+    assert finished.exit_code == 0
+    assert seen == [False]
+
+
+@pytest.mark.slow
 @needs_browser
 @pytest.mark.parametrize("mode", ["lockstep", "realtime"])
 def test_frames_of_a_live_run_are_whole(tmp_path: Path, window: Browser, mode: str) -> None:
@@ -218,7 +241,7 @@ def test_a_live_run_is_shown_and_changed(tmp_path: Path, window: Browser) -> Non
     with live_run(folder, "clock.speed=1.0", "clock.on_agent_loss=continue", LONG) as address:
         window.open(address)
         with connected_pages(address, 2):
-            window.press(1000.0, *[RIGHT] * DELAY_STEPS)
+            window.press(1.0, *[RIGHT] * DELAY_STEPS)
             assert wait_for(lambda: "links change: at tick" in (window.text() or ""))
         log = Growing(folder / "run.mcap")
         assert wait_for(lambda: any(json.loads(change.settings) == WANTED for change in log.of(LinkChange)))

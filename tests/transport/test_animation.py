@@ -14,14 +14,14 @@ from tests.support.logs import record_run
 from transport.analysis.series import series_of
 from transport.cli.main import app
 from transport.log.run_log import read_log
-from transport.report.animation import FPS, SPEED, animate
+from transport.report.animation import FPS, LENGTH_S, animate
 from transport.scene.run_history import RunHistory
 from transport.scene.scene import SceneBuilder
 
 # Largest size of a frame with moving lines.
 LARGEST_FRAME_BYTES = 40_000
 MOVED = 0.001  # share of pixels that differ at the end
-FASTER = 2.0
+SPEED = 4.0
 
 
 def drawn(folder: Path, name: str) -> Path:
@@ -30,7 +30,7 @@ def drawn(folder: Path, name: str) -> Path:
     log = read_log(folder / "run.mcap")
     history = RunHistory(run)
     history.add(entry.message for entry in log.messages)
-    return animate(SceneBuilder(run, history), series_of(run, log), folder / name, speed=FASTER * SPEED)
+    return animate(SceneBuilder(run, history), series_of(run, log), folder / name, speed=SPEED)
 
 
 @pytest.fixture(scope="module")
@@ -50,10 +50,21 @@ def test_a_gif_moves(recorded: Path) -> None:
         image.seek(count - 1)
         last = np.asarray(image.convert("RGB"))
     duration_s = 29 * 0.05
-    assert count == pytest.approx(duration_s / (FASTER * SPEED) * FPS, abs=1.0)
+    assert count == pytest.approx(duration_s / SPEED * FPS, abs=1.0)
     assert (first != last).any(axis=2).mean() > MOVED
     assert path.stat().st_size < LARGEST_FRAME_BYTES * count
     assert drawn(recorded, "b.gif").read_bytes() == path.read_bytes()
+
+
+def test_a_run_takes_six_seconds(recorded: Path) -> None:
+    """Without a speed a short run is shown in real time; a run of 25 s takes 6 s."""
+    run = runs.setup(runs.SHORT)
+    log = read_log(recorded / "run.mcap")
+    with Image.open(animate(SceneBuilder.of(run, log), series_of(run, log), recorded / "c.gif")) as image:
+        count = int(getattr(image, "n_frames", 0))
+        assert image.info["duration"] * FPS == pytest.approx(1e3)
+    assert count == pytest.approx(29 * 0.05 * FPS, abs=1.0)
+    assert count < LENGTH_S * FPS
 
 
 @pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="no ffmpeg")

@@ -6,17 +6,22 @@ from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree  # of files written here
 
+import matplotlib as mpl
 import pytest
+from matplotlib.figure import Figure
 
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import Message
+from protocol.wire.messages import FaultNote, LinkChange, Message
 from tests.support import runs
-from tests.support.logs import SINGLE_UAV, log_of, plant_state, record_run
+from tests.support.logs import SINGLE_UAV, log_of, plant_state, record_run, report
+from transport.analysis.series import series_of
 from transport.log.run_log import RunLog, read_log
-from transport.report.figures import draw
+from transport.report.figures import draw, fill
+from transport.report.marks import caption_of, marks_of
 from transport.report.report import write_report
+from transport.report.style import RC
 
-NAMES = ["performance.png", "trajectories.png", "timing.png"]
+NAMES = ["performance.png", "inputs.png", "trajectories.png", "timing.png"]
 
 # An empty figure with axes has a few thousand bytes.
 SMALLEST_BYTES = 10_000
@@ -43,7 +48,7 @@ def logged(folder: Path, *settings: str) -> tuple[Setup, RunLog]:
 
 @pytest.mark.slow
 def test_figures_are_drawn_with_the_report(tmp_path: Path) -> None:
-    """The report of a run writes three figures to figures/, and drawing again replaces them."""
+    """The report of a run writes the figures to figures/, and drawing again replaces them."""
     run, log = logged(tmp_path)
     write_report(tmp_path)
     paths = [tmp_path / "figures" / name for name in NAMES]
@@ -80,7 +85,7 @@ def test_single_ticks_are_drawn(tmp_path: Path, ticks: list[int]) -> None:
     """One tick, one that is not the first, and ticks with gaps are drawn; without steps there is no timing figure."""
     run = runs.setup(runs.SHORT)
     messages: list[Message] = [plant_state(run, k) for k in ticks]
-    assert_drawn(draw(run, log_of(messages), tmp_path), NAMES[:2])
+    assert_drawn(draw(run, log_of(messages), tmp_path), NAMES[:3])
 
 
 def test_nothing_recorded_draws_nothing(tmp_path: Path) -> None:
@@ -89,10 +94,67 @@ def test_nothing_recorded_draws_nothing(tmp_path: Path) -> None:
     assert not (tmp_path / "figures").exists()
 
 
+def test_pdf_is_written_on_request(tmp_path: Path) -> None:
+    """With `pdf` each figure is a PDF too, equal for equal runs; without it there is none."""
+    run = runs.setup(runs.SHORT)
+    log = log_of([plant_state(run, 0), plant_state(run, 1)])
+    paths = draw(run, log, tmp_path / "a", pdf=True)
+    draw(run, log, tmp_path / "b", pdf=True)
+    for path in paths:
+        data = path.with_suffix(".pdf").read_bytes()
+        assert data.startswith(b"%PDF")
+        assert data == (tmp_path / "b" / path.name).with_suffix(".pdf").read_bytes()
+    draw(run, log, tmp_path / "c")
+    assert not list((tmp_path / "c").glob("*.pdf"))
+
+
+def test_panels_have_data_and_limits() -> None:
+    """Inputs, separation and plan ages each have a panel with data and limit; without data there is no panel."""
+    run = runs.setup(runs.SHORT)
+    log = log_of([*(plant_state(run, k) for k in range(3)), *(report(run, 1, k) for k in range(3))])
+    assert [title.partition(",")[0] for title in titles(run, log, "inputs")] == [
+        "thrust (N)",
+        "roll moment (N m)",
+        "pitch moment (N m)",
+        "yaw moment (N m)",
+        "smallest distance between UAVs (m)",
+        "oldest plan used (s)",
+    ]
+    assert len(titles(run, log_of([plant_state(run, 0)]), "inputs")) == 5  # no step, no plan in use
+    alone = runs.setup(runs.SHORT, *SINGLE_UAV)
+    assert len(titles(alone, log_of([plant_state(alone, 0)]), "inputs")) == 4  # no other UAV
+
+
+def titles(run: Setup, log: RunLog, name: str) -> list[str]:
+    """Return the titles of the panels of a figure; every panel has at least one line."""
+    figure = Figure()
+    with mpl.rc_context(RC):
+        assert fill(figure, name, run, log, series_of(run, log))
+    found = [axes.texts[0].get_text() for axes in figure.axes]
+    assert all(axes.lines for axes in figure.axes)
+    return found
+
+
+def test_events_are_marked() -> None:
+    """Faults and link changes, by script and by hand, are marks in the order of time, each once, with a caption."""
+    changes = "links.change=[{at_s=0.5,delay_s=0.2,loss=0.3}]"
+    partition = "links.partition=[{between=['agent2'],start_s=0.2,end_s=9.0}]"
+    run = runs.setup(runs.SHORT, changes, partition)
+    by_hand = LinkChange(
+        sender="coordinator", incarnation=0, sequence=0, tick=8, number=1, source="agent1", target="", settings="{}"
+    )
+    note = FaultNote(
+        sender="recorder", incarnation=0, sequence=0, tick=20, target="agent3", what="killed", origin="person"
+    )
+    marks = marks_of(run, log_of([by_hand, by_hand, note]))
+    assert [(mark.time_s, mark.of_links) for mark in marks] == [(0.2, True), (0.4, True), (0.5, True), (1.0, False)]
+    caption = " ".join(caption_of(marks))
+    assert "1: agent2 cut off (0.2 s); 2: link agent1 to any" in caption
+    assert "3: links: delay 0.2 s, loss 0.3 (0.5 s); 4: agent3 killed (1 s)" in caption
+
+
 def test_drawing_has_no_side_effects(tmp_path: Path) -> None:
     """No setting of matplotlib is changed, and pyplot, which keeps its figures, is not used."""
-    import matplotlib as mpl
-
     before, had_pyplot = dict(mpl.rcParams), "matplotlib.pyplot" in sys.modules
     run = runs.setup(runs.SHORT)
     draw(run, log_of([plant_state(run, 0), plant_state(run, 1)]), tmp_path)

@@ -194,14 +194,16 @@ def rotated(wxyz: Sequence[float] | Array, v: Array) -> Array:
 def test_links_are_broken_by_their_loss(loss: float) -> None:
     """The drawn share of half a link is 1 - loss; colours get darker with age."""
     link = LinkState(sender=1, receiver=2, age_s=0.1, loss=loss)
-    pieces, colours = link_segments([link], np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]]))
+    pieces, colours = link_segments([link], np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]]), 0.05)
     drawn = np.linalg.norm(pieces[:, 1] - pieces[:, 0], axis=1).sum()
     assert drawn == pytest.approx(1.0 - loss)
     assert pieces[..., 0].min() >= 1.0 - ROUNDING  # next to the receiver
     assert len(colours) == len(pieces)
     assert len(pieces) == 1 or loss > 0.0  # one segment without loss
-    brightness = [sum(age_colour(age_s)) for age_s in (0.0, 0.2, 0.5, None)]
+    brightness = [sum(age_colour(age_s, 0.05)) for age_s in (0.05, 0.2, 0.5, None)]
     assert brightness == sorted(brightness, reverse=True)
+    assert age_colour(0.05, 0.05) == age_colour(0.0, 0.05)  # no plan is newer
+    assert len(set(age_colour(0.05, 0.05))) == 1  # grey
 
 
 def test_drawn_uavs_do_not_overlap() -> None:

@@ -14,13 +14,15 @@ from transport.flight import live
 from transport.flight.requests import RefusedError, UnansweredError, request
 
 RunOption = Annotated[
-    str | None, Option("--run", help="Run folder or name; by default the most recent active run in runs/.")
+    str | None,
+    Option("--run", metavar="RUN", help="Run folder or name; by default the most recent active run in runs/."),
 ]
 ConnectOption = Annotated[
-    list[str] | None, Option("--connect", help="Zenoh endpoint of a process; then --run is the run's name.")
+    list[str] | None,
+    Option("--connect", metavar="ENDPOINT", help="Zenoh endpoint of a process; then --run is the run's name."),
 ]
 KeysOption = Annotated[
-    Path | None, Option("--keys", help="Folder of keys, with --connect; a run folder knows its keys.")
+    Path | None, Option("--keys", metavar="FOLDER", help="Folder of keys, with --connect; a run folder knows its keys.")
 ]
 
 

@@ -13,7 +13,8 @@ from transport.cli.process import ProcessOptions
 
 @with_options(ProcessOptions)
 def agent(
-    options: ProcessOptions, number: Annotated[int, Option("--id", min=1, help="Number of the agent, from 1.")]
+    options: ProcessOptions,
+    number: Annotated[int, Option("--id", metavar="NUMBER", min=1, help="Number of the agent, from 1.")],
 ) -> None:
     """Run one agent: the controller of the UAVs it owns.
 

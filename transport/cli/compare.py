@@ -16,6 +16,7 @@ from protocol.scenario.file import ScenarioError
 from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
 from transport.cli.options import FiguresOption, FormatOption
 from transport.cli.output import Format, exit_on, fail, show_json
+from transport.cli.recorded_run import complete_run, newest_runs, run_folder
 from transport.flight.run_files import new_folder
 from transport.log.run_folder import open_run
 from transport.log.run_log import LogError
@@ -25,8 +26,17 @@ from transport.report.report import write_whole
 
 
 def compare(
-    runs: Annotated[list[str], Argument(metavar="RUN RUN...", help="Run folders; LABEL=RUN names one.")],
-    out: Annotated[Path | None, Option("--out", help="Folder to write; by default comparisons/<time>-<runs>.")] = None,
+    runs: Annotated[
+        list[str] | None,
+        Argument(
+            metavar="RUN",
+            help="Run folders or names in runs/, by default the two most recent; LABEL=RUN names one.",
+            autocompletion=complete_run,
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None, Option("--out", metavar="FOLDER", help="Folder to write; by default comparisons/<time>-<runs>.")
+    ] = None,
     figures: FiguresOption = True,
     output: FormatOption = Format.text,
 ) -> None:
@@ -37,9 +47,10 @@ def compare(
 
     Example: transport compare paper=runs/20260102-101500-paper resilient=runs/20260102-101600-resilient
     """
-    if len(runs) < 2:
-        fail(f"expected at least two runs, got {len(runs)}", EXIT_USAGE)
-    compared = _read(runs)
+    chosen = runs or [str(folder) for folder in reversed(newest_runs()[:2])]
+    if len(chosen) < 2:
+        fail(f"RUN: expected at least two runs, got {len(chosen)}", EXIT_USAGE)
+    compared = _read(chosen)
     usable = sum(len(one.series.ticks) > 0 for one in compared)
     if usable < 2:
         fail(f"expected at least two logs with a simulated tick, got {usable} of {len(compared)}", EXIT_USAGE)
@@ -61,7 +72,8 @@ def _read(arguments: Sequence[str]) -> list[Compared]:
     for argument in arguments:
         name, equals, path = argument.partition("=")
         # The name of a folder may contain an equals sign.
-        named.append((name, Path(path)) if equals and not Path(argument).exists() else (None, Path(argument)))
+        label, given = (name, path) if equals and not Path(argument).exists() else (None, argument)
+        named.append((label, run_folder(Path(given))))
     names = [folder.resolve().name for _, folder in named]
     found = []
     for i, (label, folder) in enumerate(named):

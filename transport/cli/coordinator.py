@@ -13,7 +13,8 @@ from transport.cli.process import ProcessOptions
 def coordinator(
     options: ProcessOptions,
     observer: Annotated[
-        list[str] | None, Option("--observer", help="Also wait for this process before the first tick: recorder.")
+        list[str] | None,
+        Option("--observer", metavar="PROCESS", help="Also wait for this process before the first tick: recorder."),
     ] = None,
 ) -> None:
     """Run the coordinator: sampling clock and roster.

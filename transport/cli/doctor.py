@@ -21,7 +21,9 @@ _COLOURS = {"ok": "green", "warn": "yellow", "fail": "bold red"}
 
 
 def doctor(
-    scenario: Annotated[str, Argument(help="File or name of the scenario that is to run here.")] = "paper",
+    scenario: Annotated[
+        str, Argument(metavar="SCENARIO", help="File or name of the scenario that is to run here.")
+    ] = "paper",
     settings: SetOption = None,
     output: FormatOption = Format.text,
 ) -> None:

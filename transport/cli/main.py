@@ -27,7 +27,15 @@ app = lazy_group(
         "router": ("transport.cli.router:router", "Route messages between hosts without a direct connection."),
         "metrics": ("transport.cli.metrics:metrics", "Export process metrics to Prometheus."),
     },
+    {
+        "Simulate": ["run", "experiment", "scenario", "validate", "doctor"],
+        "Look at runs": ["view", "plot", "compare", "log", "replay"],
+        "Act on an active run": ["top", "status", "link", "fault"],
+        "Start processes by hand": ["coordinator", "plant", "agent", "record"],
+        "Connect hosts": ["deploy", "router", "metrics"],
+    },
     name="transport",
+    add_completion=True,
     help="Several UAVs carry one payload; each runs its own model predictive controller in a separate process.\n\n"
     "Start with: transport run paper",
     epilog="Exit codes: 0 done, 2 usage, 3 scenario, 4 peer lost or not reachable, "

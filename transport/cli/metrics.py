@@ -1,5 +1,6 @@
 """The command `transport metrics`."""
 
+import sys
 import threading
 from collections.abc import Sequence
 from typing import Annotated
@@ -11,19 +12,25 @@ from protocol.network.endpoints import Endpoints, default_mesh, process_names, s
 from protocol.network.security import SecurityError
 from protocol.scenario.schema import Scenario
 from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
-from transport.cli.options import ScenarioOption, SetOption
-from transport.cli.output import exit_on, fail
+from transport.cli.options import FormatOption, ScenarioOption, SetOption
+from transport.cli.output import Format, exit_on, fail, show_json
 from transport.cli.scenario_setup import read_setup
 
 
 def metrics(
     scenario: ScenarioOption = "paper",
     settings: SetOption = None,
-    run: Annotated[str | None, Option("--run", help="Name of the run; the scenario's by default.")] = None,
-    connect: Annotated[
-        list[str] | None, Option("--connect", help="Endpoints of coordinator, plant, agent 1, ... in this order.")
+    run: Annotated[
+        str | None, Option("--run", metavar="NAME", help="Name of the run; the scenario's by default.")
     ] = None,
-    port: Annotated[int, Option("--port", min=1, max=65535, help="Port to serve on, at 127.0.0.1.")] = 9464,
+    connect: Annotated[
+        list[str] | None,
+        Option("--connect", metavar="ENDPOINT", help="Endpoints of coordinator, plant, agent 1, ... in this order."),
+    ] = None,
+    port: Annotated[
+        int, Option("--port", metavar="PORT", min=1, max=65535, help="Port to serve on, at 127.0.0.1.")
+    ] = 9464,
+    output: FormatOption = Format.text,
 ) -> None:
     """Export process metrics to Prometheus.
 
@@ -43,7 +50,12 @@ def metrics(
         server, thread = start_http_server(port, "127.0.0.1", registry)
     except OSError as error:
         fail(f"--port: cannot serve on {port} ({error.strerror})", EXIT_USAGE)
-    typer.echo(f"http://127.0.0.1:{port}/metrics", err=True)
+    address = f"http://127.0.0.1:{port}/metrics"
+    if output is Format.json:
+        show_json({"address": address})
+        sys.stdout.flush()
+    else:
+        typer.echo(address, err=True)
     try:
         threading.Event().wait()
     except KeyboardInterrupt:

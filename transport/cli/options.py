@@ -10,17 +10,34 @@ from typer import Argument, Option
 
 from transport.cli.output import Format
 
+
+def _scenarios(incomplete: str) -> list[str]:
+    """Return the ready-made scenarios that begin like an incomplete word, for the shell, which adds files itself."""
+    folder = Path(__file__).resolve().parents[2] / "scenarios"
+    return sorted(path.stem for path in folder.glob("*.toml") if path.stem.startswith(incomplete))
+
+
 # Runs are recorded here, and an active run is looked for here, unless an option names another folder.
 RUNS = Path("runs")
 
 ScenarioArgument = Annotated[
     str,
     Argument(
-        help="Scenario file, or name of a ready-made one: paper, centralized, resilient, windy, delivery, collision.",
+        metavar="SCENARIO",
+        help="Scenario file, or name: paper, centralized, resilient, windy, delivery, collision, playground.",
+        autocompletion=_scenarios,
         show_default=True,
     ),
 ]
-ScenarioOption = Annotated[str, Option("--scenario", help="Scenario file or name; the same for all processes.")]
+ScenarioOption = Annotated[
+    str,
+    Option(
+        "--scenario",
+        metavar="SCENARIO",
+        help="Scenario file or name; the same for all processes.",
+        autocompletion=_scenarios,
+    ),
+]
 SetOption = Annotated[
     list[str] | None,
     Option("--set", metavar="KEY=VALUE", help="Change a scenario value, e.g. controller.horizon=10. Repeatable."),
@@ -28,12 +45,15 @@ SetOption = Annotated[
 LargeOption = Annotated[
     bool, Option("--allow-large", help="Accept a run beyond the limits on size, memory, log and computation.")
 ]
-FormatOption = Annotated[Format, Option("--format", help="Output format.")]
+FormatOption = Annotated[Format, Option("--format", metavar="FORMAT", help="Output format: text or json.")]
 FiguresOption = Annotated[bool, Option("--figures/--no-figures", help="Draw the figures.")]
 HostOption = Annotated[
-    str, Option("--host", help="Address to listen on. All who can reach it see the run and can change it.")
+    str,
+    Option(
+        "--host", metavar="ADDRESS", help="Address to listen on. All who can reach it see the run and can change it."
+    ),
 ]
-PortOption = Annotated[int, Option("--port", min=0, max=65535, help="Port, or the next free one.")]
+PortOption = Annotated[int, Option("--port", metavar="PORT", min=0, max=65535, help="Port, or the next free one.")]
 
 
 def with_options(options: Callable[..., Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from typer import Argument, Option
+from typer import Option
 
 from protocol.network.parent import stand_by
 from protocol.scenario.file import ScenarioError
@@ -12,6 +12,7 @@ from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_UNREACHABLE, EXIT_UNREC
 from transport.cli.lazy import load
 from transport.cli.options import FormatOption
 from transport.cli.output import Format, exit_on, fail
+from transport.cli.recorded_run import RunArgument, run_folder
 from transport.cli.run_report import show
 from transport.log.run_folder import open_run
 from transport.log.run_log import LogError
@@ -20,11 +21,12 @@ from transport.report.report import report_run
 
 
 def plot(
-    folder: Annotated[Path, Argument(help="Run folder.")],
+    given: RunArgument = None,
     output: FormatOption = Format.text,
     animation: Annotated[
         Path | None, Option("--animate", metavar="FILE", help="Also write an animation: .gif, .mp4 (ffmpeg).")
     ] = None,
+    pdf: Annotated[bool, Option("--pdf", help="Also write the figures as PDF.")] = False,
 ) -> None:
     """Regenerate metrics and figures of a recorded run.
 
@@ -32,6 +34,7 @@ def plot(
 
     Example: transport plot runs/20260102-101500-paper --animate flight.gif
     """
+    folder = run_folder(given)
     load("transport.report.figures")  # before the wait
     if not stand_by():  # started by `transport run`, which has ended
         raise typer.Exit(EXIT_UNREACHABLE)
@@ -43,7 +46,7 @@ def plot(
         log = folder / "run.mcap"
         fail(f"{log}: expected a log with messages, got one without a readable message", EXIT_USAGE)
     try:
-        summary = report_run(run, forks=True)
+        summary = report_run(run, forks=True, pdf=pdf)
     except OSError as error:
         fail(f"{folder}: cannot write the report ({error.strerror or error})", EXIT_UNRECORDED)
     show(folder, output, summary)

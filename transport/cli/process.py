@@ -20,16 +20,22 @@ from transport.cli.options import LargeOption, ScenarioOption, SetOption
 from transport.cli.output import exit_on, fail
 from transport.cli.scenario_setup import read_setup, scenario_errors
 
-RunNameOption = Annotated[str | None, Option("--run", help="Name of the run; the scenario's name by default.")]
-ListenOption = Annotated[
-    list[str] | None, Option("--listen", help="Zenoh endpoint to listen on, e.g. tcp/127.0.0.1:7449.")
+RunNameOption = Annotated[
+    str | None, Option("--run", metavar="NAME", help="Name of the run; the scenario's name by default.")
 ]
-ConnectOption = Annotated[list[str] | None, Option("--connect", help="Zenoh endpoint of another process. Repeatable.")]
+ListenOption = Annotated[
+    list[str] | None,
+    Option("--listen", metavar="ENDPOINT", help="Zenoh endpoint to listen on, e.g. tcp/127.0.0.1:7449."),
+]
+ConnectOption = Annotated[
+    list[str] | None, Option("--connect", metavar="ENDPOINT", help="Zenoh endpoint of another process. Repeatable.")
+]
 IncarnationOption = Annotated[
-    int | None, Option("--incarnation", min=0, help="Number of this start; by default the time.")
+    int | None, Option("--incarnation", metavar="NUMBER", min=0, help="Number of this start; by default the time.")
 ]
 JoinOption = Annotated[
-    float | None, Option("--join-timeout", min=0.0, help="Time to wait for others, s; else the scenario's.")
+    float | None,
+    Option("--join-timeout", metavar="SECONDS", min=0.0, help="Time to wait for others, s; else the scenario's."),
 ]
 
 

@@ -7,7 +7,7 @@ from rich.console import Console
 from typer import Option
 
 from protocol.wire.names import RECORDER
-from transport.cli.options import RUNS, FiguresOption, ScenarioOption, SetOption
+from transport.cli.options import RUNS, FiguresOption, FormatOption, ScenarioOption, SetOption
 from transport.cli.output import Format, exit_on, fail
 from transport.cli.process import ConnectOption, JoinOption, ProcessOptions, RunNameOption
 from transport.cli.run_report import report
@@ -21,9 +21,10 @@ def record(
     settings: SetOption = None,
     run_name: RunNameOption = None,
     connect: ConnectOption = None,
-    out: Annotated[Path | None, Option("--out", help="Run folder to create.")] = None,
+    out: Annotated[Path | None, Option("--out", metavar="FOLDER", help="Run folder to create.")] = None,
     join_timeout: JoinOption = None,
     figures: FiguresOption = True,
+    output: FormatOption = Format.text,
 ) -> None:
     """Record and report a run whose processes were started by hand.
 
@@ -39,6 +40,6 @@ def record(
     folder = out if out is not None else new_folder(RUNS, setup.scenario.name)
     with exit_on(RunError):
         finished = observe(setup, place, folder, Console(stderr=True))
-    report(finished.folder, Format.text, figures=figures, setup=setup)
+    report(finished.folder, output, figures=figures, setup=setup)
     if finished.exit_code != 0:
         fail(finished.reason, finished.exit_code)

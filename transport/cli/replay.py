@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from typer import Argument, Option
+from typer import Option
 
 from agent.node import AgentNode
 from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
@@ -16,6 +16,7 @@ from transport.analysis.replay import Replay
 from transport.analysis.replay_compare import Comparison
 from transport.cli.options import FormatOption
 from transport.cli.output import Format, exit_on, fail, show_json
+from transport.cli.recorded_run import RunArgument, run_folder
 from transport.cli.replay_report import ReplayReport
 from transport.log.run_folder import RecordedRun, open_run
 from transport.log.run_log import LogError
@@ -33,20 +34,24 @@ _FIXED = (
 
 
 def replay(
-    folder: Annotated[Path, Argument(metavar="RUN", help="Run folder.")],
-    agent: Annotated[int, Option("--agent", min=1, help="Number of the agent, from 1.")],
+    agent: Annotated[int, Option("--agent", metavar="NUMBER", min=1, help="Number of the agent, from 1.")],
+    given: RunArgument = None,
     settings: Annotated[
         list[str] | None, Option("--set", metavar="KEY=VALUE", help="Replay with this change. Repeatable.")
     ] = None,
     against: Annotated[
         str | None, Option("--against", metavar="SCENARIO", help="Replay with this scenario's controller.")
     ] = None,
-    begin: Annotated[int, Option("--from", min=0, help="First tick to compare; earlier ticks are replayed too.")] = 0,
-    end: Annotated[int | None, Option("--to", min=0, help="Last tick to compare.")] = None,
+    begin: Annotated[
+        int, Option("--from", metavar="TICK", min=0, help="First tick to compare; earlier ticks are replayed too.")
+    ] = 0,
+    end: Annotated[int | None, Option("--to", metavar="TICK", min=0, help="Last tick to compare.")] = None,
     stop_at: Annotated[
-        int | None, Option("--pdb", min=0, metavar="TICK", help="Open the debugger before this tick.")
+        int | None, Option("--pdb", metavar="TICK", min=0, help="Open the debugger before this tick.")
     ] = None,
-    out: Annotated[Path | None, Option("--out", help="Folder for replay.csv and, if plans differ, figures.")] = None,
+    out: Annotated[
+        Path | None, Option("--out", metavar="FOLDER", help="Folder for replay.csv and, if plans differ, figures.")
+    ] = None,
     output: FormatOption = Format.text,
 ) -> None:
     """Feed a recorded run to one agent and compare its plans.
@@ -63,7 +68,7 @@ def replay(
         fail(f"--to: expected a tick not before --from {begin}, got {end}", EXIT_USAGE)
     try:
         with exit_on(LogError, code=EXIT_USAGE):
-            run = open_run(folder)
+            run = open_run(run_folder(given))
             setup = _changed_setup(run, settings or [], against)
     except ScenarioError as error:
         fail(str(error.blaming(settings or [])), EXIT_SCENARIO)

@@ -18,8 +18,12 @@ from transport.cli.scenario_setup import read_setup
 
 
 def router(
-    listen: Annotated[list[str], Option("--listen", help="Zenoh endpoint to listen on. Repeatable.")],
-    connect: Annotated[list[str] | None, Option("--connect", help="Endpoint of another router.")] = None,
+    listen: Annotated[
+        list[str], Option("--listen", metavar="ENDPOINT", help="Zenoh endpoint to listen on. Repeatable.")
+    ],
+    connect: Annotated[
+        list[str] | None, Option("--connect", metavar="ENDPOINT", help="Endpoint of another router.")
+    ] = None,
     scenario: ScenarioOption = "paper",
     settings: SetOption = None,
 ) -> None:

@@ -22,7 +22,7 @@ def run(
     scenario: ScenarioArgument = "paper",
     settings: SetOption = None,
     out: Annotated[
-        Path | None, Option("--out", help="Run folder to create; by default runs/<time>-<scenario>.")
+        Path | None, Option("--out", metavar="FOLDER", help="Run folder to create; by default runs/<time>-<scenario>.")
     ] = None,
     output: FormatOption = Format.text,
     figures: FiguresOption = True,

@@ -3,7 +3,6 @@
 For the same reason the report is imported after the simulation.
 """
 
-from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
@@ -22,7 +21,7 @@ from transport.flight.harness import HarnessError
 from transport.flight.run import simulate
 from transport.flight.run_error import RunError
 from transport.flight.run_files import new_folder
-from transport.viewer.process import viewer_beside
+from transport.viewer.process import ViewerBeside, viewer_beside
 from transport.viewer.server import ViewerError, require_viser
 
 
@@ -41,23 +40,24 @@ def run_scenario(
     setup = read_setup(scenario, settings, allow_large=allow_large)
     _check_external(setup, external)
     folder = out if out is not None else new_folder(RUNS, setup.scenario.name)
-    viewer: AbstractContextManager[Callable[[], None] | None] = nullcontext()
+    viewer: AbstractContextManager[ViewerBeside | None] = nullcontext()
     if viewer_address is not None:
         with exit_on(ViewerError, code=EXIT_USAGE):
             require_viser()
         viewer = viewer_beside(folder, *viewer_address, setup.scenario.clock.join_timeout_s)
-    with viewer as linger:
+    with viewer as beside:
         with ReportProcess(folder) as reporter:
             prepare = reporter.prepare if figures else lambda: None
             with exit_on(RunError), exit_on(HarnessError, code=EXIT_UNREACHABLE), scenario_errors(settings):
-                finished = simulate(setup, folder, Console(stderr=True), prepare, external)
+                ready = beside.wait_until_ready if beside is not None else lambda: None
+                finished = simulate(setup, folder, Console(stderr=True), prepare, ready, external)
             run_report = load("transport.cli.run_report")
             if finished.folder == folder and reporter.report():
                 run_report.show_written(folder, output)
             else:
                 run_report.report(finished.folder, output, figures=figures, setup=setup)
-        if linger is not None and finished.exit_code != EXIT_INTERRUPTED:
-            linger()
+        if beside is not None and finished.exit_code != EXIT_INTERRUPTED:
+            beside.wait_for_user()
     if finished.exit_code != 0:
         fail(finished.reason, finished.exit_code)
 

@@ -11,16 +11,26 @@ from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
 from protocol.scenario.setup import Setup
 from protocol.scenario.team import FEWEST, MOST, given, resized
 from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
-from transport.cli.output import exit_on, fail
+from transport.cli.options import FormatOption
+from transport.cli.output import Format, exit_on, fail, show_json
 from transport.cli.scenario_text import scenario_text
 
 
 def new(
-    uavs: Annotated[int, Option("--uavs", help="Number of UAVs, 2 to 256.")],
-    template: Annotated[str, Option("--from", help="Scenario file or name for all but the system.")] = "resilient",
-    group: Annotated[int | None, Option("--groups", help="UAVs per agent; by default as in --from.")] = None,
-    name: Annotated[str | None, Option("--name", help="Name; by default from --from and --uavs.")] = None,
-    out: Annotated[Path | None, Option("--out", help="File to write; by default standard output.")] = None,
+    uavs: Annotated[int, Option("--uavs", metavar="COUNT", help="Number of UAVs, 2 to 256.")],
+    template: Annotated[
+        str, Option("--from", metavar="SCENARIO", help="Scenario file or name for all but the system.")
+    ] = "resilient",
+    group: Annotated[
+        int | None, Option("--groups", metavar="COUNT", help="UAVs per agent; by default as in --from.")
+    ] = None,
+    name: Annotated[
+        str | None, Option("--name", metavar="NAME", help="Name; by default from --from and --uavs.")
+    ] = None,
+    out: Annotated[
+        Path | None, Option("--out", metavar="FILE", help="File to write; by default standard output.")
+    ] = None,
+    output: FormatOption = Format.text,
 ) -> None:
     """Write a scenario for a team of any size.
 
@@ -54,8 +64,11 @@ def new(
         f"{uavs} UAVs in a ring over a payload that fits; all but [system], owned and name is from {ready.name}.",
     ]
     text = scenario_text(given(scenario), comment)
-    if out is None:
+    if output is Format.json:
+        show_json({"scenario": given(scenario), "file": None if out is None else str(out)})
+    elif out is None:
         typer.echo(text, nl=False)
+    if out is None:
         return
     try:
         with out.open("x", encoding="utf-8") as file:

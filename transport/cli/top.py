@@ -53,13 +53,13 @@ def top(
     run: RunOption = None,
     connect: ConnectOption = None,
     scenario: Annotated[
-        str | None, Option("--scenario", help="Scenario of a run started by hand: file or name.")
+        str | None, Option("--scenario", metavar="SCENARIO", help="Scenario of a run started by hand: file or name.")
     ] = None,
     settings: Annotated[
         list[str] | None, Option("--set", metavar="KEY=VALUE", help="Changes of that scenario.")
     ] = None,
     once: Annotated[bool, Option("--once", help="Print one table and exit.")] = False,
-    output: Annotated[Format, Option("--format", help="Output format, with --once.")] = Format.text,
+    output: Annotated[Format, Option("--format", metavar="FORMAT", help="Output format, with --once.")] = Format.text,
 ) -> None:
     """Watch the agents of an active run.
 

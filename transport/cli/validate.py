@@ -5,11 +5,17 @@ import typer
 
 from plant.engines import checked_engine
 from protocol.scenario.budget import estimate
-from transport.cli.options import LargeOption, ScenarioArgument, SetOption
+from transport.cli.options import FormatOption, LargeOption, ScenarioArgument, SetOption
+from transport.cli.output import Format, show_json
 from transport.cli.scenario_setup import read_setup, scenario_errors
 
 
-def validate(scenario: ScenarioArgument, settings: SetOption = None, large: LargeOption = False) -> None:
+def validate(
+    scenario: ScenarioArgument,
+    settings: SetOption = None,
+    large: LargeOption = False,
+    output: FormatOption = Format.text,
+) -> None:
     """Check a scenario and print it with every default.
 
     An estimate of what the run takes follows on standard error.
@@ -19,8 +25,12 @@ def validate(scenario: ScenarioArgument, settings: SetOption = None, large: Larg
     setup = read_setup(scenario, settings, allow_large=large)
     with scenario_errors(settings):
         engine = checked_engine(setup)
+    doubts = list(setup.doubts())
+    if output is Format.json:
+        show_json({"scenario": setup.scenario.tree(), "digest": setup.scenario.digest(), "warnings": doubts})
+        return
     typer.echo(tomli_w.dumps(setup.scenario.tree()), nl=False)
-    for doubt in setup.doubts():
+    for doubt in doubts:
         typer.echo(f"warning: {doubt}", err=True)
     hover = ", ".join(f"{thrust:.2f}" for thrust in setup.hover.u[::4])
     sizes = f"{setup.system.N} UAVs, {len(setup.agents)} agents, {setup.ticks} ticks"

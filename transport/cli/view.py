@@ -1,5 +1,6 @@
 """The command `transport view`."""
 
+import json
 import sys
 import time
 from contextlib import redirect_stdout
@@ -7,12 +8,13 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from typer import Argument, Option
+from typer import Option
 
 from protocol.scenario.file import ScenarioError
 from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
-from transport.cli.options import RUNS, HostOption, PortOption
-from transport.cli.output import fail
+from transport.cli.options import FormatOption, HostOption, PortOption
+from transport.cli.output import Format, fail
+from transport.cli.recorded_run import RunArgument, run_folder
 from transport.flight.live import read as read_live_run
 from transport.log.run_log import LogError
 from transport.viewer.process import parent_ended
@@ -23,12 +25,13 @@ _POLL_S = 0.1
 
 
 def view(
-    folder: Annotated[
-        Path | None, Argument(metavar="RUN", help="Run folder; by default the most recent below runs/.")
-    ] = None,
+    given: RunArgument = None,
     host: HostOption = "127.0.0.1",
     port: PortOption = 8080,
-    wait: Annotated[float, Option("--wait", min=0.0, help="Time to wait for the run to start, s.")] = 0.0,
+    wait: Annotated[
+        float, Option("--wait", metavar="SECONDS", min=0.0, help="Time to wait for the run to start, s.")
+    ] = 0.0,
+    output: FormatOption = Format.text,
 ) -> None:
     """Show a recorded or active run in the browser.
 
@@ -37,13 +40,14 @@ def view(
 
     Example: transport view runs/20260102-101500-paper
     """
-    folder = _newest() if folder is None else folder
+    folder = run_folder(given)
     try:
         _wait_for_run(folder, wait)
         # The address is the only result; viser also prints when it stops.
         result = sys.stdout
         with redirect_stdout(sys.stderr), open_viewer(folder, host, port) as viewer:
-            typer.echo(viewer.address, file=result)
+            about = {"address": viewer.address, "run": str(folder)}
+            typer.echo(json.dumps(about) if output is Format.json else viewer.address, file=result)
             result.flush()
             typer.echo(f"showing {folder}; Ctrl-C ends it", err=True)
             viewer.show_until(parent_ended())
@@ -60,11 +64,3 @@ def _wait_for_run(folder: Path, wait_s: float) -> None:
     deadline = time.monotonic() + wait_s
     while time.monotonic() < deadline and not (read_live_run(folder) and (folder / LOG).exists()):
         time.sleep(_POLL_S)
-
-
-def _newest() -> Path:
-    """Return the folder below runs/ with the most recent log."""
-    logs = sorted(RUNS.glob(f"*/{LOG}"), key=lambda path: path.stat().st_mtime)
-    if not logs:
-        fail(f"expected a run folder, got none, and there is none in {RUNS}/", EXIT_USAGE)
-    return logs[-1].parent

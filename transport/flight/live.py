@@ -120,6 +120,8 @@ def newest_folder(parent: Path) -> Path | None:
     """
     found = []
     for path in parent.glob(f"*/{_FILE}"):
+        if path.parent.is_symlink():
+            continue  # `latest` is one of the others
         with suppress(OSError):  # removed since
             found.append((path.stat().st_mtime, path.parent))
     return next((folder for _, folder in sorted(found, reverse=True) if read(folder) is not None), None)

@@ -187,7 +187,7 @@ class Recorder:
 
     def _run(self) -> None:
         try:
-            if self._bus.join(self._expected, self._join_timeout_s) is None:
+            if self._bus.join(self._expected, self._join_timeout_s, self.notices.append) is None:
                 self._record()
                 self.admission.close()
                 for notice in self.admission.remaining_notices(self._out.incarnation):

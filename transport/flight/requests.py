@@ -8,6 +8,9 @@ from protocol.network.security import Security
 from protocol.network.session import BusError, ask
 from protocol.wire.keys import ROUTER
 
+# Faults of processes that `transport run` causes on request.
+FAULTS = ("kill", "stop", "continue", "restart")
+
 # Settings of a link that make it perfect.
 PERFECT: Mapping[str, Any] = {
     "delay_s": 0.0,

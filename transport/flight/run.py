@@ -36,6 +36,7 @@ from transport.flight.run_error import RunError
 from transport.flight.run_files import create, open_log, own_keys, refuse_existing
 from transport.flight.signals import collected_signals
 from transport.flight.watchdog import Watchdog
+from transport.log.latest import forget_latest
 from transport.log.relocating_file import RelocatingFile
 
 # Time for the processes to end after the run before they are killed.
@@ -59,11 +60,13 @@ def simulate(
     folder: Path,
     console: Console,
     started: Callable[[], None] = lambda: None,
+    ready: Callable[[], None] = lambda: None,
     external: Collection[str] = (),
 ) -> Finished:
     """Start the processes of a run, record it in a new folder, and wait for its end.
 
-    `started` is called once the processes are started. Processes that are `external` are not: they join from elsewhere.
+    `started` is called once the processes are started; before the first tick they wait for
+    `ready` to return. Processes that are `external` are not: they join from elsewhere.
 
     Returns: The end of the run; every process has ended and the log is complete.
     Raises: RunError: the folder exists, or a process ended before the run began. HarnessError: no free port.
@@ -87,7 +90,7 @@ def simulate(
             raise RunError(str(error), EXIT_SCENARIO) from error
         recording = found.pop(RECORDER)
         try:
-            return _simulate(setup, folder, console, found, recording, started, engine, external)
+            return _simulate(setup, folder, console, found, recording, started, ready, engine, external)
         except BusError as error:
             raise RunError(str(error), EXIT_UNREACHABLE) from error
 
@@ -99,6 +102,7 @@ def _simulate(
     places: Mapping[str, Endpoints],
     recording: Endpoints,
     started: Callable[[], None],
+    ready: Callable[[], None],
     engine: str,
     external: Collection[str],
 ) -> Finished:
@@ -128,12 +132,13 @@ def _simulate(
             has_ended=lambda: harness.has_ended(COORDINATOR),
         )
         try:
+            live.write(folder, live.LiveRun(run, called, os.getpid(), keys, is_client=recording.mode == "client"))
+            ready()  # the coordinator waits for the recorder
             recorder.start(names)
             for name in external:
                 listen, connect = (", ".join(at) for at in (places[name].listen, places[name].connect))
                 ends = f"listens on {listen or 'nothing'}, connects to {connect}"
                 progress.say(f"waiting for {name} of run {run}, digest {scenario.digest()}; it {ends}")
-            live.write(folder, live.LiveRun(run, called, os.getpid(), keys, is_client=recording.mode == "client"))
             started()
             _watch(recorder, progress, _Local(harness, FaultScript(setup, harness, recorder), Watchdog(setup, harness)))
             if recorder.control is not None:
@@ -181,6 +186,7 @@ def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finis
 def _discard_if_empty(folder: Path, recorder: Recorder) -> None:
     """Remove the folder of a run without any message, so that the same command can be repeated."""
     if recorder.received == 0:
+        forget_latest(folder)
         shutil.rmtree(folder, ignore_errors=True)
 
 

@@ -13,6 +13,7 @@ from protocol.scenario.schema import Scenario
 from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import EXIT_USAGE
 from transport.flight.run_error import RunError
+from transport.log.latest import point_latest
 from transport.log.relocating_file import RelocatingFile
 from transport.log.run_log import LogWriter
 
@@ -47,6 +48,7 @@ def create(folder: Path, setup: Setup) -> str:
         _write_scenario(folder, setup, text)
     except OSError as error:
         raise RunError(f"--out: cannot create {folder} ({error.strerror})", EXIT_USAGE) from error
+    point_latest(folder)
     return text
 
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from transport.interface.figure import RunFigure
     from transport.interface.viewing import RunViewer
 
-FigureName = Literal["performance", "trajectories", "timing"]
+FigureName = Literal["performance", "inputs", "trajectories", "timing"]
 TableName = Literal["series", "steps"]
 
 # Width of the printed summary, characters.
@@ -104,7 +104,7 @@ class Run:
         raise ArgumentError(f"table: expected 'series' or 'steps', got {table!r}")
 
     def plot(self, figure: FigureName = "performance") -> "RunFigure":
-        """Return a figure of the report: "performance", "trajectories" or "timing".
+        """Return a figure of the report: "performance", "inputs", "trajectories" or "timing".
 
         It is a matplotlib figure: a notebook shows it, `savefig("name.png")` writes it, its axes can be changed.
 

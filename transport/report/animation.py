@@ -25,8 +25,8 @@ from transport.scene.geometry import age_colour
 from transport.scene.scene import SceneBuilder
 
 KINDS = (".gif", ".mp4")
-# Frames per second; default playback speed in multiples of real time.
-FPS, SPEED = 10.0, 2.0
+# Frames per second; length of the animation of a run, whatever its duration, s.
+FPS, LENGTH_S = 10.0, 6.0
 # Palette of a GIF: the colours used, each in several shades towards white for the edges of lines.
 _INKS = ("#000000", "#555555", REFERENCE, *UAV_COLOURS, *COMPONENTS[1:])
 _SHADES = (1.0, 0.8, 0.6, 0.4, 0.2)
@@ -54,14 +54,17 @@ def animate_run(folder: Path, out: Path) -> Path:
     return animate(SceneBuilder.of(run.setup, run.log), series_of(run.setup, run.log), out)
 
 
-def animate(builder: SceneBuilder, series: Series, out: Path, *, speed: float = SPEED) -> Path:
-    """Animate a run of at least one tick as far as its log goes, at a multiple of real time; return the file.
+def animate(builder: SceneBuilder, series: Series, out: Path, *, speed: float | None = None) -> Path:
+    """Animate a run of at least one tick as far as its log goes; return the file.
+
+    It takes `LENGTH_S`, or as given a multiple of real time.
 
     Raises: AnimationError: another kind of file, or an MP4 without ffmpeg.
     """
     check_animation(out)
     out.parent.mkdir(parents=True, exist_ok=True)
     period_s = builder.setup.settings.sampling_period_s
+    speed = speed or max(1.0, len(series.ticks) * period_s / LENGTH_S)
     ticks = np.arange(series.ticks[0], series.ticks[-1] + 1, speed / FPS / period_s)
     shown = list(dict.fromkeys(builder.history.nearest(round(tick)) for tick in ticks))
 
@@ -89,7 +92,7 @@ def _write_gif(frames: Iterator[Figure], out: Path) -> None:
 def _palette() -> Array:
     """Return the palette of a GIF, (k, 3), 0..255, at most 256 colours."""
     inks = [to_rgb(ink) for ink in _INKS] + [
-        np.divide(age_colour(age_s), 255.0) for age_s in (0.05, 0.1, 0.2, 0.3, 0.5)
+        np.divide(age_colour(age_s, 0.0), 255.0) for age_s in (0.0, 0.05, 0.1, 0.2, 0.3, 0.5)
     ]
     faded = [1.0 - share * (1.0 - np.asarray(ink)) for ink in inks for share in _SHADES]
     return np.round(255.0 * np.vstack([*(np.full(3, grey) for grey in _GREYS), *faded]))

@@ -120,7 +120,9 @@ class AnimationPage:
         # z points away from the viewer, so y points down.
         axes.set_xlim(centre[0] - self._reach_m * 1.9, centre[0] + self._reach_m * 1.9)
         axes.set_ylim(centre[1] + self._reach_m, centre[1] - self._reach_m)
-        pieces, colours = link_segments(scene.links, agent_positions(scene, self._setup.owned))
+        pieces, colours = link_segments(
+            scene.links, agent_positions(scene, self._setup.owned), self._setup.settings.sampling_period_s
+        )
         self._keep(axes.add_collection(LineCollection(list(pieces[..., :2]), colors=colours / 255.0, linewidths=2.6)))
         self._keep(*axes.fill(*_outline_I(scene)[:, :2].T, color="#000000", alpha=0.12, linewidth=0.0))
         for prediction in scene.predictions:

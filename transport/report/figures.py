@@ -1,5 +1,6 @@
-"""Figures of a run: performance over time (paper Fig. 3, 5), trajectories (Fig. 4), timing."""
+"""Figures of a run: performance over time (paper Fig. 3, 5), inputs with limits, trajectories (Fig. 4), timing."""
 
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
@@ -10,17 +11,23 @@ from matplotlib.figure import Figure
 
 from protocol.scenario.setup import Setup
 from transport.analysis.series import Series, series_of
+from transport.analysis.swing import SWING_S, swing_of
 from transport.log.run_log import RunLog
 from transport.report.beside import beside
+from transport.report.column import column_panels, finish, head
 from transport.report.figures_3d import draw_trajectories
+from transport.report.figures_inputs import draw_inputs
 from transport.report.figures_timing import draw_timing
-from transport.report.style import COMPONENTS, RC, WIDTH_IN, line_width, save_both, scale_cost, shade_phases
+from transport.report.marks import marks_of
+from transport.report.style import COMPONENTS, RC, REFERENCE, line_width, save_both, scale_cost, shade_phases
 from transport.scene.colours import uav_style
 
 # Names of the figures of a run.
-FIGURES = ("performance", "trajectories", "timing")
+FIGURES = ("performance", "inputs", "trajectories", "timing")
 # Of these, the ones whose files are cropped, since the size of the drawing depends on the maneuver.
 CROPPED = ("trajectories",)
+# Number of figures that a forked process draws.
+_BESIDE = 2
 
 # Labels of the four panels of the performance figure.
 PERFORMANCE = (
@@ -33,12 +40,13 @@ PERFORMANCE = (
 _COST_DECADES = 5
 # Smallest ranges of the axes, either side of zero; smaller errors are negligible.
 _SMALLEST_M, _SMALLEST_DEG = 1e-3, 1e-2
+_HEIGHT_IN = 0.95
 
 
-def draw(setup: Setup, log: RunLog, folder: Path, *, forks: bool = False) -> list[Path]:
-    """Draw performance, trajectories and timing of a run as PNG and SVG, as far as its log goes.
+def draw(setup: Setup, log: RunLog, folder: Path, *, forks: bool = False, pdf: bool = False) -> list[Path]:
+    """Draw `FIGURES` of a run as PNG and SVG, with `pdf` as PDF too, as far as its log goes.
 
-    With `forks` a forked process draws performance, half of the work, beside the others (`transport.report.beside`).
+    With `forks` a forked process draws the first two, half of the work, beside the others (`transport.report.beside`).
 
     Returns: The PNG files, without those that have no data.
     """
@@ -46,18 +54,21 @@ def draw(setup: Setup, log: RunLog, folder: Path, *, forks: bool = False) -> lis
     if not len(series.ticks):
         return []
     folder.mkdir(parents=True, exist_ok=True)
-    first, *rest = (partial(_write, name, setup, log, series, folder) for name in FIGURES)
-    with mpl.rc_context(RC), beside(first, forks=forks):
-        others = [write() for write in rest]
-    return [folder / f"{FIGURES[0]}.png", *(other for other in others if other is not None)]
+
+    def write(names: Sequence[str]) -> list[Path]:
+        return [path for name in names if (path := _write(name, setup, log, series, folder, pdf=pdf)) is not None]
+
+    with mpl.rc_context(RC), beside(partial(write, FIGURES[:_BESIDE]), forks=forks):
+        others = write(FIGURES[_BESIDE:])
+    return [*(folder / f"{name}.png" for name in FIGURES[:_BESIDE]), *others]  # those have data at any tick
 
 
-def _write(name: str, setup: Setup, log: RunLog, series: Series, folder: Path) -> Path | None:
-    """Write one of `FIGURES` as PNG and SVG; return the PNG file, None without data."""
+def _write(name: str, setup: Setup, log: RunLog, series: Series, folder: Path, *, pdf: bool) -> Path | None:
+    """Write one of `FIGURES` as PNG and SVG, perhaps PDF; return the PNG file, None without data."""
     figure = Figure()
     if not fill(figure, name, setup, log, series):
         return None
-    return save_both(figure, folder / f"{name}.png", cropped=name in CROPPED)
+    return save_both(figure, folder / f"{name}.png", cropped=name in CROPPED, pdf=pdf)
 
 
 def fill(figure: Figure, name: str, setup: Setup, log: RunLog, series: Series) -> bool:
@@ -67,7 +78,9 @@ def fill(figure: Figure, name: str, setup: Setup, log: RunLog, series: Series) -
     """
     match name:
         case "performance":
-            _draw_performance(figure, setup, series)
+            _draw_performance(figure, setup, log, series)
+        case "inputs":
+            draw_inputs(figure, setup, log, series)
         case "trajectories":
             draw_trajectories(figure, setup, series)
         case _:
@@ -75,24 +88,32 @@ def fill(figure: Figure, name: str, setup: Setup, log: RunLog, series: Series) -
     return True
 
 
-def _draw_performance(figure: Figure, setup: Setup, series: Series) -> None:
+def _draw_performance(figure: Figure, setup: Setup, log: RunLog, series: Series) -> None:
     """Draw position errors of UAVs and payload, payload attitude and cost over time."""
-    figure.set_size_inches(WIDTH_IN, 7.0)
-    figure.set_layout_engine("constrained")
-    panels = list(figure.subplots(4, 1, sharex=True))
-    plot_performance(setup, series, panels)
-    for panel, label in zip(panels, PERFORMANCE, strict=True):
-        panel.set_ylabel(label)
-    panels[3].set_xlabel("time (s)")
-    for panel in panels[:3]:
-        panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
-    figure.align_ylabels(panels)
+    marks = marks_of(setup, log)
+    has_cost = bool((series.cost > 0.0).any())
+    panels = column_panels(figure, 3 + has_cost, _HEIGHT_IN, marks)
+    plot_performance(setup, series, panels, shaded=False)
+    swing_m = swing_of(setup, series).largest_m
+    swing = "" if swing_m is None else f", swing {swing_m:.2f} m"
+    if swing_m is not None:
+        last_s = float(series.times_s[-1])
+        for sign in (-1.0, 1.0):
+            span_s = [max(0.0, last_s - SWING_S), last_s]
+            panels[1].plot(span_s, [sign * swing_m] * 2, color=REFERENCE, linestyle="--", linewidth=0.8)
+    head(panels[0], "UAV position error (m)")
+    head(panels[1], f"payload error (m){swing}")
+    head(panels[2], "payload attitude (deg)")
+    if has_cost:
+        head(panels[3], "stage cost")
+    finish(figure, panels, setup, float(series.times_s[-1]) + setup.settings.sampling_period_s, marks)
 
 
-def plot_performance(setup: Setup, series: Series, panels: list[Axes]) -> None:
-    """Plot the quantities of `PERFORMANCE` into four panels, without labels."""
+def plot_performance(setup: Setup, series: Series, panels: list[Axes], *, shaded: bool = True) -> None:
+    """Plot the quantities of `PERFORMANCE` into four panels, or all but the cost into three, without labels."""
     t, period_s = series.times_s, setup.settings.sampling_period_s
-    shade_phases(setup, panels, float(t[-1]) + period_s)
+    if shaded:
+        shade_phases(setup, panels, float(t[-1]) + period_s)
 
     errors_m = np.linalg.norm(series.uav_errors_I, axis=2)
     N = setup.system.N
@@ -108,5 +129,6 @@ def plot_performance(setup: Setup, series: Series, panels: list[Axes]) -> None:
         low, high = panel.get_ylim()
         panel.set_ylim(min(low, -smallest), max(high, smallest))
 
-    panels[3].plot(t, np.where(series.cost > 0.0, series.cost, np.nan), color="#000000")
-    scale_cost(panels[3], float(series.cost.max()), _COST_DECADES)
+    if len(panels) > len(PERFORMANCE) - 1:
+        panels[3].plot(t, np.where(series.cost > 0.0, series.cost, np.nan), color="#000000")
+        scale_cost(panels[3], float(series.cost.max()), _COST_DECADES)

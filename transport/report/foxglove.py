@@ -188,7 +188,7 @@ def _now(builder: SceneBuilder, scene: Scene, at_ns: int) -> Iterator[Json]:
         paths = [(prediction.payload_I, own[0]), *((prediction.uavs_I[:, k], uav) for k, uav in enumerate(own))]
         lines = [_line(segments(path).reshape(-1, 3), uav_colour(uav)) for path, uav in paths]
         yield _entity(f"predicted by agent {prediction.agent}", INERTIAL, at_ns, lines=lines)
-    pieces, colours = link_segments(scene.links, agent_positions(scene, setup.owned))
+    pieces, colours = link_segments(scene.links, agent_positions(scene, setup.owned), setup.settings.sampling_period_s)
     line = _line(pieces.reshape(-1, 3), _GREY)
     line["colors"] = [_colour(colour) for colour in np.repeat(colours, 2, axis=0).tolist()]
     yield _entity("links", INERTIAL, at_ns, lines=[line])

@@ -45,7 +45,7 @@ def write_report(folder: Path, *, figures: bool = True, setup: Setup | None = No
     return report_run(open_run(folder, horizons=False, setup=setup), figures=figures)
 
 
-def report_run(run: RecordedRun, *, figures: bool = True, forks: bool = False) -> dict[str, Any]:
+def report_run(run: RecordedRun, *, figures: bool = True, forks: bool = False, pdf: bool = False) -> dict[str, Any]:
     """Write or replace summary.json, steps.csv and the figures of a recorded run; return the summary.
 
     Figures take most of the time; with `forks` on two cores half of it (`transport.report.beside`).
@@ -57,9 +57,9 @@ def report_run(run: RecordedRun, *, figures: bool = True, forks: bool = False) -
         if figures:
             from transport.report.figures import draw  # loads matplotlib, 0.3 s that runs without figures save
 
-            for old in [file for kind in ("png", "svg") for file in (folder / "figures").glob(f"*.{kind}")]:
+            for old in [file for kind in ("png", "svg", "pdf") for file in (folder / "figures").glob(f"*.{kind}")]:
                 old.unlink()  # figures of an older run
-            draw(setup, log, folder / "figures", forks=forks)
+            draw(setup, log, folder / "figures", forks=forks, pdf=pdf)
     return summary
 
 

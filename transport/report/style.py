@@ -8,12 +8,15 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullLocator
+from matplotlib.transforms import ScaledTranslation
 
 from protocol.scenario.setup import Setup
 
-# Width of a paper's column, inches.
-WIDTH_IN = 5.2
+# Width of figures with a legend at their side, and of a paper's column (8.5 cm), inches.
+WIDTH_IN, COLUMN_IN = 5.2, 3.35
 DPI = 150
+# Resolution of a figure as wide as a column.
+COLUMN_DPI = 240
 
 RC: Any = {  # the type depends on the version of matplotlib
     "font.size": 9.0,
@@ -61,7 +64,9 @@ def line_width(i: int, count: int, widest: float) -> float:
     return _THINNEST if count == 1 else widest - (widest - _THINNEST) * i / (count - 1)
 
 
-def shade_phases(setup: Setup, panels: list[Axes], until_s: float, *, named: bool = True) -> None:
+def shade_phases(
+    setup: Setup, panels: list[Axes], until_s: float, *, named: bool = True, above_pt: float = 2.0
+) -> None:
     """Shade every other phase of the maneuver in stacked panels and name them above the first.
 
     Args:
@@ -69,8 +74,10 @@ def shade_phases(setup: Setup, panels: list[Axes], until_s: float, *, named: boo
         panels: Axes over time in s, from top to bottom.
         until_s: End of the time axis, s.
         named: Whether to name them.
+        above_pt: Distance of the names from the panel, points.
     """
     begin = 0.0
+    up = ScaledTranslation(0.0, above_pt / 72.0, panels[0].figure.dpi_scale_trans)
     # A letter is about 0.6 of its font size wide; neighbouring names must not touch.
     points_per_s = 72.0 * panels[0].get_window_extent().width / panels[0].figure.dpi / until_s
     wide = [phase for phase in setup.maneuver.phases if phase.duration_s > _NARROW * until_s]
@@ -86,9 +93,9 @@ def shade_phases(setup: Setup, panels: list[Axes], until_s: float, *, named: boo
         if named and end - begin > _NARROW * until_s:
             panels[0].text(
                 (begin + end) / 2.0,
-                1.02,
+                1.0,
                 phase.name,
-                transform=panels[0].get_xaxis_transform(),
+                transform=panels[0].get_xaxis_transform() + up,
                 ha="center",
                 va="bottom",
                 color="#555555",
@@ -114,15 +121,25 @@ def scale_cost(axes: Axes, top: float, decades: int) -> None:
 
 
 def save(figure: Figure, path: Path, *, cropped: bool = False) -> Path:
-    """Write a figure as PNG or SVG, without program and date, so that equal runs give equal files."""
-    unnamed = {"Date": None, "Creator": None} if path.suffix == ".svg" else {"Software": None}
-    figure.savefig(path, metadata=unnamed, bbox_inches="tight" if cropped else None, pad_inches=0.05)
+    """Write a figure as PNG, SVG or PDF, without program and date, so that equal runs give equal files."""
+    unnamed: dict[str, dict[str, None]] = {
+        ".svg": {"Date": None, "Creator": None},
+        ".pdf": {"CreationDate": None, "Creator": None, "Producer": None},
+        ".png": {"Software": None},
+    }
+    dpi = COLUMN_DPI if figure.get_figwidth() <= COLUMN_IN else "figure"
+    figure.savefig(
+        path, metadata=unnamed[path.suffix], bbox_inches="tight" if cropped else None, pad_inches=0.05, dpi=dpi
+    )
     return path
 
 
-def save_both(figure: Figure, path: Path, *, cropped: bool = False) -> Path:
-    """Write a figure as PNG and as SVG, laid out once; return the PNG file."""
-    figure.draw_without_rendering()
-    figure.set_layout_engine("none")  # otherwise each file would be laid out anew, in as much time as it is drawn
+def save_both(figure: Figure, path: Path, *, cropped: bool = False, pdf: bool = False) -> Path:
+    """Write a figure as PNG and as SVG, with `pdf` as PDF too, laid out once; return the PNG file."""
+    if figure.get_layout_engine() is not None:
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")  # otherwise each file would be laid out anew, in as much time as it is drawn
+    if pdf:
+        save(figure, path.with_suffix(".pdf"), cropped=cropped)
     save(figure, path.with_suffix(".svg"), cropped=cropped)
     return save(figure, path, cropped=cropped)

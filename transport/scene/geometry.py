@@ -23,8 +23,9 @@ _SPAN_M, _SPAN_OF_GAP = 0.9, 0.7
 # Thickness of the drawn payload, a plate through the attachments, and its least half width around the centre, m.
 _PLATE_M, _CORE_M = 0.12, 0.15
 
-# Ages of plans and their colours (docs/viewer.md); dark if older than the oldest, or without any plan.
-_AGES_S = (0.0, 0.2, 0.5)
+# Ages of plans and their colours (docs/viewer.md), after that of a fresh one, which is at most `_FRESH_S` old; dark if
+# older than the oldest, or without any plan.
+_FRESH_S, _AGES_S = 0.1, (0.2, 0.5)
 _AGE_COLOURS = ((154, 154, 154), (230, 159, 0), (178, 24, 43))
 _OLDEST_S = 1.0
 DARK: Colour = (17, 17, 17)
@@ -39,12 +40,15 @@ def uav_colour(i: int) -> Colour:
     return int(code[:2], 16), int(code[2:4], 16), int(code[4:], 16)
 
 
-def age_colour(age_s: float | None) -> Colour:
-    """Return the colour of a link by the age of the newest plan, s; None for no plan."""
+def age_colour(age_s: float | None, period_s: float) -> Colour:
+    """Return the colour of a link by the age of the newest plan, s; None for no plan.
+
+    A plan that is one sampling period old is fresh: on a perfect network there is no newer one.
+    """
     if age_s is None or age_s > _OLDEST_S:
         return DARK
     channels = zip(*_AGE_COLOURS, strict=True)
-    r, g, b = (round(float(np.interp(age_s, _AGES_S, channel))) for channel in channels)
+    r, g, b = (round(float(np.interp(age_s, (min(period_s, _FRESH_S), *_AGES_S), channel))) for channel in channels)
     return r, g, b
 
 
@@ -127,12 +131,13 @@ def agent_positions(scene: Scene, owned: Sequence[Sequence[int]]) -> Array:
     return np.array([scene.uavs_I[list(uavs)].mean(axis=0) for uavs in owned])
 
 
-def link_segments(links: Sequence[LinkState], positions: Array) -> tuple[Array, npt.NDArray[np.uint8]]:
+def link_segments(links: Sequence[LinkState], positions: Array, period_s: float) -> tuple[Array, npt.NDArray[np.uint8]]:
     """Return the links as dashed lines: the half next to the receiver, with gaps by packet loss.
 
     Args:
         links: Links of a scene.
         positions: Positions of the agents, (agents, 3), m.
+        period_s: Sampling period, s.
     Returns: Segments (k, 2, 3), m, and their colours (k, 3), 0..255.
     """
     pieces: list[Array] = []
@@ -145,5 +150,5 @@ def link_segments(links: Sequence[LinkState], positions: Array) -> tuple[Array, 
             start = (k + 0.5 - drawn / 2.0) / dashes / 2.0
             end = (k + 0.5 + drawn / 2.0) / dashes / 2.0
             pieces.append(np.array([near + start * (far - near), near + end * (far - near)]))
-            colours.append(age_colour(link.age_s))
+            colours.append(age_colour(link.age_s, period_s))
     return np.array(pieces).reshape(-1, 2, 3), np.array(colours, dtype=np.uint8).reshape(-1, 3)

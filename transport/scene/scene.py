@@ -163,6 +163,14 @@ class SceneBuilder:
             released=self.history.released(tick),
         )
 
+    def error_and_cost(self, tick: int) -> tuple[float, float]:
+        """Return the payload's distance from its reference, m, and the stage cost, at a recorded tick."""
+        setup, plant_state = self.setup, self.history.plant_states[tick]
+        time_s = np.array([tick * setup.settings.sampling_period_s])
+        y, y_ref = setup.model.outputs(plant_state.x), setup.reference.outputs(time_s)[0]
+        error_I = StateView(plant_state.x).r0_I - setup.maneuver.path(time_s)[0][0]
+        return float(np.linalg.norm(error_I)), self._cost.stage(y, y_ref, plant_state.u)
+
     def _contacts(self, r0_I: Array, R_payload: Array) -> Array:
         """Return the corners of the payload's box on the ground, (k, 3), m; none without a ground."""
         ground_m = self.setup.scenario.plant.ground_m

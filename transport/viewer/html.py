@@ -1,5 +1,6 @@
 """HTML of the panel: notice, tables of payload and agents, events and legend."""
 
+import json
 from collections.abc import Sequence
 from html import escape
 
@@ -10,8 +11,18 @@ _TABLE = "font-size:12px;width:100%;border-collapse:collapse;font-variant-numeri
 _CELL = "padding:1px 4px;white-space:nowrap"
 _ALARM = "color:#b2182b"
 # Ages in the legend, s.
-_AGES = ((0.05, "fresh"), (0.2, "0.2 s"), (0.5, "0.5 s"))
+_AGES = ((0.0, "fresh"), (0.2, "0.2 s"), (0.5, "0.5 s"))
 _SHOWN_EVENTS = 5
+
+
+# An image of one pixel.
+_PIXEL = "data:image/gif;base64,R0lGODlhAQABAIAAAAAAAP///yH5BAEAAAAALAAAAAABAAEAAAIBRAA7"
+
+
+def tab_title(name: str) -> str:
+    """Return an invisible image that names the tab of the browser once it is loaded; viser has no call for that."""
+    title = json.dumps(f"transport: {name}")
+    return f'<img src="{_PIXEL}" alt="" style="display:none" onload="{escape(f"document.title = {title}")}">'
 
 
 def notice(text: str, *, warning: bool) -> str:
@@ -32,7 +43,7 @@ def flight(scene: Scene, duration_s: float) -> str:
         ("time", f"{scene.time_s:.2f} of {duration_s:.1f} s, {escape(scene.phase)}"),
         ("stage cost", f"{scene.cost:.5f}"),
         ("payload", f"roll {roll:+.2f}, pitch {pitch:+.2f}, yaw {yaw:+.2f} deg"),
-        ("payload error", f"{100.0 * scene.error_m:.1f} cm"),
+        ("payload error", f"{scene.error_m:.3f} m"),
     ]
     if scene.fail_safe:
         rows.append(("fail-safe", ", ".join(f"UAV{uav}" for uav in scene.fail_safe)))
@@ -48,7 +59,7 @@ def agents(scene: Scene, owned: Sequence[Sequence[int]], period_s: float) -> str
         f'<th style="{_CELL};color:#666;font-weight:normal;text-align:right">{title}</th>' for title in titles
     )
     rows = "".join(_agent(agent, owned[agent.agent - 1], peers, period_s) for agent in scene.agents)
-    units = "step time; age of the measurement and of each plan used; in ms"
+    units = "step time in ms; age of the measurement and of each plan used, in s"
     return (
         f'<div style="overflow-x:auto;margin:4px 8px"><table style="{_TABLE}"><tr>{head}</tr>{rows}</table>'
         f'<div style="font-size:11px;color:#666;padding:2px 4px">{units}</div></div>'
@@ -64,7 +75,7 @@ def events(entries: Sequence[tuple[int, str]], tick: int, period_s: float) -> st
 
 def legend() -> str:
     """Return the meaning of colours, lines and grid."""
-    ages = "".join(_swatch(age_colour(age), text) for age, text in _AGES)
+    ages = "".join(_swatch(age_colour(age, 0.0), text) for age, text in _AGES)
     return (
         '<div style="font-size:12px;margin:2px 12px">'
         f"age of the plan in use:<br>{ages}{_swatch(DARK, 'over 1 s or none')}<br>"
@@ -94,13 +105,13 @@ def _agent(agent: AgentState, owned: Sequence[int], peers: Sequence[int], period
 
 
 def _age(ticks: int, period_s: float, usual: int) -> str:
-    """Return an age in ms, coloured if it is more than the usual one over a perfect network."""
+    """Return an age in s, coloured if it is more than the usual one over a perfect network."""
     if ticks < 0:
         return "-"
-    text = f"{1e3 * ticks * period_s:.0f}"
+    text = f"{ticks * period_s:.2f}"
     if ticks <= usual:
         return text
-    return f'<b style="color:{_hex(age_colour(ticks * period_s))}">{text}</b>'
+    return f'<b style="color:{_hex(age_colour(ticks * period_s, period_s))}">{text}</b>'
 
 
 def _swatch(colour: Colour, text: str) -> str:

@@ -10,6 +10,7 @@ from transport.scene.scene import Scene, SceneBuilder
 from transport.viewer import html
 from transport.viewer.commands import Commands
 from transport.viewer.playback import SPEEDS, Playback
+from transport.viewer.plots import Plots
 from transport.viewer.view3d import LAYERS
 
 if TYPE_CHECKING:
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 
 _ALL = "all links"
 _WHOLE, _TEAM = "whole path", "team"
+# First length of the time slider of a live run, s; it doubles.
+_SLIDER_S = 20.0
 # A slider must rest for this long before its value is sent, s.
 _REST_S = 0.3
 # Largest number of links in the drop-down; others are changed on the command line.
@@ -51,8 +54,11 @@ class Panel:
         gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
         gui.main_panel.dock_right()
         gui.set_panel_label(f"transport: {self._setup.scenario.name}")
+        gui.add_html(html.tab_title(self._setup.scenario.name))
         self._notice = gui.add_html("")
-        self._time = gui.add_slider("time (s)", 0.0, self._duration_s, self._period_s, 0.0)
+        # That of a live run grows with it.
+        shown_s = self._duration_s if commands is None else min(_SLIDER_S, self._duration_s)
+        self._time = gui.add_slider("time (s)", 0.0, shown_s, self._period_s, 0.0)
         self._play = gui.add_button("Play")
         speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="1 x")
         self._follow = gui.add_checkbox("follow the run", playback.follows, visible=commands is not None)
@@ -60,6 +66,8 @@ class Panel:
         camera.on_click(_with_value(lambda value: look(value == _TEAM)))
         with gui.add_folder("Run"):
             self._flight = gui.add_html("")
+        with gui.add_folder("Plots"):
+            self._plots = Plots(gui, builder, is_live=commands is not None)
         with gui.add_folder("Agents"):
             self._agents = gui.add_html("")
         if commands is not None:
@@ -90,7 +98,10 @@ class Panel:
 
     def show(self, scene: Scene) -> None:
         """Show time, numbers and events of a scene."""
+        while self._time.max < min(self._builder.history.last * self._period_s, self._duration_s):
+            self._time.max = min(2.0 * self._time.max, self._duration_s)
         _set(self._time, scene.time_s)
+        self._plots.show(scene.tick)
         self._flight.content = html.flight(scene, self._duration_s)
         self._agents.content = html.agents(scene, self._setup.owned, self._period_s)
         self._events.content = html.events(self._builder.history.events, scene.tick, self._period_s)
@@ -106,8 +117,8 @@ class Panel:
         self._links = gui.add_folder("Links", visible=bool(pairs))
         with self._links:
             self._link = gui.add_dropdown("link", (_ALL, *pairs[:_MOST_LINKS]))
-            self._delay = gui.add_slider("delay (ms)", 0, 1000, 10, 0, hint="as transport link set --delay")
-            self._loss = gui.add_slider("loss (%)", 0, 100, 1, 0, hint="as transport link set --loss")
+            self._delay = gui.add_slider("delay (s)", 0.0, 1.0, 0.01, 0.0, hint="as transport link set --delay")
+            self._loss = gui.add_slider("loss (%)", 0, 100, 1, 0, hint="30 % is transport link set --loss 0.3")
             self._partition = gui.add_checkbox("partition", False, hint="100 % loss, as --loss 1")
             clear = gui.add_button("Clear all links", hint="as transport link clear")
         self._processes = gui.add_folder("Processes")
@@ -131,15 +142,15 @@ class Panel:
         ends = self._chosen_link()
         if ends is not None:
             delay_s, loss = self._builder.link_history.settings(*ends, max(0, self._builder.history.last))
-            self._show_link(round(1e3 * delay_s), round(100.0 * loss), partition=loss >= 1.0)
+            self._show_link(delay_s, round(100.0 * loss), partition=loss >= 1.0)
 
     def _clear_links(self) -> None:
-        self._show_link(0, 0, partition=False)
+        self._show_link(0.0, 0, partition=False)
         if self._commands is not None:
             self._commands.clear()
 
-    def _show_link(self, delay_ms: int, loss_percent: int, *, partition: bool) -> None:
-        _set(self._delay, min(delay_ms, 1000))
+    def _show_link(self, delay_s: float, loss_percent: int, *, partition: bool) -> None:
+        _set(self._delay, min(round(delay_s, 2), 1.0))
         _set(self._loss, loss_percent)
         _set(self._partition, partition)
 
@@ -154,7 +165,7 @@ class Panel:
     def _change_link(self) -> None:
         if self._commands is not None:
             loss = 1.0 if self._partition.value else self._loss.value / 100.0
-            self._commands.link(self._chosen_link(), {"delay_s": self._delay.value / 1e3, "loss": loss})
+            self._commands.link(self._chosen_link(), {"delay_s": round(self._delay.value, 3), "loss": loss})
 
 
 def _from_browser(act: Callable[[], None]) -> Callable[[Any], None]:

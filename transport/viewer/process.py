@@ -6,6 +6,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 from protocol.network.parent import PARENT_PIPE, python
@@ -13,22 +14,46 @@ from protocol.network.parent import PARENT_PIPE, python
 _EXIT_S = 5.0
 
 
+@dataclass(frozen=True, slots=True)
+class ViewerBeside:
+    """A viewer process beside a run.
+
+    Attributes:
+        wait_until_ready: Waits until a browser can open the viewer, or it has ended, for a limited time.
+        wait_for_user: Waits until the user ends the viewer.
+    """
+
+    wait_until_ready: Callable[[], None]
+    wait_for_user: Callable[[], None]
+
+
 @contextmanager
-def viewer_beside(folder: Path, host: str, port: int, wait_s: float) -> Iterator[Callable[[], None]]:
+def viewer_beside(folder: Path, host: str, port: int, wait_s: float) -> Iterator[ViewerBeside]:
     """Start a viewer process that shows the run in a folder as soon as it is live, and end it afterwards.
 
     The folder need not exist yet: the viewer waits `wait_s` seconds for it.
-
-    Yields: A function that waits until the user ends the viewer.
     """
     arguments = ["view", str(folder), "--host", host, "--port", str(port), "--wait", str(wait_s)]
     process = subprocess.Popen(
         [*python("transport"), *arguments],
         stdin=subprocess.PIPE,
-        stdout=2,  # the address is no result of the run
+        stdout=subprocess.PIPE,
+        text=True,
         env={**os.environ, PARENT_PIPE: "1"},
         start_new_session=True,  # Ctrl-C ends the run first
     )
+
+    ready = threading.Event()
+
+    def pass_on() -> None:
+        """Write the address, which is no result of the run, to standard error."""
+        for line in process.stdout or ():
+            sys.stderr.write(line)
+            sys.stderr.flush()
+            ready.set()
+        ready.set()  # it has ended
+
+    threading.Thread(target=pass_on, name="viewer", daemon=True).start()
 
     def wait_for_user() -> None:
         if process.poll() is None:
@@ -39,7 +64,7 @@ def viewer_beside(folder: Path, host: str, port: int, wait_s: float) -> Iterator
                 return
 
     try:
-        yield wait_for_user
+        yield ViewerBeside(lambda: _wait(ready, wait_s / 2.0), wait_for_user)
     finally:
         process.terminate()
         try:
@@ -64,3 +89,7 @@ def parent_ended() -> Callable[[], bool]:
 
     threading.Thread(target=watch, name="parent", daemon=True).start()
     return ended.is_set
+
+
+def _wait(event: threading.Event, timeout_s: float) -> None:
+    event.wait(timeout_s)

@@ -148,7 +148,11 @@ class View3D:
             self._thrust.points = (np.stack([scene.uavs_I, tips_I], axis=1) - centre_I).astype(np.float32)
             self._thrust.colors = _linear([uav_colour(i) for i in range(self._N)])
         if self._shown["links"]:
-            pieces, colours = link_segments(scene.links, agent_positions(scene, self._setup.owned) - centre_I)
+            pieces, colours = link_segments(
+                scene.links,
+                agent_positions(scene, self._setup.owned) - centre_I,
+                self._setup.settings.sampling_period_s,
+            )
             _set_lines(self._links, pieces, colours)
         if self._shown["predictions"]:
             self._show_predictions(scene)

@@ -10,19 +10,22 @@ from protocol.network.endpoints import process_names
 from protocol.wire.exit_codes import EXIT_USAGE
 from protocol.wire.keys import ROUTER
 from transport.cli.deploy.inventory import inventory_of, optional_packages
-from transport.cli.options import ScenarioOption
-from transport.cli.output import exit_on
+from transport.cli.options import FormatOption, ScenarioOption
+from transport.cli.output import Format, exit_on, show_json
 from transport.cli.scenario_setup import read_setup
 
 
 def keys(
-    out: Annotated[Path, Option("--out", help="Folder of the keys; existing keys are kept.")],
+    out: Annotated[Path, Option("--out", metavar="FOLDER", help="Folder of the keys; existing keys are kept.")],
     scenario: ScenarioOption = "paper",
     hosts: Annotated[
-        Path | None, Option("--hosts", help="Inventory of hosts (docs/deploy.md); else this host.")
+        Path | None, Option("--hosts", metavar="FILE", help="Inventory of hosts (docs/deploy.md); else this host.")
     ] = None,
     passwords: Annotated[bool, Option("--passwords", help="Passwords, for a router, instead of TLS.")] = False,
-    days: Annotated[int, Option("--days", min=1, max=3650, help="Validity of the certificates, days.")] = 365,
+    days: Annotated[
+        int, Option("--days", metavar="DAYS", min=1, max=3650, help="Validity of the certificates, days.")
+    ] = 365,
+    output: FormatOption = Format.text,
 ) -> None:
     """Create a certificate authority and process certificates.
 
@@ -44,4 +47,7 @@ def keys(
             make_passwords(out, names)
         else:
             make_certificates(out, addresses, days)
+    if output is Format.json:
+        show_json({"folder": str(out), "processes": names})
+        return
     typer.echo(f"{out}: {'passwords' if passwords else 'certificates'} for {', '.join(names)}", err=True)

@@ -8,17 +8,22 @@ from typer import Option
 
 from protocol.wire.exit_codes import EXIT_USAGE
 from transport.cli.deploy.inventory import inventory_of, optional_packages
-from transport.cli.options import ScenarioOption, SetOption
-from transport.cli.output import exit_on, fail
+from transport.cli.options import FormatOption, ScenarioOption, SetOption
+from transport.cli.output import Format, exit_on, fail, show_json
 from transport.cli.scenario_setup import read_setup
 
 
 def render(
-    hosts: Annotated[Path, Option("--hosts", help="Inventory: the processes of each host (docs/deploy.md).")],
-    out: Annotated[Path, Option("--out", help="Folder to create, with one for each host.")],
+    hosts: Annotated[
+        Path, Option("--hosts", metavar="FILE", help="Inventory: the processes of each host (docs/deploy.md).")
+    ],
+    out: Annotated[Path, Option("--out", metavar="FOLDER", help="Folder to create, with one for each host.")],
     scenario: ScenarioOption = "paper",
     settings: SetOption = None,
-    keys: Annotated[Path | None, Option("--keys", help="Folder of keys (transport deploy keys).")] = None,
+    keys: Annotated[
+        Path | None, Option("--keys", metavar="FOLDER", help="Folder of keys (transport deploy keys).")
+    ] = None,
+    output: FormatOption = Format.text,
 ) -> None:
     """Write one deployment folder per host.
 
@@ -37,5 +42,8 @@ def render(
         fail(f"--out: cannot write {error.filename or out} ({error.strerror})", EXIT_USAGE)
     if keys is None:
         typer.echo("warning: without keys, all who can reach these hosts can read and send every message", err=True)
+    if output is Format.json:
+        show_json({"folders": [str(folder) for folder in folders]})
+        return
     for folder in folders:
         typer.echo(f" {folder}")

@@ -1,8 +1,9 @@
 """Conducting an experiment: simulations, tables, figures and the exit code of the command."""
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict
 from datetime import UTC, datetime
 from functools import partial, wraps
 from pathlib import Path
@@ -16,7 +17,7 @@ from protocol.scenario.file import ScenarioError
 from protocol.wire.exit_codes import EXIT_CASE_FAILED, EXIT_INTERRUPTED, EXIT_SCENARIO
 from transport.cli.experiment.options import ExperimentOptions, SweepOptions
 from transport.cli.options import RUNS, with_options
-from transport.cli.output import exit_on, fail
+from transport.cli.output import Format, exit_on, fail, show_json
 from transport.experiments.cases import cases_of
 from transport.experiments.conclusions import conclusions
 from transport.experiments.errors import ExperimentError, refused
@@ -24,6 +25,7 @@ from transport.experiments.experiment import Experiment
 from transport.experiments.results import Results
 from transport.experiments.scaling import scaling_conclusions
 from transport.experiments.simulation import Result, simulate_in_processes
+from transport.experiments.statistics import PointStatistics
 from transport.experiments.sweep import Simulate, report, sweep
 from transport.experiments.table import WIDTH, WIDTH_OF_VARIANTS, table_of
 from transport.experiments.workers import check_cluster, on_cluster, on_cores
@@ -87,7 +89,14 @@ def conduct(experiment: Experiment, options: ExperimentOptions) -> None:
     width = WIDTH_OF_VARIANTS if experiment.drawn_as == "variants" else WIDTH
     sentences = scaling_conclusions(measured) if experiment.timed else conclusions(measured)
     lines = ["", *sentences, "", f"machine: {machine()}", *(f" {path}" for path in files)]
-    show(table_of(title, measured, timed=experiment.timed), width, lines, found)
+    content = {
+        "experiment": experiment.name,
+        "points": [_content(m) for m in measured],
+        "findings": sentences,
+        "machine": machine(),
+        "files": [str(path) for path in files],
+    }
+    show(table_of(title, measured, timed=experiment.timed), width, lines, found, content, options.output)
 
 
 def new_folder(options: ExperimentOptions, name: str) -> Path:
@@ -115,15 +124,35 @@ def simulator(options: ExperimentOptions, folder: Path) -> Simulate:
     return lambda cases: on_cores(cases, min(jobs, len(cases)))
 
 
-def show(table: Table, width: int, lines: Sequence[str], found: Sequence[Result]) -> None:
-    """Print table and findings, then raise an error if a case has no result.
+def _content(m: PointStatistics) -> dict[str, Any]:
+    """Return the statistics of a point as JSON data."""
+    return {
+        "scenario": m.point.scenario,
+        "point": m.point.text,
+        "labels": dict(m.point.labels),
+        "runs": m.runs,
+        "completed": m.completed,
+        "errors": m.errors,
+        "diverged_s": list(m.diverged_s),
+        "cost_ratio": m.cost_ratio,
+        "numbers": {name: None if value is None else asdict(value) for name, value in m.numbers.items()},
+    }
+
+
+def show(
+    table: Table, width: int, lines: Sequence[str], found: Sequence[Result], content: Mapping[str, Any], form: Format
+) -> None:
+    """Print table and findings, or the same as JSON, then raise an error if a case has no result.
 
     Raises: ExperimentError: a run raised an error.
     """
-    output = Console()
-    output.width = max(output.width, width)
-    output.print(table)
-    sys.stdout.write("\n".join(lines) + "\n")
+    if form is Format.json:
+        show_json(content)
+    else:
+        output = Console()
+        output.width = max(output.width, width)
+        output.print(table)
+        sys.stdout.write("\n".join(lines) + "\n")
     failed = [result for result in found if result.outcome == "error"]
     if failed:
         more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""

@@ -13,8 +13,12 @@ from transport.experiments.experiment import Experiment
 @sweep_command(default_scenarios=("resilient",))
 def deaths(
     options: SweepOptions,
-    count: Annotated[int | None, Option("--count", min=1, help="Deaths per scenario; by default 20.")] = None,
-    draw: Annotated[int, Option("--draw", min=0, help="Random seed of the times and of the agents killed.")] = 0,
+    count: Annotated[
+        int | None, Option("--count", metavar="COUNT", min=1, help="Deaths per scenario; by default 20.")
+    ] = None,
+    draw: Annotated[
+        int, Option("--draw", metavar="SEED", min=0, help="Random seed of the times and of the agents killed.")
+    ] = 0,
 ) -> Experiment:
     """Effect of a permanent kill of a random agent.
 

@@ -14,13 +14,19 @@ from transport.experiments.experiment import Experiment
 def horizon(
     options: SweepOptions,
     horizons: Annotated[
-        list[int] | None, Option("--horizon", help="Steps N_p; by default 5, 10, 20, 30. Repeatable.")
+        list[int] | None, Option("--horizon", metavar="STEPS", help="Steps N_p; by default 5, 10, 20, 30. Repeatable.")
     ] = None,
     terminals: Annotated[
         list[float] | None,
-        Option("--terminal", help="Terminal weight, for open-loop prediction; by default 1, 5, 20. Repeatable."),
+        Option(
+            "--terminal",
+            metavar="WEIGHT",
+            help="Terminal weight, for open-loop prediction; by default 1, 5, 20. Repeatable.",
+        ),
     ] = None,
-    delay: Annotated[float, Option("--delay", help="Delay of every plan on the second network, s.")] = 0.2,
+    delay: Annotated[
+        float, Option("--delay", metavar="SECONDS", help="Delay of every plan on the second network, s.")
+    ] = 0.2,
 ) -> Experiment:
     """Effect of horizon and terminal weight.
 

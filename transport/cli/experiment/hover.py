@@ -21,7 +21,9 @@ def hover(
     options: SweepOptions,
     durations: Annotated[
         list[float] | None,
-        Option("--duration", help="Duration of the last phase, s; by default 5, 20, 65. Repeatable."),
+        Option(
+            "--duration", metavar="SECONDS", help="Duration of the last phase, s; by default 5, 20, 65. Repeatable."
+        ),
     ] = None,
 ) -> Experiment:
     """Stability in a long hover after the maneuver.

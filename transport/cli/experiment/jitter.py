@@ -15,13 +15,21 @@ def jitter(
     options: SweepOptions,
     distributions: Annotated[
         list[str] | None,
-        Option("--distribution", help="uniform, normal, exponential, lognormal; by default all. Repeatable."),
+        Option(
+            "--distribution",
+            metavar="NAME",
+            help="uniform, normal, exponential, lognormal; by default all. Repeatable.",
+        ),
     ] = None,
     deviations: Annotated[
         list[float] | None,
-        Option("--std", help="Standard deviation of the delay, s; by default 0.02, 0.05, 0.08. Repeatable."),
+        Option(
+            "--std",
+            metavar="SECONDS",
+            help="Standard deviation of the delay, s; by default 0.02, 0.05, 0.08. Repeatable.",
+        ),
     ] = None,
-    mean: Annotated[float, Option("--mean", help="Mean delay, s.")] = 0.16,
+    mean: Annotated[float, Option("--mean", metavar="SECONDS", help="Mean delay, s.")] = 0.16,
 ) -> Experiment:
     """Effect of the distribution of random delays.
 

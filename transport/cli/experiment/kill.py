@@ -13,8 +13,10 @@ from transport.experiments.experiment import Experiment
 @sweep_command()
 def kill(
     options: SweepOptions,
-    at: Annotated[float | None, Option("--at", help="Time of the death, s; by default 8.")] = None,
-    restart: Annotated[float | None, Option("--restart", help="Time of the restart, s; by default 10.")] = None,
+    at: Annotated[float | None, Option("--at", metavar="SECONDS", help="Time of the death, s; by default 8.")] = None,
+    restart: Annotated[
+        float | None, Option("--restart", metavar="SECONDS", help="Time of the restart, s; by default 10.")
+    ] = None,
 ) -> Experiment:
     """Effect of the death of each agent.
 

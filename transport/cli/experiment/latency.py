@@ -13,7 +13,9 @@ from transport.experiments.experiment import Experiment
 @sweep_command()
 def latency(
     options: SweepOptions,
-    delays: Annotated[list[float] | None, Option("--delay", help="Delay, s; by default 0 to 0.4. Repeatable.")] = None,
+    delays: Annotated[
+        list[float] | None, Option("--delay", metavar="SECONDS", help="Delay, s; by default 0 to 0.4. Repeatable.")
+    ] = None,
 ) -> Experiment:
     """Effect of a fixed delay on every link.
 

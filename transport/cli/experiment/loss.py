@@ -14,9 +14,9 @@ from transport.experiments.experiment import Experiment
 def loss(
     options: SweepOptions,
     losses: Annotated[
-        list[float] | None, Option("--loss", help="Packet loss; by default 0.1, 0.3, 0.6. Repeatable.")
+        list[float] | None, Option("--loss", metavar="SHARE", help="Packet loss; by default 0.1, 0.3, 0.6. Repeatable.")
     ] = None,
-    burst: Annotated[float, Option("--burst", help="Mean length of a burst, ticks.")] = 5.0,
+    burst: Annotated[float, Option("--burst", metavar="TICKS", help="Mean length of a burst, ticks.")] = 5.0,
 ) -> Experiment:
     """Effect of packet loss, independent or in bursts.
 

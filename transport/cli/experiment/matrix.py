@@ -14,10 +14,12 @@ from transport.experiments.experiment import Experiment
 def matrix(
     options: SweepOptions,
     delays: Annotated[
-        list[float] | None, Option("--delay", help="Delay, s; by default 0, 0.1, 0.2, 0.4. Repeatable.")
+        list[float] | None,
+        Option("--delay", metavar="SECONDS", help="Delay, s; by default 0, 0.1, 0.2, 0.4. Repeatable."),
     ] = None,
     losses: Annotated[
-        list[float] | None, Option("--loss", help="Packet loss; by default 0, 0.1, 0.3, 0.6. Repeatable.")
+        list[float] | None,
+        Option("--loss", metavar="SHARE", help="Packet loss; by default 0, 0.1, 0.3, 0.6. Repeatable."),
     ] = None,
 ) -> Experiment:
     """Maps of cost and completion over delay and loss.

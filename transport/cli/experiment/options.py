@@ -8,7 +8,8 @@ from typer import Option
 
 from protocol.scenario.file import find_scenario, read_scenario
 from protocol.scenario.schema import Scenario
-from transport.cli.options import LargeOption
+from transport.cli.options import FormatOption, LargeOption
+from transport.cli.output import Format
 from transport.experiments.errors import refused
 
 T = TypeVar("T", str, int, float)
@@ -34,11 +35,16 @@ class ExperimentOptions:
     settings: Annotated[
         list[str] | None, Option("--set", metavar="KEY=VALUE", help="Change a value of every scenario. Repeatable.")
     ] = None
-    seeds: Annotated[int | None, Option("--seeds", min=1, help="Repetitions of random runs: seeds 0, 1, ...")] = None
-    out: Annotated[Path | None, Option("--out", help=_OUT)] = None
-    jobs: Annotated[int | None, Option("--jobs", min=1, help="Parallel runs; default: all cores (scaling: 1).")] = None
+    seeds: Annotated[
+        int | None, Option("--seeds", metavar="COUNT", min=1, help="Repetitions of random runs: seeds 0, 1, ...")
+    ] = None
+    out: Annotated[Path | None, Option("--out", metavar="FOLDER", help=_OUT)] = None
+    jobs: Annotated[
+        int | None, Option("--jobs", metavar="COUNT", min=1, help="Parallel runs; default: all cores (scaling: 1).")
+    ] = None
     allow_large: LargeOption = False
     quick: Annotated[bool, Option("--quick", help="Few and short runs: a trial, no measurement.")] = False
+    output: FormatOption = Format.text
     # Not options, as they are not annotated.
     default_seeds: int = 1
     default_jobs: int | None = None
@@ -65,7 +71,7 @@ class ExperimentOptions:
 class SweepOptions(ExperimentOptions):
     """Options of experiments with any scenario."""
 
-    scenarios: Annotated[list[str] | None, Option("--scenario", help=_SCENARIO)] = None
+    scenarios: Annotated[list[str] | None, Option("--scenario", metavar="SCENARIO", help=_SCENARIO)] = None
     dask: Annotated[str | None, Option("--dask", metavar="ADDRESS", help="Dask cluster, e.g. tcp://host:8786.")] = None
     processes: Annotated[bool, Option("--processes", help="Record each as `transport run` does, one by one.")] = False
     default_scenarios: tuple[str, ...] = ("paper", "resilient")

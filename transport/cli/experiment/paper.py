@@ -17,7 +17,9 @@ from transport.experiments.errors import refused
 @with_options(partial(ExperimentOptions, default_seeds=5))
 def paper(
     options: ExperimentOptions,
-    gust: Annotated[float, Option("--gust", help="Standard deviation of gusts, m/s; 0 for still air only.")] = 1.0,
+    gust: Annotated[
+        float, Option("--gust", metavar="SPEED", help="Standard deviation of gusts, m/s; 0 for still air only.")
+    ] = 1.0,
 ) -> None:
     """The paper's claim: centralized against distributed.
 
@@ -37,4 +39,5 @@ def paper(
         lines, table, found = comparison_report.compare(
             changes, options.repetitions, gust, folder, simulate, console, quick=options.quick
         )
-        show(table, comparison_report.WIDTH, lines, found)
+        content = {"experiment": comparison.NAME, "report": [line.strip() for line in lines if line.strip()]}
+        show(table, comparison_report.WIDTH, lines, found, content, options.output)

@@ -20,7 +20,9 @@ _MANEUVER = (
 @sweep_command(ExperimentOptions, default_jobs=1, maneuver=_MANEUVER)
 def scaling(
     options: ExperimentOptions,
-    largest: Annotated[int | None, Option("--max", help="UAVs of the largest team, 2 to 16; by default 12.")] = None,
+    largest: Annotated[
+        int | None, Option("--max", metavar="COUNT", help="UAVs of the largest team, 2 to 16; by default 12.")
+    ] = None,
 ) -> Experiment:
     """Growth of cost, computation and messages.
 

@@ -15,9 +15,13 @@ def sharing(
     options: SweepOptions,
     thresholds: Annotated[
         list[float] | None,
-        Option("--threshold", help="Smallest change that is sent, share of the input's range. Repeatable."),
+        Option(
+            "--threshold", metavar="SHARE", help="Smallest change that is sent, share of the input's range. Repeatable."
+        ),
     ] = None,
-    heartbeat: Annotated[float, Option("--heartbeat", help="Longest time between two plans, s.")] = 1.0,
+    heartbeat: Annotated[
+        float, Option("--heartbeat", metavar="SECONDS", help="Longest time between two plans, s.")
+    ] = 1.0,
 ) -> Experiment:
     """Cost against the number of plans sent.
 

@@ -3,7 +3,7 @@
 import csv
 import io
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from typer import Option
@@ -11,7 +11,8 @@ from typer import Option
 from protocol.wire.exit_codes import EXIT_USAGE
 from protocol.wire.messages import KINDS
 from transport.cli.log.opening import LogArgument, open_or_fail
-from transport.cli.output import exit_on, fail
+from transport.cli.options import FormatOption
+from transport.cli.output import Format, exit_on, fail, show_json
 from transport.log.info import LogFile, lost
 from transport.log.run_log import LogError
 from transport.log.tables import Row, columns, tables
@@ -21,19 +22,20 @@ from transport.scene.scene import SceneBuilder
 
 
 def export(
-    path: LogArgument,
+    path: LogArgument = None,
     out: Annotated[
-        Path | None, Option("--out", metavar="DIR", help="Folder for the tables, created if missing.")
+        Path | None, Option("--out", metavar="FOLDER", help="Folder for the tables, created if missing.")
     ] = None,
     parquet: Annotated[
         bool, Option("--parquet/--csv", help="Parquet (needs the extra: pip install 'payload-transport[parquet]').")
     ] = False,
     kinds: Annotated[
-        list[str] | None, Option("--kind", help="Kind of message: plant_state, plan, ... Repeatable.")
+        list[str] | None, Option("--kind", metavar="KIND", help="Kind of message: plant_state, plan, ... Repeatable.")
     ] = None,
     foxglove: Annotated[
         Path | None, Option("--foxglove", metavar="FILE", help="Write a copy with a 3D scene for Foxglove.")
     ] = None,
+    output: FormatOption = Format.text,
 ) -> None:
     """Write a log as tables, or as a copy for Foxglove.
 
@@ -44,12 +46,18 @@ def export(
     if (out is None) == (foxglove is None):
         fail(f"expected either --out or --foxglove, got {'neither' if out is None else 'both'}", EXIT_USAGE)
     if out is not None:
-        _export_tables(path, out, kinds or [], parquet=parquet)
-    if foxglove is not None:
-        _export_foxglove(path, foxglove)
+        written = _export_tables(path, out, kinds or [], parquet=parquet)
+    elif foxglove is not None:
+        written = _export_foxglove(path, foxglove)
+    if output is Format.json:
+        show_json({"files": written})
+        return
+    for entry in written:
+        file, (unit, count) = entry["file"], list(entry.items())[1]
+        typer.echo(f" {file}  {count} {unit}")
 
 
-def _export_tables(path: Path, out: Path, kinds: list[str], *, parquet: bool) -> None:
+def _export_tables(path: Path | None, out: Path, kinds: list[str], *, parquet: bool) -> list[dict[str, Any]]:
     unknown = sorted(set(kinds) - set(KINDS))
     if unknown:
         fail(f"--kind: expected one of {', '.join(KINDS)}, got {unknown[0]!r}", EXIT_USAGE)
@@ -60,6 +68,7 @@ def _export_tables(path: Path, out: Path, kinds: list[str], *, parquet: bool) ->
             fail("--parquet: needs pyarrow; pip install 'payload-transport[parquet]', or take --csv", EXIT_USAGE)
     file = open_or_fail(path)
     period_s = None if file.setup is None else file.setup.settings.sampling_period_s
+    written: list[dict[str, Any]] = []
     try:
         out.mkdir(parents=True, exist_ok=True)
         for kind, rows in tables(file.log, period_s).items():
@@ -70,13 +79,14 @@ def _export_tables(path: Path, out: Path, kinds: list[str], *, parquet: bool) ->
                 _write_parquet(rows, target, file)
             else:
                 _write_csv(rows, target)
-            typer.echo(f" {target}  {len(rows)} rows")
+            written.append({"file": str(target), "rows": len(rows)})
     except OSError as error:
         fail(f"--out: cannot write to {out} ({error.strerror or error})", EXIT_USAGE)
     _warn(file)
+    return written
 
 
-def _export_foxglove(path: Path, out: Path) -> None:
+def _export_foxglove(path: Path | None, out: Path) -> list[dict[str, Any]]:
     if out.exists():
         fail(f"--foxglove: expected a file that does not exist yet, got {out}", EXIT_USAGE)
     file = open_or_fail(path)
@@ -87,8 +97,8 @@ def _export_foxglove(path: Path, out: Path) -> None:
             ticks = write_foxglove(SceneBuilder.of(file.setup, file.log), file.log, out)
     except OSError as error:
         fail(f"--foxglove: cannot write {out} ({error.strerror or error})", EXIT_USAGE)
-    typer.echo(f" {out}  {ticks} ticks")
     _warn(file)
+    return [{"file": str(out), "ticks": ticks}]
 
 
 def _warn(file: LogFile) -> None:

@@ -13,7 +13,7 @@ from transport.log.gaps import ranges
 from transport.log.info import describe
 
 
-def info(path: LogArgument, output: FormatOption = Format.text) -> None:
+def info(path: LogArgument = None, output: FormatOption = Format.text) -> None:
     """Describe the content of a log, and its gaps.
 
     Reads a truncated or damaged log as far as possible.

@@ -1,0 +1,142 @@
+"""Help, completion, defaults and refusals of the command line, the same for every command."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.core import TyperGroup
+from typer.testing import CliRunner
+
+from tests.support import runs
+from tests.support.command_tree import every_command, root
+from tests.support.logs import record_run
+from transport.cli.lazy import LazyGroup
+from transport.cli.main import app
+from transport.cli.recorded_run import newest_runs
+from transport.log.latest import point_latest
+
+ONE_LINE = {
+    "valdate paper": "no such command 'valdate'. Did you mean 'validate'? (transport --help)",
+    "fault kil agent1": "ACTION: expected one of kill, stop, continue, restart, got 'kil'",
+    "fault kill agent1": "no active run in runs/",
+    "run --port x": "invalid value for '--port'",
+    "run paper windy": "unexpected extra argument",
+    "agent": "missing option '--id'",
+    "link set --loss 2": "invalid value for '--loss'",
+    "link set --distribution foo": "distribution: expected 'uniform', 'normal', 'exponential', 'lognormal' or",
+    "view": "expected a run folder, got none, and there is no run in runs/",
+    "plot": "expected a run folder, got none, and there is no run in runs/",
+    "log info": "expected a run folder, got none, and there is no run in runs/",
+    "replay --agent 1": "expected a run folder, got none, and there is no run in runs/",
+    "compare": "expected at least two runs, got 0",
+}
+# Commands that print nothing, run until they are ended, or print more than one value.
+NO_JSON = {"agent", "plant", "coordinator", "router"}
+
+
+def test_sections_hold_every_command_once() -> None:
+    """The help has each command and group under exactly one heading."""
+    group = root()
+    assert isinstance(group, LazyGroup)
+    assert sorted(name for names in group.sections.values() for name in names) == sorted(group.commands)
+    shown = CliRunner().invoke(app, ["-h"]).stdout
+    assert CliRunner().invoke(app, ["--help"]).stdout == shown
+    for heading, names in group.sections.items():
+        _, _, block = shown.partition(f"\n{heading}:\n")
+        assert [line.split()[0] for line in block.partition("\n\n")[0].splitlines()] == list(names)
+
+
+def test_values_have_names_in_capitals() -> None:
+    """Every argument and every option with a value is shown with a name such as SECONDS, not with a type."""
+    for command in every_command(root()):
+        if isinstance(command, TyperGroup):
+            continue
+        for parameter in command.params:
+            is_flag = getattr(parameter, "is_flag", False)
+            name = parameter.metavar or ""
+            assert is_flag or re.fullmatch(r"[A-Z=|]+", name), f"{command.name}: {parameter.name}"
+
+
+def test_commands_that_print_have_json() -> None:
+    """Every command takes `--format json`, but for the processes of a run, which write log lines."""
+    without = {
+        str(command.name)
+        for command in every_command(root())
+        if not isinstance(command, TyperGroup) and not any("--format" in option.opts for option in command.params)
+    }
+    assert without == NO_JSON
+
+
+@pytest.mark.parametrize("words", ONE_LINE)
+def test_errors_are_one_line(words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A refused command line ends with exit code 2 and one line, whatever is running."""
+    monkeypatch.chdir(tmp_path)
+    result = CliRunner().invoke(app, words.split())
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert len(result.stderr.splitlines()) == 1
+    assert result.stderr.startswith("transport: ")
+    assert ONE_LINE[words] in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("transport exper", "experiment"),
+        ("transport experiment loss --bur", "--burst"),
+        ("transport run resi", "resilient"),
+        ("transport fault st", "stop"),
+        ("transport plot ru", "runs/b"),
+    ],
+)
+def test_the_shell_completes(line: str, expected: str, recorded: Path) -> None:
+    """Commands, options, ready-made scenarios, faults and run folders are completed."""
+    words = line.split()
+    environment = {"_TRANSPORT_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(len(words) - 1)}
+    done = subprocess.run(
+        [sys.executable, "-c", "from transport.cli.main import app; app(prog_name='transport')"],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=recorded,
+        env={**os.environ, **environment, "PYTHONPATH": str(Path.cwd())},
+    )
+    assert done.stdout.splitlines()[:1] == [expected], done.stderr
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder whose `runs/` has two runs, `b` the newer one, and the link to it."""
+    home = tmp_path_factory.mktemp("newest")
+    for place, name in enumerate(("a", "b")):
+        folder = home / "runs" / name
+        folder.mkdir(parents=True)
+        record_run(runs.setup(runs.SHORT), folder)
+        os.utime(folder / "run.mcap", (place, place))
+        point_latest(folder)
+    return home
+
+
+def test_the_newest_run_is_the_default(recorded: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a run folder a command takes the most recent one and says so; a name in runs/ does as well."""
+    monkeypatch.chdir(recorded)
+    assert [folder.name for folder in newest_runs()] == ["b", "a"]
+    result = CliRunner().invoke(app, ["log", "info", "--format", "json"])
+    assert json.loads(result.stdout)["file"] == str(Path("runs") / "b" / "run.mcap")
+    assert result.stderr == f"run: {Path('runs') / 'b'}\n"
+    named = CliRunner().invoke(app, ["log", "info", "a", "--format", "json"])
+    assert json.loads(named.stdout)["file"] == str(Path("runs") / "a" / "run.mcap")
+    assert named.stderr == ""
+
+
+def test_latest_is_a_link_to_the_newest_run(recorded: Path, tmp_path: Path) -> None:
+    """`runs/latest` names the newest run, is replaced, and leaves a folder of that name and other places alone."""
+    assert (recorded / "runs" / "latest").readlink() == Path("b")
+    (tmp_path / "runs" / "latest").mkdir(parents=True)
+    point_latest(tmp_path / "runs" / "c")
+    assert not (tmp_path / "runs" / "latest").is_symlink()
+    point_latest(tmp_path / "elsewhere" / "c")
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["latest", "runs"]
