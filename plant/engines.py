@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,10 @@ _SAME_STATE = 1e-6
 _UNIT = 1e-3
 _METHODS = ("reset", "advance", "state")
 UNKNOWN_ERROR = -1.0
+# Hashes of the files of imported engines.
+_DIGESTS: dict[str, str] = {}
+# Longest text of an error that is passed on, characters: it travels in messages, with the name of the engine.
+_LONGEST_TEXT = 400
 
 
 class EngineError(ValueError):
@@ -144,7 +149,11 @@ def engine_version(name: str) -> str:
     if given is not None:
         return str(given)
     file = getattr(sys.modules.get(make.__module__), "__file__", None)
-    return hashlib.sha256(Path(file).read_bytes()).hexdigest()[:12] if file else ""
+    return _digest(Path(file)) if file else ""
+
+
+def _digest(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()[:12]
 
 
 def _engine_class(name: str) -> EngineClass:
@@ -173,7 +182,7 @@ def _own_class(name: str) -> EngineClass:
     importlib.invalidate_caches()  # the file may be newer than this process
     try:
         with _told("its import"):
-            module = importlib.import_module(module_name)
+            module = _newest(importlib.import_module(module_name))
     except EngineError as error:
         missing = error.__cause__.name if isinstance(error.__cause__, ModuleNotFoundError) else None
         if missing is not None and f"{module_name}.".startswith(f"{missing}."):
@@ -188,6 +197,18 @@ def _own_class(name: str) -> EngineClass:
         raise EngineError(f"expected a class {attribute!r} in {where}, got {_kind(found)}")
     make: Callable[..., Physics] = found
     return make
+
+
+def _newest(module: ModuleType) -> ModuleType:
+    """Import a module again if its file has changed since: the recorded version must be that of the code that runs."""
+    file = getattr(module, "__file__", None)
+    if file is None or not Path(file).is_file() or module.__name__ == "__main__":
+        return module
+    digest = _digest(Path(file))
+    if _DIGESTS.setdefault(file, digest) != digest:
+        module = importlib.reload(module)
+        _DIGESTS[file] = digest
+    return module
 
 
 def _kind(found: object) -> str:
@@ -211,8 +232,14 @@ def _told(what: str) -> Iterator[None]:
     except KeyboardInterrupt:
         raise
     except (Exception, SystemExit) as error:
-        text = " ".join(f"{type(error).__name__}: {error}".splitlines())
-        raise EngineError(f"{what} raised {text}{_place(error)}") from error
+        raise EngineError(f"{what} raised {_line(error)}{_place(error)}") from error
+
+
+def _line(error: BaseException) -> str:
+    """Return type and text of an exception as a line of printable characters that a message can hold."""
+    text = " ".join(f"{type(error).__name__}: {error}".splitlines())
+    shown = text if len(text) <= _LONGEST_TEXT else f"{text[:_LONGEST_TEXT]}..."
+    return "".join(c if c.isprintable() else "?" for c in shown)
 
 
 def _place(error: BaseException) -> str:

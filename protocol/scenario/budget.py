@@ -96,10 +96,12 @@ def estimate(scenario: Scenario) -> Budget:
     base_bytes = BASE_BYTES + _MODEL_BYTES * N
     agent_bytes = base_bytes + path_bytes + matrix_bytes
     report_bytes = base_bytes + ticks * (M * _REPORTED_BYTES + 6.0 * _FLOAT * n)
+    plant = scenario.plant
+    step_s = min(plant.step_s, plant.mujoco.step_s) if plant.engine == "mujoco" else plant.step_s
     rest_bytes = 4 * base_bytes  # plant, coordinator, recorder, fork server
     return Budget(
         ticks=ticks,
-        plant_steps=math.ceil(controller.sampling_period_s / scenario.plant.step_s - 1e-9),
+        plant_steps=_plant_steps(scenario, step_s),
         variables=variables,
         rows=rows,
         relay_bytes=M * (plan + report + 60.0) + 200.0,
@@ -126,9 +128,12 @@ def check_budget(scenario: Scenario, source: str) -> Budget:
     found = estimate(scenario)
     by_path = found.ticks > 20 * found.variables
     size = "maneuver.phase" if by_path else "controller.horizon"
+    steps = (
+        "plant.mujoco.step_s" if found.plant_steps > _plant_steps(scenario, scenario.plant.step_s) else "plant.step_s"
+    )
     for field, got, most, unit, shown in (
         ("maneuver.phase", found.ticks, MOST_TICKS, "sampling periods", ",d"),
-        ("plant.step_s", found.plant_steps, MOST_PLANT_STEPS, "integration steps per sampling period", ",d"),
+        (steps, found.plant_steps, MOST_PLANT_STEPS, "integration steps per sampling period", ",d"),
         ("controller.horizon", found.variables, MOST_VARIABLES, "variables of a QP", ",d"),
         ("controller.horizon", found.rows, MOST_ROWS, "rows of a QP", ",d"),
         (size, found.process_bytes / MB, MOST_PROCESS_BYTES / MB, "MB of memory per process", ",.0f"),
@@ -140,6 +145,10 @@ def check_budget(scenario: Scenario, source: str) -> Budget:
             expected = f"expected at most {format(most, shown)} {unit}, got {format(got, shown)}"
             raise ScenarioError(source, field, f"{expected} ({ADMITTED})")
     return found
+
+
+def _plant_steps(scenario: Scenario, step_s: float) -> int:
+    return math.ceil(scenario.controller.sampling_period_s / step_s - 1e-9)
 
 
 def _program(scenario: Scenario, own: int) -> tuple[int, int]:

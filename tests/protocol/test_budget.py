@@ -142,6 +142,16 @@ def test_large_runs_are_refused_unless_allowed(setting: str, field: str, text: s
     assert read_scenario(path, [setting], allow_large=True).name == "resilient"
 
 
+def test_the_step_of_mujoco_counts() -> None:
+    """Steps of MuJoCo are its own, and a refusal names their key."""
+    path, settings = find_scenario("paper"), ["plant.engine=mujoco", "plant.mujoco.step_s=1e-9"]
+    with pytest.raises(ScenarioError, match="integration steps per sampling period, got 50,000,000") as caught:
+        read_scenario(path, settings)
+    assert str(caught.value).startswith("--set plant.mujoco.step_s=1e-9: ")
+    assert estimate(read_scenario(path, settings[:1])).plant_steps == 10
+    assert estimate(read_scenario(path)).plant_steps == 5
+
+
 @pytest.mark.parametrize(
     "limit",
     [

@@ -62,7 +62,7 @@ def test_a_foreign_plant_flies(changes: tuple[str, ...], tmp_path: Path) -> None
     line = run.stderr.readline()
     found = re.fullmatch(
         rf"waiting for plant of run mine, digest (\w+); it listens on tcp/127.0.0.1:{base + 1}, "
-        rf"connects to tcp/127.0.0.1:{base}\n",
+        rf"connects to tcp/127.0.0.1:{base}; it needs --set 'network.keys=\"{tmp_path}/mine/keys\"'\n",
         line,
     )
     assert found is not None, line

@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import IO
 
@@ -215,3 +216,27 @@ def test_a_process_of_a_server_that_was_given_up_is_ended(
     assert wait_for(lambda: is_running() == [process.pid])
     process.kill()
     process.wait()
+
+
+def test_threads_get_their_own_processes(server: ForkServer, tmp_path: Path) -> None:
+    """Each of several threads that start processes at once gets the process it has asked for."""
+    wrong: list[str] = []
+
+    def is_called(pid: int, name: str) -> bool:
+        return command_of(str(pid))[-1:] == [name]
+
+    def start(thread: int) -> None:
+        for number in range(8):
+            name = f"thread{thread}-{number}"
+            process = begin(server, tmp_path / f"{name}.log", "plot", name)
+            if not wait_for(partial(is_called, process.pid, name)):
+                wrong.append(name)
+            process.kill()
+            process.wait()
+
+    threads = [threading.Thread(target=start, args=(thread,)) for thread in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert wrong == []

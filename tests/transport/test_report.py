@@ -3,6 +3,8 @@
 import csv
 import json
 import re
+import subprocess
+import sys
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, get_args
@@ -223,3 +225,14 @@ def test_failed_work_beside_is_raised(forks: bool) -> None:
     with beside(lambda: done.append(2), forks=forks):
         done.append(3)
     assert done == ([1, 3] if forks else [2, 3])
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a process ends with its parent on Linux alone")
+def test_a_forked_process_ends_with_its_parent() -> None:
+    """The end of an interrupted report ends what it has forked."""
+    work = "import os, signal, time; from transport.report.beside import beside\n"
+    work += "with beside(lambda: (print('began', flush=True), time.sleep(60.0)), forks=True):\n"
+    work += " time.sleep(1.0); os.kill(os.getpid(), signal.SIGKILL)"
+    # The forked process has the same standard output, which is at its end when both have ended.
+    found = subprocess.run([sys.executable, "-c", work], capture_output=True, text=True, timeout=30.0, check=False)
+    assert (found.returncode, found.stdout) == (-9, "began\n")

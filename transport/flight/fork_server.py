@@ -105,9 +105,18 @@ _SERVERS: set[int] = set()  # process ids of all servers that this process has s
 Started = Forked | subprocess.Popen[bytes]
 
 
-@cache
+# Threads take turns: the answers of a server do not name their requests, and all threads share one server.
+_TURN = threading.RLock()
+
+
 def fork_server() -> "ForkServer":
     """Return the server of this process; the first call starts it."""
+    with _TURN:
+        return _only_server()
+
+
+@cache
+def _only_server() -> "ForkServer":
     server = ForkServer()
     atexit.register(server.close)
     return server
@@ -115,10 +124,12 @@ def fork_server() -> "ForkServer":
 
 def close_fork_server() -> None:
     """End the server of this process, if there is one; a later call of `fork_server` starts another."""
-    if fork_server.cache_info().currsize:
-        server = fork_server()
+    with _TURN:
+        if not _only_server.cache_info().currsize:
+            return
+        server = _only_server()
         atexit.unregister(server.close)
-        fork_server.cache_clear()
+        _only_server.cache_clear()
         server.close()
         if sys.platform == "linux":
             _adopt_orphans(False)
@@ -154,13 +165,14 @@ class ForkServer:
     def start(self, arguments: Sequence[str], output: IO[bytes], extra: Mapping[str, str]) -> Started:
         """Start `transport` as a child with an output file and additions to the environment of this process."""
         environment = {**ENVIRONMENT, **os.environ, **extra}
-        server = self._process
-        if self._socket is not None and server is not None and _at_import(os.environ) == self._imported:
-            try:
-                return _fork(self._socket, server.pid, arguments, output, environment)
-            except (OSError, ValueError):
-                self.close()  # the server only saves time: go on without it
-                _end_half_started(arguments)
+        with _TURN:
+            server = self._process
+            if self._socket is not None and server is not None and _at_import(os.environ) == self._imported:
+                try:
+                    return _fork(self._socket, server.pid, arguments, output, environment)
+                except (OSError, ValueError):
+                    self.close()  # the server only saves time: go on without it
+                    _end_half_started(arguments)
         return subprocess.Popen(
             [*python("transport"), *arguments],
             stdin=subprocess.PIPE,

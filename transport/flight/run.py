@@ -28,7 +28,7 @@ from protocol.wire.keys import RECORDER, Keys
 from protocol.wire.names import COORDINATOR, PLANT
 from transport.flight import live
 from transport.flight.fault_script import FaultScript
-from transport.flight.harness import ORDERLY_ENDS, Child, Harness, check_ports, free_ports
+from transport.flight.harness import ORDERLY_ENDS, Child, Harness, check_ports, free_ports, keys_setting
 from transport.flight.header import run_header
 from transport.flight.progress import RunProgress
 from transport.flight.recorder import Recorder
@@ -138,7 +138,8 @@ def _simulate(
             for name in external:
                 listen, connect = (", ".join(at) for at in (places[name].listen, places[name].connect))
                 ends = f"listens on {listen or 'nothing'}, connects to {connect}"
-                progress.say(f"waiting for {name} of run {run}, digest {scenario.digest()}; it {ends}")
+                needs = f"; it needs --set '{keys_setting(keys)}'" if keys else ""
+                progress.say(f"waiting for {name} of run {run}, digest {scenario.digest()}; it {ends}{needs}")
             started()
             _watch(recorder, progress, _Local(harness, FaultScript(setup, harness, recorder), Watchdog(setup, harness)))
             if recorder.control is not None:

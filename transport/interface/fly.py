@@ -135,8 +135,9 @@ def _in_processes(scenario: Scenario, setup: Setup, folder: Path | None, *, show
         raise
     finally:
         close_fork_server()
-    write_report(target, setup=setup)
+    # The log goes on in another folder if this one is removed or full.
+    write_report(finished.folder, setup=setup)
     if finished.exit_code == EXIT_INTERRUPTED:
-        raise KeyboardInterrupt(f"interrupted; recorded in {target}")
-    recorded = open_run(target, setup=setup)
-    return Run(scenario, setup, recorded.log, target)
+        raise KeyboardInterrupt(f"interrupted; recorded in {finished.folder}")
+    recorded = open_run(finished.folder, setup=setup)
+    return Run(scenario, setup, recorded.log, finished.folder)

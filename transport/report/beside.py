@@ -1,9 +1,13 @@
 """Work in a forked process while this one goes on."""
 
+import ctypes
 import os
+import signal
 import traceback
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+
+_PR_SET_PDEATHSIG = 1  # <sys/prctl.h>
 
 
 @contextmanager
@@ -18,8 +22,9 @@ def beside(work: Callable[[], object], *, forks: bool) -> Iterator[None]:
         work()
         yield
         return
-    pid = os.fork()
+    parent, pid = os.getpid(), os.fork()
     if pid == 0:
+        _end_with(parent)
         _do(work)
     try:
         yield
@@ -27,6 +32,14 @@ def beside(work: Callable[[], object], *, forks: bool) -> Iterator[None]:
         _, status = os.waitpid(pid, 0)
     if status:
         raise ChildProcessError(f"a forked process of the report failed (exit status {status})")
+
+
+def _end_with(parent: int) -> None:
+    """End this process when its parent ends: an interrupted report must not go on writing. Linux only."""
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    if os.getppid() != parent:  # it has ended before
+        os._exit(1)
 
 
 def _do(work: Callable[[], object]) -> None:
