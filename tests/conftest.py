@@ -12,6 +12,7 @@ from tests.support import workers
 
 # Ignored in jobs in the background of a shell, and inherited by the processes that tests interrupt.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 # Sums in one order, so that equal inputs give equal bits.
 threadpoolctl.threadpool_limits(1)

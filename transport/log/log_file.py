@@ -66,6 +66,7 @@ class LogFile:
             self._writer.start(library="payload-transport")
             self._writer.add_metadata(METADATA, dict(header))
             self._file.flush()
+            self._size = self._file.tell()  # of the file, as far as it was flushed
             self._opened = opened.pop_all()
 
     def append(self, entry: Entry) -> None:
@@ -91,6 +92,8 @@ class LogFile:
         with self._closed_on_error():
             self._check()
             self._writer.flush()  # type: ignore[no-untyped-call]
+            self._file.flush()
+            self._size = self._file.tell()
             self.pending.clear()
             self._pending_bytes = 0
 
@@ -114,7 +117,7 @@ class LogFile:
             is_there = False
         if not is_there:
             raise OSError(ENOENT, "the file was removed")
-        if own.st_size < self._file.tell():
+        if own.st_size < self._size:
             raise OSError(EIO, "the file was cut")
 
     @contextmanager
