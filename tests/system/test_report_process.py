@@ -40,7 +40,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, 
 def test_equal_reports(recorded: tuple[Path, dict[str, bytes]], waiting_s: float) -> None:
     """The process writes the bytes that a report in one process writes, prepared or not."""
     folder, expected = recorded
-    assert len(expected) == 9
+    assert len(expected) == 11
     for path in folder.glob("figures/*"):
         path.unlink()
     with ReportProcess(folder) as reporter:

@@ -267,7 +267,7 @@ def test_anything_can_be_reported(mix: str, tmp_path: Path) -> None:
 REFUSED = [
     (("--max", "1"), USAGE, "--max: expected a number of UAVs from 2 to 16, got 1"),
     (("--max", "17"), USAGE, "--max: expected a number of UAVs from 2 to 16, got 17"),
-    (("--max", "many"), USAGE, "Invalid value for '--max'"),
+    (("--max", "many"), USAGE, "invalid value for '--max'"),
     (("--jobs", "0"), USAGE, "--jobs"),
     (("--set", "controller.horizon=0"), SCENARIO, "--set controller.horizon=0: expected a number >= 1, got 0"),
     (
