@@ -13,10 +13,10 @@ run: $(VENV)/.installed ## set up and run the paper's maneuver (SCENARIO=name fo
 	@$(BIN)/transport run $(SCENARIO)
 
 test: $(VENV)/.installed-test ## set up and run the tests, without the slow ones (4 minutes on two processors)
-	@$(BIN)/python -m pytest --numprocesses 3 -m "not slow"
+	@$(BIN)/python -m pytest --numprocesses 4 -m "not slow"
 
 test-slow: $(VENV)/.installed-test ## run the slow tests: long runs, browsers, two minutes in real time
-	@$(BIN)/python -m pytest --numprocesses 3 -m slow
+	@$(BIN)/python -m pytest --numprocesses 4 -m slow
 
 test-all: test test-slow ## run all tests
 

@@ -83,6 +83,11 @@ def test_the_page_of_commands_names_every_option() -> None:
     """docs/commands.md has every option of every command."""
     text = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
     options = {option for command in every_command(root()) for parameter in command.params for option in parameter.opts}
-    long = {option for option in options if option.startswith("--")} - {"--version", "--help", "--install-completion", "--show-completion"}
+    long = {option for option in options if option.startswith("--")} - {
+        "--version",
+        "--help",
+        "--install-completion",
+        "--show-completion",
+    }
     assert len(long) > 30
     assert [option for option in sorted(long) if f"`{option}" not in text] == []
