@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 SCENARIO ?= paper
 
-.PHONY: run test test-slow test-all bench figures docs reference lint format lock audit licences clean help
+.PHONY: run test test-slow test-pages test-all bench figures docs reference lint format lock audit licences clean help
 
 help: ## show this
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1 \t/'
@@ -13,12 +13,15 @@ run: $(VENV)/.installed ## set up and run the paper's maneuver (SCENARIO=name fo
 	@$(BIN)/transport run $(SCENARIO)
 
 test: $(VENV)/.installed-test ## set up and run the tests, without the slow ones (4 minutes on two processors)
-	@$(BIN)/python -m pytest --numprocesses 4 -m "not slow"
+	@$(BIN)/python -m pytest --numprocesses 3 -m "not slow"
 
 test-slow: $(VENV)/.installed-test ## run the slow tests: long runs, browsers, two minutes in real time
-	@$(BIN)/python -m pytest --numprocesses 4 -m slow
+	@$(BIN)/python -m pytest --numprocesses 3 -m "slow and not pages"
 
-test-all: test test-slow ## run all tests
+test-pages: $(VENV)/.installed-test ## run the commands of docs/getting-started.md and the notebooks, and compare their outputs
+	@$(BIN)/python -m pytest -m pages
+
+test-all: test test-slow test-pages ## run all tests
 
 bench: $(VENV)/.installed-bench ## measure steps, solvers, messages and runs, and renew docs/performance.md (an hour)
 	@$(BIN)/python -m benchmarks

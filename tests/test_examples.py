@@ -45,6 +45,7 @@ def texts(cells: list[Any]) -> list[list[str]]:
 
 
 @pytest.mark.slow
+@pytest.mark.pages
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.name)
 def test_a_notebook_gives_its_outputs(path: Path, program: ModuleType) -> None:
     """A new kernel gives the stored texts and figures, cell by cell; nothing else is written beside the notebook."""

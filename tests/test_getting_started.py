@@ -71,6 +71,7 @@ def in_memory(command: str) -> str:
 
 
 @pytest.mark.slow
+@pytest.mark.pages
 def test_the_page(program: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Commands and Python examples of the page, in order in an empty folder, give the outputs that stand there."""
     monkeypatch.chdir(tmp_path)

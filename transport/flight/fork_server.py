@@ -192,6 +192,7 @@ class ForkServer:
             deadline = time.monotonic() + _KILLED_S
             while self._process.poll() is None and not has_died(self._process.pid) and time.monotonic() < deadline:
                 time.sleep(_KILLED_POLL_S)
+            self._process.poll()  # it may have died since the last one
 
 
 def _fork(
