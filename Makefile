@@ -18,7 +18,7 @@ test: $(VENV)/.installed-test ## set up and run the tests, without the slow ones
 test-slow: $(VENV)/.installed-test ## run the slow tests: long runs, browsers, two minutes in real time
 	@$(BIN)/python -m pytest --numprocesses 3 -m "slow and not pages"
 
-test-pages: $(VENV)/.installed-test ## run the commands of docs/getting-started.md and the notebooks, and compare their outputs
+test-pages: $(VENV)/.installed-test ## run the commands of README (playground), docs/getting-started.md and the notebooks
 	@$(BIN)/python -m pytest -m pages
 
 test-all: test test-slow test-pages ## run all tests

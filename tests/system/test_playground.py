@@ -42,6 +42,7 @@ def invoke(*arguments: str) -> str:
 
 
 @pytest.mark.slow
+@pytest.mark.pages
 def test_the_load_stays_in_the_air(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """After every command, one after the other, the whole team carries the load, level and near its place."""
     monkeypatch.chdir(tmp_path)
