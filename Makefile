@@ -12,7 +12,7 @@ help: ## show this
 run: $(VENV)/.installed ## set up and run the paper's maneuver (SCENARIO=name for another)
 	@$(BIN)/transport run $(SCENARIO)
 
-test: $(VENV)/.installed-test ## set up and run the tests, without the slow ones (4 minutes on two processors)
+test: $(VENV)/.installed-test ## set up and run the tests, without the slow ones (5 minutes on two processors)
 	@$(BIN)/python -m pytest --numprocesses 3 -m "not slow"
 
 test-slow: $(VENV)/.installed-test ## run the slow tests: long runs, browsers, two minutes in real time
