@@ -130,7 +130,7 @@ def suspensions(found: Found) -> str:
         flight = found[Run("resilient", (MUJOCO, *settings))]
         apart_m = np.linalg.norm(flight.payload_I - massless[: len(flight.payload_I)], axis=1).max()
         rows.append([name, f"{apart_m * 1e3:.1f} mm", errors(flight)])
-    return table(["`resilient` in MuJoCo with", "largest distance from the path of massless rods", "payload error"], rows)
+    return table(["`resilient` in MuJoCo with", "largest distance to the path of massless rods", "payload error"], rows)
 
 
 def delivery_run(settings: tuple[str, ...], seed: int) -> Run:
