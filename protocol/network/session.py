@@ -131,7 +131,7 @@ def ask(
         session = open_session(endpoints, 1.0, OPERATOR if what in ACTING else WATCHER, keys, timeout_s)
     except UnreachableError as error:
         raise BusError(
-            f"{name} of run {run} is not reachable at {', '.join(connect)}: it has ended, or takes other keys"
+            f"{name} of run {run} is not reachable at {', '.join(connect)}: it has ended or uses other keys"
         ) from error
     try:
         while not any(reply.ok for reply in session.liveliness().get(f"{keys.prefix}/alive/{name}/**", timeout=1.0)):

@@ -94,7 +94,7 @@ def _links(scenario: Scenario, agents: list[str]) -> Iterator[Problem]:
             yield f"{field}.samples", "expected a file of measured delays, got nothing"
         changed = isinstance(section, LinkChangeSection) and section.samples is not None
         if changed and section.distribution != "empirical":
-            text = "expected 'empirical' with samples, as a change says all that is to be other"
+            text = "expected 'empirical' with samples, as a change names every changed key"
             yield f"{field}.distribution", f"{text}, got {section.distribution!r}"
     for i, partition in enumerate(links.partition, start=1):
         for name in partition.between:
@@ -148,7 +148,7 @@ def _faults(scenario: Scenario, agents: list[str]) -> Iterator[Problem]:
             yield f"{field}.efficiency", f"{expected}, got {event.efficiency or 'nothing'}"
         before, after = _FAULTS[event.do]
         if state[target] not in before:
-            expected = f"expected what can be done to {target}, which is {state[target]} by then"
+            expected = f"expected an action possible for {target}, which is {state[target]} by then"
             yield f"{field}.do", f"{expected}, got {event.do!r}"
         state[target] = after
     grounded = scenario.plant.ground_m is not None and all(state[uav] == "released" for uav in uavs)

@@ -98,7 +98,7 @@ def blas() -> Finding:
 
 
 def kernels() -> Finding:
-    """Check that the kernels of a step are compiled: otherwise a step takes 50 % longer."""
+    """Check that the kernels of a step are compiled: otherwise a step takes nearly twice as long."""
     found = compiler.find_compiler()
     if native.AVAILABLE:
         return Finding("ok", f"compiled for this processor, in {cache_folder()}")
@@ -109,7 +109,7 @@ def kernels() -> Finding:
     else:
         reason = f"{found} fails, or {cache_folder()} cannot be written"
         advice = f"make {found} compile shared libraries, or set $CC or $PAYLOAD_TRANSPORT_CACHE"
-    return Finding("warn", f"{reason}: a step takes 50 % longer", advice)
+    return Finding("warn", f"{reason}: a step takes nearly twice as long", advice)
 
 
 def disk(folder: Path) -> Finding:
