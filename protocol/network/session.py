@@ -54,7 +54,8 @@ def open_session(endpoints: Endpoints, patience_s: float, name: str, keys: Keys,
                 raise BusError(_listen_problem(endpoints, str(error))) from error
             if time.monotonic() > deadline:
                 where = ", ".join(endpoints.connect)
-                raise UnreachableError(f"{name}: no router accepts it at {where} within {reach_s:g} s") from error
+                text = f"{name}: no router accepts a connection at {where} within {reach_s:g} s"
+                raise UnreachableError(text) from error
 
 
 def configuration(endpoints: Endpoints, patience_s: float, name: str, keys: Keys) -> dict[str, Any]:

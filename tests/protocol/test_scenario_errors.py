@@ -298,7 +298,7 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
     (
         "faults.event=[{at_s=1,do='motor_off',target='uav3',efficiency=0.5}]",
         "faults.event.1.efficiency",
-        "expected none but with 'degrade', got 0.5",
+        "expected no efficiency without 'degrade', got 0.5",
     ),
     (
         "faults.event=[{at_s=1,do='degrade',target='uav3',efficiency=1.5}]",
@@ -484,7 +484,7 @@ def test_the_last_setting_is_blamed() -> None:
 def test_settings_that_contradict_the_cost_to_go() -> None:
     """The cost-to-go weighs deviations from hover; a preview without control law and cost-to-go has no effect."""
     penalised_input = refusal(PAPER, "controller.terminal=riccati", "controller.weights.penalised_input=absolute")
-    expected = "expected 'deviation' with controller.terminal = 'riccati', whose optimum rests at hover, got 'absolute'"
+    expected = "expected 'deviation' with controller.terminal = 'riccati', whose optimum is hover, got 'absolute'"
     assert penalised_input == f"--set controller.weights.penalised_input=absolute: {expected}"
     alone = refusal(PAPER, "controller.preview=true")
     assert alone.startswith("--set controller.preview=true: expected controller.prediction = 'closed_loop' or ")

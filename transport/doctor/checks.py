@@ -117,7 +117,7 @@ def disk(folder: Path) -> Finding:
     free_mb = shutil.disk_usage(folder).free / 1e6
     found = f"{free_mb / 1e3:.1f} GB free at {folder}"
     if free_mb < _LEAST_DISK_MB:
-        return Finding("warn", found, "free some space, or write elsewhere: --out")
+        return Finding("warn", found, "free some space, or use another folder: --out")
     return Finding("ok", found)
 
 
