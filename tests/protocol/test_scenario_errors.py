@@ -170,8 +170,8 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
     (
         ("controller.share=on_change",),
         "controller.prediction",
-        "expected 'closed_loop' with controller.share 'on_change', where the others know the control law that "
-        "acts between two plans, got 'open_loop'",
+        "expected 'closed_loop' with controller.share 'on_change', where other agents know the control law "
+        "between two plans, got 'open_loop'",
     ),
     (
         ("controller.prediction=closed_loop", "controller.share=on_change"),
