@@ -16,7 +16,7 @@ FOLDERS = (
 SUFFIXES = {".py", ".md", ".toml", ".c", ".json", ".service", ".sh", ".yaml"}
 FILES = sorted(
     [path for folder in FOLDERS for path in (ROOT / folder).rglob("*") if path.suffix in SUFFIXES]
-    + [path for path in ROOT.iterdir() if path.suffix in SUFFIXES and path.name != "CHANGELOG.md"]
+    + [path for path in ROOT.iterdir() if path.suffix in SUFFIXES]
 )
 SOURCES = [path for path in FILES if path.suffix == ".py"]
 
