@@ -295,7 +295,7 @@ def test_plans_under_another_law_are_played_as_announced() -> None:
 
 
 def test_who_follows_another_law() -> None:
-    """Listed are agents whose newest usable plan is older than the control law; none without plan, none off the roster."""
+    """Agents with a newest usable plan older than the control law are listed; none without plan or off the roster."""
     inputs = under_law(labelled(1, 3), labelled(1, 8), labelled(2, 3))
     assert inputs.under_previous_law(before=10) == []
     inputs.law_since = 5
