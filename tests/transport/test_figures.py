@@ -94,6 +94,7 @@ def test_nothing_recorded_draws_nothing(tmp_path: Path) -> None:
     assert not (tmp_path / "figures").exists()
 
 
+@pytest.mark.slow
 def test_pdf_is_written_on_request(tmp_path: Path) -> None:
     """With `pdf` each figure is a PDF too, equal for equal runs; without it there is none."""
     run = runs.setup(runs.SHORT)
