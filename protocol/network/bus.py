@@ -164,7 +164,7 @@ class Bus:
                 if time.monotonic() < deadline:
                     awaited.update_if_begun()
                     continue
-                called = ", ".join(self._endpoints.connect) or "none: it is called"
+                called = ", ".join(self._endpoints.connect) or "none: others connect to it"
                 raise BusError(
                     f"{self.name}: no sign of {', '.join(sorted(missing))} within {timeout_s:g} s; "
                     f"listening on {', '.join(self._endpoints.listen) or 'nothing'}, connecting to {called}"
@@ -311,7 +311,7 @@ class Bus:
             reply({**health, "asked_ns": at_ns, "answered_ns": time.time_ns()})
             return None
         if not self._serves:
-            reply({"error": f"what: expected health, all that {self.name} answers, got {what[:40]!r}"})
+            reply({"error": f"what: expected health, the only request that {self.name} answers, got {what[:40]!r}"})
             return None
         return Request(what, given, reply)
 

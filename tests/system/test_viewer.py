@@ -376,5 +376,5 @@ def test_what_is_missing_is_named(
     folder = recorded if arguments == ["view"] else tmp_path / "out"
     result = CliRunner().invoke(app, [*arguments, str(folder)])
     assert result.exit_code == 2
-    assert result.stderr == "transport: viser is not installed; pip install 'payload-transport[view]' brings it\n"
+    assert result.stderr == "transport: viser is not installed: pip install 'payload-transport[view]'\n"
     assert not (tmp_path / "out").exists()

@@ -259,7 +259,7 @@ def test_rejections_add_up() -> None:
 def test_a_cut_tick_loses_nothing() -> None:
     """Reports missing at the end of a cut log do not count as lost plans."""
     messages = [m for m in perfect(5) if not (m.kind in ("report", "control") and m.tick == 4)]
-    summary = summarise(runs.setup(HOVER), log_of(messages, cut="the log is not whole"))
+    summary = summarise(runs.setup(HOVER), log_of(messages, cut="the log is incomplete"))
     assert summary["messages"] == {
         "planned": 20,
         "shared": 20,
@@ -270,7 +270,7 @@ def test_a_cut_tick_loses_nothing() -> None:
         "rejected": 0,
     }
     assert (summary["outcome"], summary["exit_code"]) == ("unknown", None)
-    assert summary["log_cut"] == "the log is not whole"
+    assert summary["log_cut"] == "the log is incomplete"
 
 
 def test_agents_that_left_receive_nothing() -> None:

@@ -126,7 +126,7 @@ class Watch:
         return float(np.degrees(np.abs(StateView(self.plant_state.x).Theta0)).max())
 
     def state_of(self, agent: int) -> str:
-        """Return the state of an agent: flies, silent, off (the roster), or fail-safe; "-" while unknown."""
+        """Return the state of an agent: active, silent, off (the roster), or fail-safe; "-" while unknown."""
         uavs = self.setup.owned[agent - 1]
         if self.plant_state is not None and any(self.plant_state.plan_ticks[uav] == FAIL_SAFE for uav in uavs):
             return "fail-safe"
@@ -135,7 +135,7 @@ class Watch:
         report = self.agents[agent].report
         if report is None:
             return "-"
-        return "flies" if self.tick - report.tick <= _BEHIND else "silent"
+        return "active" if self.tick - report.tick <= _BEHIND else "silent"
 
     def content(self) -> dict[str, Any]:
         """Return the status as JSON data."""

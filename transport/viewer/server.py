@@ -24,7 +24,7 @@ class ViewerError(TransportError, RuntimeError):
 def require_viser() -> None:
     """Raise ViewerError if viser is not installed."""
     if find_spec("viser") is None:
-        raise ViewerError("viser is not installed; pip install 'payload-transport[view]' brings it")
+        raise ViewerError("viser is not installed: pip install 'payload-transport[view]'")
 
 
 def start_server(host: str, port: int) -> "viser.ViserServer":
