@@ -17,8 +17,9 @@ from protocol.wire.exit_codes import EXIT_CASE_FAILED
 from transport.experiments import sweep as experiment_sweep
 from transport.experiments.cases import Case, Point, cases_of_point
 from transport.experiments.errors import ExperimentError
-from transport.experiments.experiment import Axis, Experiment
+from transport.experiments.experiment import Experiment
 from transport.experiments.figures import draw, fill
+from transport.experiments.quantities import Axis, axis, quantity
 from transport.experiments.results import Results, ResultsInMemory
 from transport.experiments.simulation import NUMBERS, Result
 from transport.experiments.statistics import PointStatistics, statistics_of
@@ -90,7 +91,7 @@ def sweep(
             cases += cases_of_point(len(points), changed.validated, changed.file, seeds)
             points.append(Point(scenario=label, labels=labels, text=text, baseline=number == 0))
             sizes.add(changed.setup.system.N)
-    experiment = Experiment(name=_NAME, points=tuple(points), x=Axis(next(iter(values)), next(iter(values))))
+    experiment = Experiment(name=_NAME, points=tuple(points), x=_axis(next(iter(values))))
     shown = console(shown=progress)
     target = None if folder is None else Path(file_name(folder, "folder"))
     with ResultsInMemory() if target is None else Results(target, _NAME, machine()) as results:
@@ -189,7 +190,7 @@ class Sweep:
             labels = [value for point in self._experiment.points for value in point.labels.values()]
             if len(others) != 1 or not all(isinstance(value, float) for value in labels):
                 raise ArgumentError(f"kind: expected two settings with numbers for a map, got {', '.join(names)}")
-            axes = Axis(along, along), Axis(others[0], others[0])
+            axes = _axis(along), _axis(others[0])
             experiment = Experiment(name=_NAME, points=self._experiment.points, x=axes[0], y=axes[1], drawn_as="map")
             return experiment, self.points
         if kind != "curves":
@@ -199,8 +200,7 @@ class Sweep:
             for m in self.points
         ]
         points = tuple(m.point for m in measured)
-        axis = Axis(along, along)
-        return Experiment(name=_NAME, points=points, x=axis, curves=_CURVE if others else None), measured
+        return Experiment(name=_NAME, points=points, x=_axis(along), curves=_CURVE if others else None), measured
 
 
 def _replaced(m: PointStatistics, labels: Mapping[str, str | float]) -> PointStatistics:
@@ -210,8 +210,12 @@ def _replaced(m: PointStatistics, labels: Mapping[str, str | float]) -> PointSta
 
 def _others(point: Point, names: Sequence[str]) -> str:
     """Return the settings of a point that tell its curve."""
-    texts = (f"{value:g}" if isinstance(value, float) else value for value in (point.labels[name] for name in names))
-    return ", ".join(f"{name} {text}" for name, text in zip(names, texts, strict=True))
+    return ", ".join(quantity(key_of(name)).text(point.labels[name]) for name in names)
+
+
+def _axis(name: str) -> Axis:
+    """Return the axis of a setting, given by its key or its short name."""
+    return axis(name, key_of(name))
 
 
 def _checked_grid(grid: Mapping[str, Iterable[Any]]) -> dict[str, list[Any]]:
