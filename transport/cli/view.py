@@ -49,6 +49,8 @@ def view(
             about = {"address": viewer.address, "run": str(folder)}
             typer.echo(json.dumps(about) if output is Format.json else viewer.address, file=result)
             result.flush()
+            if viewer.other_port:
+                typer.echo(viewer.other_port, err=True)
             typer.echo(f"showing {folder}; Ctrl-C ends it", err=True)
             viewer.show_until(parent_ended())
     except KeyboardInterrupt:
