@@ -113,9 +113,9 @@ def _simulate(
     called = {name: [*place.listen, *place.connect][0] for name, place in [*places.items(), (RECORDER, recording)]}
     started_here = {name: place for name, place in places.items() if name not in external}
     with (
-        own_keys(scenario, folder) as own,
-        Harness(run, folder / "scenario.toml", started_here, folder / "logs", own) as harness,
         RunProgress(setup, console) as progress,
+        own_keys(scenario, folder, progress.say) as own,
+        Harness(run, folder / "scenario.toml", started_here, folder / "logs", own) as harness,
     ):
         if own is not None:
             recording = replace(recording, security=Security(own, ()))

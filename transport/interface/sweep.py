@@ -1,7 +1,7 @@
 """Sweeps: a run for each combination of settings and each seed, on the cores of this machine or on a Dask cluster."""
 
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from os import PathLike
@@ -12,6 +12,7 @@ import joblib
 import numpy as np
 from rich.console import Console
 
+from protocol.scenario.budget import most_workers
 from protocol.wire.exit_codes import EXIT_CASE_FAILED
 from transport.experiments import sweep as experiment_sweep
 from transport.experiments.cases import Case, Point, cases_of_point
@@ -273,5 +274,10 @@ def _simulator(workers: int | str | None) -> experiment_sweep.Simulate:
         return partial(on_cluster, address=workers)
     if workers is not None and (not isinstance(workers, int) or workers < 1):
         raise ArgumentError(f"workers: expected a number >= 1 or the address of a Dask cluster, got {workers!r}")
-    jobs = joblib.cpu_count() if workers is None else workers
-    return lambda cases: on_cores(cases, min(jobs, len(cases)))
+
+    def on_this_machine(cases: Sequence[Case]) -> Iterator[Result]:
+        # By default as many workers as there are cores, and memory for.
+        jobs = workers or min(joblib.cpu_count(), most_workers(case.scenario for case in cases))
+        return on_cores(cases, min(jobs, len(cases)))
+
+    return on_this_machine
