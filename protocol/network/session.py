@@ -140,6 +140,8 @@ def ask(
                 raise BusError(f"no sign of {name} of run {run} within {timeout_s:g} s; tried {', '.join(connect)}")
             time.sleep(0.02)
         answer = fetch_answer(session, keys.request(name, what), given, timeout_s)
+    except zenoh.ZError as error:  # its text is about Zenoh's sources
+        raise BusError(f"{name} of run {run} has closed the connection: it has ended, or is about to end") from error
     finally:
         in_bounded_time(session.close)
     if answer is None:

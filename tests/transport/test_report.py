@@ -36,7 +36,7 @@ def checked(folder: Path) -> dict[str, Any]:
 
 
 def printed(summary: dict[str, Any]) -> str:
-    """Return the table as printed on a terminal of usual width."""
+    """Return the text of the table on a terminal of usual width."""
     console = Console(width=100, record=True, file=None, quiet=False)
     with console.capture() as capture:
         console.print(summary_table(summary))

@@ -40,6 +40,11 @@ def start_server(host: str, port: int) -> "viser.ViserServer":
         return viser.ViserServer(host=host, port=port, verbose=False)
 
 
+def told_port(requested: int, got: int) -> str:
+    """Return a sentence that the server listens on another port than the requested one; empty if it does not."""
+    return "" if requested in (0, got) else f"port {requested} is taken; the viewer listens on port {got}"
+
+
 def _check_port(host: str, port: int) -> None:
     """Raise ViewerError for an address that cannot be used: viser would wait for it forever."""
     for candidate in range(port, port + _PORTS) if port else (0,):
