@@ -111,7 +111,7 @@ def test_a_cut_log_is_reported(tmp_path: Path, flight: tuple[Path, list[Message]
     assert summary["log_cut"]
     text = printed(summary)
     assert len(text.splitlines()) <= MOST_LINES
-    assert "not whole" in text
+    assert "incomplete" in text
 
 
 def test_equal_runs_have_equal_tables(tmp_path: Path) -> None:

@@ -69,5 +69,5 @@ def _check_external(setup: Setup, external: list[str]) -> None:
         if name not in names:
             fail(f"--external: expected one of {', '.join(names)}, got {name!r}", EXIT_USAGE)
         if any(fault.target == name for fault in setup.faults):
-            expected = "expected a process without scripted faults, which need one that the run has started"
+            expected = "expected a process without scripted faults, which act only on processes of the run"
             fail(f"--external: {expected}, got {name!r}", EXIT_USAGE)

@@ -39,7 +39,7 @@ def new(
     Example: transport scenario new --uavs 6 --out six.toml
     """
     if not FEWEST <= uavs <= MOST:
-        why = ": a payload on one rod turns freely about it, and no UAV can turn it back" if uavs == 1 else ""
+        why = ": a payload on one rod rotates freely about it, and no input can control that" if uavs == 1 else ""
         fail(f"--uavs: expected {FEWEST} to {MOST}, got {uavs}{why}", EXIT_USAGE)
     if group is not None and not 1 <= group <= uavs:
         fail(f"--groups: expected 1 to {uavs} UAVs per agent, got {group}", EXIT_USAGE)

@@ -126,5 +126,5 @@ def test_the_whole_command(tmp_path: Path) -> None:
         assert part in result.stdout
         assert sum(value in result.stdout for value in values) >= len(values) - 1, part
     drawn = (out / "figure.svg").read_text()
-    assert "received states as received" in drawn
+    assert "received states: as received" in drawn
     assert "200 ms delay, 30 % loss" in drawn
