@@ -30,7 +30,11 @@ def problems(figure: Figure, smallest_pt: float) -> list[str]:
     room = _ROOM_PT / 72.0 * figure.dpi
     texts = drawn_texts(figure)
     page = figure.bbox.padded(room)
-    found = [f"{text.get_text()!r}: {text.get_fontsize()} pt" for text, _ in texts if text.get_fontsize() < smallest_pt]
+    found = [
+        f"{text.get_text()!r}: {text.get_fontsize()} pt"
+        for text, _ in texts
+        if float(text.get_fontsize()) < smallest_pt
+    ]
     found += [
         f"{text.get_text()!r}: outside the figure"
         for text, box in texts
