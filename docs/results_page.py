@@ -72,11 +72,12 @@ def page(sections: Sequence[tuple[Section, list[str], str]]) -> str:
     """Return docs/results.md."""
     parts = [
         "# Results\n\n<!-- Made by `make figures` (docs/results_page.py): do not edit. -->\n\n"
-        "Every number here comes from the command above it, and `make figures` makes them all again. Costs, attitudes "
-        "and survival are the same on every machine; processor times are of the machine named below a table. Costs are "
-        "means over a run of the team's cost at each tick ([equations.md](equations.md) (21)), ± half the 95 % "
-        "confidence interval where chance plays a part. `swing` is the largest distance of the payload from its "
-        "reference in the last 4 s of a run. How experiments work: [experiments.md](experiments.md)."
+        "This page has the results of all experiments. Every number comes from the command above it, and `make "
+        "figures` repeats all of them. Costs, attitudes and survival are the same on every machine; processor times "
+        "are of the machine named below a table. Costs are means over a run of the team's cost at each tick "
+        "([equations.md](equations.md) (21)), ± half the 95 % confidence interval for random runs. `swing` is the "
+        "largest distance of the payload from its reference in the last 4 s of a run. "
+        "[experiments.md](experiments.md) describes the experiments."
     ]
     for section, sentences, machine in sections:
         command = " ".join(("transport experiment", section.name, *section.arguments))

@@ -133,9 +133,7 @@ class Security:
             text, mode = file.read_text(encoding="utf-8"), file.stat().st_mode
         except (OSError, UnicodeDecodeError) as error:
             raise SecurityError(f"network.keys: cannot read {file} ({error})") from error
-        if mode & 0o077:
-            expected = "expected a file that only its owner can read (chmod 600)"
-            raise SecurityError(f"network.keys: {file}: {expected}, got permissions {mode & 0o777:o}")
+        _check_is_private(file, mode)
         found = re.fullmatch(rf"{_SECRET_USER}:(\S{{16,}})\n?", text)
         if found is None:
             raise SecurityError(f"network.keys: {file}: expected a line {_SECRET_USER}:SECRET of 16 or more characters")
@@ -149,17 +147,26 @@ class Security:
             raise SecurityError(f"network.keys: expected the file {file}, got none ({error.strerror})") from error
 
 
+def _check_is_private(file: Path, mode: int) -> None:
+    """Raise SecurityError if others than the owner of a file can read or write it."""
+    if mode & 0o077:
+        expected = "expected a file that only its owner can read (chmod 600)"
+        raise SecurityError(f"network.keys: {file}: {expected}, got permissions {mode & 0o777:o}")
+
+
 @contextmanager
 def new_secret(folder: Path) -> Iterator[Path]:
     """Make a folder of keys with a random secret, which only this user can read; remove it in the end.
 
-    Raises: OSError: the folder exists or cannot be made.
+    Raises: SecurityError: the file system keeps no permissions (FAT, some shares). OSError: the folder exists or cannot
+        be made.
     """
     folder.mkdir(mode=0o700)
     file = folder / SHARED
-    file.touch(mode=0o600, exist_ok=False)
-    file.write_text(f"{_SECRET_USER}:{secrets.token_hex(_SECRET_BYTES)}\n", encoding="utf-8")
     try:
+        file.touch(mode=0o600, exist_ok=False)
+        _check_is_private(file, file.stat().st_mode)
+        file.write_text(f"{_SECRET_USER}:{secrets.token_hex(_SECRET_BYTES)}\n", encoding="utf-8")
         yield folder
     finally:
         with suppress(OSError):

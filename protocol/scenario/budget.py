@@ -5,6 +5,7 @@ seconds were fitted to runs (`tests/protocol/test_budget.py` compares them with 
 """
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from model.state import INPUTS, PAYLOAD, PER_UAV
@@ -28,8 +29,8 @@ ADMITTED = "--allow-large admits more"
 _FLOAT = 8  # bytes
 # Interpreter and packages; and the functions of a model, per UAV.
 BASE_BYTES, _MODEL_BYTES = 60 * MB, 1 * MB
-# Bytes of a plan, report, measurement and plant state beside their arrays.
-_PLAN_BYTES, _REPORT_BYTES, _MEASUREMENT_BYTES, _PLANT_STATE_BYTES = 100.0, 260.0, 60.0, 60.0
+# Bytes of a plan, report, measurement, plant state and actual inputs beside their arrays.
+_PLAN_BYTES, _REPORT_BYTES, _MEASUREMENT_BYTES, _PLANT_STATE_BYTES, _ACTUAL_BYTES = 100.0, 260.0, 60.0, 60.0, 60.0
 # Bytes of the log over bytes of its messages: compression.
 _COMPRESSED = 0.65
 # Bytes in the memory of the report per tick and agent: Python objects of plans and step reports.
@@ -48,6 +49,7 @@ class Budget:
         agent_bytes: Memory of the largest agent.
         process_bytes: Memory of the largest process: an agent, the plant, or the report after the run.
         total_bytes: Memory of all processes.
+        worker_bytes: Memory of one process that simulates the whole run, as in a sweep.
         log_bytes: Size of run.mcap.
         step_s: Processor time of one step of the largest agent while few constraints are active, s.
     """
@@ -60,6 +62,7 @@ class Budget:
     agent_bytes: float
     process_bytes: float
     total_bytes: float
+    worker_bytes: float
     log_bytes: float
     step_s: float
 
@@ -68,7 +71,7 @@ class Budget:
         return (
             f"{self.ticks} ticks, {self.plant_steps} integration steps per period, "
             f"QP of {self.variables} variables and {self.rows} rows, "
-            f"{self.process_bytes / MB:.0f} MB per process, {self.total_bytes / MB:.0f} MB in all, "
+            f"{self.process_bytes / MB:.0f} MB per process, {self.total_bytes / MB:.0f} MB in total, "
             f"log of {self.log_bytes / MB:.3g} MB, {1e3 * self.step_s:.2g} ms of processor time per step"
         )
 
@@ -78,6 +81,7 @@ def estimate(scenario: Scenario) -> Budget:
     controller, N, M = scenario.controller, len(scenario.system.uav), len(scenario.owned)
     horizon, own = controller.horizon, max(map(len, scenario.owned))
     n, outputs = PAYLOAD + PER_UAV * N, INPUTS * N + 9
+    states = n + (INPUTS * N if controller.motor_lag_s else 0)  # with motor lag the actual inputs are states
     ticks = ticks_of(scenario)
     variables, rows = _program(scenario, own)
     has_corrections = controller.prediction == "closed_loop"
@@ -87,12 +91,14 @@ def estimate(scenario: Scenario) -> Budget:
     measurement = _FLOAT * (PAYLOAD + (PER_UAV + INPUTS) * own) + _MEASUREMENT_BYTES + 3.0 * M
     plant_state = _FLOAT * (n + INPUTS * N) + _PLANT_STATE_BYTES
     tick_bytes = M * (plan * controller.negotiation_iterations + report + measurement) + plant_state
+    if _are_motors_recorded(scenario):
+        tick_bytes += (_FLOAT * INPUTS + 1.0) * N + _ACTUAL_BYTES
 
     instants = ticks + horizon + 2
     # Reference, with intermediate results; the preview and its recursion.
-    path_bytes = _FLOAT * instants * (3.5 * outputs + (7.0 * n if controller.preview else 0.0))
+    path_bytes = _FLOAT * instants * (3.5 * outputs + (7.0 * states if controller.preview else 0.0))
     # Rows and their template; Hessian, its factor and copies; regulator and linear model.
-    matrix_bytes = _FLOAT * (2.0 * rows * variables + 3.0 * variables**2 + 6.0 * n**2 + 2.0 * n * variables)
+    matrix_bytes = _FLOAT * (2.0 * rows * variables + 3.0 * variables**2 + 6.0 * states**2 + 2.0 * states * variables)
     base_bytes = BASE_BYTES + _MODEL_BYTES * N
     agent_bytes = base_bytes + path_bytes + matrix_bytes
     report_bytes = base_bytes + ticks * (M * _REPORTED_BYTES + 6.0 * _FLOAT * n)
@@ -108,9 +114,10 @@ def estimate(scenario: Scenario) -> Budget:
         agent_bytes=agent_bytes,
         process_bytes=max(agent_bytes, report_bytes),
         total_bytes=M * agent_bytes + rest_bytes + (report_bytes - base_bytes),
+        worker_bytes=base_bytes + M * (agent_bytes - base_bytes) + ticks * tick_bytes + (report_bytes - base_bytes),
         log_bytes=_COMPRESSED * ticks * tick_bytes,
         step_s=controller.negotiation_iterations
-        * (6e-4 + 7e-8 * n**2 + 1.5e-8 * rows * variables + 3.4e-11 * variables**3),
+        * (6e-4 + 7e-8 * states**2 + 1.5e-8 * rows * variables + 3.4e-11 * variables**3),
     )
 
 
@@ -137,7 +144,7 @@ def check_budget(scenario: Scenario, source: str) -> Budget:
         ("controller.horizon", found.variables, MOST_VARIABLES, "variables of a QP", ",d"),
         ("controller.horizon", found.rows, MOST_ROWS, "rows of a QP", ",d"),
         (size, found.process_bytes / MB, MOST_PROCESS_BYTES / MB, "MB of memory per process", ",.0f"),
-        (size, found.total_bytes / MB, MOST_TOTAL_BYTES / MB, "MB of memory in all", ",.0f"),
+        (size, found.total_bytes / MB, MOST_TOTAL_BYTES / MB, "MB of memory in total", ",.0f"),
         ("maneuver.phase", found.log_bytes / MB, MOST_LOG_BYTES / MB, "MB of log", ",.0f"),
         ("controller.horizon", found.step_s, MOST_STEP_S, "s of processor time per step", ",.2g"),
     ):
@@ -145,6 +152,19 @@ def check_budget(scenario: Scenario, source: str) -> Budget:
             expected = f"expected at most {format(most, shown)} {unit}, got {format(got, shown)}"
             raise ScenarioError(source, field, f"{expected} ({ADMITTED})")
     return found
+
+
+def most_workers(scenarios: Iterable[Scenario]) -> int:
+    """Return how many processes that each simulate one of these runs fit into the memory of a run, at least one."""
+    largest = max((estimate(scenario).worker_bytes for scenario in scenarios), default=BASE_BYTES)
+    return max(1, int(MOST_TOTAL_BYTES // largest))
+
+
+def _are_motors_recorded(scenario: Scenario) -> bool:
+    """Return whether the log has the actual inputs: the motors are not ideal, as `plant.motors.Motors` decides."""
+    motors, events = scenario.plant.motors, scenario.faults.event
+    fails = any(event.do == "degrade" for event in events)
+    return bool(motors.lag_s or motors.thrust_step_N or motors.rotors or fails)
 
 
 def _plant_steps(scenario: Scenario, step_s: float) -> int:

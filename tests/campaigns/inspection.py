@@ -18,6 +18,14 @@ ORPHANS_S = 20.0
 _POLL_S = 0.02
 _SIGCGT = "SigCgt:"
 
+# Names of processes of a run besides coordinator, plant, agent1, ...: the command itself, which contains the recorder
+# and whose exit code is the run's; the process that reports, and those that draw for it.
+COMMAND, FORK_SERVER, REPORT, DRAWING, VIEWER = "transport", "fork-server", "report", "drawing", "viewer"
+# Compiler and linker, in the first run on a machine.
+COMPILER = "compiler"
+_BY_COMMAND = {"run": COMMAND, "plot": REPORT, "view": VIEWER, "coordinator": "coordinator", "plant": "plant"}
+_COMPILERS = frozenset({"cc", "gcc", "clang", "cc1", "as", "collect2", "ld"})
+
 
 def wait_for(condition: Callable[[], bool], timeout_s: float) -> bool:
     """Poll a condition; return whether it came true in time."""
@@ -58,24 +66,47 @@ def processes_below(folder: Path) -> dict[int, list[str]]:
 
 
 def name_of(words: list[str]) -> str:
-    """Return the name of a process of a run by its command line: agent2, plant, fork-server, transport."""
+    """Return the name of a process of a run by its command line, or the command line of one that is not known.
+
+    An agent that was started again, or waits for that, has its incarnation in its name, as in that of its output:
+    agent2-1.
+    """
     if "fork-server" in words or any(word.endswith("transport.cli.fork_server") for word in words):
-        return "fork-server"
-    if "--run" not in words or "transport" not in words:
-        return "transport"
-    role = words[words.index("transport") + 1]
-    return f"agent{words[words.index('--id') + 1]}" if role == "agent" else role
+        return FORK_SERVER
+    if words and _COMPILERS & set(Path(words[0]).name.split("-")):  # x86_64-linux-gnu-gcc-12
+        return COMPILER
+    after = words[words.index("transport") + 1 :] if "transport" in words else []
+    if after[:1] == ["agent"] and "--id" in after:
+        incarnation = after[after.index("--incarnation") + 1] if "--incarnation" in after else "0"
+        return f"agent{after[after.index('--id') + 1]}{'' if incarnation == '0' else f'-{incarnation}'}"
+    return _BY_COMMAND.get(after[0] if after else "", " ".join(words))
+
+
+def names_below(folder: Path) -> dict[int, str]:
+    """Return the names of all living processes that work in a folder or below it, by process id, ascending."""
+    found = {pid: name_of(words) for pid, words in sorted(processes_below(folder).items())}
+    # A process that draws is forked from the one that reports, and has its command line.
+    drawing = [pid for pid, name in found.items() if name == REPORT and found.get(parent_of(pid)) == REPORT]
+    return found | dict.fromkeys(drawing, DRAWING)
+
+
+def parent_of(pid: int) -> int:
+    """Return the process id of a process's parent, or 0 if the process is gone."""
+    try:
+        return int(Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[1])
+    except (OSError, IndexError):
+        return 0
 
 
 def end_orphans(folder: Path) -> list[str]:
     """Return the names of processes that are left in a folder after a while, and kill them."""
     if wait_for(lambda: not processes_below(folder), ORPHANS_S):
         return []
-    left = processes_below(folder)
+    left = names_below(folder)
     for pid in left:
         with suppress(ProcessLookupError):
             os.kill(pid, signal.SIGKILL)
-    return [name_of(words) for words in left.values()]
+    return list(left.values())
 
 
 def tracebacks(*folders: Path) -> Iterator[str]:

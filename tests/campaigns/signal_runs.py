@@ -5,10 +5,16 @@ import signal
 from dataclasses import dataclass
 from typing import Literal
 
-# The command itself, which contains the recorder; its exit code is the run's.
-COMMAND = "transport"
-FORK_SERVER = "fork-server"
-_TARGETS = ("coordinator", "plant", "agent1", "agent2", "agent3", "agent4", FORK_SERVER, COMMAND, COMMAND)
+from tests.campaigns.inspection import COMMAND, DRAWING, FORK_SERVER, REPORT, VIEWER
+
+# The start of agent 2 that waits until the scenario kills the first one.
+SUCCESSOR = "agent2-1"
+TARGETS = (
+    *("coordinator", "plant", "agent1", "agent2", "agent3", "agent4", SUCCESSOR),
+    *(FORK_SERVER, REPORT, DRAWING, VIEWER, COMMAND),
+)
+# How often each of them is a target.
+_WEIGHTS = {COMMAND: 2, REPORT: 2, DRAWING: 2}
 
 # What is sent: a signal, or a trace stop of all threads of a process or of the first one, which leaves its network
 # alive. A stop ends after a time, or never.
@@ -20,10 +26,17 @@ RESUMED_S: tuple[float | None, ...] = (None, 1.0, 7.0, 20.0)
 
 # Share of injections before the run, and latest time after the start of their process, s.
 _BEFORE, _JOINING_S = 0.3, 1.5
+# The same for injections into command, report and viewer while the report is made, after its begin: it takes 1 s.
+_REPORTING, _REPORTED_S = 0.4, 1.5
+# Latest time after the start of a process that draws, s.
+_DRAWN_S = 0.7
+# Share of runs with figures and with a viewer, where no target needs them.
+_FIGURES, _VIEWER = 0.2, 0.05
 # Latest time after the first tick, s: a run takes about 3 s, so some injections come while the report is written.
 _LATEST_S = 3.5
 _PACED = "maneuver.phase=[{name='climb',duration_s=3.0,displacement_m=[0,0,-1.5]}]"
 _UNPACED = "maneuver.phase=[{name='climb',duration_s=12.0,displacement_m=[0,0,-6.0]}]"
+RESTART = 'faults.event=[{at_s=0.4,do="restart",target="agent2"}]'
 _IMPAIRED = (
     "links={delay_s=0.06,jitter_s=0.05,loss=0.1}",
     "links={delay_s=0.02,loss=0.05,duplicate=0.2,reorder=0.2,reorder_s=0.1,measurement={loss=0.1},actuation={loss=0.1}}",
@@ -37,16 +50,16 @@ class Injection:
     """A signal or a trace stop of one process.
 
     Attributes:
-        target: Process name, `COMMAND` or `FORK_SERVER`.
+        target: One of `TARGETS`.
         kind: What is sent.
-        since: Whether `after_s` counts from the start of the process or from the first tick.
+        since: Begin of `after_s`: the start of the process, the first tick, or the begin of the report.
         after_s: Time of the signal, s.
         resumed_s: Time from a stop to its end, s; None for never.
     """
 
     target: str
     kind: Kind
-    since: Literal["start", "first tick"]
+    since: Literal["start", "first tick", "report"]
     after_s: float
     resumed_s: float | None = None
 
@@ -71,11 +84,13 @@ class Injection:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SignalRun:
-    """A run as drawn: its number, changes of the scenario, and injections in any order."""
+    """A run as drawn: its number, changes of the scenario, injections in any order, with figures, with a viewer."""
 
     number: int
     settings: tuple[str, ...]
     injections: tuple[Injection, ...]
+    figures: bool = False
+    viewer: bool = False
 
 
 def random_run(seed: int, number: int) -> SignalRun:
@@ -94,20 +109,37 @@ def random_run(seed: int, number: int) -> SignalRun:
     if pace != "realtime" and rng.random() < 0.3:
         settings += ["clock.exchange=direct"]
     count = 2 if rng.random() < 0.3 else 1
+    injections = tuple(_random_injection(rng) for _ in range(count))
+    targets = {injection.target for injection in injections}
+    if SUCCESSOR in targets:
+        settings += [RESTART]
     return SignalRun(
-        number=number, settings=tuple(settings), injections=tuple(_random_injection(rng) for _ in range(count))
+        number=number,
+        settings=tuple(settings),
+        injections=injections,
+        figures=bool({REPORT, DRAWING} & targets) or rng.random() < _FIGURES,
+        viewer=VIEWER in targets or rng.random() < _VIEWER,
     )
 
 
 def _random_injection(rng: random.Random) -> Injection:
-    target = rng.choice(_TARGETS)
+    target = rng.choices(TARGETS, [_WEIGHTS.get(name, 1) for name in TARGETS])[0]
     kind = rng.choice((*KINDS, "STOP", "STOP"))
-    # The fork server has done its work by the first tick.
-    since: Literal["start", "first tick"] = "start" if rng.random() < _BEFORE or target == FORK_SERVER else "first tick"
+    since = _random_begin(rng, target)
+    latest_s = {"start": _JOINING_S, "first tick": _LATEST_S, "report": _REPORTED_S}[since]
     return Injection(
         target=target,
         kind=kind,
         since=since,
-        after_s=rng.uniform(0.0, _JOINING_S if since == "start" else _LATEST_S),
+        after_s=rng.uniform(0.0, latest_s) if target != DRAWING else rng.uniform(0.0, _DRAWN_S),
         resumed_s=rng.choice(RESUMED_S) if kind == "STOP" else None,
     )
+
+
+def _random_begin(rng: random.Random, target: str) -> Literal["start", "first tick", "report"]:
+    """Draw what the time of an injection counts from."""
+    if target in (DRAWING, FORK_SERVER):  # the fork server has done its work by the first tick
+        return "start"
+    if target in (COMMAND, REPORT, VIEWER) and rng.random() < _REPORTING:
+        return "report"
+    return "start" if rng.random() < _BEFORE else "first tick"

@@ -24,16 +24,17 @@ from protocol.network.parent import python
 from protocol.wire.exit_codes import EXIT_INTERRUPTED
 from protocol.wire.messages import Control
 from tests.campaigns.inspection import (
+    COMMAND,
+    DRAWING,
     catches,
     end_orphans,
     log_in,
-    name_of,
-    processes_below,
+    names_below,
     state_of,
     tracebacks,
     wait_for,
 )
-from tests.campaigns.signal_runs import COMMAND, Injection, SignalRun, random_run
+from tests.campaigns.signal_runs import Injection, SignalRun, random_run
 from tests.support.trace_stop import TraceError, trace_stopped
 from transport.log.run_log import RunLog
 
@@ -46,6 +47,8 @@ _STOPPING_S = 1.0
 # Injections happen after this time even if the run has not begun.
 _BEGIN_S = 30.0
 
+# Processes that share a line of the table.
+_CALLED = dict.fromkeys(("agent1", "agent2", "agent3", "agent4"), "agent")
 _PROBLEMS = ("hang", "orphan", "traceback", "unreadable log", "wrong exit code")
 
 
@@ -79,7 +82,8 @@ def execute(run: SignalRun, folder: Path, stop: threading.Event) -> Result:
     """
     name = f"signals-{run.number}-{os.getpid()}"
     folder.mkdir(parents=True, exist_ok=True)
-    arguments = [*python("transport"), "run", "resilient", "--out", name, "--no-figures"]
+    arguments = [*python("transport"), "run", "resilient", "--out", name]
+    arguments += [*([] if run.figures else ["--no-figures"]), *(["--view", "--port", "0"] if run.viewer else [])]
     for setting in run.settings:
         arguments += ["--set", setting]
     sending = _Sending()
@@ -90,6 +94,11 @@ def execute(run: SignalRun, folder: Path, stop: threading.Event) -> Result:
         try:
             _inject_all(run, command, folder / name, stop, sending)
             timeout_s = _FROZEN_S if sending.is_frozen else _DEADLINE_S
+            if run.viewer:
+                said = folder / f"{name}.txt"
+                wait_for(lambda: waits_for_user(said) or command.poll() is not None or stop.is_set(), timeout_s)
+                if waits_for_user(said):
+                    command.send_signal(signal.SIGINT)
             hangs = not wait_for(lambda: command.poll() is not None or stop.is_set(), timeout_s)
         finally:
             if command.poll() is None:
@@ -146,7 +155,10 @@ def _inject(
     if injection.since == "first tick":
         wait_for(lambda: _has_begun(folder) or is_over(), _BEGIN_S)
         started_s = time.monotonic()
-    elif injection.target != COMMAND:
+    if injection.since == "report" or injection.target == DRAWING:
+        wait_for(lambda: (folder / "summary.json").exists() or is_over(), _BEGIN_S)
+        started_s = time.monotonic()
+    if injection.since == "start" and injection.target != COMMAND:
         wait_for(lambda: _pid_of(injection.target, command, folder.parent) is not None or is_over(), _BEGIN_S)
         started_s = time.monotonic()
     wait_for(is_over, started_s + injection.after_s - time.monotonic())
@@ -172,8 +184,12 @@ def _pid_of(target: str, command: "subprocess.Popen[bytes]", folder: Path) -> in
     """Return the process id of a target, or None if there is none yet or no more."""
     if target == COMMAND:
         return command.pid
-    found = {name_of(words): pid for pid, words in processes_below(folder).items() if pid != command.pid}
-    return found.get(target)
+    return next((pid for pid, name in names_below(folder).items() if name == target), None)
+
+
+def waits_for_user(output: Path) -> bool:
+    """Return whether a command has said that its viewer stays open until the user ends it."""
+    return b"the viewer stays open" in output.read_bytes()
 
 
 def _has_begun(folder: Path) -> bool:
@@ -227,7 +243,7 @@ def table(results: Sequence[Result]) -> Iterator[str]:
     rows: dict[str, Counter[str]] = {}
     for result in results:
         first, *others = result.run.injections
-        sent = "two at once" if others else f"{first.sent} to {first.target.rstrip('1234')}"
+        sent = "two at once" if others else f"{first.sent} to {_CALLED.get(first.target, first.target)}"
         row = rows.setdefault(sent, Counter())
         row[f"exit {result.exit_code}"] += 1
         row.update(result.problems)

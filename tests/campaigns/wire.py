@@ -1,9 +1,10 @@
 """Campaign of hostile messages: `python -m tests.campaigns.wire --messages N --seed S`.
 
-Intruders send bad messages of every sort to runs with processes: an open one, one with its secret, one with
-certificates. An open run has to end with the bits of a run without intruder. Where there is a secret or certificates,
-sessions without them must not connect, and a session with the certificate of one agent may send under that name only.
-Exit code 1 if a run differs, or a session without keys connects.
+Intruders send bad messages of every sort to all processes of runs, the recorder included: open ones, one with its
+secret, some with certificates. A run has to end with the bits of one without intruder, and every process has to count
+every message that it received as refused. Where there is a secret or certificates, sessions without them must not
+connect, and a session with the certificate of one agent may send under that name only. Exit code 1 if a run differs,
+a process has accepted a message, or a session without keys connects.
 """
 
 import argparse
@@ -11,6 +12,7 @@ import json
 import signal
 import sys
 import tempfile
+import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -23,33 +25,34 @@ import zenoh
 
 from protocol.admission.admission import Admission
 from protocol.network.endpoints import process_names
+from protocol.network.session import fetch_answer
 from protocol.scenario.file import find_scenario, read_scenario
 from protocol.scenario.setup import Setup
-from protocol.wire.keys import Keys
+from protocol.wire.keys import RECORDER, Keys, matches
 from protocol.wire.rejections import Rejections
 from tests.support import attack
 from tests.support.commands import free_base, settings, start, wait_for
 from tests.support.garbage import Garbage
-from tests.support.intrusion import bombard, intruding, proofs_of_connection, table
+from tests.support.intrusion import Deliveries, Mesh, bombard, intruding, proofs_of_connection, table
 from tests.support.keyrings import keyring
 from tests.support.logs import record_run
 from transport.report.report import write_report
 
 # Paced to real time at the most, so that intruders have time; a flood slows it down.
-_TICKS = 400
+_TICKS = 800
 _FLIGHT = (
     f"maneuver.phase=[{{name='climb',duration_s={0.05 * _TICKS},displacement_m=[0.0,0.0,-1.0]}}]",
     "controller.horizon=5",
     "clock.speed=1.0",
 )
-# The last messages are sent well before the end, so that all of them arrive during the run.
-_LAST_TICK = _TICKS - 40
+# The last messages are sent well before the end, so that all of them arrive during the run, also on a busy machine.
+_LAST_TICK = _TICKS - 200
 # Messages at a time, and time between, s: below the rate at which receivers slow a sender down for good.
 _BURST, _PAUSE_S = 200, 0.01
 # Messages of three ticks: older ones have reached all processes.
 _DELAY = 60
-# Time for one run on a busy machine, and for a session that must not connect, s.
-_RUN_S, _REFUSED_S = 600.0, 0.7
+# Time for one run on a busy machine, for a session that must not connect, and for the health of a process, s.
+_RUN_S, _REFUSED_S, _HEALTH_S = 600.0, 0.7, 5.0
 
 _ACCESS = ("open", "secret", "certificates")
 
@@ -61,6 +64,7 @@ class Result:
     Attributes:
         runs: Number of runs.
         sent: Number of messages by sort.
+        received: Messages that reached processes, each counted once for every process it reached.
         refused: Messages that processes counted as refused, each process for itself.
         tried, connected: Sessions without keys that tried to connect, and that did.
         findings: Descriptions of what must not happen.
@@ -68,6 +72,7 @@ class Result:
 
     runs: int = 0
     sent: Counter[str] = field(default_factory=Counter)
+    received: int = 0
     refused: int = 0
     tried: int = 0
     connected: int = 0
@@ -97,13 +102,12 @@ def _attack(access: str, messages: int, rng: np.random.Generator, folder: Path, 
         "certificates": (f"network.keys={keyring('one')}",),
     }[access]
     run = Setup.of(read_scenario(find_scenario("paper"), flight), "paper")
-    keys, names = Keys(name), process_names(run.scenario)
-    scheme = "tls" if access == "certificates" else "tcp"
-    endpoints = [f"{scheme}/127.0.0.1:{base + i}" for i in range(len(names))]
+    keys, names, relayed = Keys(name), [*process_names(run.scenario), RECORDER], exchange == "relayed"
     command = ["run", "paper", *settings(*flight, f"network.base_port={base}", *network), "--out", name, "--no-figures"]
     process = start(*command, "--format", "json", cwd=folder)
     try:
         wait_for(lambda: (folder / name / "live.json").exists() or process.poll() is not None)
+        endpoints = list(_endpoints(folder / name, names))
         for secure in _strangers(access):
             result.tried += 1
             with suppress(zenoh.ZError), attack.session(endpoints[:1], secure, _REFUSED_S):
@@ -112,13 +116,15 @@ def _attack(access: str, messages: int, rng: np.random.Generator, folder: Path, 
         if access != "secret":
             secure = attack.tls(keyring("one"), "agent1") if access == "certificates" else None
             max_bytes = Admission("recorder", keys, run, Rejections()).max_bytes
-            source = Garbage("recorder", keys, run, max_bytes, rng, incarnation=0, delay=_DELAY)
-            relayed = exchange == "relayed"
+            source = Garbage("recorder", keys, run, max_bytes, rng, incarnation=0, delay=_DELAY, far=_TICKS)
             awaited, hears = proofs_of_connection(keys, run.agents, relayed=relayed), list[str]()
+            may_send = None
             if access == "certificates":  # the session hears what agent 1 may hear
                 awaited = {f"{keys.prefix}/measurement/1"}
-                hears = keys.subscriptions("agent1", relayed=relayed)
+                hears, may_send = keys.subscriptions("agent1", relayed=relayed), keys.publications("agent1")
+            delivered = Deliveries(keys, names, relayed=relayed, may_send=may_send)
             with intruding(keys, endpoints, secure, hears) as mesh:
+                before = _refused_before(mesh, keys, names, relayed=relayed, may_send=may_send)
                 shots = bombard(
                     mesh,
                     source,
@@ -130,7 +136,10 @@ def _attack(access: str, messages: int, rng: np.random.Generator, folder: Path, 
                     pause_s=_PAUSE_S,
                     timeout_s=_RUN_S,
                 )
-                result.sent.update(sort for sort, _, _ in shots)
+                for sort, key, data in shots:
+                    result.sent[sort] += 1
+                    delivered.add(key, data)
+                is_connected = process.poll() is None
         printed, errors = process.communicate(timeout=_RUN_S)
     finally:
         if process.poll() is None:
@@ -141,8 +150,50 @@ def _attack(access: str, messages: int, rng: np.random.Generator, folder: Path, 
         return
     summary: dict[str, Any] = json.loads(printed)
     result.refused += summary["messages"]["rejected"]
+    if access != "secret":
+        result.received += delivered.total
+        refused = {at: -count for at, count in before.items()}
+        for entry in summary["rejections"]:
+            refused[entry["by"]] += entry["count"]
+        for at, counts in delivered.accepted(refused).items():
+            result.findings.append(f"{name}: {at} counted %d refusals of %d messages and %d bundles" % counts)
+        if not is_connected:
+            result.findings.append(f"{name}: the run ended before the attack")
     if table(folder / name) != _calm(folder, flight):
         result.findings.append(f"{name}: the steps differ from those of a run without intruder")
+
+
+def _refused_before(
+    mesh: Mesh, keys: Keys, names: Sequence[str], *, relayed: bool, may_send: Sequence[str] | None
+) -> dict[str, int]:
+    """Prove by bad messages that every process receives those of a session; return the refusals they count for them."""
+
+    def refused(name: str) -> int:
+        health = fetch_answer(mesh.session, keys.request(name, "health"), {}, _HEALTH_S)
+        return 0 if health is None else int(health["refused"])
+
+    every = [key for name in ("coordinator", "plant", "agent1") for key in keys.publications(name)]
+    for name in names:
+        hears = keys.subscriptions(name, relayed=relayed)
+        key = next(key for key in may_send or every if any(matches(expression, key) for expression in hears))
+
+        def has_refused(name: str = name, key: str = key) -> bool:
+            mesh.put(key, b"?")
+            return refused(name) > 0
+
+        wait_for(has_refused)
+    found, before = {name: refused(name) for name in names}, dict[str, int]()
+    while found != before:
+        time.sleep(_HEALTH_S / 10.0)
+        found, before = {name: refused(name) for name in names}, found
+    return found
+
+
+def _endpoints(folder: Path, names: Sequence[str]) -> Iterator[str]:
+    """Yield the endpoints of a run's processes, which `transport status` and `top` use as well."""
+    with suppress(OSError):  # the run did not begin
+        found = json.loads((folder / "live.json").read_bytes())["endpoints"]
+        yield from (found[name] for name in names)
 
 
 def _strangers(access: str) -> Iterator[dict[str, Any] | None]:
@@ -181,6 +232,7 @@ def main() -> int:
         rows[f"  {sort}"] = [result.sent[sort] for result in results.values()]
     rows |= {
         "all": [result.sent.total() for result in results.values()],
+        "received by processes": [result.received for result in results.values()],
         "refused by processes": [result.refused for result in results.values()],
         "runs": [result.runs for result in results.values()],
         "sessions without keys": [result.tried for result in results.values()],

@@ -20,6 +20,7 @@ from protocol.wire.messages import Message, Plan, StepReport
 from tests.support.logs import record_run
 from transport.flight.memory import simulate
 
+LAG = ["plant.motors.lag_s=0.05", "controller.motor_lag_s=0.05"]
 SHORT = "maneuver.phase=[{name='climb',duration_s=2.0,displacement_m=[0.0,0.0,-1.0]}]"
 
 TEAMS = [
@@ -56,11 +57,12 @@ def test_size_of_the_program(name: str, uavs: int, group: int) -> None:
     assert actual_rows <= found.rows <= actual_rows + 7 * constraints
 
 
-@pytest.mark.parametrize("name", ["paper", "windy"])
-def test_size_of_the_log(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("name", "settings"), [("paper", []), ("windy", []), ("resilient", LAG)])
+def test_size_of_the_log(name: str, settings: list[str], tmp_path: Path) -> None:
     """The log of a run is within a factor of two of its estimate."""
     path = find_scenario(name)
-    scenario = read_scenario(path, ["maneuver.phase=[{name='climb',duration_s=6.0,displacement_m=[0.0,0.0,-2.0]}]"])
+    climb = "maneuver.phase=[{name='climb',duration_s=6.0,displacement_m=[0.0,0.0,-2.0]}]"
+    scenario = read_scenario(path, [climb, *settings])
     record_run(Setup.of(scenario, str(path)), tmp_path)
     assert 0.5 < (tmp_path / "run.mcap").stat().st_size / estimate(scenario).log_bytes < 2.0
 
@@ -77,6 +79,25 @@ def test_largest_message(uavs: int, group: int, horizon: int) -> None:
 
     simulate(Setup.of(scenario, "resilient"), record)
     assert 0.7 < max(sizes.values()) / estimate(scenario).relay_bytes <= 1.0
+
+
+def test_actual_inputs_and_motor_lag_count() -> None:
+    """Actual inputs are logged with any motors that are not ideal; a controller that knows the lag has more states."""
+    path = find_scenario("resilient")
+    plain = estimate(read_scenario(path))
+    for settings in (
+        ["plant.motors.lag_s=0.05"],
+        ["plant.motors.thrust_step_N=0.1"],
+        ["plant.motors.rotors={arm_m=0.2,drag_to_thrust_m=0.02,thrust_N=[0.0,9.0]}"],
+        ["faults.event=[{at_s=1.0,do='degrade',target='uav1',efficiency=0.9}]"],
+    ):
+        found = estimate(read_scenario(path, settings))
+        each = (found.log_bytes - plain.log_bytes) / plain.ticks
+        assert 0.5 * 16 * 8 < each < 16 * 8 + 100, settings
+        assert found.step_s == plain.step_s
+    lagged = estimate(read_scenario(path, LAG))
+    assert lagged.step_s > plain.step_s
+    assert lagged.agent_bytes > plain.agent_bytes
 
 
 # Memory beyond that of the interpreter and of a short run: a long path, and the matrices of one large agent.

@@ -34,7 +34,7 @@ from tests.support.runs import INCARNATION
 
 T = TypeVar("T")
 
-# Ticks ahead of the present: more than any process accepts.
+# Ticks ahead of the newest known: more than any process accepts, if messages arrive within a second.
 FAR = 40
 
 # Number of delivered messages to choose from.
@@ -61,6 +61,7 @@ class Garbage:
         rng: Random number generator.
         incarnation: Incarnation of every process.
         delay: Number of later messages after which all processes have received a message.
+        far: Ticks ahead of the newest known that no process accepts, however late a message arrives.
 
     Attributes:
         tick: Newest tick known to all processes.
@@ -76,9 +77,10 @@ class Garbage:
         *,
         incarnation: int = INCARNATION,
         delay: int = 1,
+        far: int = FAR,
     ) -> None:
         self._name, self._keys, self._setup, self._max_bytes, self._rng = name, keys, setup, max_bytes, rng
-        self._incarnation, self._delay = incarnation, delay
+        self._incarnation, self._delay, self._far = incarnation, delay, far
         self._coming: deque[tuple[str, bytes]] = deque()  # messages of the run in transit
         self._delivered: deque[tuple[str, bytes]] = deque(maxlen=REMEMBERED)
         self._first: dict[str, bytes] = {}  # first delivered message of each key
@@ -113,7 +115,9 @@ class Garbage:
             self.sorts |= {"bad parts": self._bad_parts, "renumbered bundle": self._renumbered_bundle}
 
     def heard(self, key: str, data: bytes) -> None:
-        """Note a message of the run before its delivery."""
+        """Note a message of the run before its delivery, but no notice of refusals: a changed one is a valid one."""
+        if self._keys.end(key).startswith(f"{Rejected.kind}/"):
+            return
         self._coming.append((key, data))
         if len(self._coming) > self._delay:
             delivered = self._coming.popleft()
@@ -265,7 +269,7 @@ class Garbage:
         if found is None:
             return self._noise()
         key, message = found
-        tick = self.tick + FAR + int(self._rng.integers(100))
+        tick = self.tick + self._far + int(self._rng.integers(100))
         start = {"start_tick": tick} if isinstance(message, Plan) else {}
         return key, encode(self._new(message, tick=tick, **start))
 
@@ -273,7 +277,7 @@ class Garbage:
         """Return a message of the coordinator with the largest allowed numbers or a tick far ahead."""
         if not self._delivered:
             return self._noise()
-        tick = self._one_of([2**48, 2**40, self.tick + FAR, self._setup.ticks])
+        tick = self._one_of([2**48, 2**40, self.tick + self._far, self._setup.ticks])
         head: dict[str, Any] = {
             "sender": "coordinator",
             "incarnation": self._incarnation,

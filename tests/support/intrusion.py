@@ -5,14 +5,16 @@ import json
 import queue
 import subprocess
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import zenoh
 
-from protocol.wire.keys import Keys
+from protocol.wire.codec import decode
+from protocol.wire.keys import Keys, matches
+from protocol.wire.messages import Bundle, MessageError
 from tests.support.garbage import Garbage
 from transport.analysis.steps import WALL_CLOCK
 
@@ -104,6 +106,71 @@ def bombard(
             sent += 1
             yield sort, key, data
         time.sleep(pause_s)
+
+
+class Deliveries:
+    """Counts of bad messages by the processes that they reach.
+
+    Args:
+        keys: Keys of the run.
+        names: Processes that the intruder is connected to.
+        relayed: Whether plans are relayed.
+        may_send: Key expressions that the intruder has the right to; all by default.
+
+    Attributes:
+        single: Messages at each process that it counts as one refusal.
+        bundles: Bundles at each process, of which it counts every message by itself, if it reads them.
+    """
+
+    # Messages in a bundle: plan and report of four agents, and a tick.
+    MOST_PARTS = 9
+
+    def __init__(
+        self, keys: Keys, names: Sequence[str], *, relayed: bool, may_send: Sequence[str] | None = None
+    ) -> None:
+        self.single, self.bundles = dict.fromkeys(names, 0), dict.fromkeys(names, 0)
+        self._hears = {name: keys.subscriptions(name, relayed=relayed) for name in names}
+        self._may_send = may_send
+        self._reached: dict[str, list[str]] = {}  # processes, by key
+
+    @property
+    def total(self) -> int:
+        """All messages, each counted once for every process it reached."""
+        return sum(self.single.values()) + sum(self.bundles.values())
+
+    def add(self, key: str, data: bytes) -> None:
+        """Count a message that was sent."""
+        if key not in self._reached:
+            passes = self._may_send is None or any(matches(expression, key) for expression in self._may_send)
+            self._reached[key] = [
+                name
+                for name, expressions in self._hears.items()
+                if passes and any(matches(expression, key) for expression in expressions)
+            ]
+        counts = self.bundles if self._reached[key] and _is_bundle(data) else self.single
+        for name in self._reached[key]:
+            counts[name] += 1
+
+    def accepted(self, refused: Mapping[str, int]) -> dict[str, tuple[int, int, int]]:
+        """Return the processes that have not counted every message as refused, or more than they received.
+
+        Args:
+            refused: Refusals that each process counted.
+        Returns: Refusals counted, single messages and bundles received, of these processes.
+        """
+        return {
+            name: (refused[name], single, self.bundles[name])
+            for name, single in self.single.items()
+            if not 0 <= refused[name] - single <= self.MOST_PARTS * self.bundles[name]
+        }
+
+
+def _is_bundle(data: bytes) -> bool:
+    """Return whether bytes can be read as a bundle."""
+    try:
+        return isinstance(decode(data), Bundle)
+    except MessageError:
+        return False
 
 
 def proofs_of_connection(keys: Keys, agents: Sequence[int], *, relayed: bool) -> set[str]:

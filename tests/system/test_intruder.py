@@ -12,13 +12,12 @@ import zenoh
 from protocol.admission.admission import Admission
 from protocol.scenario.file import find_scenario, read_scenario
 from protocol.scenario.setup import Setup
-from protocol.wire.codec import decode
-from protocol.wire.keys import Keys, matches
-from protocol.wire.messages import Bundle, MessageError, agent_name
+from protocol.wire.keys import Keys
+from protocol.wire.messages import agent_name
 from protocol.wire.rejections import Rejections
 from tests.support.commands import PATIENCE_S, free_base, settings, start
 from tests.support.garbage import Garbage
-from tests.support.intrusion import bombard, intruding, proofs_of_connection, table
+from tests.support.intrusion import Deliveries, bombard, intruding, proofs_of_connection, table
 from tests.support.logs import record_run
 from tests.system.test_processes import SCHEMA
 from transport.report.report import write_report
@@ -37,22 +36,11 @@ FLIGHT = (
 # Number of bad messages: in total, on a busy machine at least, and at a time; the last are sent well before the end.
 SHOTS, FEWEST, BURST, LAST_TICK = 4000, 1000, 120, 100
 
-# Messages in a bundle: plan and report of four agents, and a tick.
-MOST_PARTS = 9
-
 # Messages of three ticks: older ones have reached all processes.
 DELAY = 60
 
 # Tokens of processes that cannot exist.
 STRANGE_TOKENS = ("alive/agent1/soon/0123456789ab", "alive/agent1", "ready/agent1/x")
-
-
-def is_bundle(data: bytes) -> bool:
-    """Return whether bytes can be read as a bundle, of which each message is counted by itself."""
-    try:
-        return isinstance(decode(data), Bundle)
-    except MessageError:
-        return False
 
 
 @pytest.mark.slow
@@ -65,7 +53,6 @@ def test_an_intruder(exchange: str, tmp_path: Path) -> None:
     agents = [agent_name(agent) for agent in run.agents]
     receivers = ["coordinator", "plant", *agents]  # no intruder reaches the recorder, which has no listening port
     keys = Keys(RUN)
-    hears = {name: keys.subscriptions(name, relayed=exchange == "relayed") for name in receivers}
     command = [
         "run",
         "paper",
@@ -76,7 +63,7 @@ def test_an_intruder(exchange: str, tmp_path: Path) -> None:
     ]
     process = start(*command, "--format", "json", cwd=tmp_path)
 
-    expected, bundles = dict.fromkeys(receivers, 0), dict.fromkeys(receivers, 0)
+    delivered = Deliveries(keys, receivers, relayed=exchange == "relayed")
     max_bytes = Admission("recorder", keys, run, Rejections()).max_bytes
     rng = np.random.default_rng(SEED)
     source = Garbage("recorder", keys, run, max_bytes, rng, incarnation=0, delay=DELAY)
@@ -95,13 +82,11 @@ def test_an_intruder(exchange: str, tmp_path: Path) -> None:
         )
         for _, key, data in attack:
             shots += 1
-            for name, expressions in hears.items():
-                counts = bundles if is_bundle(data) else expected
-                counts[name] += any(matches(expression, key) for expression in expressions)
+            delivered.add(key, data)
             if shots % BURST == 0 and len(tokens) < len(STRANGE_TOKENS):
                 strange = f"{keys.prefix}/{STRANGE_TOKENS[len(tokens)]}"
                 tokens.append(mesh.session.liveliness().declare_token(strange))
-                expected = {name: count + 1 for name, count in expected.items()}
+                delivered.single = {name: count + 1 for name, count in delivered.single.items()}
         printed, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, errors
     assert shots >= FEWEST
@@ -113,9 +98,9 @@ def test_an_intruder(exchange: str, tmp_path: Path) -> None:
     counts = dict.fromkeys(receivers, 0)
     for entry in summary["rejections"]:
         counts[entry["by"]] += entry["count"]
-    extra = {name: counts[name] - expected[name] for name in receivers}
-    assert all(0 <= extra[name] <= MOST_PARTS * bundles[name] for name in receivers), (extra, bundles)
-    assert (exchange == "direct") == (sum(bundles.values()) == 0) == (sum(extra.values()) == 0)
+    assert delivered.accepted(counts) == {}
+    extra = sum(counts.values()) - sum(delivered.single.values())
+    assert (exchange == "direct") == (sum(delivered.bundles.values()) == 0) == (extra == 0)
     assert summary["messages"]["rejected"] == sum(counts.values())
     assert {"agent2", "plant", "plan/2"} <= {entry["sender"] for entry in summary["rejections"]}
     reasons = {entry["reason"] for entry in summary["rejections"]}

@@ -1,8 +1,10 @@
 """The process that reports a run: the same files as any report, prepared or not, and nothing left behind."""
 
+import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -12,14 +14,18 @@ from protocol.network.health import command_of
 from tests.support import runs
 from tests.support.commands import wait_for
 from tests.support.logs import record_run
+from transport.cli import report_process
 from transport.cli.report_process import ReportProcess
 from transport.flight.fork_server import Forked
+from transport.flight.vitals import children_of, has_died, vitals
 from transport.report.report import write_report
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
 
 # Time in which a process prepares on a busy machine, s; the test holds for any.
 _PREPARING_S = 3.0
+# How often a report is made until a process that draws is stopped in time.
+_ATTEMPTS = 5
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -36,7 +42,10 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, 
     return folder, files(folder)
 
 
-@pytest.mark.parametrize("waiting_s", [0.0, _PREPARING_S], ids=["at-once", "prepared"])
+@pytest.mark.parametrize(
+    "waiting_s",
+    [pytest.param(0.0, marks=pytest.mark.slow, id="at-once"), pytest.param(_PREPARING_S, id="prepared")],
+)
 def test_equal_reports(recorded: tuple[Path, dict[str, bytes]], waiting_s: float) -> None:
     """The process writes the bytes that a report in one process writes, prepared or not."""
     folder, expected = recorded
@@ -63,6 +72,42 @@ def test_failures_are_noticed(tmp_path: Path) -> None:
     with ReportProcess(tmp_path) as reporter:
         reporter.prepare()
         assert not reporter.report()
+
+
+def test_a_stopped_process_that_draws(recorded: tuple[Path, dict[str, bytes]], monkeypatch: pytest.MonkeyPatch) -> None:
+    """A report that waits for a stopped process is given up; then neither of them can write any more."""
+    monkeypatch.setattr(report_process, "_STOPPED_S", 0.5)
+    monkeypatch.setattr(report_process, "_GRACE_S", 0.2)
+    folder, _ = recorded
+    for _ in range(_ATTEMPTS):
+        stopped: list[int] = []
+        with ReportProcess(folder) as reporter:
+            reporter.prepare()
+            process = reporter._process
+            assert isinstance(process, Forked)
+            watch = threading.Thread(target=_stop_a_child, args=(process.pid, stopped))
+            watch.start()
+            is_written = reporter.report()
+            has_ended = process.returncode is not None
+            watch.join()
+        if stopped:
+            break
+    assert stopped, "no process that draws was found"
+    assert not is_written
+    assert has_ended
+    assert wait_for(lambda: has_died(stopped[0]))
+
+
+def _stop_a_child(pid: int, stopped: list[int]) -> None:
+    """Stop a child of a process as soon as there is one; list it if it was stopped."""
+    while not has_died(pid):
+        for child in children_of(pid):
+            os.kill(child, signal.SIGSTOP)
+            found = vitals(child)
+            if found is not None and found.state == "T":
+                stopped.append(child)
+                return
+        time.sleep(0.005)
 
 
 def test_ends_with_its_context(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import stat
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -9,8 +10,11 @@ import pytest
 import zenoh
 
 from protocol.network.security import SHARED, Security, SecurityError, new_secret
+from protocol.scenario.file import find_scenario, read_scenario
 from tests.support.attack import session
 from tests.support.commands import settings, start, transport, wait_for
+from transport.flight.run_error import RunError
+from transport.flight.run_files import own_keys
 
 # Slower than real time, so that there is time to connect; ended by the test.
 FLIGHT = ("clock.speed=0.1",)
@@ -57,6 +61,7 @@ def test_only_the_secret_connects(active: Path) -> None:
     assert {key.split("/")[3] for key in found} >= {"coordinator", "plant", "agent1", "agent4"}
 
 
+@pytest.mark.slow
 def test_commands_find_the_secret(active: Path) -> None:
     """`status`, `link` and `top` reach the run through its folder; by endpoint alone they do not."""
     for command in (["status"], ["link", "set", "--delay", "0.1"], ["top", "--once"]):
@@ -68,6 +73,50 @@ def test_commands_find_the_secret(active: Path) -> None:
     keys = str(active / "keys")
     result = transport("status", "--run", "guarded", "--connect", endpoint, "--keys", keys, cwd=active.parent)
     assert result.returncode == 0, result.stderr
+
+
+def _without_permissions(monkeypatch: pytest.MonkeyPatch, *places: Path) -> None:
+    """Let files below some folders get all permissions, as on a FAT file system."""
+    touch = Path.touch
+
+    def all_permissions(self: Path, mode: int = 0o666, exist_ok: bool = True) -> None:
+        touch(self, mode, exist_ok)
+        if any(self.is_relative_to(place) for place in places):
+            self.chmod(0o777)
+
+    monkeypatch.setattr(Path, "touch", all_permissions)
+
+
+def test_a_file_system_without_permissions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The secret is made in the temporary folder of the system, which is said in one line; it is removed in the end."""
+    run, second, said = tmp_path / "run", tmp_path / "second", list[str]()
+    run.mkdir()
+    second.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(second))
+    _without_permissions(monkeypatch, run)
+    scenario = read_scenario(find_scenario("resilient"))
+    with own_keys(scenario, run, said.append) as keys:
+        assert keys is not None
+        assert keys.is_relative_to(second)
+        Security(keys, ()).check("agent1", mode="peer")
+    assert said == [f"{run} is on a file system without permissions: the secret of the run is in {keys}"]
+    assert [*run.iterdir(), *second.iterdir()] == []
+
+
+def test_no_place_for_the_secret(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the temporary folder keeps no permissions either, the run is refused in one line that says what to do."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    _without_permissions(monkeypatch, tmp_path)
+    scenario = read_scenario(find_scenario("resilient"))
+    with (
+        pytest.raises(RunError, match="expected a file system with permissions") as raised,
+        own_keys(scenario, tmp_path, lambda _: None),
+    ):
+        pass
+    assert raised.value.exit_code == 3
+    assert "network.secret=false" in str(raised.value)
+    assert "\n" not in str(raised.value)
+    assert [*tmp_path.iterdir()] == []
 
 
 @pytest.mark.parametrize(

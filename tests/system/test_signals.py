@@ -10,15 +10,21 @@ from pathlib import Path
 
 import pytest
 
+from protocol.network.health import command_of
 from protocol.scenario.file import find_scenario, read_scenario
 from protocol.scenario.setup import Setup
 from tests.campaigns import inspection, signals
-from tests.campaigns.inspection import processes_below
-from tests.campaigns.signal_runs import COMMAND, FORK_SERVER, KINDS, RESUMED_S, Injection, SignalRun, random_run
-from tests.campaigns.signals import execute
+from tests.campaigns.inspection import COMMAND, COMPILER, name_of, names_below, processes_below
+from tests.campaigns.signal_runs import KINDS, RESTART, RESUMED_S, TARGETS, Injection, SignalRun, random_run
+from tests.campaigns.signals import execute, waits_for_user
+from tests.support.commands import command as command_line
+from tests.support.commands import settings, wait_for
+from transport.flight.vitals import children_of
 
 ROOT = Path(__file__).parents[2]
-MANY = 400
+MANY = 1500
+# Of these, runs whose scenarios are read.
+FEW = 300
 HOVER = ("maneuver.phase=[{name='hover',duration_s=0.5,displacement_m=[0,0,0]}]",)
 REFUSED = ("controller.horizon=0",)
 # Its first eight runs have every kind and every target, and no long stop.
@@ -38,15 +44,14 @@ def test_every_process_gets_every_signal() -> None:
     """Many runs send every signal to every process, freeze for a time and for good, and affect one or two processes."""
     runs = [random_run(0, number) for number in range(MANY)]
     injections = [injection for run in runs for injection in run.injections]
-    names = {"coordinator", "plant", "agent1", "agent2", "agent3", "agent4", COMMAND, FORK_SERVER}
-    assert {(injection.target, injection.kind) for injection in injections} == {(n, k) for n in names for k in KINDS}
-    assert {injection.since for injection in injections} == {"start", "first tick"}
+    assert {(injection.target, injection.kind) for injection in injections} == {(n, k) for n in TARGETS for k in KINDS}
+    assert {injection.since for injection in injections} == {"start", "first tick", "report"}
     stops = Counter(injection.resumed_s for injection in injections if injection.kind == "STOP")
     assert set(stops) == set(RESUMED_S)
     assert min(stops.values()) > 10
     assert all(injection.resumed_s is None for injection in injections if injection.kind != "STOP")
     assert {len(run.injections) for run in runs} == {1, 2}
-    settings = [setting for run in runs for setting in run.settings]
+    drawn = [setting for run in runs for setting in run.settings]
     for given in (
         "on_agent_loss=abort",
         "on_agent_loss=continue",
@@ -55,15 +60,72 @@ def test_every_process_gets_every_signal() -> None:
         "negotiation_iterations=2",
         "links",
     ):
-        assert any(given in setting for setting in settings)
+        assert any(given in setting for setting in drawn)
 
 
 def test_every_run_is_a_valid_scenario() -> None:
     """All settings that can be drawn are accepted."""
     path = find_scenario("resilient")
-    for settings in {random_run(0, number).settings for number in range(MANY)}:
-        read_scenario(path, settings)
+    for drawn in {random_run(0, number).settings for number in range(FEW)}:
+        read_scenario(path, drawn)
     assert Setup.of(read_scenario(path, random_run(0, 1).settings), "resilient").ticks >= 60
+
+
+@pytest.mark.slow
+def test_every_process_of_a_run_is_a_target(tmp_path: Path) -> None:
+    """A run with figures, a viewer and a restart starts a process of each name, and none that the campaign omits."""
+    options = [*settings(*HOVER, RESTART, "clock.on_agent_loss=continue"), "--out", "run", "--view", "--port", "0"]
+    seen, output = dict[str, list[str]](), tmp_path / "output.txt"
+    with output.open("wb") as file:
+        command = subprocess.Popen(
+            command_line("run", "resilient", *options),
+            cwd=tmp_path,
+            stdin=subprocess.DEVNULL,
+            stdout=file,
+            stderr=file,
+            start_new_session=True,
+        )
+    try:
+
+        def is_over() -> bool:
+            names = names_below(tmp_path)
+            for pid in descendants(command.pid):
+                words = command_of(str(pid))
+                if words:  # it has not ended
+                    seen.setdefault(names.get(pid) or name_of(words), words)
+            return waits_for_user(output) or command.poll() is not None
+
+        assert wait_for(is_over)
+        command.send_signal(signal.SIGINT)
+        assert command.wait(PATIENCE_S) == 0, output.read_text()
+    finally:
+        command.kill()
+        command.wait()
+    assert seen.keys() - {COMPILER} == set(TARGETS), seen
+
+
+def descendants(pid: int) -> list[int]:
+    """Return a process and all that it and they have started."""
+    return [pid, *(found for child in children_of(pid) for found in descendants(child))]
+
+
+def test_names_of_processes() -> None:
+    """Processes are named by their command lines; a command line that is not known is its own name."""
+    for line, name in (
+        ("python -P -m transport run paper", COMMAND),
+        ("python -P -m transport.cli.fork_server 5", "fork-server"),
+        ("transport fork-server", "fork-server"),
+        ("transport agent --allow-large --id 2 --run a --incarnation 0", "agent2"),
+        ("transport agent --allow-large --id 2 --run a --incarnation 3", "agent2-3"),
+        ("python -m transport agent --id 3", "agent3"),
+        ("transport plot /runs/a", "report"),
+        ("transport view /runs/a --wait 3", "viewer"),
+        ("x86_64-linux-gnu-gcc-12 -o a b", COMPILER),
+        ("/usr/bin/ld -o a", COMPILER),
+        ("python -m http.server", "python -m http.server"),
+        ("transport sing", "transport sing"),
+    ):
+        assert name_of(line.split()) == name
 
 
 def test_a_run_without_injections(tmp_path: Path) -> None:

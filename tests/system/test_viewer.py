@@ -5,6 +5,7 @@ import os
 import re
 import signal
 import socket
+import subprocess
 import threading
 import time
 from collections.abc import Iterable, Iterator
@@ -19,12 +20,14 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from model.arrays import Array
+from protocol.network.parent import PARENT_PIPE
 from protocol.scenario.file import read_scenario
 from protocol.scenario.setup import Setup
+from protocol.wire.exit_codes import EXIT_UNREACHABLE
 from protocol.wire.messages import FaultNote, LinkChange, Message, Plan, PlantState
 from tests.support import runs
 from tests.support.browser import END, RIGHT, Browser, Drawing, browser, connected_pages, needs_browser
-from tests.support.commands import PATIENCE_S, processes_of, settings, start, wait_for
+from tests.support.commands import PATIENCE_S, command, processes_of, settings, start, wait_for
 from tests.support.logs import record_run
 from transport.cli.main import app
 from transport.flight import live
@@ -172,6 +175,15 @@ def live_run(folder: Path, *settings_: str) -> Iterator[str]:
         result, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == INTERRUPTED, result + errors
     assert processes_of(folder.name) == {}
+
+
+def test_a_viewer_that_waits_ends_with_its_parent(tmp_path: Path) -> None:
+    """A viewer beside a run that does not begin ends when `transport run` has ended, long before its timeout."""
+    arguments = command("view", tmp_path / "none", "--port", "0", "--wait", "600")
+    with subprocess.Popen(arguments, stdin=subprocess.PIPE, env={**os.environ, PARENT_PIPE: "1"}) as viewer:
+        assert viewer.stdin is not None
+        viewer.stdin.close()
+        assert viewer.wait(PATIENCE_S) == EXIT_UNREACHABLE
 
 
 @pytest.mark.slow
@@ -376,5 +388,5 @@ def test_what_is_missing_is_named(
     folder = recorded if arguments == ["view"] else tmp_path / "out"
     result = CliRunner().invoke(app, [*arguments, str(folder)])
     assert result.exit_code == 2
-    assert result.stderr == "transport: viser is not installed; pip install 'payload-transport[view]' brings it\n"
+    assert result.stderr == "transport: viser is not installed: pip install 'payload-transport[view]'\n"
     assert not (tmp_path / "out").exists()

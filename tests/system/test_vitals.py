@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -14,7 +15,7 @@ from tests.support.commands import wait_for
 from tests.support.trace_stop import trace_stopped
 from transport.flight import vitals as module
 from transport.flight.fork_server import Forked
-from transport.flight.vitals import Pulse, Vitals, has_died, kill_leftovers, vitals
+from transport.flight.vitals import Pulse, Vitals, children_of, has_died, kill_leftovers, vitals
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="/proc is that of Linux")
 
@@ -126,6 +127,19 @@ def test_a_killed_process_that_its_tracer_keeps() -> None:
     finally:
         child.kill()
         child.stdin.close()
+
+
+def test_children_are_those_of_all_threads(start: Callable[[str], int]) -> None:
+    """A child started by another thread counts; a process that is gone has none."""
+    started: list[int] = []
+    thread = threading.Thread(target=lambda: started.append(start(SLEEPS)))
+    thread.start()
+    thread.join()
+    assert started[0] in children_of(os.getpid())
+    assert children_of(started[0]) == []
+    os.kill(started[0], signal.SIGKILL)
+    os.waitpid(started[0], 0)
+    assert children_of(started[0]) == []
 
 
 def test_leftovers_are_found_by_their_title(start: Callable[[str], int]) -> None:

@@ -95,6 +95,7 @@ def test_nothing_recorded_draws_nothing(tmp_path: Path) -> None:
     assert not (tmp_path / "figures").exists()
 
 
+@pytest.mark.slow
 def test_pdf_is_written_on_request(tmp_path: Path) -> None:
     """With `pdf` each figure is a PDF too, equal for equal runs; without it there is none."""
     run = runs.setup(runs.SHORT)
@@ -154,8 +155,9 @@ def test_events_are_marked() -> None:
     changes = "links.change=[{at_s=0.5,delay_s=0.2,loss=0.3}]"
     partition = "links.partition=[{between=['agent2'],start_s=0.2,end_s=9.0}]"
     run = runs.setup(runs.SHORT, changes, partition)
+    given = '{"loss": 1.0}'
     by_hand = LinkChange(
-        sender="coordinator", incarnation=0, sequence=0, tick=8, number=1, source="agent1", target="", settings="{}"
+        sender="coordinator", incarnation=0, sequence=0, tick=8, number=1, source="agent1", target="", settings=given
     )
     note = FaultNote(
         sender="recorder", incarnation=0, sequence=0, tick=20, target="agent3", what="killed", origin="person"
@@ -163,8 +165,8 @@ def test_events_are_marked() -> None:
     marks = marks_of(run, log_of([by_hand, by_hand, note]))
     assert [(mark.time_s, mark.of_links) for mark in marks] == [(0.2, True), (0.4, True), (0.5, True), (1.0, False)]
     caption = " ".join(caption_of(marks))
-    assert "1: agent2 cut off (0.2 s); 2: link agent1 to any" in caption
-    assert "3: links: delay 0.2 s, loss 0.3 (0.5 s); 4: agent3 killed (1 s)" in caption
+    assert "1: agent2 cut off (0.2 s); 2: links from agent1: loss 100 % (0.4 s)" in caption
+    assert "3: links between agents: delay 0.2 s, loss 30 % (0.5 s); 4: agent3 killed (1 s)" in caption
 
 
 def test_drawing_has_no_side_effects(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """The process that reports a run: it imports while the run is simulated, and works once the run has ended."""
 
 import os
+import signal
 import subprocess
 import sys
 from contextlib import suppress
@@ -9,12 +10,12 @@ from typing import Self
 
 from protocol.network.parent import PARENT_PIPE, STANDBY
 from transport.flight.fork_server import Started, fork_server
-from transport.flight.vitals import Pulse
+from transport.flight.vitals import Pulse, children_of
 
 # Time for the process to end before it is killed.
 _GRACE_S = 2.0
-# A process that has been stopped for this long, or has not run although it could, s, is not waited for: it may wait for
-# processes that draw for it.
+# A process that has been stopped for this long, or has not run although it could, s, is not waited for. Those that draw
+# for it are watched as well: it waits for them.
 _STOPPED_S, _IDLE_S, _LOOK_S = 2.0, 30.0, 0.25
 
 
@@ -32,13 +33,17 @@ class ReportProcess:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._end()
+
+    def _end(self) -> None:
+        """End the process, if there is one that has not ended, and those that draw for it."""
         if self._process is None:
             return
-        self._process.terminate()
-        try:
-            self._process.wait(_GRACE_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
+        if self._process.poll() is None:
+            self._process.terminate()
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(_GRACE_S)
+            self._kill_group()
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(_GRACE_S)  # a tracer may keep it for longer
         if self._process.stdin is not None:
@@ -53,7 +58,10 @@ class ReportProcess:
                 self._process = fork_server().start(["plot", str(self._folder.absolute())], output, extra)
 
     def report(self) -> bool:
-        """Let the process report, and wait for its end; return whether it has written the report."""
+        """Let the process report, and wait for its end; return whether it has written the report.
+
+        If not, it has ended as well: it must not write the same files as the caller, who makes the report instead.
+        """
         if self._process is None or self._process.stdin is None:
             return False
         try:
@@ -61,9 +69,23 @@ class ReportProcess:
             self._process.stdin.flush()
         except BrokenPipeError:  # it has ended
             return False
-        pulse = Pulse(self._process.pid)
-        while pulse.stopped_s < _STOPPED_S and pulse.idle_s < _IDLE_S:
+        own = Pulse(self._process.pid)
+        pulses = {self._process.pid: own}
+        while all(pulse.stopped_s < _STOPPED_S for pulse in pulses.values()) and own.idle_s < _IDLE_S:
             with suppress(subprocess.TimeoutExpired):
-                return self._process.wait(_LOOK_S) == 0
-            pulse.look()
+                is_written = self._process.wait(_LOOK_S) == 0
+                if not is_written:
+                    self._kill_group()
+                return is_written
+            for pid in children_of(self._process.pid):
+                pulses.setdefault(pid, Pulse(pid))
+            for pulse in pulses.values():
+                pulse.look()
+        self._end()
         return False
+
+    def _kill_group(self) -> None:
+        """Kill the process and those that draw: one that was stopped as it began does not end with its parent."""
+        if self._process is not None:
+            with suppress(ProcessLookupError):
+                os.killpg(self._process.pid, signal.SIGKILL)

@@ -3,6 +3,7 @@
 import json
 import sys
 import time
+from collections.abc import Callable
 from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Annotated
@@ -11,7 +12,7 @@ import typer
 from typer import Option
 
 from protocol.scenario.file import ScenarioError
-from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
+from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_UNREACHABLE, EXIT_USAGE
 from transport.cli.options import FormatOption, HostOption, PortOption
 from transport.cli.output import Format, fail
 from transport.cli.recorded_run import RunArgument, run_folder
@@ -35,22 +36,26 @@ def view(
 ) -> None:
     """Show a recorded or active run in the browser.
 
-    Payload, rods, UAVs with attitude and thrust, flown and predicted paths, links by age of plans and packet loss.
+    Payload, rods, UAVs with attitude and thrust, actual and predicted paths, links by age of plans and packet loss.
     Links of an active run can be changed, its agents killed and restarted. Ctrl-C ends the viewer, not the run.
 
     Example: transport view runs/20260102-101500-paper
     """
-    folder = run_folder(given)
+    folder, has_parent_ended = run_folder(given), parent_ended()
     try:
-        _wait_for_run(folder, wait)
+        _wait_for_run(folder, wait, has_parent_ended)
+        if has_parent_ended():
+            raise typer.Exit(EXIT_UNREACHABLE)
         # The address is the only result; viser also prints when it stops.
         result = sys.stdout
         with redirect_stdout(sys.stderr), open_viewer(folder, host, port) as viewer:
             about = {"address": viewer.address, "run": str(folder)}
             typer.echo(json.dumps(about) if output is Format.json else viewer.address, file=result)
             result.flush()
+            if viewer.other_port:
+                typer.echo(viewer.other_port, err=True)
             typer.echo(f"showing {folder}; Ctrl-C ends it", err=True)
-            viewer.show_until(parent_ended())
+            viewer.show_until(has_parent_ended)
     except KeyboardInterrupt:
         return
     except (LogError, ViewerError) as error:
@@ -59,8 +64,10 @@ def view(
         fail(str(error), EXIT_SCENARIO)
 
 
-def _wait_for_run(folder: Path, wait_s: float) -> None:
-    """Wait until the run in a folder is live and has a log."""
+def _wait_for_run(folder: Path, wait_s: float, has_parent_ended: Callable[[], bool]) -> None:
+    """Wait until the run in a folder is live and has a log, or the parent has ended."""
     deadline = time.monotonic() + wait_s
-    while time.monotonic() < deadline and not (read_live_run(folder) and (folder / LOG).exists()):
+    while time.monotonic() < deadline and not has_parent_ended():
+        if read_live_run(folder) and (folder / LOG).exists():
+            return
         time.sleep(_POLL_S)

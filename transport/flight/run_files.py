@@ -8,16 +8,17 @@ from pathlib import Path
 
 import tomli_w
 
-from protocol.network.security import new_secret
+from protocol.network.security import SecurityError, new_secret
 from protocol.scenario.schema import Scenario
 from protocol.scenario.setup import Setup
-from protocol.wire.exit_codes import EXIT_USAGE
+from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
 from transport.flight.run_error import RunError
 from transport.log.latest import point_latest
 from transport.log.relocating_file import RelocatingFile
 from transport.log.run_log import LogWriter
 
 _LOG = "run.mcap"
+_OPEN = "--set network.secret=false runs without, open to every local process"
 
 
 def new_folder(parent: Path, name: str) -> Path:
@@ -53,10 +54,12 @@ def create(folder: Path, setup: Setup) -> str:
 
 
 @contextmanager
-def own_keys(scenario: Scenario, folder: Path) -> Iterator[Path | None]:
+def own_keys(scenario: Scenario, folder: Path, say: Callable[[str], None]) -> Iterator[Path | None]:
     """Make the secret of a run in its folder; None where other keys protect the run, or it is to be open.
 
-    Raises: RunError: it cannot be written.
+    On a file system without permissions it is made in the temporary folder of the system, and `say` is called.
+
+    Raises: RunError: it cannot be written where only this user can read it.
     """
     network = scenario.network
     if network.keys is not None or network.router is not None or not network.secret:
@@ -67,6 +70,14 @@ def own_keys(scenario: Scenario, folder: Path) -> Iterator[Path | None]:
             keys = stack.enter_context(new_secret(folder.resolve() / "keys"))
         except OSError as error:
             raise RunError(f"--out: cannot write to {folder} ({error.strerror})", EXIT_USAGE) from error
+        except SecurityError:
+            try:
+                second = stack.enter_context(tempfile.TemporaryDirectory(prefix=f"{folder.name}-"))
+                keys = stack.enter_context(new_secret(Path(second).resolve() / "keys"))
+            except (OSError, SecurityError) as error:
+                expected = "expected a file system with permissions, in --out or in TMPDIR, for the secret of the run"
+                raise RunError(f"network.secret: {expected}, got none ({error}); {_OPEN}", EXIT_SCENARIO) from error
+            say(f"{folder} is on a file system without permissions: the secret of the run is in {keys}")
         yield keys
 
 

@@ -39,6 +39,12 @@ def vitals(pid: int) -> Vitals | None:
         return None
 
 
+def is_stopped(pid: int) -> bool:
+    """Return whether a process is stopped by a signal or a tracer."""
+    found = vitals(pid)
+    return found is not None and found.state in _STOPPED
+
+
 def has_died(pid: int) -> bool:
     """Return whether all threads of a process have ended, also while a tracer keeps the parent from reaping it."""
     try:
@@ -97,14 +103,23 @@ class Pulse:
         return _STOPPED.get(state, "busy" if state in _BUSY else "asleep")
 
 
+def children_of(pid: int) -> list[int]:
+    """Return the process ids of a process's children, whichever thread has started them; none if it is gone."""
+    found: list[int] = []
+    with suppress(OSError):
+        for thread in Path(f"/proc/{pid}/task").iterdir():
+            with suppress(OSError):  # the thread is gone since
+                found += map(int, (thread / "children").read_text().split())
+    return found
+
+
 def kill_leftovers(parent: int, titles: frozenset[str], spared: frozenset[int]) -> bool:
     """Kill the children of a process whose command line is one of these; return whether there were any."""
     found = False
-    with suppress(OSError):
-        for thread in Path(f"/proc/{parent}/task").iterdir():
-            for pid in map(int, (thread / "children").read_text().split()):
-                title = Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace").strip()
-                if pid not in spared and title in titles and not has_died(pid):
-                    os.kill(pid, signal.SIGKILL)
-                    found = True
+    for pid in children_of(parent):
+        with suppress(OSError):  # gone since
+            title = Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace").strip()
+            if pid not in spared and title in titles and not has_died(pid):
+                os.kill(pid, signal.SIGKILL)
+                found = True
     return found

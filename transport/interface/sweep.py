@@ -1,7 +1,7 @@
 """Sweeps: a run for each combination of settings and each seed, on the cores of this machine or on a Dask cluster."""
 
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from os import PathLike
@@ -12,7 +12,7 @@ import joblib
 import numpy as np
 from rich.console import Console
 
-from model.compiled import compile_functions
+from protocol.scenario.budget import most_workers
 from protocol.wire.exit_codes import EXIT_CASE_FAILED
 from transport.experiments import sweep as experiment_sweep
 from transport.experiments.cases import Case, Point, cases_of_point
@@ -25,7 +25,9 @@ from transport.experiments.simulation import NUMBERS, Result
 from transport.experiments.statistics import PointStatistics, statistics_of
 from transport.experiments.table import WIDTH, cases_csv, cases_rows, points_csv, points_rows, table_of
 from transport.experiments.workers import check_cluster, on_cluster, on_cores
+from transport.flight.compiling import compile_model
 from transport.flight.header import machine
+from transport.interface.boundary import public
 from transport.interface.figure import RunFigure, drawn
 from transport.interface.optional import require_pandas
 from transport.interface.progress import console
@@ -42,6 +44,7 @@ _NAME = "sweep"
 _CURVE = "settings"  # label of all keys but the one along the axis
 
 
+@public
 def sweep(
     base: "Base | Sequence[Base] | Mapping[str, Base]",
     grid: Mapping[str, Iterable[Any]],
@@ -96,7 +99,7 @@ def sweep(
     target = None if folder is None else Path(file_name(folder, "folder"))
     with ResultsInMemory() if target is None else Results(target, _NAME, machine()) as results:
         for size in sizes:
-            compile_functions(size)  # once, not in each worker
+            compile_model(size, shown)  # once, not in each worker
         found = experiment_sweep.sweep(experiment, cases, simulate, results, shown)
     made = Sweep(experiment, cases, found)
     if target is not None:
@@ -135,6 +138,7 @@ class Sweep:
             wide.print(table_of("means of completed runs, ± 95 % confidence", self.points))
         return "\n".join(line.rstrip() for line in capture.get().rstrip().splitlines())
 
+    @public
     def rows(self, table: Literal["points", "runs"] = "points") -> list[dict[str, Any]]:
         """Return a row for each point, or for each run: values by column, as points.csv and cases.csv have them.
 
@@ -147,11 +151,13 @@ class Sweep:
                 return cases_rows(self._experiment.points, self._cases, self._results)
         raise ArgumentError(f"table: expected 'points' or 'runs', got {table!r}")
 
+    @public
     def to_pandas(self, table: Literal["points", "runs"] = "points") -> "pd.DataFrame":
         """Return the rows as a table of pandas (extra `pandas`)."""
         pandas = require_pandas()
         return pandas.DataFrame(self.rows(table))
 
+    @public
     def plot(self, x: str | None = None, kind: Literal["curves", "map"] = "curves") -> RunFigure:
         """Return a figure: completed runs, mean cost and payload attitude over a setting; or a map of two settings.
 
@@ -164,6 +170,7 @@ class Sweep:
         experiment, measured = self._drawn_as(x, kind)
         return drawn(lambda figure: fill(figure, experiment, measured))
 
+    @public
     def save(self, folder: "str | PathLike[str]") -> list[Path]:
         """Write points.csv, cases.csv and the figure of `plot()` to a folder; return the files."""
         target = Path(file_name(folder, "folder"))
@@ -267,5 +274,10 @@ def _simulator(workers: int | str | None) -> experiment_sweep.Simulate:
         return partial(on_cluster, address=workers)
     if workers is not None and (not isinstance(workers, int) or workers < 1):
         raise ArgumentError(f"workers: expected a number >= 1 or the address of a Dask cluster, got {workers!r}")
-    jobs = joblib.cpu_count() if workers is None else workers
-    return lambda cases: on_cores(cases, min(jobs, len(cases)))
+
+    def on_this_machine(cases: Sequence[Case]) -> Iterator[Result]:
+        # By default as many workers as there are cores, and memory for.
+        jobs = workers or min(joblib.cpu_count(), most_workers(case.scenario for case in cases))
+        return on_cores(cases, min(jobs, len(cases)))
+
+    return on_this_machine

@@ -5,7 +5,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -71,7 +71,8 @@ def viewer_beside(folder: Path, host: str, port: int, wait_s: float) -> Iterator
             process.wait(_EXIT_S)
         except subprocess.TimeoutExpired:
             process.kill()
-            process.wait()
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(_EXIT_S)  # a tracer may keep it for longer
         if process.stdin is not None:
             process.stdin.close()
 

@@ -21,6 +21,7 @@ def built(*settings: str) -> Experiment:
     return ablation({name: read_scenario(find_scenario(name), list(settings)) for name in NAMES})
 
 
+@pytest.mark.slow
 def test_one_part_at_a_time() -> None:
     """A variant differs from the scenario as it is in one setting, on the same network; no two runs are equal."""
     experiment = built()

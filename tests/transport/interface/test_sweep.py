@@ -53,6 +53,7 @@ def test_a_point_is_the_run_of_fly(table: transport.Sweep) -> None:
     assert row["attitude_max_deg"] == alone.summary["attitude_max_deg"]
 
 
+@pytest.mark.slow
 def test_workers_do_not_change_results(table: transport.Sweep, tmp_path: Path) -> None:
     """Two processes give the bits of one; a folder has tables and figure, and is resumed without a run."""
     folder = tmp_path / "sweep"

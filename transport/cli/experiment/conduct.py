@@ -13,12 +13,13 @@ import joblib
 from rich.console import Console
 from rich.table import Table
 
+from protocol.scenario.budget import ADMITTED, MB, MOST_TOTAL_BYTES, most_workers
 from protocol.scenario.file import ScenarioError
 from protocol.wire.exit_codes import EXIT_CASE_FAILED, EXIT_INTERRUPTED, EXIT_SCENARIO
 from transport.cli.experiment.options import ExperimentOptions, SweepOptions
 from transport.cli.options import RUNS, with_options
 from transport.cli.output import Format, exit_on, fail, show_json
-from transport.experiments.cases import cases_of
+from transport.experiments.cases import Case, cases_of
 from transport.experiments.conclusions import conclusions
 from transport.experiments.errors import ExperimentError, refused
 from transport.experiments.experiment import Experiment
@@ -115,13 +116,25 @@ def trial_note(options: ExperimentOptions, console: Console) -> str:
 
 def simulator(options: ExperimentOptions, folder: Path) -> Simulate:
     """Return the function that simulates cases: on a cluster, in processes, or on the cores of this machine."""
-    jobs = options.jobs or options.default_jobs or joblib.cpu_count()
     if isinstance(options, SweepOptions):
         if options.dask is not None:
             return partial(on_cluster, address=options.dask)
         if options.processes:
             return lambda cases: (simulate_in_processes(case, folder / "runs") for case in cases)
-    return lambda cases: on_cores(cases, min(jobs, len(cases)))
+    return lambda cases: on_cores(cases, _jobs(options, cases))
+
+
+def _jobs(options: ExperimentOptions, cases: Sequence[Case]) -> int:
+    """Return how many cases are simulated at a time: by default at most as many as fit into the memory of a run.
+
+    Raises: ExperimentError: more are asked for, without `--allow-large`.
+    """
+    jobs = min(len(cases), options.jobs or options.default_jobs or joblib.cpu_count())
+    most = jobs if options.allow_large else most_workers(case.scenario for case in cases)
+    if jobs > most and options.jobs is not None:
+        memory = f"{MOST_TOTAL_BYTES / MB:,.0f} MB of memory in all"
+        raise refused("--jobs", f"at most {most}, which take {memory}", f"{jobs} ({ADMITTED})")
+    return min(jobs, most)
 
 
 def _content(m: PointStatistics) -> dict[str, Any]:
@@ -164,6 +177,6 @@ def _check(options: SweepOptions) -> None:
     given = {"--processes": options.processes, "--dask": options.dask is not None, "--jobs": options.jobs is not None}
     chosen = [name for name, is_given in given.items() if is_given]
     if len(chosen) > 1:
-        raise refused(chosen[0], "no other of --processes, --dask, --jobs", f"{chosen[1]} as well")
+        raise refused(chosen[0], "only one of --processes, --dask, --jobs", f"also {chosen[1]}")
     if options.dask is not None:
         check_cluster(options.dask)
