@@ -167,8 +167,8 @@ SECTIONS = (
         "gives a range of periods at which a controller computes as much per second as the centralized one at 50 ms, "
         "and the cost curve gives a range of cost ratios. `the whole team` counts all agents together, `one agent` "
         "each agent separately. At another rate a horizon of as many steps is longer or shorter in time, so horizons "
-        "of as many seconds are also run. In the figure hollow markers are periods with a diverged run, arrows "
-        "are costs above the axis.",
+        "of as many seconds are also run. In the figure hollow markers are periods with a diverged run, "
+        "arrows are costs above the axis.",
         columns=COMPARED,
         table="curves.csv",
         before=("verdict.csv", VERDICT),
