@@ -167,17 +167,18 @@ SECTIONS = (
         "gives a range of periods at which a controller computes as much per second as the centralized one at 50 ms, "
         "and the cost curve gives a range of cost ratios. `the whole team` counts all agents together, `one agent` "
         "each agent separately. At another rate a horizon of as many steps is longer or shorter in time, so horizons "
-        "of as many seconds are also run. In the figure vertical lines are the computation of the centralized "
-        "controller at 50 ms, crosses are periods with a diverged run, arrows are costs above the axis.",
+        "of as many seconds are also run. In the figure hollow markers are periods with a diverged run, arrows "
+        "are costs above the axis.",
         columns=COMPARED,
         table="curves.csv",
         before=("verdict.csv", VERDICT),
-        alt="Mean cost over processor time of the whole team and of one agent, a curve for each controller and horizon",
+        alt="Mean cost over that of the centralized controller at 50 ms, over processor time of the team and of one "
+        "agent, in still air and in gusts: a curve for each controller and horizon; periods with a diverged run",
         second=(
             "maneuver.png",
             "maneuver.png",
-            "Position errors, payload attitude and cost of the centralized controller, and of the paper's algorithm at "
-            "the same rate and at the same computation",
+            "Largest UAV position error, payload position error, payload attitude and cost over time: the centralized "
+            "controller, and the paper's algorithm at the same rate and at the same computation",
         ),
     ),
     Section(
@@ -185,14 +186,14 @@ SECTIONS = (
         title="How much delay is tolerated?",
         text="The same delay for every plan. A plan is used at the next tick at the earliest, so 50 ms change nothing.",
         columns={**SCENARIO, "delay, ms": milliseconds("delay_s"), **OUTCOME},
-        alt="Survival, mean cost and payload attitude over the delay of plans",
+        alt="Time of divergence, mean cost and payload attitude over the delay of plans",
     ),
     Section(
         name="loss",
         title="How much packet loss is tolerated?",
         text="Independent losses, and the same share of losses in bursts of five ticks on average (Gilbert-Elliott).",
         columns={**SCENARIO, "losses": "model", "lost": share("loss"), **OUTCOME},
-        alt="Survival, mean cost and payload attitude over the share of lost plans",
+        alt="Time of divergence, mean cost and payload attitude over the share of lost plans",
     ),
     Section(
         name="jitter",
@@ -205,21 +206,21 @@ SECTIONS = (
             "std, ms": milliseconds("std_s"),
             **OUTCOME,
         },
-        alt="Survival, mean cost and payload attitude over the standard deviation of the delay",
+        alt="Time of divergence, mean cost and payload attitude over the standard deviation of the delay",
     ),
     Section(
         name="matrix",
         title="Delay and packet loss together",
         text="Every delay with every share of losses.",
         columns={**SCENARIO, "delay, ms": milliseconds("delay_s"), "lost": share("loss"), **OUTCOME},
-        alt="Maps of mean cost and survival over delay and loss",
+        alt="Maps of mean cost, or time of divergence, over delay and loss, one for each scenario",
     ),
     Section(
         name="kill",
         title="An agent killed, restarted or not",
         text="Each agent is killed at 8 s, and restarted at 10 s or never.",
         columns={**SCENARIO, "killed": "agent", "back at, s": "restart_s", **OUTCOME},
-        alt="Survival, mean cost and payload attitude for each agent killed",
+        alt="Time of divergence, mean cost and payload attitude for each agent killed, restarted or not",
     ),
     Section(
         name="deaths",
@@ -227,7 +228,7 @@ SECTIONS = (
         text="In each run a random agent is killed at a random time and never restarted. Its UAVs apply the last plan "
         "and then hold hover thrust and level attitude.",
         columns={**SCENARIO, "killed": "agent", "at, s": "killed_s", **OUTCOME},
-        alt="Survival, mean cost and payload attitude over the time of death",
+        alt="Mean cost and payload attitude over the time at which the agent is killed, beside those without a kill",
     ),
     Section(
         name="sharing",
@@ -246,7 +247,7 @@ SECTIONS = (
             "attitude, deg": number("attitude_max_deg"),
             "swing, m": number("swing_m"),
         },
-        alt="Mean cost over that with all plans sent, and payload attitude, over the share of plans sent",
+        alt="Plans sent, mean cost over that with all plans sent, and payload attitude, over the threshold",
     ),
     Section(
         name="ablation",
@@ -259,7 +260,7 @@ SECTIONS = (
             "to": lambda row: f"`{row['value']}`" if row["value"] else "",
             **OUTCOME,
         },
-        alt="Cost of every variant over that of the scenario as it is",
+        alt="Cost of every variant over that of the scenario as it is, on both networks; diverged runs beside it",
     ),
     Section(
         name="horizon",
@@ -273,7 +274,8 @@ SECTIONS = (
             "terminal weight": lambda row: f"{float(row['terminal']):g}",
             **OUTCOME,
         },
-        alt="Cost of every horizon and terminal weight over that of the scenario as it is",
+        alt="Cost of every horizon and terminal weight over that of the scenario as it is, without and with delay; "
+        "diverged runs beside it",
     ),
     Section(
         name="hover",
@@ -285,7 +287,7 @@ SECTIONS = (
             "last hover, s": lambda row: f"{float(row['hover_s']):g}",
             **{heading: cell for heading, cell in OUTCOME.items() if heading != "cost over unimpaired"},
         },
-        alt="Survival, mean cost and payload attitude over the duration of the last hover",
+        alt="Time of divergence, mean cost and payload attitude over the duration of the last hover",
     ),
     Section(
         name="scaling",
@@ -293,7 +295,8 @@ SECTIONS = (
         text="Teams of 2 to 12 UAVs over 10 s, with an agent for each UAV, for two, and for all. "
         "[performance.md](performance.md) explains the numbers.",
         columns=GROWTH,
-        alt="Processor time of a step and of the team, volume of the plans and mean cost over the number of UAVs",
+        alt="Processor time of a step and of the team, volume of the plans and mean cost over the number of UAVs, with "
+        "powers of that number for comparison",
         arguments=("--max", "12", "--seeds", "3"),
     ),
 )

@@ -13,13 +13,14 @@ from matplotlib.figure import Figure
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import FaultNote, LinkChange, Message
 from tests.support import runs
+from tests.support.figure_texts import problems
 from tests.support.logs import SINGLE_UAV, log_of, plant_state, record_run, report
 from transport.analysis.series import series_of
 from transport.log.run_log import RunLog, read_log
-from transport.report.figures import draw, fill
+from transport.report.figures import FIGURES, draw, fill
 from transport.report.marks import caption_of, marks_of
 from transport.report.report import write_report
-from transport.report.style import RC
+from transport.report.style import COLUMN_IN, RC, SMALL
 
 NAMES = ["performance.png", "inputs.png", "trajectories.png", "timing.png"]
 
@@ -124,6 +125,19 @@ def test_panels_have_data_and_limits() -> None:
     assert len(titles(run, log_of([plant_state(run, 0)]), "inputs")) == 5  # no step, no plan in use
     alone = runs.setup(runs.SHORT, *SINGLE_UAV)
     assert len(titles(alone, log_of([plant_state(alone, 0)]), "inputs")) == 4  # no other UAV
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_texts_are_large_and_apart(name: str) -> None:
+    """No text collides with another, leaves the figure or is too small, with marks near each other and short phases."""
+    changes = "links.change=[{at_s=0.5,delay_s=0.2,loss=0.3},{at_s=0.52,loss=0.1}]"
+    run = runs.setup(runs.SHORT, changes, "links.partition=[{between=['agent2'],start_s=0.2,end_s=0.9}]")
+    log = log_of([*(plant_state(run, k) for k in range(20)), *(report(run, a, k) for a in (1, 2) for k in range(20))])
+    figure = Figure()
+    with mpl.rc_context(RC):
+        assert fill(figure, name, run, log, series_of(run, log))
+        assert problems(figure, SMALL) == []
+    assert figure.get_figwidth() == COLUMN_IN
 
 
 def titles(run: Setup, log: RunLog, name: str) -> list[str]:

@@ -3,6 +3,7 @@
 One column of a paper wide. A scenario has a colour, a curve of it (a distribution, a kind of loss) a marker and a line.
 """
 
+import itertools
 import math
 import statistics
 from collections.abc import Mapping, Sequence
@@ -51,17 +52,20 @@ _DIVERGED = "time at which runs diverge (s, hollow), or never"
 _PANEL_IN, _ABOVE_IN = 0.95, 0.17
 
 # Distance between neighbouring curves, as a share of the axis, so that markers and error bars do not overlap; less
-# where many values are near each other.
-_APART, _APART_MANY = 0.025, 0.004
+# where many values are near each other. All curves together take this share of the smallest distance of two values.
+_APART, _APART_MANY, _TOGETHER = 0.035, 0.004, 0.7
 
 # Height of a run that never diverges, over the time of the last divergence.
 _NEVER = 1.25
+# Share of it from which on the number of diverged runs stands below the marker; height of a line, in font sizes.
+_MIDDLE, _LINE = 0.4, 0.9
 
 # Limits of the upper end of the vertical axis over the highest mean; wide intervals, as of two runs, are cut off.
 _HIGHEST, _LOWEST = 2.0, 1.12
 
-# A mean this many times the median makes the axis logarithmic, down to this share of the highest mean.
-_OUTLIER, _SHOWN = 5.0, 0.01
+# A mean this many times the median makes the axis logarithmic, unless the lowest is below this share of it. Ranges of
+# more than this factor are labelled in powers of ten.
+_OUTLIER, _SHOWN, _WIDE = 5.0, 1e-4, 200.0
 
 # More values than this get round ticks instead of one each.
 _MOST_TICKS = 10
@@ -97,24 +101,29 @@ def _draw(
         top_in=legend_height_in(rows) + _ABOVE_IN,
     )
     draw_legend(figure, rows)
-    apart = (_APART if len(values) <= _MOST_TICKS else _APART_MANY) * max([1e-9, *places.values()])
+    apart = _apart(list(places.values()), len(curves))
+    ends = _ends(list(places.values()), apart * (len(curves) + 1))
+    # Numbers of diverged runs stand upright beside one another.
+    distance_pt = 72.0 * apart / (ends[1] - ends[0]) * panels[0].get_position().width * figure.get_figwidth()
+    counted = len(values) <= _MOST_TICKS and (len(curves) == 1 or distance_pt > _LINE * SMALL)
     for index, curve in enumerate(curves):
         points = [m for m in curve.points if m not in apart_from_axis]
         shift = apart * (index - (len(curves) - 1) / 2.0)
         x = [places[m.point.labels[column]] + shift for m in points]
         if diverged_s:
-            _draw_divergence(panels[0], x, points, curve.style, _NEVER * max(diverged_s))
+            _draw_divergence(panels[0], x, points, curve.style, _NEVER * max(diverged_s), counted=counted)
         for panel, (_, number, factor, _) in zip(panels[first:], shown, strict=True):
             draw_means(panel, x, points, number, factor, curve.style)
             for m in apart_from_axis:
                 if m in curve.points and (value := _mean(m, number)) is not None:
                     panel.axhline(factor * value, color=curve.style["color"], linewidth=0.8, linestyle="--")
     for panel in panels:
-        panel.set_xlim(_ends(list(places.values()), apart * (len(curves) + 1)))
+        panel.set_xlim(ends)
         _name_values(panel, experiment, places)
+    drawn = [m for curve in curves for m in curve.points]
     for panel, (title, number, factor, from_zero) in zip(panels[first:], shown, strict=True):
         head(panel, title, legend=False)
-        means = [factor * value for m in measured if (value := _mean(m, number)) is not None]
+        means = [factor * value for m in drawn if (value := _mean(m, number)) is not None]
         if from_zero:
             _scale(panel, means)
         else:
@@ -122,6 +131,15 @@ def _draw(
     if diverged_s:
         head(panels[0], _DIVERGED, legend=False)
         _name_never(panels[0], _NEVER * max(diverged_s))
+
+
+def _apart(places: Sequence[float], curves: int) -> float:
+    """Return the distance between neighbouring curves, in units of the horizontal axis."""
+    span = max(places) - min(places) or 1.0
+    if len(places) > _MOST_TICKS:
+        return _APART_MANY * span
+    gap = min((high - low for low, high in itertools.pairwise(sorted(places))), default=span)
+    return min(_APART * span, _TOGETHER * gap / curves)
 
 
 def _is_beside(m: PointStatistics, column: str) -> bool:
@@ -195,22 +213,29 @@ def _name_never(panel: Axes, never_s: float) -> None:
 
 def _scale(axes: Axes, means: Sequence[float]) -> None:
     """Fit the vertical axis to the means; logarithmic if a few nearly diverged runs are far above the rest."""
-    highest = max(means, default=0.0)
+    lowest, highest = min(means, default=0.0), max(means, default=0.0)
     top = min(max(axes.get_ylim()[1], _LOWEST * highest), _HIGHEST * highest)
-    if highest > _OUTLIER * statistics.median(means or [0.0]):
+    if highest > _OUTLIER * statistics.median(means or [0.0]) and lowest > _SHOWN * highest:
         axes.set_yscale("log")
-        axes.set_ylim(max(min(means), _SHOWN * highest) / 1.5, max(top, 1.5 * highest))
-        label_decades(axes.yaxis)
+        axes.set_ylim(lowest / 1.5, max(top, 1.5 * highest))
+        if highest < _WIDE * lowest:
+            label_decades(axes.yaxis)
     else:
         axes.set_ylim(0.0, top or 1.0)
 
 
 def _draw_divergence(
-    axes: Axes, x: Sequence[float], points: Sequence[PointStatistics], style: dict[str, Any], never_s: float
+    axes: Axes,
+    x: Sequence[float],
+    points: Sequence[PointStatistics],
+    style: dict[str, Any],
+    never_s: float,
+    *,
+    counted: bool,
 ) -> None:
     """Draw the mean time at which runs diverged and its range; a run that completes at the height of "never".
 
-    Where some complete and some do not, both are drawn, with the number of the latter.
+    Where some complete and some do not, both are drawn, if `counted` with the number of the latter.
     """
     dots = {"color": style["color"], "marker": style["marker"], "markersize": MARKER, "linestyle": "none"}
     for at, m in zip(x, points, strict=True):
@@ -220,10 +245,11 @@ def _draw_divergence(
             mean_s = statistics.fmean(m.diverged_s)
             axes.plot([at, at], [min(m.diverged_s), max(m.diverged_s)], color=style["color"], linewidth=0.8)
             axes.plot([at], [mean_s], **dots | DIVERGED)
-            if m.completed:
-                text, above = f"{len(m.diverged_s)} of {m.runs}", (0.0, 4.0)
-                how: Any = {"textcoords": "offset points", "ha": "center", "fontsize": SMALL}
-                axes.annotate(text, (at, mean_s), above, color=style["color"], **how)
+            if m.completed and counted:
+                below = mean_s > _MIDDLE * never_s
+                how: Any = {"textcoords": "offset points", "ha": "center", "va": "top" if below else "bottom"}
+                how |= {"rotation": 90, "color": style["color"], "fontsize": SMALL}
+                axes.annotate(f"{len(m.diverged_s)} of {m.runs}", (at, mean_s), (0.0, -3.5 if below else 3.5), **how)
 
 
 def draw_means(

@@ -17,8 +17,8 @@ from transport.report.column import column_panels, head
 from transport.report.style import COLUMN_IN, SMALL, TEXT, label_decades
 
 _CELL_IN, _ABOVE_IN = 0.27, 0.2
-# Room at the right of the maps: for the colour scale, its numbers and its title.
-_RIGHT_IN, _SCALE_IN = 0.56, 0.09
+# Room at the right of the maps for the colour scale and its numbers.
+_RIGHT_IN, _SCALE_IN = 0.42, 0.09
 _COLOURS = "viridis"
 
 # A cell without a completed run.
@@ -52,7 +52,8 @@ def _draw_scale(figure: Figure, panels: Sequence[Axes], low: float, high: float)
     place = figure.add_axes((left, bottom, _SCALE_IN / COLUMN_IN, top - bottom))
     bar = figure.colorbar(ScalarMappable(LogNorm(low, high), _COLOURS), cax=place)
     label_decades(bar.ax.yaxis)
-    bar.set_label("mean cost ($10^{-3}$)", fontsize=TEXT)
+    title = "mean cost ($10^{-3}$)"
+    figure.text(0.99, top + 2.0 / 72.0 / figure.get_figheight(), title, ha="right", va="bottom", fontsize=TEXT)
     bar.outline.set_visible(False)
 
 

@@ -12,7 +12,7 @@ from matplotlib.transforms import ScaledTranslation, blended_transform_factory
 from transport.experiments.quantities import quantity
 from transport.experiments.statistics import PointStatistics
 from transport.report.column import column_panels, draw_legend, head, legend_height_in, text_width_in
-from transport.report.style import CURVES, DIVERGED, MARKER, REFERENCE, SMALL, TEXT, label_decades
+from transport.report.style import COLUMN_IN, CURVES, DIVERGED, MARKER, REFERENCE, SMALL, TEXT, label_decades
 
 _ROW_IN, _ABOVE_IN, _GAP_IN, _BELOW_IN = 0.185, 0.2, 0.28, 0.38
 # Width of the strip of diverged runs, and its distance from the panel, inches.
@@ -67,7 +67,7 @@ def _draw(
     panel: Axes, measured: Sequence[PointStatistics], names: Sequence[str], styles: dict[str, tuple[str, str]]
 ) -> None:
     """Draw the points of a scenario, and its diverged runs beside the panel."""
-    width_in = panel.get_position().width * panel.figure.get_figwidth()
+    width_in = panel.get_position().width * COLUMN_IN
     beside = blended_transform_factory(panel.transAxes, panel.transData)
     left = 1.0 + (_APART_IN + 0.04) / width_in
     if any(m.completed < m.runs for m in measured):

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
@@ -49,8 +49,8 @@ def draw_compared(runs: Sequence[Compared], folder: Path) -> list[Path]:
 
 def fill_overlaid(figure: Figure, runs: Sequence[Overlaid], *, shaded: bool) -> None:
     """Draw runs over one another into an empty figure, perhaps with the phases of the first."""
-    styles = [
-        {"color": colour, "linestyle": line, "linewidth": line_width(i, len(runs), 2.0)}
+    styles: list[dict[str, Any]] = [
+        {"color": colour, "linestyle": line, "linewidth": line_width(i, len(runs), 1.8)}
         for i in range(len(runs))
         for colour, _, line in [CURVES[i % len(CURVES)]]
     ]

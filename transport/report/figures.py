@@ -105,7 +105,7 @@ def _draw_performance(figure: Figure, setup: Setup, log: RunLog, series: Series)
 def _plot_performance(setup: Setup, series: Series, panels: list[Axes]) -> None:
     """Plot errors, attitude and cost into four panels, or all but the cost into three, without labels."""
     t = series.times_s
-    errors_m = np.linalg.norm(series.uav_errors_I, axis=2)
+    errors_m = np.where(series.on_rods, np.linalg.norm(series.uav_errors_I, axis=2), np.nan)  # released ones have left
     N = setup.system.N
     for i in range(N):
         panels[0].plot(t, errors_m[:, i], label=f"UAV{i + 1}", linewidth=line_width(i, N, 2.6), **uav_style(i))

@@ -7,7 +7,6 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, MultipleLocator
-from mpl_toolkits.mplot3d import proj3d
 
 from model.arrays import Array
 from model.rotations import rotation
@@ -58,8 +57,9 @@ def draw_trajectories(figure: Figure, setup: Setup, series: Series) -> None:
 def _fit(figure: Figure, axes: Any, above_in: float) -> None:
     """Scale and move a 3D drawing so that its box is as large as fits below the legend, between the numbers."""
     corners = np.array(list(itertools.product(axes.get_xlim(), axes.get_ylim(), axes.get_zlim())))
-    across, up, _ = proj3d.proj_transform(*corners.T, axes.get_proj())
-    places = axes.transAxes.inverted().transform(axes.transData.transform(np.column_stack([across, up])))
+    projected = np.column_stack([corners, np.ones(len(corners))]) @ axes.get_proj().T
+    flat = projected[:, :2] / projected[:, 3:]
+    places = axes.transAxes.inverted().transform(axes.transData.transform(flat))
     low, high = places.min(axis=0), places.max(axis=0)  # shares of the square
     side_in = float((np.array([COLUMN_IN - _LEFT_IN - _RIGHT_IN, _TALLEST_IN]) / (high - low)).min())
     middle_in = np.array([(COLUMN_IN + _LEFT_IN - _RIGHT_IN) / 2.0, 0.0])

@@ -16,7 +16,7 @@ from transport.analysis.metrics import rest_of_tick_ms
 from transport.log.run_log import RunLog
 from transport.report.column import column_panels, draw_legend, head, legend_height_in
 from transport.report.style import REFERENCE, label_decades, shade_phases
-from transport.scene.colours import uav_style
+from transport.scene.colours import UAV_COLOURS, uav_style
 
 _OVER_TIME_IN, _BAR_IN = 1.5, 0.14
 # Room: for the names of the bars; between the panels; for title and phases above the first.
@@ -24,7 +24,9 @@ _LEFT_IN, _GAP_IN, _ABOVE_IN = 0.6, 0.62, 0.3
 _PERIOD = "#B2182B"
 
 # Dots, since lines would hide other agents behind every outlier.
-_DOTS: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": 1.8, "markeredgewidth": 0.0}
+_DOTS: dict[str, Any] = {"linestyle": "none", "markersize": 1.4, "markeredgewidth": 0.0}
+# Markers of agents whose colours repeat.
+_MARKERS = ("o", "^", "s", "D")
 _SAMPLE: dict[str, Any] = {"linestyle": "none", "markersize": 4.0, "markeredgewidth": 0.0}
 
 
@@ -36,9 +38,9 @@ def draw_timing(figure: Figure, setup: Setup, log: RunLog) -> bool:
     rest_ms = rest_of_tick_ms(setup, log)
     steps = {agent: [r.times_ms for r in reports if r.agent == agent] for agent in setup.agents}
     medians_ms = {agent: np.median(np.array(times), axis=0) for agent, times in steps.items() if times}
-    handles = [_sample(f"agent {agent}", "o", _colour(setup, agent)) for agent in medians_ms]
+    handles = [_sample(f"agent {agent}", **_look(setup, agent)) for agent in medians_ms]
     if rest_ms:
-        handles.append(_sample("rest of tick", "o", REFERENCE))
+        handles.append(_sample("rest of tick", marker="o", color=REFERENCE))
     handles.append(Line2D([], [], label="sampling period", color=_PERIOD, linestyle="--", linewidth=0.8))
     rows = {"": handles}
     over_time, by_stage = column_panels(
@@ -61,11 +63,11 @@ def _draw_over_time(setup: Setup, panel: Axes, reports: Sequence[StepReport], re
     head(panel, "time per tick (ms)", legend=False)
     if rest_ms:
         ticks = sorted(rest_ms)
-        panel.plot([k * period_s for k in ticks], [rest_ms[k] for k in ticks], color=REFERENCE, **_DOTS)
+        panel.plot([k * period_s for k in ticks], [rest_ms[k] for k in ticks], color=REFERENCE, marker="o", **_DOTS)
     for agent in setup.agents:
         own = [report for report in reports if report.agent == agent]
         times_ms = [float(report.times_ms[-1]) for report in own]
-        panel.plot([report.tick * period_s for report in own], times_ms, color=_colour(setup, agent), **_DOTS)
+        panel.plot([report.tick * period_s for report in own], times_ms, **_look(setup, agent), **_DOTS)
     panel.axhline(1e3 * period_s, color=_PERIOD, linestyle="--", linewidth=0.8)
     panel.set_yscale("log")
     label_decades(panel.yaxis)
@@ -88,14 +90,16 @@ def _draw_by_stage(figure: Figure, panel: Axes, medians_ms: Mapping[int, Array],
         panel.barh(["rest of tick"], [float(np.median(list(rest_ms.values())))], color=REFERENCE, height=0.7)
     panel.invert_yaxis()
     panel.grid(visible=False, axis="y")
-    rows = {"": [_sample(stage, "s", colour) for stage, colour in zip(stages, colours, strict=True)]}
+    rows = {"": [_sample(stage, marker="s", color=colour) for stage, colour in zip(stages, colours, strict=True)]}
     top = panel.get_position().y1 * figure.get_figheight()
     draw_legend(figure, rows, top_in=figure.get_figheight() - top - legend_height_in(rows) - 0.02)
 
 
-def _sample(label: str, marker: str, colour: Any) -> Line2D:
-    return Line2D([], [], label=label, marker=marker, color=colour, **_SAMPLE)
+def _sample(label: str, *, marker: str, color: Any) -> Line2D:
+    return Line2D([], [], label=label, marker=marker, color=color, **_SAMPLE)
 
 
-def _colour(setup: Setup, agent: int) -> str:
-    return str(uav_style(setup.owned[agent - 1][0])["color"])
+def _look(setup: Setup, agent: int) -> dict[str, str]:
+    """Return colour and marker of an agent, those of its first UAV."""
+    uav = setup.owned[agent - 1][0]
+    return {"color": uav_style(uav)["color"], "marker": _MARKERS[uav // len(UAV_COLOURS) % len(_MARKERS)]}

@@ -14,7 +14,7 @@ from protocol.wire.messages import FaultNote, LinkChange, Roster
 from transport.log.run_log import RunLog
 
 _FAULT, _LINK = "#B2182B", "#E69F00"
-_FONT, _LINE_IN = 6.0, 0.105
+_FONT, _LINE_IN, _APART_IN = 6.0, 0.105, 0.06
 # Characters in a line of the caption; most marks in it; marks nearer than this share of the axis have one label.
 _WRAP, _MOST, _NEAR = 72, 12, 0.035
 
@@ -41,8 +41,8 @@ def caption_of(marks: Sequence[Mark]) -> list[str]:
 
 
 def caption_height_in(marks: Sequence[Mark]) -> float:
-    """Return the height of the caption, inches."""
-    return _LINE_IN * len(caption_of(marks))
+    """Return the height of the caption with its distance from the figure, inches."""
+    return _LINE_IN * len(caption_of(marks)) + (_APART_IN if marks else 0.0)
 
 
 def draw_marks(figure: Figure, panels: Sequence[Axes], marks: Sequence[Mark]) -> None:

@@ -74,6 +74,8 @@ _THINNEST = 1.0
 _MARGIN_IN = 0.03
 # Width of a letter, in font sizes.
 _LETTER = 0.62
+# Fewest letters of a name.
+_SHORTEST = 4
 
 
 def line_width(i: int, count: int, widest: float) -> float:
@@ -103,12 +105,14 @@ def shade_phases(
         if number % 2:
             for axes in panels:
                 axes.axvspan(begin, end, color=_BAND, linewidth=0, zorder=0)
-        # Neighbouring names must not touch; a name without room is left out.
-        if named and points_per_s * (end - begin) > _LETTER * SMALL * len(phase.name):
+        # Neighbouring names must not touch: a long one is cut, one without room left out.
+        room = int(points_per_s * (end - begin) / (_LETTER * SMALL))
+        name = phase.name if len(phase.name) <= room else f"{phase.name[: room - 1].rstrip()}…"
+        if named and room >= min(_SHORTEST, len(phase.name)):
             panels[0].text(
                 (begin + end) / 2.0,
                 1.0,
-                phase.name,
+                name,
                 transform=panels[0].get_xaxis_transform() + up,
                 ha="center",
                 va="bottom",
