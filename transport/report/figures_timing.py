@@ -99,7 +99,7 @@ def _sample(label: str, *, marker: str, color: Any) -> Line2D:
     return Line2D([], [], label=label, marker=marker, color=color, **_SAMPLE)
 
 
-def _look(setup: Setup, agent: int) -> dict[str, str]:
+def _look(setup: Setup, agent: int) -> dict[str, Any]:
     """Return colour and marker of an agent, those of its first UAV."""
     uav = setup.owned[agent - 1][0]
     return {"color": uav_style(uav)["color"], "marker": _MARKERS[uav // len(UAV_COLOURS) % len(_MARKERS)]}
