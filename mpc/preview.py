@@ -47,10 +47,12 @@ def preview(regulator: Regulator, X_ref: Array, pull: Array) -> Preview:
     drift = np.zeros_like(reference)
     drift[:-1] = reference[:-1] @ regulator.A.T - reference[1:]
     pushed = drift @ P  # P is symmetric
-    slope = np.empty_like(reference)
+    slope = np.zeros_like(reference)
     feedforward = np.zeros((len(X_ref), len(regulator.K)))
     p: Array = at_rest(regulator, pulled[-1])
-    for k in range(len(X_ref) - 1, -1, -1):
+    # Before an end at rest without pull all is zero: a long hover takes no time when the team changes.
+    last = len(X_ref) - 1 if p.any() else int(np.flatnonzero(drift.any(axis=1) | pulled.any(axis=1)).max(initial=-1))
+    for k in range(last, -1, -1):
         h = p + pushed[k]
         feedforward[k, regulator.controlled] = regulator.preview_gain @ h
         slope[k] = h @ A_closed + pulled[k]

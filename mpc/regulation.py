@@ -59,6 +59,10 @@ class Regulation:
         self._settings, self.user_costs = settings, UserCosts(settings.costs, model)
         self._fail_safe = FailSafe(model.system, hover.u)
         self._X_ref = X_ref if settings.preview else None
+        # Values of the user's terms on the reference, (K, terms): no team changes them.
+        self._on_reference = (
+            None if self._X_ref is None else np.array([self.user_costs.at(x).value for x in self._X_ref])
+        )
         self._preview: Preview | None = None
         self.regulator: Regulator | None = None
         self._target: Target | None = None
@@ -171,9 +175,8 @@ class Regulation:
         self.regulator = found
         if self._X_ref is not None:
             # On the reference, the output error is zero; the user's terms are not.
-            values = np.array([self.user_costs.at(x).value for x in self._X_ref])
             states = len(found.T)
-            pull = (np.sqrt(self.user_costs.weights) * values) @ padded(further, states)
+            pull = (np.sqrt(self.user_costs.weights) * self._on_reference) @ padded(further, states)
             # The actual inputs of the reference are those of hover: their deviation from the last ones is zero.
             self._preview = preview(found, padded(self._X_ref, states), pull)
 

@@ -3,6 +3,9 @@
 from bisect import bisect_right
 from dataclasses import dataclass
 
+import numpy as np
+import numpy.typing as npt
+
 from model.arrays import Array
 from model.failure import failed_hover
 from model.parameters import ParameterError
@@ -17,7 +20,7 @@ class _Team:
     """The cost of a team after some of its failures, and the inputs of its released UAVs, which do not count."""
 
     cost: Cost
-    uncounted: Array
+    uncounted: npt.NDArray[np.intp]
 
 
 class StageCost:

@@ -9,13 +9,14 @@ from pathlib import Path
 
 from protocol.network.health import command_of
 from protocol.wire import exit_codes
+from transport.flight.vitals import Pulse, vitals
 from transport.log.run_log import RunLog, read_log
 
 # Exit codes of the table (docs/command-line.md).
 TABLE = {0, *(code for name, code in vars(exit_codes).items() if name.startswith("EXIT_"))}
 # Time for the processes of a killed command to end, s.
 ORPHANS_S = 20.0
-_POLL_S = 0.02
+_POLL_S, _LOOK_S = 0.02, 0.25
 _SIGCGT = "SigCgt:"
 
 # Names of processes of a run besides coordinator, plant, agent1, ...: the command itself, which contains the recorder
@@ -34,6 +35,24 @@ def wait_for(condition: Callable[[], bool], timeout_s: float) -> bool:
         if time.monotonic() > until_s:
             return False
         time.sleep(_POLL_S)
+    return True
+
+
+def wait_given(condition: Callable[[], bool], folder: Path, timeout_s: float) -> bool:
+    """Poll a condition; return whether it came true before processes that work in a folder were idle for too long.
+
+    Time in which one of them waits for a processor does not count, so that a busy machine does not look like a hang.
+    """
+    left_s, pulses = timeout_s, dict[int, Pulse]()
+    while not condition():
+        if left_s < 0.0:
+            return False
+        began_s, given_s = time.monotonic(), {pid: pulse.given_s for pid, pulse in pulses.items()}
+        wait_for(condition, _LOOK_S)
+        for pid in processes_below(folder):
+            pulses.setdefault(pid, Pulse(pid)).look()
+        spent = [pulses[pid].given_s - before_s for pid, before_s in given_s.items() if vitals(pid) is not None]
+        left_s -= min([time.monotonic() - began_s, *spent])
     return True
 
 
@@ -100,7 +119,7 @@ def parent_of(pid: int) -> int:
 
 def end_orphans(folder: Path) -> list[str]:
     """Return the names of processes that are left in a folder after a while, and kill them."""
-    if wait_for(lambda: not processes_below(folder), ORPHANS_S):
+    if wait_given(lambda: not processes_below(folder), folder, ORPHANS_S):
         return []
     left = names_below(folder)
     for pid in left:

@@ -1,8 +1,9 @@
 """Signals campaign: `python -m tests.campaigns.signals` kills, freezes and interrupts processes of random runs.
 
 After each run the command must have ended, within 30 s of the last signal or of the end of a stop beside the time it
-takes anyhow; no process may be left, no output may have a traceback, the log must open and the exit code must fit. A
-run is drawn from a seed and its number, so each can be repeated. Exit code 1 if any run has a problem.
+takes anyhow; time in which its processes wait for a processor does not count. No process may be left, no output may
+have a traceback, the log must open and the exit code must fit. A run is drawn from a seed and its number, so each can
+be repeated. Exit code 1 if any run has a problem.
 """
 
 import argparse
@@ -33,12 +34,13 @@ from tests.campaigns.inspection import (
     state_of,
     tracebacks,
     wait_for,
+    wait_given,
 )
 from tests.campaigns.signal_runs import Injection, SignalRun, random_run
 from tests.support.trace_stop import TraceError, trace_stopped
 from transport.log.run_log import RunLog
 
-# Time for a command to end after the last injection, s: 30, and what an undisturbed run takes on a busy machine.
+# Time for a command to end after the last injection, s: 30, and what an undisturbed run takes.
 _DEADLINE_S = 30.0 + 15.0
 # A command that is frozen for good is killed after this time.
 _FROZEN_S = 8.0
@@ -94,12 +96,16 @@ def execute(run: SignalRun, folder: Path, stop: threading.Event) -> Result:
         try:
             _inject_all(run, command, folder / name, stop, sending)
             timeout_s = _FROZEN_S if sending.is_frozen else _DEADLINE_S
+
+            def is_over() -> bool:
+                return command.poll() is not None or stop.is_set()
+
             if run.viewer:
                 said = folder / f"{name}.txt"
-                wait_for(lambda: waits_for_user(said) or command.poll() is not None or stop.is_set(), timeout_s)
+                wait_given(lambda: waits_for_user(said) or is_over(), folder, timeout_s)
                 if waits_for_user(said):
-                    command.send_signal(signal.SIGINT)
-            hangs = not wait_for(lambda: command.poll() is not None or stop.is_set(), timeout_s)
+                    command.send_signal(signal.SIGTERM)
+            hangs = not wait_given(is_over, folder, timeout_s)
         finally:
             if command.poll() is None:
                 command.kill()
@@ -262,7 +268,9 @@ def main() -> int:
     parser.add_argument("--out", type=Path, help="folder for runs with problems; runs/signals-SEED by default")
     options = parser.parse_args()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # the commands inherit it, and would ignore SIGHUP under nohup
+    # The commands inherit these: they would ignore SIGINT in the background of a shell, and SIGHUP under nohup.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
     folder = options.out or Path("runs") / f"signals-{options.seed}"
     runs = [random_run(options.seed, number) for number in range(options.first, options.runs)]
     try:

@@ -156,7 +156,8 @@ def _attack(access: str, messages: int, rng: np.random.Generator, folder: Path, 
         for entry in summary["rejections"]:
             refused[entry["by"]] += entry["count"]
         for at, counts in delivered.accepted(refused).items():
-            result.findings.append(f"{name}: {at} counted %d refusals of %d messages and %d bundles" % counts)
+            cut = summary["log_cut"] or "the record is whole"
+            result.findings.append(f"{name}: {at} counted %d refusals of %d messages and %d bundles; {cut}" % counts)
         if not is_connected:
             result.findings.append(f"{name}: the run ended before the attack")
     if table(folder / name) != _calm(folder, flight):

@@ -96,7 +96,7 @@ def test_every_process_of_a_run_is_a_target(tmp_path: Path) -> None:
             return waits_for_user(output) or command.poll() is not None
 
         assert wait_for(is_over)
-        command.send_signal(signal.SIGINT)
+        command.send_signal(signal.SIGTERM)
         assert command.wait(PATIENCE_S) == 0, output.read_text()
     finally:
         command.kill()

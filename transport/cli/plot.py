@@ -36,7 +36,7 @@ def plot(
 ) -> None:
     """Regenerate metrics and figures of a recorded run.
 
-    Works on a truncated log too.
+    Also reads a truncated log.
 
     Example: transport plot runs/20260102-101500-paper --animate flight.gif
     """

@@ -29,7 +29,7 @@ def record(
 ) -> None:
     """Record and report a run whose processes were started by hand.
 
-    Start it before the first tick; `transport coordinator --observer recorder` waits for it.
+    Start the recorder before the first tick: `transport coordinator --observer recorder` waits for it.
 
     Example: transport record --scenario paper --out runs/by-hand
     """
