@@ -17,6 +17,9 @@ from transport.cli.options import FormatOption
 from transport.cli.output import Format, exit_on, fail, show_json
 from transport.cli.scenario_text import scenario_text
 
+# Number of UAVs beyond which the model takes more than some ten seconds to build.
+_LONG = 48
+
 
 def new(
     uavs: Annotated[int, Option("--uavs", metavar="COUNT", help="Number of UAVs, 2 to 256.")],
@@ -51,6 +54,8 @@ def new(
         path = find_scenario(template)
         ready = read_scenario(path, allow_large=True)
     source = f"--from {template}"
+    if uavs > _LONG:
+        typer.echo(f"checking the model of {uavs} UAVs: this takes minutes", err=True)
     try:
         scenario = resized(ready, path.parent, uavs, group=group, name=name, source=source)
         setup = Setup.of(scenario, source)
