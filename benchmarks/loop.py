@@ -21,16 +21,16 @@ from transport.flight import memory
 _IN_A_ROW = 3
 
 TEAMS = (
-    "`resilient` resized to N UAVs, run by `transport run` as fast as possible; wall-clock times in ms. A tick: mean. "
-    "An agent's step, and the rest of the tick besides the slowest step (`rest_of_tick_ms`): median (99th percentile). "
-    "Floor: three messages one after the other, as many as wait for each other in a tick, over a bare pipe between two "
-    "processes, {size} bytes each, right before and after. Memory: peaks of the largest agent and of the recorder; "
-    "shared memory counts by each process's share."
+    "`resilient` resized to N UAVs, run by `transport run` as fast as possible; wall-clock times in ms. Tick: mean. "
+    "Step of an agent, and network (rest of the tick without the slowest step, `rest_of_tick_ms`): median (99th "
+    "percentile). Floor: three messages in sequence, as many as depend on each other in a tick, through a pipe between "
+    "two processes, {size} bytes each, measured directly before and after the run. Memory: peak of the largest agent "
+    "and of the recorder; shared memory is divided among its users."
 )
 MANEUVER = "The same {seconds:g} s of `paper` with processes and in memory, wall-clock time."
 RECORDING = (
-    "Cost of recording: `resilient` with and without a recorder, {turns} times in turns; wall-clock time of a tick "
-    "from the coordinator's meeting all processes to the plant's end."
+    "Cost of recording: `resilient` with and without a recorder, {turns} times in turns; wall-clock time per tick, "
+    "from the time when all processes have joined to the end of the plant."
 )
 
 
@@ -75,7 +75,7 @@ def _maneuver(effort: Effort, folder: Path, log: Callable[[str], None]) -> Table
         memory.simulate(run)
         wall_s["in memory"] = time.perf_counter() - start
     rows = [(name, *map(digits, (taken, 1e3 * taken / run.ticks, seconds / taken))) for name, taken in wall_s.items()]
-    columns = ("", "flight, s", "tick, ms", "real-time factor")
+    columns = ("", "run, s", "tick, ms", "real-time factor")
     return Table(text=MANEUVER.format(seconds=seconds), columns=columns, rows=rows)
 
 

@@ -24,8 +24,8 @@ AIMS = {"plain": "", "keys": "at least 0.75 of plain", **dict.fromkeys(list(VARI
 
 TEXT = (
     "`{name}` in lockstep as fast as possible, in turns. The flood is a process on the same host with the keys of "
-    "agent 1, which sends 10,000 of agent 1's messages a second again to all processes, as they were or with new "
-    "numbers; its own work is part of the cost. All runs have the same cost to the last digit."
+    "agent 1, which repeats 10,000 messages of agent 1 per second to all processes, unchanged or with new numbers; "
+    "its own processor time is part of the cost. All runs have the same cost to the last digit."
 )
 
 

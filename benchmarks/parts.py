@@ -17,8 +17,8 @@ from protocol.wire.messages import Message, Plan, PlantState
 from protocol.wire.rejections import Rejections
 
 TEXT = (
-    "Processor time, ms. The plant integrates one sampling period in steps of `plant.step_s`. A plan is of one UAV "
-    "over {horizon} steps, {size} bytes. All checks: size, form, values, key, sender, incarnation, order."
+    "Processor time, ms. The plant integrates one sampling period in steps of `plant.step_s`. A plan has one UAV "
+    "and {horizon} steps, {size} bytes. All checks: size, form, values, key, sender, incarnation, order."
 )
 
 

@@ -33,10 +33,10 @@ _INFINITY = 1e30  # DAQP's own
 
 TEXT = (
     "Programs of runs of `paper` and `centralized`, {sizes}. Processor time of one solution, ms, median (99th "
-    "percentile): under the scenario's limits, of which few bind, and under limits so tight that many bind. "
-    "Differences: the largest of a decision, in units of half an actuator's range; active sets are exact, so that "
-    "their difference from Clarabel is Clarabel's error. Each solver starts anew with every program; Clarabel stops at "
-    "1e-11, the other iterative solvers at 1e-8, OSQP with polishing."
+    "percentile): with the limits of the scenario, few of which are active, and with limits so tight that many are "
+    "active. Differences: the largest of a decision, in units of half an actuator's range; active-set methods are "
+    "exact, so their difference from Clarabel is the error of Clarabel. Each solver has a cold start with every "
+    "program; Clarabel stops at 1e-11, the other iterative solvers at 1e-8, OSQP with polishing."
 )
 
 
@@ -111,7 +111,7 @@ def measure(effort: Effort, log: Callable[[str], None]) -> list[Table]:
             differences = (max(usual.from_clarabel, tight.from_clarabel), max(usual.from_daqp, tight.from_daqp))
             cells = (str(usual.times), str(tight.times), *(f"{value:.0e}" for value in differences))
             rows.append((f"`{name}`", solver.name, *cells, str(usual.unsolved + tight.unsolved)))
-    columns = ("programs of", "solver", "few limits bind", "many bind", "from Clarabel", "from DAQP", "unsolved")
+    columns = ("programs of", "solver", "few active limits", "many active", "from Clarabel", "from DAQP", "unsolved")
     return [Table(text=TEXT.format(sizes=" and ".join(sizes)), columns=columns, rows=rows)]
 
 

@@ -15,7 +15,7 @@ SHOWN = ("estimate", "linearise", "discretise", "condense", "solve")
 
 TEXT = (
     "Processor time of a step and its stages, ms, medians, and the 99th percentile of the step. `resilient` resized to "
-    "N UAVs, one per agent; `paper` and `centralized` as they are. Runs in memory, in turns, until each case has "
+    "N UAVs, one per agent; `paper` and `centralized` unchanged. Runs in memory, in turns, until each case has "
     "{steps} steps."
 )
 

@@ -161,11 +161,11 @@ class _RealTimeClock(Clock):
             at_s = (tick + 1) * self._period_ns / 1e9
             return (
                 f"{names} missed the deadline of tick {tick} at t = {at_s:.2f} s: "
-                f"{self._overruns} missed in all, {settings.overrun_limit} allowed"
+                f"{self._overruns} missed in total, {settings.overrun_limit} allowed"
             )
         worst_s = max(self._overrun_ns, now_ns - self.due_ns(tick + 1)) / 1e9
         if settings.overrun_limit_s is not None and worst_s > settings.overrun_limit_s:
-            return f"tick {tick + 1} came {worst_s:.3f} s late, {settings.overrun_limit_s:g} s allowed"
+            return f"tick {tick + 1} was {worst_s:.3f} s late, {settings.overrun_limit_s:g} s allowed"
         return ""
 
     def wake_ns(self, tick: int, missing: set[int], *, awaits_plant: bool) -> int:

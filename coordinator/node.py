@@ -13,6 +13,7 @@ from coordinator.roster import TeamRoster, names
 from coordinator.state import ENDS, TRANSITIONS, State, Trigger
 from protocol.admission.plausibility import check_moment
 from protocol.admission.reception import Reception
+from protocol.scenario.link_words import words_of
 from protocol.scenario.links import LinkError
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Control, Event, Message, MessageError, Plan, PlantState, Presence, Request, Tick
@@ -201,8 +202,7 @@ class CoordinatorNode:
             request.reply({"error": str(error)})
             return ()
         request.reply({"tick": change.tick, "t_s": change.tick * self._period_ns / 1e9})
-        ends = f"from {change.source or 'any agent'} to {change.target or 'any agent'}"
-        reason = f"links {ends} changed: {change.settings} from {self._roster.time(change.tick)} on"
+        reason = f"{words_of(change)}, from {self._roster.time(change.tick)} on"
         # Ticks name the version of this roster, so no process opens the next one without knowing of the change.
         return [change, self._roster.message(reason, self.tick)]
 

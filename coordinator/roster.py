@@ -60,7 +60,7 @@ class TeamRoster:
 
     def give_up(self, tick: int) -> Roster:
         """Return the roster without the agents that a tick has waited for."""
-        reason = f"{names(self._returns.pop(tick))} did not come back at {self.time(tick)}"
+        reason = f"{names(self._returns.pop(tick))} did not return at {self.time(tick)}"
         return self.message(reason, tick - 1)
 
     def join(self, tick: int) -> tuple[set[int], list[Roster]]:

@@ -84,7 +84,8 @@ def command(placement: Placement, inventory: Inventory, program: Path = PROGRAM,
     if name == RECORDER:
         role = ["record", "--no-figures"]
     line = [str(program), *role, "--scenario", str(etc / "scenario.toml")]
-    line += [] if name == ROUTER else ["--run", inventory.run]
+    # The size of the run is checked when its folders are rendered.
+    line += [] if name == ROUTER else ["--allow-large", "--run", inventory.run]
     for option, endpoints in (("--listen", placement.endpoints.listen), ("--connect", placement.endpoints.connect)):
         if option == "--connect" and placement.endpoints.mode == "client":
             continue  # the host's scenario names the router

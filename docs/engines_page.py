@@ -130,7 +130,7 @@ def suspensions(found: Found) -> str:
         flight = found[Run("resilient", (MUJOCO, *settings))]
         apart_m = np.linalg.norm(flight.payload_I - massless[: len(flight.payload_I)], axis=1).max()
         rows.append([name, f"{apart_m * 1e3:.1f} mm", errors(flight)])
-    return table(["`resilient` in MuJoCo with", "furthest from the path with massless rods", "payload error"], rows)
+    return table(["`resilient` in MuJoCo with", "largest distance to the path of massless rods", "payload error"], rows)
 
 
 def delivery_run(settings: tuple[str, ...], seed: int) -> Run:
@@ -147,7 +147,7 @@ def deliveries(found: Found) -> str:
         ends_cm = [100.0 * float(flight.errors_m[-1]) for flight in completed]
         cells = [f"{np.median(ends_cm):.1f} cm", f"{max(ends_cm):.1f} cm"] if ends_cm else ["", ""]
         rows.append([name, f"{len(completed)} of {len(flights)}", *cells])
-    headings = ["`delivery`, seeds 0 to 9", "complete", "distance of the payload from its place, median", "largest"]
+    headings = ["`delivery`, seeds 0 to 9", "completed", "distance of the payload from its target, median", "largest"]
     return table(headings, rows)
 
 

@@ -45,7 +45,7 @@ def details(result: Result) -> list[str]:
 
 
 DETAILS = (
-    "flight",
+    "result",
     "mean cost",
     "payload attitude",
     "smallest distance of two UAVs",
@@ -124,7 +124,7 @@ OFF, RELEASED = (KILLED_S, "motor_off"), (KILLED_S, "release")
 LATE_AND_LOSSY = ("links.delay_s=0.2", "links.loss=0.3")
 TEAMS = (4, 5, 6)
 FAILURES: Mapping[str, Mapping[int, Run]] = {
-    "agent dead (`kill` agent3, `clock.on_agent_loss=continue`), motors on": {
+    "agent killed (`kill` agent3, `clock.on_agent_loss=continue`), motors on": {
         4: killed("resilient", 3),
         6: killed("resilient", 3, team=Team(6, 1)),
     },
@@ -143,7 +143,7 @@ def failures(found: Found) -> str:
         [text, *(brief(one(found, runs[uavs])) if uavs in runs else "" for uavs in TEAMS)]
         for text, runs in FAILURES.items()
     ]
-    return table(["UAV 3, for good", *(f"{uavs} UAVs" for uavs in TEAMS)], rows)
+    return table(["permanent failure of UAV 3", *(f"{uavs} UAVs" for uavs in TEAMS)], rows)
 
 
 SHORT = (
@@ -169,7 +169,7 @@ def _at(at_s: float) -> Run:
 def instants(found: Found) -> str:
     """Return the table of six UAVs of which one fails at different times."""
     rows = [[f"{at_s:g} s", where, brief(one(found, _at(at_s)))] for at_s, where in INSTANTS.items()]
-    return table(["motors off at", "during", "flight"], rows)
+    return table(["motors off at", "during", "result"], rows)
 
 
 LAGS_S = (0.02, 0.03, 0.035, 0.04, 0.05, 0.1)
@@ -177,7 +177,7 @@ KNOWN: Mapping[str, Callable[[float], tuple[str, ...]]] = {
     "unknown": lambda _: (),
     "unknown, `next_tick`": lambda _: ("clock.actuation=next_tick",),
     "known": lambda lag_s: (f"controller.motor_lag_s={lag_s:g}",),
-    "taken for 50 ms": lambda _: ("controller.motor_lag_s=0.05",),
+    "assumed 50 ms": lambda _: ("controller.motor_lag_s=0.05",),
 }
 
 
@@ -190,7 +190,7 @@ def _costly(result: Result) -> str:
 
 
 def lags(found: Found) -> str:
-    """Return the table of motors that lag."""
+    """Return the table of motor lags."""
     rows = [
         [f"{1e3 * lag_s:g} ms", *(_costly(one(found, _lagging(lag_s, known))) for known in KNOWN)] for lag_s in LAGS_S
     ]
@@ -220,7 +220,7 @@ def _rotors(most_N: float) -> str:
 
 
 LIMITED: Mapping[str, str] = {
-    **{f"rotors of at most {most_N:g} N": _rotors(most_N) for most_N in (12.0, 6.0, 5.8, 5.7)},
+    **{f"rotors with at most {most_N:g} N": _rotors(most_N) for most_N in (12.0, 6.0, 5.8, 5.7)},
     **{f"thrust in steps of {step_N:g} N": f"plant.motors.thrust_step_N={step_N:g}" for step_N in (0.1, 1.0, 8.0)},
 }
 

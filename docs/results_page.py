@@ -1,7 +1,7 @@
 """Make every figure and table of results in README and docs: `make figures`.
 
-Runs the missing experiments, keeps them in runs/figures/ (delete a folder there to repeat one), and writes
-docs/results.md, docs/images/ and the tables of the README. About 40 minutes on two cores from scratch.
+Runs the experiments, or only those named as arguments, as far as runs/figures/ has no results of this commit, and
+writes their parts of docs/results.md, docs/images/ and the tables of the README. All take 50 minutes on two cores.
 """
 
 import csv
@@ -10,7 +10,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from results_sections import HOVER_TITLE, SECTIONS, Columns, Row, Section, compared_at, cost_range, number, periods
@@ -33,14 +33,11 @@ def transport(*arguments: str) -> str:
     return subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True, cwd=ROOT).stdout
 
 
-def simulate(section: Section, renewed: Collection[str]) -> list[str]:
-    """Run an experiment as far as this commit has not run it, and return the sentences it ends with.
-
-    Results of another commit are replaced if the experiment is among the renewed ones, or if there are none.
-    """
+def simulate(section: Section) -> list[str]:
+    """Run an experiment as far as this commit has not run it, and return the sentences it ends with."""
     sys.stderr.write(f"experiment {section.name}\n")
     folder, now = RUNS / section.name, commit()
-    if not folder.exists() or (commit_of(section) != now and (not renewed or section.name in renewed)):
+    if not folder.exists() or commit_of(section) != now:
         shutil.rmtree(folder, ignore_errors=True)
         _commit_file(section).write_text(now, encoding="utf-8")
     done = transport("experiment", section.name, *section.arguments, "--out", str(folder))
@@ -68,30 +65,41 @@ def listed(columns: Columns, rows: Iterable[Row]) -> str:
     return table(columns, ([row[cell] if isinstance(cell, str) else cell(row) for cell in cells] for row in rows))
 
 
-def page(sections: Sequence[tuple[Section, list[str], str]]) -> str:
-    """Return docs/results.md."""
+def page(sections: Mapping[str, str]) -> str:
+    """Return docs/results.md with the given parts, by the name of the experiment, and its present other parts."""
     parts = [
         "# Results\n\n<!-- Made by `make figures` (docs/results_page.py): do not edit. -->\n\n"
-        "Every number here comes from the command above it, and `make figures` makes them all again. Costs, attitudes "
-        "and survival are the same on every machine; processor times are of the machine named below a table. Costs are "
-        "means over a run of the team's cost at each tick ([equations.md](equations.md) (21)), ± half the 95 % "
-        "confidence interval where chance plays a part. `swing` is the largest distance of the payload from its "
-        "reference in the last 4 s of a run. How experiments work: [experiments.md](experiments.md)."
+        "This page has the results of all experiments. Every number comes from the command above it, and `make "
+        "figures` repeats all of them. Costs, attitudes and survival are the same on every machine; processor times "
+        "are of the machine named below a table. Costs are means over a run of the team's cost at each tick "
+        "([equations.md](equations.md) (21)), ± half the 95 % confidence interval for random runs. `swing` is the "
+        "largest distance of the payload from its reference in the last 4 s of a run. "
+        "[experiments.md](experiments.md) describes the experiments."
     ]
-    for section, sentences, machine in sections:
-        command = " ".join(("transport experiment", section.name, *section.arguments))
-        pieces = [f"## {section.title}", f"```\n{command}\n```", section.text]
-        pieces.append(f"![{section.alt}](images/{section.name}.png)")
-        pieces.append("\n".join(f"- {sentence}" for sentence in sentences))
-        if section.before is not None:
-            file, columns = section.before
-            pieces.append(listed(columns, read(section, file)))
-        pieces.append(listed(section.columns, read(section)))
-        if section.second is not None:
-            _, image, alt = section.second
-            pieces.append(f"![{alt}](images/{image})")
-        parts.append("\n\n".join([*pieces, f"*Commit {commit_of(section)}. {machine}*"]))
+    present = PAGE.read_text(encoding="utf-8") if PAGE.exists() else ""
+    for section in SECTIONS:
+        found = re.search(rf"^## {re.escape(section.title)}\n.*?(?=^## |\Z)", present, re.DOTALL | re.MULTILINE)
+        part = sections.get(section.name) or (found[0].strip() if found else "")
+        if not part:
+            raise SystemExit(f"{PAGE.name}: expected a part on {section.name}, got none: run it as well")
+        parts.append(part)
     return "\n\n".join(parts) + "\n"
+
+
+def part_of_page(section: Section, sentences: Sequence[str]) -> str:
+    """Return the part of docs/results.md on an experiment, given the sentences its command ends with."""
+    command = " ".join(("transport experiment", section.name, *section.arguments))
+    pieces = [f"## {section.title}", f"```\n{command}\n```", section.text]
+    pieces.append(f"![{section.alt}](images/{section.name}.png)")
+    pieces.append("\n".join(f"- {sentence}" for sentence in sentences))
+    if section.before is not None:
+        file, columns = section.before
+        pieces.append(listed(columns, read(section, file)))
+    pieces.append(listed(section.columns, read(section)))
+    if section.second is not None:
+        _, image, alt = section.second
+        pieces.append(f"![{alt}](images/{image})")
+    return "\n\n".join([*pieces, f"*Commit {commit_of(section)}. {machine_of(section)}*"])
 
 
 def commit_of(section: Section) -> str:
@@ -118,7 +126,7 @@ def between(values: Sequence[float]) -> str:
 
 def at_a_glance() -> str:
     """Return the README's table: effect of the network on the two algorithms."""
-    by_name = {section.name: read(section) for section in SECTIONS}
+    by_name = {name: read(section_of(name)) for name in ("latency", "loss", "kill", "deaths")}
 
     def cell(name: str, scenario: str, **labels: str) -> str:
         rows = [
@@ -211,20 +219,24 @@ def animation() -> None:
 
 
 def main() -> None:
-    """Run the experiments (only the named ones where the others have results) and write the pages."""
-    renewed = sys.argv[1:]
-    strange = set(renewed) - {section.name for section in SECTIONS}
+    """Run the named experiments, all without a name, and write their parts of the page and the README's tables."""
+    names = sys.argv[1:] or [section.name for section in SECTIONS]
+    strange = set(names) - {section.name for section in SECTIONS}
     if strange:
         raise SystemExit(f"expected names of experiments, got {', '.join(sorted(strange))}")
     IMAGES.mkdir(parents=True, exist_ok=True)
     RUNS.mkdir(parents=True, exist_ok=True)
     figures_of_a_run()
     animation()
-    results = [(section, simulate(section, renewed), machine_of(section)) for section in SECTIONS]
-    PAGE.write_text(page(results), encoding="utf-8")
-    put(README, "network", at_a_glance())
-    put(README, "claim", claim())
-    put(README, "hover", hover())
+    parts = {name: part_of_page(section_of(name), simulate(section_of(name))) for name in names}
+    PAGE.write_text(page(parts), encoding="utf-8")
+    for place, content, needed in (
+        ("network", at_a_glance, {"latency", "loss", "kill", "deaths"}),
+        ("claim", claim, {"paper"}),
+        ("hover", hover, {"hover"}),
+    ):
+        if needed <= set(names):
+            put(README, place, content())
     sys.stderr.write(f"written: {PAGE.name}, images/, {README.name}\n")
 
 

@@ -161,23 +161,24 @@ SECTIONS = (
     Section(
         name="paper",
         title="Is distributed worse at the same rate, and better at the same computation?",
-        text="The paper's comparison over a grid of sampling periods. `paper's algorithm` is its distributed algorithm "
-        "with our weights, as it prints none; `closed loop` is that of `resilient`. Costs are deterministic. Processor "
-        "time is that of the whole step, measured in turns, and has a spread: the range of its repetitions gives a "
-        "range of periods at which a controller computes as much per second as the centralized one at 50 ms, and by "
-        "the cost curve a range of cost ratios. `the whole team` counts all agents together, `one agent` each for "
-        "itself. At another rate a horizon of as many steps is longer or shorter in time, so horizons of as many "
-        "seconds are run, too. In the figure vertical lines are the computation of the "
-        "centralized controller at 50 ms, crosses are periods with a diverged run, arrows costs above the axis.",
+        text="The paper's comparison over a grid of sampling periods. `paper's algorithm` is its distributed "
+        "algorithm with our weights, since the paper gives none; `closed loop` is that of `resilient`. Costs are "
+        "deterministic. Processor time is that of the whole step, measured in turns. The range of its repetitions "
+        "gives a range of periods at which a controller computes as much per second as the centralized one at 50 ms, "
+        "and the cost curve gives a range of cost ratios. `the whole team` counts all agents together, `one agent` "
+        "each agent separately. At another rate a horizon of as many steps is longer or shorter in time, so horizons "
+        "of as many seconds are also run. In the figure hollow markers are periods with a diverged run, "
+        "arrows are costs above the axis.",
         columns=COMPARED,
         table="curves.csv",
         before=("verdict.csv", VERDICT),
-        alt="Mean cost over processor time of the whole team and of one agent, a curve for each controller and horizon",
+        alt="Mean cost over that of the centralized controller at 50 ms, over processor time of the team and of one "
+        "agent, in still air and in gusts: a curve for each controller and horizon; periods with a diverged run",
         second=(
             "maneuver.png",
             "maneuver.png",
-            "Position errors, payload attitude and cost of the centralized controller, and of the paper's algorithm at "
-            "the same rate and at the same computation",
+            "Largest UAV position error, payload position error, payload attitude and cost over time: the centralized "
+            "controller, and the paper's algorithm at the same rate and at the same computation",
         ),
     ),
     Section(
@@ -185,14 +186,14 @@ SECTIONS = (
         title="How much delay is tolerated?",
         text="The same delay for every plan. A plan is used at the next tick at the earliest, so 50 ms change nothing.",
         columns={**SCENARIO, "delay, ms": milliseconds("delay_s"), **OUTCOME},
-        alt="Survival, mean cost and payload attitude over the delay of plans",
+        alt="Time of divergence, mean cost and payload attitude over the delay of plans",
     ),
     Section(
         name="loss",
         title="How much packet loss is tolerated?",
         text="Independent losses, and the same share of losses in bursts of five ticks on average (Gilbert-Elliott).",
         columns={**SCENARIO, "losses": "model", "lost": share("loss"), **OUTCOME},
-        alt="Survival, mean cost and payload attitude over the share of lost plans",
+        alt="Time of divergence, mean cost and payload attitude over the share of lost plans",
     ),
     Section(
         name="jitter",
@@ -205,36 +206,36 @@ SECTIONS = (
             "std, ms": milliseconds("std_s"),
             **OUTCOME,
         },
-        alt="Survival, mean cost and payload attitude over the standard deviation of the delay",
+        alt="Time of divergence, mean cost and payload attitude over the standard deviation of the delay",
     ),
     Section(
         name="matrix",
         title="Delay and packet loss together",
         text="Every delay with every share of losses.",
         columns={**SCENARIO, "delay, ms": milliseconds("delay_s"), "lost": share("loss"), **OUTCOME},
-        alt="Maps of mean cost and survival over delay and loss",
+        alt="Maps of mean cost, or time of divergence, over delay and loss, one for each scenario",
     ),
     Section(
         name="kill",
         title="An agent killed, restarted or not",
-        text="Each agent killed at 8 s, and restarted at 10 s or never.",
+        text="Each agent is killed at 8 s, and restarted at 10 s or never.",
         columns={**SCENARIO, "killed": "agent", "back at, s": "restart_s", **OUTCOME},
-        alt="Survival, mean cost and payload attitude for each agent killed",
+        alt="Time of divergence, mean cost and payload attitude for each agent killed, restarted or not",
     ),
     Section(
         name="deaths",
         title="An agent killed without a restart, at any time",
-        text="Random agents killed at random times, one in each run, never restarted. Their UAVs play the last plan "
+        text="In each run a random agent is killed at a random time and never restarted. Its UAVs apply the last plan "
         "and then hold hover thrust and level attitude.",
         columns={**SCENARIO, "killed": "agent", "at, s": "killed_s", **OUTCOME},
-        alt="Survival, mean cost and payload attitude over the time of death",
+        alt="Mean cost and payload attitude over the time at which the agent is killed, beside those without a kill",
     ),
     Section(
         name="sharing",
         title="How few plans have to be sent?",
         text="A plan is sent to the other agents when its corrections to the shared control law change by more than a "
-        "threshold, a share of the input's range, and at least once a second. Threshold 0: all plans are sent; the "
-        "costs on each network are over those of that row.",
+        "threshold, a share of the input's range, and at least once a second. With threshold 0 all plans are sent; "
+        "the costs on each network are relative to that row.",
         columns={
             **SCENARIO,
             "network": "network",
@@ -246,12 +247,12 @@ SECTIONS = (
             "attitude, deg": number("attitude_max_deg"),
             "swing, m": number("swing_m"),
         },
-        alt="Mean cost over that with all plans sent, and payload attitude, over the share of plans sent",
+        alt="Plans sent, mean cost over that with all plans sent, and payload attitude, over the threshold",
     ),
     Section(
         name="ablation",
         title="Contribution of each part",
-        text="One setting changed at a time, on a perfect network and on one with 200 ms delay and 30 % loss.",
+        text="One setting is changed at a time, on a perfect network and on one with 200 ms delay and 30 % loss.",
         columns={
             **SCENARIO,
             "network": "network",
@@ -259,13 +260,13 @@ SECTIONS = (
             "to": lambda row: f"`{row['value']}`" if row["value"] else "",
             **OUTCOME,
         },
-        alt="Cost of every variant over that of the scenario as it is",
+        alt="Cost of every variant over that of the scenario as it is, on both networks; diverged runs beside it",
     ),
     Section(
         name="horizon",
         title="Effect of horizon and terminal weight",
-        text="The paper's N_p = 20 is a choice, and it prints no terminal weight. Each horizon with each weight where "
-        "the prediction is open loop, on a perfect network and with a delay of 200 ms.",
+        text="The paper's N_p = 20 is a choice, and the paper gives no terminal weight. Each horizon is run with each "
+        "weight where the prediction is open loop, on a perfect network and with a delay of 200 ms.",
         columns={
             **SCENARIO,
             "network": "network",
@@ -273,27 +274,29 @@ SECTIONS = (
             "terminal weight": lambda row: f"{float(row['terminal']):g}",
             **OUTCOME,
         },
-        alt="Cost of every horizon and terminal weight over that of the scenario as it is",
+        alt="Cost of every horizon and terminal weight over that of the scenario as it is, without and with delay; "
+        "diverged runs beside it",
     ),
     Section(
         name="hover",
         title=HOVER_TITLE,
-        text="The paper's maneuver with a longer and longer hover as its last phase, on a perfect network. Costs are "
-        "means over runs of different length: compare them between controllers.",
+        text="The paper's maneuver with hovers of increasing duration as its last phase, on a perfect network. Costs "
+        "are means over runs of different length: compare them between controllers.",
         columns={
             **SCENARIO,
             "last hover, s": lambda row: f"{float(row['hover_s']):g}",
             **{heading: cell for heading, cell in OUTCOME.items() if heading != "cost over unimpaired"},
         },
-        alt="Survival, mean cost and payload attitude over the duration of the last hover",
+        alt="Time of divergence, mean cost and payload attitude over the duration of the last hover",
     ),
     Section(
         name="scaling",
         title="Growth with the team",
-        text="Teams of 2 to 12 UAVs over 10 s, with an agent for each, for two, and for all. What is behind the "
-        "numbers: [performance.md](performance.md).",
+        text="Teams of 2 to 12 UAVs over 10 s, with an agent for each UAV, for two, and for all. "
+        "[performance.md](performance.md) explains the numbers.",
         columns=GROWTH,
-        alt="Processor time of a step and of the team, volume of the plans and mean cost over the number of UAVs",
+        alt="Processor time of a step and of the team, volume of the plans and mean cost over the number of UAVs, with "
+        "powers of that number for comparison",
         arguments=("--max", "12", "--seeds", "3"),
     ),
 )

@@ -8,7 +8,7 @@ from tables import ROOT, table
 
 DOCUMENT = ROOT / "docs" / "values.md"
 
-LATE_AND_LOSSY = ("links.delay_s=0.1", "links.loss=0.3")
+IMPAIRED = ("links.delay_s=0.1", "links.loss=0.3")
 LONG_HOVER = "maneuver.phase.5.duration_s=60"
 
 
@@ -39,7 +39,7 @@ WINDY = (
     ("as it is", (), 16),
     ("as it is", (), 8),
     ("without the estimate", ("controller.disturbance.estimate=false",), 8),
-    ("100 ms delay, 30 % loss", LATE_AND_LOSSY, 8),
+    ("100 ms delay, 30 % loss", IMPAIRED, 8),
     ("weight of the moments of `resilient`", ("controller.weights.moments=[0.01,0.01,0.01]",), 8),
     (
         "open-loop prediction",
@@ -53,7 +53,7 @@ def windy(found: Found) -> str:
     """Return the table of the runs in wind."""
     rows = []
     for text, settings, seeds in WINDY:
-        # The first seeds of those that were simulated.
+        # The first seeds of the simulated ones.
         result = next(results for run, results in found.items() if run == _windy(settings))[:seeds]
         there = [f for f in result if f.completed]
         cells = [text, f"0 to {seeds - 1}", f"{len(there)} of {seeds}"]
@@ -152,7 +152,7 @@ CHANGED = {"nothing": [Run("paper"), Run("resilient")], **{f"`{setting}`": _chan
 
 
 def weights(found: Found) -> str:
-    """Return the table of how much weights matter."""
+    """Return the table of the sensitivity to the weights."""
 
     def cell(run: Run | None) -> str:
         if run is None:
@@ -172,7 +172,7 @@ ESTIMATE = "controller.disturbance.estimate=true"
 ESTIMATES: Mapping[str, tuple[str, ...]] = {
     "without estimate": (),
     "with estimate": (ESTIMATE,),
-    "with estimate, 100 ms delay, 30 % loss": (ESTIMATE, *LATE_AND_LOSSY),
+    "with estimate, 100 ms delay, 30 % loss": (ESTIMATE, *IMPAIRED),
 }
 UNMODELLED = {
     text: [Run("resilient", (STILL, setting, *changes)) for changes in ESTIMATES.values()]
@@ -190,7 +190,7 @@ def plant_state(found: Found) -> str:
 
 
 def _length(value_m: float) -> str:
-    """Return a length in cm or mm, without digits that mean nothing."""
+    """Return a length in cm or mm, without insignificant digits."""
     if value_m < 1e-5:
         return "below 0.01 mm"
     return f"{100 * value_m:.1f} cm" if value_m >= 0.01 else f"{1e3 * value_m:.2f} mm"

@@ -109,6 +109,11 @@ def functions(N: int) -> dict[str, ca.Function]:
     return found | compiled
 
 
+def needs_compilation(N: int) -> bool:
+    """Return whether `compile_functions` would compile: a compiler is there, and the functions are not compiled yet."""
+    return compiler.enabled() and compiler.find_compiler() is not None and not compiler.intact(_compiled_file(N))
+
+
 def compile_functions(N: int) -> bool:
     """Compile the functions of a system of N UAVs for this processor; return False if that is not possible.
 

@@ -29,7 +29,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> workers.Sharing:
-    """Give all tests that start processes to one worker."""
+    """Give the tests that start processes to two workers at most."""
     config.option.loadscopereorder = False  # work units in the order of their tests
     return workers.Sharing(config, log)
 

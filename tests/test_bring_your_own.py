@@ -1,4 +1,4 @@
-"""docs/bring-your-own.md does what it says: its program writes the path that its scenario flies."""
+"""The program, scenarios and engine of docs/bring-your-own.md work."""
 
 import re
 import subprocess
@@ -45,7 +45,7 @@ def test_the_path_of_the_document(tmp_path: Path) -> None:
 
 
 def test_the_constraint_of_the_document(tmp_path: Path) -> None:
-    """The price on height is one that a scenario takes."""
+    """The penalty on height is valid in a scenario."""
     _, constraint = blocks("toml")
     path = tmp_path / "mine.toml"
     path.write_text((SCENARIOS / "resilient.toml").read_text(encoding="utf-8") + "\n" + constraint, encoding="utf-8")
@@ -55,7 +55,7 @@ def test_the_constraint_of_the_document(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_engine_of_the_document(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The class flies the paper's maneuver as the engine here does."""
+    """The class integrates the paper's maneuver like the engine of the project."""
     _, engine = blocks("python")
     (tmp_path / "mine.py").write_text(engine, encoding="utf-8")
     monkeypatch.chdir(tmp_path)

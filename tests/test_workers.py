@@ -1,4 +1,4 @@
-"""The two workers of a test run: tests that start processes are in one folder, and the first worker gets them."""
+"""The workers of a test run: tests that start processes are in one folder, and at most two workers get them."""
 
 import ast
 import re
@@ -45,7 +45,7 @@ def test_tests_with_processes_are_in_their_folder() -> None:
     wrong = [
         f"{file} by {path}"
         for file in FILES
-        if not workers.is_serial(file)
+        if not workers.starts_processes(file)
         for path in reached(ROOT / file) - {Path(__file__).resolve()}
         if imports(path) & OUTSIDE or STARTS.search(path.read_text(encoding="utf-8"))
     ]
@@ -57,7 +57,7 @@ def test_order(request: pytest.FixtureRequest) -> None:
     items = request.session.items
     files = [workers.file_of(item.nodeid) for item in workers.in_order(list(reversed(items)))]
     assert sorted(files) == sorted(workers.file_of(item.nodeid) for item in items)
-    serial = [workers.is_serial(file) for file in files]
-    assert serial == sorted(serial, reverse=True)
+    with_processes = [workers.starts_processes(file) for file in files]
+    assert with_processes == sorted(with_processes, reverse=True)
     if workers.FIRST in files:
         assert files[0] == workers.FIRST

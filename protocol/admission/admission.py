@@ -334,7 +334,7 @@ def _stream(key: str, kind: str, place: Place | None) -> tuple[str, str, bool]:
 
 
 def _wrong_incarnation(message: Message) -> MessageError:
-    text = f"{message.kind} of incarnation {message.incarnation}, which is over or was never announced"
+    text = f"{message.kind} of incarnation {message.incarnation}, which has ended or was never announced"
     return MessageError("wrong_incarnation", text, message.sender)
 
 

@@ -20,7 +20,7 @@ from protocol.admission.samples import Sample
 from protocol.admission.unbundling import Unbundling
 from protocol.network.endpoints import Endpoints
 from protocol.network.health import Offset, usage
-from protocol.network.joining import WAITING_S, Expected, Peers, waiting_for
+from protocol.network.joining import WAITING_S, Expected, Peers, absent, waiting_for
 from protocol.network.session import BusError, fetch_answer, in_bounded_time, log_errors, open_session
 from protocol.wire.codec import VERSION, encode
 from protocol.wire.keys import RECORDER, WATCHER, Keys
@@ -155,7 +155,7 @@ class Bus:
             now_s = time.monotonic()
             if now_s >= sign_s:
                 sign_s += WAITING_S
-                on_wait(waiting_for(missing, deadline - now_s))
+                on_wait(waiting_for(missing, self._peers.left, deadline - now_s))
             try:
                 at_ns, item = self._inbox.get(
                     timeout=max(0.0, min(deadline, sign_s, now_s + awaited.update_every_s) - now_s)
@@ -164,9 +164,9 @@ class Bus:
                 if time.monotonic() < deadline:
                     awaited.update_if_begun()
                     continue
-                called = ", ".join(self._endpoints.connect) or "none: it is called"
+                called = ", ".join(self._endpoints.connect) or "none: others connect to it"
                 raise BusError(
-                    f"{self.name}: no sign of {', '.join(sorted(missing))} within {timeout_s:g} s; "
+                    f"{self.name}: {absent(missing, self._peers.left)} within {timeout_s:g} s; "
                     f"listening on {', '.join(self._endpoints.listen) or 'nothing'}, connecting to {called}"
                 ) from None
             if isinstance(item, Interrupted):
@@ -311,7 +311,7 @@ class Bus:
             reply({**health, "asked_ns": at_ns, "answered_ns": time.time_ns()})
             return None
         if not self._serves:
-            reply({"error": f"what: expected health, all that {self.name} answers, got {what[:40]!r}"})
+            reply({"error": f"what: expected health, the only request that {self.name} answers, got {what[:40]!r}"})
             return None
         return Request(what, given, reply)
 

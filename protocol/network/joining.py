@@ -17,9 +17,19 @@ _ASK_EVERY_S = 0.5
 WAITING_S = 5.0
 
 
-def waiting_for(missing: Collection[str], left_s: float) -> str:
-    """Return a sentence about the processes that one waits for."""
-    return f"waiting for {', '.join(sorted(missing))}; gives up in {max(0.0, left_s):.0f} s"
+def absent(missing: Collection[str], left: Collection[str]) -> str:
+    """Return which of the missing processes gave no sign, or else which have left.
+
+    A process that has left was there and gave up waiting for the others itself: it is not the one to look for.
+    """
+    silent = sorted(set(missing) - set(left))
+    return f"no sign of {', '.join(silent)}" if silent else f"{', '.join(sorted(missing))} came and left"
+
+
+def waiting_for(missing: Collection[str], left: Collection[str], left_s: float) -> str:
+    """Return a sentence about the processes that one waits for, as in `absent`, and the time left, s."""
+    names = sorted(set(missing) - set(left)) or sorted(missing)
+    return f"waiting for {', '.join(names)}; gives up in {max(0.0, left_s):.0f} s"
 
 
 class Peers:
@@ -29,10 +39,12 @@ class Peers:
 
     Attributes:
         alive: Incarnations of the processes that are up, by name.
+        left: Processes that were up, and are not any more.
     """
 
     def __init__(self, name: str, incarnation: int, digest: str, keys: Keys, admission: Admission) -> None:
         self.alive: dict[str, int] = {}
+        self.left: set[str] = set()
         self._name, self._incarnation, self._digest = name, incarnation, digest
         self._keys, self._admission = keys, admission
 
@@ -75,10 +87,12 @@ class Peers:
             return None  # a process of another scenario finds out by itself that it does not belong here
         if here:
             self.alive[token.name] = token.incarnation
+            self.left.discard(token.name)
             self._admission.announce(token.name, token.incarnation)
             return None
         if self.alive.get(token.name) == token.incarnation:
             del self.alive[token.name]
+            self.left.add(token.name)
         return Presence(token.name, token.incarnation, alive=False)
 
 

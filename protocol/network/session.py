@@ -54,7 +54,8 @@ def open_session(endpoints: Endpoints, patience_s: float, name: str, keys: Keys,
                 raise BusError(_listen_problem(endpoints, str(error))) from error
             if time.monotonic() > deadline:
                 where = ", ".join(endpoints.connect)
-                raise UnreachableError(f"{name}: no router accepts it at {where} within {reach_s:g} s") from error
+                text = f"{name}: no router accepts a connection at {where} within {reach_s:g} s"
+                raise UnreachableError(text) from error
 
 
 def configuration(endpoints: Endpoints, patience_s: float, name: str, keys: Keys) -> dict[str, Any]:
@@ -131,7 +132,7 @@ def ask(
         session = open_session(endpoints, 1.0, OPERATOR if what in ACTING else WATCHER, keys, timeout_s)
     except UnreachableError as error:
         raise BusError(
-            f"{name} of run {run} is not reachable at {', '.join(connect)}: it has ended, or takes other keys"
+            f"{name} of run {run} is not reachable at {', '.join(connect)}: it has ended or uses other keys"
         ) from error
     try:
         while not any(reply.ok for reply in session.liveliness().get(f"{keys.prefix}/alive/{name}/**", timeout=1.0)):
@@ -139,6 +140,8 @@ def ask(
                 raise BusError(f"no sign of {name} of run {run} within {timeout_s:g} s; tried {', '.join(connect)}")
             time.sleep(0.02)
         answer = fetch_answer(session, keys.request(name, what), given, timeout_s)
+    except zenoh.ZError as error:  # its text is about Zenoh's sources
+        raise BusError(f"{name} of run {run} has closed the connection: it has ended, or is about to end") from error
     finally:
         in_bounded_time(session.close)
     if answer is None:

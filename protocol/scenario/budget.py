@@ -71,7 +71,7 @@ class Budget:
         return (
             f"{self.ticks} ticks, {self.plant_steps} integration steps per period, "
             f"QP of {self.variables} variables and {self.rows} rows, "
-            f"{self.process_bytes / MB:.0f} MB per process, {self.total_bytes / MB:.0f} MB in all, "
+            f"{self.process_bytes / MB:.0f} MB per process, {self.total_bytes / MB:.0f} MB in total, "
             f"log of {self.log_bytes / MB:.3g} MB, {1e3 * self.step_s:.2g} ms of processor time per step"
         )
 
@@ -144,7 +144,7 @@ def check_budget(scenario: Scenario, source: str) -> Budget:
         ("controller.horizon", found.variables, MOST_VARIABLES, "variables of a QP", ",d"),
         ("controller.horizon", found.rows, MOST_ROWS, "rows of a QP", ",d"),
         (size, found.process_bytes / MB, MOST_PROCESS_BYTES / MB, "MB of memory per process", ",.0f"),
-        (size, found.total_bytes / MB, MOST_TOTAL_BYTES / MB, "MB of memory in all", ",.0f"),
+        (size, found.total_bytes / MB, MOST_TOTAL_BYTES / MB, "MB of memory in total", ",.0f"),
         ("maneuver.phase", found.log_bytes / MB, MOST_LOG_BYTES / MB, "MB of log", ",.0f"),
         ("controller.horizon", found.step_s, MOST_STEP_S, "s of processor time per step", ",.2g"),
     ):

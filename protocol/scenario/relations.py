@@ -94,7 +94,7 @@ def _links(scenario: Scenario, agents: list[str]) -> Iterator[Problem]:
             yield f"{field}.samples", "expected a file of measured delays, got nothing"
         changed = isinstance(section, LinkChangeSection) and section.samples is not None
         if changed and section.distribution != "empirical":
-            text = "expected 'empirical' with samples, as a change says all that is to be other"
+            text = "expected 'empirical' with samples, as a change names every changed key"
             yield f"{field}.distribution", f"{text}, got {section.distribution!r}"
     for i, partition in enumerate(links.partition, start=1):
         for name in partition.between:
@@ -108,7 +108,7 @@ def _links(scenario: Scenario, agents: list[str]) -> Iterator[Problem]:
 def _controller(scenario: Scenario) -> Iterator[Problem]:
     section = scenario.controller
     if section.terminal == "riccati" and section.weights.penalised_input == "absolute":
-        expected = "expected 'deviation' with controller.terminal = 'riccati', whose optimum rests at hover"
+        expected = "expected 'deviation' with controller.terminal = 'riccati', whose optimum is hover"
         yield "controller.weights.penalised_input", f"{expected}, got 'absolute'"
     if section.preview and section.prediction == "open_loop" and section.terminal == "multiple":
         expected = "expected controller.prediction = 'closed_loop' or controller.terminal = 'riccati' with it"
@@ -144,11 +144,11 @@ def _faults(scenario: Scenario, agents: list[str]) -> Iterator[Problem]:
         if event.do == "restart" and target not in agents:
             yield f"{field}.do", f"expected an agent to restart, as a run ends with its {target}, got 'restart'"
         if (event.do == "degrade") != (event.efficiency is not None):
-            expected = "expected an efficiency" if event.do == "degrade" else "expected none but with 'degrade'"
+            expected = "expected an efficiency" if event.do == "degrade" else "expected no efficiency without 'degrade'"
             yield f"{field}.efficiency", f"{expected}, got {event.efficiency or 'nothing'}"
         before, after = _FAULTS[event.do]
         if state[target] not in before:
-            expected = f"expected what can be done to {target}, which is {state[target]} by then"
+            expected = f"expected an action possible for {target}, which is {state[target]} by then"
             yield f"{field}.do", f"{expected}, got {event.do!r}"
         state[target] = after
     grounded = scenario.plant.ground_m is not None and all(state[uav] == "released" for uav in uavs)
@@ -163,7 +163,7 @@ def _sharing(scenario: Scenario) -> Iterator[Problem]:
     if controller.share == "always":
         return
     for key, expected, why in (
-        ("prediction", "closed_loop", "where the others know the control law that acts between two plans"),
+        ("prediction", "closed_loop", "where other agents know the control law between two plans"),
         ("received_plans", "by_age", "as plans are used for longer than a period"),
         ("received_states", "predicted", "as states are used for longer than a period"),
         ("negotiation_iterations", 1, "as each iteration exchanges every plan"),
@@ -256,7 +256,7 @@ def _on_the_ground(scenario: Scenario) -> Iterator[Problem]:
             yield f"{field}.kind", f"expected 'move' with a path from a file, got {phase.kind!r}"
         if x != 0.0 or y != 0.0 or (z >= 0.0 if phase.kind == "take_off" else z <= 0.0):
             direction = "up, negative z" if phase.kind == "take_off" else "down, positive z"
-            yield f"{field}.displacement_m", f"expected a way straight {direction}, got {phase.displacement_m}"
+            yield f"{field}.displacement_m", f"expected a path straight {direction}, got {phase.displacement_m}"
 
 
 def _network(scenario: Scenario) -> Iterator[Problem]:

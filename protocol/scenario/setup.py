@@ -153,7 +153,7 @@ class Setup:
             takes_s = max(2.0 * math.sqrt(way_m / a) for way_m, a in ways)
             if takes_s > phase.duration_s:
                 asked = f"{np.linalg.norm(phase.displacement_I):g} m in {phase.duration_s:g} s"
-                found.append(f"phase {phase.name!r}: {asked}; from rest to rest full thrust takes {takes_s:.1f} s")
+                found.append(f"phase {phase.name!r}: {asked}; at full thrust it takes {takes_s:.1f} s")
         return found
 
     def _check_ground(self, source: str) -> None:

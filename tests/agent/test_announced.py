@@ -131,7 +131,7 @@ def test_other_lengths(length: int) -> None:
 @pytest.mark.parametrize("age", range(STEPS + 3))
 @pytest.mark.parametrize("delay", [0, 1])
 def test_corrections_end(age: int, delay: int) -> None:
-    """Corrections to the shared law are shifted like inputs but zero after their end, and before any plan."""
+    """Corrections to the shared control law are shifted like inputs but zero after their end, and before any plan."""
     plan = labelled(1, 7, delay=delay)
     start = plan.start_tick + age
     c = announced(plan).corrections(start, STEPS, before=start + 1)
@@ -295,7 +295,7 @@ def test_plans_under_another_law_are_played_as_announced() -> None:
 
 
 def test_who_follows_another_law() -> None:
-    """Listed are agents whose newest usable plan is older than the law; none without plan, none off the roster."""
+    """Agents with a newest usable plan older than the control law are listed; none without plan or off the roster."""
     inputs = under_law(labelled(1, 3), labelled(1, 8), labelled(2, 3))
     assert inputs.under_previous_law(before=10) == []
     inputs.law_since = 5

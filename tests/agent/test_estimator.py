@@ -312,7 +312,7 @@ class LedFlight:
     """A flight under the shared control law with announced corrections.
 
     Attributes:
-        law: The law, without corrections.
+        law: Control law without corrections.
         c: Corrections, as announced from the beginning, (TICKS + HELD, m).
     """
 
@@ -362,7 +362,7 @@ def led_flight(force_N: float = 0.0) -> LedFlight:
 def test_the_law_makes_late_states_exact() -> None:
     """Under the shared control law the estimate is the true state for any delay and any predicted inputs, (32a).
 
-    By induction: a true state gives the true inputs by the law, and those the next true state.
+    By induction: a true state gives the true inputs by the control law, and those the next true state.
     """
     led = led_flight()
     plant_state = led.flight

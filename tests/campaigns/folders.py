@@ -211,12 +211,12 @@ def execute(number: int, name: str, folder: Path, seed: int = 0) -> Result:
 def _problems_of_log(damage: Damage, run: Path, said: str) -> Iterator[str]:
     """Yield what is wrong with the log of a run, given what its command has said."""
     lines = said.splitlines()
-    moved = [line.rsplit(" it goes on in ", 1)[1] for line in lines if " it goes on in " in line]
+    moved = [line.rsplit(" recording continues in ", 1)[1] for line in lines if " recording continues in " in line]
     if damage.moves is not None and bool(moved) != damage.moves:
         yield f"the log {'goes' if moved else 'does not go'} on in a second place"
     if damage.on in ("full", "limit"):
-        if not any("goes on unrecorded" in line for line in lines):
-            yield "the command did not say that the run goes on unrecorded"
+        if not any("continues without recording" in line for line in lines):
+            yield "the command did not say that the run continues without recording"
         return  # the files of the small disk are gone with it
     if damage.on == "disk" and not moved:
         return

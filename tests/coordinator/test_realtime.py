@@ -169,7 +169,7 @@ def test_abort_by_count(limit: int) -> None:
     assert isinstance(end, Control)
     assert (end.outcome, end.exit_code) == ("aborted", 5)
     assert end.reason.startswith(f"agent4 missed the deadline of tick {limit} at t = {0.05 * (limit + 1):.2f} s")
-    assert end.reason.endswith(f": {limit + 1} missed in all, {limit} allowed")
+    assert end.reason.endswith(f": {limit + 1} missed in total, {limit} allowed")
 
 
 def test_abort_by_size() -> None:
@@ -182,7 +182,7 @@ def test_abort_by_size() -> None:
     (end,) = node.poll(due(3))
     assert isinstance(end, Control)
     assert (end.outcome, end.exit_code) == ("aborted", 5)
-    assert end.reason == "tick 3 came 0.031 s late, 0.03 s allowed"
+    assert end.reason == "tick 3 was 0.031 s late, 0.03 s allowed"
 
 
 def test_abort_by_a_late_tick() -> None:
@@ -191,7 +191,7 @@ def test_abort_by_a_late_tick() -> None:
     tell(node, answers(run, 0), due(0) + MS)
     (end,) = node.poll(due(1) + 40 * MS)
     assert isinstance(end, Control)
-    assert (end.exit_code, end.reason) == (5, "tick 1 came 0.040 s late, 0.03 s allowed")
+    assert (end.exit_code, end.reason) == (5, "tick 1 was 0.040 s late, 0.03 s allowed")
 
 
 def run_until(run: Setup, node: CoordinatorNode, until_ns: int, silent: Sequence[str]) -> tuple[list[Message], int]:

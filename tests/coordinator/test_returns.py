@@ -58,7 +58,7 @@ def test_a_tick_is_held_no_longer_than_the_join_timeout() -> None:
     node = held()
     roster, tick = node.poll(START_NS + JOIN_NS)
     assert isinstance(roster, Roster)
-    assert (roster.agents, roster.reason) == (LEFT, "agent2 did not come back at t = 0.15 s")
+    assert (roster.agents, roster.reason) == (LEFT, "agent2 did not return at t = 0.15 s")
     assert isinstance(tick, Tick)
     assert tick.members == LEFT
     assert kinds(tell(node, answers(3, LEFT))) == ["tick 4"]

@@ -251,10 +251,10 @@ TABLE = [
     ),
     Case(
         state=at_the_end,
-        event=plant_state(setup(), 2, "lost"),
+        event=plant_state(setup(), 2, "no rods"),
         sent=["control 2"],
         outcome=DIVERGED,
-        reason="lost at t = 0.10 s",
+        reason="no rods at t = 0.10 s",
         triggers=(
             Trigger.DIVERGENCE_REPORTED,
             Trigger.DIVERGENCE_RECORDED,

@@ -115,7 +115,7 @@ def attitudes_along(force_I: Array) -> Array:
 
 @pytest.mark.parametrize("N", [1, 4])
 def test_observed_order_is_five(N: int) -> None:
-    """Halving the step divides the error at the end by 2^5, as the Dormand-Prince 5(4) pair promises."""
+    """Halving the step divides the error at the end by 2^5, the order of the Dormand-Prince 5(4) pair."""
     model, _, x, u = moving_system(N)
     duration_s = 0.4
     end = exact(model, x, u, duration_s)

@@ -154,7 +154,7 @@ def test_uavs_on_the_fail_safe_keep_their_thrust() -> None:
 
 
 def test_at_hover_nothing_is_to_be_corrected() -> None:
-    """In the hover of those that are left the law gives just that hover, and every agent's corrections are zero."""
+    """At the hover of the remaining UAVs the control law gives that hover, and all corrections are zero."""
     setup = paper_setup()
     controller = Controller(setup.model, setup.hover, CLOSED, [3])
     controller.fail({DEAD}, {DEAD})

@@ -47,7 +47,7 @@ def test_kept_plan_belongs_to_the_controller() -> None:
 
 
 def test_softened_constraint_never_fails() -> None:
-    """The same demand on the payload, softened, is paid for instead of refused; docs/equations.md (29)-(30)."""
+    """The same demand on the payload, softened, costs a penalty and has a solution; docs/equations.md (29)-(30)."""
     setup = paper_setup()
     settings = ControllerSettings(horizon=HORIZON, constraints=(Constraint(expression="r0[2] >= 5"),))
     optimum = step(controller(setup, settings, (0, 1, 2, 3)), situation(setup, settings, seed=1))

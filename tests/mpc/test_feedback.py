@@ -1,4 +1,4 @@
-"""The shared law and the prediction that rests on it."""
+"""The shared control law and the prediction with it."""
 
 from functools import cache
 
@@ -71,7 +71,7 @@ def test_gain_stabilises() -> None:
 
 @pytest.mark.parametrize("owned", [(0,), (1, 3)])
 def test_prediction_is_the_team_under_the_law(owned: tuple[int, ...]) -> None:
-    """Stepping the linear model with the others' inputs from the law gives the predicted states and inputs."""
+    """Stepping the linear model with the others' inputs from the control law gives the predicted states and inputs."""
     setup = paper_setup()
     rng = np.random.default_rng(3)
     at = situation(setup, CLOSED, seed=3)
@@ -108,7 +108,7 @@ def test_owning_all_the_law_changes_nothing() -> None:
 
 
 def test_corrections_reproduce_the_inputs() -> None:
-    """The announced corrections, run through the law from the present state, give the announced inputs back."""
+    """The announced corrections, run through the control law from the present state, give the announced inputs."""
     setup = paper_setup()
     at = situation(setup, CLOSED, seed=7)
     one = Controller(setup.model, setup.hover, CLOSED, (2,))
@@ -144,7 +144,7 @@ def test_relaxation_acts_on_the_corrections(w: float) -> None:
 
 
 def law_at(controller: Controller, at: Situation) -> FeedbackLaw | None:
-    """The shared law about a situation, with corrections as small as they are in flight."""
+    """The shared control law about a situation, with corrections as small as those of a run."""
     setup = paper_setup()
     rng = np.random.default_rng(1)
     steps = controller.settings.horizon

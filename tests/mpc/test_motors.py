@@ -134,7 +134,7 @@ def test_the_law_of_motors_stabilises_what_the_other_does_not() -> None:
 
 
 def test_motors_of_failed_uavs_are_left_out() -> None:
-    """A UAV without motors has no part in the control law; the law of the others remains one of their motors."""
+    """A UAV without motors has no part in the control law; that of the others remains one of their motors."""
     setup = paper_setup()
     one = Controller(setup.model, setup.hover, replace(SETTINGS, motor_lag_s=0.05), (0,))
     one.fail([2], [2])

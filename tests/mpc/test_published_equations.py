@@ -37,5 +37,5 @@ def test_published_equations_cost() -> None:
 
 @pytest.mark.slow
 def test_the_expansion_in_use_costs_the_same() -> None:
-    """Dynamics that do not see rod length, (15), fly the paper's algorithm as the published equations."""
+    """Dynamics without response to rod length, (15), give the paper's algorithm the cost of the published equations."""
     assert flight(Model).mean_cost == pytest.approx(flight(PublishedModel).mean_cost, rel=SAME_ALGORITHM)

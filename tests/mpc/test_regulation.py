@@ -157,12 +157,12 @@ def test_no_agent_leaves_the_law_of_motors(name: str, lag_s: float, horizon: int
 
 @pytest.mark.parametrize("change", [{"terminal": "multiple"}, {"preview": False}])
 def test_another_cost_has_corrections(change: dict[str, object]) -> None:
-    """Without the cost-to-go or the preview the same program leaves the law: the theorem is about them."""
+    """Without the cost-to-go or the preview the same program leaves the control law: the guarantee assumes them."""
     assert min(corrections(Case(), replace(LQ, **change), [15])) > A_CORRECTION  # type: ignore[arg-type]
 
 
 def test_others_effort_is_part_of_the_program() -> None:
-    """Without the weight of the others' inputs an agent would leave the law to let them work, (36e)."""
+    """Without a weight on the others' inputs an agent would leave the control law and the work to them, (36e)."""
     case = Case()
     at = hover(case.system)
     X_ref = reference_states(case.system, at, "ramp", INSTANTS)
@@ -193,13 +193,13 @@ def test_at_hover_the_model_itself_gives_no_corrections(owned: tuple[int, ...]) 
 
 
 def test_without_preview_nothing_is_missing_at_rest() -> None:
-    """With a reference at rest the law needs no preview, (36c)."""
+    """With a reference at rest the control law needs no preview, (36c)."""
     assert max(corrections(Case(), replace(LQ, preview=False), [INSTANTS])) < NO_CORRECTION
 
 
 @pytest.mark.parametrize("forced", [False, True])
 def test_centralized_open_loop_program_is_the_law(forced: bool) -> None:
-    """With all UAVs owned, cost-to-go and preview, the program without a shared law plans what the law does, (36d)."""
+    """With all UAVs owned, cost-to-go and preview, the program alone gives the inputs of the control law, (36d)."""
     system = table_1()
     at = hover(system)
     model, X_ref = LinearModel(system, at), reference_states(system, at, "min_jerk", INSTANTS)
@@ -249,7 +249,7 @@ def test_cost_to_go_is_the_sum_of_the_costs_to_come(gone: list[int], terms: tupl
 
 @pytest.mark.parametrize("gone", [[], [2]])
 def test_no_gain_is_better(gone: list[int]) -> None:
-    """Any small change of the led inputs' law raises the sum: K is the minimiser, those without an agent as given."""
+    """Any small change of the led inputs' control law raises the sum: K is the minimiser, with the fail-safe given."""
     system, at = uneven(), uneven_hover()
     model, cost = difference(system, at), Cost(PAYLOAD, at)
     regulation = Regulation(Model(system), at, replace(LQ, weights=PAYLOAD))
@@ -267,7 +267,7 @@ def test_no_gain_is_better(gone: list[int]) -> None:
     push[:, law.controlled] = rng.standard_normal((40, len(law.controlled)))
 
     def costs(size: float) -> float:
-        """Cost over 2000 steps with a push besides the law."""
+        """Cost over 2000 steps with a push besides the control law."""
         x, total = x0, 0.0
         for k in range(2000):
             u = law.K @ x + (size * push[k] if k < len(push) else 0.0)
@@ -303,7 +303,7 @@ def test_equal_uavs_without_agents(gone: list[int]) -> None:
 
 
 def test_a_team_that_cannot_be_stabilised() -> None:
-    """The remaining agents cannot stabilise the team: law and preview are those of the whole team, (45).
+    """The remaining agents cannot stabilise the team: control law and preview are those of the whole team, (45).
 
     With UAV 3's motors off and its vehicle still on the rod, three of four cannot keep it upright.
     """
@@ -324,7 +324,7 @@ TEAMS = (((), (2,), (2,)), ((0,), (2,), (2,)), ((0, 1), (2,), (2,)), ((0,), (2,)
 
 @pytest.mark.parametrize("team", TEAMS)
 def test_the_team_alone_decides(team: tuple[tuple[int, ...], ...]) -> None:
-    """Whatever happened before, agents that know of the same team share the same law, bit for bit, (45)."""
+    """Agents that know of the same team share the same control law, bit for bit, whatever the history, (45)."""
     system = table_1()
     at, model = hover(system), Model(system)
     X_ref = reference_states(system, at, "ramp", INSTANTS)

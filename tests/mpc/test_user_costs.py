@@ -93,7 +93,7 @@ def swing_m(run: Setup) -> float:
 
 @pytest.mark.parametrize("prediction", ["open_loop", "closed_loop"])
 def test_the_payload_speed_can_be_penalised(prediction: str) -> None:
-    """A load whose speed is paid for swings less after a move than one whose is not."""
+    """A payload with a weight on its speed swings less after a move than one without."""
     hover, move = "duration_s={},displacement_m=[0,0,0]", "duration_s=1.0,displacement_m=[0.5,0,0]"
     phases = f"{{name='wait',{hover.format(1.0)}}},{{name='move',{move}}},{{name='hover',{hover.format(4.0)}}}"
     common = (f"maneuver.phase=[{phases}]", f"controller.prediction={prediction}", "controller.relaxation=auto")

@@ -170,8 +170,8 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
     (
         ("controller.share=on_change",),
         "controller.prediction",
-        "expected 'closed_loop' with controller.share 'on_change', where the others know the control law that "
-        "acts between two plans, got 'open_loop'",
+        "expected 'closed_loop' with controller.share 'on_change', where other agents know the control law "
+        "between two plans, got 'open_loop'",
     ),
     (
         ("controller.prediction=closed_loop", "controller.share=on_change"),
@@ -219,22 +219,22 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
     (
         "faults.event=[{at_s=1,do='continue',target='agent1'}]",
         "faults.event.1.do",
-        "expected what can be done to agent1, which is running by then, got 'continue'",
+        "expected an action possible for agent1, which is running by then, got 'continue'",
     ),
     (
         "faults.event=[{at_s=1,do='kill',target='agent1'},{at_s=2,do='kill',target='agent1'}]",
         "faults.event.2.do",
-        "expected what can be done to agent1, which is killed by then, got 'kill'",
+        "expected an action possible for agent1, which is killed by then, got 'kill'",
     ),
     (
         "faults.event=[{at_s=2,do='continue',target='agent1'},{at_s=1,do='kill',target='agent1'}]",
         "faults.event.1.do",
-        "expected what can be done to agent1, which is killed by then, got 'continue'",
+        "expected an action possible for agent1, which is killed by then, got 'continue'",
     ),
     (
         "faults.event=[{at_s=1,do='stop',target='agent1'},{at_s=2,do='stop',target='agent1'}]",
         "faults.event.2.do",
-        "expected what can be done to agent1, which is stopped by then, got 'stop'",
+        "expected an action possible for agent1, which is stopped by then, got 'stop'",
     ),
     (
         "faults.event=[{at_s=1,do='motor_off',target='agent3'}]",
@@ -245,12 +245,12 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
     (
         "faults.event=[{at_s=1,do='release',target='uav3'},{at_s=2,do='motor_off',target='uav3'}]",
         "faults.event.2.do",
-        "expected what can be done to uav3, which is released by then, got 'motor_off'",
+        "expected an action possible for uav3, which is released by then, got 'motor_off'",
     ),
     (
         "faults.event=[{at_s=1,do='motor_off',target='uav3'},{at_s=2,do='motor_off',target='uav3'}]",
         "faults.event.2.do",
-        "expected what can be done to uav3, which is off by then, got 'motor_off'",
+        "expected an action possible for uav3, which is off by then, got 'motor_off'",
     ),
     (
         "faults.event=[{at_s=1,do='release',target='uav1'},{at_s=1,do='release',target='uav2'},"
@@ -298,7 +298,7 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
     (
         "faults.event=[{at_s=1,do='motor_off',target='uav3',efficiency=0.5}]",
         "faults.event.1.efficiency",
-        "expected none but with 'degrade', got 0.5",
+        "expected no efficiency without 'degrade', got 0.5",
     ),
     (
         "faults.event=[{at_s=1,do='degrade',target='uav3',efficiency=1.5}]",
@@ -313,7 +313,7 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
     (
         "faults.event=[{at_s=1,do='motor_off',target='uav3'},{at_s=2,do='degrade',target='uav3',efficiency=0.5}]",
         "faults.event.2.do",
-        "expected what can be done to uav3, which is off by then, got 'degrade'",
+        "expected an action possible for uav3, which is off by then, got 'degrade'",
     ),
     ("plant.motors.lag_s=-1", "plant.motors.lag_s", "expected a number >= 0.0, got -1"),
     (
@@ -484,7 +484,7 @@ def test_the_last_setting_is_blamed() -> None:
 def test_settings_that_contradict_the_cost_to_go() -> None:
     """The cost-to-go weighs deviations from hover; a preview without control law and cost-to-go has no effect."""
     penalised_input = refusal(PAPER, "controller.terminal=riccati", "controller.weights.penalised_input=absolute")
-    expected = "expected 'deviation' with controller.terminal = 'riccati', whose optimum rests at hover, got 'absolute'"
+    expected = "expected 'deviation' with controller.terminal = 'riccati', whose optimum is hover, got 'absolute'"
     assert penalised_input == f"--set controller.weights.penalised_input=absolute: {expected}"
     alone = refusal(PAPER, "controller.preview=true")
     assert alone.startswith("--set controller.preview=true: expected controller.prediction = 'closed_loop' or ")

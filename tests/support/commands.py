@@ -93,8 +93,9 @@ def is_flying(folder: Path, names: Sequence[str]) -> Callable[[], bool]:
 
 
 def free_base() -> int:
-    """Return a base port with free ports for a run above it; simultaneous test runs start at different ports."""
-    bases = range(20_000, 30_000, 16)
+    """Return a base port with free ports for a run above it; simultaneous test runs and workers use different ports."""
+    worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
+    bases = range(20_000 + 16 * (worker % 4), 30_000, 64)
     first = os.getpid() % len(bases)
     candidates: list[int] = [*bases[first:], *bases[:first]]
     return next(base for base in candidates if all(is_free(base + i) for i in range(8)))

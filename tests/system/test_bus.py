@@ -162,6 +162,31 @@ def test_a_process_that_waits_gives_signs_of_life(
     assert all(text.startswith("waiting for agent1, agent2; gives up in ") for text in said)
 
 
+def test_only_silent_processes_are_named(network: tuple[Plant, zenoh.Session]) -> None:
+    """A process that came and gave up waiting is not named as absent, unless no other is; a returned one is there."""
+    plant, session = network
+    tokens = [
+        session.liveliness().declare_token(KEYS.alive(name, 0, DIGEST, VERSION)) for name in ("coordinator", "agent1")
+    ]
+    for token in tokens:
+        token.undeclare()  # type: ignore[no-untyped-call]
+    here = session.liveliness().declare_token(KEYS.alive("agent1", 1, DIGEST, VERSION))
+    with pytest.raises(BusError, match="plant: no sign of agent2 within 1 s"):
+        plant.bus.join(["coordinator", "agent1", "agent2"], 1.0)
+    here.undeclare()  # type: ignore[no-untyped-call]
+
+
+def test_processes_that_left_are_named_last(network: tuple[Plant, zenoh.Session]) -> None:
+    """When all that are missing were there, they are named as such."""
+    plant, session = network
+    token = session.liveliness().declare_token(KEYS.alive("coordinator", 0, DIGEST, VERSION))
+    token.undeclare()  # type: ignore[no-untyped-call]
+    here = session.liveliness().declare_token(KEYS.alive("agent1", 0, DIGEST, VERSION))
+    with pytest.raises(BusError, match="plant: coordinator came and left within 1 s"):
+        plant.bus.join(["coordinator", "agent1"], 1.0)
+    here.undeclare()  # type: ignore[no-untyped-call]
+
+
 @pytest.mark.slow
 def test_a_flood_delays_no_timeout(network: tuple[Plant, zenoh.Session]) -> None:
     """An endless flood of bad messages does not delay the end of a wait for events."""

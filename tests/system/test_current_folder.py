@@ -11,7 +11,9 @@ from tests.support.commands import PATIENCE_S, SHORT, settings
 TRAP = 'raise RuntimeError("imported from the current folder")\n'
 
 
-@pytest.fixture(params=["model.py", "agent/__init__.py", "protocol.py"])
+@pytest.fixture(
+    params=["model.py", *(pytest.param(name, marks=pytest.mark.slow) for name in ("agent/__init__.py", "protocol.py"))]
+)
 def folder(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     """Return a folder with a file named like one of our packages."""
     file = tmp_path / request.param

@@ -129,7 +129,7 @@ def test_an_engine_that_fails(engine: str, code: int, text: str, tmp_path: Path)
         (
             ["--external", "agent2", "--set", "faults.event=[{at_s=1.0,do='kill',target='agent2'}]"],
             EXIT_USAGE,
-            "--external: expected a process without scripted faults, which need one that the run has started, "
+            "--external: expected a process without scripted faults, which act only on processes of the run, "
             "got 'agent2'",
         ),
     ],

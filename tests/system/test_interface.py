@@ -89,6 +89,7 @@ def test_processes_give_the_bits_of_memory(tmp_path: Path, monkeypatch: pytest.M
         transport.fly("resilient", SETTINGS, processes=True, folder="second")
 
 
+@pytest.mark.slow
 def test_an_interrupt_ends_the_processes(tmp_path: Path) -> None:
     """Ctrl-C during a run with processes raises KeyboardInterrupt, and no process is left."""
     before, folder = children(), tmp_path / "run"

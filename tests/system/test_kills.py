@@ -45,7 +45,7 @@ def take_off(tmp_path: Path, run: str, *changes: str) -> subprocess.Popen[str]:
     return process
 
 
-@pytest.mark.parametrize("victim", ["plant", "agent2"])
+@pytest.mark.parametrize("victim", ["plant", pytest.param("agent2", marks=pytest.mark.slow)])
 def test_a_process_told_to_end_leaves_at_once(victim: str, tmp_path: Path) -> None:
     """SIGTERM to one process while the run goes on: it is gone before any timeout, and named."""
     run = f"end-{victim}"
@@ -77,7 +77,7 @@ def test_a_process_stopped_before_the_run_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("exchange", BOTH)
-@pytest.mark.parametrize("victim", ["coordinator", "plant", "agent1", "agent4"])
+@pytest.mark.parametrize("victim", ["coordinator", "plant", pytest.param("agent1", marks=pytest.mark.slow), "agent4"])
 def test_a_killed_process_ends_the_run_in_order(victim: str, exchange: str, tmp_path: Path) -> None:
     """SIGKILL of any process: exit code 4, the victim named, the log complete up to then, no process left."""
     run = f"kill-{victim}"
@@ -94,7 +94,10 @@ def test_a_killed_process_ends_the_run_in_order(victim: str, exchange: str, tmp_
     assert not read_log(tmp_path / run / "run.mcap").cut
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, pytest.param(signal.SIGHUP, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "number",
+    [signal.SIGINT, *(pytest.param(other, marks=pytest.mark.slow) for other in (signal.SIGTERM, signal.SIGHUP))],
+)
 def test_an_interrupted_run_is_reported(number: signal.Signals, tmp_path: Path) -> None:
     """Ctrl-C and SIGTERM end the run in order: exit code 130, a report of the simulated part, no process left."""
     process = take_off(tmp_path, "interrupted")

@@ -28,7 +28,7 @@ NEAR_M, LEVEL_DEG = 1.0, 10.0
 
 def command_lines() -> tuple[list[str], list[list[str]]]:
     """Return the words of the command that starts the run, and of those that act on it."""
-    _, _, part = README.read_text(encoding="utf-8").partition("Or impair a run by hand")
+    _, _, part = README.read_text(encoding="utf-8").partition("To impair a run by hand")
     first, second = re.findall(r"^```\n(.*?)^```", part, re.MULTILINE | re.DOTALL)[:2]
     lines = [shlex.split(line, comments=True)[1:] for line in (first + second).splitlines()]
     return lines[0], lines[1:]

@@ -68,7 +68,7 @@ def test_an_impossible_speed(tmp_path: Path) -> None:
     result = transport("run", "resilient", *changes, "--out", "run", "--no-figures", cwd=tmp_path)
     assert result.returncode == OVERRUN, result.stderr
     assert "missed the deadline of tick" in result.stderr
-    assert "missed in all, 2 allowed" in result.stderr
+    assert "missed in total, 2 allowed" in result.stderr
     assert "Traceback" not in result.stderr
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     assert (summary["outcome"], summary["exit_code"], summary["log_cut"]) == ("aborted", OVERRUN, None)

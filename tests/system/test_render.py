@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import zenoh
+from typer.testing import CliRunner
 
 from deploy.hosts import Inventory, InventoryError, placements, read_inventory
 from deploy.keys import KeysError
@@ -17,6 +18,7 @@ from protocol.scenario.file import read_scenario
 from tests.support.commands import transport
 from tests.support.keyrings import keyring
 from tests.support.runs import setup
+from transport.cli.main import app
 
 RUN = setup()
 PROCESSES = process_names(RUN.scenario)
@@ -184,6 +186,19 @@ def test_commands(tmp_path: Path) -> None:
     assert checked.returncode == 0, checked.stderr
     again = transport("deploy", "render", "--hosts", "none.toml", "--keys", "keys", "--out", "x", cwd=tmp_path)
     assert (again.returncode, again.stderr) == (2, "transport: none.toml: cannot be read (No such file or directory)\n")
+
+
+def test_a_large_run_is_rendered_on_purpose(tmp_path: Path) -> None:
+    """A run beyond the limits is refused without --allow-large; with it, its processes accept the run as well."""
+    (tmp_path / "hosts.toml").write_text(f"insecure = true\n{MESH}")
+    arguments = ["deploy", "render", "--hosts", str(tmp_path / "hosts.toml"), "--out", str(tmp_path / "out")]
+    arguments += ["--set", "plant.step_s=1e-6"]
+    refused = CliRunner().invoke(app, arguments)
+    assert (refused.exit_code, refused.stderr.count("--allow-large admits more")) == (3, 1)
+    assert CliRunner().invoke(app, [*arguments, "--allow-large"]).exit_code == 0
+    units = [file.read_text() for file in (tmp_path / "out").rglob("*.service")]
+    assert len(units) == 7
+    assert all(" --allow-large " in unit for unit in units)
 
 
 def test_compose_equals_units(tmp_path: Path) -> None:

@@ -165,7 +165,7 @@ def test_passwords_through_a_router(tmp_path: Path) -> None:
     assert flight.returncode == 0, flight.stderr
     assert table(tmp_path / "out") == calm(tmp_path / "calm", *BRIEF)
     assert wrong.returncode == 4
-    assert "agent3: no router accepts it at" in wrong.stderr
+    assert "agent3: no router accepts a connection at" in wrong.stderr
 
 
 @pytest.mark.slow

@@ -22,7 +22,7 @@ REFUSED = [
     (
         ("--uavs", "1"),
         USAGE,
-        "--uavs: expected 2 to 256, got 1: a payload on one rod turns freely about it, and no UAV can turn it back",
+        "--uavs: expected 2 to 256, got 1: a payload on one rod rotates freely about it, and no input can control that",
     ),
     (("--uavs", "3", "--groups", "4"), USAGE, "--groups: expected 1 to 3 UAVs per agent, got 4"),
     (("--uavs", "3", "--groups", "0"), USAGE, "--groups: expected 1 to 3 UAVs per agent, got 0"),

@@ -61,6 +61,7 @@ def test_only_the_secret_connects(active: Path) -> None:
     assert {key.split("/")[3] for key in found} >= {"coordinator", "plant", "agent1", "agent4"}
 
 
+@pytest.mark.slow
 def test_commands_find_the_secret(active: Path) -> None:
     """`status`, `link` and `top` reach the run through its folder; by endpoint alone they do not."""
     for command in (["status"], ["link", "set", "--delay", "0.1"], ["top", "--once"]):

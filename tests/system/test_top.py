@@ -44,7 +44,7 @@ def test_reports_are_added_up() -> None:
     assert (agent["tick"], agent["plan_ages"]) == (4, {"agent1": 1, "agent3": -1, "agent4": 4})
     assert (agent["step_ms"], agent["worst_step_ms"]) == (1.5, 1.5)
     assert agent["slack_ms"] is None  # a lockstep run is not paced
-    assert watch.state_of(2) == "flies"
+    assert watch.state_of(2) == "active"
     assert watch.state_of(1) == "-"
     watch.take(runs.tick(30), 0)
     assert watch.state_of(2) == "silent"
@@ -144,7 +144,7 @@ def test_a_run_that_is_watched(tmp_path: Path) -> None:
     assert once.returncode == 0, once.stderr
     content = json.loads(once.stdout)
     assert (content["run"], content["ticks"]) == ("seen", 200)
-    assert {agent["state"] for agent in content["agents"]} == {"flies"}
+    assert {agent["state"] for agent in content["agents"]} == {"active"}
     flown = [entry.message for entry in read_log(folder / "run.mcap").messages]
     assert len(bits(flown)) > 0
     assert bits(flown) == bits(runs.recorded(runs.setup(*LONG)))[: len(bits(flown))]

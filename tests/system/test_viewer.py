@@ -340,6 +340,17 @@ def test_the_command_listens_here_alone_until_ctrl_c(recorded: Path) -> None:
     assert "Traceback" not in errors
 
 
+def test_another_port_than_the_requested_one_is_told(recorded: Path) -> None:
+    """A viewer whose port is taken takes the next and says so; one that was to take any port says nothing."""
+    with open_viewer(recorded, "127.0.0.1", 0) as first:
+        taken = int(first.address.rpartition(":")[2])
+        with open_viewer(recorded, "127.0.0.1", taken) as second:
+            got = int(second.address.rpartition(":")[2])
+            assert got != taken
+            assert second.other_port == f"port {taken} is taken; the viewer listens on port {got}"
+        assert first.other_port == ""
+
+
 def test_playback_pauses_plays_and_follows() -> None:
     """Paused playback stays, playing advances at its speed and stops at the end, following shows the newest tick."""
     playback = Playback(0.05, follows=False)
@@ -388,5 +399,5 @@ def test_what_is_missing_is_named(
     folder = recorded if arguments == ["view"] else tmp_path / "out"
     result = CliRunner().invoke(app, [*arguments, str(folder)])
     assert result.exit_code == 2
-    assert result.stderr == "transport: viser is not installed; pip install 'payload-transport[view]' brings it\n"
+    assert result.stderr == "transport: viser is not installed: pip install 'payload-transport[view]'\n"
     assert not (tmp_path / "out").exists()

@@ -56,6 +56,7 @@ def test_a_gif_moves(recorded: Path) -> None:
     assert drawn(recorded, "b.gif").read_bytes() == path.read_bytes()
 
 
+@pytest.mark.slow
 def test_a_run_takes_six_seconds(recorded: Path) -> None:
     """Without a speed a short run is shown in real time; a run of 25 s takes 6 s."""
     run = runs.setup(runs.SHORT)

@@ -99,7 +99,7 @@ def test_way_points_no_vehicle_reaches(x: float, z: float) -> None:
     path = SCENARIOS / "resilient.toml"
     run = Setup.of(read_scenario(path, [phase(2.0, x, z)]), path.name)
     (doubt,) = run.doubts()
-    assert doubt.startswith(f"phase 'dash': {max(abs(x), abs(z)):g} m in 2 s; from rest to rest full thrust takes ")
+    assert doubt.startswith(f"phase 'dash': {max(abs(x), abs(z)):g} m in 2 s; at full thrust it takes ")
     end = simulate(run)
     assert (end.outcome, end.exit_code) == ("diverged", 6)
     assert "payload position error of" in end.reason
@@ -112,7 +112,7 @@ def test_ready_maneuvers_raise_no_doubt() -> None:
         assert Setup.of(read_scenario(path), path.name).doubts() == []
     # Upwards 45 N on 2.25 kg per UAV give 20 m/s^2, less gravity 10.19; both halves of 20 m take 2 sqrt(20 / 10.19) s.
     doubts = [Setup.of(read_scenario(PAPER, [phase(t, 0.0, -20.0)]), PAPER.name).doubts() for t in (2.79, 2.81)]
-    assert doubts == [["phase 'dash': 20 m in 2.79 s; from rest to rest full thrust takes 2.8 s"], []]
+    assert doubts == [["phase 'dash': 20 m in 2.79 s; at full thrust it takes 2.8 s"], []]
 
 
 @pytest.mark.parametrize(

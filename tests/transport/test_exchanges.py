@@ -25,11 +25,10 @@ MOTORS = (
 )
 CASES = {
     "plain": (),
-    "negotiation": (ITERATIONS,),
     "impaired negotiation": (HEAVY, ITERATIONS, NEXT_TICK),
     "shared on change with motors": (*SHARED_ON_CHANGE, *MOTORS, "links.loss=0.3"),
 }
-SLOW = {"two UAVs each": ("agents.owned=[[1,2],[3,4]]",), "released": (RELEASED,)}
+SLOW = {"negotiation": (ITERATIONS,), "two UAVs each": ("agents.owned=[[1,2],[3,4]]",), "released": (RELEASED,)}
 
 
 def run_of(*changes: str) -> Setup:

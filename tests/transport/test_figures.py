@@ -13,13 +13,14 @@ from matplotlib.figure import Figure
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import FaultNote, LinkChange, Message
 from tests.support import runs
+from tests.support.figure_texts import problems
 from tests.support.logs import SINGLE_UAV, log_of, plant_state, record_run, report
 from transport.analysis.series import series_of
 from transport.log.run_log import RunLog, read_log
-from transport.report.figures import draw, fill
+from transport.report.figures import FIGURES, draw, fill
 from transport.report.marks import caption_of, marks_of
 from transport.report.report import write_report
-from transport.report.style import RC
+from transport.report.style import COLUMN_IN, RC, SMALL
 
 NAMES = ["performance.png", "inputs.png", "trajectories.png", "timing.png"]
 
@@ -94,6 +95,7 @@ def test_nothing_recorded_draws_nothing(tmp_path: Path) -> None:
     assert not (tmp_path / "figures").exists()
 
 
+@pytest.mark.slow
 def test_pdf_is_written_on_request(tmp_path: Path) -> None:
     """With `pdf` each figure is a PDF too, equal for equal runs; without it there is none."""
     run = runs.setup(runs.SHORT)
@@ -125,6 +127,19 @@ def test_panels_have_data_and_limits() -> None:
     assert len(titles(alone, log_of([plant_state(alone, 0)]), "inputs")) == 4  # no other UAV
 
 
+@pytest.mark.parametrize("name", FIGURES)
+def test_texts_are_large_and_apart(name: str) -> None:
+    """No text collides with another, leaves the figure or is too small, with marks near each other and short phases."""
+    changes = "links.change=[{at_s=0.5,delay_s=0.2,loss=0.3},{at_s=0.52,loss=0.1}]"
+    run = runs.setup(runs.SHORT, changes, "links.partition=[{between=['agent2'],start_s=0.2,end_s=0.9}]")
+    log = log_of([*(plant_state(run, k) for k in range(20)), *(report(run, a, k) for a in (1, 2) for k in range(20))])
+    figure = Figure()
+    with mpl.rc_context(RC):
+        assert fill(figure, name, run, log, series_of(run, log))
+        assert problems(figure, SMALL) == []
+    assert figure.get_figwidth() == COLUMN_IN
+
+
 def titles(run: Setup, log: RunLog, name: str) -> list[str]:
     """Return the titles of the panels of a figure; every panel has at least one line."""
     figure = Figure()
@@ -140,8 +155,9 @@ def test_events_are_marked() -> None:
     changes = "links.change=[{at_s=0.5,delay_s=0.2,loss=0.3}]"
     partition = "links.partition=[{between=['agent2'],start_s=0.2,end_s=9.0}]"
     run = runs.setup(runs.SHORT, changes, partition)
+    given = '{"loss": 1.0}'
     by_hand = LinkChange(
-        sender="coordinator", incarnation=0, sequence=0, tick=8, number=1, source="agent1", target="", settings="{}"
+        sender="coordinator", incarnation=0, sequence=0, tick=8, number=1, source="agent1", target="", settings=given
     )
     note = FaultNote(
         sender="recorder", incarnation=0, sequence=0, tick=20, target="agent3", what="killed", origin="person"
@@ -149,8 +165,8 @@ def test_events_are_marked() -> None:
     marks = marks_of(run, log_of([by_hand, by_hand, note]))
     assert [(mark.time_s, mark.of_links) for mark in marks] == [(0.2, True), (0.4, True), (0.5, True), (1.0, False)]
     caption = " ".join(caption_of(marks))
-    assert "1: agent2 cut off (0.2 s); 2: link agent1 to any" in caption
-    assert "3: links: delay 0.2 s, loss 0.3 (0.5 s); 4: agent3 killed (1 s)" in caption
+    assert "1: agent2 cut off (0.2 s); 2: links from agent1: loss 100 % (0.4 s)" in caption
+    assert "3: links between agents: delay 0.2 s, loss 30 % (0.5 s); 4: agent3 killed (1 s)" in caption
 
 
 def test_drawing_has_no_side_effects(tmp_path: Path) -> None:

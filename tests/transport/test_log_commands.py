@@ -58,7 +58,7 @@ def test_whole_log(flight: tuple[Path, list[Message]]) -> None:
     channels = {c["topic"]: c for c in content["channels"]}  # type: ignore[attr-defined]
     assert channels["/plan/3"]["messages"] == 10  # killed at tick 10
     assert channels["/plant_state"]["ticks_without"] == []
-    assert "whole" in ask("info", folder / "run.mcap").output
+    assert "complete" in ask("info", folder / "run.mcap").output
 
 
 def test_log_cut_at_sixty_percent(flight: tuple[Path, list[Message]], tmp_path: Path) -> None:
@@ -75,8 +75,8 @@ def test_log_cut_at_sixty_percent(flight: tuple[Path, list[Message]], tmp_path: 
     assert content["complete"] is False
     assert f"ticks {last + 1} to 29" in " ".join(content["lost"])  # type: ignore[arg-type]
     text = " ".join(ask("info", cut).output.split())
-    assert "not whole" in text
-    assert "how the run ended" in text
+    assert "incomplete" in text
+    assert "the outcome of the run" in text
     exported = ask("export", cut, "--out", tmp_path / "tables")
     assert exported.exit_code == 0
     assert "lost" in exported.stderr

@@ -8,12 +8,16 @@ import pytest
 
 from model import state
 from model.arrays import Array
+from model.failure import released_state
+from protocol.scenario.file import find_scenario, read_scenario
+from protocol.scenario.setup import Setup
 from protocol.wire.messages import Control, Message, Outcome, Plan, Reason, Rejected, StepReport
 from tests.support import runs
 from tests.support.logs import SINGLE_UAV, log_of, plan, plant_state, report
 from transport.analysis.metrics import rest_of_tick_ms, summarise
 from transport.analysis.series import series_of
 from transport.analysis.steps import steps_columns, steps_rows
+from transport.monitor.watch import Watch
 from transport.report.report import warnings
 
 # A few roundings of numbers of order one to a hundred.
@@ -81,6 +85,45 @@ def test_uav_and_payload_errors_are_separate() -> None:
     assert summary["uav_tracking"]["max_m"] == pytest.approx(off_m, rel=ROUNDING)
     assert summary["uav_tracking"]["rms_m"] == pytest.approx(np.sqrt(off_m**2 / 8), rel=ROUNDING)
     assert summary["payload_tracking"] == {"rms_m": 0.0, "max_m": 0.0, "swing_m": 0.0, "decays": None}
+
+
+def test_a_released_uav_does_not_count() -> None:
+    """From its release on a UAV changes no cost and no UAV error, wherever it is; before, it does; its curve ends."""
+    run = runs.setup(HOVER, "faults.event=[{at_s=0.25,do='release',target='uav3'}]")
+
+    def away(x: Array, u: Array) -> None:
+        x[state.uav_slice(2)][state.E] = [0.0, 0.6, 0.8]
+        x[state.uav_slice(2)][state.OMEGA] = 1.0
+        u[state.input_slice(2)] = [30.0, 0.1, 0.2, 0.3]
+
+    there = series_of(run, log_of([plant_state(run, 4), plant_state(run, 5)]))
+    off = series_of(run, log_of([plant_state(run, 4, away), plant_state(run, 5, away)]))
+    assert off.cost[0] > there.cost[0] + 0.1
+    assert off.cost[1] == there.cost[1]
+    assert np.isnan(off.uav_errors_I).all(axis=2).tolist() == [[False] * 4, [False, False, True, False]]
+    summary = summarise(run, log_of([plant_state(run, 4), plant_state(run, 5, away)]))
+    assert summary["uav_tracking"] == pytest.approx({"rms_m": 0.0, "max_m": 0.0}, abs=ROUNDING)
+    (_, row) = [r for r in steps_rows(run, log_of(perfect(6))) if r["agent"] == 3 and r["tick"] > 3]
+    assert (row["tick"], row["uav_error_m"]) == (5, None)
+
+
+def test_after_a_delivery_only_the_payload_counts() -> None:
+    """Once all UAVs are released, the cost is that of the payload, and the live cost of `transport top` is the same."""
+    run = Setup.of(read_scenario(find_scenario("delivery")), "delivery")
+    tick = 430  # 0.5 s after the release, on the ground
+
+    def delivered(x: Array, u: Array) -> None:
+        x[state.R0] = run.maneuver.path(np.array([tick * 0.05]))[0][0] + np.array([0.1, 0.0, 0.0])
+        for uav in range(4):
+            x[:] = released_state(x, uav)
+        u[:] = 0.0
+
+    left = plant_state(run, tick, delivered)
+    assert series_of(run, log_of([left])).cost == pytest.approx([0.1**2], rel=1e-9)
+    watch = Watch(run)
+    watch.plant_state = left
+    assert watch.cost == pytest.approx(0.1**2, rel=1e-9)
+    assert summarise(run, log_of([left]))["uav_tracking"] == {"rms_m": None, "max_m": None}
 
 
 def test_attitude_is_the_largest_angle() -> None:
@@ -259,7 +302,7 @@ def test_rejections_add_up() -> None:
 def test_a_cut_tick_loses_nothing() -> None:
     """Reports missing at the end of a cut log do not count as lost plans."""
     messages = [m for m in perfect(5) if not (m.kind in ("report", "control") and m.tick == 4)]
-    summary = summarise(runs.setup(HOVER), log_of(messages, cut="the log is not whole"))
+    summary = summarise(runs.setup(HOVER), log_of(messages, cut="the log is incomplete"))
     assert summary["messages"] == {
         "planned": 20,
         "shared": 20,
@@ -270,7 +313,7 @@ def test_a_cut_tick_loses_nothing() -> None:
         "rejected": 0,
     }
     assert (summary["outcome"], summary["exit_code"]) == ("unknown", None)
-    assert summary["log_cut"] == "the log is not whole"
+    assert summary["log_cut"] == "the log is incomplete"
 
 
 def test_agents_that_left_receive_nothing() -> None:

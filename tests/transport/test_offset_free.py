@@ -1,4 +1,4 @@
-"""Flights in a truth that is not what the controller knows: steady offsets without the estimate of it, none with it."""
+"""Runs with a plant that differs from the controller's model: steady offsets without the estimate, none with it."""
 
 from functools import lru_cache
 
@@ -82,7 +82,7 @@ def test_a_heavier_payload_hangs_low() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("links", [(), LATE], ids=["perfect", "late and lossy"])
+@pytest.mark.parametrize("links", [(), LATE], ids=["perfect", "impaired"])
 def test_a_heavier_payload_is_held(links: tuple[str, ...]) -> None:
     """With it the payload is where it should be, and every agent knows what pulls at it, however bad the network."""
     flight = flown(CLIMB, HEAVY, ESTIMATE, *links)
@@ -116,14 +116,14 @@ def test_wind_is_held_against() -> None:
 
 @pytest.mark.slow
 def test_perfect_knowledge_costs_nothing() -> None:
-    """Where the truth is what the controller knows there is nothing to estimate, on a perfect network."""
+    """With a plant that equals the model the estimate is zero on a perfect network."""
     assert flown(WAY, ESTIMATE).cost == pytest.approx(flown(WAY).cost, rel=0.01)
     assert np.abs(flown(WAY, ESTIMATE).force_I).max() < 1e-3
 
 
 @pytest.mark.slow
 def test_noise_of_late_plans_costs_little() -> None:
-    """On a late and lossy one the estimate errs by what is not known of the others; it costs a few per cent."""
+    """With delay and packet loss the estimate errs by the error of the others' predictions; it costs a few per cent."""
     assert flown(WAY, ESTIMATE, *LATE).cost == pytest.approx(flown(WAY, *LATE).cost, rel=0.05)
 
 

@@ -33,7 +33,7 @@ def flown(name: str, *settings: str) -> Series:
 
 @pytest.mark.parametrize("name", ["centralized", "resilient"])
 def test_the_scale_of_the_cost_is_free(name: str) -> None:
-    """All weights and prices times the same number: the same flight, at a cost that many times as large."""
+    """All weights and penalties times the same number give the same run with a cost scaled by that number."""
     ours, scaled = flown(name, SHORT), flown(name, SHORT, *SCALED)
     assert np.abs(scaled.x - ours.x).max() < SAME_STATE
     assert scaled.cost.max() == pytest.approx(SCALE * ours.cost.max(), rel=1e-6)

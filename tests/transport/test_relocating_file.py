@@ -93,7 +93,8 @@ def test_the_second_file_is_the_whole_log(
     place.writer.close()
     assert place.file.path == place.second
     assert bits(place.second) == [encode(message) for message in flight]
-    assert place.said == [f"{place.first}: cannot write the log (the file was removed); it goes on in {place.second}"]
+    reason = f"{place.first}: cannot write the log (the file was removed)"
+    assert place.said == [f"{reason}; recording continues in {place.second}"]
 
 
 @pytest.mark.parametrize("share", [0.0, 0.001, 0.5, 0.999])
@@ -138,10 +139,10 @@ def test_two_full_places(place: Place, flight: list[Message]) -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert (
         place.file.lost
-        == (f"{place.first}: cannot write the log (File too large), nor go on in {place.second} (File too large)")
+        == (f"{place.first}: cannot write the log (File too large), nor continue in {place.second} (File too large)")
         or place.file.lost == f"{place.second}: cannot write the log (File too large)"
     )
-    assert place.said[-1] == f"{place.file.lost}: the run goes on unrecorded"
+    assert place.said[-1] == f"{place.file.lost}: the run continues without recording"
     assert place.writer.is_up_to_date
     readable = [encode(entry.message) for entry in read_log(place.first).messages]
     assert readable
@@ -163,6 +164,6 @@ def test_no_second_place(tmp_path: Path, flight: list[Message]) -> None:
         writer.write(message, 0)
     writer.close()
     assert said == [
-        f"{path}: cannot write the log (the file was removed), nor go on in a second place (Permission denied): "
-        "the run goes on unrecorded"
+        f"{path}: cannot write the log (the file was removed), nor continue in a second place (Permission denied): "
+        "the run continues without recording"
     ]

@@ -136,7 +136,7 @@ def test_a_missing_plan_ends_the_replay() -> None:
     assert comparison.ticks == list(range(10))
     assert comparison.tallies == {}
     assert len(again.notes) == 1
-    assert "tick 10 cannot be replayed" in again.notes[0]
+    assert "ticks from 10 on cannot be replayed" in again.notes[0]
 
 
 def test_continued_agent_is_the_same_process() -> None:

@@ -1,6 +1,7 @@
 """The report of a run folder: schema of the summary, reproducible files, cut logs, printed table."""
 
 import csv
+import io
 import json
 import re
 import subprocess
@@ -36,7 +37,7 @@ def checked(folder: Path) -> dict[str, Any]:
 
 
 def printed(summary: dict[str, Any]) -> str:
-    """Return the table as printed on a terminal of usual width."""
+    """Return the text of the table on a terminal of usual width."""
     console = Console(width=100, record=True, file=None, quiet=False)
     with console.capture() as capture:
         console.print(summary_table(summary))
@@ -111,7 +112,7 @@ def test_a_cut_log_is_reported(tmp_path: Path, flight: tuple[Path, list[Message]
     assert summary["log_cut"]
     text = printed(summary)
     assert len(text.splitlines()) <= MOST_LINES
-    assert "not whole" in text
+    assert "incomplete" in text
 
 
 def test_equal_runs_have_equal_tables(tmp_path: Path) -> None:
@@ -200,6 +201,24 @@ def test_the_table_names_the_sender_of_most_rejections(flight: tuple[Path, list[
     text = printed(summary | {"rejections": rejections, "messages": messages})
     assert re.search(r"rejected +9 messages, 5 from plan/2 \(malformed\)", text)
     Draft202012Validator(SCHEMA).validate(summary | {"rejections": rejections, "messages": messages})
+
+
+def test_the_table_fits_a_terminal(flight: tuple[Path, list[Message]]) -> None:
+    """In 80 columns the controller takes one line, and a long fault goes on below its beginning, between words."""
+    summary = write_report(flight[0], figures=False)
+    what = "links from agent1 to agent2: delay 0.2 s, loss 30 %, from t = 8.25 s on"
+    fault = {"tick": 164, "time_s": 8.2, "wall_s": 8.3, "kind": "notice", "processes": [], "what": what}
+    controller = summary["controller"] | {"agents": 4, "prediction": "closed_loop", "relaxation": 0.25}
+    console = Console(width=80, record=True, file=io.StringIO())
+    console.print(summary_table(summary | {"faults": [fault], "controller": controller}))
+    lines = [line.rstrip() for line in console.export_text().splitlines()]
+    (row,) = [line for line in lines if line.startswith(" controller")]
+    assert row.endswith("4 agents every 50 ms, 20 steps, closed loop, relaxation 0.25")
+    begin = next(i for i, line in enumerate(lines) if line.startswith(" faults"))
+    column = lines[begin].index("links")
+    assert lines[begin][:column].endswith(" 8.20 s  ")
+    assert all(not line[:column].strip() for line in lines[begin + 1 :])
+    assert " ".join(line[column:] for line in lines[begin:]) == what
 
 
 def test_the_schema_has_every_reason() -> None:

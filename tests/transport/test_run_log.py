@@ -151,7 +151,7 @@ def test_a_cut_log_gives_what_is_whole(tmp_path: Path, whole: bytes, flight: lis
         found = read_bits(log)
         assert found == expected[: len(found)]
         assert log.header in (HEADER, {})
-        assert log.cut.startswith("the log is not whole")
+        assert log.cut.startswith("the log is incomplete")
         counts.append(len(found))
     assert counts == sorted(counts)
     assert counts[0] == 0

@@ -1,4 +1,4 @@
-"""Teams of other sizes fly the paper's maneuver as the four do: what `transport scenario new` promises."""
+"""Teams of other sizes, made by `transport scenario new`, complete the paper's maneuver like the team of four."""
 
 import numpy as np
 import pytest

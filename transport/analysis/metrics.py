@@ -112,7 +112,7 @@ def _flight(setup: Setup, series: Series) -> dict[str, Any]:
             "max_after_hover": _largest(series.cost[settled]),
         },
         "attitude_max_deg": _largest(series.attitude_max_deg),
-        "uav_tracking": _tracking(series.uav_errors_I),
+        "uav_tracking": _tracking(series.uav_errors_I[series.on_rods]),
         "payload_tracking": {
             **_tracking(series.payload_error_I),
             "swing_m": None if swing.largest_m is None else _number(swing.largest_m),

@@ -93,7 +93,7 @@ class Replay:
         """Yield the ticks of the agent, in order."""
         processes = _processes(self.setup, self.log, self.agent)
         if not processes:
-            self.notes.append(f"{agent_name(self.agent)} is on no roster that the log holds")
+            self.notes.append(f"{agent_name(self.agent)} is on no roster in the log")
         recorded = {
             _identity(message): message
             for message in (entry.message for entry in self.log.messages)
@@ -128,8 +128,8 @@ class Replay:
                 if not (answered and follows):
                     tick = before.tick if before is not None and not answered else message.tick
                     self.notes.append(
-                        f"tick {tick} cannot be replayed, nor what follows: the log lacks a measurement of agent"
-                        f"{self.agent}, or plans of the tick before ({self.log.cut or 'it was not recorded'})"
+                        f"ticks from {tick} on cannot be replayed: the log lacks a measurement of agent"
+                        f"{self.agent}, or plans of the previous tick ({self.log.cut or 'it was not recorded'})"
                     )
                     return
                 self.before_measurement(node, message)

@@ -8,12 +8,10 @@ import numpy.typing as npt
 
 from model import state
 from model.arrays import Array
-from model.failure import failed_hover
-from model.parameters import ParameterError
 from model.rotations import rotation
-from mpc.cost import Cost
 from protocol.scenario.faults import UavFault, uav_faults
 from protocol.scenario.setup import Setup
+from protocol.scenario.stage_cost import StageCost
 from protocol.wire.messages import PlantState
 from transport.log.run_log import RunLog
 
@@ -30,7 +28,7 @@ class Series:
         uavs_I: UAV positions, (T, N, 3), inertial frame (z down), m.
         payload_reference_I: Reference position of the payload, (T, 3), inertial frame, m.
         uav_references_I: Reference positions of the UAVs, (T, N, 3), inertial frame, m.
-        cost: Stage cost, docs/equations.md (21), (T,); of the remaining team after a UAV failure.
+        cost: Stage cost, docs/equations.md (21), (T,); of the remaining team after a UAV failure, see `StageCost`.
         attitude_deg: Payload roll, pitch, yaw, (T, 3), deg.
         on_rods: Whether a UAV has not been released, (T, N).
         separation_m: Smallest distance between two UAVs on their rods, (T,), m; infinite for one UAV.
@@ -65,8 +63,8 @@ class Series:
 
     @property
     def uav_errors_I(self) -> Array:
-        """UAV positions minus their references, (T, N, 3), inertial frame, m."""
-        return self.uavs_I - self.uav_references_I
+        """UAV positions minus their references, (T, N, 3), inertial frame, m; NaN for released UAVs."""
+        return np.where(self.on_rods[:, :, None], self.uavs_I - self.uav_references_I, np.nan)
 
     @property
     def attitude_max_deg(self) -> Array:
@@ -85,7 +83,7 @@ def series_of(setup: Setup, log: RunLog) -> Series:
     y_ref = setup.reference.outputs(times_s)
     y = np.array([setup.model.outputs(row) for row in x]).reshape(y_ref.shape)
     uavs_I = y[:, : 3 * N].reshape(len(ticks), N, 3)
-    failures = uav_faults(setup.faults)
+    failures, cost = uav_faults(setup.faults), StageCost(setup)
     separation_m = _separation(uavs_I, ticks, failures)
     return Series(
         ticks=ticks,
@@ -95,35 +93,13 @@ def series_of(setup: Setup, log: RunLog) -> Series:
         uavs_I=uavs_I,
         payload_reference_I=setup.maneuver.path(times_s)[0],
         uav_references_I=y_ref[:, : 3 * N].reshape(len(ticks), N, 3),
-        cost=_stage_costs(setup, ticks, failures, y, y_ref, u),
+        cost=np.array([cost.at(int(tick), *row) for tick, *row in zip(ticks, y, y_ref, u, strict=True)], dtype=float),
         attitude_deg=np.degrees(x[:, state.THETA0]),
         on_rods=_on_rods(N, ticks, failures),
         separation_m=separation_m,
         violation=_violation(setup, ticks, u, separation_m),
         local_error=np.array([e for tick in ticks if (e := plant_states[tick].local_error) >= 0.0], dtype=np.float64),
     )
-
-
-def _stage_costs(
-    setup: Setup, ticks: npt.NDArray[np.int64], failures: Sequence[UavFault], y: Array, y_ref: Array, u: Array
-) -> Array:
-    """Return the stage costs, (T,).
-
-    After a failure, inputs count against the hover of the UAVs with running motors, outputs for those on their rods.
-    """
-    costs = np.zeros(len(ticks))
-    begins = sorted({0, *(tick for tick, _, _ in failures)})
-    for begin, end in zip(begins, [*begins[1:], None], strict=True):
-        off = {uav for tick, _, uav in failures if tick <= begin}
-        released = {uav for tick, what, uav in failures if tick <= begin and what == "release"}
-        try:
-            equilibrium = failed_hover(setup.system, off, released) if off else setup.hover
-        except ParameterError:
-            equilibrium = setup.hover  # the rest cannot hover; the control law keeps this one, too
-        cost = Cost(setup.settings.weights, equilibrium, off, released)
-        for row in np.flatnonzero((ticks >= begin) & (True if end is None else ticks < end)):
-            costs[row] = cost.stage(y[row], y_ref[row], u[row])
-    return costs
 
 
 def _on_rods(N: int, ticks: npt.NDArray[np.int64], failures: Sequence[UavFault]) -> npt.NDArray[np.bool_]:

@@ -37,8 +37,8 @@ def steps_rows(setup: Setup, log: RunLog) -> Iterator[dict[str, Any]]:
     """Yield one row per agent and tick, values by column, sorted by tick, then agent.
 
     `cost`, `attitude_deg`, `payload_error_m`, `separation_min_m` and `constraint_violation` refer to the whole team and
-    are equal for all agents of a tick; `uav_error_m` and the inputs refer to the UAVs of the agent. Inputs of other
-    UAVs, and values missing in the log, are None.
+    are equal for all agents of a tick; `uav_error_m` and the inputs refer to the UAVs of the agent, the error
+    to those of them that are not released. Inputs of other UAVs, and values missing in the log, are None.
     """
     series = series_of(setup, log)
     at = {int(tick): row for row, tick in enumerate(series.ticks)}
@@ -61,7 +61,7 @@ def steps_rows(setup: Setup, log: RunLog) -> Iterator[dict[str, Any]]:
             row["cost"] = float(series.cost[k])
             row["attitude_deg"] = float(attitude_deg[k])
             row["payload_error_m"] = float(payload_m[k])
-            row["uav_error_m"] = max((float(uavs_m[k, i]) for i in owned), default=None)
+            row["uav_error_m"] = max((float(uavs_m[k, i]) for i in owned if series.on_rods[k, i]), default=None)
             row["separation_min_m"] = float(series.separation_m[k]) if setup.system.N > 1 else None
             row["constraint_violation"] = float(series.violation[k])
             for i in owned:

@@ -10,7 +10,9 @@ from protocol.wire.exit_codes import EXIT_UNREACHABLE, EXIT_USAGE
 from protocol.wire.keys import Keys
 from transport.cli.options import RUNS
 from transport.cli.output import exit_on, fail
+from transport.cli.recorded_run import newest_runs
 from transport.flight import live
+from transport.flight.local_process import why_silent
 from transport.flight.requests import RefusedError, UnansweredError, request
 
 RunOption = Annotated[
@@ -32,7 +34,9 @@ def find_active(run: str | None, advice: str) -> tuple[Path, live.LiveRun]:
         folders = [live.newest_folder(RUNS)] if run is None else [Path(run), RUNS / run]
         found = next(((at, there) for at in folders if at is not None and (there := live.read(at)) is not None), None)
     if found is None:
-        fail(f"no active run in {f'{RUNS}/' if run is None else run}; {advice}", EXIT_USAGE)
+        recorded = newest_runs() if run is None else []
+        ended = f" (the most recent one, {recorded[0]}, has ended)" if recorded else ""
+        fail(f"no active run in {f'{RUNS}/' if run is None else run}{ended}; {advice}", EXIT_USAGE)
     return found
 
 
@@ -52,9 +56,12 @@ class ActiveRun:
                 fail(f"--run: expected the name of a run with --connect, got {self.run!r}", EXIT_USAGE)
             run, endpoints = self.run, self.connect
         else:
-            _, there = find_active(self.run, "name its folder with --run, or its endpoints with --connect")
+            folder, there = find_active(self.run, "name its folder with --run, or its endpoints with --connect")
             if name not in there.endpoints:
                 fail(f"--process: expected one of {', '.join(there.endpoints)}, got {name!r}", EXIT_USAGE)
+            why = why_silent(folder, there, name)
+            if why:
+                fail(why, EXIT_UNREACHABLE)
             # Connect only to the process that is asked: a stopped one delays the connection.
             run, endpoints = there.run, [there.endpoints[name]]
             keys = keys or (Path(there.keys) if there.keys else None)

@@ -42,8 +42,8 @@ def compare(
 ) -> None:
     """Compare recorded runs in a table and in figures.
 
-    Differences are relative to the first run, in percent. Notes on standard error tell what makes the runs hard to
-    compare: another maneuver, other weights, a truncated log.
+    Differences are relative to the first run, in percent. Notes on standard error name the differences that make runs
+    hard to compare: another maneuver, other weights, a truncated log.
 
     Example: transport compare paper=runs/20260102-101500-paper resilient=runs/20260102-101600-resilient
     """

@@ -11,7 +11,7 @@ from rich.text import Text
 from typer import Argument
 
 from protocol.wire.exit_codes import EXIT_CHECK_FAILED
-from transport.cli.options import FormatOption, SetOption
+from transport.cli.options import FormatOption, LargeOption, SetOption
 from transport.cli.output import Format, show_json
 from transport.cli.scenario_setup import read_setup
 from transport.doctor.checks import checks
@@ -25,18 +25,19 @@ def doctor(
         str, Argument(metavar="SCENARIO", help="File or name of the scenario that is to run here.")
     ] = "paper",
     settings: SetOption = None,
+    large: LargeOption = False,
     output: FormatOption = Format.text,
 ) -> None:
     """Check that this machine can run a scenario.
 
-    Python, packages, ports, network, clock, processors, limits: each is ok, warn (runs work, but not as well as they
-    could) or fail (runs do not work), with advice. Takes a few seconds and changes nothing.
+    Checks Python, packages, ports, network, clock, processors and limits. Each result is ok, warn (runs work, but
+    slower or less punctually) or fail (runs do not work), with advice. Takes a few seconds and changes nothing.
 
     Exit codes: 0 no check failed, 9 a check failed, 3 scenario.
 
     Example: transport doctor resilient --set clock.mode=realtime --set clock.speed=1
     """
-    setup = read_setup(scenario, settings)
+    setup = read_setup(scenario, settings, allow_large=large)
     found = list(checks(setup) if output is Format.json else _shown(checks(setup)))
     count = Counter(finding.status for _, finding in found)
     failed = count["fail"]

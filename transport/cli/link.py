@@ -6,13 +6,13 @@ from typing import Annotated
 import typer
 from typer import Option
 
+from protocol.scenario.link_words import PERFECT
 from protocol.scenario.links import LinkError, link_change
 from protocol.wire.exit_codes import EXIT_USAGE
 from protocol.wire.names import COORDINATOR, PLANT
 from transport.cli.active_run import ActiveRun
 from transport.cli.options import FormatOption, with_options
 from transport.cli.output import Format, exit_on, fail, show_json
-from transport.flight.requests import PERFECT
 
 
 @with_options(ActiveRun)
@@ -87,7 +87,8 @@ def clear_links(run: ActiveRun, output: FormatOption = Format.text) -> None:
     if output is Format.json:
         show_json(answer)
         return
-    typer.echo(f"links are perfect from tick {answer['tick']} on (t = {answer['t_s']:.2f} s)")
+    cleared = "all links: delay 0, loss 0, no other impairment"
+    typer.echo(f"{cleared}, from tick {answer['tick']} on (t = {answer['t_s']:.2f} s)")
 
 
 def _process_name(end: str | None) -> str:

@@ -24,7 +24,8 @@ ScenarioArgument = Annotated[
     str,
     Argument(
         metavar="SCENARIO",
-        help="Scenario file, or name: paper, centralized, resilient, windy, delivery, collision, playground.",
+        help="Scenario file, or name: paper, centralized, resilient, precise, centralized_lq, windy, delivery, "
+        "collision, playground.",
         autocompletion=_scenarios,
         show_default=True,
     ),
@@ -50,7 +51,7 @@ FiguresOption = Annotated[bool, Option("--figures/--no-figures", help="Draw the 
 HostOption = Annotated[
     str,
     Option(
-        "--host", metavar="ADDRESS", help="Address to listen on. All who can reach it see the run and can change it."
+        "--host", metavar="ADDRESS", help="Address to listen on. Any host that reaches it can view and change the run."
     ),
 ]
 PortOption = Annotated[int, Option("--port", metavar="PORT", min=0, max=65535, help="Port, or the next free one.")]

@@ -8,7 +8,13 @@ from typer import Option
 
 from protocol.network.parent import stand_by
 from protocol.scenario.file import ScenarioError
-from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_UNREACHABLE, EXIT_UNRECORDED, EXIT_USAGE
+from protocol.wire.exit_codes import (
+    EXIT_INTERRUPTED,
+    EXIT_SCENARIO,
+    EXIT_UNREACHABLE,
+    EXIT_UNRECORDED,
+    EXIT_USAGE,
+)
 from transport.cli.lazy import load
 from transport.cli.options import FormatOption
 from transport.cli.output import Format, exit_on, fail
@@ -30,7 +36,7 @@ def plot(
 ) -> None:
     """Regenerate metrics and figures of a recorded run.
 
-    Works on a truncated log too.
+    Also reads a truncated log.
 
     Example: transport plot runs/20260102-101500-paper --animate flight.gif
     """
@@ -47,6 +53,8 @@ def plot(
         fail(f"{log}: expected a log with messages, got one without a readable message", EXIT_USAGE)
     try:
         summary = report_run(run, forks=True, pdf=pdf)
+    except KeyboardInterrupt:
+        fail(f"interrupted; the report is not complete, make it with: transport plot {folder}", EXIT_INTERRUPTED)
     except OSError as error:
         fail(f"{folder}: cannot write the report ({error.strerror or error})", EXIT_UNRECORDED)
     show(folder, output, summary)

@@ -35,7 +35,12 @@ IncarnationOption = Annotated[
 ]
 JoinOption = Annotated[
     float | None,
-    Option("--join-timeout", metavar="SECONDS", min=0.0, help="Time to wait for others, s; else the scenario's."),
+    Option(
+        "--join-timeout",
+        metavar="SECONDS",
+        min=0.0,
+        help="Time to wait for the other processes, s; default: the scenario's.",
+    ),
 ]
 
 

@@ -7,7 +7,7 @@ from rich.console import Console
 from typer import Option
 
 from protocol.wire.names import RECORDER
-from transport.cli.options import RUNS, FiguresOption, FormatOption, ScenarioOption, SetOption
+from transport.cli.options import RUNS, FiguresOption, FormatOption, LargeOption, ScenarioOption, SetOption
 from transport.cli.output import Format, exit_on, fail
 from transport.cli.process import ConnectOption, JoinOption, ProcessOptions, RunNameOption
 from transport.cli.run_report import report
@@ -24,16 +24,22 @@ def record(
     out: Annotated[Path | None, Option("--out", metavar="FOLDER", help="Run folder to create.")] = None,
     join_timeout: JoinOption = None,
     figures: FiguresOption = True,
+    large: LargeOption = False,
     output: FormatOption = Format.text,
 ) -> None:
     """Record and report a run whose processes were started by hand.
 
-    Start it before the first tick; `transport coordinator --observer recorder` waits for it.
+    Start the recorder before the first tick: `transport coordinator --observer recorder` waits for it.
 
     Example: transport record --scenario paper --out runs/by-hand
     """
     options = ProcessOptions(
-        scenario=scenario, settings=settings, run_name=run_name, connect=connect, join_timeout=join_timeout
+        scenario=scenario,
+        settings=settings,
+        run_name=run_name,
+        connect=connect,
+        join_timeout=join_timeout,
+        allow_large=large,
     )
     setup = options.setup()
     place = options.place(setup, RECORDER)

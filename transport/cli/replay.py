@@ -57,8 +57,8 @@ def replay(
     """Feed a recorded run to one agent and compare its plans.
 
     The messages the agent received are taken from the log; its answers are compared with the recorded ones, bit for
-    bit. Without --set or --against the plans of a lockstep run must be identical. With them the result is the tick
-    from which on the agent would have decided otherwise, and by how much; the plant states stay the recorded ones.
+    bit. Without --set or --against the plans of a lockstep run must be identical. With them the result is the first
+    tick at which the plans differ, and by how much; the plant states are the recorded ones.
 
     Exit codes: 0 all plans identical, 8 plans differ, 2 nothing can be compared, 3 scenario.
 

@@ -3,7 +3,8 @@
 For the same reason the report is imported after the simulation.
 """
 
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 
 from rich.console import Console
@@ -50,16 +51,36 @@ def run_scenario(
             prepare = reporter.prepare if figures else lambda: None
             with exit_on(RunError), exit_on(HarnessError, code=EXIT_UNREACHABLE), scenario_errors(settings):
                 ready = beside.wait_until_ready if beside is not None else lambda: None
-                finished = simulate(setup, folder, Console(stderr=True), prepare, ready, external)
-            run_report = load("transport.cli.run_report")
-            if finished.folder == folder and reporter.report():
-                run_report.show_written(folder, output)
-            else:
-                run_report.report(finished.folder, output, figures=figures, setup=setup)
+                with _interrupts_told(folder):
+                    finished = simulate(setup, folder, Console(stderr=True), prepare, ready, external)
+            with _interrupts_told(finished.folder):
+                run_report = load("transport.cli.run_report")
+                if finished.folder == folder and reporter.report():
+                    run_report.show_written(folder, output)
+                else:
+                    run_report.report(finished.folder, output, figures=figures, setup=setup)
         if beside is not None and finished.exit_code != EXIT_INTERRUPTED:
             beside.wait_for_user()
     if finished.exit_code != 0:
         fail(finished.reason, finished.exit_code)
+
+
+@contextmanager
+def _interrupts_told(folder: Path) -> Iterator[None]:
+    """End the command after Ctrl-C by telling which log is kept in the run folder, and how to report it."""
+    interrupted = "interrupted"
+    try:
+        yield
+        return
+    except KeyboardInterrupt:
+        pass
+    except RunError as error:
+        if error.exit_code != EXIT_INTERRUPTED:
+            raise
+        interrupted = str(error)
+    log = folder / "run.mcap"
+    kept = f"kept {log}, report it with: transport plot {folder}" if log.exists() else "nothing is recorded"
+    fail(f"{interrupted}; {kept}", EXIT_INTERRUPTED)
 
 
 def _check_external(setup: Setup, external: list[str]) -> None:
@@ -69,5 +90,5 @@ def _check_external(setup: Setup, external: list[str]) -> None:
         if name not in names:
             fail(f"--external: expected one of {', '.join(names)}, got {name!r}", EXIT_USAGE)
         if any(fault.target == name for fault in setup.faults):
-            expected = "expected a process without scripted faults, which need one that the run has started"
+            expected = "expected a process without scripted faults, which act only on processes of the run"
             fail(f"--external: {expected}, got {name!r}", EXIT_USAGE)

@@ -7,7 +7,9 @@ from typing import Annotated
 import typer
 from typer import Option
 
+from protocol.scenario.budget import check_budget
 from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
+from protocol.scenario.schema import Scenario
 from protocol.scenario.setup import Setup
 from protocol.scenario.team import FEWEST, MOST, given, resized
 from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
@@ -39,7 +41,7 @@ def new(
     Example: transport scenario new --uavs 6 --out six.toml
     """
     if not FEWEST <= uavs <= MOST:
-        why = ": a payload on one rod turns freely about it, and no UAV can turn it back" if uavs == 1 else ""
+        why = ": a payload on one rod rotates freely about it, and no input can control that" if uavs == 1 else ""
         fail(f"--uavs: expected {FEWEST} to {MOST}, got {uavs}{why}", EXIT_USAGE)
     if group is not None and not 1 <= group <= uavs:
         fail(f"--groups: expected 1 to {uavs} UAVs per agent, got {group}", EXIT_USAGE)
@@ -47,7 +49,7 @@ def new(
         fail(f"--out: expected a file that does not exist yet, got {out}", EXIT_USAGE)
     with exit_on(ScenarioError, code=EXIT_SCENARIO, option="--from"):
         path = find_scenario(template)
-        ready = read_scenario(path)
+        ready = read_scenario(path, allow_large=True)
     source = f"--from {template}"
     try:
         scenario = resized(ready, path.parent, uavs, group=group, name=name, source=source)
@@ -76,4 +78,14 @@ def new(
     except OSError as error:
         fail(f"--out: cannot write {out} ({error.strerror})", EXIT_USAGE)
     sizes = f"{setup.system.N} UAVs, {len(setup.agents)} agents, hover thrust {setup.hover.u[0]:.2f} N"
-    typer.echo(f"{sizes}; run it with: transport run {shlex.quote(str(out))}", err=True)
+    large = "" if _is_within_limits(scenario) else " --allow-large"
+    typer.echo(f"{sizes}; run it with: transport run {shlex.quote(str(out))}{large}", err=True)
+
+
+def _is_within_limits(scenario: Scenario) -> bool:
+    """Return whether a run of the scenario is accepted without --allow-large."""
+    try:
+        check_budget(scenario, "")
+    except ScenarioError:
+        return False
+    return True

@@ -15,6 +15,17 @@ from transport.cli.active_run import ActiveRun
 from transport.cli.options import FormatOption, with_options
 from transport.cli.output import Format, show_json
 
+# Label, factor and unit of values in the table; --format json has them all as they are.
+_SHOWN_AS = {
+    "refused": ("refused messages", None, ""),
+    "clock_offset_s": ("coordinator's clock", 1e3, "ms ahead"),
+    "clock_uncertainty_s": ("known within", 1e3, "ms"),
+    "memory_bytes": ("memory", 1e-6, "MB"),
+    "open_files": ("open files", None, ""),
+    "cpu_s": ("processor time", 1.0, "s"),
+}
+_HIDDEN = ("asked_ns", "answered_ns")
+
 
 @with_options(ActiveRun)
 def status(
@@ -54,5 +65,11 @@ def _table(answer: Mapping[str, Any]) -> Table:
     table.add_column(style="cyan", no_wrap=True)
     table.add_column()
     for name, value in answer.items():
-        table.add_row(name, Text(value if isinstance(value, str) else json.dumps(value)))
+        if name in _HIDDEN or value is None:
+            continue
+        label, scale, unit = _SHOWN_AS.get(name, (name, None, ""))
+        number = (
+            value if isinstance(value, str) else json.dumps(value) if scale is None else f"{round(scale * value, 3):g}"
+        )
+        table.add_row(label, Text(f"{number} {unit}".rstrip()))
     return table

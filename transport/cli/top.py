@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, NoReturn
 
 import typer
@@ -26,6 +27,7 @@ from transport.cli.active_run import ConnectOption, RunOption, find_active
 from transport.cli.output import Format, exit_on, fail, show_json
 from transport.cli.scenario_setup import read_setup
 from transport.cli.top_table import table_of
+from transport.flight import live
 from transport.flight.harness import keys_setting
 from transport.monitor.watch import Watch
 
@@ -47,6 +49,7 @@ class _Run:
     endpoints: list[str]
     setup: Setup
     is_client: bool = False
+    folder: Path | None = None  # of a run that this machine has started
 
 
 def top(
@@ -101,7 +104,7 @@ def _find(run: str | None, connect: list[str] | None, scenario: str | None, sett
     changes = [keys_setting(there.keys)] if there.keys else None
     setup = read_setup(str(folder / "scenario.toml"), changes, allow_large=True)
     endpoints = {at for name, at in there.endpoints.items() if name != RECORDER}
-    return _Run(there.run, sorted(endpoints), setup, there.is_client)
+    return _Run(there.run, sorted(endpoints), setup, there.is_client, folder)
 
 
 def _listen(run: _Run) -> Bus:
@@ -165,6 +168,8 @@ def _draw_until_end(bus: Bus, run: _Run, watch: Watch, interval_s: float, draw: 
 
 
 def _fail_silent(run: _Run) -> NoReturn:
+    if run.folder is not None and live.read(run.folder) is None:
+        fail(f"run {run.name} has just ended; its folder is {run.folder}", EXIT_UNREACHABLE)
     where = f"at {', '.join(run.endpoints)}"
     scenario = run.setup.scenario.name
     fail(f"no message of run {run.name} {where}, or its scenario is not {scenario} as given", EXIT_UNREACHABLE)

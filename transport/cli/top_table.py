@@ -11,7 +11,7 @@ from transport.monitor.watch import Watch
 # The table mentions silence that lasts longer.
 _QUIET_S = 2.0
 
-_COLOURS = {"flies": "green", "silent": "yellow", "off": "red", "fail-safe": "bold red", "-": ""}
+_COLOURS = {"active": "green", "silent": "yellow", "off": "red", "fail-safe": "bold red", "-": ""}
 _LEFT = ("UAVs", "state", "plan ages", "QPs")
 
 

@@ -18,7 +18,7 @@ def validate(
 ) -> None:
     """Check a scenario and print it with every default.
 
-    An estimate of what the run takes follows on standard error.
+    Prints an estimate of memory, log size and processor time on standard error.
 
     Example: transport validate paper --set controller.horizon=10
     """

@@ -36,7 +36,7 @@ def view(
 ) -> None:
     """Show a recorded or active run in the browser.
 
-    Payload, rods, UAVs with attitude and thrust, flown and predicted paths, links by age of plans and packet loss.
+    Payload, rods, UAVs with attitude and thrust, actual and predicted paths, links by age of plans and packet loss.
     Links of an active run can be changed, its agents killed and restarted. Ctrl-C ends the viewer, not the run.
 
     Example: transport view runs/20260102-101500-paper
@@ -52,6 +52,8 @@ def view(
             about = {"address": viewer.address, "run": str(folder)}
             typer.echo(json.dumps(about) if output is Format.json else viewer.address, file=result)
             result.flush()
+            if viewer.other_port:
+                typer.echo(viewer.other_port, err=True)
             typer.echo(f"showing {folder}; Ctrl-C ends it", err=True)
             viewer.show_until(has_parent_ended)
     except KeyboardInterrupt:

@@ -98,7 +98,7 @@ def blas() -> Finding:
 
 
 def kernels() -> Finding:
-    """Check that the kernels of a step are compiled: otherwise a step takes 50 % longer."""
+    """Check that the kernels of a step are compiled: otherwise a step takes nearly twice as long."""
     found = compiler.find_compiler()
     if native.AVAILABLE:
         return Finding("ok", f"compiled for this processor, in {cache_folder()}")
@@ -109,7 +109,7 @@ def kernels() -> Finding:
     else:
         reason = f"{found} fails, or {cache_folder()} cannot be written"
         advice = f"make {found} compile shared libraries, or set $CC or $PAYLOAD_TRANSPORT_CACHE"
-    return Finding("warn", f"{reason}: a step takes 50 % longer", advice)
+    return Finding("warn", f"{reason}: a step takes nearly twice as long", advice)
 
 
 def disk(folder: Path) -> Finding:
@@ -117,7 +117,7 @@ def disk(folder: Path) -> Finding:
     free_mb = shutil.disk_usage(folder).free / 1e6
     found = f"{free_mb / 1e3:.1f} GB free at {folder}"
     if free_mb < _LEAST_DISK_MB:
-        return Finding("warn", found, "free some space, or write elsewhere: --out")
+        return Finding("warn", found, "free some space, or use another folder: --out")
     return Finding("ok", found)
 
 

@@ -118,7 +118,7 @@ def steal(root: Path) -> Finding:
     ever = after[1] / after[0] if after[0] else 0.0
     found = f"{now:.1%} now, {ever:.1%} since boot"
     if max(now, ever) > _STOLEN:
-        return Finding("warn", found, "other guests of the host take it: a larger or dedicated machine, or lockstep")
+        return Finding("warn", found, "used by other guests of the host: use a larger or dedicated machine or lockstep")
     return Finding("ok", found)
 
 

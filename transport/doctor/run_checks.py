@@ -58,7 +58,7 @@ def network(setup: Setup) -> Finding:
     unreachable = Finding(
         "fail",
         f"Zenoh sessions on {host} do not reach each other",
-        f"look for a firewall or a network namespace without loopback (ping {host}; ip addr show lo)",
+        f"check for a firewall or a network namespace without loopback (ping {host}; ip addr show lo)",
     )
     with free_ports(host, 1) as (port,):
         endpoint = f"tcp/{host}:{port}"

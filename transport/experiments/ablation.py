@@ -5,8 +5,9 @@ from typing import Any
 
 from protocol.scenario.schema import Scenario
 from transport.experiments.cases import Point
-from transport.experiments.experiment import Axis, Experiment
+from transport.experiments.experiment import Experiment
 from transport.experiments.network_sweeps import NETWORKS
+from transport.experiments.quantities import Axis
 
 AS_IT_IS = "as it is"
 

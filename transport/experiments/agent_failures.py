@@ -8,7 +8,8 @@ import numpy as np
 from protocol.scenario.schema import Scenario
 from transport.experiments.cases import Point
 from transport.experiments.errors import refused
-from transport.experiments.experiment import NONE, Axis, Experiment, check_numbers
+from transport.experiments.experiment import NONE, Experiment, check_numbers
+from transport.experiments.quantities import Axis, axis
 
 NEVER = "never"
 
@@ -42,8 +43,8 @@ def kill(agents: Mapping[str, int], kill_s: float, restart_s: float) -> Experime
                     )
                 )
     legend: dict[str | float, str] = {restart_s: f"restarted at {restart_s:g} s", NEVER: "not restarted"}
-    axis = Axis("agent", f"agent killed at {kill_s:g} s")
-    return Experiment(name="kill", points=tuple(points), x=axis, curves="restart_s", legend=legend)
+    along = Axis("agent", f"agent killed at {kill_s:g} s")
+    return Experiment(name="kill", points=tuple(points), x=along, curves="restart_s", legend=legend)
 
 
 def deaths(scenarios: Mapping[str, Scenario], count: int, draw: int) -> Experiment:
@@ -72,7 +73,7 @@ def deaths(scenarios: Mapping[str, Scenario], count: int, draw: int) -> Experime
             for tick, agent in killed
             for killed_s in (round(tick * period_s, 6),)
         ]
-    return Experiment(name="deaths", points=tuple(points), x=Axis("killed_s", "time of death (s)"))
+    return Experiment(name="deaths", points=tuple(points), x=axis("killed_s"))
 
 
 def _event(at_s: float, action: str, agent: int) -> str:

@@ -10,7 +10,7 @@ from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
 from protocol.scenario.setup import Setup
 from transport.experiments.cases import Point
 from transport.experiments.errors import refused
-from transport.experiments.experiment import Axis, Experiment
+from transport.experiments.experiment import Experiment
 from transport.experiments.processor_time import (
     MANEUVER,
     QUICK_MANEUVER,
@@ -19,6 +19,7 @@ from transport.experiments.processor_time import (
     Load,
     measure_in_turns,
 )
+from transport.experiments.quantities import axis
 from transport.report.report import write_whole
 
 NAME = "paper"
@@ -161,4 +162,4 @@ def experiment(cells: Sequence[Cell], reference: Cell, gust_mps: float) -> Exper
         for weather, setting in weathers.items()
         for cell in cells
     ]
-    return Experiment(name=NAME, points=tuple(points), x=Axis("period_s", "T_s (ms)", 1e3))
+    return Experiment(name=NAME, points=tuple(points), x=axis("period_s", "controller.sampling_period_s"))

@@ -95,7 +95,7 @@ def _maneuver_runs(
     points: Sequence[Point],
     cases: Sequence[Case],
 ) -> Iterator[tuple[str, Setup]]:
-    """Yield heading and setup of the runs of the paper's Fig. 3, 5 and 6, in still air with as many steps of horizon.
+    """Yield name and setup of the runs of the paper's Fig. 3, 5 and 6, in still air with as many steps of horizon.
 
     These are the centralized controller, the paper's algorithm at the same rate, and at the period of the grid
     nearest to the same computation of one agent.
@@ -104,8 +104,8 @@ def _maneuver_runs(
     curve = next(curve for curve in costs if (curve.controller, curve.kept, curve.weather) == wanted)
     own = [node.cell for node in curve.nodes]
     shown = {
-        reference: f"{comparison.CENTRALIZED}\n",
-        **{cell: f"{comparison.PAPER}\nsame rate, " for cell in own if cell.period_s == reference.period_s},
+        reference: f"{comparison.CENTRALIZED}, ",
+        **{cell: f"{comparison.PAPER}, same rate, " for cell in own if cell.period_s == reference.period_s},
     }
     for verdict in judged:
         found = (verdict.controller, verdict.kept, verdict.weather)
@@ -113,7 +113,7 @@ def _maneuver_runs(
         if found == wanted and verdict.budget == AGENT and not verdict.periods.is_open:
             middle_s = math.sqrt(low_s * high_s)
             nearest = min(own, key=lambda cell: abs(math.log(cell.period_s / middle_s)))
-            shown.setdefault(nearest, f"{comparison.PAPER}\nsame computation, ")
+            shown.setdefault(nearest, f"{comparison.PAPER}, same computation, ")
     still = {}
     for case in cases:
         labels: dict[str, Any] = dict(points[case.point].labels)

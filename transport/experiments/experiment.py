@@ -7,6 +7,7 @@ from typing import Literal, TypeVar
 
 from transport.experiments.cases import Point
 from transport.experiments.errors import refused
+from transport.experiments.quantities import Axis
 
 T = TypeVar("T", str, float)
 
@@ -16,27 +17,18 @@ NONE = "none"
 SMALLEST = math.ulp(0.0)  # lower bound of numbers that must be positive
 
 
-@dataclass(frozen=True, slots=True)
-class Axis:
-    """Axis of a figure."""
-
-    label: str  # name of the column along the axis
-    title: str  # with unit
-    factor: float = 1.0  # conversion from the column to that unit
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Experiment:
     """A sweep and how it is drawn.
 
-    It is drawn as curves, a map, curves over team size, a row for each variant, or cost over messages.
+    It is drawn as curves, a map, curves over team size, a row for each variant, or curves of shared plans.
     """
 
     name: str  # of the command
     points: tuple[Point, ...]
     x: Axis  # horizontal
     y: Axis | None = None  # vertical axis of a map
-    drawn_as: Literal["curves", "map", "scaling", "variants", "tradeoff"] = "curves"
+    drawn_as: Literal["curves", "map", "scaling", "variants", "sharing"] = "curves"
     # Column that tells the curves of a scenario apart, and names of its values in the figure. Points labelled `NONE`
     # belong to all curves.
     curves: str | None = None

@@ -6,16 +6,15 @@ from pathlib import Path
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from transport.experiments.curve_figure import draw_curves
+from transport.experiments.curve_figure import draw_curves, draw_sharing
 from transport.experiments.experiment import Experiment
 from transport.experiments.map_figure import draw_maps
 from transport.experiments.scaling_figure import draw_scaling
 from transport.experiments.statistics import PointStatistics
-from transport.experiments.tradeoff_figure import draw_tradeoff
 from transport.experiments.variants_figure import draw_variants
 from transport.report.style import RC, save
 
-_DRAWN_FROM_STATISTICS = {"scaling": draw_scaling, "variants": draw_variants, "tradeoff": draw_tradeoff}
+_DRAWN_FROM_STATISTICS = {"scaling": draw_scaling, "variants": draw_variants}
 
 
 def draw(experiment: Experiment, measured: Sequence[PointStatistics], folder: Path) -> list[Path]:
@@ -28,10 +27,11 @@ def draw(experiment: Experiment, measured: Sequence[PointStatistics], folder: Pa
 
 def fill(figure: Figure, experiment: Experiment, measured: Sequence[PointStatistics]) -> None:
     """Draw an experiment into an empty figure, in the style of `matplotlib.rcParams`."""
-    figure.set_layout_engine("constrained")
     if experiment.drawn_as in _DRAWN_FROM_STATISTICS:
         _DRAWN_FROM_STATISTICS[experiment.drawn_as](figure, measured)
     elif experiment.y is not None:
         draw_maps(figure, experiment.x, experiment.y, measured)
+    elif experiment.drawn_as == "sharing":
+        draw_sharing(figure, experiment, measured)
     else:
         draw_curves(figure, experiment, measured)

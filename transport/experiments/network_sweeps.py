@@ -5,7 +5,8 @@ from collections.abc import Mapping, Sequence
 
 from transport.experiments.cases import Point
 from transport.experiments.errors import refused
-from transport.experiments.experiment import NONE, SMALLEST, Axis, Experiment, check_numbers, distinct
+from transport.experiments.experiment import NONE, SMALLEST, Experiment, check_numbers, distinct
+from transport.experiments.quantities import Axis, axis
 
 # Standard deviation of one unit of `links.jitter_s`, and the mean it adds, by distribution (docs/keys.md).
 # A lognormal number whose logarithm has unit variance has a mean of 1 / sqrt(e - 1) standard deviations.
@@ -26,7 +27,9 @@ NETWORKS: Mapping[str, tuple[str, ...]] = {
     "200 ms delay, 30 % loss": ("links.delay_s=0.2", "links.loss=0.3"),
 }
 
-_DELAY_AXIS, _LOSS_AXIS = Axis("delay_s", "delay (ms)", 1e3), Axis("loss", "loss of plans (%)", 100.0)
+_DELAY_AXIS, _LOSS_AXIS = axis("delay_s", "links.delay_s"), axis("loss", "links.loss")
+# Threshold of `controller.share`; at 0 all plans are sent.
+_THRESHOLD_AXIS = Axis("share_threshold", "threshold (% of the input's range; 0: all plans sent)", 100.0)
 
 
 def latency(scenarios: Sequence[str], delays_s: Sequence[float]) -> Experiment:
@@ -110,8 +113,7 @@ def jitter(
         for scenario in distinct("--scenario", scenarios)
         for distribution, deviation_s, delay_s, text, settings in [*constant, *random]
     ]
-    axis = Axis("std_s", "jitter, std (ms)", 1e3)
-    return Experiment(name="jitter", points=tuple(points), x=axis, curves="distribution")
+    return Experiment(name="jitter", points=tuple(points), x=axis("std_s"), curves="distribution")
 
 
 def matrix(scenarios: Sequence[str], delays_s: Sequence[float], shares: Sequence[float]) -> Experiment:
@@ -159,7 +161,7 @@ def sharing(scenarios: Sequence[str], thresholds: Sequence[float], heartbeat_s: 
         for network, links in NETWORKS.items()
         for threshold, text, settings in variants
     ]
-    return Experiment(name="sharing", points=tuple(points), x=Axis("share_threshold", "threshold"), drawn_as="tradeoff")
+    return Experiment(name="sharing", points=tuple(points), x=_THRESHOLD_AXIS, curves="network", drawn_as="sharing")
 
 
 def _bursts(share: float, burst_ticks: float) -> str:

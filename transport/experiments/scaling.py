@@ -8,7 +8,8 @@ import numpy as np
 from transport.experiments.cases import Point, Team
 from transport.experiments.conclusions import errors_text, survival
 from transport.experiments.errors import refused
-from transport.experiments.experiment import Axis, Experiment
+from transport.experiments.experiment import Experiment
+from transport.experiments.quantities import axis
 from transport.experiments.statistics import PointStatistics
 
 # UAVs per agent, by ownership; None: one agent for all.
@@ -43,8 +44,9 @@ def scaling(scenario: str, largest: int, sizes: Sequence[int]) -> Experiment:
                     team=Team(uavs, own),
                 )
             )
-    axis = Axis("uavs", "UAVs")
-    return Experiment(name="scaling", points=tuple(points), x=axis, drawn_as="scaling", curves="ownership", timed=True)
+    return Experiment(
+        name="scaling", points=tuple(points), x=axis("uavs"), drawn_as="scaling", curves="ownership", timed=True
+    )
 
 
 def exponent(uavs: Sequence[float], values: Sequence[float]) -> float | None:

@@ -41,7 +41,7 @@ def sweep(
     except (KeyboardInterrupt, ExperimentError):
         done = sum(results.done(case.key) for case in cases)
         if results.folder is not None:
-            hint = f"{done} of {len(cases)} runs are kept; resume with: --out {results.folder}"
+            hint = f"{done} of {len(cases)} runs are saved; resume with: --out {results.folder}"
             console.print(hint, highlight=False, soft_wrap=True)
         raise
     return [results[case.key] for case in cases]
@@ -78,4 +78,4 @@ class _Progress(ConsoleProgress):
         if self._bar is not None:
             self._bar.update(self._task, completed=self._done, last=last)
         elif self._is_line_due() or self._done == self._total:
-            self.say(f"{self._done} of {self._total} runs done, the last {last}")
+            self.say(f"{self._done} of {self._total} runs done; last: {last}")

@@ -5,7 +5,8 @@ from collections.abc import Mapping, Sequence
 from protocol.scenario.schema import Scenario
 from transport.experiments.cases import Point
 from transport.experiments.errors import refused
-from transport.experiments.experiment import SMALLEST, Axis, Experiment, check_numbers
+from transport.experiments.experiment import SMALLEST, Experiment, check_numbers
+from transport.experiments.quantities import axis
 
 
 def horizon(
@@ -44,7 +45,8 @@ def horizon(
             for steps in sorted({own_horizon, *horizons})
             for weight in sorted({own_terminal, *varied})
         ]
-    return Experiment(name="horizon", points=tuple(points), x=Axis("horizon", "N_p"), drawn_as="variants")
+    along = axis("horizon", "controller.horizon")
+    return Experiment(name="horizon", points=tuple(points), x=along, drawn_as="variants")
 
 
 def hover(scenarios: Mapping[str, Scenario], durations_s: Sequence[float]) -> Experiment:
@@ -68,4 +70,4 @@ def hover(scenarios: Mapping[str, Scenario], durations_s: Sequence[float]) -> Ex
             )
             for duration_s in sorted(durations_s)
         ]
-    return Experiment(name="hover", points=tuple(points), x=Axis("hover_s", "duration of the last hover (s)"))
+    return Experiment(name="hover", points=tuple(points), x=axis("hover_s"))

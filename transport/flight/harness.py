@@ -171,7 +171,7 @@ class Harness:
                 child.process.kill()
                 self.notices.append(f"{child.name} did not end: {pulse.description}; it was killed")
         for child, _ in self._wait_given(self.alive()):
-            self.notices.append(f"{child.name} (process {child.process.pid}) does not end by SIGKILL")
+            self.notices.append(f"{child.name} (process {child.process.pid}) does not end after SIGKILL")
         for child in self.children:
             if child.process.stdin is not None:
                 with suppress(OSError):

@@ -8,8 +8,8 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
 
 from model.state import StateView
-from mpc.cost import Cost
 from protocol.scenario.setup import Setup
+from protocol.scenario.stage_cost import StageCost
 from protocol.wire.messages import PlantState
 
 # Period of the lines without a terminal, wall time, s.
@@ -53,7 +53,7 @@ class RunProgress(ConsoleProgress):
         columns = (TextColumn("{task.description:<9}"), BarColumn(), TextColumn("{task.fields[status]}"))
         super().__init__(console, *columns, TimeRemainingColumn())
         self._setup = setup
-        self._cost = Cost(setup.settings.weights, setup.hover)
+        self._cost = StageCost(setup)
         self._duration_s = setup.ticks * setup.settings.sampling_period_s
         if self._bar is not None:
             self._task = self._bar.add_task("starting", total=self._duration_s, status=waiting)
@@ -73,7 +73,7 @@ class RunProgress(ConsoleProgress):
 
     def _status(self, plant_state: PlantState, t_s: float, wall_s: float) -> str:
         y_ref = self._setup.reference.outputs(np.array([t_s]))[0]
-        cost = self._cost.stage(self._setup.model.outputs(plant_state.x), y_ref, plant_state.u)
+        cost = self._cost.at(plant_state.tick, self._setup.model.outputs(plant_state.x), y_ref, plant_state.u)
         attitude_deg = float(np.degrees(np.abs(StateView(plant_state.x).Theta0)).max())
         factor = t_s / wall_s if wall_s > 0.0 else 0.0
         return (

@@ -11,18 +11,6 @@ from protocol.wire.keys import ROUTER
 # Faults of processes that `transport run` causes on request.
 FAULTS = ("kill", "stop", "continue", "restart")
 
-# Settings of a link that make it perfect.
-PERFECT: Mapping[str, Any] = {
-    "delay_s": 0.0,
-    "jitter_s": 0.0,
-    "distribution": "uniform",
-    "loss": 0.0,
-    "gilbert_elliott": {"enter": 0.0, "leave": 1.0},
-    "duplicate": 0.0,
-    "reorder": 0.0,
-    "rate_hz": 1e9,
-}
-
 
 class RefusedError(ValueError):
     """The run refuses the request; the text says what was expected."""

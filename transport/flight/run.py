@@ -10,7 +10,6 @@ from pathlib import Path
 
 from rich.console import Console
 
-from model.compiled import compile_functions
 from plant.engines import checked_engine
 from protocol.network.endpoints import Endpoints, endpoints_of_all, process_names
 from protocol.network.process import Place
@@ -27,6 +26,7 @@ from protocol.wire.exit_codes import (
 from protocol.wire.keys import RECORDER, Keys
 from protocol.wire.names import COORDINATOR, PLANT
 from transport.flight import live
+from transport.flight.compiling import compile_model
 from transport.flight.fault_script import FaultScript
 from transport.flight.harness import ORDERLY_ENDS, Child, Harness, check_ports, free_ports, keys_setting
 from transport.flight.header import run_header
@@ -75,8 +75,7 @@ def simulate(
     refuse_existing(folder)
     engine = "external" if PLANT in external else checked_engine(setup)
     scenario = setup.scenario
-    with console.status("compiling the model for this processor, once"):
-        compile_functions(setup.system.N)
+    compile_model(setup.system.N, console)
     names = process_names(scenario)
     host, base_port = scenario.network.host, scenario.network.base_port
     # The recorder has a port for requests to the parent of the processes.

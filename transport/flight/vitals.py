@@ -39,6 +39,12 @@ def vitals(pid: int) -> Vitals | None:
         return None
 
 
+def is_stopped(pid: int) -> bool:
+    """Return whether a process is stopped by a signal or a tracer."""
+    found = vitals(pid)
+    return found is not None and found.state in _STOPPED
+
+
 def has_died(pid: int) -> bool:
     """Return whether all threads of a process have ended, also while a tracer keeps the parent from reaping it."""
     try:

@@ -12,7 +12,7 @@ from transport.analysis.series import Series
 from transport.interface.settings import ArgumentError
 from transport.log.run_log import RunLog
 from transport.report.figures import CROPPED, FIGURES, fill
-from transport.report.style import RC
+from transport.report.style import RC, drawing_box
 
 
 class RunFigure(Figure):
@@ -22,9 +22,9 @@ class RunFigure(Figure):
 
     def savefig(self, fname: Any, **options: Any) -> None:
         """Write the figure to a file, whose ending is the format, with the options of matplotlib."""
-        if self.cropped:
-            options = {"bbox_inches": "tight", "pad_inches": 0.05, **options}
         with mpl.rc_context(RC):
+            if self.cropped:
+                options = {"bbox_inches": drawing_box(self), **options}
             super().savefig(fname, **options)
 
     def _repr_png_(self) -> bytes:

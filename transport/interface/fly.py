@@ -7,7 +7,6 @@ from typing import Unpack
 
 import tomli_w
 
-from model.compiled import compile_functions
 from plant.engines import checked_engine
 from protocol.scenario.file import ScenarioError
 from protocol.scenario.setup import Setup
@@ -15,10 +14,12 @@ from protocol.wire.exit_codes import EXIT_INTERRUPTED
 from protocol.wire.messages import Message
 from transport.flight import memory
 from transport.flight import run as processes_run
+from transport.flight.compiling import compile_model
 from transport.flight.fork_server import close_fork_server
 from transport.flight.header import run_header
 from transport.flight.run_error import RunError
 from transport.flight.run_files import new_folder
+from transport.interface.boundary import public
 from transport.interface.progress import console, run_progress
 from transport.interface.run import Run
 from transport.interface.scenario import Scenario
@@ -30,6 +31,7 @@ from transport.report.report import write_report
 RUNS = Path("runs")
 
 
+@public
 def fly(
     scenario: "str | PathLike[str] | Scenario" = "paper",
     settings: Settings | None = None,
@@ -84,6 +86,7 @@ did you mean 'horizon'?
     return run
 
 
+@public
 def load(folder: "str | PathLike[str]") -> Run:
     """Return a recorded run from its folder, also one that was cut off: `run.summary["log_cut"]` tells.
 
@@ -104,8 +107,7 @@ def load(folder: "str | PathLike[str]") -> Run:
 
 def _in_memory(scenario: Scenario, setup: Setup, *, shown: bool) -> Run:
     began_ns = time.time_ns()
-    with console(shown=shown).status("compiling the model for this processor, once"):
-        compile_functions(setup.system.N)
+    compile_model(setup.system.N, console(shown=shown))
     header = _header(setup, began_ns)
     messages: list[Recorded] = []
     with run_progress(setup, shown=shown) as show:
@@ -131,7 +133,7 @@ def _in_processes(scenario: Scenario, setup: Setup, folder: Path | None, *, show
         finished = processes_run.simulate(setup, target, console(shown=shown))
     except RunError as error:
         if error.exit_code == EXIT_INTERRUPTED:
-            raise KeyboardInterrupt from error
+            raise KeyboardInterrupt(str(error)) from None
         raise
     finally:
         close_fork_server()

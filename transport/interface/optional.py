@@ -13,5 +13,5 @@ def require_pandas() -> Any:
     Raises: ArgumentError: pandas is not installed.
     """
     if find_spec("pandas") is None:
-        raise ArgumentError("pandas is not installed; pip install 'payload-transport[pandas]' brings it")
+        raise ArgumentError("pandas is not installed: pip install 'payload-transport[pandas]'")
     return import_module("pandas")

@@ -12,6 +12,7 @@ from protocol.scenario.setup import Setup
 from transport.analysis.counted import counted
 from transport.analysis.metrics import summarise
 from transport.analysis.steps import steps_rows
+from transport.interface.boundary import public
 from transport.interface.optional import require_pandas
 from transport.interface.scenario import Scenario
 from transport.interface.series import RunSeries
@@ -87,6 +88,7 @@ class Run:
             console.print(summary_table(self.summary))
         return "\n".join(line.rstrip() for line in capture.get().rstrip().splitlines())
 
+    @public
     def to_pandas(self, table: TableName = "series") -> "pd.DataFrame":
         """Return a table: "series" has a row per tick, "steps" one per agent and tick, as steps.csv (docs/summary.md).
 
@@ -103,6 +105,7 @@ class Run:
                 return pandas.DataFrame(list(steps_rows(self._setup, self._counted)))
         raise ArgumentError(f"table: expected 'series' or 'steps', got {table!r}")
 
+    @public
     def plot(self, figure: FigureName = "performance") -> "RunFigure":
         """Return a figure of the report: "performance", "inputs", "trajectories" or "timing".
 
@@ -114,6 +117,7 @@ class Run:
 
         return run_figure(figure, self._setup, self._counted, self.series.source)
 
+    @public
     def view(self, host: str = "127.0.0.1", port: int = 8080) -> "RunViewer":
         """Show the run in the browser; return the viewer, which shows until it is closed or this process ends.
 
@@ -123,6 +127,7 @@ class Run:
 
         return RunViewer(self._setup, self.log, host, port)
 
+    @public
     def save(self, folder: "str | PathLike[str]", *, figures: bool = True) -> Path:
         """Write the run folder that `transport run` writes, to a folder that does not exist yet; return its path.
 

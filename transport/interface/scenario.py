@@ -1,7 +1,5 @@
 """Scenario as an object that stays valid: each change is checked as a whole, and made or refused."""
 
-import difflib
-from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 from typing import Any, Unpack
@@ -14,6 +12,8 @@ from protocol.scenario.file import ScenarioError, find_scenario, read_scenario, 
 from protocol.scenario.schema import Scenario as ScenarioTree
 from protocol.scenario.setup import Setup
 from protocol.scenario.team import FEWEST, MOST, given, resized
+from transport.interface.boundary import public
+from transport.interface.section import Section, field_of, hint_of, shown
 from transport.interface.settings import (
     ArgumentError,
     Settings,
@@ -59,6 +59,7 @@ class Scenario:
     _setup: Setup
     _allow_large: bool
 
+    @public
     def __init__(
         self,
         source: "str | PathLike[str] | Scenario" = "paper",
@@ -78,6 +79,7 @@ class Scenario:
         data = read_scenario(path, changes, allow_large=allow_large)
         self._take(path, data, _setup_of(data, path, changes))
 
+    @public
     def set(self, settings: Settings | None = None, **short: Unpack[ShortSettings]) -> None:
         """Make several changes at once, such as those that are valid only together.
 
@@ -87,22 +89,25 @@ class Scenario:
         """
         self._change(settings_of(settings, short))
 
+    @public
     def __getitem__(self, key: str) -> Any:
         """Return the value of a dotted key or short name."""
         found: Any = self._data
         for part in key_of(key).split("."):
             if isinstance(found, list) and part.isdecimal() and 1 <= int(part) <= len(found):
                 found = found[int(part) - 1]
-            elif isinstance(found, BaseModel) and (name := _field(found, part)) is not None:
+            elif isinstance(found, BaseModel) and (name := field_of(found, part)) is not None:
                 found = getattr(found, name)
             else:
-                raise ScenarioError(str(self._path), key_of(key), f"unknown key; {_hint(found, part)}")
-        return _shown(self, key_of(key), found)
+                raise ScenarioError(str(self._path), key_of(key), f"unknown key; {hint_of(found, part)}")
+        return shown(self, key_of(key), found)
 
+    @public
     def __setitem__(self, key: str, value: Any) -> None:
         """Change the value of a dotted key or short name."""
         self._change([setting(key, value)])
 
+    @public
     def __delitem__(self, key: str) -> None:
         """Return a dotted key or short name to its default."""
         self[key]  # refuses an unknown key
@@ -123,6 +128,7 @@ class Scenario:
             raise AttributeError(name)
         return getattr(Section(self, "", self._data), name)
 
+    @public
     def __setattr__(self, name: str, value: Any) -> None:
         if name.startswith("_"):
             super().__setattr__(name, value)
@@ -166,10 +172,12 @@ class Scenario:
         """Return the fingerprint that `transport validate` prints."""
         return self._data.digest()
 
+    @public
     def copy(self, settings: Settings | None = None, **short: Unpack[ShortSettings]) -> "Scenario":
         """Return a copy with changes."""
         return Scenario(self, settings, **short)
 
+    @public
     def resized(self, uavs: int, *, group: int | None = None, name: str | None = None) -> "Scenario":
         """Return a scenario with a team of another size, as `transport scenario new` makes it.
 
@@ -191,6 +199,7 @@ class Scenario:
         made._take(self._path, data, Setup.of(data, source))
         return made
 
+    @public
     def save(self, path: "str | PathLike[str]") -> Path:
         """Write the scenario, with every default, to a file that does not exist yet; return its path."""
         target = Path(file_name(path, "path"))
@@ -215,88 +224,9 @@ class Scenario:
         self._path, self._data, self._setup = path, data, setup
 
 
-class Section:
-    """A section of a scenario; reading an attribute reads the value, setting one changes the scenario."""
-
-    _owner: Scenario
-    _key: str
-    _data: BaseModel
-
-    def __init__(self, owner: Scenario, key: str, data: BaseModel) -> None:
-        for name, value in (("_owner", owner), ("_key", key), ("_data", data)):
-            object.__setattr__(self, name, value)
-
-    def __getattr__(self, name: str) -> Any:
-        field = _field(self._data, name)
-        if field is None:
-            raise AttributeError(f"{self._key or 'scenario'}: unknown key {name!r}; {_hint(self._data, name)}")
-        return _shown(self._owner, self._key_of(field), getattr(self._data, field))
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        field = _field(self._data, name)
-        self._owner[self._key_of(name if field is None else field)] = value
-        object.__setattr__(self, "_data", _at(self._owner._data, self._key))
-
-    def __dir__(self) -> list[str]:
-        return [*super().__dir__(), *type(self._data).model_fields]
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Section) and self._data == other._data
-
-    __hash__ = None  # type: ignore[assignment]  # it changes
-
-    def __repr__(self) -> str:
-        return repr(self._data)
-
-    def _key_of(self, field: str) -> str:
-        """Return the dotted key of a field."""
-        model = type(self._data).model_fields
-        name = (model[field].alias or field) if field in model else field
-        return f"{self._key}.{name}" if self._key else name
-
-
 def _setup_of(data: ScenarioTree, path: Path, changes: list[str]) -> Setup:
     """Return the setup of a scenario with changes, which its errors name."""
     try:
         return Setup.of(data, str(path))
     except ScenarioError as error:
         raise error.blaming(changes) from error.__cause__
-
-
-def _hint(found: Any, name: str) -> str:
-    """Return what there is instead of an unknown key."""
-    if isinstance(found, list):
-        return f"expected an entry from 1 to {len(found)}"
-    known = (
-        [info.alias or field for field, info in type(found).model_fields.items()]
-        if isinstance(found, BaseModel)
-        else []
-    )
-    near = difflib.get_close_matches(name, known, n=1)
-    return f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known) or 'none'}"
-
-
-def _field(section: BaseModel, name: str) -> str | None:
-    """Return the field of a section with a name or alias."""
-    fields = type(section).model_fields
-    if name in fields:
-        return name
-    return next((field for field, info in fields.items() if info.alias == name), None)
-
-
-def _at(data: Any, key: str) -> Any:
-    """Return the part of a scenario with a dotted key."""
-    for part in key.split(".") if key else ():
-        data = data[int(part) - 1] if isinstance(data, list) else getattr(data, _field(data, part) or part)
-    return data
-
-
-def _shown(owner: Scenario, key: str, value: Any) -> Any:
-    """Return a value of the scenario as the user gets it: sections, and lists as tuples, which cannot be changed."""
-    if isinstance(value, BaseModel):
-        return Section(owner, key, value)
-    if isinstance(value, list):
-        return tuple(_shown(owner, f"{key}.{number}", part) for number, part in enumerate(value, start=1))
-    if isinstance(value, Mapping):
-        return {name: _shown(owner, f"{key}.{name}", part) for name, part in value.items()}
-    return value

@@ -11,6 +11,7 @@ from model.arrays import Array
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import StepReport
 from transport.analysis.series import Series, series_of
+from transport.interface.boundary import public
 from transport.interface.settings import ArgumentError
 from transport.log.run_log import RunLog
 
@@ -46,10 +47,10 @@ QUANTITIES: Mapping[str, Quantity] = {
     "payload_velocity_mps": _quantity("m/s", [_XYZ], "Payload velocity, inertial frame."),
     "payload_attitude_deg": _quantity("deg", [_ANGLES], "Payload roll, pitch and yaw."),
     "payload_rate_radps": _quantity("rad/s", [_XYZ], "Angular velocity of the payload, payload frame."),
-    "uav_position_m": _quantity("m", [_UAV, _XYZ], "UAV positions, inertial frame, z down."),
+    "uav_position_m": _quantity("m", [_UAV, _XYZ], "UAV positions, inertial frame, z down; NaN after a release."),
     "uav_reference_m": _quantity("m", [_UAV, _XYZ], "Reference positions of the UAVs, inertial frame."),
-    "uav_error_m": _quantity("m", [_UAV, _XYZ], "UAV positions minus their references, inertial frame."),
-    "uav_attitude_deg": _quantity("deg", [_UAV, _ANGLES], "UAV roll, pitch and yaw."),
+    "uav_error_m": _quantity("m", [_UAV, _XYZ], "UAV positions minus references, inertial frame; NaN after a release."),
+    "uav_attitude_deg": _quantity("deg", [_UAV, _ANGLES], "UAV roll, pitch and yaw; NaN after a release."),
     "thrust_N": _quantity("N", [_UAV], "Thrust applied from t_k on."),
     "thrust_limits_N": _quantity("N", [("smallest", "largest")], "Limits of the thrust of each UAV."),
     "moment_Nm": _quantity("N m", [_UAV, _XYZ], "Moments about the UAV's body axes, applied from t_k on."),
@@ -87,6 +88,8 @@ class RunSeries(Mapping[str, Array]):
 
         Raises: KeyError: no such series.
         """
+        if name not in QUANTITIES:
+            raise KeyError(f"{name}: expected one of {', '.join(QUANTITIES)}")
         if name not in self._found:
             values = np.array(self._values(name))
             values.setflags(write=False)
@@ -116,14 +119,17 @@ class RunSeries(Mapping[str, Array]):
         """The series as the figures and metrics of the report use them."""
         return self._series
 
+    @public
     def unit(self, name: str) -> str:
         """Return the unit of a series, empty for none."""
         return _known(name).unit
 
+    @public
     def axes(self, name: str) -> tuple[str | tuple[str, ...], ...]:
         """Return the meaning of a series' axes behind time: "uav", "agent" (counted from 1), or names of components."""
         return _known(name).axes
 
+    @public
     def meaning(self, name: str) -> str:
         """Return the meaning of a series in one sentence."""
         return _known(name).meaning
@@ -146,7 +152,7 @@ class RunSeries(Mapping[str, Array]):
         s, setup = self._series, self._setup
         T, N = len(s.ticks), setup.system.N
         uavs = s.x[:, state.PAYLOAD :].reshape(T, N, state.PER_UAV)
-        limits = setup.settings.limits
+        limits, on_rods = setup.settings.limits, s.on_rods[:, :, None]
         made: dict[str, Callable[[], Any]] = {
             "time_s": lambda: s.times_s,
             "payload_position_m": lambda: s.x[:, state.R0],
@@ -155,10 +161,10 @@ class RunSeries(Mapping[str, Array]):
             "payload_velocity_mps": lambda: s.payload_velocity_I,
             "payload_attitude_deg": lambda: s.attitude_deg,
             "payload_rate_radps": lambda: s.x[:, state.OMEGA0],
-            "uav_position_m": lambda: s.uavs_I,
+            "uav_position_m": lambda: np.where(on_rods, s.uavs_I, np.nan),
             "uav_reference_m": lambda: s.uav_references_I,
             "uav_error_m": lambda: s.uav_errors_I,
-            "uav_attitude_deg": lambda: np.degrees(uavs[:, :, state.THETA]),
+            "uav_attitude_deg": lambda: np.where(on_rods, np.degrees(uavs[:, :, state.THETA]), np.nan),
             "thrust_N": lambda: s.u.reshape(T, N, state.INPUTS)[:, :, 0],
             "thrust_limits_N": lambda: np.tile(limits.thrust_N, (T, 1)),
             "moment_Nm": lambda: s.u.reshape(T, N, state.INPUTS)[:, :, 1:],
@@ -169,8 +175,6 @@ class RunSeries(Mapping[str, Array]):
         }
         if name in made:
             return np.asarray(made[name]())
-        if name not in QUANTITIES:
-            raise KeyError(f"{name}: expected one of {', '.join(QUANTITIES)}")
         if self._reports is None:
             self._reports = self._of_reports()
         return self._reports[name]

@@ -12,20 +12,22 @@ import joblib
 import numpy as np
 from rich.console import Console
 
-from model.compiled import compile_functions
 from protocol.scenario.budget import most_workers
 from protocol.wire.exit_codes import EXIT_CASE_FAILED
 from transport.experiments import sweep as experiment_sweep
 from transport.experiments.cases import Case, Point, cases_of_point
 from transport.experiments.errors import ExperimentError
-from transport.experiments.experiment import Axis, Experiment
+from transport.experiments.experiment import Experiment
 from transport.experiments.figures import draw, fill
+from transport.experiments.quantities import Axis, axis, quantity
 from transport.experiments.results import Results, ResultsInMemory
 from transport.experiments.simulation import NUMBERS, Result
 from transport.experiments.statistics import PointStatistics, statistics_of
 from transport.experiments.table import WIDTH, cases_csv, cases_rows, points_csv, points_rows, table_of
 from transport.experiments.workers import check_cluster, on_cluster, on_cores
+from transport.flight.compiling import compile_model
 from transport.flight.header import machine
+from transport.interface.boundary import public
 from transport.interface.figure import RunFigure, drawn
 from transport.interface.optional import require_pandas
 from transport.interface.progress import console
@@ -42,6 +44,7 @@ _NAME = "sweep"
 _CURVE = "settings"  # label of all keys but the one along the axis
 
 
+@public
 def sweep(
     base: "Base | Sequence[Base] | Mapping[str, Base]",
     grid: Mapping[str, Iterable[Any]],
@@ -91,12 +94,12 @@ def sweep(
             cases += cases_of_point(len(points), changed.validated, changed.file, seeds)
             points.append(Point(scenario=label, labels=labels, text=text, baseline=number == 0))
             sizes.add(changed.setup.system.N)
-    experiment = Experiment(name=_NAME, points=tuple(points), x=Axis(next(iter(values)), next(iter(values))))
+    experiment = Experiment(name=_NAME, points=tuple(points), x=_axis(next(iter(values))))
     shown = console(shown=progress)
     target = None if folder is None else Path(file_name(folder, "folder"))
     with ResultsInMemory() if target is None else Results(target, _NAME, machine()) as results:
         for size in sizes:
-            compile_functions(size)  # once, not in each worker
+            compile_model(size, shown)  # once, not in each worker
         found = experiment_sweep.sweep(experiment, cases, simulate, results, shown)
     made = Sweep(experiment, cases, found)
     if target is not None:
@@ -135,6 +138,7 @@ class Sweep:
             wide.print(table_of("means of completed runs, ± 95 % confidence", self.points))
         return "\n".join(line.rstrip() for line in capture.get().rstrip().splitlines())
 
+    @public
     def rows(self, table: Literal["points", "runs"] = "points") -> list[dict[str, Any]]:
         """Return a row for each point, or for each run: values by column, as points.csv and cases.csv have them.
 
@@ -147,11 +151,13 @@ class Sweep:
                 return cases_rows(self._experiment.points, self._cases, self._results)
         raise ArgumentError(f"table: expected 'points' or 'runs', got {table!r}")
 
+    @public
     def to_pandas(self, table: Literal["points", "runs"] = "points") -> "pd.DataFrame":
         """Return the rows as a table of pandas (extra `pandas`)."""
         pandas = require_pandas()
         return pandas.DataFrame(self.rows(table))
 
+    @public
     def plot(self, x: str | None = None, kind: Literal["curves", "map"] = "curves") -> RunFigure:
         """Return a figure: completed runs, mean cost and payload attitude over a setting; or a map of two settings.
 
@@ -164,6 +170,7 @@ class Sweep:
         experiment, measured = self._drawn_as(x, kind)
         return drawn(lambda figure: fill(figure, experiment, measured))
 
+    @public
     def save(self, folder: "str | PathLike[str]") -> list[Path]:
         """Write points.csv, cases.csv and the figure of `plot()` to a folder; return the files."""
         target = Path(file_name(folder, "folder"))
@@ -190,7 +197,7 @@ class Sweep:
             labels = [value for point in self._experiment.points for value in point.labels.values()]
             if len(others) != 1 or not all(isinstance(value, float) for value in labels):
                 raise ArgumentError(f"kind: expected two settings with numbers for a map, got {', '.join(names)}")
-            axes = Axis(along, along), Axis(others[0], others[0])
+            axes = _axis(along), _axis(others[0])
             experiment = Experiment(name=_NAME, points=self._experiment.points, x=axes[0], y=axes[1], drawn_as="map")
             return experiment, self.points
         if kind != "curves":
@@ -200,8 +207,7 @@ class Sweep:
             for m in self.points
         ]
         points = tuple(m.point for m in measured)
-        axis = Axis(along, along)
-        return Experiment(name=_NAME, points=points, x=axis, curves=_CURVE if others else None), measured
+        return Experiment(name=_NAME, points=points, x=_axis(along), curves=_CURVE if others else None), measured
 
 
 def _replaced(m: PointStatistics, labels: Mapping[str, str | float]) -> PointStatistics:
@@ -211,8 +217,12 @@ def _replaced(m: PointStatistics, labels: Mapping[str, str | float]) -> PointSta
 
 def _others(point: Point, names: Sequence[str]) -> str:
     """Return the settings of a point that tell its curve."""
-    texts = (f"{value:g}" if isinstance(value, float) else value for value in (point.labels[name] for name in names))
-    return ", ".join(f"{name} {text}" for name, text in zip(names, texts, strict=True))
+    return ", ".join(quantity(key_of(name)).text(point.labels[name]) for name in names)
+
+
+def _axis(name: str) -> Axis:
+    """Return the axis of a setting, given by its key or its short name."""
+    return axis(name, key_of(name))
 
 
 def _checked_grid(grid: Mapping[str, Iterable[Any]]) -> dict[str, list[Any]]:

@@ -1,6 +1,7 @@
 """The viewer of a run beside the user's own work: it is updated by a thread of this process."""
 
 import html
+import sys
 import threading
 from typing import Self
 
@@ -23,6 +24,8 @@ class RunViewer:
     def __init__(self, setup: Setup, log: RunLog, host: str, port: int) -> None:
         self._viewer = Viewer(SceneBuilder.of(setup, log), host=host, port=port, notice=log.cut)
         self.address = self._viewer.address
+        if self._viewer.other_port:
+            sys.stderr.write(f"{self._viewer.other_port}\n")
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._show, name="viewer", daemon=True)
         self._thread.start()

@@ -9,7 +9,7 @@ from protocol.wire.names import COORDINATOR
 from transport.log.run_log import RunLog
 
 # Reason of a run whose end was not recorded.
-END_NOT_RECORDED = "how the run ended did not reach the recorder"
+END_NOT_RECORDED = "the outcome of the run did not reach the recorder"
 
 
 def missing(log: RunLog) -> str:

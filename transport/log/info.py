@@ -76,15 +76,16 @@ def lost(file: LogFile) -> list[str]:
             found.append("the metadata of the run: its name, scenario, versions, machine")
         if log.messages and next(log.of(Control), None) is None:
             last = max(entry.message.tick for entry in log.messages)
-            rest = "everything after it, and how the run ended"
+            rest = "everything after it, and the outcome of the run"
             if setup is not None and last + 1 < setup.ticks:
                 period_s = setup.settings.sampling_period_s
                 gone = setup.ticks - last - 1
                 rest = (
                     f"ticks {last + 1} to {setup.ticks - 1} as far as they were simulated (up to {gone} of "
-                    f"{setup.ticks}, {gone * period_s:.2f} s of {setup.ticks * period_s:.2f} s), and how the run ended"
+                    f"{setup.ticks}, {gone * period_s:.2f} s of {setup.ticks * period_s:.2f} s), "
+                    "and the outcome of the run"
                 )
-            found.append(f"some messages of tick {last}, perhaps; {rest}")
+            found.append(f"possibly some messages of tick {last}; {rest}")
     gaps = missing(log)
     if gaps:
         found.append(gaps)

@@ -97,14 +97,14 @@ class RelocatingFile:
                 file.append(_announcing_all(entry))
             file.flush()
         except OSError as error:
-            self._lose(f"{reason}, nor go on in {second} ({error.strerror or error})")
+            self._lose(f"{reason}, nor continue in {second} ({error.strerror or error})")
             return
         self._file = file
-        self._say(f"{reason}; it goes on in {file.path}")
+        self._say(f"{reason}; recording continues in {file.path}")
 
     def _lose(self, reason: str) -> None:
         self.lost = reason
-        self._say(f"{reason}: the run goes on unrecorded")
+        self._say(f"{reason}: the run continues without recording")
 
     def _readable(self) -> Iterator[Entry]:
         """Yield the entries of the first file that are whole, without those that are pending."""

@@ -235,4 +235,4 @@ def _cut(messages: list[Recorded], unknown: list[str], salvage: Salvage) -> str:
         return ""
     last = max((entry.message.tick for entry in messages), default=None)
     readable = "no message is readable" if last is None else f"{len(messages)} messages are readable, up to tick {last}"
-    return f"the log is not whole ({'; '.join(problems)}): {readable}"
+    return f"the log is incomplete ({'; '.join(problems)}): {readable}"

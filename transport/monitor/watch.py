@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from model.state import StateView
-from mpc.cost import Cost
 from plant.schedule import FAIL_SAFE
 from protocol.admission.plausibility import Plausibility
 from protocol.scenario.setup import Setup
+from protocol.scenario.stage_cost import StageCost
 from protocol.wire.messages import (
     Control,
     Message,
@@ -64,13 +64,13 @@ class Watch:
     _opened: Tick | None = None
     _opened_ns: int = 0
     _first: tuple[int, int] | None = None  # tick and time
-    _cost: Cost = field(init=False)
+    _cost: StageCost = field(init=False)
     _plausibility: Plausibility = field(init=False)
 
     def __post_init__(self) -> None:
         self._plausibility = Plausibility(self.setup)
         self.agents = {agent: AgentStatus() for agent in self.setup.agents}
-        self._cost = Cost(self.setup.settings.weights, self.setup.hover)
+        self._cost = StageCost(self.setup)
 
     def take(self, message: Message, at_ns: int) -> None:
         """Update the status from any message; its arrival is on any steady clock, ns."""
@@ -116,7 +116,7 @@ class Watch:
         if state is None:
             return None
         y_ref = self.setup.reference.outputs(np.array([state.tick * self.setup.settings.sampling_period_s]))[0]
-        return float(self._cost.stage(self.setup.model.outputs(state.x), y_ref, state.u))
+        return self._cost.at(state.tick, self.setup.model.outputs(state.x), y_ref, state.u)
 
     @property
     def attitude_deg(self) -> float | None:
@@ -126,7 +126,7 @@ class Watch:
         return float(np.degrees(np.abs(StateView(self.plant_state.x).Theta0)).max())
 
     def state_of(self, agent: int) -> str:
-        """Return the state of an agent: flies, silent, off (the roster), or fail-safe; "-" while unknown."""
+        """Return the state of an agent: active, silent, off (the roster), or fail-safe; "-" while unknown."""
         uavs = self.setup.owned[agent - 1]
         if self.plant_state is not None and any(self.plant_state.plan_ticks[uav] == FAIL_SAFE for uav in uavs):
             return "fail-safe"
@@ -135,7 +135,7 @@ class Watch:
         report = self.agents[agent].report
         if report is None:
             return "-"
-        return "flies" if self.tick - report.tick <= _BEHIND else "silent"
+        return "active" if self.tick - report.tick <= _BEHIND else "silent"
 
     def content(self) -> dict[str, Any]:
         """Return the status as JSON data."""

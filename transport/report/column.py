@@ -1,46 +1,71 @@
-"""Figures as wide as a column of a paper (8.5 cm): panels over time, each with a title and legend above it."""
+"""Stacked panels in the width of a paper's column, with titles, legends and limits: the form of every figure."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
+from matplotlib.lines import Line2D
+from matplotlib.textpath import text_to_path
 from matplotlib.transforms import ScaledTranslation
 
 from protocol.scenario.setup import Setup
 from transport.report.marks import Mark, caption_height_in, draw_marks
-from transport.report.style import COLUMN_IN, shade_phases
+from transport.report.style import COLUMN_IN, SMALL, TEXT, shade_phases
 
 # Margins and gap between panels, inches: fixed, as a layout engine takes as long as drawing.
-_LEFT_IN, _RIGHT_IN, _TOP_IN, _BOTTOM_IN, _GAP_IN = 0.46, 0.08, 0.32, 0.36, 0.2
-_FONT = 7.0
+LEFT_IN, TOP_IN, GAP_IN = 0.46, 0.32, 0.2
+_RIGHT_IN, BOTTOM_IN = 0.08, 0.28
+_LIMIT = "#B2182B"
+
+# Height of a row of a legend, inches; parts of an entry and of the title of a row, in font sizes.
+_ROW_IN = 0.115
+_HANDLE, _PAD, _BETWEEN = 1.6, 0.4, 0.8
 # Most entries of a legend beside a title.
 _MOST = 5
-_LIMIT = "#B2182B"
+
+Rows = Mapping[str, Sequence[Line2D]]
 
 
 def column_panels(
-    figure: Figure, count: int, height_in: float, marks: Sequence[Mark] = (), *, top_in: float = _TOP_IN
+    figure: Figure,
+    heights_in: Sequence[float],
+    marks: Sequence[Mark] = (),
+    *,
+    x_label: str = "time (s)",
+    left_in: float = LEFT_IN,
+    right_in: float = _RIGHT_IN,
+    top_in: float = TOP_IN,
+    gap_in: float = GAP_IN,
+    bottom_in: float = BOTTOM_IN,
 ) -> list[Axes]:
-    """Return stacked panels of an empty figure, which gets its size, with room above and for the caption of marks."""
-    below_in = _BOTTOM_IN + caption_height_in(marks)
-    total_in = top_in + count * height_in + (count - 1) * _GAP_IN + below_in
+    """Return stacked panels of an empty figure, which gets its size, with room above and for the caption of marks.
+
+    Only the lowest panel has numbers and a label below it.
+    """
+    below_in = bottom_in + caption_height_in(marks)
+    total_in = top_in + sum(heights_in) + (len(heights_in) - 1) * gap_in + below_in
+    figure.set_layout_engine("none")
     figure.set_size_inches(COLUMN_IN, total_in)
-    width = 1.0 - (_LEFT_IN + _RIGHT_IN) / COLUMN_IN
+    width = 1.0 - (left_in + right_in) / COLUMN_IN
     panels: list[Axes] = []
-    for row in range(count):
-        bottom_in = below_in + (count - 1 - row) * (height_in + _GAP_IN)
-        panel = figure.add_axes((_LEFT_IN / COLUMN_IN, bottom_in / total_in, width, height_in / total_in))
-        panel.tick_params(labelsize=_FONT, pad=1.5, length=2.0, labelbottom=row == count - 1)
+    upper_in = total_in - top_in
+    for row, height_in in enumerate(heights_in):
+        panel = figure.add_axes((left_in / COLUMN_IN, (upper_in - height_in) / total_in, width, height_in / total_in))
+        panel.tick_params(labelbottom=row == len(heights_in) - 1)
         panel.locator_params(axis="y", nbins=5)
         panels.append(panel)
-    panels[-1].set_xlabel("time (s)", fontsize=_FONT, labelpad=1.0)
+        upper_in -= height_in + gap_in
+    panels[-1].set_xlabel(x_label)
     return panels
 
 
 def head(panel: Axes, title: str, *, legend: bool = True) -> None:
     """Write the title above a panel, and at its right the legend of labelled curves, if it fits."""
     up = ScaledTranslation(0.0, 2.0 / 72.0, panel.figure.dpi_scale_trans)
-    panel.text(0.0, 1.0, title, transform=panel.transAxes + up, ha="left", va="bottom", fontsize=_FONT)
+    panel.text(0.0, 1.0, title, transform=panel.transAxes + up, ha="left", va="bottom", fontsize=TEXT)
     handles, labels = panel.get_legend_handles_labels()
     if legend and 1 < len(handles) <= _MOST:
         panel.legend(
@@ -49,7 +74,6 @@ def head(panel: Axes, title: str, *, legend: bool = True) -> None:
             loc="lower right",
             bbox_to_anchor=(1.0, 1.0),
             ncols=len(handles),
-            fontsize=6.0,
             handlelength=1.0,
             handletextpad=0.3,
             columnspacing=0.7,
@@ -58,9 +82,88 @@ def head(panel: Axes, title: str, *, legend: bool = True) -> None:
         )
 
 
+def legend_height_in(rows: Rows) -> float:
+    """Return the height of a legend, inches."""
+    return _ROW_IN * len(_wrapped(rows)) + 0.04
+
+
+def draw_legend(figure: Figure, rows: Rows, *, top_in: float = 0.02) -> None:
+    """Draw the legend at the top of a figure: rows of labelled handles, each behind its title, in aligned columns.
+
+    A row that is too wide is continued in the next; an empty title takes no room.
+    """
+    width_in, height_in = figure.get_size_inches()
+    titled = any(rows)
+    lines = _wrapped(rows)
+    widths = _widths([handles for _, handles in lines])
+    x = [0.08 + (_title_in(rows) if titled else 0.0)]
+    for entry_in in widths:
+        x.append(x[-1] + entry_in)
+    for number, (title, handles) in enumerate(lines):
+        y_in = height_in - top_in - (number + 0.5) * _ROW_IN
+        figure.text(0.08 / width_in, y_in / height_in, title, fontsize=SMALL, va="center_baseline", weight="bold")
+        for handle, left_in in zip(handles, x, strict=False):
+            _draw_entry(figure, handle, left_in, y_in)
+
+
+def _draw_entry(figure: Figure, handle: Line2D, left_in: float, y_in: float) -> None:
+    """Draw a handle and its label from a place in inches on."""
+    width_in, height_in = figure.get_size_inches()
+    em_in, y = SMALL / 72.0, y_in / height_in
+    ends = [left_in / width_in, (left_in + _HANDLE * em_in) / width_in]
+    style: dict[str, Any] = {name: getattr(handle, f"get_{name}")() for name in ("color", "linewidth")}
+    style |= {"marker": handle.get_marker(), "markersize": handle.get_markersize()}
+    style |= {"markerfacecolor": handle.get_markerfacecolor(), "markeredgewidth": handle.get_markeredgewidth()}
+    if handle.get_linestyle() not in ("None", "none", ""):
+        figure.add_artist(Line2D(ends, [y, y], **style | {"marker": "", "linestyle": handle.get_linestyle()}))
+    figure.add_artist(Line2D([sum(ends) / 2.0], [y], **style | {"linestyle": "none"}))
+    label_in = left_in + (_HANDLE + _PAD) * em_in
+    figure.text(label_in / width_in, y, str(handle.get_label()), fontsize=SMALL, va="center_baseline")
+
+
+def _wrapped(rows: Rows) -> list[tuple[str, list[Line2D]]]:
+    """Return the lines of a legend: title, empty in continued lines, and handles, as many as fit the width."""
+    room_in = COLUMN_IN - 0.1 - _title_in(rows)
+    most = max(len(handles) for handles in rows.values())
+    lines: list[tuple[str, list[Line2D]]] = []
+    for count in range(1, most + 1):  # lines of a row
+        columns = math.ceil(most / count)
+        lines = [
+            (title if first == 0 else "", list(handles[first : first + columns]))
+            for title, handles in rows.items()
+            for first in range(0, max(1, len(handles)), columns)
+        ]
+        if sum(_widths([handles for _, handles in lines])) <= room_in:
+            break
+    return lines
+
+
+def _widths(lines: Sequence[Sequence[Line2D]]) -> list[float]:
+    """Return the widths of the columns of a legend, inches."""
+    em_in = SMALL / 72.0
+    count = max(len(handles) for handles in lines)
+    columns = [[handles[i] for handles in lines if i < len(handles)] for i in range(count)]
+    around_in = (_HANDLE + _PAD + _BETWEEN) * em_in
+    return [around_in + max(text_width_in(str(handle.get_label())) for handle in own) for own in columns]
+
+
+def _title_in(rows: Rows) -> float:
+    """Return the width of the titles of a legend, inches."""
+    if not any(rows):
+        return 0.0
+    return max(text_width_in(title, weight="bold") for title in rows) + SMALL / 72.0
+
+
+def text_width_in(text: str, size: float = SMALL, weight: str = "normal") -> float:
+    """Return the width of a text in print, inches."""
+    font = FontProperties(size=size, weight=weight)
+    width, _, _ = text_to_path.get_text_width_height_descent(text, font, "$" in text)
+    return float(width) / 72.0
+
+
 def finish(figure: Figure, panels: Sequence[Axes], setup: Setup, until_s: float, marks: Sequence[Mark]) -> None:
     """Shade and name the phases, and draw the marks."""
-    shade_phases(setup, list(panels), until_s, above_pt=11.0)
+    shade_phases(setup, list(panels), until_s)
     draw_marks(figure, panels, marks)
 
 

@@ -127,7 +127,7 @@ def doubts(runs: Sequence[Compared]) -> Iterator[str]:
             yield (
                 f"{other.label} follows another maneuver than {first.label}: "
                 "each error is relative to the run's own reference; "
-                "cost, attitude and position errors do not tell which controller is better"
+                "cost, attitude and position errors do not show which controller is better"
             )
         if differs.system != scenario.system:
             yield f"{other.label} has another system than {first.label} (UAVs or payload): costs are not comparable"

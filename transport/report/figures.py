@@ -19,7 +19,7 @@ from transport.report.figures_3d import draw_trajectories
 from transport.report.figures_inputs import draw_inputs
 from transport.report.figures_timing import draw_timing
 from transport.report.marks import marks_of
-from transport.report.style import COMPONENTS, RC, REFERENCE, line_width, save_both, scale_cost, shade_phases
+from transport.report.style import COMPONENTS, RC, REFERENCE, line_width, save_both, scale_cost
 from transport.scene.colours import uav_style
 
 # Names of the figures of a run.
@@ -29,13 +29,6 @@ CROPPED = ("trajectories",)
 # Number of figures that a forked process draws.
 _BESIDE = 2
 
-# Labels of the four panels of the performance figure.
-PERFORMANCE = (
-    "UAV position\nerror, norm (m)",
-    "payload position\nerror (m)",
-    "payload\nattitude (deg)",
-    "stage cost (-)",
-)
 # Shown decades of the cost; below is the rounding error of a hover.
 _COST_DECADES = 5
 # Smallest ranges of the axes, either side of zero; smaller errors are negligible.
@@ -92,8 +85,8 @@ def _draw_performance(figure: Figure, setup: Setup, log: RunLog, series: Series)
     """Draw position errors of UAVs and payload, payload attitude and cost over time."""
     marks = marks_of(setup, log)
     has_cost = bool((series.cost > 0.0).any())
-    panels = column_panels(figure, 3 + has_cost, _HEIGHT_IN, marks)
-    plot_performance(setup, series, panels, shaded=False)
+    panels = column_panels(figure, [_HEIGHT_IN] * (3 + has_cost), marks)
+    _plot_performance(setup, series, panels)
     swing_m = swing_of(setup, series).largest_m
     swing = "" if swing_m is None else f", swing {swing_m:.2f} m"
     if swing_m is not None:
@@ -109,13 +102,10 @@ def _draw_performance(figure: Figure, setup: Setup, log: RunLog, series: Series)
     finish(figure, panels, setup, float(series.times_s[-1]) + setup.settings.sampling_period_s, marks)
 
 
-def plot_performance(setup: Setup, series: Series, panels: list[Axes], *, shaded: bool = True) -> None:
-    """Plot the quantities of `PERFORMANCE` into four panels, or all but the cost into three, without labels."""
-    t, period_s = series.times_s, setup.settings.sampling_period_s
-    if shaded:
-        shade_phases(setup, panels, float(t[-1]) + period_s)
-
-    errors_m = np.linalg.norm(series.uav_errors_I, axis=2)
+def _plot_performance(setup: Setup, series: Series, panels: list[Axes]) -> None:
+    """Plot errors, attitude and cost into four panels, or all but the cost into three, without labels."""
+    t = series.times_s
+    errors_m = np.where(series.on_rods, np.linalg.norm(series.uav_errors_I, axis=2), np.nan)  # released ones have left
     N = setup.system.N
     for i in range(N):
         panels[0].plot(t, errors_m[:, i], label=f"UAV{i + 1}", linewidth=line_width(i, N, 2.6), **uav_style(i))
@@ -129,6 +119,6 @@ def plot_performance(setup: Setup, series: Series, panels: list[Axes], *, shaded
         low, high = panel.get_ylim()
         panel.set_ylim(min(low, -smallest), max(high, smallest))
 
-    if len(panels) > len(PERFORMANCE) - 1:
+    if len(panels) > 3:
         panels[3].plot(t, np.where(series.cost > 0.0, series.cost, np.nan), color="#000000")
         scale_cost(panels[3], float(series.cost.max()), _COST_DECADES)

@@ -1,5 +1,6 @@
 """3D figure of a run: paths of UAVs and payload, and the formation at the ends of the phases."""
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -12,20 +13,30 @@ from model.rotations import rotation
 from model.state import StateView
 from protocol.scenario.setup import Setup
 from transport.analysis.series import Series
-from transport.report.style import PAYLOAD, REFERENCE, WIDTH_IN
+from transport.report.column import draw_legend, legend_height_in
+from transport.report.style import COLUMN_IN, PAYLOAD, REFERENCE
 from transport.scene.colours import uav_style
 
 # Smallest distance between drawn formations, m.
 _APART_M = 0.5
 # Shortest axis of the box in parts of the longest.
 _SLIMMEST = 0.3
+# Largest height of the box; room beside and below it for numbers and labels, inches; most numbers of an axis.
+_TALLEST_IN, _LEFT_IN, _RIGHT_IN, _BELOW_IN = 3.2, 0.15, 0.4, 0.6
+_TICKS = 5
 _UP = np.array([1.0, 1.0, -1.0])  # z points down in the data and up on paper
 
 
 def draw_trajectories(figure: Figure, setup: Setup, series: Series) -> None:
     """Draw the 3D figure, altitude up, into an empty figure; at least one tick."""
-    figure.set_size_inches(WIDTH_IN, 5.6)
-    axes: Any = figure.add_axes((0.0, 0.03, 1.0, 1.0), projection="3d")
+    handles = [Line2D([], [], label=f"UAV{i + 1}", **uav_style(i)) for i in range(setup.system.N)]
+    handles.append(Line2D([], [], color=PAYLOAD, label="payload"))
+    handles.append(Line2D([], [], color=REFERENCE, linestyle="--", label="reference"))
+    rows = {"": handles}
+    above_in = legend_height_in(rows)
+    figure.set_layout_engine("none")
+    figure.set_size_inches(COLUMN_IN, above_in + _TALLEST_IN + _BELOW_IN)
+    axes: Any = figure.add_axes(_square(figure, 1.0, np.zeros(2)), projection="3d", facecolor="none")
     payload_I = StateView(series.x).r0_I
     line(axes, series.payload_reference_I, color=REFERENCE, linewidth=1.0, linestyle="--")
     uavs_I = np.where(series.on_rods[..., None], series.uavs_I, np.nan)  # released ones have left
@@ -35,11 +46,32 @@ def draw_trajectories(figure: Figure, setup: Setup, series: Series) -> None:
     line(axes, payload_I, color=PAYLOAD, linewidth=1.3)
     for k in _rows_to_draw(setup, series):
         _formation(axes, setup, series, k)
-    frame(axes, np.concatenate([series.uavs_I[series.on_rods], payload_I]) * _UP)
-    handles = [Line2D([], [], label=f"UAV{i + 1}", **uav_style(i)) for i in range(setup.system.N)]
-    handles.append(Line2D([], [], color=PAYLOAD, label="payload"))
-    handles.append(Line2D([], [], color=REFERENCE, linestyle="--", label="reference"))
-    axes.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, 0.98), ncols=min(len(handles), 3))
+    frame(axes, np.concatenate([series.uavs_I[series.on_rods], payload_I]) * _UP, ticks=_TICKS)
+    axes.tick_params(pad=-3.0)
+    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+        axis.labelpad = -7.0
+    _fit(figure, axes, above_in)
+    draw_legend(figure, rows)
+
+
+def _fit(figure: Figure, axes: Any, above_in: float) -> None:
+    """Scale and move a 3D drawing so that its box is as large as fits below the legend, between the numbers."""
+    corners = np.array(list(itertools.product(axes.get_xlim(), axes.get_ylim(), axes.get_zlim())))
+    projected = np.column_stack([corners, np.ones(len(corners))]) @ axes.get_proj().T
+    flat = projected[:, :2] / projected[:, 3:]
+    places = axes.transAxes.inverted().transform(axes.transData.transform(flat))
+    low, high = places.min(axis=0), places.max(axis=0)  # shares of the square
+    side_in = float((np.array([COLUMN_IN - _LEFT_IN - _RIGHT_IN, _TALLEST_IN]) / (high - low)).min())
+    middle_in = np.array([(COLUMN_IN + _LEFT_IN - _RIGHT_IN) / 2.0, 0.0])
+    top_in = np.array([0.0, figure.get_figheight() - above_in])
+    corner_in = middle_in + top_in - side_in * np.array([(low + high)[0] / 2.0, high[1]])
+    axes.set_position(_square(figure, side_in, corner_in))
+
+
+def _square(figure: Figure, side_in: float, corner_in: Array) -> tuple[float, float, float, float]:
+    """Return a square as a place in a figure, given its lower left corner, (2,), inches."""
+    width_in, height_in = figure.get_size_inches()
+    return corner_in[0] / width_in, corner_in[1] / height_in, side_in / width_in, side_in / height_in
 
 
 def _rows_to_draw(setup: Setup, series: Series) -> list[int]:
@@ -69,8 +101,8 @@ def _formation(axes: Any, setup: Setup, series: Series, k: int) -> None:
     axes.plot(*(view.r0_I * _UP), marker="s", markersize=4.0, color=PAYLOAD)
 
 
-def frame(axes: Any, points: Array, *, zoom: float = 0.95) -> None:
-    """Set equal scales on all axes, around the points with a margin."""
+def frame(axes: Any, points: Array, *, zoom: float = 0.95, ticks: int = 8) -> None:
+    """Set equal scales on all axes, around the points with a margin, with so many numbers at most."""
     low, high = points.min(axis=0), points.max(axis=0)
     margin = 0.05 * float((high - low).max()) + 0.1
     low, high = low - margin, high + margin
@@ -82,11 +114,12 @@ def frame(axes: Any, points: Array, *, zoom: float = 0.95) -> None:
     axes.set_ylim(high[1], low[1])
     axes.set_zlim(low[2], high[2])
     axes.set_box_aspect(high - low, zoom=zoom)
-    # The same spacing of ticks on all axes, half of it on short ones, shows that scales are equal.
-    ticks = MaxNLocator(nbins=8, steps=[1, 2, 5, 10]).tick_values(0.0, float((high - low).max()))
-    spacing = float(ticks[1] - ticks[0])
+    # The same spacing of ticks on all axes, a half or quarter of it on short ones, shows that scales are equal.
+    values = MaxNLocator(nbins=ticks, steps=[1, 2, 5, 10]).tick_values(0.0, float((high - low).max()))
+    spacing = float(values[1] - values[0])
     for axis, length in zip((axes.xaxis, axes.yaxis, axes.zaxis), high - low, strict=True):
-        axis.set_major_locator(MultipleLocator(spacing if length > 2.0 * spacing else spacing / 2.0))
+        parts = 1.0 if length > 3.0 * spacing else 2.0 if length > spacing else 4.0
+        axis.set_major_locator(MultipleLocator(spacing / parts))
     axes.set_xlabel("x (m)")
     axes.set_ylabel("y (m)")
     axes.set_zlabel("altitude, -z (m)", labelpad=10.0)

@@ -26,7 +26,7 @@ def draw_inputs(figure: Figure, setup: Setup, log: RunLog, series: Series) -> No
     until_s = float(t[-1]) + setup.settings.sampling_period_s
     ages = _oldest_plans_s(setup, log)
     separated = bool(np.isfinite(series.separation_m).any())
-    panels = column_panels(figure, INPUTS + separated + bool(ages), _HEIGHT_IN, marks)
+    panels = column_panels(figure, [_HEIGHT_IN] * (INPUTS + separated + bool(ages)), marks)
     bounds = setup.settings.limits
     lower, upper = bounds.lower(1), bounds.upper(1)
     N = setup.system.N
@@ -61,7 +61,7 @@ def draw_inputs(figure: Figure, setup: Setup, log: RunLog, series: Series) -> No
                 linewidth=line_width(k, len(ages), 1.8),
                 **style,
             )
-        panels[place].set_ylim(bottom=0.0)
+        panels[place].set_ylim(0.0, 1.1 * max(float(np.nanmax(values_s)) for _, values_s in ages.values()) or 1.0)
         head(panels[place], "oldest plan used (s)")
     finish(figure, panels, setup, until_s, marks)
 

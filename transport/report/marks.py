@@ -1,6 +1,5 @@
 """Marks of a run in its figures: faults, returns and changes of links, as numbered vertical lines with a caption."""
 
-import json
 import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -9,17 +8,15 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from protocol.scenario.link_words import change_in_words, words_of
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import FaultNote, LinkChange, Roster
 from transport.log.run_log import RunLog
 
 _FAULT, _LINK = "#B2182B", "#E69F00"
-_FONT, _LINE_IN = 6.0, 0.105
+_FONT, _LINE_IN, _APART_IN = 6.0, 0.105, 0.06
 # Characters in a line of the caption; most marks in it; marks nearer than this share of the axis have one label.
 _WRAP, _MOST, _NEAR = 72, 12, 0.035
-
-# Words for the keys of a link, and units.
-_WORDS = {"delay_s": ("delay", "s"), "jitter_s": ("jitter", "s"), "loss": ("loss", "")}
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,8 +41,8 @@ def caption_of(marks: Sequence[Mark]) -> list[str]:
 
 
 def caption_height_in(marks: Sequence[Mark]) -> float:
-    """Return the height of the caption, inches."""
-    return _LINE_IN * len(caption_of(marks))
+    """Return the height of the caption with its distance from the figure, inches."""
+    return _LINE_IN * len(caption_of(marks)) + (_APART_IN if marks else 0.0)
 
 
 def draw_marks(figure: Figure, panels: Sequence[Axes], marks: Sequence[Mark]) -> None:
@@ -81,8 +78,7 @@ def _marks(setup: Setup, log: RunLog) -> Iterator[Mark]:
     period_s, links = setup.settings.sampling_period_s, setup.scenario.links
     end_s = (setup.ticks if log.messages else 0) * period_s
     for change in links.change:
-        settings = change.model_dump(exclude_unset=True, exclude={"at_s", "from_", "to"})
-        yield Mark(change.at_s, _words(change.from_ or "", change.to or "", settings), True)
+        yield Mark(change.at_s, change_in_words(change.from_ or "", change.to or "", change.settings()), True)
     for partition in links.partition:
         names = ", ".join(partition.between)
         yield Mark(partition.start_s, f"{names} cut off", True)
@@ -95,26 +91,7 @@ def _marks(setup: Setup, log: RunLog) -> Iterator[Mark]:
             yield Mark(message.tick * period_s, f"{message.target} {message.what}", False)
         elif isinstance(message, LinkChange) and message.number not in numbers:
             numbers.add(message.number)  # repeated for an agent that joins late
-            yield Mark(message.tick * period_s, _words(message.source, message.target, _json(message.settings)), True)
+            yield Mark(message.tick * period_s, words_of(message), True)
         elif isinstance(message, Roster) and message.off != off:
             off = message.off
             yield Mark(message.tick * period_s, message.reason.partition(" at t =")[0], False)
-
-
-def _json(text: str) -> dict[str, Any]:
-    try:
-        found = json.loads(text)
-    except ValueError:
-        return {}
-    return found if isinstance(found, dict) else {}
-
-
-def _words(source: str, target: str, settings: dict[str, Any]) -> str:
-    """Return a change of links in words."""
-    ends = "links" if not source and not target else f"link {source or 'any'} to {target or 'any'}"
-    simple = {key: value for key, value in settings.items() if key in _WORDS}
-    if not any(simple.values()) and len(settings) >= len(_WORDS):
-        return f"{ends} perfect"
-    texts = [f"{_WORDS[key][0]} {value:g} {_WORDS[key][1]}".strip() for key, value in simple.items()]
-    texts += [key for key in settings if key not in _WORDS][:2] if len(settings) <= len(_WORDS) else []
-    return f"{ends}: {', '.join(texts)}"

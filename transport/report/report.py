@@ -70,6 +70,14 @@ def summary_table(summary: Mapping[str, Any]) -> Table:
     table.add_column()
     for name, text in _lines(summary):
         table.add_row(name, Text(text))
+    for i, (time_s, text) in enumerate(_faults(summary)):
+        entry = Table.grid(padding=(0, 2))  # a long text goes on below its beginning
+        entry.add_column(no_wrap=True)
+        entry.add_column()
+        entry.add_row(time_s, Text(text))
+        table.add_row("" if i else "faults", entry)
+    if summary["log_cut"]:
+        table.add_row("log", Text(summary["log_cut"]))
     return table
 
 
@@ -99,8 +107,8 @@ def _lines(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         ),
         (
             "controller",
-            f"{controller['agents']} agent{'s' * (controller['agents'] != 1)}, every "
-            f"{1e3 * controller['sampling_period_s']:g} ms over {controller['horizon']} steps, "
+            f"{controller['agents']} agent{'s' * (controller['agents'] != 1)} every "
+            f"{1e3 * controller['sampling_period_s']:g} ms, {controller['horizon']} steps, "
             f"{controller['prediction'].replace('_', ' ')}, relaxation {controller['relaxation']:g}",
         ),
         ("cost", f"mean {_text(cost['mean'], '.3g')}, max {_text(cost['max'], '.3g')}"),
@@ -119,15 +127,15 @@ def _lines(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     ]
     if summary["rejections"]:
         lines.append(("rejected", _rejected(summary["messages"]["rejected"], summary["rejections"])))
-    # The reason of a failed run is in the title.
-    faults = [fault for fault in summary["faults"] if fault["what"] != summary["reason"]]
-    for i, fault in enumerate(faults[:_SHOWN_FAULTS]):
-        lines.append(("faults" if i == 0 else "", f"{fault['time_s']:6.2f} s  {fault['what']}"))
-    if len(faults) > _SHOWN_FAULTS:
-        lines.append(("", f"and {len(faults) - _SHOWN_FAULTS} more in summary.json"))
-    if summary["log_cut"]:
-        lines.append(("log", summary["log_cut"]))
     return lines
+
+
+def _faults(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return time and text of the first faults; the reason of a failed run is in the title."""
+    faults = [fault for fault in summary["faults"] if fault["what"] != summary["reason"]]
+    shown = [(f"{fault['time_s']:6.2f} s", str(fault["what"])) for fault in faults[:_SHOWN_FAULTS]]
+    more = len(faults) - _SHOWN_FAULTS
+    return [*shown, (" " * 8, f"and {more} more in summary.json")] if more > 0 else shown
 
 
 def _error(tracking: Mapping[str, Any]) -> str:

@@ -8,25 +8,36 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullLocator
-from matplotlib.transforms import ScaledTranslation
+from matplotlib.transforms import Bbox, ScaledTranslation
 
 from protocol.scenario.setup import Setup
 
-# Width of figures with a legend at their side, and of a paper's column (8.5 cm), inches.
-WIDTH_IN, COLUMN_IN = 5.2, 3.35
-DPI = 150
-# Resolution of a figure as wide as a column.
-COLUMN_DPI = 240
+# Width of every figure: a column of a paper (8.5 cm), inches.
+COLUMN_IN = 3.35
+# Sizes of text in print, points: titles and labels, numbers at axes and legends.
+TEXT, SMALL = 7.0, 6.0
+DPI = 240
 
 RC: Any = {  # the type depends on the version of matplotlib
-    "font.size": 9.0,
-    "axes.labelsize": 9.0,
-    "axes.titlesize": 9.0,
-    "xtick.labelsize": 8.0,
-    "ytick.labelsize": 8.0,
-    "legend.fontsize": 8.0,
+    "font.size": TEXT,
+    "axes.labelsize": TEXT,
+    "axes.titlesize": TEXT,
+    "axes.labelpad": 1.5,
+    "axes.linewidth": 0.6,
+    "xtick.labelsize": SMALL,
+    "ytick.labelsize": SMALL,
+    "xtick.major.size": 2.0,
+    "ytick.major.size": 2.0,
+    "xtick.minor.size": 1.2,
+    "ytick.minor.size": 1.2,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.minor.width": 0.4,
+    "ytick.minor.width": 0.4,
+    "xtick.major.pad": 1.5,
+    "ytick.major.pad": 1.5,
+    "legend.fontsize": SMALL,
     "legend.frameon": False,
-    "legend.handlelength": 1.6,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
@@ -39,24 +50,32 @@ RC: Any = {  # the type depends on the version of matplotlib
     "svg.hashsalt": "transport",  # otherwise names inside an SVG are random
 }
 
-# Colours of components (x, y, z; roll, pitch, yaw), different from those of UAVs.
-COMPONENTS = ("#000000", "#E69F00", "#56B4E9")
+# Colours of components (x, y, z; roll, pitch, yaw), different from those of UAVs, and in grey from each other.
+COMPONENTS = ("#000000", "#E69F00", "#7B52AB")
 PAYLOAD = "#000000"
 REFERENCE = "#8c8c8c"
 _BAND = "#f1f1f1"
 
-# Colour (Okabe and Ito 2008), marker and line style of each curve.
+# Colour, marker and line style of each curve. Colours differ for colour-blind readers (after Okabe and Ito 2008) and in
+# grey: lightness L* 29, 54, 70, 0, 61.
 CURVES = (
-    ("#0072B2", "o", "-"),
+    ("#004488", "o", "-"),
     ("#D55E00", "s", "--"),
-    ("#009E73", "^", "-."),
-    ("#CC79A7", "D", ":"),
-    ("#000000", "v", "-"),
+    ("#56B4E9", "^", "-."),
+    ("#000000", "D", ":"),
+    ("#CC79A7", "v", "-"),
 )
+MARKER = 3.2  # size, points
+# Marker of a diverged run, in every figure: hollow.
+DIVERGED: Any = {"markerfacecolor": "#ffffff", "linestyle": "none"}
 
 _THINNEST = 1.0
-# Smallest share of the time axis at which a phase is named.
-_NARROW = 0.08
+# Margin around a cropped drawing, inches.
+_MARGIN_IN = 0.03
+# Width of a letter, in font sizes.
+_LETTER = 0.62
+# Fewest letters of a name.
+_SHORTEST = 4
 
 
 def line_width(i: int, count: int, widest: float) -> float:
@@ -65,9 +84,9 @@ def line_width(i: int, count: int, widest: float) -> float:
 
 
 def shade_phases(
-    setup: Setup, panels: list[Axes], until_s: float, *, named: bool = True, above_pt: float = 2.0
+    setup: Setup, panels: list[Axes], until_s: float, *, named: bool = True, above_pt: float = 11.0
 ) -> None:
-    """Shade every other phase of the maneuver in stacked panels and name them above the first.
+    """Shade every other phase of the maneuver in stacked panels and name those with room above the first.
 
     Args:
         setup: The run.
@@ -78,11 +97,7 @@ def shade_phases(
     """
     begin = 0.0
     up = ScaledTranslation(0.0, above_pt / 72.0, panels[0].figure.dpi_scale_trans)
-    # A letter is about 0.6 of its font size wide; neighbouring names must not touch.
     points_per_s = 72.0 * panels[0].get_window_extent().width / panels[0].figure.dpi / until_s
-    wide = [phase for phase in setup.maneuver.phases if phase.duration_s > _NARROW * until_s]
-    fitting = (points_per_s * phase.duration_s / (0.62 * len(phase.name)) for phase in wide)
-    size = min([8.0, *fitting])
     for number, phase in enumerate(setup.maneuver.phases):
         end = min(begin + phase.duration_s, until_s)
         if end <= begin:
@@ -90,16 +105,19 @@ def shade_phases(
         if number % 2:
             for axes in panels:
                 axes.axvspan(begin, end, color=_BAND, linewidth=0, zorder=0)
-        if named and end - begin > _NARROW * until_s:
+        # Neighbouring names must not touch: a long one is cut, one without room left out.
+        room = int(points_per_s * (end - begin) / (_LETTER * SMALL))
+        name = phase.name if len(phase.name) <= room else f"{phase.name[: room - 1].rstrip()}…"
+        if named and room >= min(_SHORTEST, len(phase.name)):
             panels[0].text(
                 (begin + end) / 2.0,
                 1.0,
-                phase.name,
+                name,
                 transform=panels[0].get_xaxis_transform() + up,
                 ha="center",
                 va="bottom",
                 color="#555555",
-                fontsize=size,
+                fontsize=SMALL,
             )
         begin += phase.duration_s
     for axes in panels:
@@ -120,26 +138,31 @@ def scale_cost(axes: Axes, top: float, decades: int) -> None:
         axes.set_ylim(top * 10.0**-decades, top * 2.0)
 
 
-def save(figure: Figure, path: Path, *, cropped: bool = False) -> Path:
-    """Write a figure as PNG, SVG or PDF, without program and date, so that equal runs give equal files."""
+def drawing_box(figure: Figure) -> Bbox:
+    """Return the whole width of a figure and the height of its drawing, with a margin, inches."""
+    figure.draw_without_rendering()
+    drawn = figure.get_tightbbox()
+    return Bbox.from_extents(0.0, drawn.y0 - _MARGIN_IN, figure.get_figwidth(), drawn.y1 + _MARGIN_IN)
+
+
+def save(figure: Figure, path: Path, *, box: Bbox | None = None) -> Path:
+    """Write a figure, or a part of it in inches, as PNG, SVG or PDF; equal figures give equal files.
+
+    The files are without program and date.
+    """
     unnamed: dict[str, dict[str, None]] = {
         ".svg": {"Date": None, "Creator": None},
         ".pdf": {"CreationDate": None, "Creator": None, "Producer": None},
         ".png": {"Software": None},
     }
-    dpi = COLUMN_DPI if figure.get_figwidth() <= COLUMN_IN else "figure"
-    figure.savefig(
-        path, metadata=unnamed[path.suffix], bbox_inches="tight" if cropped else None, pad_inches=0.05, dpi=dpi
-    )
+    figure.savefig(path, metadata=unnamed[path.suffix], bbox_inches=box, dpi=DPI)
     return path
 
 
 def save_both(figure: Figure, path: Path, *, cropped: bool = False, pdf: bool = False) -> Path:
-    """Write a figure as PNG and as SVG, with `pdf` as PDF too, laid out once; return the PNG file."""
-    if figure.get_layout_engine() is not None:
-        figure.draw_without_rendering()
-        figure.set_layout_engine("none")  # otherwise each file would be laid out anew, in as much time as it is drawn
+    """Write a figure as PNG and as SVG, with `pdf` as PDF too, perhaps cropped to its drawing; return the PNG file."""
+    box = drawing_box(figure) if cropped else None
     if pdf:
-        save(figure, path.with_suffix(".pdf"), cropped=cropped)
-    save(figure, path.with_suffix(".svg"), cropped=cropped)
-    return save(figure, path, cropped=cropped)
+        save(figure, path.with_suffix(".pdf"), box=box)
+    save(figure, path.with_suffix(".svg"), box=box)
+    return save(figure, path, box=box)

@@ -2,8 +2,9 @@
 
 from typing import Any
 
-# Okabe and Ito (2008). Beyond five UAVs the colours repeat with another line style.
-UAV_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#7F5F00")
+# For colour-blind readers (after Okabe and Ito 2008), with different lightness for print in grey. Beyond five UAVs the
+# colours repeat with another line style.
+UAV_COLOURS = ("#004488", "#C24E00", "#009E73", "#E08BBC", "#7F5F00")
 _LINE_STYLES = ("-", "--", ":", "-.")
 
 

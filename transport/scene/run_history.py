@@ -4,6 +4,7 @@ from bisect import bisect_right
 from collections.abc import Iterable
 from typing import TypeVar
 
+from protocol.scenario.link_words import words_of
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Control, FaultNote, LinkChange, Message, Plan, PlantState, Roster, StepReport
 from transport.log.tail import Unread
@@ -54,8 +55,7 @@ class RunHistory:
                     self._reports[message.agent, message.tick] = message
                 case LinkChange() if message.number == len(self.changes) + 1:
                     self.changes.append(message)
-                    source, target = message.source or "any agent", message.target or "any agent"
-                    self.events.append((message.tick, f"links from {source} to {target}: {message.settings}"))
+                    self.events.append((message.tick, words_of(message)))
                 case Roster():
                     self._rosters.append((message.tick, message))
                     if message.version > 1 and not message.reason.startswith("links "):

@@ -8,9 +8,9 @@ from model.arrays import Array
 from model.rotations import rotation
 from model.shape import payload_corners
 from model.state import INPUTS, StateView
-from mpc.cost import Cost
 from plant.schedule import FAIL_SAFE
 from protocol.scenario.setup import Setup
+from protocol.scenario.stage_cost import StageCost
 from protocol.wire.messages import StepReport
 from transport.log.run_log import LogError, RunLog
 from transport.scene.link_history import LinkHistory, LinkState
@@ -108,7 +108,7 @@ class SceneBuilder:
         self.link_history = LinkHistory(setup)
         self.start_I = setup.reference.outputs(np.zeros(1))[0, : 3 * setup.system.N].reshape(-1, 3)
         self.hover_N = float(np.mean(setup.hover.u[::INPUTS]))
-        self._cost = Cost(setup.settings.weights, setup.hover)
+        self._cost = StageCost(setup)
         self._predictor: Predictor | None = None
         self._applied_changes = 0
         self._positions: dict[int, Array] = {}
@@ -157,7 +157,7 @@ class SceneBuilder:
                 AgentState(agent=agent, takes_part=agent in members, report=report)
                 for agent, report in zip(setup.agents, reports, strict=True)
             ),
-            cost=self._cost.stage(y, y_ref, plant_state.u),
+            cost=self._cost.at(tick, y, y_ref, plant_state.u),
             attitude_deg=np.degrees(view.Theta0),
             fail_safe=tuple(i + 1 for i, source in enumerate(plant_state.plan_ticks) if source == FAIL_SAFE),
             released=self.history.released(tick),
@@ -169,7 +169,7 @@ class SceneBuilder:
         time_s = np.array([tick * setup.settings.sampling_period_s])
         y, y_ref = setup.model.outputs(plant_state.x), setup.reference.outputs(time_s)[0]
         error_I = StateView(plant_state.x).r0_I - setup.maneuver.path(time_s)[0][0]
-        return float(np.linalg.norm(error_I)), self._cost.stage(y, y_ref, plant_state.u)
+        return float(np.linalg.norm(error_I)), self._cost.at(tick, y, y_ref, plant_state.u)
 
     def _contacts(self, r0_I: Array, R_payload: Array) -> Array:
         """Return the corners of the payload's box on the ground, (k, 3), m; none without a ground."""

@@ -6,10 +6,11 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from protocol.scenario.link_words import PERFECT
 from protocol.wire.messages import agent_name
 from protocol.wire.names import COORDINATOR, PLANT, RECORDER
 from transport.flight.live import LiveRun
-from transport.flight.requests import PERFECT, RefusedError, UnansweredError, request
+from transport.flight.requests import RefusedError, UnansweredError, request
 
 
 class Commands:

@@ -24,7 +24,7 @@ class ViewerError(TransportError, RuntimeError):
 def require_viser() -> None:
     """Raise ViewerError if viser is not installed."""
     if find_spec("viser") is None:
-        raise ViewerError("viser is not installed; pip install 'payload-transport[view]' brings it")
+        raise ViewerError("viser is not installed: pip install 'payload-transport[view]'")
 
 
 def start_server(host: str, port: int) -> "viser.ViserServer":
@@ -38,6 +38,11 @@ def start_server(host: str, port: int) -> "viser.ViserServer":
     _check_port(host, port)
     with redirect_stdout(io.StringIO()):  # viser prints its address to stdout, which is for results
         return viser.ViserServer(host=host, port=port, verbose=False)
+
+
+def told_port(requested: int, got: int) -> str:
+    """Return a sentence that the server listens on another port than the requested one; empty if it does not."""
+    return "" if requested in (0, got) else f"port {requested} is taken; the viewer listens on port {got}"
 
 
 def _check_port(host: str, port: int) -> None:

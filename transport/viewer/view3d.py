@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 # Layers that can be shown and hidden, and whether they are shown at first.
 LAYERS: Mapping[str, bool] = {
     "predictions": True,
-    "flown paths": True,
+    "actual paths": True,
     "reference": True,
     "links": True,
     "thrust": True,
@@ -115,7 +115,7 @@ class View3D:
         self._shown[name] = shown
         nodes: Mapping[str, list[Any]] = {
             "predictions": [self._uav_predictions, self._payload_predictions],
-            "flown paths": [self._paths],
+            "actual paths": [self._paths],
             "reference": [*self._references, self._goal],
             "links": [self._links],
             "thrust": [self._thrust],
@@ -156,7 +156,7 @@ class View3D:
             _set_lines(self._links, pieces, colours)
         if self._shown["predictions"]:
             self._show_predictions(scene)
-        if self._shown["flown paths"]:
+        if self._shown["actual paths"]:
             _set_paths(self._paths, self._flown_paths(scene))
 
     def look_at(self, scene: Scene | None) -> None:

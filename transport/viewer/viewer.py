@@ -22,7 +22,7 @@ from transport.scene.scene import Scene, SceneBuilder
 from transport.viewer.commands import Commands
 from transport.viewer.panel import Panel
 from transport.viewer.playback import Playback
-from transport.viewer.server import start_server
+from transport.viewer.server import start_server, told_port
 from transport.viewer.view3d import View3D
 
 LOG = "run.mcap"
@@ -48,6 +48,7 @@ class Viewer:
         shown: The scene in the current frame.
         notice: The sentence on top of the panel.
         address: URL for browsers.
+        other_port: Sentence that the port is another than the requested one; empty if it is not.
 
     Raises: ViewerError: viser is not installed, or no port is free.
     """
@@ -66,6 +67,7 @@ class Viewer:
         self.shown: Scene | None = None
         self._server = start_server(host, port)
         self.address = f"http://{host}:{self._server.get_port()}"
+        self.other_port = told_port(port, self._server.get_port())
         self.playback = Playback(builder.setup.settings.sampling_period_s, follows=live is not None)
         self.view3d = View3D(self._server, builder)
         commands = None if live is None else Commands(live, self._show_result)

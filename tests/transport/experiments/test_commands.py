@@ -42,7 +42,7 @@ REFUSED = [
         SCENARIO,
         "clock.mode: expected lockstep, got realtime",
     ),
-    (("latency", "--processes", "--jobs", "2"), USAGE, "--processes: expected no other of --processes, --dask, --jobs"),
+    (("latency", "--processes", "--jobs", "2"), USAGE, "--processes: expected only one of --processes, --dask, --jobs"),
     (("latency", "--dask", "nowhere"), USAGE, "--dask: expected an address such as tcp://host:8786, got 'nowhere'"),
 ]
 

@@ -6,16 +6,20 @@ from pathlib import Path
 
 import matplotlib as mpl
 import pytest
+from matplotlib.figure import Figure
 from rich.console import Console
 
-from transport.experiments import agent_failures, network_sweeps
+from protocol.scenario.file import find_scenario, read_scenario
+from tests.support.figure_texts import problems
+from transport.experiments import ablation, agent_failures, network_sweeps
 from transport.experiments.cases import Point
 from transport.experiments.conclusions import conclusions
 from transport.experiments.experiment import Experiment
-from transport.experiments.figures import draw
+from transport.experiments.figures import draw, fill
 from transport.experiments.simulation import ERROR, NUMBERS, Result
 from transport.experiments.statistics import PointStatistics, statistics_of
-from transport.experiments.table import WIDTH, table_of
+from transport.experiments.table import WIDTH, WIDTH_OF_VARIANTS, table_of
+from transport.report.style import COLUMN_IN, RC, SMALL
 
 BOTH = ["paper", "resilient"]
 LATENCY = network_sweeps.latency(BOTH, [0.1, 0.4])
@@ -24,6 +28,9 @@ EVERY = (
     network_sweeps.loss(BOTH, [0.1, 0.3, 0.6], 5.0),
     network_sweeps.jitter(BOTH, list(network_sweeps.JITTER), [0.02, 0.05], 0.16),
     agent_failures.kill({"paper": 4, "resilient": 4}, 8.0, 10.0),
+    agent_failures.deaths({"resilient": read_scenario(find_scenario("resilient"))}, 20, 0),
+    network_sweeps.sharing(["resilient"], [0.002, 0.01, 0.05], 1.0),
+    ablation.ablation({name: read_scenario(find_scenario(name)) for name in BOTH}),
     network_sweeps.matrix(BOTH, [0.1, 0.2], [0.1, 0.3]),
 )
 
@@ -112,16 +119,23 @@ MIXES: dict[str, Callable[[Point], list[Result]]] = {
     ids=lambda value: value if isinstance(value, str) else value.name,
 )
 def test_anything_can_be_reported(experiment: Experiment, mix: str, tmp_path: Path) -> None:
-    """Every mix of outcomes gives a figure, and a table that fits its width."""
+    """Every mix of outcomes gives a table that fits its width, and a figure whose texts are large and apart."""
     measured = made(experiment, MIXES[mix])
+    figure = Figure()
+    with mpl.rc_context(RC):
+        fill(figure, experiment, measured)
+        assert problems(figure, SMALL) == []
+    assert figure.get_figwidth() == COLUMN_IN
+    assert all(axes.lines or axes.patches or axes.collections for axes in figure.axes)
     first = [path.read_bytes() for path in draw(experiment, measured, tmp_path)]
     assert first[0].startswith(b"\x89PNG\r\n\x1a\n")
     assert b"<svg" in first[1]
-    console = Console(width=WIDTH, record=True, file=io.StringIO())
+    width = WIDTH_OF_VARIANTS if experiment.drawn_as == "variants" else WIDTH
+    console = Console(width=width, record=True, file=io.StringIO())
     console.print(table_of(experiment.name, measured))
     text = console.export_text()
     assert "…" not in text
-    assert max(len(line.rstrip()) for line in text.splitlines()) <= WIDTH
+    assert max(len(line.rstrip()) for line in text.splitlines()) <= width
 
 
 def test_figures_are_reproducible(tmp_path: Path) -> None:

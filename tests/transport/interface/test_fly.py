@@ -63,6 +63,7 @@ def test_it_is_the_run_of_the_command_line(run: transport.Run) -> None:
     assert [state.x.tobytes() for state in states] == [m.x.tobytes() for m in expected if isinstance(m, PlantState)]
 
 
+@pytest.mark.slow
 def test_a_saved_run_is_the_same_run(run: transport.Run, tmp_path: Path) -> None:
     """A run folder holds what the run held: messages, series, summary; figures are files with the same pixels."""
     folder = run.save(tmp_path / "run")
@@ -151,6 +152,7 @@ def test_a_run_that_diverges_is_a_run() -> None:
     assert found.summary["reason"]
 
 
+@pytest.mark.slow
 def test_nothing_is_printed_to_standard_output(tmp_path: Path) -> None:
     """Standard output is the user's; progress goes to standard error, and can be silent."""
     out, err = io.StringIO(), io.StringIO()
@@ -172,6 +174,7 @@ def test_an_existing_folder_is_refused_before_the_run(tmp_path: Path) -> None:
         transport.fly("paper", folder=tmp_path)
 
 
+@pytest.mark.slow
 def test_a_log_that_goes_on_elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A run whose folder was removed is that of the folder in which its log went on."""
     second = short().save(tmp_path / "second", figures=False)

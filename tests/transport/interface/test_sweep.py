@@ -53,6 +53,7 @@ def test_a_point_is_the_run_of_fly(table: transport.Sweep) -> None:
     assert row["attitude_max_deg"] == alone.summary["attitude_max_deg"]
 
 
+@pytest.mark.slow
 def test_workers_do_not_change_results(table: transport.Sweep, tmp_path: Path) -> None:
     """Two processes give the bits of one; a folder has tables and figure, and is resumed without a run."""
     folder = tmp_path / "sweep"
@@ -69,10 +70,11 @@ def test_workers_do_not_change_results(table: transport.Sweep, tmp_path: Path) -
 def test_figures(table: transport.Sweep) -> None:
     """Curves over any setting, one for each value of the others; a map of two."""
     first = table.plot()
-    assert first.axes[-1].get_xlabel() == "links.delay_s"
-    assert [text.get_text() for text in first.legends[0].get_texts()] == ["loss 0", "loss 0.3"]
-    assert table.plot("loss").axes[-1].get_xlabel() == "loss"
-    assert table.plot(kind="map").axes[0].get_ylabel() == "loss"
+    assert first.axes[-1].get_xlabel() == "delay of plans (ms)"
+    assert [label.get_text() for label in first.axes[-1].get_xticklabels()] == ["0", "100"]
+    assert [text.get_text() for text in first.texts] == ["mine", "loss of plans 0 %", "loss of plans 30 %"]
+    assert table.plot("loss").axes[-1].get_xlabel() == "loss of plans (%)"
+    assert table.plot(kind="map").axes[0].get_ylabel() == "loss of plans (%)"
     for arguments, text in (
         (("delay",), "x: expected one of links.delay_s, loss, got 'delay'"),
         ((None, "pie"), "kind: expected 'curves' or 'map', got 'pie'"),

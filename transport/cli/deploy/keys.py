@@ -19,7 +19,7 @@ def keys(
     out: Annotated[Path, Option("--out", metavar="FOLDER", help="Folder of the keys; existing keys are kept.")],
     scenario: ScenarioOption = "paper",
     hosts: Annotated[
-        Path | None, Option("--hosts", metavar="FILE", help="Inventory of hosts (docs/deploy.md); else this host.")
+        Path | None, Option("--hosts", metavar="FILE", help="Inventory of hosts (docs/deploy.md); default: this host.")
     ] = None,
     passwords: Annotated[bool, Option("--passwords", help="Passwords, for a router, instead of TLS.")] = False,
     days: Annotated[

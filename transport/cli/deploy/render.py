@@ -8,7 +8,7 @@ from typer import Option
 
 from protocol.wire.exit_codes import EXIT_USAGE
 from transport.cli.deploy.inventory import inventory_of, optional_packages
-from transport.cli.options import FormatOption, ScenarioOption, SetOption
+from transport.cli.options import FormatOption, LargeOption, ScenarioOption, SetOption
 from transport.cli.output import Format, exit_on, fail, show_json
 from transport.cli.scenario_setup import read_setup
 
@@ -23,13 +23,14 @@ def render(
     keys: Annotated[
         Path | None, Option("--keys", metavar="FOLDER", help="Folder of keys (transport deploy keys).")
     ] = None,
+    large: LargeOption = False,
     output: FormatOption = Format.text,
 ) -> None:
     """Write one deployment folder per host.
 
     Example: transport deploy render --hosts hosts.toml --keys keys --out deployment
     """
-    setup = read_setup(scenario, settings)
+    setup = read_setup(scenario, settings, allow_large=large)
     inventory = inventory_of(hosts, setup)
     with optional_packages():
         from deploy.keys import KeysError

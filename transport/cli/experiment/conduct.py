@@ -177,6 +177,6 @@ def _check(options: SweepOptions) -> None:
     given = {"--processes": options.processes, "--dask": options.dask is not None, "--jobs": options.jobs is not None}
     chosen = [name for name, is_given in given.items() if is_given]
     if len(chosen) > 1:
-        raise refused(chosen[0], "no other of --processes, --dask, --jobs", f"{chosen[1]} as well")
+        raise refused(chosen[0], "only one of --processes, --dask, --jobs", f"also {chosen[1]}")
     if options.dask is not None:
         check_cluster(options.dask)

@@ -13,7 +13,7 @@ from transport.experiments.experiment import Experiment
 @sweep_command()
 def kill(
     options: SweepOptions,
-    at: Annotated[float | None, Option("--at", metavar="SECONDS", help="Time of the death, s; by default 8.")] = None,
+    at: Annotated[float | None, Option("--at", metavar="SECONDS", help="Time of the kill, s; by default 8.")] = None,
     restart: Annotated[
         float | None, Option("--restart", metavar="SECONDS", help="Time of the restart, s; by default 10.")
     ] = None,

@@ -73,7 +73,9 @@ class SweepOptions(ExperimentOptions):
 
     scenarios: Annotated[list[str] | None, Option("--scenario", metavar="SCENARIO", help=_SCENARIO)] = None
     dask: Annotated[str | None, Option("--dask", metavar="ADDRESS", help="Dask cluster, e.g. tcp://host:8786.")] = None
-    processes: Annotated[bool, Option("--processes", help="Record each as `transport run` does, one by one.")] = False
+    processes: Annotated[
+        bool, Option("--processes", help="Run each case with processes and a run folder, one at a time.")
+    ] = False
     default_scenarios: tuple[str, ...] = ("paper", "resilient")
 
     @property

@@ -65,7 +65,7 @@ def _export_tables(path: Path | None, out: Path, kinds: list[str], *, parquet: b
         try:
             import pyarrow.parquet  # noqa: F401 - before the log is read, which may take minutes
         except ImportError:
-            fail("--parquet: needs pyarrow; pip install 'payload-transport[parquet]', or take --csv", EXIT_USAGE)
+            fail("--parquet: needs pyarrow; pip install 'payload-transport[parquet]', or use --csv", EXIT_USAGE)
     file = open_or_fail(path)
     period_s = None if file.setup is None else file.setup.settings.sampling_period_s
     written: list[dict[str, Any]] = []

@@ -31,7 +31,7 @@ def info(path: LogArgument = None, output: FormatOption = Format.text) -> None:
 
 
 def _summary(content: dict[str, Any]) -> Table:
-    whole = Text("whole", "bold green") if content["complete"] else Text("not whole", "bold red")
+    whole = Text("complete", "bold green") if content["complete"] else Text("incomplete", "bold red")
     table = Table(box=None, show_header=False, title=Text.assemble((content["file"], "bold"), " ", whole))
     table.title_justify = "left"
     table.add_column(style="cyan", no_wrap=True)

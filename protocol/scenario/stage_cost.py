@@ -1,0 +1,56 @@
+"""Stage cost of a run at each tick, for the report, the figures and the displays of an active run."""
+
+from bisect import bisect_right
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from model.arrays import Array
+from model.failure import failed_hover
+from model.parameters import ParameterError
+from model.state import input_indices
+from mpc.cost import Cost
+from protocol.scenario.faults import uav_faults
+from protocol.scenario.setup import Setup
+
+
+@dataclass(frozen=True, slots=True)
+class _Team:
+    """The cost of a team after some of its failures, and the inputs of its released UAVs, which do not count."""
+
+    cost: Cost
+    uncounted: npt.NDArray[np.intp]
+
+
+class StageCost:
+    """Stage cost of the team as the scripted failures of UAVs leave it.
+
+    After a failure, inputs count against the hover of the UAVs with running motors. A released UAV, which has left the
+    team, does not count from its release on: neither outputs nor inputs.
+    """
+
+    def __init__(self, setup: Setup) -> None:
+        failures = uav_faults(setup.faults)
+        self._begins = sorted({0, *(tick for tick, _, _ in failures)})
+        self._teams = []
+        for begin in self._begins:
+            off = {uav for tick, _, uav in failures if tick <= begin}
+            released = {uav for tick, what, uav in failures if tick <= begin and what == "release"}
+            try:
+                equilibrium = failed_hover(setup.system, off, released) if off else setup.hover
+            except ParameterError:
+                equilibrium = setup.hover  # the rest cannot hover; the control law keeps this one, too
+            cost = Cost(setup.settings.weights, equilibrium, off, released)
+            self._teams.append(_Team(cost, input_indices(sorted(released))))
+
+    def at(self, tick: int, y: Array, y_ref: Array, u: Array) -> float:
+        """Return the stage cost of a tick, docs/equations.md (21).
+
+        Output y and its reference, (4 N + 9,); input u, (4 N,).
+        """
+        team = self._teams[bisect_right(self._begins, tick) - 1]
+        if len(team.uncounted):
+            u = u.copy()
+            u[team.uncounted] = team.cost.u_target[team.uncounted]
+        return team.cost.stage(y, y_ref, u)

@@ -1,0 +1,105 @@
+"""Errors of the user's input have short tracebacks: the user's frames and the public function, no library of ours."""
+
+import inspect
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from types import FunctionType
+from typing import Any
+
+import pytest
+
+import transport
+from transport.interface.section import Section
+
+INTERFACE = Path(transport.__file__).parent / "interface"
+HOVER = [{"name": "hover", "duration_s": 0.1, "displacement_m": [0.0, 0.0, 0.0]}]
+
+
+def scenario() -> Any:
+    """Return a scenario; untyped, as a notebook uses it."""
+    return transport.Scenario("resilient", phases=HOVER)
+
+
+@pytest.fixture(scope="module")
+def run() -> transport.Run:
+    """Return a run of two ticks."""
+    return transport.fly(scenario(), progress=False)
+
+
+def changed(key: str, value: Any) -> None:
+    """Change a key of a section."""
+    setattr(scenario().links, key, value)
+
+
+# Calls by the public function that refuses them, which is named up to the comma.
+REFUSED: dict[str, Callable[[transport.Run, Path], Any]] = {
+    "fly": lambda run, folder: transport.fly("papr"),
+    "fly, setting": lambda run, folder: transport.fly("paper", {"links.loss": 2.0}),
+    "fly, in memory": lambda run, folder: transport.fly("paper", {"clock.mode": "realtime", "clock.speed": 1.0}),
+    "load": lambda run, folder: transport.load(folder),
+    "sweep": lambda run, folder: transport.sweep("paper", {"loss": [0.1, 2.0]}, workers=1, progress=False),
+    "sweep, workers": lambda run, folder: transport.sweep("paper", {"loss": [0.1]}, workers=0),
+    "__init__": lambda run, folder: transport.Scenario("paper", horizon=0),
+    "__init__, file": lambda run, folder: transport.Scenario(folder / "none.toml"),
+    "set": lambda run, folder: scenario().set(loss="much"),
+    "__setattr__": lambda run, folder: setattr(scenario(), "seed", "one"),
+    "__setattr__, section": lambda run, folder: changed("delay_s", -1.0),
+    "__getitem__": lambda run, folder: scenario()["links.los"],
+    "__setitem__": lambda run, folder: scenario().__setitem__("links.loss", object()),
+    "__delitem__": lambda run, folder: scenario().__delitem__("links.los"),
+    "copy": lambda run, folder: scenario().copy(horizn=3),
+    "resized": lambda run, folder: scenario().resized(1),
+    "save, scenario": lambda run, folder: scenario().save(folder),
+    "save": lambda run, folder: run.save(folder),
+    "plot": lambda run, folder: run.plot("flight"),  # type: ignore[arg-type]
+    "to_pandas": lambda run, folder: run.to_pandas("all"),  # type: ignore[arg-type]
+    "view": lambda run, folder: run.view("no address"),
+    "unit": lambda run, folder: run.series.unit("cots"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_the_traceback_ends_at_the_public_function(case: str, run: transport.Run, tmp_path: Path) -> None:
+    """Behind the user's call there is one frame, of the function that was called, and no second exception."""
+    if case == "view":
+        pytest.importorskip("viser")
+    with pytest.raises(transport.TransportError) as caught:
+        REFUSED[case](run, tmp_path)
+    frames = traceback.extract_tb(caught.value.__traceback__)
+    ours = [frame for frame in frames if not frame.filename.startswith(str(Path(__file__)))]
+    assert [(frame.name, Path(frame.filename).parent) for frame in ours] == [(case.partition(",")[0], INTERFACE)]
+    assert frames[-1] == ours[0]
+    text = "".join(traceback.format_exception(caught.value))
+    assert text.count("Traceback") == 1
+    assert "pydantic" not in text
+
+
+def test_bugs_keep_their_traceback(run: transport.Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Another exception than a `TransportError` shows all frames."""
+
+    def fail(*_: Any, **__: Any) -> None:
+        raise RuntimeError("a bug")
+
+    monkeypatch.setattr("transport.interface.run.write_report", fail)
+    with pytest.raises(RuntimeError, match="a bug") as caught:
+        run.save(tmp_path / "run")
+    names = [frame.name for frame in traceback.extract_tb(caught.value.__traceback__)]
+    assert names[-2:] == ["save", "fail"]
+
+
+def test_every_function_that_raises_is_covered() -> None:
+    """Each public function and method whose docstring names an error of the project is decorated."""
+    functions: dict[str, Any] = {}
+    for name in transport.__all__:
+        found = getattr(transport, name)
+        if inspect.isclass(found) and found.__module__.startswith("transport.interface"):
+            methods = [value for value in vars(found).values() if isinstance(value, FunctionType)]
+            functions |= {f"{name}.{method.__name__}": method for method in methods}
+        elif inspect.isfunction(found):
+            functions[name] = found
+    functions["Section.__setattr__"] = Section.__setattr__
+    errors = ("ScenarioError", "ArgumentError", "LogError", "ViewerError", "ExperimentError")
+    raising = {name for name, function in functions.items() if any(e in (function.__doc__ or "") for e in errors)}
+    assert {"fly", "load", "sweep", "Run.save", "Sweep.plot"} <= raising
+    assert [name for name in sorted(raising) if not hasattr(functions[name], "__wrapped__")] == []
