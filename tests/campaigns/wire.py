@@ -1,8 +1,8 @@
 """Campaign of hostile messages: `python -m tests.campaigns.wire --messages N --seed S`.
 
-Intruders send bad messages of every sort to all processes of runs, the recorder included: open ones, one with its
-secret, some with certificates. A run has to end with the bits of one without intruder, and every process has to count
-every message that it received as refused. Where there is a secret or certificates, sessions without them must not
+Intruders send bad messages of every sort to all processes of runs: open ones with and without their recorder, one with
+its secret, some with certificates. A run has to end with the bits of one without intruder, and every process has to
+count every message that it received as refused. Where there is a secret or certificates, sessions without them must not
 connect, and a session with the certificate of one agent may send under that name only. Exit code 1 if a run differs,
 a process has accepted a message, or a session without keys connects.
 """
@@ -54,7 +54,9 @@ _DELAY = 60
 # Time for one run on a busy machine, for a session that must not connect, and for the health of a process, s.
 _RUN_S, _REFUSED_S, _HEALTH_S = 600.0, 0.7, 5.0
 
-_ACCESS = ("open", "secret", "certificates")
+# Open runs whose recorder is spared, and others where it is attacked as well; at a high load of the host a flood
+# of it costs parts of the record.
+_ACCESS = ("open", "recorder", "secret", "certificates")
 
 
 @dataclass(slots=True)
@@ -98,22 +100,24 @@ def _attack(access: str, messages: int, rng: np.random.Generator, folder: Path, 
     flight = (*_FLIGHT, f"clock.exchange={exchange}")
     network = {
         "open": ("network.secret=false",),
+        "recorder": ("network.secret=false",),
         "secret": (),
         "certificates": (f"network.keys={keyring('one')}",),
     }[access]
     run = Setup.of(read_scenario(find_scenario("paper"), flight), "paper")
-    keys, names, relayed = Keys(name), [*process_names(run.scenario), RECORDER], exchange == "relayed"
+    keys, names, relayed = Keys(name), process_names(run.scenario), exchange == "relayed"
+    names = [*names, *([] if access == "open" else [RECORDER])]
     command = ["run", "paper", *settings(*flight, f"network.base_port={base}", *network), "--out", name, "--no-figures"]
     process = start(*command, "--format", "json", cwd=folder)
     try:
         wait_for(lambda: (folder / name / "live.json").exists() or process.poll() is not None)
         endpoints = list(_endpoints(folder / name, names))
-        for secure in _strangers(access):
+        for secure in _strangers(access) if endpoints else ():
             result.tried += 1
             with suppress(zenoh.ZError), attack.session(endpoints[:1], secure, _REFUSED_S):
                 result.connected += 1
                 result.findings.append(f"{name}: a session without keys has connected")
-        if access != "secret":
+        if access != "secret" and endpoints:
             secure = attack.tls(keyring("one"), "agent1") if access == "certificates" else None
             max_bytes = Admission("recorder", keys, run, Rejections()).max_bytes
             source = Garbage("recorder", keys, run, max_bytes, rng, incarnation=0, delay=_DELAY, far=_TICKS)

@@ -190,6 +190,19 @@ def test_a_reference_at_rest_asks_for_nothing(rods: str) -> None:
     assert np.abs(found.slope).max() < ROUNDING
 
 
+@pytest.mark.parametrize("pulled", ["none", "passing", "lasting"])
+def test_a_long_rest_at_the_end_changes_nothing(pulled: str) -> None:
+    """Instants at rest after the maneuver leave the ones before as they are; without a lasting pull they are zero."""
+    of = problem("min_jerk", pulled)
+    rest = 200
+    X_ref = np.concatenate([of.X_ref, np.repeat(of.X_ref[-1:], rest, axis=0)])
+    pull = np.concatenate([of.pull, np.repeat(of.pull[-1:], rest, axis=0)])
+    short, long = preview(of.law, of.X_ref, of.pull), preview(of.law, X_ref, pull)
+    for one, other in ((short.slope, long.slope), (short.feedforward, long.feedforward)):
+        assert np.abs(one - other[: len(one)]).max() <= AGREEMENT * np.abs(one).max()
+        assert other[len(one) :].any() == (pulled == "lasting")
+
+
 def test_beyond_the_maneuver_its_last_instant_counts() -> None:
     """After the last instant the reference rests: feedforward and slope are those of the last one."""
     of = problem("min_jerk", "none")

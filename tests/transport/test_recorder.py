@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from protocol.admission.admission import Admission
@@ -203,9 +204,10 @@ def test_progress_follows_headers(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     for tick in (0, 5, 10**6):  # past, too far ahead, beyond the end of the run
         hear(coordinator, Relay, tick, runs.tick(tick))
     hear(plant, Record, 2, runs.plant_state(RUN, 1), cut=100)
+    hear(plant, Record, 2, replace(runs.plant_state(RUN, 1), plan_ticks=(0,), x=np.zeros(24), u=np.zeros(4)))
     assert recorder.tick == 1
     assert recorder.plant_state is not None
     assert encode(recorder.plant_state) == encode(runs.plant_state(RUN, 0))
-    assert recorder.received == 8
+    assert recorder.received == 9
     recorder.close()
     assert recorder.error is None

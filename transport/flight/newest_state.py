@@ -1,6 +1,7 @@
 """The newest plant state among messages of which only the headers were read."""
 
 from collections import deque
+from collections.abc import Callable
 
 from protocol.admission.samples import Sample
 from protocol.wire.codec import decode
@@ -11,9 +12,14 @@ _KEPT = 4
 
 
 class NewestState:
-    """The newest messages of the plant, in order, not decoded."""
+    """The newest messages of the plant, in order, not decoded.
 
-    def __init__(self) -> None:
+    Args:
+        check: Raises MessageError for a plant state that cannot be of this run: a forged one may be in order.
+    """
+
+    def __init__(self, check: Callable[[PlantState], None]) -> None:
+        self._check = check
         self._newest: deque[bytes] = deque(maxlen=_KEPT)
 
     def add(self, sample: Sample) -> None:
@@ -28,6 +34,7 @@ class NewestState:
                 for part in message.parts if isinstance(message, Record) else (data,):
                     state = decode(part)
                     if isinstance(state, PlantState):
+                        self._check(state)
                         return state
             except MessageError:
                 continue

@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection
 from contextlib import suppress
 
 from protocol.admission.admission import Admission
-from protocol.admission.plausibility import check_moment
+from protocol.admission.plausibility import Plausibility, check_moment
 from protocol.admission.reception import Reception
 from protocol.admission.samples import Sample
 from protocol.network.bus import LINGER_S, Bus, BusEvent, Interrupted, Left
@@ -116,7 +116,7 @@ class Recorder:
         self.admission = Admission(
             RECORDER, self._keys, setup, self.rejected, _UNREAD, self._announce, refuses_lone_plans=relayed
         )
-        self._newest_state = NewestState()
+        self._newest_state = NewestState(Plausibility(setup).check)
         self._join_timeout_s = join_timeout_s
         self._has_ended = has_ended
         self.gone = f"{COORDINATOR} is gone"
