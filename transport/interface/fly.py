@@ -1,6 +1,7 @@
 """Simulating a run, and loading a recorded one."""
 
 import time
+from importlib import import_module
 from os import PathLike
 from pathlib import Path
 from typing import Unpack
@@ -10,15 +11,10 @@ import tomli_w
 from plant.engines import checked_engine
 from protocol.scenario.file import ScenarioError
 from protocol.scenario.setup import Setup
-from protocol.wire.exit_codes import EXIT_INTERRUPTED
 from protocol.wire.messages import Message
 from transport.flight import memory
-from transport.flight import run as processes_run
 from transport.flight.compiling import compile_model
-from transport.flight.fork_server import close_fork_server
 from transport.flight.header import run_header
-from transport.flight.run_error import RunError
-from transport.flight.run_files import new_folder
 from transport.interface.boundary import public
 from transport.interface.progress import console, run_progress
 from transport.interface.run import Run
@@ -26,9 +22,6 @@ from transport.interface.scenario import Scenario
 from transport.interface.settings import ArgumentError, Settings, ShortSettings, file_name
 from transport.log.run_folder import open_run
 from transport.log.run_log import LogError, Recorded, RunLog
-from transport.report.report import write_report
-
-RUNS = Path("runs")
 
 
 @public
@@ -76,7 +69,9 @@ did you mean 'horizon'?
     if target is not None and target.exists():
         raise ArgumentError(f"folder: expected a folder that does not exist yet, got {target}")
     if processes:
-        return _in_processes(flown, setup, target, shown=progress)
+        # Imported when needed: the import takes as long as a second of flight.
+        finished: Run = import_module("transport.interface.processes").simulate(flown, setup, target, shown=progress)
+        return finished
     if flown.clock.mode != "lockstep":
         expected = "expected lockstep in memory, where no time passes (processes=True runs in real time)"
         raise ScenarioError(str(flown.file), "clock.mode", f"{expected}, got {flown.clock.mode}")
@@ -125,21 +120,3 @@ def _header(setup: Setup, began_ns: int) -> dict[str, str]:
     text = tomli_w.dumps(setup.scenario.tree())
     header = run_header(setup, setup.scenario.name, 1, text, checked_engine(setup))
     return {**header, "command_started_ns": str(began_ns)}
-
-
-def _in_processes(scenario: Scenario, setup: Setup, folder: Path | None, *, shown: bool) -> Run:
-    target = new_folder(RUNS, setup.scenario.name) if folder is None else folder
-    try:
-        finished = processes_run.simulate(setup, target, console(shown=shown))
-    except RunError as error:
-        if error.exit_code == EXIT_INTERRUPTED:
-            raise KeyboardInterrupt(str(error)) from None
-        raise
-    finally:
-        close_fork_server()
-    # The log goes on in another folder if this one is removed or full.
-    write_report(finished.folder, setup=setup)
-    if finished.exit_code == EXIT_INTERRUPTED:
-        raise KeyboardInterrupt(f"interrupted; recorded in {finished.folder}")
-    recorded = open_run(finished.folder, setup=setup)
-    return Run(scenario, setup, recorded.log, finished.folder)
