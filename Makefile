@@ -3,6 +3,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 SCENARIO ?= paper
+# Each worker takes the next file of tests, in the order of tests/support/workers.py.
+WORKERS := --numprocesses 3 --dist loadfile --no-loadscope-reorder
 
 .PHONY: run test test-slow test-pages test-all bench figures docs reference lint format lock audit licences clean help
 
@@ -13,10 +15,10 @@ run: $(VENV)/.installed ## set up and run the paper's maneuver (SCENARIO=name fo
 	@$(BIN)/transport run $(SCENARIO)
 
 test: $(VENV)/.installed-test ## set up and run the tests, without the slow ones (5 minutes on two processors)
-	@$(BIN)/python -m pytest --numprocesses 3 -m "not slow"
+	@$(BIN)/python -m pytest $(WORKERS) -m "not slow"
 
 test-slow: $(VENV)/.installed-test ## run the slow tests: long runs, browsers, two minutes in real time
-	@$(BIN)/python -m pytest --numprocesses 3 -m "slow and not pages"
+	@$(BIN)/python -m pytest $(WORKERS) -m "slow and not pages"
 
 test-pages: $(VENV)/.installed-test ## run the commands of README (playground), docs/getting-started.md and the notebooks
 	@$(BIN)/python -m pytest -m pages

@@ -27,13 +27,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items[:] = workers.in_order(items)
 
 
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> workers.Sharing:
-    """Give the tests that start processes to two workers at most."""
-    config.option.loadscopereorder = False  # work units in the order of their tests
-    return workers.Sharing(config, log)
-
-
 @pytest.fixture(autouse=True, scope="session")
 def cache_of_the_run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Keep compiled models of this test run in a folder of its own; the user's cache is neither read nor filled."""

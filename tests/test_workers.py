@@ -1,4 +1,4 @@
-"""The workers of a test run: tests that start processes are in one folder, and at most two workers get them."""
+"""Order of the tests of several workers: tests that start processes are in one folder, and begin."""
 
 import ast
 import re

@@ -65,11 +65,26 @@ def processes_of(run: str) -> dict[str, int]:
         except (OSError, IndexError):
             continue
         words = command_of(entry.name)
-        if state == "Z" or "--run" not in words or words[words.index("--run") + 1] != run:
+        if (
+            state == "Z"
+            or _is_of_another_worker(entry)
+            or "--run" not in words
+            or words[words.index("--run") + 1] != run
+        ):
             continue
         role = words[words.index("transport") + 1]
         found["agent" + words[words.index("--id") + 1] if role == "agent" else role] = int(entry.name)
     return found
+
+
+def _is_of_another_worker(process: Path) -> bool:
+    """Return whether a process of /proc works in the temporary folder of another pytest worker."""
+    try:
+        parts = (process / "cwd").readlink().parts
+    except OSError:
+        return False
+    own = f"popen-{os.environ.get('PYTEST_XDIST_WORKER', '')}"
+    return any(part.startswith("popen-gw") and part != own for part in parts)
 
 
 def wait_for(condition: Callable[[], bool], timeout_s: float = PATIENCE_S) -> bool:

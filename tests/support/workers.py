@@ -1,22 +1,15 @@
-"""Scheduling of the pytest workers: at most two tests at a time start processes or open sockets, the others compute.
+"""Order of the tests for several pytest workers, each of which takes the next file: the long ones begin.
 
-Tests of the first kind spend much of their time waiting: two of them at once use the time of the other's waits, more
-would make each other slow.
+Tests that start processes or open sockets spend much of their time waiting, so several at once use the processors.
 """
 
-from pathlib import Path
-
 import pytest
-from xdist.scheduler import LoadFileScheduling
 
 # Folder of the test files of the first kind.
 SYSTEM = "tests/system/"
 
 # Runs before all other tests: it mostly waits for two minutes, which leaves processor time for style and type checks.
 FIRST = "tests/system/test_soak.py"
-
-_ROOT = Path(__file__).resolve().parent.parent.parent
-_FILES = sorted(path.relative_to(_ROOT).as_posix() for path in (_ROOT / SYSTEM).glob("test_*.py"))
 
 
 def file_of(nodeid: str) -> str:
@@ -41,12 +34,3 @@ def in_order(items: list[pytest.Item]) -> list[pytest.Item]:
         return 0 if file == FIRST else 1 if starts_processes(file) else 2 if file in slow else 3
 
     return sorted(items, key=rank)
-
-
-class Sharing(LoadFileScheduling):  # type: ignore[misc]
-    """Scheduler of pytest-xdist: tests with processes are two work units, the first ones; each other file is one."""
-
-    def _split_scope(self, nodeid: str) -> str:
-        file = file_of(nodeid)
-        # The soak mostly waits: beside the other tests with processes it costs no time.
-        return file if file == FIRST or not starts_processes(file) else f"processes {_FILES.index(file) % 2}"
