@@ -59,7 +59,7 @@ def test_a_foreign_plant_flies(changes: tuple[str, ...], tmp_path: Path) -> None
     options = settings(*changes, f"network.base_port={base}")
     run = start("run", "resilient", "--external", "plant", *options, "--out", "mine", "--no-figures", cwd=tmp_path)
     assert run.stderr is not None
-    line = run.stderr.readline()
+    line = next(line for line in run.stderr if line.startswith("waiting"))  # the model may be compiled before
     found = re.fullmatch(
         rf"waiting for plant of run mine, digest (\w+); it listens on tcp/127.0.0.1:{base + 1}, "
         rf"connects to tcp/127.0.0.1:{base}; it needs --set 'network.keys=\"{tmp_path}/mine/keys\"'\n",
