@@ -121,6 +121,8 @@ class Admission:
 
         Safe on any thread. It refuses only messages that `read` would refuse at any later time as well.
         """
+        if key.startswith(self._keys.left("")):
+            return False  # it has no content, and is not read as a message
         try:
             header = header_of(data)
             if header is not None and header.sender == self._name:

@@ -91,6 +91,7 @@ def test_only_what_is_over_has_passed() -> None:
     for message in news:
         assert not plant.admission.has_passed(plant.key, encode(message))
     assert not plant.admission.has_passed(KEYS.of(runs.plan(setup(), 2, 5)), encode(runs.plan(setup(), 2, 5)))
+    assert not plant.admission.has_passed(KEYS.left("agent2"), b"")  # a process leaves; this has no content
     assert plant.rejections.total == 0  # only the reading thread counts
     plant.admission.count_unread()
     assert {(entry.sender, entry.reason): entry.count for entry in plant.rejections} == {

@@ -34,7 +34,7 @@ FLIGHT = (
 )
 
 # Number of bad messages: in total, on a busy machine at least, and at a time; the last are sent well before the end.
-SHOTS, FEWEST, BURST, LAST_TICK = 4000, 1000, 120, 100
+SHOTS, FEWEST, BURST, LAST_TICK = 4000, 1000, 120, 80
 
 # Messages of three ticks: older ones have reached all processes.
 DELAY = 60

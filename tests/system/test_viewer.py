@@ -263,8 +263,12 @@ def test_a_live_run_is_shown_and_changed(tmp_path: Path, window: Browser) -> Non
         assert wait_for(lambda: log.of(PlantState)[-1].tick > until)
         window.open(address)
         for action, noted in (("kill", "killed"), ("restart", "restarted")):
-            window.click(action, VICTIM - 1)
-            assert wait_for(partial(log.notes, f"agent{VICTIM}", noted))
+
+            def is_done(action: str = action, noted: str = noted) -> bool:
+                window.click(action, VICTIM - 1)  # a slow browser may not react to the first click on a new page
+                return wait_for(partial(log.notes, f"agent{VICTIM}", noted), timeout_s=10.0)
+
+            assert wait_for(is_done)
         assert window.console() == []
 
     whole = read_log(folder / "run.mcap")
