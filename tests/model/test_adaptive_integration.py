@@ -131,6 +131,7 @@ def test_a_state_that_overflows_ends_the_integration() -> None:
     assert not error <= DEFAULT.tolerance
 
 
+@pytest.mark.slow
 def test_same_bits_without_compiled_code() -> None:
     """Interpreted and compiled functions halve the same steps and end with the same bits, in other processes too."""
     program = (

@@ -150,7 +150,7 @@ def test_the_others_continue_if_configured(exchange: str, tmp_path: Path) -> Non
     assert processes_of("continued") == {}
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("arguments", "code"), [(["--help"], 0), (["plot", "nowhere"], USAGE)])
 def test_a_signal_after_the_end_changes_nothing(number: signal.Signals, arguments: list[str], code: int) -> None:
     """A finished command keeps its exit code, even if signals arrive before its process ends."""

@@ -125,6 +125,7 @@ def test_cuts_are_read() -> None:
     assert "expected HOST:AT or HOST:AT:FOR in seconds, got 'plant'" in done.stderr
 
 
+@pytest.mark.slow
 def test_an_unknown_host_is_refused(tmp_path: Path) -> None:
     """A cut of an unknown host is refused before the lab is built; missing tools have their own exit code."""
     words = [sys.executable, "-m", "tests.support.lab", "--out", str(tmp_path / "x"), "--cut", "agent9:1"]

@@ -32,6 +32,7 @@ def flown(folder: Path, *changes: str) -> dict[str, Any]:
     return summary
 
 
+@pytest.mark.slow
 def test_twice_as_fast(tmp_path: Path) -> None:
     """At speed 2 a run of 3 s takes 1.5 s of wall time, and the summary counts missed deadlines."""
     summary = flown(tmp_path, hover(3.0), REALTIME, "clock.speed=2")

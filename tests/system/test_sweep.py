@@ -121,7 +121,9 @@ def test_processes_give_the_same(tmp_path: Path) -> None:
     assert {"run.mcap", "summary.json", "steps.csv", "scenario.toml"} <= {path.name for path in run.iterdir()}
 
 
-@pytest.mark.parametrize(("number", "jobs"), [(signal.SIGINT, "2"), (signal.SIGTERM, "1")])
+@pytest.mark.parametrize(
+    ("number", "jobs"), [pytest.param(signal.SIGINT, "2", marks=pytest.mark.slow), (signal.SIGTERM, "1")]
+)
 def test_an_interrupted_experiment_leaves_nothing_running(number: signal.Signals, jobs: str, tmp_path: Path) -> None:
     """Ctrl-C, sent to all processes, and SIGTERM give exit code 130, keep results and leave no process."""
     process = start(*LONG, "--jobs", jobs, "--out", "out", cwd=tmp_path)
