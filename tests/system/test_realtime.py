@@ -7,6 +7,8 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+import pytest
+
 from protocol.wire.messages import Tick
 from tests.support.commands import PATIENCE_S, processes_of, settings, start, transport, wait_for
 from transport.log.run_log import read_log
