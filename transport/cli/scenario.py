@@ -17,7 +17,7 @@ from transport.cli.options import FormatOption
 from transport.cli.output import Format, exit_on, fail, show_json
 from transport.cli.scenario_text import scenario_text
 
-# Number of UAVs beyond which the model takes more than some ten seconds to build.
+# Number of UAVs beyond which a user should know that the model takes long to build.
 _LONG = 48
 
 

@@ -69,7 +69,7 @@ did you mean 'horizon'?
     if target is not None and target.exists():
         raise ArgumentError(f"folder: expected a folder that does not exist yet, got {target}")
     if processes:
-        # Imported when needed: the import takes as long as a second of flight.
+        # Imported when needed: a run in memory starts no process.
         finished: Run = import_module("transport.interface.processes").simulate(flown, setup, target, shown=progress)
         return finished
     if flown.clock.mode != "lockstep":
