@@ -40,6 +40,7 @@ from protocol.wire.messages import (
     Reason,
     Rejected,
     Relay,
+    Roster,
     agent_name,
 )
 from protocol.wire.names import COORDINATOR, MAX_UAVS, PLANT, RECORDER
@@ -105,6 +106,8 @@ class Admission:
         self._on_announced = on_announced
         self.window = MAX_TICK if setup is None else max(_AHEAD, window(setup))
         self._is_up_to_date = False  # whether `tick` is the present tick of the run
+        # This process's new incarnation while no roster has it: messages until then are those it missed.
+        self._returning: int | None = None
         self._announced: dict[str, int] = {}  # newest incarnation, by name
         self._newest: dict[tuple[str, str, bool], Newest] = {}  # by key, kind, and whether it is a proposal
         # Incarnations and sequence numbers in their order, by key and kind.
@@ -213,11 +216,10 @@ class Admission:
     def announce(self, name: str, incarnation: int) -> None:
         """Admit messages of an incarnation whose token has appeared, and no longer those of earlier ones.
 
-        A process that is announced again was unreachable, or this process was; if it is this process, it has a new
-        incarnation. In all these cases `tick` may be out of date.
+        A process that is announced again was unreachable, or this process was: `tick` may be out of date.
         """
         self._remember_last()
-        if name in self._announced or name == self._name:
+        if name in self._announced:
             self._is_up_to_date = False
         self._announced[name] = max(incarnation, self._announced.get(name, -1))
         waiting, self._early = self._early, deque()
@@ -225,6 +227,15 @@ class Admission:
             ahead = message.incarnation > self._announced.get(message.sender, -1)
             (self._early if ahead else self._released).append((key, message))
         self._on_announced(name, incarnation)
+
+    def renew(self, incarnation: int) -> None:
+        """Announce a new incarnation of this process, which comes back to the team.
+
+        It still reads the messages that it missed, those of each connection by themselves: `tick` is the present one
+        only from the roster on that has this incarnation.
+        """
+        self.announce(self._name, incarnation)
+        self._returning, self._is_up_to_date = incarnation, False
 
     def released(self) -> Message | None:
         """Return the next message that was kept and can now be handled, or None."""
@@ -316,9 +327,16 @@ class Admission:
         self._note_tick(message)
 
     def _note_tick(self, message: Message | Header) -> None:
-        if message.kind != LinkChange.kind:  # a repeated change is of the past
-            self.tick = max(self.tick, message.tick)
-            self._is_up_to_date = True
+        if message.kind == LinkChange.kind:  # a repeated change is of the past
+            return
+        self.tick = max(self.tick, message.tick)
+        if isinstance(message, Roster):
+            incarnations = {
+                agent_name(agent): inc for agent, inc in zip(message.agents, message.incarnations, strict=True)
+            }
+            if incarnations.get(self._name) == self._returning:
+                self._returning = None
+        self._is_up_to_date = self._returning is None
 
     def _remember(self, key: str, message: Message | Header) -> None:
         numbers = self._numbers.setdefault((key, message.kind), {})

@@ -194,7 +194,7 @@ class Bus:
         """Announce a new incarnation of this process, which is ready at once."""
         old, self._tokens = self._tokens, []
         self.incarnation = incarnation
-        self.admission.announce(self.name, incarnation)
+        self.admission.renew(incarnation)
         self._declare_token(self._keys.alive(self.name, incarnation, self._digest, VERSION))
         self._declare_token(self._keys.ready(self.name, incarnation))
         for token in old:

@@ -201,14 +201,31 @@ def test_a_new_incarnation_accepts_the_present_tick(repeats_changes: bool) -> No
         receiver.rejections.add("agent2", MessageError("future", "as the node found"))
     assert receiver.accepts(plan(67)) == [False]
     assert receiver.accepts(replace(runs.roster(k=43, version=2), sequence=80)) == [True]
-    receiver.admission.announce("agent4", INCARNATION + 1)
+    receiver.admission.renew(INCARNATION + 1)
     change = sample(LinkChange, incarnation=0, sequence=90, tick=18)
     assert not repeats_changes or receiver.accepts(change) == [True]
-    assert receiver.accepts(replace(runs.roster(k=67, version=3), sequence=100), plan(67), plan(67 + AHEAD + 1)) == [
-        True,
-        True,
-        False,
-    ]
+    joined = replace(
+        runs.roster({**dict.fromkeys((1, 2, 3), INCARNATION), 4: INCARNATION + 1}, k=67, version=3), sequence=100
+    )
+    assert receiver.accepts(joined, plan(67), plan(67 + AHEAD + 1)) == [True, True, False]
+
+
+def test_a_returning_process_reads_what_it_missed_in_any_order() -> None:
+    """The present measurement may come before the messages of one connection that the process missed.
+
+    The plant's connection and the coordinator's are read each by itself; the plant does not repeat a measurement.
+    """
+    receiver = Receiver("agent2")
+    assert receiver.accepts(*(runs.tick(k) for k in range(44))) == [True] * 44
+    others = {1: INCARNATION, 3: INCARNATION, 4: INCARNATION}
+    assert receiver.accepts(replace(runs.roster(others, k=44, version=2), sequence=80)) == [True]
+    receiver.admission.renew(INCARNATION + 1)
+    assert receiver.accepts(runs.tick(44), runs.tick(45)) == [True, True]
+    assert receiver.accepts(runs.measurement(setup(), 2, 45 + AHEAD + 1)) == [True]
+    assert receiver.accepts(*(runs.tick(k) for k in range(46, 62))) == [True] * 16
+    team = {1: INCARNATION, 2: INCARNATION + 1, 3: INCARNATION, 4: INCARNATION}
+    joined = replace(runs.roster(team, k=62, version=3), sequence=100)
+    assert receiver.accepts(joined, runs.tick(62), runs.tick(62 + AHEAD + 1)) == [True, True, False]
 
 
 def test_messages_of_an_older_incarnation_are_refused() -> None:
