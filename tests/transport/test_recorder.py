@@ -1,5 +1,6 @@
 """The recorder: what it lets into the log, and what it says of the rest."""
 
+import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
@@ -211,3 +212,23 @@ def test_progress_follows_headers(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert recorder.received == 9
     recorder.close()
     assert recorder.error is None
+
+
+def test_each_notice_is_handed_over_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A notice that comes while earlier ones are shown is among them or among the next."""
+    monkeypatch.setattr(recorder_module, "Bus", ScriptedBus)
+    writer = LogWriter(tmp_path / "run.mcap", with_scenario(HEADER, RUN), period_ns=RUN.period_ns)
+    recorder = Recorder(RUN, KEYS.run, writer, Endpoints(listen=[], connect=[]), 1.0)
+
+    def fail() -> None:
+        for i in range(1000):
+            recorder.note("agent1", str(i), "unknown")
+
+    notes = threading.Thread(target=fail)
+    notes.start()
+    shown: list[str] = []
+    while notes.is_alive():
+        shown += recorder.new_notices()
+    shown += recorder.new_notices()
+    assert shown == [f"fault: agent1 {i}" for i in range(1000)]
+    recorder.close()

@@ -7,7 +7,8 @@ Messages of every tick are written as they came; only their headers are read. Re
 import queue
 import threading
 import time
-from collections.abc import Callable, Collection
+from collections import deque
+from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
 
 from protocol.admission.admission import Admission
@@ -72,7 +73,6 @@ class Recorder:
     Attributes:
         started_s: Steady-clock time of the first plant state, or None.
         control: How the run ended, once it has.
-        notices: Roster changes after the start, and faults.
         gone: Reason of the end of a run whose coordinator has gone.
         error: Why recording ended early, or None.
         received: Number of messages in the log.
@@ -101,7 +101,7 @@ class Recorder:
     ) -> None:
         self.started_s: float | None = None
         self.control: Control | None = None
-        self.notices: list[str] = []
+        self._notices: deque[str] = deque()  # the thread that shows them takes from the left
         self.error: str | None = None
         self.received = 0
         self.tick = -1
@@ -140,6 +140,11 @@ class Recorder:
     def plant_state(self) -> PlantState | None:
         """The newest state of the plant, or None; decoded when it is asked for."""
         return self._newest_state.decoded()
+
+    def new_notices(self) -> Iterator[str]:
+        """Yield the notices since the last call: roster changes after the start, faults, processes not there yet."""
+        while self._notices:
+            yield self._notices.popleft()
 
     def start(self, expected: Collection[str]) -> None:
         """Begin; the expected processes are waited for on the recorder's thread."""
@@ -187,7 +192,7 @@ class Recorder:
 
     def _run(self) -> None:
         try:
-            if self._bus.join(self._expected, self._join_timeout_s, self.notices.append) is None:
+            if self._bus.join(self._expected, self._join_timeout_s, self._notices.append) is None:
                 self._record()
                 self.admission.close()
                 for notice in self.admission.remaining_notices(self._out.incarnation):
@@ -283,9 +288,9 @@ class Recorder:
             case Control():
                 self.control = message
             case Roster(version=version, reason=reason) if version > 1:
-                self.notices.append(f"roster: {reason}")
+                self._notices.append(f"roster: {reason}")
             case FaultNote():
-                self.notices.append(f"fault: {message.target} {message.what}")
+                self._notices.append(f"fault: {message.target} {message.what}")
 
     def _announce(self, name: str, incarnation: int) -> None:
         """Record the token of a process."""

@@ -216,7 +216,7 @@ class _Local:
 
 def _watch(recorder: Recorder, progress: RunProgress, local: _Local | None) -> None:
     """Show progress until the run has ended; forward Ctrl-C; refuse processes that end too early or do not answer."""
-    shown = interrupted = 0
+    interrupted = 0
     ended_s: float | None = None
     with collected_signals() as signals:
         while recorder.running:
@@ -224,9 +224,7 @@ def _watch(recorder: Recorder, progress: RunProgress, local: _Local | None) -> N
             progress.show(recorder.plant_state, recorder.started_s)
             if local is not None:
                 local.faults.work()
-            for notice in recorder.notices[shown:]:
-                progress.say(notice)
-            shown = len(recorder.notices)
+            _say(recorder, progress)
             if len(signals) > interrupted:
                 interrupted = len(signals)
                 if interrupted > 1 or recorder.started_s is None:
@@ -254,6 +252,12 @@ def _watch(recorder: Recorder, progress: RunProgress, local: _Local | None) -> N
                 orderly = all(child.process.returncode in ORDERLY_ENDS for child in ended)
                 if not orderly or time.monotonic() - ended_s > _CATCH_UP_S:
                     raise _ended_early(ended)
+    _say(recorder, progress)
+
+
+def _say(recorder: Recorder, progress: RunProgress) -> None:
+    for notice in recorder.new_notices():
+        progress.say(notice)
 
 
 def _ended_early(ended: list[Child]) -> RunError:
