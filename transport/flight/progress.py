@@ -1,6 +1,8 @@
 """Progress of a run on the console: simulated time, real-time factor, cost, attitude."""
 
+import itertools
 import time
+from collections.abc import Sequence
 from typing import Self
 
 import numpy as np
@@ -14,6 +16,9 @@ from protocol.wire.messages import PlantState
 
 # Period of the lines without a terminal, wall time, s.
 _LINE_EVERY_S = 10.0
+# Widths on a terminal, characters: the bar, and the remaining time with the gaps between the columns.
+_BAR, _REMAINING = 20, 10
+_GAP = "   "
 
 
 class ConsoleProgress:
@@ -50,7 +55,13 @@ class RunProgress(ConsoleProgress):
     """Progress of a run."""
 
     def __init__(self, setup: Setup, console: Console, waiting: str = "waiting for the processes") -> None:
-        columns = (TextColumn("{task.description:<9}"), BarColumn(), TextColumn("{task.fields[status]}"))
+        names = [phase.name for phase in setup.scenario.maneuver.phase]
+        self._description = max(map(len, ["starting", *names]))
+        columns = (
+            TextColumn(f"{{task.description:<{self._description}}}"),
+            BarColumn(bar_width=_BAR),
+            TextColumn("{task.fields[status]}"),
+        )
         super().__init__(console, *columns, TimeRemainingColumn())
         self._setup = setup
         self._cost = StageCost(setup)
@@ -65,18 +76,29 @@ class RunProgress(ConsoleProgress):
         t_s = plant_state.tick * self._setup.settings.sampling_period_s
         wall_s = time.monotonic() - started_s
         if self._bar is not None:
-            status = self._status(plant_state, t_s, wall_s)
+            beside = self._description + _BAR + _REMAINING
+            status = _fitting(self._status(plant_state, t_s, wall_s), self._console.width - beside)
             phase = self._setup.maneuver.phase_at(t_s).name
             self._bar.update(self._task, completed=t_s, description=phase, status=status)
         elif self._is_line_due():
-            self.say(self._status(plant_state, t_s, wall_s))
+            self.say(_GAP.join(self._status(plant_state, t_s, wall_s)))
 
-    def _status(self, plant_state: PlantState, t_s: float, wall_s: float) -> str:
+    def _status(self, plant_state: PlantState, t_s: float, wall_s: float) -> list[str]:
+        """Return the parts of a line, the most important first."""
         y_ref = self._setup.reference.outputs(np.array([t_s]))[0]
         cost = self._cost.at(plant_state.tick, self._setup.model.outputs(plant_state.x), y_ref, plant_state.u)
         attitude_deg = float(np.degrees(np.abs(StateView(plant_state.x).Theta0)).max())
         factor = t_s / wall_s if wall_s > 0.0 else 0.0
-        return (
-            f"{t_s:5.1f} of {self._duration_s:.1f} s   {factor:5.1f}x real time   "
-            f"cost {cost:.5f}   attitude {attitude_deg:.2f} deg"
-        )
+        return [
+            f"{t_s:5.1f} of {self._duration_s:.1f} s",
+            f"{factor:5.1f}x real time",
+            f"cost {cost:.5f}",
+            f"attitude {attitude_deg:.2f} deg",
+        ]
+
+
+def _fitting(parts: Sequence[str], width: int) -> str:
+    """Return as many parts as fit into a width, at least one: a wider line than the terminal would hide the bar."""
+    lengths = itertools.accumulate(len(part) + len(_GAP) for part in parts)
+    count = sum(length - len(_GAP) <= width for length in lengths)
+    return _GAP.join(parts[: max(count, 1)])
