@@ -62,7 +62,8 @@ class Link:
         partitions: tuple[tuple[float, float], ...] = (),
     ) -> None:
         self.sender, self.receiver = sender, receiver
-        self._sections = [(0, section)]  # first tick, impairments from then on
+        # First tick, impairments from then on, and whether they are none: asked for with every message.
+        self._sections = [(0, section, section.perfect)]
         self._changes: list[tuple[int, dict[str, Any]]] = []  # first tick, keys given
         self._period_s = period_s
         self._samples_s = samples_s or {}
@@ -82,11 +83,12 @@ class Link:
             # Sections before it stay as they are; usually it is the latest.
             del self._sections[1 + at :]
             for start, keys in self._changes[at:]:
-                self._sections.append((start, self._sections[-1][1].model_copy(update=keys)))
+                section = self._sections[-1][1].model_copy(update=keys)
+                self._sections.append((start, section, section.perfect))
 
     def impairments(self, tick: int) -> LinkSection:
         """Return the impairments in force for the message of a tick."""
-        return next(section for start, section in reversed(self._sections) if start <= tick)
+        return self._in_force(tick)[0]
 
     def delays(self, tick: int, negotiation: int = 0) -> list[float]:
         """Return the delays with which the message of a tick arrives, s: none if it is lost, two if duplicated.
@@ -95,11 +97,11 @@ class Link:
             tick: The message's.
             negotiation: 0 for the message a tick ends with; 1, 2, ... for those exchanged within it before.
         """
-        section = self.impairments(tick)
+        section, perfect = self._in_force(tick)
         sent_s = tick * self._period_s
         if any(start <= sent_s + _SLACK < end for start, end in self._partitions):
             return []
-        if section.perfect:
+        if perfect:
             return [0.0]
         if section.rate_hz is not None and not self._within_rate(tick, section.rate_hz):
             return []
@@ -123,6 +125,9 @@ class Link:
             after: Ticks that a message needs over a perfect link: 1 for what is used at the next tick.
         """
         return [max(tick + after, math.ceil(tick + delay / self._period_s - _SLACK)) for delay in self.delays(tick)]
+
+    def _in_force(self, tick: int) -> tuple[LinkSection, bool]:
+        return next((section, perfect) for start, section, perfect in reversed(self._sections) if start <= tick)
 
     def _within_rate(self, tick: int, rate_hz: float) -> bool:
         """Return whether the rate leaves room for the message of a tick, the messages carried being evenly spread."""
