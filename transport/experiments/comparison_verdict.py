@@ -27,7 +27,7 @@ _OUTSIDE = {
     PeriodRange(0.0, 0.0): "computes less wherever it completes",
 }
 
-HOLDS, FAILS, UNDECIDED = "holds", "does not hold", "cannot be told"
+HOLDS, FAILS, UNDECIDED = "holds", "does not hold", "undetermined"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,11 +47,11 @@ class Verdict:
 
     @property
     def text(self) -> str:
-        """Both ends of the range, the worse first, or one grade."""
+        """Both ends of the range, the better first as the lower ratio, or one grade."""
         if self.ratios is None:
             return _OUTSIDE.get(self.periods, "not compared")
         best, worst = (grade(ratio) for ratio in self.ratios)
-        return best if best == worst else f"{worst} to {best}"
+        return best if best == worst else f"{best} to {worst}"
 
     def supports(self, claim: str) -> str:
         """Return whether a claimed grade holds, does not hold, or is one of several in the range."""

@@ -8,18 +8,22 @@ from transport.experiments.errors import refused
 from transport.experiments.experiment import SMALLEST, Experiment, check_numbers
 from transport.experiments.quantities import axis
 
+# End of the horizon in place of a terminal weight.
+_COST_TO_GO = "cost-to-go"
+
 
 def horizon(
     scenarios: Mapping[str, Scenario], horizons: Sequence[int], terminals: Sequence[float], delay_s: float
 ) -> Experiment:
     """Return every horizon combined with every terminal weight, without and with a delay of every plan.
 
-    The scenario's own horizon and weight are always included: on a perfect network they are the baseline.
+    A horizon that ends with the cost-to-go has no terminal weight. The scenario's own horizon and weight are always
+    included: on a perfect network they are the baseline.
 
     Args:
         scenarios: Scenarios by name or file.
         horizons: N_p, steps.
-        terminals: Terminal weights; unused where a Riccati cost-to-go replaces the terminal weight.
+        terminals: Terminal weights, for scenarios whose horizon does not end with the cost-to-go.
         delay_s: Delay of every plan on the second network, s.
     """
     check_numbers("--horizon", horizons, "a number of steps >= 1", 1.0)
@@ -27,26 +31,32 @@ def horizon(
     check_numbers("--delay", [delay_s], "a delay > 0 s", SMALLEST)
     points = []
     for name, scenario in scenarios.items():
-        own_horizon, own_terminal = scenario.controller.horizon, float(scenario.controller.weights.terminal)
-        varied = terminals if scenario.controller.terminal == "multiple" else ()
+        own_horizon, (own_end, ends) = scenario.controller.horizon, _ends(scenario, terminals)
         points += [
             Point(
                 scenario=name,
-                labels={"network": network, "horizon": steps, "terminal": weight},
-                text=f"N_p {steps}, terminal weight {weight:g}, {network}",
-                settings=(
-                    f"links.delay_s={network_delay_s!r}",
-                    f"controller.horizon={steps}",
-                    f"controller.weights.terminal={weight!r}",
-                ),
-                baseline=(steps, weight, network_delay_s) == (own_horizon, own_terminal, 0.0),
+                labels={"network": network, "horizon": steps, "terminal": end},
+                text=f"N_p {steps}, {text}, {network}",
+                settings=(f"links.delay_s={network_delay_s!r}", f"controller.horizon={steps}", *settings),
+                baseline=(steps, end, network_delay_s) == (own_horizon, own_end, 0.0),
             )
             for network, network_delay_s in (("perfect", 0.0), (f"{1e3 * delay_s:g} ms delay", delay_s))
             for steps in sorted({own_horizon, *horizons})
-            for weight in sorted({own_terminal, *varied})
+            for end, (text, settings) in ends.items()
         ]
     along = axis("horizon", "controller.horizon")
     return Experiment(name="horizon", points=tuple(points), x=along, drawn_as="variants")
+
+
+def _ends(scenario: Scenario, weights: Sequence[float]) -> tuple[float | str, dict[float | str, tuple[str, list[str]]]]:
+    """Return the label of a scenario's own end of the horizon; and text and settings of all ends, by label."""
+    if scenario.controller.terminal == "riccati":
+        return _COST_TO_GO, {_COST_TO_GO: (_COST_TO_GO, [])}
+    own = float(scenario.controller.weights.terminal)
+    return own, {
+        weight: (f"terminal weight {weight:g}", [f"controller.weights.terminal={weight!r}"])
+        for weight in sorted({own, *weights})
+    }
 
 
 def hover(scenarios: Mapping[str, Scenario], durations_s: Sequence[float]) -> Experiment:

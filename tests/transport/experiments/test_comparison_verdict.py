@@ -70,11 +70,11 @@ def test_limits_belong_to_the_smaller_grade(ratio: float, expected: str) -> None
 def test_a_range_gives_both_ends() -> None:
     """A range over two grades gives both, the worse first, and decides no claim within it."""
     straddling = made(0.97, 1.04)
-    assert straddling.text == "slightly worse to slightly better"
+    assert straddling.text == "slightly better to slightly worse"
     assert straddling.supports("slightly better") == straddling.supports("slightly worse") == UNDECIDED
     assert made(1.2, 1.8).supports("slightly worse") == FAILS
     assert made(1.02, 1.09).supports("slightly worse") == HOLDS
-    assert made(1.3, math.inf).text == "diverged to worse"
+    assert made(1.3, math.inf).text == "worse to diverged"
 
 
 def test_a_range_beyond_the_grid_decides_little() -> None:
@@ -122,7 +122,7 @@ def test_the_papers_statements() -> None:
         '"slightly better at the same computation" (one agent, as many steps of horizon): '
         "does not hold (worse in still air, worse in gusts)",
         '"slightly better at the same computation" (one agent, as many seconds of horizon): '
-        "cannot be told in still air (slightly worse to slightly better), holds in gusts (slightly better)",
+        "undetermined in still air (slightly better to slightly worse), holds in gusts (slightly better)",
     ]
 
 
@@ -180,10 +180,10 @@ def test_verdicts_follow_from_curves_and_loads() -> None:
     assert team.periods.low_s == pytest.approx(0.1)
     assert math.isinf(team.periods.high_s)
     assert (agent.periods.low_s, agent.periods.high_s) == pytest.approx((0.025, 0.03125))
-    assert agent.text == "slightly worse to slightly better"
+    assert agent.text == "slightly better to slightly worse"
     assert list(lines(found))[2] == (
         "still air, paper's algorithm, same computation of one agent, as many steps of horizon: "
-        "T_s 25 to 31.2 ms, cost x0.90 to x1.01: slightly worse to slightly better"
+        "T_s 25 to 31.2 ms, cost x0.90 to x1.01: slightly better to slightly worse"
     )
 
 
@@ -192,7 +192,7 @@ def test_a_diverging_team_has_no_computation() -> None:
     costs = {0.1: math.inf, 0.05: 1.3, 0.025: 0.9}
     _, team, agent = verdicts([curve(PAPER, STEPS, costs)], measured(*costs), REFERENCE)
     assert team.text == "computes more wherever it completes"
-    assert agent.text == "slightly worse to slightly better"
+    assert agent.text == "slightly better to slightly worse"
     diverged = verdicts([curve(PAPER, STEPS, dict.fromkeys(costs, math.inf))], measured(*costs), REFERENCE)
     assert [(verdict.budget, verdict.text) for verdict in diverged] == [
         (SAME_RATE, "diverged"),

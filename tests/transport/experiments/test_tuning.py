@@ -27,7 +27,7 @@ def scenarios(*names: str) -> dict[str, Scenario]:
 
 
 def test_horizons_weights_and_networks() -> None:
-    """Each horizon with each weight and network where open-loop prediction depends on the weight, else its own."""
+    """Each horizon on each network, with each weight where the horizon ends with one, else with the cost-to-go."""
     experiment = tuning.horizon(scenarios("paper", "resilient"), [5, 10, 30], [1.0, 20.0], 0.2)
     cases = cases_of(experiment.points, [], 3)
     count = {name: sum(point.scenario == name for point in experiment.points) for name in ("paper", "resilient")}
@@ -36,10 +36,11 @@ def test_horizons_weights_and_networks() -> None:
     for case in cases:
         labels, scenario = experiment.points[case.point].labels, case.scenario
         assert scenario.controller.horizon == labels["horizon"]
-        assert scenario.controller.weights.terminal == labels["terminal"]
+        weight = scenario.controller.weights.terminal
+        assert labels["terminal"] == ("cost-to-go" if scenario.controller.terminal == "riccati" else weight)
         assert scenario.links.delay_s == {"perfect": 0.0, "200 ms delay": 0.2}[str(labels["network"])]
     baselines = [point.labels for point in experiment.points if point.baseline]
-    assert baselines == [{"network": "perfect", "horizon": 20, "terminal": 5.0}] * 2
+    assert baselines == [{"network": "perfect", "horizon": 20, "terminal": end} for end in (5.0, "cost-to-go")]
 
 
 def test_only_the_last_hover_is_longer() -> None:
