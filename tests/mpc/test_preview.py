@@ -124,16 +124,22 @@ def dense(of: Problem, xi0: Array) -> tuple[Array, Array, Array]:
 
 
 CASES: dict[str, tuple[Profile, str, tuple[int, ...]]] = {
+    "lasting pull": ("min_jerk", "lasting", ()),
+    "one gone": ("ramp", "passing", (2,)),
+}
+SLOW: dict[str, tuple[Profile, str, tuple[int, ...]]] = {
     "ramp": ("ramp", "none", ()),
     "min_jerk": ("min_jerk", "none", ()),
     "step": ("step", "none", ()),
     "passing pull": ("ramp", "passing", ()),
-    "lasting pull": ("min_jerk", "lasting", ()),
-    "one gone": ("ramp", "passing", (2,)),
 }
+PARAMETERS = [
+    *(pytest.param(case, id=name) for name, case in CASES.items()),
+    *(pytest.param(case, id=name, marks=pytest.mark.slow) for name, case in SLOW.items()),
+]
 
 
-@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+@pytest.mark.parametrize("case", PARAMETERS)
 def test_preview_is_the_optimum_of_the_tracking_problem(case: tuple[Profile, str, tuple[int, ...]]) -> None:
     """Along the optimal path every input is K xi + feedforward, from any first deviation, (36b), (36c)."""
     of = problem(*case)
@@ -147,7 +153,7 @@ def test_preview_is_the_optimum_of_the_tracking_problem(case: tuple[Profile, str
     assert np.abs(found.feedforward).max() > 0.01, "a zero feedforward would compare nothing"
 
 
-@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+@pytest.mark.parametrize("case", PARAMETERS)
 def test_slope_is_that_of_the_optimal_cost(case: tuple[Profile, str, tuple[int, ...]]) -> None:
     """Half the derivative of the optimal cost with respect to the first deviation is P xi + p(0), (36b), (36c)."""
     of = problem(*case)

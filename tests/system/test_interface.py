@@ -63,6 +63,7 @@ def open_files() -> list[str]:
     return sorted(found)
 
 
+@pytest.mark.slow
 def test_processes_give_the_bits_of_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With processes, in the main thread or another, plans and states are those in memory; nothing stays."""
     monkeypatch.chdir(tmp_path)

@@ -70,6 +70,7 @@ def test_the_load_stays_in_the_air(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     try:
         assert wait_for(is_flying(tmp_path / "runs" / "played", TEAM)), process.communicate(timeout=10)
         assert wait_for((tmp_path / "runs" / "played" / "live.json").exists)  # names the run to the commands
+        assert wait_for(partial(is_at, 1))  # the processes have started before
         members = [1, 2, 3, 4]
         for words in commands:
             invoke(*words, *(["--once"] if words == ["top"] else []))  # it shows the agents until the run ends

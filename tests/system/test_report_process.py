@@ -42,10 +42,8 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, 
     return folder, files(folder)
 
 
-@pytest.mark.parametrize(
-    "waiting_s",
-    [pytest.param(0.0, marks=pytest.mark.slow, id="at-once"), pytest.param(_PREPARING_S, id="prepared")],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("waiting_s", [0.0, _PREPARING_S], ids=["at-once", "prepared"])
 def test_equal_reports(recorded: tuple[Path, dict[str, bytes]], waiting_s: float) -> None:
     """The process writes the bytes that a report in one process writes, prepared or not."""
     folder, expected = recorded

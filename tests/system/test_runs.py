@@ -86,7 +86,13 @@ def test_a_run_under_attack(sort: str, exchange: str, tmp_path: Path) -> None:
             # Asked within this process: on a busy host the run would end before a new process has started.
             status = ["status", "--format", "json", "--run", str(tmp_path / "out"), "--process"]
             asked, other = (CliRunner().invoke(app, [*status, name]) for name in ("agent2", "agent7"))
-            families = {family.name: family for family in Exporter("out", process_endpoints(scenario)).collect()}
+            exporter, families = Exporter("out", process_endpoints(scenario)), dict[str, Any]()
+
+            def all_answer() -> bool:  # each in time, once: on a busy host a process may be late in a reading
+                families.update({family.name: family for family in exporter.collect()})
+                return all(sample.value for sample in families["transport_up"].samples)
+
+            assert wait_for(all_answer)
             for key in FORGED_KEYS:
                 for _ in range(FORGED):
                     attack.say(forger, f"{keys.prefix}/{key}", b"?")
@@ -110,8 +116,7 @@ def test_a_run_under_attack(sort: str, exchange: str, tmp_path: Path) -> None:
     assert (health["name"], health["incarnation"]) == ("agent2", 0)
     assert abs(health["clock_offset_s"]) <= health["clock_uncertainty_s"] + 1e-3  # one clock
     assert health["memory_bytes"] > 1e7
-    up = {sample.labels["process"]: sample.value for sample in families["transport_up"].samples}
-    assert up == dict.fromkeys(process_names(scenario), 1.0)
+    assert {sample.labels["process"] for sample in families["transport_up"].samples} == set(process_names(scenario))
     assert all(sample.value > 1e7 for sample in families["transport_memory_bytes"].samples)
     assert len(families["transport_refused_messages"].samples) == count
     assert other.exit_code == 2
@@ -203,8 +208,16 @@ def test_routers_on_both_sides(tmp_path: Path) -> None:
     [
         (["--set", "network.host=0.0.0.0"], "network.host: expected a loopback address, or network.keys, or "),
         (["--set", "network.keys=nowhere"], "network.keys: expected a folder with ca.pem or passwords"),
-        (["--set", "network.router=plant:7447"], "network.router=plant:7447: expected an endpoint such as tls/"),
-        (["--set", "network.keys=KEYS", "--set", "network.router=tcp/127.0.0.1:1"], "network.router: expected tls/..."),
+        pytest.param(
+            ["--set", "network.router=plant:7447"],
+            "network.router=plant:7447: expected an endpoint such as tls/",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            ["--set", "network.keys=KEYS", "--set", "network.router=tcp/127.0.0.1:1"],
+            "network.router: expected tls/...",
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_refused_before_anything_starts(options: list[str], expected: str, tmp_path: Path) -> None:

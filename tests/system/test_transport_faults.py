@@ -133,7 +133,7 @@ def aborted(folder: Path, victim: str, do: str, *changes: str) -> dict[str, Any]
 
 
 @pytest.mark.parametrize("exchange", BOTH)
-@pytest.mark.parametrize("victim", ["plant", "coordinator"])
+@pytest.mark.parametrize("victim", ["plant", pytest.param("coordinator", marks=pytest.mark.slow)])
 def test_a_run_needs_plant_and_coordinator(victim: str, exchange: str, tmp_path: Path) -> None:
     """A run whose plant or coordinator is killed by script at a tick ends there, regardless of `on_agent_loss`."""
     summary = aborted(tmp_path, victim, "kill", "clock.on_agent_loss=continue", exchange)

@@ -135,6 +135,7 @@ def test_six_do_not_balance_it_shortly_before_a_corner() -> None:
     assert flown(6, "resilient", OFF).control.outcome == "diverged"
 
 
+@pytest.mark.slow
 def test_six_do_not_balance_it_on_a_late_network() -> None:
     """With 200 ms delay of plans the team cannot balance an instability of 2 rad/s."""
     assert flown(6, "resilient", OFF, CLIMB, *LATE).control.outcome == "diverged"

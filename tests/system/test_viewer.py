@@ -53,7 +53,7 @@ OTHER_LOOPBACK = "127.0.0.2"  # an address of this host on which the viewer does
 # The first seconds pass while the browser opens; the test ends the run.
 LONG = (
     "maneuver.phase=[{name='hover',duration_s=8.0,displacement_m=[0,0,0]},"
-    "{name='climb',duration_s=300.0,displacement_m=[0,0,-20.0]}]"
+    "{name='climb',duration_s=900.0,displacement_m=[0,0,-60.0]}]"
 )
 # Fast enough that a rod of an older frame would miss its ends by decimetres.
 SIDEWAYS = (
@@ -62,6 +62,7 @@ SIDEWAYS = (
 )
 SLOWLY = "clock.speed=0.25"  # real time has to keep up on a busy machine
 DRAWINGS = 12
+BROWSER_S = 600.0  # for a page that is drawn without a graphics processor on a busy machine; the runs last longer
 ROD_M = 1e-3  # poses and points have single precision, at some hundred metres
 DELAY_STEPS = 10  # of 0.01 s
 AGENTS, VICTIM = 4, 2
@@ -217,7 +218,7 @@ def test_frames_of_a_live_run_are_whole(tmp_path: Path, window: Browser, mode: s
             first, last = (drawings[k].poses["/payload"][:3, 3] for k in (0, -1))
             return len(drawings) >= DRAWINGS and bool(np.linalg.norm(last - first) > SEEN_M)
 
-        assert wait_for(moved)
+        assert wait_for(moved, BROWSER_S)
         window.leave()
     attachments = np.array([uav.rho for uav in setup_of(tmp_path / "whole").system.uavs])
     for number, drawing in enumerate(drawings):
@@ -254,7 +255,7 @@ def test_a_live_run_is_shown_and_changed(tmp_path: Path, window: Browser) -> Non
         window.open(address)
         with connected_pages(address, 2):
             window.press(1.0, *[RIGHT] * DELAY_STEPS)
-            assert wait_for(lambda: "links change: at tick" in (window.text() or ""))
+            assert wait_for(lambda: "links change: at tick" in (window.text() or ""), BROWSER_S)
         log = Growing(folder / "run.mcap")
         assert wait_for(lambda: any(json.loads(change.settings) == WANTED for change in log.of(LinkChange)))
         assert window.console() == []

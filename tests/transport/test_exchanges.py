@@ -26,9 +26,13 @@ MOTORS = (
 CASES = {
     "plain": (),
     "impaired negotiation": (HEAVY, ITERATIONS, NEXT_TICK),
-    "shared on change with motors": (*SHARED_ON_CHANGE, *MOTORS, "links.loss=0.3"),
 }
-SLOW = {"negotiation": (ITERATIONS,), "two UAVs each": ("agents.owned=[[1,2],[3,4]]",), "released": (RELEASED,)}
+SLOW = {
+    "shared on change with motors": (*SHARED_ON_CHANGE, *MOTORS, "links.loss=0.3"),
+    "negotiation": (ITERATIONS,),
+    "two UAVs each": ("agents.owned=[[1,2],[3,4]]",),
+    "released": (RELEASED,),
+}
 
 
 def run_of(*changes: str) -> Setup:
