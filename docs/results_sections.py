@@ -266,12 +266,12 @@ SECTIONS = (
         name="horizon",
         title="Effect of horizon and terminal weight",
         text="The paper's N_p = 20 is a choice, and the paper gives no terminal weight. Each horizon is run with each "
-        "weight where the prediction is open loop, on a perfect network and with a delay of 200 ms.",
+        "weight, or with the cost-to-go of the scenario, on a perfect network and with a delay of 200 ms.",
         columns={
             **SCENARIO,
             "network": "network",
             "N_p": "horizon",
-            "terminal weight": lambda row: f"{float(row['terminal']):g}",
+            "terminal weight": lambda row: row["terminal"].removesuffix(".0"),
             **OUTCOME,
         },
         alt="Cost of every horizon and terminal weight over that of the scenario as it is, without and with delay; "
