@@ -6,14 +6,14 @@ import sys
 from protocol.network.parent import ending_signals, wake_with_its_end
 from protocol.wire.exit_codes import EXIT_INTERRUPTED
 from transport.flight.fork_server import fork_server
+from transport.flight.signals import raise_interrupts
 
 
 def main() -> None:
     """Run the command; SIGTERM and SIGHUP end it like Ctrl-C, from the first import to the end."""
     try:
         wake_with_its_end()
-        for number in set(ending_signals()) - {signal.SIGINT}:
-            signal.signal(number, signal.default_int_handler)  # before the imports: they take a while
+        raise_interrupts()  # before the imports: they take a while
         if sys.argv[1:2] == ["run"] and not {"-h", "--help"} & set(sys.argv):
             fork_server()  # imports for the processes of the run while this process imports for itself
         from transport.cli.main import app

@@ -210,7 +210,7 @@ def test_frames_of_a_live_run_are_whole(tmp_path: Path, window: Browser, mode: s
     """In every drawing of a moving team, each rod ends at its attachment to the payload and at its UAV."""
     with live_run(tmp_path / "whole", f"clock.mode={mode}", SLOWLY, SIDEWAYS) as address:
         window.open(address)
-        assert wait_for(lambda: "sideways" in (window.text() or ""))
+        assert wait_for(lambda: "sideways" in (window.text() or "")), window.text()
         drawings: list[Drawing] = []
 
         def moved() -> bool:

@@ -1,18 +1,24 @@
 """An interrupt ends the command `transport` with its exit code, wherever the command is at that moment."""
 
 import os
+import signal
 import subprocess
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
 from typer.testing import CliRunner
 
-from protocol.network.parent import python
+from protocol.network.parent import ending_signals, python
 from protocol.wire.exit_codes import EXIT_INTERRUPTED
+from protocol.wire.messages import Message
+from tests.support import runs
 from transport.cli.main import app
+from transport.flight import memory, signals
 from transport.flight.run import Finished
 from transport.flight.run_error import RunError
+from transport.flight.signals import raise_interrupts
 
 # Stands in for the module with the commands; ends as if the interrupt came while it is imported or while it works.
 _PROGRAM = """
@@ -79,3 +85,42 @@ def test_a_run_interrupted_before_its_log_says_so(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr("transport.cli.run_scenario.simulate", simulate)
     result = CliRunner().invoke(app, ["run", "paper", "--no-figures", "--out", str(tmp_path / "run")])
     assert (result.exit_code, result.stderr) == (EXIT_INTERRUPTED, "transport: interrupted; nothing is recorded\n")
+
+
+def test_a_suppressed_interrupt_ends_a_run_in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compiled code that calls Python may suppress the exception of a signal; the run ends all the same."""
+    monkeypatch.setattr(signals, "_raised", [])
+    before = {number: signal.getsignal(number) for number in ending_signals()}
+    recorded = 0
+
+    def record(_: Message) -> None:
+        nonlocal recorded
+        recorded += 1
+        if recorded == 3:
+            with suppress(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGTERM)
+
+    try:
+        raise_interrupts()
+        with pytest.raises(KeyboardInterrupt, match="SIGTERM"):
+            memory.simulate(runs.setup(runs.SHORT), record)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    assert recorded < 100, "the run went on"
+
+
+def test_signals_the_user_ignores_stay_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A command in the background of a shell without job control, or started with nohup, ends by SIGTERM only."""
+    monkeypatch.setattr(signals, "_raised", [])
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM)}
+    try:
+        for number in (signal.SIGINT, signal.SIGHUP):
+            signal.signal(number, signal.SIG_IGN)
+        raise_interrupts()
+        assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGHUP)] == [signal.SIG_IGN] * 2
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGTERM)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -19,6 +19,7 @@ from protocol.scenario.setup import Setup
 from protocol.wire.keys import Keys, matches
 from protocol.wire.messages import Control, Message, Presence
 from protocol.wire.node import Node
+from transport.flight.signals import check_interrupt
 
 # Runs in several threads take turns: the number of BLAS threads, which decides the order of sums, is the process's.
 _TURN = threading.RLock()
@@ -38,7 +39,7 @@ def simulate(
         setup: The run.
         record: Function called with every message, as the recorder would receive it.
         stopwatch: Steady clock of the step reports, ns.
-    Raises: RuntimeError: deadlock of the nodes, which is a bug.
+    Raises: KeyboardInterrupt: see `check_interrupt`; RuntimeError: deadlock of the nodes, which is a bug.
     """
     with _TURN, threadpoolctl.threadpool_limits(1):
         return InMemoryRun(setup, record, stopwatch).run()
@@ -69,6 +70,7 @@ class InMemoryRun:
                 self._announce(Presence(name, 0, alive=True))
         while True:
             while self._queue:
+                check_interrupt()
                 self._deliver(self._queue.popleft())
             # The other nodes receive the end of the run before it is returned; a killed coordinator sends none.
             if self._coordinator.finished is not None:

@@ -1,4 +1,4 @@
-"""Collection of the signals that end a run in order, while it is active."""
+"""The signals that end a command: as KeyboardInterrupt, or collected while a run with processes is active."""
 
 import signal
 import threading
@@ -7,6 +7,31 @@ from contextlib import contextmanager
 from types import FrameType
 
 from protocol.network.parent import ending_signals
+
+# Names of the signals that were raised as KeyboardInterrupt.
+_raised: list[str] = []
+
+
+def raise_interrupts() -> None:
+    """Let SIGTERM and SIGHUP end this process like Ctrl-C, by KeyboardInterrupt."""
+    for number in ending_signals():
+        # Without job control a shell starts commands in the background with SIGINT ignored.
+        if number != signal.SIGINT or signal.getsignal(number) is signal.default_int_handler:
+            signal.signal(number, _raise)
+
+
+def check_interrupt() -> None:
+    """Raise KeyboardInterrupt if a signal has already been raised: compiled code that calls Python may suppress it.
+
+    For computations that take long; only after `raise_interrupts`.
+    """
+    if _raised:
+        raise KeyboardInterrupt(_raised[0])
+
+
+def _raise(number: int, _: FrameType | None) -> None:
+    _raised.append(signal.Signals(number).name)
+    raise KeyboardInterrupt(_raised[-1])
 
 
 @contextmanager
