@@ -57,10 +57,10 @@ LONG = (
 )
 # Fast enough that a rod of an older frame would miss its ends by decimetres.
 SIDEWAYS = (
-    "maneuver.phase=[{name='hover',duration_s=2.0,displacement_m=[0,0,0]},"
+    "maneuver.phase=[{name='hover',duration_s=0.5,displacement_m=[0,0,0]},"
     "{name='sideways',duration_s=600.0,displacement_m=[600.0,0,-60.0]}]"
 )
-SLOWLY = "clock.speed=0.25"  # real time has to keep up on a busy machine
+SLOWLY = "clock.speed=0.1"  # real time has to keep up on a busy machine: 0.5 s a tick
 DRAWINGS = 12
 BROWSER_S = 600.0  # for a page that is drawn without a graphics processor on a busy machine; the runs last longer
 ROD_M = 1e-3  # poses and points have single precision, at some hundred metres
@@ -210,7 +210,7 @@ def test_frames_of_a_live_run_are_whole(tmp_path: Path, window: Browser, mode: s
     """In every drawing of a moving team, each rod ends at its attachment to the payload and at its UAV."""
     with live_run(tmp_path / "whole", f"clock.mode={mode}", SLOWLY, SIDEWAYS) as address:
         window.open(address)
-        assert wait_for(lambda: "sideways" in (window.text() or "")), window.text()
+        assert wait_for(lambda: "sideways" in (window.text() or ""), BROWSER_S), window.text()
         drawings: list[Drawing] = []
 
         def moved() -> bool:
