@@ -108,6 +108,12 @@ def points_rows(measured: Sequence[PointStatistics]) -> list[dict[str, Any]]:
     return rows
 
 
+def means_in_words(measured: Sequence[PointStatistics]) -> str:
+    """Return the title of a table: a single run for each point has no confidence interval."""
+    repeated = any(number is not None and number.n > 1 for m in measured for number in m.numbers.values())
+    return "means of completed runs" + ", ± 95 % confidence" * repeated
+
+
 def table_of(title: str, measured: Sequence[PointStatistics], *, timed: bool = False) -> Table:
     """Return the table for the console, `WIDTH` characters wide; timed points have one scenario and more columns."""
     sharing = "share_threshold" in measured[0].point.labels

@@ -23,7 +23,7 @@ from transport.experiments.quantities import Axis, axis, quantity
 from transport.experiments.results import Results, ResultsInMemory
 from transport.experiments.simulation import NUMBERS, Result
 from transport.experiments.statistics import PointStatistics, statistics_of
-from transport.experiments.table import WIDTH, cases_csv, cases_rows, points_csv, points_rows, table_of
+from transport.experiments.table import WIDTH, cases_csv, cases_rows, means_in_words, points_csv, points_rows, table_of
 from transport.experiments.workers import check_cluster, on_cluster, on_cores
 from transport.flight.compiling import compile_model
 from transport.flight.header import machine
@@ -135,7 +135,7 @@ class Sweep:
         """Return the table that the commands `transport experiment` print."""
         wide = Console(width=WIDTH, force_jupyter=False, force_terminal=False, no_color=True)
         with wide.capture() as capture:
-            wide.print(table_of("means of completed runs, ± 95 % confidence", self.points))
+            wide.print(table_of(means_in_words(self.points), self.points))
         return "\n".join(line.rstrip() for line in capture.get().rstrip().splitlines())
 
     @public

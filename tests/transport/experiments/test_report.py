@@ -18,7 +18,7 @@ from transport.experiments.experiment import Experiment
 from transport.experiments.figures import draw, fill
 from transport.experiments.simulation import ERROR, NUMBERS, Result
 from transport.experiments.statistics import PointStatistics, statistics_of
-from transport.experiments.table import WIDTH, WIDTH_OF_VARIANTS, table_of
+from transport.experiments.table import WIDTH, WIDTH_OF_VARIANTS, means_in_words, table_of
 from transport.report.style import COLUMN_IN, RC, SMALL
 
 BOTH = ["paper", "resilient"]
@@ -145,3 +145,9 @@ def test_figures_are_reproducible(tmp_path: Path) -> None:
     first = [path.read_bytes() for path in draw(LATENCY, measured, tmp_path)]
     assert [path.read_bytes() for path in draw(LATENCY, measured, tmp_path)] == first
     assert dict(mpl.rcParams) == before
+
+
+def test_a_table_names_confidence_intervals_only_where_it_has_them() -> None:
+    """A point with a single completed run has none."""
+    titles = {mix: means_in_words(made(LATENCY, MIXES[mix])) for mix in MIXES}
+    assert {mix for mix, title in titles.items() if "95 %" in title} == {"repeated", "some diverged"}

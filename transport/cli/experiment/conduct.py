@@ -28,7 +28,7 @@ from transport.experiments.scaling import scaling_conclusions
 from transport.experiments.simulation import Result, simulate_in_processes
 from transport.experiments.statistics import PointStatistics
 from transport.experiments.sweep import Simulate, report, sweep
-from transport.experiments.table import WIDTH, WIDTH_OF_VARIANTS, table_of
+from transport.experiments.table import WIDTH, WIDTH_OF_VARIANTS, means_in_words, table_of
 from transport.experiments.workers import check_cluster, on_cluster, on_cores
 from transport.flight.header import machine
 
@@ -83,7 +83,7 @@ def conduct(experiment: Experiment, options: ExperimentOptions) -> None:
             console.print(f"{done} of {len(cases)} runs are done already", highlight=False)
         found = sweep(experiment, cases, simulator(options, folder), results, console)
         measured, files = report(experiment, cases, found, folder)
-    title = f"{experiment.name}: means of completed runs, ± 95 % confidence" + (f" ({trial})" if trial else "")
+    title = f"{experiment.name}: {means_in_words(measured)}" + (f" ({trial})" if trial else "")
     if experiment.timed:
         phases = cases[0].scenario.maneuver.phase  # the same in all cases
         title += f"\n{sum(phase.duration_s for phase in phases):g} s of {', '.join(phase.name for phase in phases)}"
