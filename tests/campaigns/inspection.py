@@ -9,7 +9,7 @@ from pathlib import Path
 
 from protocol.network.health import command_of
 from protocol.wire import exit_codes
-from transport.flight.vitals import Pulse, vitals
+from transport.flight.vitals import Pulse
 from transport.log.run_log import RunLog, read_log
 
 # Exit codes of the table (docs/command-line.md).
@@ -49,9 +49,10 @@ def wait_given(condition: Callable[[], bool], folder: Path, timeout_s: float) ->
             return False
         began_s, given_s = time.monotonic(), {pid: pulse.given_s for pid, pulse in pulses.items()}
         wait_for(condition, _LOOK_S)
-        for pid in processes_below(folder):
+        here = processes_below(folder)  # without zombies, which a stopped parent does not reap
+        for pid in here:
             pulses.setdefault(pid, Pulse(pid)).look()
-        spent = [pulses[pid].given_s - before_s for pid, before_s in given_s.items() if vitals(pid) is not None]
+        spent = [pulses[pid].given_s - before_s for pid, before_s in given_s.items() if pid in here]
         left_s -= min([time.monotonic() - began_s, *spent])
     return True
 

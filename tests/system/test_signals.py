@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections import Counter
 from pathlib import Path
 
@@ -134,6 +135,16 @@ def test_a_run_without_injections(tmp_path: Path) -> None:
     result = execute(run, tmp_path, threading.Event())
     assert (result.exit_code, result.problems) == (0, {})
     assert processes_below(tmp_path) == {}
+
+
+def test_a_wait_ends_beside_a_zombie(tmp_path: Path) -> None:
+    """A process that its parent does not reap, as a stopped one, does not stop the time for the others."""
+    ends_s = time.monotonic() + PATIENCE_S
+    program = "import os, time; time.sleep(0.5 if os.fork() == 0 else 600.0)"
+    with subprocess.Popen([sys.executable, "-c", program], cwd=tmp_path) as parent:
+        has_ended = inspection.wait_given(lambda: time.monotonic() > ends_s, tmp_path, 2.0)
+        parent.kill()
+    assert not has_ended
 
 
 def test_an_exit_code_that_does_not_fit_is_found(tmp_path: Path) -> None:
