@@ -227,6 +227,8 @@ def _wrong_exit_code(run: SignalRun, code: int, log: RunLog | None, *, is_unread
 def _execute_all(runs: Sequence[SignalRun], folder: Path, jobs: int) -> Iterator[Result]:
     """Execute runs, several at a time; keep the folders of those with problems."""
     stop = threading.Event()
+    for run in runs:  # kept by an earlier campaign, whose process id may have been the same
+        shutil.rmtree(folder / str(run.number), ignore_errors=True)
     with ThreadPoolExecutor(jobs) as pool:
         futures = [pool.submit(execute, run, folder / str(run.number), stop) for run in runs]
         try:
@@ -252,7 +254,7 @@ def table(results: Sequence[Result]) -> Iterator[str]:
         sent = "two at once" if others else f"{first.sent} to {_CALLED.get(first.target, first.target)}"
         row = rows.setdefault(sent, Counter())
         row[f"exit {result.exit_code}"] += 1
-        row.update(result.problems)
+        row.update(list(result.problems))
     yield "runs by exit code"
     for name, counts in sorted(rows.items()):
         yield f"  {name:<44}" + ", ".join(f"{count} x {outcome}" for outcome, count in sorted(counts.items()))

@@ -20,7 +20,6 @@ from protocol.wire.messages import Answer, Plan, Relay
 _ANSWERED = 4
 
 _REMOTE, _BLOCK = zenoh.Locality.REMOTE, zenoh.CongestionControl.BLOCK
-_PATIENCE_US = 600_000_000
 
 
 def tls(folder: Path | None, name: str, authority: Path | None = None) -> dict[str, Any]:
@@ -36,16 +35,6 @@ def tls(folder: Path | None, name: str, authority: Path | None = None) -> dict[s
     certificate, key = str(folder / f"{name}.pem"), str(folder / f"{name}.key")
     own = {"enable_mtls": True, "connect_certificate": certificate, "connect_private_key": key}
     return {"link": {"tls": {"root_ca_certificate": str(authority or folder / "ca.pem"), **own}}}
-
-
-def patient(secure: dict[str, Any] | None) -> dict[str, Any]:
-    """Return Zenoh's section `transport` of a session that waits for slow receivers; `secure` is that of its keys.
-
-    By default Zenoh closes a connection that takes nothing for 5 s, and loses what is on its way there.
-    """
-    waits = {"tx": {"queue": {"congestion_control": {"block": {"wait_before_close": _PATIENCE_US}}}}}
-    found = secure or {}
-    return {**found, "link": {**found.get("link", {}), **waits}}
 
 
 @contextmanager
@@ -65,8 +54,9 @@ def session(
         "connect": {"endpoints": list(endpoints), "timeout_ms": round(1e3 * timeout_s), "exit_on_failure": True},
         "listen": {"endpoints": []},
         "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
-        "transport": patient(secure),
     }
+    if secure is not None:
+        configuration["transport"] = secure
     with zenoh.open(zenoh.Config.from_json5(json.dumps(configuration))) as opened:
         yield opened
 

@@ -15,7 +15,6 @@ import zenoh
 from protocol.wire.codec import decode
 from protocol.wire.keys import Keys, matches
 from protocol.wire.messages import Bundle, MessageError
-from tests.support.attack import patient
 from tests.support.garbage import Garbage
 from transport.analysis.steps import WALL_CLOCK
 
@@ -61,8 +60,9 @@ def intruding(
         },
         "listen": {"endpoints": []},
         "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
-        "transport": patient(secure),
     }
+    if secure is not None:
+        configuration["transport"] = secure
     with zenoh.open(zenoh.Config.from_json5(json.dumps(configuration))) as session:
         yield Mesh(session, keys, hears)
 

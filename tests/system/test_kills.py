@@ -66,7 +66,7 @@ def test_a_process_stopped_before_the_run_is_named(tmp_path: Path) -> None:
     assert wait_for(lambda: "plant" in processes_of("join"))
     os.kill(processes_of("join")["plant"], signal.SIGSTOP)
     _, errors = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == LOST
+    assert process.returncode == LOST, errors
     line = errors.splitlines()[-1]
     assert line.startswith("transport: plant does not answer: stopped by a signal for ")
     assert "Traceback" not in errors

@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -28,6 +29,7 @@ MANY = 1500
 FEW = 300
 HOVER = ("maneuver.phase=[{name='hover',duration_s=0.5,displacement_m=[0,0,0]}]",)
 REFUSED = ("controller.horizon=0",)
+KILL = Injection(target="agent1", kind="KILL", since="start", after_s=0.0)
 # Its first four runs signal a process that draws, the viewer, an agent and its successor, and have no long stop.
 SEED = "371"
 # Four runs, two at a time, on a slow machine: each may wait ten seconds until the network gives up a process.
@@ -152,6 +154,8 @@ def test_an_exit_code_that_does_not_fit_is_found(tmp_path: Path) -> None:
     result = execute(SignalRun(number=2, settings=REFUSED, injections=()), tmp_path, threading.Event())
     assert result.exit_code == 3
     assert result.problems == {"wrong exit code": "3, expected one of 0, 4, 6"}
+    by_exit_code = list(signals.table([replace(result, run=replace(result.run, injections=(KILL,)))] * 2))
+    assert by_exit_code[-1].endswith("2 x exit 3, 2 x wrong exit code")
 
 
 def test_a_traceback_is_found(tmp_path: Path) -> None:
