@@ -30,6 +30,7 @@ from protocol.wire.codec import MAX_BYTES, decode
 from protocol.wire.header import Header, Place, header_of
 from protocol.wire.keys import Keys
 from protocol.wire.messages import (
+    BUNDLES,
     MAX_TICK,
     Answer,
     Bundle,
@@ -110,6 +111,7 @@ class Admission:
         self._returning: int | None = None
         self._announced: dict[str, int] = {}  # newest incarnation, by name
         self._newest: dict[tuple[str, str, bool], Newest] = {}  # by key, kind, and whether it is a proposal
+        self._newest_bundles: dict[str, int] = {}  # ticks of those that `follows` has counted, by key
         # Incarnations and sequence numbers in their order, by key and kind.
         self._numbers: dict[tuple[str, str], dict[tuple[int, int], None]] = {}
         self._unread: dict[tuple[str, Reason], tuple[MessageError, int]] = {}  # refused on arrival, by sender
@@ -172,11 +174,16 @@ class Admission:
             return False
         if self._is_up_to_date and header.tick > self.tick + 1:
             return False
-        try:
-            self._check_order(sample.key, header)
-        except MessageError:
-            return False
-        self._remember(sample.key, header)
+        if header.kind in BUNDLES:  # without an order: a copy under a higher number must not block the true ones
+            if header.tick < self._newest_bundles.get(sample.key, 0):
+                return False
+            self._newest_bundles[sample.key] = header.tick
+        else:
+            try:
+                self._check_order(sample.key, header)
+            except MessageError:
+                return False
+            self._remember(sample.key, header)
         self._note_tick(header)
         return True
 

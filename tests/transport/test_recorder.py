@@ -214,6 +214,31 @@ def test_progress_follows_headers(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert recorder.error is None
 
 
+def test_copies_under_other_numbers_do_not_stop_progress(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A flood of renumbered copies of bundles blocks no true one, also where outdated messages are refused unread."""
+    monkeypatch.setattr(recorder_module, "Bus", ScriptedBus)
+    writer = LogWriter(tmp_path / "run.mcap", with_scenario(HEADER, RUN), period_ns=RUN.period_ns)
+    recorder = Recorder(RUN, KEYS.run, writer, Endpoints(listen=[], connect=[]), 1.0)
+    for k in range(30):
+        for kind, part in ((Relay, runs.tick(k)), (Record, runs.plant_state(RUN, k))):
+            true = Outbox(part.sender, 0).stamp(kind, tick=k, keys=(KEYS.end(KEYS.of(part)),), parts=(encode(part),))
+            for message in (
+                replace(true, sequence=k + 1),
+                replace(true, sequence=10**6 + k),
+                replace(true, sequence=k),
+            ):
+                key, data = KEYS.of(message), encode(message)
+                assert not recorder.admission.has_passed(key, data)
+                taken = recorder.admission.take(key, data)
+                assert isinstance(taken, Sample)
+                recorder.receive(taken)
+        assert recorder.tick == k
+        assert recorder.plant_state is not None
+        assert recorder.plant_state.tick == k
+    recorder.close()
+    assert recorder.error is None
+
+
 def test_each_notice_is_handed_over_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A notice that comes while earlier ones are shown is among them or among the next."""
     monkeypatch.setattr(recorder_module, "Bus", ScriptedBus)

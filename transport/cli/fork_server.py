@@ -10,6 +10,7 @@ import json
 import os
 import socket
 import sys
+import time
 import traceback
 from collections.abc import Mapping
 from typing import Any, NoReturn
@@ -53,8 +54,12 @@ def _started(request: Mapping[str, Any], stdin: int, output: int) -> int:
     between = os.fork()
     if between == 0:
         try:
+            own = os.getpid()
             pid = os.fork()
             if pid == 0:
+                # Once it watches its parent, the end of this one would continue it if it were stopped by then.
+                while os.getppid() == own:
+                    time.sleep(1e-4)
                 _become(request, stdin, output)
             os.write(writes, b"%d" % pid)
         finally:
