@@ -2,8 +2,9 @@
 
 Each mutated scenario goes through `transport validate` in a process of its own with limits on memory and processor
 time; a scenario that is accepted is simulated in memory for a few ticks. Neither may end with a traceback, use more
-than 1 GB, or compute for 10 s without a sign. The limits are of processor time, so the result does not depend on the
-load of the host. Exit code 1 if any scenario has a problem.
+than 1 GB, or compute for 10 s without a sign. Where the simulation has a large team in one process, it may use what the
+budget allows to such a process, while each process of `transport run` is within 1 GB. The limits are of processor time,
+so the result does not depend on the load of the host. Exit code 1 if any scenario has a problem.
 """
 
 import argparse
@@ -28,6 +29,7 @@ from typing import Any
 
 import typer
 
+from protocol.scenario.budget import estimate
 from protocol.scenario.file import find_scenario, read_scenario
 from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import EXIT_SCENARIO
@@ -82,7 +84,7 @@ def attempt(content: bytes, folder: Path, ticks: int = TICKS) -> tuple[str, str,
     told, asleep = _read(reads, child)
     _, status, used = os.wait4(child, 0)
     lines = told.decode(errors="replace").splitlines()
-    outcome, text = json.loads(lines[-1]) if lines else ("", "")
+    outcome, text, most_bytes = json.loads(lines[-1]) if lines else ("", "", LARGEST_BYTES)
     if os.WIFSIGNALED(status):
         number = os.WTERMSIG(status)
         silent = asleep or number == signal.SIGPROF
@@ -90,8 +92,8 @@ def attempt(content: bytes, folder: Path, ticks: int = TICKS) -> tuple[str, str,
     elif os.WEXITSTATUS(status) or not outcome:
         outcome, text = "traceback", f"exit code {os.WEXITSTATUS(status)}"
     peak = used.ru_maxrss * 1024
-    if peak > LARGEST_BYTES:
-        outcome = "over 1 GB"
+    if peak > most_bytes:
+        outcome, text = "over 1 GB", f"{peak / 1e6:,.0f} MB, expected at most {most_bytes / 1e6:,.0f} MB"
     return outcome, text, peak, used.ru_utime + used.ru_stime
 
 
@@ -111,8 +113,8 @@ def _sign() -> None:
     signal.setitimer(signal.ITIMER_PROF, SILENCE_S)
 
 
-def _tell(descriptor: int, outcome: str, text: str) -> None:
-    os.write(descriptor, json.dumps([outcome, text[:2000]]).encode() + b"\n")
+def _tell(descriptor: int, outcome: str, text: str, most_bytes: float) -> None:
+    os.write(descriptor, json.dumps([outcome, text[:2000], most_bytes]).encode() + b"\n")
 
 
 def _read(descriptor: int, child: int) -> tuple[bytes, bool]:
@@ -138,16 +140,19 @@ def _cpu_ticks(process: int) -> int:
     return int(after_name[11]) + int(after_name[12])
 
 
-def _outcome(path: Path, ticks: int) -> tuple[str, str]:
+def _outcome(path: Path, ticks: int) -> tuple[str, str, float]:
+    """Return outcome, text, and the most memory that it may take, bytes."""
     try:
         refusal = _refusal(path)
         if refusal is not None:
             clear = refusal.startswith("transport: ") and refusal.count("\n") == 1 and "Error(" not in refusal
-            return (REFUSED if clear else "no clear line"), refusal
+            return (REFUSED if clear else "no clear line"), refusal, LARGEST_BYTES
         _sign()
-        return _simulated(Setup.of(read_scenario(path), str(path)), ticks)
+        scenario = read_scenario(path)
+        most_bytes = max(LARGEST_BYTES, estimate(scenario).worker_bytes)
+        return *_simulated(Setup.of(scenario, str(path)), ticks), most_bytes
     except BaseException:  # noqa: BLE001  # any error here is a result
-        return "traceback", traceback.format_exc()
+        return "traceback", traceback.format_exc(), LARGEST_BYTES
 
 
 def _refusal(path: Path) -> str | None:
