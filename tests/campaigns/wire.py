@@ -144,6 +144,7 @@ def _attack(access: str, messages: int, rng: np.random.Generator, folder: Path, 
                     result.sent[sort] += 1
                     delivered.add(key, data)
                 is_connected = process.poll() is None
+                _settled(mesh, keys, names)  # the end of the session would drop what a slowed-down process has not read
         printed, errors = process.communicate(timeout=_RUN_S)
     finally:
         if process.poll() is None:
@@ -173,10 +174,6 @@ def _refused_before(
 ) -> dict[str, int]:
     """Prove by bad messages that every process receives those of a session; return the refusals they count for them."""
 
-    def refused(name: str) -> int:
-        health = fetch_answer(mesh.session, keys.request(name, "health"), {}, _HEALTH_S)
-        return 0 if health is None else int(health["refused"])
-
     every = [key for name in ("coordinator", "plant", "agent1") for key in keys.publications(name)]
     for name in names:
         hears = keys.subscriptions(name, relayed=relayed)
@@ -184,14 +181,25 @@ def _refused_before(
 
         def has_refused(name: str = name, key: str = key) -> bool:
             mesh.put(key, b"?")
-            return refused(name) > 0
+            return _refused(mesh, keys, name) > 0
 
         wait_for(has_refused)
-    found, before = {name: refused(name) for name in names}, dict[str, int]()
+    return _settled(mesh, keys, names)
+
+
+def _settled(mesh: Mesh, keys: Keys, names: Sequence[str]) -> dict[str, int]:
+    """Return how many messages each process has refused, once the numbers no longer grow."""
+    found, before = {name: _refused(mesh, keys, name) for name in names}, dict[str, int]()
     while found != before:
         time.sleep(_HEALTH_S / 10.0)
-        found, before = {name: refused(name) for name in names}, found
+        found, before = {name: _refused(mesh, keys, name) for name in names}, found
     return found
+
+
+def _refused(mesh: Mesh, keys: Keys, name: str) -> int:
+    """Return how many messages a process has refused, according to its health; 0 without an answer."""
+    health = fetch_answer(mesh.session, keys.request(name, "health"), {}, _HEALTH_S)
+    return 0 if health is None else int(health["refused"])
 
 
 def _endpoints(folder: Path, names: Sequence[str]) -> Iterator[str]:
