@@ -173,7 +173,6 @@ def _refused_before(
     mesh: Mesh, keys: Keys, names: Sequence[str], *, relayed: bool, may_send: Sequence[str] | None
 ) -> dict[str, int]:
     """Prove by bad messages that every process receives those of a session; return the refusals they count for them."""
-
     every = [key for name in ("coordinator", "plant", "agent1") for key in keys.publications(name)]
     for name in names:
         hears = keys.subscriptions(name, relayed=relayed)
