@@ -2,7 +2,7 @@
 
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -96,6 +96,8 @@ def open_log(
         _write_scenario(second, setup, header["scenario"])
         return second / _LOG
 
+    with suppress(OSError):  # a system without one has no second place
+        tempfile.gettempdir()  # chosen now: on a disk that is full later it would not be the one that TMPDIR names
     path = folder / _LOG
     try:
         file = RelocatingFile(path, header, second_place, say)
