@@ -22,7 +22,9 @@ MOST_ROWS = 40_000
 MOST_PROCESS_BYTES = 1_000 * MB
 MOST_TOTAL_BYTES = 8_000 * MB
 MOST_LOG_BYTES = 4_000 * MB
-MOST_STEP_S = 2.0
+# While many constraints are active, as in the first step, a large QP takes several times as long: beyond this, some take
+# more than 10 s, during which nothing is seen of the run.
+MOST_STEP_S = 1.25
 
 ADMITTED = "--allow-large admits more"
 
@@ -146,7 +148,7 @@ def check_budget(scenario: Scenario, source: str) -> Budget:
         (size, found.process_bytes / MB, MOST_PROCESS_BYTES / MB, "MB of memory per process", ",.0f"),
         (size, found.total_bytes / MB, MOST_TOTAL_BYTES / MB, "MB of memory in total", ",.0f"),
         ("maneuver.phase", found.log_bytes / MB, MOST_LOG_BYTES / MB, "MB of log", ",.0f"),
-        ("controller.horizon", found.step_s, MOST_STEP_S, "s of processor time per step", ",.2g"),
+        ("controller.horizon", found.step_s, MOST_STEP_S, "s of processor time per step", ",.3g"),
     ):
         if got > most:
             expected = f"expected at most {format(most, shown)} {unit}, got {format(got, shown)}"

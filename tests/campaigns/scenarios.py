@@ -22,7 +22,7 @@ import time
 import tomllib
 import traceback
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -77,7 +77,7 @@ def attempt(content: bytes, folder: Path, ticks: int = TICKS) -> tuple[str, str,
         code = 1
         with contextlib.suppress(BaseException):
             _limit()
-            _tell(writes, *_outcome(path, ticks))
+            _tell(writes, *_outcome(path, ticks, lambda most: _tell(writes, "", "", most)))
             code = 0
         os._exit(code)
     os.close(writes)
@@ -114,6 +114,7 @@ def _sign() -> None:
 
 
 def _tell(descriptor: int, outcome: str, text: str, most_bytes: float) -> None:
+    """Tell the parent an outcome, or an empty one before it is known, and the most memory it may take, bytes."""
     os.write(descriptor, json.dumps([outcome, text[:2000], most_bytes]).encode() + b"\n")
 
 
@@ -140,8 +141,8 @@ def _cpu_ticks(process: int) -> int:
     return int(after_name[11]) + int(after_name[12])
 
 
-def _outcome(path: Path, ticks: int) -> tuple[str, str, float]:
-    """Return outcome, text, and the most memory that it may take, bytes."""
+def _outcome(path: Path, ticks: int, allow: Callable[[float], None]) -> tuple[str, str, float]:
+    """Return outcome, text, and the most memory that it may take, bytes; `allow` is told the latter before."""
     try:
         refusal = _refusal(path)
         if refusal is not None:
@@ -150,6 +151,7 @@ def _outcome(path: Path, ticks: int) -> tuple[str, str, float]:
         _sign()
         scenario = read_scenario(path)
         most_bytes = max(LARGEST_BYTES, estimate(scenario).worker_bytes)
+        allow(most_bytes)
         return *_simulated(Setup.of(scenario, str(path)), ticks), most_bytes
     except BaseException:  # noqa: BLE001  # any error here is a result
         return "traceback", traceback.format_exc(), LARGEST_BYTES
@@ -171,8 +173,8 @@ def _simulated(setup: Setup, ticks: int) -> tuple[str, str]:
 
     def record(message: Message) -> None:
         nonlocal seen
+        _sign()  # each agent's step is one: they have a process each in `transport run`
         if isinstance(message, PlantState):
-            _sign()
             seen += 1
             if seen >= ticks:
                 raise _Enough

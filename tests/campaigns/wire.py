@@ -10,6 +10,7 @@ a process has accepted a message, or a session without keys connects.
 import argparse
 import json
 import signal
+import subprocess
 import sys
 import tempfile
 import time
@@ -128,7 +129,7 @@ def _attack(access: str, messages: int, rng: np.random.Generator, folder: Path, 
                 hears, may_send = keys.subscriptions("agent1", relayed=relayed), keys.publications("agent1")
             delivered = Deliveries(keys, names, relayed=relayed, may_send=may_send)
             with intruding(keys, endpoints, secure, hears) as mesh:
-                before = _refused_before(mesh, keys, names, relayed=relayed, may_send=may_send)
+                before = _refused_before(mesh, keys, names, process, relayed=relayed, may_send=may_send)
                 shots = bombard(
                     mesh,
                     source,
@@ -144,7 +145,8 @@ def _attack(access: str, messages: int, rng: np.random.Generator, folder: Path, 
                     result.sent[sort] += 1
                     delivered.add(key, data)
                 is_connected = process.poll() is None
-                _settled(mesh, keys, names)  # the end of the session would drop what a slowed-down process has not read
+                # The end of the session would drop what a slowed-down process has not read.
+                _settled(mesh, keys, names, process)
         printed, errors = process.communicate(timeout=_RUN_S)
     finally:
         if process.poll() is None:
@@ -170,7 +172,13 @@ def _attack(access: str, messages: int, rng: np.random.Generator, folder: Path, 
 
 
 def _refused_before(
-    mesh: Mesh, keys: Keys, names: Sequence[str], *, relayed: bool, may_send: Sequence[str] | None
+    mesh: Mesh,
+    keys: Keys,
+    names: Sequence[str],
+    process: "subprocess.Popen[str]",
+    *,
+    relayed: bool,
+    may_send: Sequence[str] | None,
 ) -> dict[str, int]:
     """Prove by bad messages that every process receives those of a session; return the refusals they count for them."""
     every = [key for name in ("coordinator", "plant", "agent1") for key in keys.publications(name)]
@@ -180,25 +188,26 @@ def _refused_before(
 
         def has_refused(name: str = name, key: str = key) -> bool:
             mesh.put(key, b"?")
-            return _refused(mesh, keys, name) > 0
+            return (_refused(mesh, keys, name) or 0) > 0
 
         wait_for(has_refused)
-    return _settled(mesh, keys, names)
+    return {name: count or 0 for name, count in _settled(mesh, keys, names, process).items()}
 
 
-def _settled(mesh: Mesh, keys: Keys, names: Sequence[str]) -> dict[str, int]:
-    """Return how many messages each process has refused, once the numbers no longer grow."""
-    found, before = {name: _refused(mesh, keys, name) for name in names}, dict[str, int]()
-    while found != before:
+def _settled(mesh: Mesh, keys: Keys, names: Sequence[str], process: "subprocess.Popen[str]") -> dict[str, int | None]:
+    """Return how many messages each process has refused, once all answer and the numbers no longer grow."""
+    found: dict[str, int | None] = {name: _refused(mesh, keys, name) for name in names}
+    before: dict[str, int | None] = {}
+    while process.poll() is None and (found != before or None in found.values()):
         time.sleep(_HEALTH_S / 10.0)
         found, before = {name: _refused(mesh, keys, name) for name in names}, found
     return found
 
 
-def _refused(mesh: Mesh, keys: Keys, name: str) -> int:
-    """Return how many messages a process has refused, according to its health; 0 without an answer."""
+def _refused(mesh: Mesh, keys: Keys, name: str) -> int | None:
+    """Return how many messages a process has refused, according to its health; None without an answer in time."""
     health = fetch_answer(mesh.session, keys.request(name, "health"), {}, _HEALTH_S)
-    return 0 if health is None else int(health["refused"])
+    return None if health is None else int(health["refused"])
 
 
 def _endpoints(folder: Path, names: Sequence[str]) -> Iterator[str]:
