@@ -22,8 +22,8 @@ MOST_ROWS = 40_000
 MOST_PROCESS_BYTES = 1_000 * MB
 MOST_TOTAL_BYTES = 8_000 * MB
 MOST_LOG_BYTES = 4_000 * MB
-# While many constraints are active, as in the first step, a large QP takes several times as long: beyond this, some take
-# more than 10 s, during which nothing is seen of the run.
+# While many constraints are active, as in the first step, a large QP takes several times as long: beyond this limit some
+# take more than 10 s without a sign of the run.
 MOST_STEP_S = 1.25
 
 ADMITTED = "--allow-large admits more"
