@@ -22,7 +22,7 @@ MOST_ROWS = 40_000
 MOST_PROCESS_BYTES = 1_000 * MB
 MOST_TOTAL_BYTES = 8_000 * MB
 MOST_LOG_BYTES = 4_000 * MB
-# While many constraints are active, as in the first step, a large QP takes several times as long: beyond this limit some
+# A large QP takes several times as long while many constraints are active, as in the first step: beyond this limit some
 # take more than 10 s without a sign of the run.
 MOST_STEP_S = 1.25
 
