@@ -22,10 +22,10 @@ _SIGCGT = "SigCgt:"
 # Names of processes of a run besides coordinator, plant, agent1, ...: the command itself, which contains the recorder
 # and whose exit code is the run's; the process that reports, and those that draw for it.
 COMMAND, FORK_SERVER, REPORT, DRAWING, VIEWER = "transport", "fork-server", "report", "drawing", "viewer"
-# Compiler and linker, in the first run on a machine.
-COMPILER = "compiler"
+# Programs that libraries start for a moment: compiler and linker in the first run on a machine, uname for its name.
+TOOL = "tool"
 _BY_COMMAND = {"run": COMMAND, "plot": REPORT, "view": VIEWER, "coordinator": "coordinator", "plant": "plant"}
-_COMPILERS = frozenset({"cc", "gcc", "clang", "cc1", "as", "collect2", "ld"})
+_TOOLS = frozenset({"cc", "gcc", "clang", "cc1", "as", "collect2", "ld", "uname"})
 
 
 def wait_for(condition: Callable[[], bool], timeout_s: float) -> bool:
@@ -93,8 +93,8 @@ def name_of(words: list[str]) -> str:
     """
     if "fork-server" in words or any(word.endswith("transport.cli.fork_server") for word in words):
         return FORK_SERVER
-    if words and _COMPILERS & set(Path(words[0]).name.split("-")):  # x86_64-linux-gnu-gcc-12
-        return COMPILER
+    if words and _TOOLS & set(Path(words[0]).name.split("-")):  # x86_64-linux-gnu-gcc-12
+        return TOOL
     after = words[words.index("transport") + 1 :] if "transport" in words else []
     if after[:1] == ["agent"] and "--id" in after:
         incarnation = after[after.index("--incarnation") + 1] if "--incarnation" in after else "0"

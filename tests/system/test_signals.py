@@ -16,7 +16,7 @@ from protocol.network.health import command_of
 from protocol.scenario.file import find_scenario, read_scenario
 from protocol.scenario.setup import Setup
 from tests.campaigns import inspection, signals
-from tests.campaigns.inspection import COMMAND, COMPILER, name_of, names_below, processes_below
+from tests.campaigns.inspection import COMMAND, TOOL, name_of, names_below, processes_below
 from tests.campaigns.signal_runs import KINDS, RESTART, RESUMED_S, TARGETS, Injection, SignalRun, random_run
 from tests.campaigns.signals import execute, waits_for_user
 from tests.support.commands import command as command_line
@@ -104,7 +104,7 @@ def test_every_process_of_a_run_is_a_target(tmp_path: Path) -> None:
     finally:
         command.kill()
         command.wait()
-    assert seen.keys() - {COMPILER} == set(TARGETS), seen
+    assert seen.keys() - {TOOL} == set(TARGETS), seen
 
 
 def descendants(pid: int) -> list[int]:
@@ -123,8 +123,9 @@ def test_names_of_processes() -> None:
         ("python -m transport agent --id 3", "agent3"),
         ("transport plot /runs/a", "report"),
         ("transport view /runs/a --wait 3", "viewer"),
-        ("x86_64-linux-gnu-gcc-12 -o a b", COMPILER),
-        ("/usr/bin/ld -o a", COMPILER),
+        ("x86_64-linux-gnu-gcc-12 -o a b", TOOL),
+        ("/usr/bin/ld -o a", TOOL),
+        ("uname -p", TOOL),
         ("python -m http.server", "python -m http.server"),
         ("transport sing", "transport sing"),
     ):
