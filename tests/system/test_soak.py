@@ -12,9 +12,9 @@ from benchmarks.page import BenchmarkError
 from tests.support import soak
 from tests.support.soak import GROWTH_BYTES, Record, judge
 
-# The clock waits for late processes: on a host busy with other tests the run would diverge. The bound of memory is wider
-# than for thirty minutes, and still finds a leak of 3 kB a tick. Deadlines are not judged here (all four agents may miss
-# one): misses follow the load of the host, which other tests change from one third to the next.
+# The clock waits for late processes: on a host busy with other tests the run would diverge. The bound of memory is
+# wider than for thirty minutes, and still finds a leak of 3 kB a tick. Deadlines are not judged here (all four agents
+# may miss one): misses follow the load of the host, which other tests change from one third to the next.
 MINUTES = 2
 SOAK = ("--minutes", str(MINUTES), "--misses", "4", "--growth", "4", "--set", "clock.on_overrun=hold")
 
