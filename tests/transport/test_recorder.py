@@ -95,6 +95,14 @@ def record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Recording:
     return recorded
 
 
+@pytest.fixture
+def recorder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Recorder:
+    """Return a recorder without a network, which has not begun."""
+    monkeypatch.setattr(recorder_module, "Bus", ScriptedBus)
+    writer = LogWriter(tmp_path / "run.mcap", with_scenario(HEADER, RUN), period_ns=RUN.period_ns)
+    return Recorder(RUN, KEYS.run, writer, Endpoints(listen=[], connect=[]), 1.0)
+
+
 def flight(ticks: int) -> list[Message]:
     """Return the messages of coordinator and plant in a completed run of some ticks."""
     said: list[Message] = [runs.roster()]
@@ -181,11 +189,8 @@ def test_the_end_is_believed_when_it_comes(record: Recording) -> None:
     assert encode(messages[-1]) == encode(said[-1])
 
 
-def test_progress_follows_headers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_progress_follows_headers(recorder: Recorder) -> None:
     """Tick, begin and newest state follow bundles and messages in order; forged and garbled ones do not mislead."""
-    monkeypatch.setattr(recorder_module, "Bus", ScriptedBus)
-    writer = LogWriter(tmp_path / "run.mcap", with_scenario(HEADER, RUN), period_ns=RUN.period_ns)
-    recorder = Recorder(RUN, KEYS.run, writer, Endpoints(listen=[], connect=[]), 1.0)
     coordinator, plant = Outbox("coordinator", 0), Outbox("plant", 0)
 
     def hear(out: Outbox, kind: type[Bundle], tick: int, *parts: Message, cut: int = 0) -> None:
@@ -214,11 +219,8 @@ def test_progress_follows_headers(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert recorder.error is None
 
 
-def test_copies_under_other_numbers_do_not_stop_progress(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_copies_under_other_numbers_do_not_stop_progress(recorder: Recorder) -> None:
     """A flood of renumbered copies of bundles blocks no true one, also where outdated messages are refused unread."""
-    monkeypatch.setattr(recorder_module, "Bus", ScriptedBus)
-    writer = LogWriter(tmp_path / "run.mcap", with_scenario(HEADER, RUN), period_ns=RUN.period_ns)
-    recorder = Recorder(RUN, KEYS.run, writer, Endpoints(listen=[], connect=[]), 1.0)
     for k in range(30):
         for kind, part in ((Relay, runs.tick(k)), (Record, runs.plant_state(RUN, k))):
             true = Outbox(part.sender, 0).stamp(kind, tick=k, keys=(KEYS.end(KEYS.of(part)),), parts=(encode(part),))
@@ -239,11 +241,8 @@ def test_copies_under_other_numbers_do_not_stop_progress(tmp_path: Path, monkeyp
     assert recorder.error is None
 
 
-def test_each_notice_is_handed_over_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_notice_is_handed_over_once(recorder: Recorder) -> None:
     """A notice that comes while earlier ones are shown is among them or among the next."""
-    monkeypatch.setattr(recorder_module, "Bus", ScriptedBus)
-    writer = LogWriter(tmp_path / "run.mcap", with_scenario(HEADER, RUN), period_ns=RUN.period_ns)
-    recorder = Recorder(RUN, KEYS.run, writer, Endpoints(listen=[], connect=[]), 1.0)
 
     def fail() -> None:
         for i in range(1000):
