@@ -8,7 +8,7 @@ WORKERS := --numprocesses 3 --dist loadfile --no-loadscope-reorder
 # Empty means unset: each process of a run would otherwise compile all sources again.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: run test test-slow test-pages test-all bench figures docs reference lint format lock audit licences clean help
+.PHONY: run test test-slow test-pages test-all campaigns bench figures docs reference lint format lock audit licences clean help
 
 help: ## show this
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1 \t/'
@@ -26,6 +26,13 @@ test-pages: $(VENV)/.installed-test ## run the commands of README (playground), 
 	@$(BIN)/python -m pytest -m pages
 
 test-all: test test-slow test-pages ## run all tests
+
+campaigns: $(VENV)/.installed-test ## search for defects by random runs, by night (scenarios, signals, files, messages; hours)
+	@$(BIN)/python -m tests.campaigns scenarios --runs 2000
+	@$(BIN)/python -m tests.campaigns signals --runs 300
+	@$(BIN)/python -m tests.campaigns folders --runs 48
+	@$(BIN)/python -m tests.campaigns.wire --messages 1000000
+	@$(BIN)/python -m tests.campaigns.soak --minutes 30
 
 bench: $(VENV)/.installed-bench ## measure steps, solvers, messages and runs, and renew docs/performance.md (5 minutes)
 	@$(BIN)/python -m benchmarks

@@ -1,30 +1,25 @@
-"""Folders campaign: `python -m tests.campaigns.folders` damages the files of runs while they are written.
+"""Folders campaign: damages the files of runs while they are written.
 
 In each run one thing happens to the run folder, the disk or a file of the run: it is removed, renamed, replaced, cut,
 or full. The run must fly on and say so at once; the log must open, in the run folder or in the place that the command
-names; the exit code must fit, no process may be left and no output may have a traceback. Exit code 1 if any run has a
-problem.
+names; the exit code must fit, no process may be left and no output may have a traceback.
 """
 
-import argparse
-import json
 import os
 import random
 import resource
 import shutil
 import subprocess
-import sys
 import threading
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
 from protocol.network.parent import python
 from protocol.wire.exit_codes import EXIT_UNRECORDED, EXIT_USAGE
 from protocol.wire.messages import Control
-from tests.campaigns.inspection import end_orphans, log_in, tracebacks, wait_for
+from tests.campaigns.harness import Result
+from tests.campaigns.inspection import log_in, remains, wait_for
 
 # Time for a run to begin, and to end, s.
 _PATIENCE_S = 90.0
@@ -149,26 +144,11 @@ DAMAGES: dict[str, Damage] = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Result:
-    """Result of a run: what was done, the exit code of the command, and what is wrong."""
-
-    number: int
-    name: str
-    exit_code: int
-    problems: tuple[str, ...]
-
-
-def execute(number: int, name: str, folder: Path, seed: int = 0) -> Result:
-    """Execute one run, damage its files, check it, and end all of its processes.
-
-    Args:
-        number: Number of the run, which with the seed gives its random numbers.
-        name: Key of `DAMAGES`.
-        folder: For its run folder and the output of the command; no other process may work there.
-        seed: Random seed of the campaign.
-    """
-    damage, rng = DAMAGES[name], random.Random(f"{seed}/{number}")  # noqa: S311  # no secret
+def execute(seed: int, number: int, folder: Path, stop: threading.Event) -> Result:
+    """Execute one run, damage its files in the way of its number, check it, and end all of its processes."""
+    names = [name for name, damage in DAMAGES.items() if damage.on not in ("disk", "full") or can_mount()]
+    name, rng = names[number % len(names)], random.Random(f"{seed}/{number}")  # noqa: S311  # no secret
+    damage = DAMAGES[name]
     second = folder / "second"
     second.mkdir(parents=True)
     run = folder / f"folders-{number}-{os.getpid()}"
@@ -184,28 +164,32 @@ def execute(number: int, name: str, folder: Path, seed: int = 0) -> Result:
             start_new_session=True,
             preexec_fn=_limit_file_size if damage.on == "limit" else None,  # no thread holds a lock
         )
-    problems = []
+    problems: dict[str, str] = {}
+
+    def is_over() -> bool:
+        return command.poll() is not None or stop.is_set()
+
     try:
         if not damage.on:
             enough, log = rng.randrange(_FROM_BYTES, _TO_BYTES), run / "run.mcap"
-            wait_for(lambda: command.poll() is not None or (log.exists() and log.stat().st_size > enough), _PATIENCE_S)
+            wait_for(lambda: is_over() or (log.exists() and log.stat().st_size > enough), _PATIENCE_S)
             try:
                 damage.apply(run, rng)
             except (AssertionError, OSError) as error:
-                problems.append(str(error))
-        if not wait_for(lambda: command.poll() is not None, _PATIENCE_S):
-            problems.append("the command does not end")
+                problems["wrong answer"] = str(error)
+        if not wait_for(is_over, _PATIENCE_S):
+            problems["hang"] = f"the command has not ended within {_PATIENCE_S:g} s"
     finally:
         if command.poll() is None:
             command.kill()
         command.wait()
-    orphans = end_orphans(folder)
-    problems += [f"processes left: {', '.join(orphans)}"] if orphans else []
-    problems += tracebacks(folder)
+    problems |= remains(folder)
     if command.returncode not in damage.exit_codes:
-        problems.append(f"exit code {command.returncode}, expected one of {sorted(damage.exit_codes)}")
-    problems += _problems_of_log(damage, run, output.read_text(errors="replace"))
-    return Result(number=number, name=name, exit_code=command.returncode, problems=tuple(problems))
+        problems["wrong exit code"] = f"{command.returncode}, expected one of {sorted(damage.exit_codes)}"
+    log = "; ".join(_problems_of_log(damage, run, output.read_text(errors="replace")))
+    if log:
+        problems["wrong log"] = log
+    return Result(number=number, label=name, outcome=f"exit {command.returncode}", problems=problems)
 
 
 def _problems_of_log(damage: Damage, run: Path, said: str) -> Iterator[str]:
@@ -255,57 +239,3 @@ def can_mount() -> bool:
         return subprocess.run(words, capture_output=True, check=False).returncode == 0
     except OSError:
         return False
-
-
-def table(results: Sequence[Result]) -> Iterator[str]:
-    """Yield a line for each kind of damage: how often each exit code came, and the problems."""
-    yield "runs by exit code"
-    for name in DAMAGES:
-        found = [result for result in results if result.name == name]
-        codes = Counter(result.exit_code for result in found)
-        problems = sum(bool(result.problems) for result in found)
-        outcomes = ", ".join(f"{count} x exit {code}" for code, count in sorted(codes.items()))
-        yield f"  {name:<22}{outcomes or 'no run'}{f', {problems} with problems' if problems else ''}"
-
-
-def main() -> int:
-    """Run the campaign with the options of the command line; return its exit code."""
-    parser = argparse.ArgumentParser(prog="python -m tests.campaigns.folders", description=__doc__)
-    parser.add_argument("--runs", type=int, default=len(DAMAGES), help="end before this number")
-    parser.add_argument("--first", type=int, default=0, help="number of the first run")
-    parser.add_argument("--seed", type=int, default=0, help="random seed of all runs")
-    parser.add_argument("--jobs", type=int, default=2, help="runs at a time; each has eight processes")
-    parser.add_argument("--out", type=Path, help="folder for runs with problems; runs/folders-SEED by default")
-    options = parser.parse_args()
-    folder = (options.out or Path("runs") / f"folders-{options.seed}").resolve()
-    names = [name for name, damage in DAMAGES.items() if damage.on not in ("disk", "full") or can_mount()]
-    stop = threading.Event()
-
-    def one(number: int) -> Result | None:
-        own = folder / str(number)
-        shutil.rmtree(own, ignore_errors=True)
-        if stop.is_set():
-            return None
-        result = execute(number, names[number % len(names)], own, options.seed)
-        if not result.problems:
-            shutil.rmtree(own, ignore_errors=True)
-        sys.stderr.write(f"run {number}: {result.name}: {'; '.join(result.problems) or 'no problem'}\n")
-        return result
-
-    with ThreadPoolExecutor(options.jobs) as pool:
-        try:
-            results = [result for result in pool.map(one, range(options.first, options.runs)) if result is not None]
-        except BaseException:
-            stop.set()
-            raise
-    bad = [result for result in results if result.problems]
-    lines = [*table(results), f"{len(results)} runs: {len(bad)} with problems"]
-    for result in bad:
-        lines += ["", f"run {result.number}, {result.name}, kept in {folder / str(result.number)}"]
-        lines += [f"  {json.dumps(problem)}" for problem in result.problems]
-    sys.stdout.write("\n".join(lines) + "\n")
-    return 1 if bad else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -8,12 +8,8 @@ from contextlib import suppress
 from pathlib import Path
 
 from protocol.network.health import command_of
-from protocol.wire import exit_codes
-from transport.flight.vitals import Pulse
 from transport.log.run_log import RunLog, read_log
 
-# Exit codes of the table (docs/command-line.md).
-TABLE = {0, *(code for name, code in vars(exit_codes).items() if name.startswith("EXIT_"))}
 # Time for the processes of a killed command to end, s.
 ORPHANS_S = 20.0
 _POLL_S, _LOOK_S = 0.02, 0.25
@@ -43,18 +39,24 @@ def wait_given(condition: Callable[[], bool], folder: Path, timeout_s: float) ->
 
     Time in which one of them waits for a processor does not count, so that a busy machine does not look like a hang.
     """
-    left_s, pulses = timeout_s, dict[int, Pulse]()
+    left_s = timeout_s
     while not condition():
         if left_s < 0.0:
             return False
-        began_s, given_s = time.monotonic(), {pid: pulse.given_s for pid, pulse in pulses.items()}
+        began_s, waited_s = time.monotonic(), _waited_s(folder)
         wait_for(condition, _LOOK_S)
-        here = processes_below(folder)  # without zombies, which a stopped parent does not reap
-        for pid in here:
-            pulses.setdefault(pid, Pulse(pid)).look()
-        spent = [pulses[pid].given_s - before_s for pid, before_s in given_s.items() if pid in here]
-        left_s -= min([time.monotonic() - began_s, *spent])
+        longest_s = max((now_s - waited_s.get(pid, now_s) for pid, now_s in _waited_s(folder).items()), default=0.0)
+        left_s -= max(0.0, time.monotonic() - began_s - longest_s)
     return True
+
+
+def _waited_s(folder: Path) -> dict[int, float]:
+    """Return how long each process in a folder has waited for a processor, s, without zombies (proc(5), schedstat)."""
+    found = {}
+    for pid in processes_below(folder):
+        with suppress(OSError, IndexError):  # gone since
+            found[pid] = int(Path(f"/proc/{pid}/schedstat").read_text().split()[1]) / 1e9
+    return found
 
 
 def state_of(pid: int) -> str:
@@ -129,13 +131,18 @@ def end_orphans(folder: Path) -> list[str]:
     return list(left.values())
 
 
-def tracebacks(*folders: Path) -> Iterator[str]:
-    """Yield the files in folders that have a traceback, each with its last line."""
-    for folder in folders:
-        for path in (*folder.rglob("*.txt"), *folder.rglob("*.log")):
-            text = path.read_text(errors="replace")
-            if "Traceback (most recent call last)" in text:
-                yield f"{path.name}: {text.strip().splitlines()[-1]}"
+def remains(folder: Path) -> dict[str, str]:
+    """Return problems after a command by kind: processes left in its folder, which are killed, and tracebacks."""
+    found = {"orphan": ", ".join(end_orphans(folder)), "traceback": "; ".join(tracebacks(folder))}
+    return {kind: text for kind, text in found.items() if text}
+
+
+def tracebacks(folder: Path) -> Iterator[str]:
+    """Yield the files in a folder that have a traceback, each with its last line."""
+    for path in (*folder.rglob("*.txt"), *folder.rglob("*.log")):
+        text = path.read_text(errors="replace")
+        if "Traceback (most recent call last)" in text:
+            yield f"{path.name}: {text.strip().splitlines()[-1]}"
 
 
 def log_in(folder: Path) -> tuple[RunLog | None, str]:

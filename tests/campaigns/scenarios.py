@@ -1,13 +1,12 @@
-"""Campaign of mutated scenarios: `python -m tests.campaigns.scenarios --runs N --seed S`.
+"""Scenarios campaign: mutates scenarios, validates and simulates them.
 
 Each mutated scenario goes through `transport validate` in a process of its own with limits on memory and processor
 time; a scenario that is accepted is simulated in memory for a few ticks. Neither may end with a traceback, use more
 than 1 GB, or compute for 10 s without a sign. Where the simulation has a large team in one process, it may use what the
 budget allows to such a process, while each process of `transport run` is within 1 GB. The limits are of processor time,
-so the result does not depend on the load of the host. Exit code 1 if any scenario has a problem.
+so the result does not depend on the load of the host.
 """
 
-import argparse
 import contextlib
 import io
 import json
@@ -16,14 +15,11 @@ import random
 import resource
 import select
 import signal
-import sys
-import tempfile
-import time
+import threading
 import tomllib
 import traceback
-from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +30,8 @@ from protocol.scenario.file import find_scenario, read_scenario
 from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import EXIT_SCENARIO
 from protocol.wire.messages import Message, PlantState
-from tests.support.mutations import KINDS, mutated
+from tests.campaigns.harness import Result
+from tests.support.mutations import mutated
 from transport.cli.validate import validate
 from transport.flight.memory import simulate
 
@@ -48,18 +45,6 @@ _ASLEEP_S = 30.0  # of wall-clock time without processor time: waits for somethi
 
 REFUSED, ENDED, FLOWN = "refused", "ended early", "simulated"
 PROBLEMS = ("traceback", "no clear line", "over 1 GB", "silent")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Result:
-    """Result of one scenario: what became of it, one of `REFUSED`, `ENDED`, `FLOWN` or `PROBLEMS`, and its text."""
-
-    number: int
-    kind: str
-    outcome: str
-    text: str
-    peak_bytes: int
-    cpu_s: float
 
 
 class _Enough(Exception):  # noqa: N818  # no error
@@ -193,61 +178,21 @@ def scenario(seed: int, number: int) -> tuple[bytes, str]:
     return mutated(tree, rng)
 
 
-def campaign(numbers: Sequence[int], seed: int, ticks: int = TICKS) -> Iterator[Result]:
-    """Try the mutated scenarios of some numbers, one after the other."""
-    for name in READY:  # compiled functions and caches, shared by the forked processes
+@cache
+def _prepare() -> None:
+    """Compile functions and fill caches, which the forked processes share."""
+    for name in READY:
         path = find_scenario(name)
         Setup.of(read_scenario(path), str(path)).model  # noqa: B018
-    with tempfile.TemporaryDirectory() as made:
-        folder = Path(made)
-        (folder / "delays.csv").write_text("0.01 0.02 0.05", encoding="utf-8")
-        (folder / "path.csv").write_text("t_s,x_m,y_m,z_m\n0,0,0,0\n2,0,0,-1\n4,1,0,-1\n", encoding="utf-8")
-        for number in numbers:
-            content, kind = scenario(seed, number)
-            outcome, text, peak, cpu_s = attempt(content, folder, ticks)
-            yield Result(number=number, kind=kind, outcome=outcome, text=text, peak_bytes=peak, cpu_s=cpu_s)
 
 
-def table(results: Sequence[Result]) -> str:
-    """Return a table of the outcomes by kind of mutation."""
-    columns = (REFUSED, FLOWN, ENDED, *PROBLEMS)
-    counts = Counter((result.kind, result.outcome) for result in results)
-    lines = [f"| last mutation | scenarios | {' | '.join(columns)} |", "|---" * (len(columns) + 2) + "|"]
-    for kind in (*KINDS, "all"):
-        found = {c: sum(n for (k, o), n in counts.items() if o == c and kind in (k, "all")) for c in columns}
-        lines.append(f"| {kind} | {sum(found.values())} | {' | '.join(str(found[c]) for c in columns)} |")
-    peak, cpu_s = max(result.peak_bytes for result in results), max(result.cpu_s for result in results)
-    lines.append(f"Largest: {peak / 1024**2:.0f} MiB of memory, {cpu_s:.1f} s of processor time.")
-    return "\n".join(lines)
-
-
-def _say(text: str) -> None:
-    sys.stdout.write(f"{text}\n")
-    sys.stdout.flush()
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the campaign and print its table and problems; return 1 if there is a problem."""
-    parser = argparse.ArgumentParser(prog="python -m tests.campaigns.scenarios", description=__doc__)
-    parser.add_argument("--runs", type=int, default=200, help="number of scenarios")
-    parser.add_argument("--first", type=int, default=0, help="number of the first, to repeat one")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--ticks", type=int, default=TICKS, help="ticks to simulate")
-    parser.add_argument(
-        "--show", action="store_true", help="print each scenario's outcome, and the file of a single one"
-    )
-    options = parser.parse_args(arguments)
-    results, begin = [], time.monotonic()
-    if options.show and options.runs == 1:
-        sys.stdout.write(scenario(options.seed, options.first)[0].decode(errors="replace"))
-    for result in campaign(range(options.first, options.first + options.runs), options.seed, options.ticks):
-        results.append(result)
-        if options.show or result.outcome in PROBLEMS:
-            _say(f"{result.number} {result.kind} {result.outcome}: {result.text}")
-    _say(table(results))
-    _say(f"seed {options.seed}, {time.monotonic() - begin:.0f} s")
-    return 1 if any(result.outcome in PROBLEMS for result in results) else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+def execute(seed: int, number: int, folder: Path, _stop: threading.Event | None = None, ticks: int = TICKS) -> Result:
+    """Validate and simulate the mutated scenario of a number."""
+    _prepare()
+    (folder / "delays.csv").write_text("0.01 0.02 0.05", encoding="utf-8")
+    (folder / "path.csv").write_text("t_s,x_m,y_m,z_m\n0,0,0,0\n2,0,0,-1\n4,1,0,-1\n", encoding="utf-8")
+    content, kind = scenario(seed, number)
+    outcome, text, peak, cpu_s = attempt(content, folder, ticks)
+    used = f"{peak / 1024**2:.0f} MiB of memory, {cpu_s:.1f} s of processor time"
+    problems = {outcome: text} if outcome in PROBLEMS else {}
+    return Result(number=number, label=kind, outcome=outcome, problems=problems, details=(used,))

@@ -1,22 +1,15 @@
-"""Signals campaign: `python -m tests.campaigns.signals` kills, freezes and interrupts processes of random runs.
+"""Signals campaign: kills, freezes and interrupts processes of random runs.
 
 After each run the command must have ended, within 30 s of the last signal or of the end of a stop beside the time it
 takes anyhow; time in which its processes wait for a processor does not count. No process may be left, no output may
-have a traceback, the log must open and the exit code must fit. A run is drawn from a seed and its number, so each can
-be repeated. Exit code 1 if any run has a problem.
+have a traceback, the log must open and the exit code must fit.
 """
 
-import argparse
 import os
-import shutil
 import signal
 import subprocess
-import sys
 import threading
 import time
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,15 +17,15 @@ from pathlib import Path
 from protocol.network.parent import python
 from protocol.wire.exit_codes import EXIT_INTERRUPTED
 from protocol.wire.messages import Control
+from tests.campaigns.harness import Result
 from tests.campaigns.inspection import (
     COMMAND,
     DRAWING,
     catches,
-    end_orphans,
     log_in,
     names_below,
+    remains,
     state_of,
-    tracebacks,
     wait_for,
     wait_given,
 )
@@ -51,17 +44,6 @@ _BEGIN_S = 30.0
 
 # Processes that share a line of the table.
 _CALLED = dict.fromkeys(("agent1", "agent2", "agent3", "agent4"), "agent")
-_PROBLEMS = ("hang", "orphan", "traceback", "unreadable log", "wrong exit code")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Result:
-    """Result of a run: the command's exit code (negative for a signal), signals sent, and problems by kind."""
-
-    run: SignalRun
-    exit_code: int
-    sent: int = 0
-    problems: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -74,16 +56,30 @@ class _Sending:
     traces: ExitStack = field(default_factory=ExitStack)
 
 
-def execute(run: SignalRun, folder: Path, stop: threading.Event) -> Result:
-    """Execute one run and check it; end all of its processes.
+def execute(seed: int, number: int, folder: Path, stop: threading.Event) -> Result:
+    """Execute the run of a number and check it; end all of its processes."""
+    run = random_run(seed, number)
+    exit_code, problems, sent = execute_run(run, folder, stop)
+    first, *others = run.injections
+    return Result(
+        number=number,
+        label="two at once" if others else f"{first.sent} to {_CALLED.get(first.target, first.target)}",
+        outcome=f"exit {exit_code}",
+        problems=problems,
+        details=(f"{sent} signals sent", *map(str, run.injections), *run.settings),
+    )
+
+
+def execute_run(run: SignalRun, folder: Path, stop: threading.Event) -> tuple[int, dict[str, str], int]:
+    """Execute a run and check it; end all of its processes.
 
     Args:
         run: The run.
         folder: For its run folder and the output of the command; no other process may work there.
         stop: Set to end the run early.
+    Returns: Exit code of the command (negative for a signal), problems by kind, number of signals sent.
     """
     name = f"signals-{run.number}-{os.getpid()}"
-    folder.mkdir(parents=True, exist_ok=True)
     arguments = [*python("transport"), "run", "resilient", "--out", name]
     arguments += [*([] if run.figures else ["--no-figures"]), *(["--view", "--port", "0"] if run.viewer else [])]
     for setting in run.settings:
@@ -114,19 +110,16 @@ def execute(run: SignalRun, folder: Path, stop: threading.Event) -> Result:
     problems: dict[str, str] = {}
     if hangs and not sending.is_frozen:
         problems["hang"] = f"the command has not ended within {_DEADLINE_S:g} s"
-    orphans = end_orphans(folder)
-    if orphans:
-        problems["orphan"] = ", ".join(orphans)
-    found = [] if sending.is_unready else list(tracebacks(folder))
-    if found:
-        problems["traceback"] = "; ".join(found)
+    problems |= remains(folder)
+    if sending.is_unready:
+        problems.pop("traceback", None)
     log, unreadable = log_in(folder / name)
     if unreadable:
         problems["unreadable log"] = unreadable
     wrong = _wrong_exit_code(run, command.returncode, log, is_unready=sending.is_unready)
     if wrong and "hang" not in problems:
         problems["wrong exit code"] = wrong
-    return Result(run=run, exit_code=command.returncode, sent=sending.sent, problems=problems)
+    return command.returncode, problems, sending.sent
 
 
 def _inject_all(
@@ -222,76 +215,3 @@ def _wrong_exit_code(run: SignalRun, code: int, log: RunLog | None, *, is_unread
     if code in (0, 5, 6) and code not in ends:
         return f"{code}, but the log says {ends or 'nothing'}"
     return ""
-
-
-def _execute_all(runs: Sequence[SignalRun], folder: Path, jobs: int) -> Iterator[Result]:
-    """Execute runs, several at a time; keep the folders of those with problems."""
-    stop = threading.Event()
-    for run in runs:  # kept by an earlier campaign, whose process id may have been the same
-        shutil.rmtree(folder / str(run.number), ignore_errors=True)
-    with ThreadPoolExecutor(jobs) as pool:
-        futures = [pool.submit(execute, run, folder / str(run.number), stop) for run in runs]
-        try:
-            for future in as_completed(futures):
-                result = future.result()
-                if not result.problems:
-                    shutil.rmtree(folder / str(result.run.number), ignore_errors=True)
-                sys.stderr.write(f"run {result.run.number}: {', '.join(result.problems) or 'no problem'}\n")
-                yield result
-        except BaseException:
-            stop.set()
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-    with suppress(OSError):
-        folder.rmdir()  # only if no folder was kept
-
-
-def table(results: Sequence[Result]) -> Iterator[str]:
-    """Yield a line for each kind of injection: how often each exit code came, and the problems."""
-    rows: dict[str, Counter[str]] = {}
-    for result in results:
-        first, *others = result.run.injections
-        sent = "two at once" if others else f"{first.sent} to {_CALLED.get(first.target, first.target)}"
-        row = rows.setdefault(sent, Counter())
-        row[f"exit {result.exit_code}"] += 1
-        row.update(list(result.problems))
-    yield "runs by exit code"
-    for name, counts in sorted(rows.items()):
-        yield f"  {name:<44}" + ", ".join(f"{count} x {outcome}" for outcome, count in sorted(counts.items()))
-
-
-def main() -> int:
-    """Run the campaign with the options of the command line; return its exit code."""
-    parser = argparse.ArgumentParser(prog="python -m tests.campaigns.signals", description=__doc__)
-    parser.add_argument("--runs", type=int, default=200, help="end before this number")
-    parser.add_argument("--first", type=int, default=0, help="number of the first run")
-    parser.add_argument("--seed", type=int, default=0, help="random seed of all runs")
-    parser.add_argument("--jobs", type=int, default=2, help="runs at a time; each has eight processes")
-    parser.add_argument("--out", type=Path, help="folder for runs with problems; runs/signals-SEED by default")
-    options = parser.parse_args()
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    # The commands inherit these: they would ignore SIGINT in the background of a shell, and SIGHUP under nohup.
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    signal.signal(signal.SIGHUP, signal.SIG_DFL)
-    folder = options.out or Path("runs") / f"signals-{options.seed}"
-    runs = [random_run(options.seed, number) for number in range(options.first, options.runs)]
-    try:
-        results = sorted(_execute_all(runs, folder, options.jobs), key=lambda result: result.run.number)
-    except KeyboardInterrupt:
-        return EXIT_INTERRUPTED
-    lines = list(table(results))
-    counts = Counter(kind for result in results for kind in result.problems)
-    found = ", ".join(f"{counts[kind]} {kind}{'' if counts[kind] == 1 else 's'}" for kind in _PROBLEMS)
-    lines.append(f"{len(results)} runs, {sum(result.sent for result in results)} signals: {found}")
-    for result in (result for result in results if result.problems):
-        number = result.run.number
-        lines += ["", f"run {number}, kept in {folder / str(number)}; repeat with:"]
-        lines += [f"  {parser.prog} --seed {options.seed} --first {number} --runs {number + 1}"]
-        lines += [f"  {kind}: {text}" for kind, text in result.problems.items()]
-        lines += [f"  {line}" for line in (*result.run.injections, *result.run.settings)]
-    sys.stdout.write("\n".join(lines) + "\n")
-    return 1 if counts else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

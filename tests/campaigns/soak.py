@@ -1,35 +1,26 @@
-"""Soak test: a long run in real time whose resources must not grow. `python -m tests.support.soak --minutes 30`.
+"""Soak test: a long run in real time whose resources must not grow. `python -m tests.campaigns.soak --minutes 30`.
 
 The team hovers in real time while the resources of each process are sampled. The medians of the first and the last
-third are compared, after a first tenth in which caches fill. Exit code 0 only if memory is flat, threads and open files
-stay the same, and deadline misses do not increase. Deadlines in seconds in which a virtual machine's host took a
-processor away (`steal` in /proc/stat) are left out.
+third are compared, after a first tenth in which caches fill. Exit code 0 only if memory is flat, and threads and open
+files stay the same. The summary of the run tells the deadlines missed.
 
 Memory is anonymous memory only: the system decides how much of a mapped file is resident.
 """
 
 import argparse
-import os
 import signal
 import statistics
 import subprocess
 import sys
 import time
-from bisect import bisect_right
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
-from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
-
-from mcap.reader import make_reader
 
 from benchmarks.page import BenchmarkError, Table
 from benchmarks.processes import processes_of
 from protocol.network.health import usage
-from protocol.wire.codec import decode
-from protocol.wire.messages import Tick
 from transport.flight import live
 from transport.flight.header import machine
 
@@ -41,18 +32,6 @@ GROWTH, GROWTH_BYTES = 0.02, 2 * 1024**2
 
 # Change in threads; those of an idle pool come and go.
 THREADS = 2
-
-# Increase of deadline misses per tick; the load of a host varies.
-MISSES = 0.02
-
-# So many more tasks that want a processor, on average, make a host busier, and more deadlines are missed.
-BUSIER = 2.0
-
-# A second in which the host took so much processor time, and the one after it, are left out.
-_STOLEN_S = 0.02
-
-# Delay of a tick that is no deadline miss: the accuracy of timers.
-_LATE_NS = 5_000_000
 
 _PATIENCE_S = 60.0
 _STANDSTILL_S = 3.0
@@ -74,9 +53,7 @@ class Record:
     files: list[float] = field(default_factory=list)
 
 
-def soak(
-    minutes: float, every_s: float, settings: Sequence[str], folder: Path
-) -> tuple[dict[str, Record], list[int | None], list[int]]:
+def soak(minutes: float, every_s: float, settings: Sequence[str], folder: Path) -> dict[str, Record]:
     """Run in real time and sample the resources.
 
     Args:
@@ -84,7 +61,7 @@ def soak(
         every_s: Interval of the samples, s.
         settings: Further settings of the scenario.
         folder: Run folder to create.
-    Returns: Resources by process name, deadline misses by tick, None for ticks left out, and `Stolen.runnable`.
+    Returns: Resources by process name.
     Raises: BenchmarkError: the run does not begin, or is not completed.
     """
     hover = f"maneuver.phase=[{{name='hover',duration_s={60.0 * minutes},displacement_m=[0.0,0.0,0.0]}}]"
@@ -93,32 +70,22 @@ def soak(
     command += [part for setting in chosen for part in ("--set", setting)]
     with (folder.parent / _OUTPUT).open("wb") as output:
         run = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=output, stderr=output)
-    stolen = Stolen()
     try:
-        records = _sampled(run, folder, every_s, stolen)
+        records = _sampled(run, folder, every_s)
         code = run.wait(_PATIENCE_S + 60.0 * minutes)  # including the report
     finally:
         run.terminate()
         run.wait()
     if code != 0:
         raise BenchmarkError(f"transport run: expected exit code 0, got {code}: {_last_line(folder)}")
-    return records, _missed(folder / "run.mcap", stolen), stolen.runnable
+    return records
 
 
-def judge(
-    records: Mapping[str, Record],
-    missed: Sequence[int | None],
-    runnable: Sequence[int] = (),
-    misses: float = MISSES,
-    growth_bytes: float = GROWTH_BYTES,
-) -> tuple[Table, list[str]]:
+def judge(records: Mapping[str, Record], growth_bytes: float = GROWTH_BYTES) -> tuple[Table, list[str]]:
     """Return the table of resources and the failures.
 
     Args:
         records: By process.
-        missed: Deadline misses by tick; None for a tick left out.
-        runnable: Number of tasks that want a processor, every second or so.
-        misses: Largest increase per tick between the thirds; unless the host has become busier.
         growth_bytes: Largest growth of memory, if more than `GROWTH` of it.
     """
     rows, wrong = [], []
@@ -131,16 +98,7 @@ def judge(
             if last - first > allowed:
                 wrong.append(f"{name}: {resource} {cells[-1]}")
         rows.append([name, *cells])
-    third = len(missed) // 3
-    parts = [[count for count in part if count is not None] for part in (missed[:third], missed[-third:])]
-    before, after = (sum(part) / max(1, len(part)) for part in parts)
-    counted = " and ".join(str(len(part)) for part in parts)
-    rows.append(["deadlines missed per tick", f"{before:.3f} -> {after:.3f}", "", ""])
-    third = len(runnable) // 3
-    busier = sum(runnable[-third:]) / third - sum(runnable[:third]) / third if third else 0.0
-    if after - before > misses and busier < BUSIER:
-        wrong.append(f"deadlines missed per tick: {before:.3f} in the first third, {after:.3f} in the last")
-    text = f"First and last third, {len(missed)} ticks, deadlines of {counted} of them; {machine()}."
+    text = f"First and last third; {machine()}."
     return Table(text=text, columns=["process", "memory, MiB", "threads", "open files"], rows=rows), wrong
 
 
@@ -161,15 +119,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.support.soak", description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--minutes", type=float, default=30.0)
     parser.add_argument("--every", type=float, default=None, help="seconds between samples (a 100th of the time)")
-    parser.add_argument("--misses", type=float, default=MISSES, help="largest increase of deadline misses per tick")
     parser.add_argument("--growth", type=float, default=GROWTH_BYTES / 1024**2, help="largest growth of memory, MiB")
     parser.add_argument("--set", dest="settings", action="append", default=[], metavar="KEY=VALUE")
     options = parser.parse_args(arguments)
     every_s = options.every if options.every is not None else 0.6 * options.minutes
     try:
         with TemporaryDirectory() as folder:
-            sampled = soak(options.minutes, every_s, options.settings, Path(folder) / "soak")
-            table, wrong = judge(*sampled, misses=options.misses, growth_bytes=options.growth * 1024**2)
+            records = soak(options.minutes, every_s, options.settings, Path(folder) / "soak")
+            table, wrong = judge(records, options.growth * 1024**2)
     except BenchmarkError as error:
         sys.stderr.write(f"soak: {error}\n")
         return 1
@@ -179,46 +136,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 1 if wrong else 0
 
 
-class Stolen:
-    """Seconds in which the host of a virtual machine took a processor away.
-
-    Args:
-        path: File in which the Linux kernel counts that time, and the tasks that want a processor.
-
-    Attributes:
-        runnable: Number of those tasks at each sample.
-    """
-
-    def __init__(self, path: Path = Path("/proc/stat")) -> None:
-        self._path = path
-        self._total_s, self._at_s = self._read(), time.time()
-        self._spans: list[tuple[float, float]] = []
-        self.runnable: list[int] = []
-
-    def sample(self) -> None:
-        """Record the time stolen since the last sample."""
-        total_s, at_s = self._read(), time.time()
-        if total_s - self._total_s >= _STOLEN_S:
-            self._spans.append((self._at_s, at_s + 1.0))
-        self._total_s, self._at_s = total_s, at_s
-        with suppress(OSError, ValueError, StopIteration):  # another system
-            lines = self._path.read_text(encoding="ascii").splitlines()
-            self.runnable.append(int(next(line for line in lines if line.startswith("procs_running")).split()[1]))
-
-    def covers(self, at_s: float) -> bool:
-        """Return whether a time, s since 1970, is in one of them or in the second after it."""
-        k = bisect_right(self._spans, at_s, key=lambda span: span[0]) - 1
-        return any(begin <= at_s < end for begin, end in self._spans[max(0, k - 1) : k + 1])
-
-    def _read(self) -> float:
-        try:
-            ticks = int(self._path.read_text(encoding="ascii").split("\n", 1)[0].split()[8])
-        except (OSError, ValueError, IndexError):
-            return 0.0  # not a virtual machine
-        return ticks / os.sysconf("SC_CLK_TCK")
-
-
-def _sampled(run: subprocess.Popen[bytes], folder: Path, every_s: float, stolen: Stolen) -> dict[str, Record]:
+def _sampled(run: subprocess.Popen[bytes], folder: Path, every_s: float) -> dict[str, Record]:
     """Sample the processes of a run while it is active."""
     deadline = time.monotonic() + _PATIENCE_S
     while live.read(folder) is None:
@@ -243,10 +161,7 @@ def _sampled(run: subprocess.Popen[bytes], folder: Path, every_s: float, stolen:
             record.memory.append(memory_bytes)
             record.threads.append(float(used["threads"]))
             record.files.append(float(used["open_files"]))
-        wake_s = time.monotonic() + every_s
-        while (left_s := wake_s - time.monotonic()) > 0.0:
-            time.sleep(min(left_s, 1.0))
-            stolen.sample()
+        time.sleep(every_s)
     return records
 
 
@@ -264,23 +179,6 @@ def _last_line(folder: Path) -> str:
     """Return the last output line of the run's command."""
     lines = (folder.parent / _OUTPUT).read_text(encoding="utf-8", errors="replace").strip().splitlines()
     return lines[-1] if lines else "no output"
-
-
-def _missed(log: Path, stolen: Stolen) -> list[int | None]:
-    """Return the deadline misses by tick: agents without answer when the next tick was opened, or 1 for a late tick.
-
-    A late tick is the miss of a run that waits for its agents (`clock.on_overrun=hold`).
-    """
-    with log.open("rb") as stream:
-        topics = make_reader(stream).iter_messages(topics=["/tick"])
-        opened = [(decode(message.data), message.publish_time / 1e9) for _, _, message in topics]
-    ticks = sorted(((tick, at_s) for tick, at_s in opened if isinstance(tick, Tick)), key=lambda entry: entry[0].tick)
-    return [
-        None
-        if stolen.covers(at_s)
-        else max(len(set(tick.members) - set(after.answered)), int(after.late_ns > _LATE_NS))
-        for (tick, _), (after, at_s) in pairwise(ticks)
-    ]
 
 
 def _cell(resource: str, first: float, last: float) -> str:
