@@ -15,6 +15,7 @@ help: ## show this
 
 run: $(VENV)/.installed ## set up and run the paper's maneuver (SCENARIO=name for another)
 	@$(BIN)/transport run $(SCENARIO)
+	@echo "next: $(BIN)/transport run resilient --set links.delay_s=0.2    # a controller for delay and packet loss"
 
 test: $(VENV)/.installed-test ## set up and run the tests, without the slow ones (4 minutes on two processors)
 	@$(BIN)/python -m pytest $(WORKERS) -m "not slow"

@@ -201,12 +201,14 @@ def hover() -> str:
 
 
 def figures_of_a_run() -> None:
-    """Run the paper's maneuver with processes and copy the figures of the run."""
-    folder = RUNS / "run"
-    shutil.rmtree(folder, ignore_errors=True)
-    transport("run", "paper", "--out", str(folder))
-    for figure in (folder / "figures").glob("*.png"):
+    """Run the paper's maneuver with processes; copy the figures of `paper`, and of `resilient` the README's."""
+    for scenario in ("paper", "resilient"):
+        folder = RUNS / f"run-{scenario}"
+        shutil.rmtree(folder, ignore_errors=True)
+        transport("run", scenario, "--out", str(folder))
+    for figure in (RUNS / "run-paper" / "figures").glob("*.png"):
         shutil.copy(figure, IMAGES / figure.name)
+    shutil.copy(RUNS / "run-resilient" / "figures" / "performance.png", IMAGES / "resilient.png")
 
 
 def animation() -> None:

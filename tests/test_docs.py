@@ -211,3 +211,15 @@ def test_reasons_of_refusals_are_described() -> None:
     """The table in docs/protocol.md has a row for each reason a message is refused for, and for no other."""
     _, _, section = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8").partition("## Refused messages\n")
     assert re.findall(r"^\| `(\w+)` \|", section, re.MULTILINE) == list(get_args(Reason))
+
+
+def test_pictures_and_first_steps_need_no_other_host() -> None:
+    """Pictures are files of the source folder, nothing is to be cloned, and `make run` names a next run."""
+    for document in DOCUMENTS:
+        text = document.read_text(encoding="utf-8")
+        assert not re.findall(r"!\[[^\]]*\]\(\w+:", text), document
+        assert "git clone" not in text, document
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert len(re.findall(r"!\[[^\]]*\]\(docs/images/[\w.]+\)", readme)) == 2
+    steps = subprocess.run(["make", "-n", "run"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    assert re.search(r"transport run paper\n.*next: \S*transport run resilient", steps, re.DOTALL)

@@ -26,8 +26,6 @@ OUTSIDE = {
     "changelog.md": "CHANGELOG.md",
     "python-reference.md": "docs/site/python-reference.md",
 }
-# Where README.md finds its pictures on the page of the package.
-PICTURES = re.compile(r"https://raw\.githubusercontent\.com/[\w./-]+?/main/docs/(?=images/)")
 TO_FOLDER = re.compile(r"\[([^\]\n]*)\]\(([^)\s#]+)\)")
 LINK = re.compile(r"(\]\()([^)\s#]+)((?:#[^)\s]*)?\))")
 # A link whose text is the name of a page.
@@ -77,9 +75,7 @@ def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
         except DiagramError as error:
             raise PluginError(f"{page.file.src_uri}: {error}") from error
 
-    return CHART.sub(
-        chart, LINK.sub(pointed, NAMED.sub(titled, TO_FOLDER.sub(without_folder, PICTURES.sub("", markdown))))
-    )
+    return CHART.sub(chart, LINK.sub(pointed, NAMED.sub(titled, TO_FOLDER.sub(without_folder, markdown))))
 
 
 def on_page_content(html: str, page: Page, **_: object) -> str:

@@ -4,12 +4,13 @@ import base64
 import io
 import json
 import shutil
+import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any
-from urllib.parse import urlparse
+from urllib.parse import urlparse, urlsplit
 
 import msgpack
 import numpy as np
@@ -20,7 +21,7 @@ from selenium.common.exceptions import StaleElementReferenceException
 from selenium.webdriver.chrome.options import Options
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.keys import Keys
-from websockets import Subprotocol
+from websockets import Origin, Subprotocol
 from websockets.sync.client import ClientConnection, connect
 
 from model.arrays import Array
@@ -105,21 +106,36 @@ class Drawing:
     points: dict[str, Array]
 
 
+class Page(ClientConnection):
+    """Connection that looks like a page; `first` are the first messages it got."""
+
+    first: bytes
+
+
 @contextmanager
-def connected_pages(address: str, count: int) -> Iterator[list[ClientConnection]]:
-    """Connect as pages do, without drawing; disconnect without notice afterwards."""
-    connections: list[ClientConnection] = []
+def connected_pages(address: str, count: int, *, origin: str | None = None, to: str = "") -> Iterator[list[Page]]:
+    """Connect as pages do, without drawing; disconnect without notice afterwards.
+
+    The header `Host` names the host of the address, the connection is to host `to`, if given.
+    """
+    connections: list[Page] = []
+    parts = urlsplit(address)
     try:
         for _ in range(count):
-            connections.append(
-                connect(
-                    address.replace("http", "ws", 1),
-                    subprotocols=[Subprotocol(f"viser-v{version('viser')}")],
-                    max_size=None,
-                )
+            page = connect(
+                address.replace("http", "ws", 1),
+                sock=socket.create_connection((to or parts.hostname, parts.port)),
+                origin=None if origin is None else Origin(origin),
+                subprotocols=[Subprotocol(f"viser-v{version('viser')}")],
+                max_size=None,
+                create_connection=Page,
             )
-            connections[-1].send(_CAMERA)
-            assert connections[-1].recv(timeout=PATIENCE_S)
+            assert isinstance(page, Page)
+            connections.append(page)
+            page.send(_CAMERA)
+            first = page.recv(timeout=PATIENCE_S)
+            assert isinstance(first, bytes)
+            page.first = first
         yield connections
     finally:
         for connection in connections:

@@ -166,7 +166,7 @@ def live_run(folder: Path, *settings_: str) -> Iterator[str]:
     output = ""
     try:
         assert process.stderr is not None
-        while not (address := re.search(r"http://127\.0\.0\.1:\d+", output)):
+        while not (address := re.search(r"http://127\.0\.0\.1:\d+/\S+", output)):
             line = process.stderr.readline()
             assert line, output
             output += line

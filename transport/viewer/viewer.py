@@ -47,7 +47,7 @@ class Viewer:
     Attributes:
         shown: The scene in the current frame.
         notice: The sentence on top of the panel.
-        address: URL for browsers.
+        address: URL for browsers; that of a live run, which a page can change, has a secret path.
         other_port: Sentence that the port is another than the requested one; empty if it is not.
 
     Raises: ViewerError: viser is not installed, or no port is free.
@@ -65,8 +65,7 @@ class Viewer:
     ) -> None:
         self._builder, self._tail = builder, tail
         self.shown: Scene | None = None
-        self._server = start_server(host, port)
-        self.address = f"http://{host}:{self._server.get_port()}"
+        self._server, self.address = start_server(host, port, secret=live is not None)
         self.other_port = told_port(port, self._server.get_port())
         self.playback = Playback(builder.setup.settings.sampling_period_s, follows=live is not None)
         self.view3d = View3D(self._server, builder)

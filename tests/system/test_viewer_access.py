@@ -1,0 +1,179 @@
+"""Access to the viewer: only its own page can change a live run; connections of other sites are refused."""
+
+import http.client
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import msgpack
+import pytest
+import zstandard
+from websockets.exceptions import InvalidStatus
+
+from tests.support import runs
+from tests.support.browser import Page, connected_pages
+from tests.support.commands import PATIENCE_S, wait_for
+from tests.support.logs import record_run
+from transport.flight.live import LiveRun
+from transport.log.tail import LogTail
+from transport.scene.run_history import RunHistory
+from transport.scene.scene import SceneBuilder
+from transport.viewer.server import Guard
+from transport.viewer.viewer import Viewer
+
+EVIL = "http://evil.example"
+Sent = list[tuple[str, dict[str, Any]]]
+
+
+@pytest.fixture
+def sent(monkeypatch: pytest.MonkeyPatch) -> Sent:
+    """Return the requests to the run, which are not sent."""
+    requests: Sent = []
+
+    def request(_run: str, _to: list[str], _name: str, kind: str, content: dict[str, Any], _keys: object) -> Any:
+        requests.append((kind, content))
+        return {"tick": 0}
+
+    monkeypatch.setattr("transport.viewer.commands.request", request)
+    return requests
+
+
+@pytest.fixture(params=["127.0.0.1", "localhost"])
+def live(request: pytest.FixtureRequest, tmp_path: Path, sent: Sent) -> Iterator[Viewer]:
+    """Return the viewer of a run that counts as live."""
+    setup = runs.setup(runs.ticks(2))
+    record_run(setup, tmp_path)
+    running = LiveRun(run="nowhere", endpoints={"recorder": "", "coordinator": ""}, pid=os.getpid())
+    builder = SceneBuilder(setup, RunHistory(setup))
+    with Viewer(builder, host=request.param, port=0, tail=LogTail(tmp_path / "run.mcap"), live=running) as viewer:
+        yield viewer
+    del sent
+
+
+def kill_agent_2(page: Page) -> None:
+    """Press the button as a page does that knows the widgets from its first messages."""
+    page.send(update(page, "GuiButtonGroupMessage", "agent 2", {"value": "kill"}))
+
+
+def update(page: Page, kind: str, label: str, updates: Any) -> bytes:
+    """Return the message of a page that changes properties of a widget."""
+    data = page.first
+    while not (found := [m["uuid"] for m in messages(data) if m["type"] == kind and m["props"]["label"] == label]):
+        data = bytes(page.recv(timeout=PATIENCE_S, decode=False))
+    message: bytes = msgpack.packb({"type": "GuiUpdateMessage", "uuid": found[0], "updates": updates})
+    return message
+
+
+def messages(data: bytes) -> list[Any]:
+    """Return the messages in a frame of viser, without the arrays behind them."""
+    size = int.from_bytes(data[8:16], "little")
+    found: list[Any] = msgpack.unpackb(zstandard.decompress(data[16 : 16 + size]))["messages"]
+    return found
+
+
+@pytest.mark.parametrize("origin", [None, "own"])
+def test_the_printed_link_can_change_the_run(live: Viewer, sent: Sent, origin: str | None) -> None:
+    """A WebSocket below the printed link, from its own page or from no page, kills an agent."""
+    own = live.address.rpartition("/")[0] if origin else None
+    with connected_pages(live.address, 1, origin=own) as (page,):
+        kill_agent_2(page)
+        assert wait_for(lambda: sent == [("fault", {"do": "kill", "target": "agent2"})])
+
+
+@pytest.mark.parametrize(
+    ("way", "host", "origin"),
+    [
+        ("{token}", "", EVIL),
+        ("{token}", "", "null"),
+        ("{token}", "", "http://127.0.0.1:1"),  # a page of another program on this machine
+        ("{token}", "evil.example", None),
+        ("{token}", "evil.example", EVIL),
+        ("", "", None),
+        ("", "", "own"),
+        ("/wrong", "", None),
+    ],
+)
+def test_others_cannot_change_the_run(live: Viewer, sent: Sent, way: str, host: str, origin: str | None) -> None:
+    """Without the token, or with a foreign Host or Origin, page and WebSocket are refused with 403."""
+    parts = urlsplit(live.address)
+    path = way.format(token=parts.path)
+    own = f"{parts.scheme}://{parts.netloc}"
+    address = f"http://{host or parts.hostname}:{parts.port}{path}"
+    with (
+        pytest.raises(InvalidStatus, match="403"),
+        connected_pages(address, 1, origin=own if origin == "own" else origin, to=str(parts.hostname)) as (page,),
+    ):
+        kill_agent_2(page)
+    asked = http.client.HTTPConnection(str(parts.hostname), parts.port, timeout=PATIENCE_S)
+    headers = {"Host": f"{host or parts.hostname}:{parts.port}"}
+    asked.request("GET", path or "/", headers=headers if origin in (None, "own") else headers | {"Origin": origin})
+    assert asked.getresponse().status == 403
+    assert sent == []
+
+
+def test_malformed_messages_are_one_line_each(live: Viewer, sent: Sent, capfd: pytest.CaptureFixture[str]) -> None:
+    """Messages that no page sends are refused in one line without a traceback, and the viewer goes on."""
+    bad: list[Any] = ["text", b"\xc1", b"", msgpack.packb({"type": "NoMessage"}), msgpack.packb([1])]
+    for message in bad:
+        with connected_pages(live.address, 1) as (page,):
+            page.send(message)
+            assert wait_for(lambda: "viewer: refused" in capfd.readouterr().err)
+    for kind, label, updates in (
+        ("GuiDropdownMessage", "speed", {"value": "no speed"}),
+        ("GuiSliderMessage", "delay (s)", {"value": "no number"}),
+        ("GuiSliderMessage", "time (s)", {"value": float("inf")}),
+        ("GuiSliderMessage", "time (s)", {"no property": 1}),
+    ):
+        with connected_pages(live.address, 1) as (page,):
+            page.send(update(page, kind, label, updates))
+            errors = ""
+
+            def is_told() -> bool:
+                nonlocal errors
+                errors += capfd.readouterr().err
+                return "viewer: refused" in errors
+
+            assert wait_for(is_told), updates
+            assert errors.count("\n") == 1, errors
+    with connected_pages(live.address, 1) as (page,):
+        kill_agent_2(page)
+        assert wait_for(lambda: len(sent) == 1)
+
+
+def test_a_recorded_run_is_for_its_own_page_too(tmp_path: Path) -> None:
+    """The viewer of a recorded run has no token, and refuses foreign hosts and origins as well."""
+    setup = runs.setup(runs.ticks(2))
+    record_run(setup, tmp_path)
+    history = RunHistory(setup)
+    history.add(m for m in LogTail(tmp_path / "run.mcap").read())
+    with Viewer(SceneBuilder(setup, history), port=0) as viewer:
+        assert urlsplit(viewer.address).path == ""
+        with connected_pages(viewer.address, 1):
+            pass
+        with pytest.raises(InvalidStatus, match="403"), connected_pages(viewer.address, 1, origin=EVIL):
+            pass
+
+
+@pytest.mark.parametrize(
+    ("bound", "host", "own"),
+    [
+        ("127.0.0.1", "localhost:8080", True),
+        ("127.0.0.1", "LOCALHOST", True),
+        ("127.0.0.1", "[::1]:9", True),
+        ("127.0.0.1", "192.168.1.5:8080", False),
+        ("127.0.0.1", "127.0.0.1.evil.example", False),
+        ("127.0.0.1", "", False),
+        ("127.0.0.1", "[::1", False),
+        ("lab.example", "Lab.Example:8080", True),
+        ("192.168.1.5", "192.168.1.5:8080", True),
+        ("192.168.1.5", "192.168.1.6:8080", False),
+        ("0.0.0.0", "192.168.1.5:8080", True),  # noqa: S104
+        ("::", "[fe80::1]:8080", True),
+        ("0.0.0.0", "evil.example:8080", False),  # noqa: S104
+    ],
+)
+def test_hosts_of_the_viewer(bound: str, host: str, own: bool) -> None:
+    """Its hosts are the loopback names and the one it listens on; of all addresses every address, but no other name."""
+    assert (Guard(bound, "").refusal("/", host, None) == "") is own
