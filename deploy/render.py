@@ -145,7 +145,7 @@ def _write_configurations(
     for placement in own:
         name, place = placement.process, replace(placement.endpoints, security=security)
         keys = Keys.below("transport/*") if name == ROUTER else Keys(inventory.run)
-        text = json.dumps(configuration(place, patience_s, name, keys), indent=1)
+        text = json.dumps(configuration(place, patience_s, name, keys), indent=1, ensure_ascii=False)
         if source is not None:
             text = text.replace(str(source.resolve()), str(etc / "keys"))
         file = folder / "zenoh" / f"{name}.json5"

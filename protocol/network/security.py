@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from protocol.scenario.text_file import path_problem
 from protocol.wire.keys import ACTING, OPERATOR, READING, ROUTER, WATCHER, Keys
 
 # Files of a folder of keys; besides them NAME.pem and NAME.key, or NAME.password, for each name.
@@ -54,6 +55,9 @@ class Security:
 
         Raises: SecurityError: there are none.
         """
+        problem = path_problem(self.folder)
+        if problem:
+            raise SecurityError(f"network.keys: cannot read {str(self.folder)!r} ({problem})")
         if (self.folder / AUTHORITY).is_file():
             return "certificates"
         if (self.folder / SHARED).is_file():

@@ -42,7 +42,7 @@ def open_session(endpoints: Endpoints, patience_s: float, name: str, keys: Keys,
     Raises: BusError: the endpoint cannot be listened on, the router not reached, or the keys not used.
     """
     try:
-        text = json.dumps(configuration(endpoints, patience_s, name, keys))
+        text = json.dumps(configuration(endpoints, patience_s, name, keys), ensure_ascii=False)
     except SecurityError as error:
         raise BusError(str(error)) from error
     deadline = time.monotonic() + reach_s

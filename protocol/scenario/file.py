@@ -14,7 +14,7 @@ from protocol.scenario.errors import ScenarioError, first_problem, key_of, optio
 from protocol.scenario.path_file import PathFileError, with_paths
 from protocol.scenario.relations import check_relations
 from protocol.scenario.schema import Scenario
-from protocol.scenario.text_file import read_text
+from protocol.scenario.text_file import path_problem, read_text
 
 __all__ = ["ScenarioError", "find_scenario", "read_scenario", "validate", "with_settings"]
 
@@ -22,9 +22,12 @@ __all__ = ["ScenarioError", "find_scenario", "read_scenario", "validate", "with_
 def find_scenario(name: str) -> Path:
     """Return the file of a scenario: a path, or the name of one that comes with the package.
 
-    Raises: ScenarioError: no scenario has the name; the text lists the names.
+    Raises: ScenarioError: no scenario has the name, the text lists the names; or no file can have it.
     """
     path = Path(name)
+    problem = path_problem(path)
+    if problem:
+        raise ScenarioError(name, "", f"cannot be read ({problem})")
     if path.exists() or path.suffix == ".toml" or "/" in name:
         return path
     folder = Path(str(importlib.resources.files("scenarios")))

@@ -223,10 +223,10 @@ class NetworkSection(Section):
     They belong to one host, so they are not in the digest.
     """
 
-    host: str = "127.0.0.1"
+    host: Annotated[str, Field(pattern=r"^[A-Za-z0-9_:%-]{1,63}(\.[A-Za-z0-9_:%-]{1,63}){0,9}$")] = "127.0.0.1"
     base_port: Annotated[int, Field(ge=1024, le=65_000)] | None = None
     router: str | None = None
-    keys: str | None = None
+    keys: Annotated[str, Field(pattern=r"^[^\x00]*$")] | None = None
     insecure: bool = False
     secret: bool = True
 

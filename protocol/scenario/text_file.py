@@ -8,6 +8,20 @@ from pathlib import Path
 MOST_BYTES = 64_000_000
 
 
+def path_problem(path: str | Path) -> str:
+    """Return why the path of a file cannot be used: over 255 bytes, a null character, not UTF-8; empty if it can."""
+    try:
+        str(path).encode()
+        Path(path).stat()
+    except (FileNotFoundError, NotADirectoryError, PermissionError):
+        return ""
+    except UnicodeEncodeError:
+        return "not UTF-8"
+    except (OSError, ValueError) as error:
+        return getattr(error, "strerror", "") or str(error)
+    return ""
+
+
 def read_text(path: Path, *, regular: bool = True) -> str:
     """Return the UTF-8 text of a file; `regular` refuses pipes and devices, whose reading may never end.
 

@@ -113,6 +113,11 @@ class LazyGroup(TyperGroup):
             code = error.exit_code
         except typer.Abort:
             code = _INTERRUPTED
+        except OSError as error:
+            if error.filename is None:
+                raise
+            typer.echo(f"transport: {error.filename}: {error.strerror}", err=True)
+            code = _USAGE
         sys.exit(code if isinstance(code, int) else 0)
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:

@@ -219,7 +219,7 @@ class Harness:
 
 def keys_setting(folder: Path | str) -> str:
     """Return the setting of a scenario that names a folder of keys."""
-    return f"network.keys={json.dumps(str(folder))}"
+    return f"network.keys={json.dumps(str(folder), ensure_ascii=False)}"  # TOML has no surrogate pairs
 
 
 def _has_ended(child: Child) -> bool:

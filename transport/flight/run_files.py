@@ -11,6 +11,7 @@ import tomli_w
 from protocol.network.security import SecurityError, new_secret
 from protocol.scenario.schema import Scenario
 from protocol.scenario.setup import Setup
+from protocol.scenario.text_file import path_problem
 from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
 from transport.flight.run_error import RunError
 from transport.log.latest import point_latest
@@ -33,6 +34,9 @@ def new_folder(parent: Path, name: str) -> Path:
 
 def refuse_existing(folder: Path) -> None:
     """Raise RunError if a run folder exists already."""
+    problem = path_problem(folder)
+    if problem:
+        raise RunError(f"--out: cannot create {str(folder)!r} ({problem})", EXIT_USAGE)
     if folder.exists():
         raise RunError(f"--out: expected a folder that does not exist yet, got {folder}", EXIT_USAGE)
 

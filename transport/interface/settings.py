@@ -8,6 +8,7 @@ from typing import Any, Literal, TypedDict
 import numpy as np
 import tomli_w
 
+from protocol.scenario.text_file import path_problem
 from protocol.wire.errors import TransportError
 
 Settings = Mapping[str, Any]
@@ -108,6 +109,9 @@ def file_name(path: "str | PathLike[str]", argument: str) -> str:
     Raises: ArgumentError: neither text nor a path.
     """
     if isinstance(path, str | PathLike):
+        problem = path_problem(str(path))
+        if problem:
+            raise ArgumentError(f"{argument}: expected the name of a file, got {str(path)!r:.60} ({problem})")
         return str(path)
     raise ArgumentError(f"{argument}: expected text or a path, got {type(path).__name__} {path!r:.60}")
 

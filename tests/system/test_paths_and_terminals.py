@@ -1,0 +1,110 @@
+"""Paths that no file can have, text that is not ASCII, and output that cannot be written: one line, the right code."""
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import transport
+from tests.support.commands import PATIENCE_S, SHORT, command, settings
+from tests.support.results import here
+
+USAGE, SCENARIO, UNRECORDED = 2, 3, 10
+LONG = "a" * 300
+
+SHORTER = "maneuver.phase=[{name='hover', duration_s=0.2, displacement_m=[0.0, 0.0, 0.0]}]"
+
+
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        (("validate", f"{LONG}.toml"), SCENARIO),
+        (("scenario", "new", "--uavs", "4", "--from", LONG), SCENARIO),
+        (("run", "paper", "--set", r'network.keys="a\u0000b"'), SCENARIO),
+        (("run", "paper", "--set", r'network.host="a\u0000b"'), SCENARIO),
+        (("run", "paper", "--set", f"network.keys={LONG}", "--no-figures"), SCENARIO),
+        (("run", "paper", "--set", f"network.host={LONG}"), SCENARIO),
+        (("run", "paper", "--out", LONG), USAGE),
+        (("run", "paper", "--out", os.fsdecode(b"\xff")), USAGE),
+        (("record", "--out", LONG), USAGE),
+        *((("log", *rest), USAGE) for rest in (("info", LONG), ("export", LONG, "--out", "t"))),
+        *(((name, LONG, *rest), USAGE) for name, *rest in (("plot",), ("view",), ("replay", "--agent", "1"))),
+        (("compare", LONG, "other"), USAGE),
+        (("scenario", "new", "--uavs", "4", "--out", LONG), USAGE),
+        (("deploy", "render", "--hosts", LONG, "--out", "r"), USAGE),
+    ],
+    ids=lambda value: " ".join(value).replace(LONG, "LONG") if isinstance(value, tuple) else str(value),
+)
+def test_a_path_that_no_file_can_have(
+    words: tuple[str, ...], code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A name over 255 bytes, a null character and bytes that are not UTF-8 are refused in one line."""
+    monkeypatch.chdir(tmp_path)
+    result = here(*words)
+    assert result.exit_code == code
+    lines = [line for line in result.stderr.splitlines() if not line.startswith("compiling the model")]
+    assert len(lines) == 1
+    assert lines[0].startswith("transport: ")
+
+
+@pytest.mark.parametrize("name", [LONG, "a\0b"])
+def test_a_path_that_no_file_can_have_in_python(name: str) -> None:
+    """The Python interface refuses it with the argument's name."""
+    for call, argument in ((transport.load, "folder"), (transport.fly, "scenario")):
+        with pytest.raises(transport.ArgumentError, match=f"{argument}: expected the name of a file, got"):
+            call(name)
+
+
+def test_a_run_beside_a_reader_that_leaves_in_a_path_beyond_ascii(tmp_path: Path) -> None:
+    """In the POSIX locale, in an emoji's folder and with a closed standard output a run completes with exit code 0."""
+    environment = {**os.environ, "LC_ALL": "POSIX", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    folder = tmp_path / "😀 ünï"
+    reading, writing = os.pipe()
+    os.close(reading)
+    words = command("run", "resilient", *settings(SHORTER), "--no-figures", "--out", folder)
+    done = subprocess.run(
+        words, env=environment, stdout=writing, stderr=subprocess.PIPE, timeout=PATIENCE_S, check=False
+    )
+    os.close(writing)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert (folder / "summary.json").exists()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs /dev/full")
+@pytest.mark.parametrize("words", [("validate", "paper"), ("validate", "paper", "--format", "json"), ("--help",)])
+def test_standard_output_on_a_full_disk(words: tuple[str, ...]) -> None:
+    """Results that cannot be written are told in one line, with exit code 10."""
+    with Path("/dev/full").open("wb") as full:
+        done = subprocess.run(
+            command(*words), stdout=full, stderr=subprocess.PIPE, text=True, timeout=PATIENCE_S, check=False
+        )
+    assert done.returncode == UNRECORDED
+    expected = "transport: standard output: cannot write the results (No space left on device)"
+    assert done.stderr.splitlines()[-1] == expected
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs /dev/full")
+def test_log_and_standard_error_on_a_full_disk(tmp_path: Path) -> None:
+    """A run whose log and messages cannot be written goes on to its end; its exit code is 10, and the log opens."""
+
+    def limited() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, 40_000))
+
+    with Path("/dev/full").open("wb") as full:
+        words = command("run", "resilient", *settings(SHORT), "--no-figures", "--out", tmp_path / "out")
+        done = subprocess.run(
+            words,
+            stdout=full,
+            stderr=full,
+            preexec_fn=limited,
+            timeout=PATIENCE_S,
+            check=False,
+        )
+    assert done.returncode == UNRECORDED
+    assert here("log", "info", tmp_path / "out").exit_code == 0
