@@ -186,9 +186,9 @@ def execute(seed: int, number: int, folder: Path, stop: threading.Event) -> Resu
     problems |= remains(folder)
     if command.returncode not in damage.exit_codes:
         problems["wrong exit code"] = f"{command.returncode}, expected one of {sorted(damage.exit_codes)}"
-    log = "; ".join(_problems_of_log(damage, run, output.read_text(errors="replace")))
-    if log:
-        problems["wrong log"] = log
+    wrong = "; ".join(_problems_of_log(damage, run, output.read_text(errors="replace")))
+    if wrong:
+        problems["wrong log"] = wrong
     return Result(number=number, label=name, outcome=f"exit {command.returncode}", problems=problems)
 
 
