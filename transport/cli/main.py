@@ -55,21 +55,21 @@ app.add_typer(
 app.add_typer(
     lazy_group(
         {
-            "latency": ("transport.cli.experiment.latency:latency", "Effect of a fixed delay on every link."),
-            "loss": ("transport.cli.experiment.loss:loss", "Effect of packet loss, independent or in bursts."),
-            "jitter": ("transport.cli.experiment.jitter:jitter", "Effect of the distribution of random delays."),
-            "kill": ("transport.cli.experiment.kill:kill", "Effect of the death of each agent."),
-            "deaths": ("transport.cli.experiment.deaths:deaths", "Effect of a permanent kill of a random agent."),
+            "latency": ("transport.cli.experiment:latency", "Effect of a fixed delay on every link."),
+            "loss": ("transport.cli.experiment:loss", "Effect of packet loss, independent or in bursts."),
+            "jitter": ("transport.cli.experiment:jitter", "Effect of the distribution of random delays."),
+            "kill": ("transport.cli.experiment:kill", "Effect of the death of each agent."),
+            "deaths": ("transport.cli.experiment:deaths", "Effect of a permanent kill of a random agent."),
             "matrix": (
-                "transport.cli.experiment.matrix:matrix",
+                "transport.cli.experiment:matrix",
                 "Maps of cost and completion over delay and loss.",
             ),
-            "ablation": ("transport.cli.experiment.ablation:ablation", "Contribution of each part of the algorithm."),
-            "horizon": ("transport.cli.experiment.horizon:horizon", "Effect of horizon and terminal weight."),
-            "hover": ("transport.cli.experiment.hover:hover", "Stability in a long hover after the maneuver."),
-            "sharing": ("transport.cli.experiment.sharing:sharing", "Cost against the number of plans sent."),
-            "paper": ("transport.cli.experiment.paper:paper", "The paper's claim: centralized against distributed."),
-            "scaling": ("transport.cli.experiment.scaling:scaling", "Growth of cost, computation and messages."),
+            "ablation": ("transport.cli.experiment:ablation", "Contribution of each part of the algorithm."),
+            "horizon": ("transport.cli.experiment:horizon", "Effect of horizon and terminal weight."),
+            "hover": ("transport.cli.experiment:hover", "Stability in a long hover after the maneuver."),
+            "sharing": ("transport.cli.experiment:sharing", "Cost against the number of plans sent."),
+            "paper": ("transport.cli.experiment:paper", "The paper's claim: centralized against distributed."),
+            "scaling": ("transport.cli.experiment:scaling", "Growth of cost, computation and messages."),
         },
         help="Simulate many variations of a scenario and compare them.\n\n"
         "Prints a table and confidence intervals; writes tables and a figure.",

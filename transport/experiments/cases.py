@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -14,6 +14,7 @@ from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
 from protocol.scenario.schema import Scenario
 from protocol.scenario.setup import Setup
 from protocol.scenario.team import resized
+from transport.log.run_log import RunLog
 
 # Keys and sections of a scenario that make a run random unless they are zero.
 _RANDOM = {"jitter_s", "loss", "duplicate", "reorder", "gust_mps", "noise"}
@@ -55,10 +56,21 @@ class Case:
     source: str  # file the scenario comes from
     key: str  # fingerprint of everything that determines the result
     timed: bool = False  # whether processor time and messages are measured as well
+    # Further numbers of the run, from its setup, summary and log.
+    more: "More | None" = None
+
+
+More = Callable[[Setup, Any, RunLog], Mapping[str, float | None]]
 
 
 def cases_of(
-    points: Sequence[Point], settings: Sequence[str], seeds: int, *, timed: bool = False, allow_large: bool = False
+    points: Sequence[Point],
+    settings: Sequence[str],
+    seeds: int,
+    *,
+    timed: bool = False,
+    more: More | None = None,
+    allow_large: bool = False,
 ) -> list[Case]:
     """Return every run of a sweep: each point with the seeds 0, 1, ...; one seed for a deterministic point.
 
@@ -73,11 +85,13 @@ def cases_of(
         scenario = _scenario(path, point, settings)
         if not allow_large:
             check_budget(scenario, str(path))
-        cases += cases_of_point(index, scenario, path, seeds, timed=timed)
+        cases += cases_of_point(index, scenario, path, seeds, timed=timed, more=more)
     return cases
 
 
-def cases_of_point(index: int, scenario: Scenario, path: Path, seeds: int, *, timed: bool = False) -> list[Case]:
+def cases_of_point(
+    index: int, scenario: Scenario, path: Path, seeds: int, *, timed: bool = False, more: More | None = None
+) -> list[Case]:
     """Return the runs of the point with an index, whose scenario comes from a file; as `cases_of`.
 
     Raises: ScenarioError: the scenario cannot be simulated.
@@ -92,7 +106,7 @@ def cases_of_point(index: int, scenario: Scenario, path: Path, seeds: int, *, ti
     for seed in range(seeds if timed or is_random(scenario) else 1):
         seeded = scenario.model_copy(update={"seed": seed})
         key = key_of(seeded, samples_s)
-        cases.append(Case(point=index, scenario=seeded, source=str(path), key=key, timed=timed))
+        cases.append(Case(point=index, scenario=seeded, source=str(path), key=key, timed=timed, more=more))
     return cases
 
 

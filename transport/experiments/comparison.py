@@ -9,8 +9,8 @@ import orjson
 from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
 from protocol.scenario.setup import Setup
 from transport.experiments.cases import Point
+from transport.experiments.declaration import Declaration, Experiment
 from transport.experiments.errors import refused
-from transport.experiments.experiment import Experiment
 from transport.experiments.processor_time import (
     MANEUVER,
     QUICK_MANEUVER,
@@ -163,3 +163,7 @@ def experiment(cells: Sequence[Cell], reference: Cell, gust_mps: float) -> Exper
         for cell in cells
     ]
     return Experiment(name=NAME, points=tuple(points), x=axis("period_s", "controller.sampling_period_s"))
+
+
+# Defaults of the common options; the command has a report of its own.
+DECLARED = Declaration(build=experiment, options={}, seeds=5)

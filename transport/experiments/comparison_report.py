@@ -19,10 +19,10 @@ from transport.experiments.comparison_verdict import SAME_RATE, Verdict, lines, 
 from transport.experiments.cost_curves import Curve, Node, cost_curves
 from transport.experiments.processor_time import AGENT, TEAM, Load
 from transport.experiments.results import Results
-from transport.experiments.simulation import NUMBERS, Result
+from transport.experiments.simulation import NUMBERS
 from transport.experiments.statistics import Estimate
-from transport.experiments.sweep import Simulate, sweep
-from transport.experiments.table import cases_csv, csv_bytes, empty_table
+from transport.experiments.sweep import Simulate, Swept, sweep
+from transport.experiments.table import csv_bytes, empty_table
 from transport.flight.header import machine
 from transport.report.report import write_whole
 
@@ -49,10 +49,10 @@ def compare(
     console: Console,
     *,
     quick: bool = False,
-) -> tuple[list[str], Table, list[Result]]:
+) -> tuple[list[str], Table, Swept]:
     """Measure processor time, simulate every controller at every period, and write all files.
 
-    Returns: Lines for the console, the table above them, and the results.
+    Returns: Lines for the console, the table above them, and the sweep.
     Raises: ScenarioError: wrong settings. ExperimentError: unusable folder.
     """
 
@@ -66,26 +66,25 @@ def compare(
     cells = comparison.cells_of(curves)
     experiment = comparison.experiment(cells, reference, gust_mps)
     cases = cases_of(experiment.points, settings, seeds)  # refuses wrong cases before the measurement
-    with Results(folder, comparison.NAME, machine()) as results:
+    with Results(comparison.NAME, folder) as results:
         loads = comparison.processor_times(folder, settings, cells, quick=quick, notify=notify)
-        found = sweep(experiment, cases, simulate, results, console)
-    costs = cost_curves(curves, experiment.points, cases, found)
+        swept = sweep(experiment, cases, simulate, results, console)
+    costs = cost_curves(curves, swept)
     judged = verdicts(costs, loads, reference)
     text = [*lines(judged), "", *statements(judged)]
     written = {
         "curves.csv": csv_bytes([_curve_row(curve, node, loads) for curve in costs for node in curve.nodes]),
         "verdict.csv": csv_bytes([_verdict_row(verdict) for verdict in judged]),
         "computation.csv": csv_bytes(list(_computation_rows(loads.values()))),
-        "cases.csv": cases_csv(experiment.points, cases, found),
         "verdict.txt": "\n".join([*text, "", f"machine: {machine()}", ""]).encode(),
     }
     for name, content in written.items():
         write_whole(folder / name, content)
+    files = [*(folder / name for name in written), swept.write_cases(folder)]
     shown = list(_maneuver_runs(costs, judged, reference, experiment.points, cases))
-    figures = [*draw_costs(costs, loads, reference, folder), *draw_maneuver(shown, folder)]
-    files = [*(folder / name for name in written), *figures]
+    files += [*draw_costs(costs, loads, reference, folder), *draw_maneuver(shown, folder)]
     output = ["", *text, "", f"machine: {machine()}", *(f" {path}" for path in files)]
-    return output, table_of(costs, loads), found
+    return output, table_of(costs, loads), swept
 
 
 def _maneuver_runs(

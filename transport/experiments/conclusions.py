@@ -1,11 +1,19 @@
-"""Conclusions of an experiment: one sentence per scenario, made from its numbers."""
+"""Conclusions of an experiment: one sentence per scenario or ownership, made from its numbers."""
 
+import math
 from collections.abc import Sequence
 
+import numpy as np
+
+from transport.experiments.design_experiments import CENTRALIZED
 from transport.experiments.statistics import PointStatistics
 
 # Points named one by one in a sentence; of more, only the extremes are named.
 _NAMED = 4
+
+# Team sizes that power laws are fitted to: below four the constant part of a step dominates, and larger teams are not
+# always run.
+FEWEST, MOST = 4, 12
 
 
 def conclusions(measured: Sequence[PointStatistics]) -> list[str]:
@@ -61,3 +69,69 @@ def _cost(measured: Sequence[PointStatistics]) -> str:
         return ""
     named = found if len(found) <= _NAMED else [min(found), max(found)]
     return "cost " + ", ".join(f"x{ratio:.2f} ({text})" for ratio, text in named)
+
+
+def exponent(uavs: Sequence[float], values: Sequence[float]) -> float | None:
+    """Return p of the power law value ~ N^p, fitted by least squares to log value over log N.
+
+    Args:
+        uavs: N.
+        values: Value at each N, > 0.
+    Returns: p, or None for fewer than two team sizes.
+    """
+    if len(set(uavs)) < 2:
+        return None
+    logs = np.log(np.array([uavs, values], dtype=np.float64))
+    x, y = logs - logs.mean(axis=1, keepdims=True)
+    return float(x @ y / (x @ x))
+
+
+def scaling_conclusions(measured: Sequence[PointStatistics]) -> list[str]:
+    """Return one sentence for each ownership, and one for each comparison with the centralized team."""
+    ownerships = dict.fromkeys(str(m.point.labels["ownership"]) for m in measured)
+    lines = []
+    for ownership in ownerships:
+        parts = [
+            survival([m for m in measured if m.point.labels["ownership"] == ownership]),
+            _growth("CPU of an agent's step", _means(measured, ownership, "cpu_step_p50_ms"), "ms", 1.0),
+            _growth("CPU of the team per tick", _means(measured, ownership, "cpu_team_tick_ms"), "ms", 1.0),
+            _growth("volume of plans", _means(measured, ownership, "plan_bytes_per_s"), "kB/s", 1e-3),
+            errors_text([m for m in measured if m.point.labels["ownership"] == ownership]),
+        ]
+        lines.append(f"{ownership}: {'; '.join(part for part in parts if part)}")
+    return [*lines, *(_comparison(measured, other) for other in ownerships if other != CENTRALIZED)]
+
+
+def _means(measured: Sequence[PointStatistics], ownership: str, name: str) -> dict[int, float]:
+    """Return the mean of a number by team size for one ownership, where any run was completed."""
+    return {
+        int(m.point.labels["uavs"]): value.mean
+        for m in measured
+        if m.point.labels["ownership"] == ownership and (value := m.numbers[name]) is not None
+    }
+
+
+def _growth(name: str, values: dict[int, float], unit: str, factor: float) -> str:
+    """Return how a number grows from `FEWEST` to `MOST` UAVs; nothing for fewer than two teams."""
+    fitted = {uavs: value for uavs, value in values.items() if FEWEST <= uavs <= MOST and value > 0.0}
+    power = exponent(list(fitted), list(fitted.values()))
+    if power is None:
+        return ""
+    first, last = min(fitted), max(fitted)
+    ends = " to ".join(f"{float(f'{factor * fitted[uavs]:.3g}'):g}" for uavs in (first, last)) + f" {unit}"
+    return f"{name} grows as N^{power:.2f} from {first} to {last} UAVs ({ends})"
+
+
+def _comparison(measured: Sequence[PointStatistics], ownership: str) -> str:
+    """Return computation and cost over the centralized team's, for the largest team that both completed."""
+    own, central = (_means(measured, name, "cpu_step_p50_ms") for name in (ownership, CENTRALIZED))
+    both = own.keys() & central.keys()
+    if not both:
+        return f"{ownership} against {CENTRALIZED}: no team of both completed its run"
+    uavs = max(both)
+    cost, reference = (_means(measured, name, "cost_mean")[uavs] for name in (ownership, CENTRALIZED))
+    ratio = cost / reference if reference > 0.0 else math.nan
+    return (
+        f"{ownership} against {CENTRALIZED}, {uavs} UAVs: "
+        f"CPU of an agent's step x{own[uavs] / central[uavs]:.3g}, cost x{ratio:.2f}"
+    )

@@ -2,15 +2,15 @@
 
 import bisect
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from transport.experiments.cases import Case, Point
 from transport.experiments.comparison import Cell, Curves
 from transport.experiments.processor_time import PeriodRange
-from transport.experiments.simulation import NUMBERS, Result
-from transport.experiments.statistics import Estimate, estimate, statistics_of
+from transport.experiments.simulation import NUMBERS
+from transport.experiments.statistics import Estimate, estimate
+from transport.experiments.sweep import Swept
 
 COST = "cost_mean"
 
@@ -97,14 +97,11 @@ def _interval(ratios: Sequence[float]) -> tuple[float, float] | None:
     return max(0.0, mean.mean - margin), mean.mean + margin  # a cost is never negative
 
 
-def cost_curves(
-    curves: Curves, points: Sequence[Point], cases: Iterable[Case], results: Iterable[Result]
-) -> list[Curve]:
+def cost_curves(curves: Curves, swept: Swept) -> list[Curve]:
     """Return the curves in each weather, each run relative to the reference's with the same seed."""
-    by_point: list[list[Result]] = [[] for _ in points]
+    points = swept.experiment.points
     completed: list[dict[int, Mapping[str, float | None]]] = [{} for _ in points]
-    for case, result in zip(cases, results, strict=True):
-        by_point[case.point].append(result)
+    for case, result in zip(swept.cases, swept.results, strict=True):
         if result.outcome == "completed":
             completed[case.point][case.scenario.seed] = result.numbers
     names = NUMBERS[1:]  # lost_s is in PointStatistics.diverged_s
@@ -112,7 +109,7 @@ def cost_curves(
         point.labels["weather"]: found for point, found in zip(points, completed, strict=True) if point.baseline
     }
     nodes: dict[tuple[str, Cell], Node] = {}
-    for m, found in zip(statistics_of(points, by_point, names), completed, strict=True):
+    for m, found in zip(swept.measured, completed, strict=True):
         labels: dict[str, Any] = dict(m.point.labels)
         weather = labels.pop("weather")
         nodes[weather, Cell(**labels)] = Node(

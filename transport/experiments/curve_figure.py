@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from transport.experiments.experiment import NONE, Experiment
+from transport.experiments.declaration import NONE, Experiment
 from transport.experiments.statistics import PointStatistics
 from transport.report.column import column_panels, draw_legend, head, legend_height_in
 from transport.report.style import CURVES, DIVERGED, MARKER, REFERENCE, SMALL, label_decades

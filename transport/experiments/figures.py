@@ -7,7 +7,7 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from transport.experiments.curve_figure import draw_curves, draw_sharing
-from transport.experiments.experiment import Experiment
+from transport.experiments.declaration import Experiment
 from transport.experiments.map_figure import draw_maps
 from transport.experiments.scaling_figure import draw_scaling
 from transport.experiments.statistics import PointStatistics

@@ -9,8 +9,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import NullLocator
 
+from transport.experiments.conclusions import FEWEST
 from transport.experiments.curve_figure import draw_means
-from transport.experiments.scaling import CENTRALIZED, FEWEST
+from transport.experiments.design_experiments import CENTRALIZED
 from transport.experiments.statistics import PointStatistics
 from transport.report.column import draw_legend, head, legend_height_in
 from transport.report.style import COLUMN_IN, CURVES, REFERENCE, SMALL, label_decades

@@ -1,30 +1,84 @@
-"""A sweep from its cases to its folder: simulate the missing cases, keep each result, write tables and figure."""
+"""A sweep from its cases to its tables and figure: simulate the missing cases, keep each result, report all."""
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from protocol.wire.exit_codes import EXIT_CASE_FAILED
 from transport.experiments.cases import Case
+from transport.experiments.declaration import Experiment
 from transport.experiments.errors import ExperimentError
-from transport.experiments.experiment import Experiment
 from transport.experiments.figures import draw
-from transport.experiments.resource_use import RESOURCES
-from transport.experiments.results import ResultsInMemory
-from transport.experiments.simulation import NUMBERS, Result
+from transport.experiments.results import Results
+from transport.experiments.simulation import ERROR, NUMBERS, RESOURCES, Result
 from transport.experiments.statistics import PointStatistics, statistics_of
-from transport.experiments.table import cases_csv, points_csv
+from transport.experiments.table import cases_rows, csv_bytes, points_rows
 from transport.flight.progress import ConsoleProgress
 from transport.report.report import write_whole
 
 Simulate = Callable[[Sequence[Case]], Iterable[Result]]
 
 
+@dataclass(frozen=True, kw_only=True)
+class Swept:
+    """An experiment with all its cases and their results, in the same order."""
+
+    experiment: Experiment
+    cases: Sequence[Case]
+    results: Sequence[Result]
+
+    @cached_property
+    def measured(self) -> list[PointStatistics]:
+        """Statistics of each point."""
+        by_point: list[list[Result]] = [[] for _ in self.experiment.points]
+        for case, result in zip(self.cases, self.results, strict=True):
+            by_point[case.point].append(result)
+        return statistics_of(self.experiment.points, by_point, self._numbers[1:])  # lost_s is in diverged_s
+
+    @property
+    def _numbers(self) -> tuple[str, ...]:
+        return (*NUMBERS, *(RESOURCES if self.experiment.timed else ()))
+
+    def rows(self, table: str) -> list[dict[str, Any]]:
+        """Return a row for each point or, if the table is not "points", for each run; values by column."""
+        if table == "points":
+            return points_rows(self.measured)
+        return cases_rows(self.experiment.points, self.cases, self.results)
+
+    def write(self, folder: Path, *, shown: tuple[Experiment, Sequence[PointStatistics]] | None = None) -> list[Path]:
+        """Write tables and figure to a folder and return the files; the figure may show another view of the sweep."""
+        files = [self.write_cases(folder), *draw(*(shown or (self.experiment, self.measured)), folder)]
+        points = folder / "points.csv"
+        write_whole(points, csv_bytes(self.rows("points")))
+        return [points, *files]
+
+    def write_cases(self, folder: Path) -> Path:
+        """Write a row for each run to cases.csv and return the file; floats are written without loss."""
+        file = folder / "cases.csv"
+        columns = ["scenario", *self.experiment.points[0].labels, "seed", "outcome", "reason", *self._numbers]
+        write_whole(file, csv_bytes(self.rows("runs"), columns))
+        return file
+
+    def check(self) -> None:
+        """Refuse a sweep with a run that raised an error.
+
+        Raises: ExperimentError: naming the first.
+        """
+        failed = [result for result in self.results if result.outcome == ERROR]
+        if failed:
+            more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
+            raise ExperimentError(f"a run raised an error{more}: {failed[0].reason}", EXIT_CASE_FAILED)
+
+
 def sweep(
-    experiment: Experiment, cases: Sequence[Case], simulate: Simulate, results: ResultsInMemory, console: Console
-) -> list[Result]:
-    """Simulate the cases without a result and keep each result at once; return all in the order of the cases."""
+    experiment: Experiment, cases: Sequence[Case], simulate: Simulate, results: Results, console: Console
+) -> Swept:
+    """Simulate the cases without a result, and keep each result at once."""
     for notice in results.notices:
         console.print(notice, highlight=False, soft_wrap=True)
     every = {case.key: case for case in cases}
@@ -44,22 +98,7 @@ def sweep(
             hint = f"{done} of {len(cases)} runs are saved; resume with: --out {results.folder}"
             console.print(hint, highlight=False, soft_wrap=True)
         raise
-    return [results[case.key] for case in cases]
-
-
-def report(
-    experiment: Experiment, cases: Sequence[Case], found: Sequence[Result], folder: Path
-) -> tuple[list[PointStatistics], list[Path]]:
-    """Write the tables and the figure of an experiment; return the statistics of its points, and the files."""
-    by_point: list[list[Result]] = [[] for _ in experiment.points]
-    for case, result in zip(cases, found, strict=True):
-        by_point[case.point].append(result)
-    numbers = (*NUMBERS, *(RESOURCES if experiment.timed else ()))
-    measured = statistics_of(experiment.points, by_point, numbers[1:])  # lost_s is in PointStatistics.diverged_s
-    tables = [folder / "points.csv", folder / "cases.csv"]
-    write_whole(tables[0], points_csv(measured))
-    write_whole(tables[1], cases_csv(experiment.points, cases, found, numbers))
-    return measured, [*tables, *draw(experiment, measured, folder)]
+    return Swept(experiment=experiment, cases=cases, results=[results[case.key] for case in cases])
 
 
 class _Progress(ConsoleProgress):

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from rich.table import Table
 
 from transport.experiments.cases import Case, Point
-from transport.experiments.simulation import NUMBERS, Result
+from transport.experiments.simulation import Result
 from transport.experiments.statistics import PointStatistics
 
 WIDTH, WIDTH_OF_VARIANTS = 100, 140
@@ -64,14 +64,6 @@ _TIMED_COLUMNS = [
 ]
 
 
-def cases_csv(
-    points: Sequence[Point], cases: Iterable[Case], results: Iterable[Result], numbers: Sequence[str] = NUMBERS
-) -> bytes:
-    """Return one row for each run, in the order of the sweep; floats are written without loss."""
-    columns = ["scenario", *points[0].labels, "seed", "outcome", "reason", *numbers]
-    return csv_bytes(cases_rows(points, cases, results), columns)
-
-
 def cases_rows(points: Sequence[Point], cases: Iterable[Case], results: Iterable[Result]) -> list[dict[str, Any]]:
     """Return one row for each run, values by column, in the order of the sweep."""
     rows: list[dict[str, Any]] = []
@@ -88,11 +80,6 @@ def cases_rows(points: Sequence[Point], cases: Iterable[Case], results: Iterable
             }
         )
     return rows
-
-
-def points_csv(measured: Sequence[PointStatistics]) -> bytes:
-    """Return one row for each point: number of runs, and means of completed runs with 95 % confidence intervals."""
-    return csv_bytes(points_rows(measured))
 
 
 def points_rows(measured: Sequence[PointStatistics]) -> list[dict[str, Any]]:

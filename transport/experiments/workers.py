@@ -9,15 +9,12 @@ import re
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from typing import TypeVar
+from collections.abc import Iterator, Sequence
 
 from protocol.wire.exit_codes import EXIT_UNREACHABLE
 from transport.experiments.cases import Case
 from transport.experiments.errors import ExperimentError, refused
-from transport.experiments.simulation import ERROR, Result, simulate_in_memory
-
-T = TypeVar("T")
+from transport.experiments.simulation import ERROR, Result, simulate
 
 # Timeout of the cluster, and period at which a worker checks that its parent lives, s.
 _ANSWER_S, _CHECK_S = 15.0, 0.5
@@ -26,17 +23,12 @@ _ADDRESS = re.compile(r"[a-z]+://\S+")
 
 
 def on_cores(cases: Sequence[Case], jobs: int) -> Iterator[Result]:
-    """Simulate cases on this machine; see `each_on_cores`."""
-    yield from each_on_cores(simulate_in_memory, cases, jobs)
-
-
-def each_on_cores(do: Callable[[Case], T], cases: Sequence[Case], jobs: int) -> Iterator[T]:
-    """Apply a function to each case and yield the values in any order; one job is done in this process.
+    """Simulate cases on this machine; one job is done in this process.
 
     Raises: ExperimentError: a worker process has died.
     """
     if jobs == 1:
-        yield from map(do, cases)
+        yield from map(simulate, cases)
         return
     import joblib
     from joblib.externals.loky import get_reusable_executor
@@ -51,7 +43,7 @@ def each_on_cores(do: Callable[[Case], T], cases: Sequence[Case], jobs: int) -> 
         initargs=(os.getpid(),),
     )
     try:
-        yield from team(joblib.delayed(do)(case) for case in cases)
+        yield from team(joblib.delayed(simulate)(case) for case in cases)
     except TerminatedWorkerError as error:
         raise ExperimentError(f"a worker process died: {str(error).splitlines()[0]}", EXIT_UNREACHABLE) from error
     finally:
@@ -82,7 +74,7 @@ def on_cluster(cases: Sequence[Case], address: str) -> Iterator[Result]:
         raise refused("--dask", f"a scheduler at {address}", f"no answer ({error})", EXIT_UNREACHABLE) from error
     with client:
         _check_workers(client.scheduler_info(n_workers=-1)["workers"], address)
-        futures = {client.submit(simulate_in_memory, case, pure=False): case for case in cases}
+        futures = {client.submit(simulate, case, pure=False): case for case in cases}
         try:
             for future in as_completed(futures, loop=client.loop):
                 failure = future.exception()

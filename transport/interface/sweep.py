@@ -13,27 +13,23 @@ import numpy as np
 from rich.console import Console
 
 from protocol.scenario.budget import most_workers
-from protocol.wire.exit_codes import EXIT_CASE_FAILED
 from transport.experiments import sweep as experiment_sweep
 from transport.experiments.cases import Case, Point, cases_of_point
-from transport.experiments.errors import ExperimentError
-from transport.experiments.experiment import Experiment
-from transport.experiments.figures import draw, fill
+from transport.experiments.declaration import Experiment
+from transport.experiments.figures import fill
 from transport.experiments.quantities import Axis, axis, quantity
-from transport.experiments.results import Results, ResultsInMemory
-from transport.experiments.simulation import NUMBERS, Result
-from transport.experiments.statistics import PointStatistics, statistics_of
-from transport.experiments.table import WIDTH, cases_csv, cases_rows, means_in_words, points_csv, points_rows, table_of
+from transport.experiments.results import Results
+from transport.experiments.simulation import Result
+from transport.experiments.statistics import PointStatistics
+from transport.experiments.table import WIDTH, means_in_words, table_of
 from transport.experiments.workers import check_cluster, on_cluster, on_cores
 from transport.flight.compiling import compile_model
-from transport.flight.header import machine
 from transport.interface.boundary import public
 from transport.interface.figure import RunFigure, drawn
 from transport.interface.optional import require_pandas
 from transport.interface.progress import console
 from transport.interface.scenario import Scenario
 from transport.interface.settings import ArgumentError, file_name, key_of
-from transport.report.report import write_whole
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -97,17 +93,14 @@ def sweep(
     experiment = Experiment(name=_NAME, points=tuple(points), x=_axis(next(iter(values))))
     shown = console(shown=progress)
     target = None if folder is None else Path(file_name(folder, "folder"))
-    with ResultsInMemory() if target is None else Results(target, _NAME, machine()) as results:
+    with Results(_NAME, target) as results:
         for size in sizes:
             compile_model(size, shown)  # once, not in each worker
-        found = experiment_sweep.sweep(experiment, cases, simulate, results, shown)
-    made = Sweep(experiment, cases, found)
+        swept = experiment_sweep.sweep(experiment, cases, simulate, results, shown)
+    made = Sweep(swept)
     if target is not None:
         made.save(target)
-    failed = [result for result in found if result.outcome == "error"]
-    if failed:
-        more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
-        raise ExperimentError(f"a run raised an error{more}: {failed[0].reason}", EXIT_CASE_FAILED)
+    swept.check()
     return made
 
 
@@ -118,18 +111,15 @@ class Sweep:
         points: Statistics of each point: means over completed runs with 95 % confidence intervals.
     """
 
-    def __init__(self, experiment: Experiment, cases: Sequence[Case], results: Sequence[Result]) -> None:
-        self._experiment, self._cases, self._results = experiment, cases, results
-        by_point: list[list[Result]] = [[] for _ in experiment.points]
-        for case, result in zip(cases, results, strict=True):
-            by_point[case.point].append(result)
-        self.points: list[PointStatistics] = statistics_of(experiment.points, by_point, NUMBERS[1:])
+    def __init__(self, swept: experiment_sweep.Swept) -> None:
+        self._swept = swept
+        self.points: list[PointStatistics] = swept.measured
 
     def __len__(self) -> int:
         return len(self.points)
 
     def __repr__(self) -> str:
-        return f"Sweep({len(self.points)} points, {len(self._results)} runs)"
+        return f"Sweep({len(self.points)} points, {len(self._swept.results)} runs)"
 
     def __str__(self) -> str:
         """Return the table that the commands `transport experiment` print."""
@@ -144,12 +134,9 @@ class Sweep:
 
         Columns are described in docs/experiments.md; the cost ratio is relative to the first combination of the grid.
         """
-        match table:
-            case "points":
-                return points_rows(self.points)
-            case "runs":
-                return cases_rows(self._experiment.points, self._cases, self._results)
-        raise ArgumentError(f"table: expected 'points' or 'runs', got {table!r}")
+        if table not in ("points", "runs"):
+            raise ArgumentError(f"table: expected 'points' or 'runs', got {table!r}")
+        return self._swept.rows(table)
 
     @public
     def to_pandas(self, table: Literal["points", "runs"] = "points") -> "pd.DataFrame":
@@ -176,10 +163,7 @@ class Sweep:
         target = Path(file_name(folder, "folder"))
         try:
             target.mkdir(parents=True, exist_ok=True)
-            tables = [target / "points.csv", target / "cases.csv"]
-            write_whole(tables[0], points_csv(self.points))
-            write_whole(tables[1], cases_csv(self._experiment.points, self._cases, self._results))
-            return [*tables, *draw(*self._drawn_as(None, "curves"), target)]
+            return self._swept.write(target, shown=self._drawn_as(None, "curves"))
         except OSError as error:
             raise ArgumentError(f"folder: cannot write {target} ({error.strerror or error})") from error
 
@@ -188,36 +172,28 @@ class Sweep:
 
     def _drawn_as(self, x: str | None, kind: str) -> tuple[Experiment, list[PointStatistics]]:
         """Return the experiment with the axes of a figure, and the statistics with the labels it is drawn by."""
-        names = list(self._experiment.points[0].labels)
+        names = list(self._swept.experiment.points[0].labels)
         along = names[0] if x is None else x
         if along not in names:
             raise ArgumentError(f"x: expected one of {', '.join(names)}, got {along!r}")
         others = [name for name in names if name != along]
         if kind == "map":
-            labels = [value for point in self._experiment.points for value in point.labels.values()]
+            labels = [value for point in self._swept.experiment.points for value in point.labels.values()]
             if len(others) != 1 or not all(isinstance(value, float) for value in labels):
                 raise ArgumentError(f"kind: expected two settings with numbers for a map, got {', '.join(names)}")
-            axes = _axis(along), _axis(others[0])
-            experiment = Experiment(name=_NAME, points=self._experiment.points, x=axes[0], y=axes[1], drawn_as="map")
-            return experiment, self.points
+            points = self._swept.experiment.points
+            across, up = _axis(along), _axis(others[0])
+            return Experiment(name=_NAME, points=points, x=across, y=up, drawn_as="map"), self.points
         if kind != "curves":
             raise ArgumentError(f"kind: expected 'curves' or 'map', got {kind!r}")
-        measured = [
-            _replaced(m, {along: m.point.labels[along], **({_CURVE: _others(m.point, others)} if others else {})})
-            for m in self.points
-        ]
+        measured = []
+        for m in self.points:
+            own: dict[str, str | float] = {along: m.point.labels[along]}
+            if others:  # the settings that tell the curve
+                own[_CURVE] = ", ".join(quantity(key_of(name)).text(m.point.labels[name]) for name in others)
+            measured.append(replace(m, point=replace(m.point, labels=own)))
         points = tuple(m.point for m in measured)
         return Experiment(name=_NAME, points=points, x=_axis(along), curves=_CURVE if others else None), measured
-
-
-def _replaced(m: PointStatistics, labels: Mapping[str, str | float]) -> PointStatistics:
-    """Return the statistics of a point under other labels."""
-    return replace(m, point=replace(m.point, labels=labels))
-
-
-def _others(point: Point, names: Sequence[str]) -> str:
-    """Return the settings of a point that tell its curve."""
-    return ", ".join(quantity(key_of(name)).text(point.labels[name]) for name in names)
 
 
 def _axis(name: str) -> Axis:

@@ -1,1 +1,0 @@
-"""The commands `transport experiment`: one module for each family of sweeps."""
