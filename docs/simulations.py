@@ -128,7 +128,9 @@ def _results(runs: Sequence[Run]) -> tuple[str, Mapping[Run, Flown]]:
     owner: list[Run] = []
     points = []
     for index, run in enumerate(different):
-        points.append(Point(scenario=run.scenario, labels={}, text="", settings=run.settings, team=run.team))
+        points.append(
+            Point(scenario=run.scenario, labels={}, text=" ".join(run.settings), settings=run.settings, team=run.team)
+        )
         own = cases_of(points[-1:], (), run.seeds, more=more)
         cases += [replace(case, point=index) for case in own]
         owner += [run] * len(own)

@@ -16,18 +16,20 @@ from protocol.wire.messages import STAGES, Control, Message, StepReport, Tick
 from tests.support.commands import transport
 from tests.support.results import here, kept, tables
 from tests.support.runs import ticks
-from transport.experiments import scaling
+from transport.experiments import design_experiments
 from transport.experiments.cases import Point, cases_of
+from transport.experiments.conclusions import exponent, scaling_conclusions
+from transport.experiments.declaration import EXPERIMENTS
 from transport.experiments.figures import draw
-from transport.experiments.resource_use import CPU, MESSAGES, RESOURCES, resource_use
-from transport.experiments.scaling import exponent, scaling_conclusions
-from transport.experiments.simulation import ERROR, NUMBERS, Result, simulate_in_memory
+from transport.experiments.simulation import CPU, ERROR, MESSAGES, NUMBERS, RESOURCES, Result, resource_use
+from transport.experiments.simulation import simulate as simulate_case
 from transport.experiments.statistics import PointStatistics, statistics_of
 from transport.experiments.table import WIDTH, table_of
 from transport.flight.memory import simulate
 from transport.log.run_log import Recorded, RunLog
 
 DONE, USAGE, SCENARIO = 0, 2, 3
+SIZES = EXPERIMENTS["scaling"].options["sizes"].default
 TICKS = 4
 PERIOD_S = 0.05
 SMALL = ("experiment", "scaling", "--quick", "--max", "4", "--set", ticks(TICKS))
@@ -39,7 +41,7 @@ ROUNDING = 1e-12
 
 def simulated(uavs: int, ownership: str) -> tuple[Setup, list[Message]]:
     """Return a short run of a team, and all its messages."""
-    experiment = scaling.scaling("resilient", uavs, [])
+    experiment = design_experiments.scaling(uavs, [])
     (case,) = (
         case
         for case in cases_of(experiment.points, [ticks(TICKS)], 1)
@@ -59,10 +61,10 @@ def logged(messages: list[Message], received_ns: Callable[[Message], int] = lamb
 @pytest.mark.slow
 def test_sizes_and_ownerships() -> None:
     """Sizes go up to the largest team requested, also an unusual one; pairs exist only for even numbers above two."""
-    points = scaling.scaling("resilient", 9, scaling.SIZES).points
+    points = design_experiments.scaling(9, SIZES).points
     sizes = {
         name: [point.labels["uavs"] for point in points if point.labels["ownership"] == name]
-        for name in scaling.OWNERSHIPS
+        for name in design_experiments.OWNERSHIPS
     }
     every = [2, 3, 4, 6, 8, 9]
     assert sizes == {"distributed": every, "pairs": [4, 6, 8], "centralized": every}
@@ -74,7 +76,7 @@ def test_sizes_and_ownerships() -> None:
 
 def test_deterministic_runs_are_repeated() -> None:
     """Timing differs from run to run: every seed is simulated, unlike in experiments without timing."""
-    points = scaling.scaling("resilient", 2, []).points
+    points = design_experiments.scaling(2, []).points
     assert len(cases_of(points, [], 3, timed=True)) == 3 * len(cases_of(points, [], 3))
 
 
@@ -139,9 +141,9 @@ def test_computation_is_summed_over_the_team() -> None:
 def test_the_stopwatch_is_the_processor(monkeypatch: pytest.MonkeyPatch) -> None:
     """Processor time excludes waiting: a delayed process uses no more of it."""
     waited_ms = 50.0
-    case = cases_of(scaling.scaling("resilient", 2, []).points, [ticks(TICKS)], 1, timed=True)[0]
+    case = cases_of(design_experiments.scaling(2, []).points, [ticks(TICKS)], 1, timed=True)[0]
     monkeypatch.setattr("mpc.controller.Controller.solve", _held_up(waited_ms / 1e3))
-    numbers = simulate_in_memory(case).numbers
+    numbers = simulate_case(case).numbers
     assert set(numbers) == {*NUMBERS, *RESOURCES}
     assert 0.0 < (numbers["cpu_solve_p50_ms"] or 0.0) < waited_ms / 2.0
 
@@ -182,7 +184,7 @@ def test_one_size_has_no_exponent() -> None:
     assert exponent([4, 4], [1.0, 2.0]) is None
 
 
-SCALING = scaling.scaling("resilient", 16, scaling.SIZES)
+SCALING = design_experiments.scaling(16, SIZES)
 
 
 def made(results: Callable[[Point], list[Result]]) -> list[PointStatistics]:

@@ -35,7 +35,7 @@ from transport.experiments.table import WIDTH, WIDTH_OF_VARIANTS, means_in_words
 from transport.experiments.workers import check_cluster, on_cluster, on_cores
 from transport.flight.header import machine
 
-__all__ = ["design_experiments", "network_experiments", "paper"]  # the experiments are declared on import
+__all__ = ["EXPERIMENTS", "design_experiments", "network_experiments", "paper"]  # declared when imported
 
 _OUT = "Folder, by default a new one in runs/; an existing folder of the same experiment is resumed."
 _SCENARIO = (

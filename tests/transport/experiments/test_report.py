@@ -3,6 +3,7 @@
 import io
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import pytest
@@ -11,27 +12,37 @@ from rich.console import Console
 
 from protocol.scenario.file import find_scenario, read_scenario
 from tests.support.figure_texts import problems
-from transport.experiments import ablation, agent_failures, network_sweeps
+from transport.cli.experiment import EXPERIMENTS
 from transport.experiments.cases import Point
 from transport.experiments.conclusions import conclusions
-from transport.experiments.experiment import Experiment
+from transport.experiments.declaration import Experiment
 from transport.experiments.figures import draw, fill
 from transport.experiments.simulation import ERROR, NUMBERS, Result
 from transport.experiments.statistics import PointStatistics, statistics_of
 from transport.experiments.table import WIDTH, WIDTH_OF_VARIANTS, means_in_words, table_of
 from transport.report.style import COLUMN_IN, RC, SMALL
 
-BOTH = ["paper", "resilient"]
-LATENCY = network_sweeps.latency(BOTH, [0.1, 0.4])
+BOTH = ("paper", "resilient")
+
+
+def built(name: str, *of: str, **given: Any) -> Experiment:
+    """Return an experiment of some scenarios, by default both."""
+    scenarios = {one: read_scenario(find_scenario(one)) for one in of or BOTH}
+    return EXPERIMENTS[name].experiment(scenarios, given)
+
+
+LATENCY = built("latency", delay=[0.1, 0.4])
 EVERY = (
     LATENCY,
-    network_sweeps.loss(BOTH, [0.1, 0.3, 0.6], 5.0),
-    network_sweeps.jitter(BOTH, list(network_sweeps.JITTER), [0.02, 0.05], 0.16),
-    agent_failures.kill({"paper": 4, "resilient": 4}, 8.0, 10.0),
-    agent_failures.deaths({"resilient": read_scenario(find_scenario("resilient"))}, 20, 0),
-    network_sweeps.sharing(["resilient"], [0.002, 0.01, 0.05], 1.0),
-    ablation.ablation({name: read_scenario(find_scenario(name)) for name in BOTH}),
-    network_sweeps.matrix(BOTH, [0.1, 0.2], [0.1, 0.3]),
+    built("loss"),
+    built("jitter", std=[0.02, 0.05]),
+    built("kill"),
+    built("deaths", "resilient"),
+    built("sharing", "resilient"),
+    built("ablation"),
+    built("horizon", horizon=[5, 30], terminal=[1.0]),
+    built("hover", "paper", "centralized", "resilient"),
+    built("matrix", delay=[0.1, 0.2], loss=[0.1, 0.3]),
 )
 
 

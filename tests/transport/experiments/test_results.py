@@ -19,7 +19,7 @@ def result(key: str, outcome: str = "completed", cost: float = 0.1 + 0.2) -> Res
 
 def opened(folder: Path, experiment: str = "latency") -> Results:
     """The folder of an experiment."""
-    return Results(folder, experiment, "a machine")
+    return Results(experiment, folder)
 
 
 def test_results_are_read_back_as_the_same_bits(tmp_path: Path) -> None:

@@ -1,0 +1,308 @@
+"""Declared experiments: points that can be simulated, impairments with the stated statistics, refused options."""
+
+import csv
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
+from protocol.scenario.links import link
+from protocol.scenario.schema import Scenario
+from tests.support.results import here
+from tests.support.runs import ticks
+from transport.cli.experiment import EXPERIMENTS
+from transport.experiments import design_experiments, network_experiments
+from transport.experiments.cases import Point, cases_of, is_random
+from transport.experiments.declaration import Experiment
+from transport.experiments.design_experiments import AS_IT_IS, PARTS, ablation, deaths, horizon, hover
+from transport.experiments.errors import ExperimentError
+from transport.experiments.network_experiments import JITTER, NETWORKS
+
+TICKS = 6_000
+BOTH = ("paper", "resilient")
+
+
+def scenarios(*names: str, settings: tuple[str, ...] = ()) -> dict[str, Scenario]:
+    """Return scenarios by name."""
+    return {name: read_scenario(find_scenario(name), settings) for name in names}
+
+
+def built(name: str, *, of: tuple[str, ...] = BOTH, **given: Any) -> Experiment:
+    """Return an experiment with some options, as its command builds it."""
+    return EXPERIMENTS[name].experiment(scenarios(*of), given)
+
+
+def delays(point: Point) -> list[list[float]]:
+    """Return the delays of many plans on a link of a point."""
+    scenario = read_scenario(find_scenario(point.scenario), point.settings)
+    path = link(scenario.links, "agent1", "agent2", kind="plan", seed=0, period_s=0.05, samples_s={})
+    return [path.delays(tick) for tick in range(TICKS)]
+
+
+@pytest.mark.parametrize("name", ["latency", "loss", "jitter", "kill", "matrix", "horizon", "deaths", "sharing"])
+def test_every_point_is_valid(name: str) -> None:
+    """All points are valid scenarios with distinct fingerprints; each scenario, and network, has one baseline."""
+    flown = ("resilient",) if name == "sharing" else BOTH
+    experiment = built(name, of=flown)
+    cases = cases_of(experiment.points, [], 2)
+    assert len({case.key for case in cases}) == len(cases)
+    networks = list(NETWORKS) if name == "sharing" else [""]
+    baselines = [(point.scenario, point.group) for point in experiment.points if point.baseline]
+    assert baselines == [(scenario, network) for scenario in flown for network in networks]
+    assert len({tuple(point.labels) for point in experiment.points}) == 1
+    assert {experiment.x.label} <= set(experiment.points[0].labels)
+    repetitions = [sum(case.point == i for case in cases) for i in range(len(experiment.points))]
+    assert set(repetitions) <= {1, 2}
+
+
+def test_only_chance_is_repeated() -> None:
+    """Deterministic points run once, random points once per seed."""
+    points = built("matrix", of=("paper",), delay=[0.0, 0.1], loss=[0.0, 0.3]).points
+    seeds = [(case.point, case.scenario.seed) for case in cases_of(points, [], 2)]
+    assert seeds == [(0, 0), (1, 0), (1, 1), (2, 0), (3, 0), (3, 1)]
+
+
+@pytest.mark.parametrize(
+    ("setting", "expected"),
+    [
+        ("links.delay_s=0.2", False),
+        ("links.distribution=normal", False),
+        ("links.jitter_s=0.01", True),
+        ("links.loss=0.01", True),
+        ("links.reorder=0.01", True),
+        ("links.duplicate=0.01", True),
+        ("links.gilbert_elliott={enter=0.1,leave=0.1}", True),
+        ("links.override=[{from='agent1',loss=0.5}]", True),
+        ("links.change=[{at_s=1.0,loss=0.5}]", True),
+        ("plant.noise.position_m=0.01", True),
+        ("plant.wind.gust_mps=[0.0, 0.1, 0.0]", True),
+        ("plant.wind.speed_mps=[1.0, 0.0, 0.0]", False),
+    ],
+)
+def test_chance_is_seen(setting: str, expected: bool) -> None:
+    """Every setting that draws random numbers is recognised."""
+    assert is_random(read_scenario(find_scenario("paper"), [setting])) is expected
+
+
+def test_fingerprints_tell_results_apart() -> None:
+    """The key changes with a setting and with the seed, and not with the address the processes listen on."""
+    points = built("loss", of=("paper",), loss=[0.5]).points[1:2]
+    first, second = cases_of(points, [], 2)
+    assert first.key != second.key
+    assert cases_of(points, ["network.base_port=9000"], 1)[0].key == first.key
+    assert cases_of(points, ["controller.horizon=19"], 1)[0].key != first.key
+
+
+def test_real_time_is_refused() -> None:
+    """An experiment's numbers must not depend on the machine."""
+    with pytest.raises(ScenarioError, match=r"clock\.mode: expected lockstep, got realtime"):
+        cases_of(built("latency").points, ["clock.mode=realtime", "clock.speed=1.0"], 1)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.6])
+def test_losses_are_comparable(share: float) -> None:
+    """Independent and bursty losses have the same share in the long run; bursts last as long as asked for."""
+    _, independent, bursts = built("loss", of=("paper",), loss=[share], burst=5.0).points
+    for point, correlated in ((independent, 1.0), (bursts, 10.0)):
+        lost = np.array([not found for found in delays(point)])
+        deviation = math.sqrt(share * (1.0 - share) * correlated / TICKS)
+        assert abs(lost.mean() - share) < 4.0 * deviation
+    ends = np.flatnonzero(np.diff(np.concatenate([[0], lost.astype(int), [0]])))
+    lengths = ends[1::2] - ends[::2]
+    # A geometric length of mean 5 has a standard deviation of 4.5.
+    assert abs(lengths.mean() - 5.0) < 4.0 * 4.5 / math.sqrt(len(lengths))
+
+
+@pytest.mark.parametrize("distribution", list(JITTER))
+def test_jitters_are_comparable(distribution: str) -> None:
+    """Every distribution has the mean and the standard deviation asked for, beside a constant delay with that mean."""
+    perfect, constant, point = built("jitter", of=("paper",), distribution=[distribution], std=[0.04], mean=0.16).points
+    assert (delays(perfect)[0], delays(constant)[0]) == ([0.0], [0.16])
+    found_s = np.array([delay for found in delays(point) for delay in found])
+    assert len(found_s) == TICKS
+    assert abs(found_s.mean() - 0.16) < 4.0 * 0.04 / math.sqrt(TICKS)
+    # Four standard deviations of it: by the kurtosis, at most 9 but for the lognormal distribution with its 114.
+    kurtosis = 114.0 if distribution == "lognormal" else 9.0
+    assert abs(found_s.std() - 0.04) < 4.0 * 0.04 * math.sqrt((kurtosis - 1.0) / (4.0 * TICKS))
+
+
+def test_each_death_is_of_one_agent_for_good() -> None:
+    """One kill each, at distinct times within the maneuver; the seed decides the times and agents."""
+    own = scenarios("resilient")
+    points = deaths(own, 20, 0).points
+    baseline, *others = [case.scenario for case in cases_of(points, [], 1)]
+    assert baseline.faults.event == []
+    events = [event for scenario in others for event in scenario.faults.event]
+    assert [event.do for event in events] == ["kill"] * 20
+    assert {event.target for event in events} <= {f"agent{i}" for i in range(1, 5)}
+    assert len({event.at_s for event in events if 0.0 <= event.at_s < 25.0}) == 20
+    assert {scenario.clock.on_agent_loss for scenario in others} == {"continue"}
+    assert points == deaths(own, 20, 0).points != deaths(own, 20, 1).points
+
+
+def test_thresholds_reach_the_scenarios() -> None:
+    """Each network has all thresholds and all plans sent."""
+    experiment = built("sharing", of=("resilient",), threshold=[0.05, 0.01], heartbeat=0.5)
+    assert [(p.group, p.labels["share_threshold"]) for p in experiment.points] == [
+        (network, threshold) for network in NETWORKS for threshold in (0.0, 0.01, 0.05)
+    ]
+    for case in cases_of(experiment.points, [], 1):
+        threshold = experiment.points[case.point].labels["share_threshold"]
+        controller = case.scenario.controller
+        assert controller.share == ("on_change" if threshold else "always")
+        assert not threshold or (controller.share_threshold, controller.share_heartbeat_s) == (threshold, 0.5)
+
+
+def test_horizons_weights_and_networks() -> None:
+    """Each horizon on each network, with each weight where the horizon ends with one, else with the cost-to-go."""
+    experiment = horizon(scenarios(*BOTH), [5, 10, 30], [1.0, 20.0], 0.2)
+    count = {name: sum(point.scenario == name for point in experiment.points) for name in BOTH}
+    assert count == {"paper": 2 * 4 * 3, "resilient": 2 * 4}
+    for case in cases_of(experiment.points, [], 3):
+        labels, scenario = experiment.points[case.point].labels, case.scenario
+        assert scenario.controller.horizon == labels["horizon"]
+        weight = scenario.controller.weights.terminal
+        assert labels["terminal"] == ("cost-to-go" if scenario.controller.terminal == "riccati" else weight)
+        assert scenario.links.delay_s == {"perfect": 0.0, "200 ms delay": 0.2}[str(labels["network"])]
+    baselines = [point.labels for point in experiment.points if point.baseline]
+    assert baselines == [{"network": "perfect", "horizon": 20, "terminal": end} for end in (5.0, "cost-to-go")]
+
+
+def test_only_the_last_hover_is_longer() -> None:
+    """The last phase has the duration asked for, the others keep theirs; a maneuver without a last hover is refused."""
+    experiment = hover(scenarios("paper", "centralized"), [60.0, 5.0])
+    durations = [
+        [phase.duration_s for phase in case.scenario.maneuver.phase] for case in cases_of(experiment.points, [], 1)
+    ]
+    assert durations == [[5.0] * 5, [5.0] * 4 + [60.0]] * 2
+    assert not any(point.baseline for point in experiment.points)
+    climb = ("maneuver.phase=[{name='climb',duration_s=1.0,displacement_m=[0,0,-1]}]",)
+    with pytest.raises(ExperimentError, match="--scenario: expected a maneuver that ends with a hover, got paper"):
+        hover(scenarios("paper", settings=climb), [60.0])
+
+
+def parts(name: str, *settings: str) -> dict[str, set[str]]:
+    """Return the values of each part of an ablation, which are the same on both networks."""
+    points = ablation(scenarios(name, settings=settings)).points
+    found: dict[str, set[str]] = {part: set() for part in PARTS}
+    for point in points:
+        if point.labels["part"] != AS_IT_IS:
+            found[str(point.labels["part"])].add(str(point.labels["value"]))
+    assert len(points) == len(NETWORKS) * (1 + sum(map(len, found.values())))
+    return found
+
+
+@pytest.mark.parametrize("name", BOTH)
+def test_every_part_has_every_value(name: str) -> None:
+    """The value that a scenario has is its row as it is; all the others are there.
+
+    A preview needs closed-loop prediction or the Riccati cost-to-go: `paper` has neither.
+    """
+    for part, values in parts(name).items():
+        refused = {"true"} if (name, part) == ("paper", "preview") else set()
+        assert len(set(PARTS[part][1]) - values - refused) == 1, part
+
+
+def test_settings_decide_what_can_be_changed() -> None:
+    """Settings that contradict each other are left out, and so is a value that is given anyway."""
+    open_loop = ("controller.prediction=open_loop", "controller.terminal=riccati")
+    assert parts("resilient", *open_loop)["terminal"] == set()
+    absolute = (
+        "controller.weights.penalised_input=absolute",
+        "controller.terminal=multiple",
+        "controller.preview=false",
+    )
+    assert parts("paper", *absolute)["terminal"] == set()
+    given = parts(
+        "resilient",
+        "controller.negotiation_iterations=2",
+        "clock.actuation=next_tick",
+        "controller.relaxation=auto",
+    )
+    assert given["negotiation iterations"] == {"1", "4"}
+    assert given["actuation"] == {"immediate"}
+    assert "0.25" not in given["relaxation"]
+
+
+@pytest.mark.slow
+def test_one_part_at_a_time() -> None:
+    """A variant differs from the scenario as it is in one setting, on the same network; no two runs are equal."""
+    experiment = built("ablation")
+    cases = cases_of(experiment.points, [], 1)
+    assert len({case.key for case in cases}) == len(cases) == len(experiment.points)
+    trees = {
+        (*experiment.points[case.point].labels.values(), case.scenario.name): case.scenario.tree() for case in cases
+    }
+    for (network, part, value, scenario), tree in trees.items():
+        own = trees[network, AS_IT_IS, "", scenario]
+        differing = {
+            f"{section}.{key}"
+            for section in ("controller", "clock", "links")
+            for key in own[section].keys() | tree[section].keys()
+            if own[section].get(key) != tree[section].get(key)
+        }
+        assert differing == (set() if part == AS_IT_IS else {PARTS[str(part)][0]}), (scenario, network, part, value)
+
+
+REFUSED: list[tuple[str, dict[str, Any], str]] = [
+    ("latency", {"delay": [-0.1]}, "--delay: expected a delay >= 0 s, got -0.1"),
+    ("latency", {"delay": [math.nan]}, "--delay: expected a delay >= 0 s, got nan"),
+    ("latency", {"delay": [math.inf]}, "--delay: expected a delay >= 0 s, got inf"),
+    ("latency", {"delay": [0.1, 0.1]}, "--delay: expected each value once, got 0.1 2 times"),
+    ("loss", {"loss": [1.0]}, "--loss: expected a share from 0 to below 1, got 1"),
+    ("loss", {"burst": 0.5}, "--burst: expected a mean length >= 1 tick, got 0.5"),
+    (
+        "loss",
+        {"loss": [0.9], "burst": 2.0},
+        "--loss: expected at most 0.667 with bursts of 2 ticks on average, got 0.9",
+    ),
+    ("jitter", {"distribution": ["cauchy"]}, "--distribution: expected one of uniform, normal,"),
+    (
+        "jitter",
+        {"distribution": ["uniform"], "std": [0.1]},
+        "--std: expected a standard deviation from 0 to 0.0924 s (uniform, mean 0.16 s), got 0.1",
+    ),
+    ("matrix", {"loss": [1.5]}, "--loss: expected a share from 0 to 1, got 1.5"),
+    ("sharing", {"threshold": [0.0]}, "--threshold: expected a share > 0, got 0"),
+    ("sharing", {"heartbeat": 0.0}, "--heartbeat: expected a time > 0 s, got 0"),
+    ("kill", {"at": 8.0, "restart": 8.0}, "--restart: expected a time after --at 8 s, got 8"),
+    ("kill", {"at": -1.0}, "--at: expected a time >= 0 s, got -1"),
+    ("horizon", {"horizon": [0]}, "--horizon: expected a number of steps >= 1, got 0"),
+    ("horizon", {"horizon": [5, 5]}, "--horizon: expected each value once, got 5 2 times"),
+    ("horizon", {"terminal": [0.0]}, "--terminal: expected a weight > 0, got 0"),
+    ("horizon", {"delay": 0.0}, "--delay: expected a delay > 0 s, got 0"),
+    ("hover", {"duration": [math.nan]}, "--duration: expected a duration > 0 s, got nan"),
+    ("scaling", {"max": 17}, "--max: expected a number of UAVs from 2 to 16, got 17"),
+]
+
+
+@pytest.mark.parametrize(("name", "given", "expected"), REFUSED, ids=[expected for *_, expected in REFUSED])
+def test_bad_values_are_refused(name: str, given: dict[str, Any], expected: str) -> None:
+    """A value that cannot be is refused with option, expected and got."""
+    with pytest.raises(ExperimentError) as refusal:
+        built(name, **given)
+    assert str(refusal.value).startswith(expected)
+
+
+def test_all_are_declared() -> None:
+    """Both modules declare their experiments under the names of the commands."""
+    functions = {**vars(network_experiments), **vars(design_experiments)}
+    assert all(functions[name] is declared.build for name, declared in EXPERIMENTS.items())
+    assert len(EXPERIMENTS) == 11
+
+
+def test_sharing_on_the_command_line(tmp_path: Path) -> None:
+    """The table has the share of plans sent, which falls with the threshold; the figure a curve for each network."""
+    arguments = ("--threshold", "1000", "--heartbeat", "0.2", "--seeds", "1", "--jobs", "1", "--set", ticks(9))
+    result = here("experiment", "sharing", *arguments, "--out", tmp_path)
+    assert result.exit_code == 0, result.output
+    assert "sent (%)" in result.stdout.partition("\n\n")[0]
+    with (tmp_path / "points.csv").open(encoding="utf-8", newline="") as file:
+        shares = [float(row["plans_shared_share"]) for row in csv.DictReader(file)]
+    assert shares == pytest.approx([1.0, 3 / 9, 1.0, 3 / 9])  # ticks 0, 4 and 8
+    drawn = (tmp_path / "figure.svg").read_text()
+    assert "plans sent (%)" in drawn
+    assert all(network in drawn for network in NETWORKS)
