@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from transport.flight.harness import HarnessError
     from transport.flight.run_error import RunError
     from transport.interface.fly import fly, load
+    from transport.interface.margins import Margins, margins
     from transport.interface.run import Run
     from transport.interface.scenario import Scenario
     from transport.interface.series import RunSeries
@@ -29,6 +30,8 @@ _MODULES = {
     "fly": "transport.interface.fly",
     "load": "transport.interface.fly",
     "sweep": "transport.interface.sweep",
+    "margins": "transport.interface.margins",
+    "Margins": "transport.interface.margins",
     "Scenario": "transport.interface.scenario",
     "Run": "transport.interface.run",
     "RunSeries": "transport.interface.series",
@@ -48,6 +51,7 @@ __all__ = [
     "ExperimentError",
     "HarnessError",
     "LogError",
+    "Margins",
     "Run",
     "RunError",
     "RunSeries",
@@ -58,6 +62,7 @@ __all__ = [
     "ViewerError",
     "fly",
     "load",
+    "margins",
     "sweep",
 ]
 

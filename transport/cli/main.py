@@ -12,6 +12,7 @@ app = lazy_group(
     {
         "run": ("transport.cli.run:run", "Run a scenario with all its processes; record and report it."),
         "validate": ("transport.cli.validate:validate", "Check a scenario and print it with every default."),
+        "margins": ("transport.cli.margins:margins", "Show how far the plant may differ from the controllers' model."),
         "plot": ("transport.cli.plot:plot", "Regenerate metrics and figures of a recorded run."),
         "view": ("transport.cli.view:view", "Show a recorded or active run in the browser."),
         "compare": ("transport.cli.compare:compare", "Compare recorded runs in a table and in figures."),
@@ -28,7 +29,7 @@ app = lazy_group(
         "metrics": ("transport.cli.metrics:metrics", "Export process metrics to Prometheus."),
     },
     {
-        "Simulate": ["run", "experiment", "scenario", "validate", "doctor"],
+        "Simulate": ["run", "experiment", "scenario", "validate", "margins", "doctor"],
         "Look at runs": ["view", "plot", "compare", "log", "replay"],
         "Act on an active run": ["top", "status", "link", "fault"],
         "Start processes by hand": ["coordinator", "plant", "agent", "record"],

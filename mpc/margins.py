@@ -1,0 +1,311 @@
+"""Linear analysis of the sampled loop about hover: plant, actuators, estimators and control laws of a whole team.
+
+The plant between the sampling instants is exact: motor lag, delay of the actuators, their gain, and bodies other than
+those that the controllers know. The controllers are those of a run, without limits and constraints. The eigenvalues of
+the step from one sampling instant to the next tell whether the hover is stable, and bisection tells up to which
+difference between plant and model it is.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from model import state
+from model.arrays import Array
+from model.discretisation import zero_order_hold
+from model.hover import hover
+from model.linearisation import Linearisation, Model
+from model.motors import lagged
+from model.parameters import ParameterError, Payload, System, Uav
+from mpc.controller import Controller, Linear
+from mpc.feedback import tangent, with_motors
+from mpc.qp import Residuals, Solution
+
+# Fastest growth that counts as stable, 1/s; headings neither grow nor decay, and rounding moves them.
+GROWTH = 0.02
+# Steps of the search: coarse until the first unstable plant, then bisection to a share of the value.
+_COARSE, _FINE = 1.4, 0.005
+# Farthest factors, and farthest lag and delay, s.
+FARTHEST, FARTHEST_S = 10.0, 0.6
+# Size of the perturbations that are fed to the controllers, whose limits must not bind.
+_PROBE = 1e-3
+# Largest correction, as a share of the control law's inputs, that is rounding.
+_SAME = 1e-7
+# Shortest lag and delay that are tried, s.
+_FIRST_S = 1e-3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mismatch:
+    """Differences between the plant and the controllers' model.
+
+    Attributes:
+        lag_s: Time constant of the plant's motors, s.
+        delay_s: Delay between command and motors, s.
+        gain: Actual inputs over commanded inputs.
+        uav_inertia, uav_mass, payload_mass, payload_inertia, rod_length: Actual value over the known one.
+    """
+
+    lag_s: float = 0.0
+    delay_s: float = 0.0
+    gain: float = 1.0
+    uav_inertia: float = 1.0
+    uav_mass: float = 1.0
+    payload_mass: float = 1.0
+    payload_inertia: float = 1.0
+    rod_length: float = 1.0
+
+    def system(self, known: System) -> System:
+        """Return the actual bodies."""
+        payload = known.payload
+        return System(
+            payload=Payload(mass=payload.mass * self.payload_mass, inertia=payload.inertia * self.payload_inertia),
+            uavs=[
+                Uav(
+                    mass=uav.mass * self.uav_mass,
+                    inertia=uav.inertia * self.uav_inertia,
+                    rho=uav.rho,
+                    rod_length=uav.rod_length * self.rod_length,
+                )
+                for uav in known.uavs
+            ],
+            gravity=known.gravity,
+        )
+
+
+class Loop:
+    """The sampled loop of a team about hover, as a function of the plant.
+
+    Args:
+        controllers: One per agent, for the whole team.
+        next_tick: Inputs act one sampling period after the measurement.
+        age: Sampling periods until an agent knows another agent's state, >= 1.
+        with_corrections: Keep announced plans as states even if the control law is optimal without them.
+
+    Attributes:
+        period_s: Sampling period, s.
+        known_lag_s: Time constant of the motors as the controllers know it, s.
+    """
+
+    def __init__(
+        self, controllers: Sequence[Controller], *, next_tick: bool, age: int = 1, with_corrections: bool = False
+    ) -> None:
+        self._controllers, self._next_tick, self._age = tuple(controllers), next_tick, age
+        first = controllers[0]
+        self._system, self._hover, self._settings = first.model.system, first.regulation.hover, first.settings
+        self.period_s, self.known_lag_s = self._settings.sampling_period_s, self._settings.motor_lag_s
+        self._m = self._system.m
+        model = first.model.linearise(self._hover.x, self._hover.u)
+        self._motion, T = model, tangent(self._hover.x)
+        self._r = T.shape[1]  # coordinates of the motion; those of the actual inputs follow
+        if self.known_lag_s > 0.0:
+            model, T = lagged(model, self._hover.u, self._hover.u, self.known_lag_s), with_motors(T, ())
+        self._model, self._T = model, T
+        discrete = zero_order_hold(model, self.period_s)
+        self._A, self._B = T.T @ discrete.A @ T, T.T @ discrete.B
+        self._measured = [self._measured_by(controller.owned) for controller in controllers]
+        regulator = first.regulation.regulator
+        self._law = None if regulator is None or self._settings.prediction != "closed_loop" else regulator.K @ T
+        # The control law alone, if every controller finds it optimal; else the whole plans.
+        self._plans: list[Array] | None = None
+        if self._law is None or with_corrections or not all(map(self._follows_law, self._controllers)):
+            self._plans = [self._plan_map(controller) for controller in self._controllers]
+
+    def _measured_by(self, owned: Sequence[int]) -> Array:
+        """Return the projection of a state in tangent coordinates on what an agent measures at once."""
+        known = np.zeros(len(self._T))
+        known[: state.PAYLOAD] = 1.0
+        for uav in owned:
+            known[state.uav_slice(uav)] = 1.0
+        projection: Array = self._T.T @ (known[:, None] * self._T)
+        return projection
+
+    def _planned(self, controller: Controller, x: Array, u0: Array, U: Array, c: Array) -> tuple[Array, Array]:
+        """Return a controller's plan and corrections without limits and constraints, as deviations from hover.
+
+        Given are deviations from hover: state in tangent coordinates, inputs in force, announced inputs, corrections.
+        """
+        steps, hover = self._settings.horizon, self._hover
+        dx = self._T @ x
+        known = np.concatenate([hover.x, hover.u])[: len(dx)]
+        rate = self._model.A_c @ dx + self._model.B_c @ u0
+        expansion = replace(self._model, f=rate, y=self._motion.y + self._motion.C @ dx[: self._system.n])
+        law = controller.law(known + dx, np.tile(hover.x, (steps, 1)), c) if self._law is not None else None
+        regulation = controller.regulation
+        if law is not None:
+            law = replace(law, feedforward=np.zeros_like(law.feedforward))
+        end = regulation.cost_to_go(known + dx, hover.x)
+        if end is not None:
+            end = replace(end, slope=np.zeros_like(end.slope))
+        n, U = self._system.n, hover.u + U
+        linear = Linear(x0=known[:n] + dx[:n], u0=hover.u + u0, model=expansion, u_target=hover.u)
+        prediction = controller.predict(linear, controller.discretise(linear), U, law)
+        qp = controller.condense(linear, prediction, U, np.tile(self._motion.y, (steps + 1, 1)), law, end)
+        size = steps * len(controller.own)
+        z: Array = np.asarray(np.linalg.solve(qp.H[:size, :size], -qp.g[:size]), dtype=np.float64)
+        none = np.zeros(0)
+        solution = Solution(
+            status="solved", z=z, bound_multipliers=none, row_multipliers=none, iterations=0, solver="none",
+            residuals=Residuals(stationarity=0.0, primal=0.0, complementarity=0.0),
+        )  # fmt: skip
+        result = controller.conclude(solution, prediction, U, law)
+        return result.U - hover.u[controller.own], result.c
+
+    def _follows_law(self, controller: Controller) -> bool:
+        """Return whether a controller's plan is the shared control law, without corrections, from any state."""
+        steps, draw = self._settings.horizon, np.random.default_rng(1)
+        x, u0 = _PROBE * draw.standard_normal(len(self._A)), _PROBE * draw.standard_normal(self._m)
+        _, c = self._planned(controller, x, u0, np.zeros((steps, self._m)), np.zeros((steps, self._m)))
+        by_law = np.abs(self._law @ x).max() if self._law is not None else 0.0
+        return bool(len(c) and np.abs(c).max() <= _SAME * by_law)
+
+    def _plan_map(self, controller: Controller) -> Array:
+        """Return plan and corrections per state, input in force, announced inputs and announced corrections."""
+        steps, m = self._settings.horizon, self._m
+        with_c = self._law is not None
+        sizes = [len(self._A), m, steps * m, steps * m if with_c else 0]
+        columns = []
+        for entry in np.eye(sum(sizes)):
+            x, u0, U, c = np.split(_PROBE * entry, np.cumsum(sizes)[:-1])
+            c = c.reshape(steps, m) if with_c else np.zeros((steps, m))
+            found = self._planned(controller, x, u0, U.reshape(steps, m), c)
+            columns.append(np.concatenate([part.reshape(-1) for part in found]) / _PROBE)
+        return np.array(columns).T
+
+    def matrix(self, plant: Mismatch) -> Array:
+        """Return the step of the loop from one sampling instant to the next.
+
+        Raises: ParameterError: the actual bodies have no hover.
+        """
+        actual = hover(plant.system(self._system))
+        motion = Model(plant.system(self._system)).linearise(actual.x, actual.u)
+        T, period_s, m, r = self._T[: self._system.n, : self._r], self.period_s, self._m, self._r
+        F, G = T.T @ motion.A_c @ T, plant.gain * (T.T @ motion.B_c)
+        if plant.lag_s > 0.0:
+            F = np.block([[F, G], [np.zeros((m, r)), -np.eye(m) / plant.lag_s]])
+            G = np.vstack([np.zeros((r, m)), np.eye(m) / plant.lag_s])
+        late, part_s = divmod(plant.delay_s, period_s)
+        return self._step_matrix(_held(F, G, part_s), _held(F, G, period_s - part_s), round(late))
+
+    def _step_matrix(self, before: tuple[Array, Array], after: tuple[Array, Array], late: int) -> Array:
+        """Return the step of the loop from the plant's steps before and after the arrival of a delayed command."""
+        m, ahead, age = self._m, int(self._next_tick), self._age
+        maps, law = self._plans or (), self._law if self._law is not None else np.zeros(0)
+        plans = [len(found) for found in maps]
+        kept = ahead + max(age, late + 1)
+        sizes = [len(before[0]), len(self._A) - self._r, *[len(self._A)] * age, *[m] * kept, *plans]
+        blocks = np.split(np.eye(sum(sizes)), np.cumsum(sizes)[:-1])
+        motion, known_inputs, past = blocks[0], blocks[1], blocks[2 : 2 + age]
+        commands, announced = blocks[2 + age : 2 + age + kept], blocks[2 + age + kept :]
+        now = np.vstack([motion[: self._r], known_inputs])
+        issued, planned = np.empty((m, now.shape[1])), []
+        shared = self._aligned(announced) if maps else None
+        for agent, controller in enumerate(self._controllers):
+            x = self._estimate(agent, [now, *past], commands)
+            if shared is None:
+                issued[controller.own] = law[controller.own] @ x
+            else:
+                planned.append(maps[agent] @ np.vstack([x, commands[0], shared]))
+                issued[controller.own] = planned[-1][: len(controller.own)]
+        inputs = [issued, *commands]  # newest first
+        moved = after[0] @ (before[0] @ motion + before[1] @ inputs[ahead + late + 1]) + after[1] @ inputs[ahead + late]
+        known_inputs = self._A[self._r :] @ now + self._B[self._r :] @ inputs[ahead]
+        step: Array = np.vstack([moved, known_inputs, now, *past[:-1], *inputs[:-1], *planned])
+        return step
+
+    def _estimate(self, agent: int, known: Sequence[Array], commands: Sequence[Array]) -> Array:
+        """Return an agent's estimate of the state that its plan begins with.
+
+        Given are the states of now and before, and the commands of before, newest first.
+        """
+        own, age, ahead = self._controllers[agent].own, self._age, int(self._next_tick)
+        x, offset = known[age], np.zeros(0)
+        for step in range(age + ahead):
+            u = commands[age + ahead - 1 - step]
+            if step > ahead and self._law is not None:
+                # Later plans of the others have not been received: the shared control law replaces them.
+                u = np.where(np.isin(np.arange(self._m), own)[:, None], u, self._law @ x + offset)
+            elif step == ahead and self._law is not None:
+                offset = u - self._law @ x
+            x = self._A @ x + self._B @ u
+            if step < age:
+                x = x + self._measured[agent] @ (known[age - 1 - step] - x)
+        return x
+
+    def _aligned(self, announced: Sequence[Array]) -> Array:
+        """Return announced inputs and corrections of the team, one step on, as the controllers take them."""
+        steps, U, c = self._settings.horizon, [], []
+        for controller, plan_i in zip(self._controllers, announced, strict=True):
+            parts = plan_i.reshape(-1, steps, len(controller.own), plan_i.shape[1])
+            U.append(np.concatenate([parts[0, 1:], parts[0, -1:]]))
+            if len(parts) > 1:
+                c.append(np.concatenate([parts[1, 1:], np.zeros_like(parts[1, :1])]))
+        order = np.argsort(np.concatenate([controller.own for controller in self._controllers]))
+        found = [np.concatenate(part, axis=1)[:, order].reshape(steps * self._m, -1) for part in (U, c) if part]
+        return np.concatenate(found)
+
+    def growth(self, plant: Mismatch) -> float:
+        """Return the growth rate of the fastest growing mode, 1/s; infinite where the bodies have no hover."""
+        try:
+            step = self.matrix(plant)
+        except ParameterError:
+            return math.inf
+        return math.log(float(np.abs(np.linalg.eigvals(step)).max())) / self.period_s
+
+
+def _held(F: Array, G: Array, duration_s: float) -> tuple[Array, Array]:
+    """Return the exact step of x' = F x + G u under a held input."""
+    if duration_s == 0.0:
+        return np.eye(len(F)), np.zeros_like(G)
+    none = np.zeros(0)
+    discrete = zero_order_hold(Linearisation.of(np.zeros(len(F)), F, G, none, np.zeros((0, len(F)))), duration_s)
+    return discrete.A, discrete.B
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Margin:
+    """Range of one property of the plant within which the hover is stable; None beyond the range that is searched."""
+
+    nominal: float
+    lower: float | None
+    upper: float | None
+
+
+def margins(loop: Loop) -> dict[str, Margin]:
+    """Return the margin of a loop to each property of `Mismatch`, the others as the controllers know them.
+
+    A loop that is unstable with the plant as known has no margins.
+    """
+    nominal = Mismatch(lag_s=loop.known_lag_s)
+    if loop.growth(nominal) > GROWTH:
+        return {}
+    found = {}
+    for name in Mismatch.__dataclass_fields__:
+        value = getattr(nominal, name)
+
+        def stable(changed: float, name: str = name) -> bool:
+            return loop.growth(replace(nominal, **{name: changed})) <= GROWTH
+
+        if name.endswith("_s"):
+            begin = max(value, _FIRST_S)
+            upper = _limit(stable, begin, FARTHEST_S) if stable(begin) else begin
+            lower = _limit(stable, value, _FIRST_S) if value > 0.0 else None
+        else:
+            upper, lower = _limit(stable, value, FARTHEST), _limit(stable, value, 1.0 / FARTHEST)
+        found[name] = Margin(nominal=value, lower=lower, upper=upper)
+    return found
+
+
+def _limit(stable: Callable[[float], bool], inside: float, farthest: float) -> float | None:
+    """Return the last stable value from `inside` towards `farthest`; None if all are stable."""
+    step = _COARSE if farthest > inside else 1.0 / _COARSE
+    while stable(outside := (min if step > 1.0 else max)(inside * step, farthest)):
+        if outside == farthest:
+            return None
+        inside = outside
+    while abs(math.log(outside / inside)) > _FINE:
+        middle = math.sqrt(inside * outside)
+        inside, outside = (middle, outside) if stable(middle) else (inside, middle)
+    return inside

@@ -1,0 +1,72 @@
+"""The linear analysis of the sampled loop about hover (docs/equations.md (58))."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from model.hover import hover
+from model.linearisation import Model
+from model.parameters import table_1
+from mpc.controller import Controller
+from mpc.margins import FARTHEST, GROWTH, Loop, Mismatch, margins
+from mpc.settings import ControllerSettings
+
+SYSTEM = table_1()
+SHARED = ControllerSettings(prediction="closed_loop", terminal="riccati")
+# Rounding of eigenvalues of modes that come in equal pairs: the square root of that of the matrix.
+ROUNDING = 1e-6
+
+
+def _loop(settings: ControllerSettings = SHARED, *, next_tick: bool = False, age: int = 1, whole: bool = False) -> Loop:
+    model, at_rest = Model(SYSTEM), hover(SYSTEM)
+    team = [Controller(model, at_rest, settings, (uav,)) for uav in range(SYSTEM.N)]
+    return Loop(team, next_tick=next_tick, age=age, with_corrections=whole)
+
+
+@pytest.mark.parametrize(("next_tick", "age"), [(False, 1), (True, 1), (False, 3), (True, 3)])
+def test_with_the_plant_as_known_the_loop_is_the_regulator(next_tick: bool, age: int) -> None:
+    """Estimates are exact, so the step has the regulator's eigenvalues, for any age of the states."""
+    loop = _loop(next_tick=next_tick, age=age)
+    found = np.linalg.eigvals(loop.matrix(Mismatch()))
+    regulator = Controller(Model(SYSTEM), hover(SYSTEM), SHARED, (0,)).regulation.regulator
+    assert regulator is not None
+    expected = np.linalg.eigvals(regulator.A_closed)
+    assert np.abs(found[:, None] - expected[None]).min(axis=0).max() < ROUNDING
+    assert np.abs(found).max() == pytest.approx(np.abs(expected).max(), abs=ROUNDING)
+
+
+@pytest.mark.parametrize("age", [1, 4])
+def test_a_known_lag_is_no_mismatch(age: int) -> None:
+    """A controller that knows the motors is stable with them, and its margins are a range about their lag."""
+    loop = _loop(replace(SHARED, motor_lag_s=0.05), age=age)
+    assert loop.growth(Mismatch(lag_s=0.05)) <= GROWTH
+    assert loop.growth(Mismatch(lag_s=0.5)) > GROWTH
+
+
+def test_a_margin_is_where_stability_ends() -> None:
+    """The loop is stable at each end of a range and unstable just beyond it; a range without end is stable far away."""
+    loop = _loop()
+    for name, margin in margins(loop).items():
+        for end, factor in ((margin.lower, 1.0 / 1.02), (margin.upper, 1.02)):
+            if end is not None:
+                assert loop.growth(Mismatch(**{name: end})) <= GROWTH, name
+                assert loop.growth(Mismatch(**{name: end * factor})) > GROWTH, name
+    assert loop.growth(Mismatch(uav_mass=FARTHEST)) <= GROWTH
+
+
+def test_a_delay_of_one_period_is_next_tick_without_its_prediction() -> None:
+    """Delays are exact at whole periods and continuous there."""
+    loop = _loop(ControllerSettings(prediction="closed_loop", terminal="riccati", sampling_period_s=0.02))
+    near = [loop.growth(Mismatch(delay_s=delay_s)) for delay_s in (0.02 - 1e-7, 0.02, 0.02 + 1e-7)]
+    assert np.ptp(near) < 1e-3
+
+
+def test_plans_of_the_paper_are_states_of_the_loop() -> None:
+    """With open-loop prediction the step contains the announced plans, and its first block follows the QP."""
+    settings = ControllerSettings(horizon=6)
+    loop = _loop(settings)
+    assert len(loop.matrix(Mismatch())) > SYSTEM.N * settings.horizon * 4
+    whole = _loop(replace(SHARED, horizon=6, relaxation=0.5), whole=True)
+    # The announced corrections decay, so the loop without them has the same slowest modes.
+    assert whole.growth(Mismatch(lag_s=0.02)) == pytest.approx(_loop().growth(Mismatch(lag_s=0.02)), abs=1e-6)

@@ -1,0 +1,40 @@
+"""Margins by linear analysis against runs that excite the modes (docs/guarantees.md)."""
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+import transport
+from transport.cli.main import app
+
+# Gusts and a diagonal leg: the symmetric maneuver of the paper hardly excites the modes that diverge first.
+PHASES = [
+    {"name": "hover", "duration_s": 2.0, "displacement_m": [0.0, 0.0, 0.0]},
+    {"name": "diagonal", "duration_s": 5.0, "displacement_m": [2.0, 1.5, -1.5]},
+    {"name": "hover", "duration_s": 23.0, "displacement_m": [0.0, 0.0, 0.0]},
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("actuation", ["immediate", "next_tick"])
+def test_runs_diverge_where_the_analysis_says(actuation: str) -> None:
+    """An unknown lag of 0.9 times the margin completes, one of 1.1 times diverges."""
+    margin_s = transport.margins("resilient").data["margins"][actuation]["lag_s"]["upper"]
+    for factor, outcome in ((0.9, "completed"), (1.1, "diverged")):
+        settings = {
+            "clock.actuation": actuation, "plant.motors.lag_s": factor * margin_s, "plant.wind.gust_mps": [0.2] * 3,
+        }  # fmt: skip
+        assert transport.fly("resilient", settings, phases=PHASES, progress=False).outcome == outcome
+
+
+def test_the_command_prints_ranges_and_draws_them(tmp_path: Path) -> None:
+    """The table, the JSON object and the figure show the same margins as the Python interface."""
+    figure = tmp_path / "margins.png"
+    printed = CliRunner().invoke(app, ["margins", "resilient", "--figure", str(figure)])
+    assert printed.exit_code == 0
+    assert "motor lag, ms" in printed.stdout
+    assert figure.stat().st_size > 0
+    found = json.loads(CliRunner().invoke(app, ["margins", "resilient", "--format", "json"]).stdout)
+    assert found == transport.margins("resilient").data

@@ -1,0 +1,51 @@
+"""The command `transport margins`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import matplotlib as mpl
+import typer
+from matplotlib.figure import Figure
+from rich.console import Console
+from rich.table import Table
+from typer import Option
+
+from protocol.wire.exit_codes import EXIT_USAGE
+from transport.cli.options import FormatOption, LargeOption, ScenarioArgument, SetOption
+from transport.cli.output import Format, exit_on, show_json
+from transport.cli.scenario_setup import read_setup
+from transport.report.margins import ACTUATIONS, draw, hover_margins, notes, rows
+from transport.report.style import RC
+
+
+def margins(
+    scenario: ScenarioArgument,
+    settings: SetOption = None,
+    figure: Annotated[
+        Path | None, Option("--figure", metavar="FILE", help="Draw the ranges; the ending is the format.")
+    ] = None,
+    large: LargeOption = False,
+    output: FormatOption = Format.text,
+) -> None:
+    """Show how far the plant may differ from the controllers' model.
+
+    Analyses the sampled loop about hover: actuator lag, delay and gain, masses, inertias and rods up to which the hover
+    is stable, the others as known. Factors are relative to the known value. Takes seconds.
+
+    Example: transport margins resilient --set controller.sampling_period_s=0.02 --figure margins.png
+    """
+    found = hover_margins(read_setup(scenario, settings, allow_large=large))
+    if output is Format.json:
+        show_json(found.tree())
+    else:
+        table = Table("property", *ACTUATIONS, box=None)
+        for row in rows(found):
+            table.add_row(*row)
+        Console().print(table)
+        for note in notes(found):
+            typer.echo(f"warning: {note}", err=True)
+    if figure is not None:
+        with exit_on(OSError, ValueError, code=EXIT_USAGE, option="--figure"), mpl.rc_context(RC):
+            drawing = Figure()
+            draw(found, drawing)
+            drawing.savefig(figure)

@@ -1,0 +1,59 @@
+"""Margins of a scenario: how far the plant may differ from the controllers' model."""
+
+from dataclasses import dataclass
+from os import PathLike
+from typing import Any, Unpack
+
+from protocol.scenario.setup import Setup
+from transport.interface.boundary import public
+from transport.interface.figure import RunFigure, drawn
+from transport.interface.scenario import Scenario
+from transport.interface.settings import Settings, ShortSettings
+from transport.report.margins import HoverMargins, draw, hover_margins, notes, rows
+
+
+@dataclass(frozen=True)
+class Margins:
+    """Margins of the hover of a scenario, as `transport.margins` returns them; printed as a table.
+
+    Attributes:
+        found: Numbers: SI units, factors relative to the known value.
+    """
+
+    found: HoverMargins
+
+    @property
+    def data(self) -> dict[str, Any]:
+        """Margins by actuation and property, as plain values; None is beyond the searched range."""
+        return self.found.tree()
+
+    def plot(self) -> RunFigure:
+        """Return the ranges as a figure."""
+        return drawn(lambda figure: draw(self.found, figure))
+
+    def __str__(self) -> str:
+        lines = [f"{label:20s} {' '.join(f'{text:16s}' for text in texts)}" for label, *texts in rows(self.found)]
+        head = f"{'property':20s} {'immediate':16s} {'next_tick':16s}"
+        return "\n".join(line.rstrip() for line in (head, *lines, *notes(self.found)))
+
+
+@public
+def margins(
+    scenario: "str | PathLike[str] | Scenario" = "resilient",
+    settings: Settings | None = None,
+    **short: Unpack[ShortSettings],
+) -> Margins:
+    """Return how far the plant may differ from the controllers' model before the hover becomes unstable.
+
+    A linear analysis of the sampled loop about hover, without limits and constraints; it takes seconds.
+
+    >>> import transport
+    >>> lag_s = transport.margins("resilient").data["margins"]["immediate"]["lag_s"]
+    >>> round(1e3 * lag_s["upper"])
+    30
+
+    Args: as those of `fly`.
+    Raises: ScenarioError: the scenario or a setting is refused. ArgumentError: an argument is.
+    """
+    chosen = Scenario(scenario, settings, **short)
+    return Margins(hover_margins(Setup.of(chosen.validated, str(chosen.file))))
