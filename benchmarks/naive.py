@@ -11,8 +11,7 @@ from benchmarks.page import BenchmarkError
 from benchmarks.runs import Situation
 from model.arrays import Array
 from mpc.qp import QP
-from mpc.rows.rate import rate_rows
-from mpc.rows.separation import pairs_of, separation_rows
+from mpc.rows import pairs_of, rate_rows, separation_rows
 from mpc.settings import SolverName
 from mpc.solvers import solve
 

@@ -328,13 +328,11 @@ INLINE double answer(ptrdiff_t steps, ptrdiff_t m, ptrdiff_t i, ptrdiff_t k, con
     return sum;
 }
 
-ptrdiff_t relax_work(ptrdiff_t steps, ptrdiff_t m) { return steps * m; }
-
 /* Plan from a solution by mixing corrections c to the shared control law with the previous ones; see mpc/plan.py.
 
    own: (m,) of all inputs. z: scaled decision, (steps, m). uncorrected, previous, dU: (steps, all): inputs by the law at
    x0, corrections, K dX. feedback: (all, steps, m). w: of the new corrections, 0 for none.
-   U: (steps, m), within bounds and rates (w < 1). c: (steps, m). */
+   U: (steps, m), within bounds and rates (w < 1). c, work: (steps, m). */
 void relax(ptrdiff_t steps, ptrdiff_t m, ptrdiff_t all, const ptrdiff_t *own, const double *z, const double *scale,
            const double *U_free, const double *uncorrected, const double *previous, const double *dU,
            const double *feedback, double w, const double *lower, const double *upper, const double *rate, double *U,
@@ -370,27 +368,56 @@ void relax(ptrdiff_t steps, ptrdiff_t m, ptrdiff_t all, const ptrdiff_t *own, co
         }
 }
 
-/* The cost of one step; see mpc/objective.py. Three kinds of outputs: the model's, the user's terms, and the inputs of
+/* The problem of one step; see mpc/program.py. Three kinds of outputs: the model's, the user's terms, and the inputs of
    the other agents' UAVs. Sizes of arrays behind their names; D = steps * m. */
 typedef struct {
     ptrdiff_t steps, n, m, size;              /* horizon, states, owned inputs, decisions and slacks */
     ptrdiff_t outputs, terms, inputs;         /* outputs of each kind */
     ptrdiff_t model_outputs, all_inputs, rank; /* lengths of y and u, rows of the root */
+    ptrdiff_t pairs, angles;                  /* limited distances and angles, the user's rows behind theirs */
     double terminal;                          /* weight of the last step, as a multiple of Q */
+    double separation, tilt;                  /* smallest distance, largest angle */
     const ptrdiff_t *begin, *index;           /* rows of C as lists */
     const double *value;
     const ptrdiff_t *chosen, *answering, *own; /* (outputs), (inputs), (m): rows of C, of feedback, of u */
+    const ptrdiff_t *pair, *angle;            /* (pairs, 2): UAVs; (angles): states */
+    const double *A, *B, *f_d, *K;            /* difference equation and gain: (n, n), (n, all_inputs), (n), (all_inputs, n) */
+    const double *x0, *u0;                    /* linearised about: (n), (all_inputs) */
+    const double *uncorrected, *announced;    /* (steps, all_inputs): law without corrections; these, or inputs without law */
     const double *y, *y_ref;                  /* (model_outputs), (steps + 1, model_outputs) */
     const double *slope, *at_x0;              /* of the user's terms: (terms, n), (terms) */
-    const double *effect, *feedback;          /* (n, D), (all_inputs, D), for decisions in SI units */
-    const double *dX, *U, *u_target;          /* (steps + 1, n), (steps, all_inputs), (all_inputs) */
+    const double *u_target;                   /* (all_inputs) */
     const double *Q, *scale, *effort;         /* (outputs of all kinds), (m), (m): R scale */
+    const double *low, *high, *rate;          /* limits of the owned inputs, (m) */
     const double *root, *error, *end_slope;   /* of the cost-to-go: (rank, n), (n), (n) */
     const double *penalties;                  /* (size - D) */
+    double *effect, *feedback;                /* (n, D), (all_inputs, D), for decisions in SI units: result */
+    double *dX, *dU, *U, *U_free;             /* (steps + 1, n), (steps, all_inputs) twice, (steps, m): result */
     double *H, *g;                            /* (size, size), (size): result */
+    double *lower, *upper;                    /* (size): bounds, the slacks' as they are: result */
+    double *rows, *row_lower, *row_upper;     /* rows of length `size` and bounds on them: result */
     double *S, *free;                         /* (outputs of all kinds, D), (steps, outputs): result */
+    double *signals;                          /* (pairs or angles, D) and (steps, pairs), for the rows */
     double *work;
-} cost;
+} problem;
+
+/* Prediction without decision, and the effect of decisions; see mpc/prediction.py. */
+void respond(const problem *p)
+{
+    const ptrdiff_t all = p->all_inputs;
+    for (ptrdiff_t k = 0; k < p->steps; k++)
+        for (ptrdiff_t i = 0; i < all; i++) {
+            const ptrdiff_t at = k * all + i;
+            p->U[at] = p->uncorrected ? p->uncorrected[at] + p->announced[at] : p->announced[at];
+            p->S[at] = p->U[at] - p->u0[i];
+        }
+    predict(p->steps, p->n, all, p->m, p->own, p->A, p->B, p->f_d, p->K, p->S, p->effect, p->dX, p->feedback, p->dU,
+            p->work);
+    for (ptrdiff_t k = 0; k < p->steps; k++) {
+        for (ptrdiff_t i = 0; i < all && p->K; i++) p->U[k * all + i] += p->dU[k * all + i];
+        for (ptrdiff_t i = 0; i < p->m; i++) p->U_free[k * p->m + i] = p->U[k * all + p->own[i]] = p->u0[p->own[i]];
+    }
+}
 
 ptrdiff_t condense_work(ptrdiff_t steps, ptrdiff_t n, ptrdiff_t m, ptrdiff_t p, ptrdiff_t rank)
 {
@@ -401,8 +428,8 @@ ptrdiff_t condense_work(ptrdiff_t steps, ptrdiff_t n, ptrdiff_t m, ptrdiff_t p, 
 /* Hessian, both triangles equal to the bit, and gradient of the cost, doubled: 1/2 z' H z + g' z is its value.
 
    A prediction is block-Toeplitz: G(k) = [S(k-1) .. S(0) 0 .. 0], S(a) the effect of a decision on the outputs a + 1
-   steps later. So block (i, j) of the Hessian is a sum of S(a)' Q S(b) along a - b = j - i; see mpc/condensing.py. */
-void condense(const cost *c)
+   steps later. So block (i, j) of the Hessian is a sum of S(a)' Q S(b) along a - b = j - i; see mpc/program.py. */
+static void condense(const problem *c)
 {
     const ptrdiff_t steps = c->steps, n = c->n, m = c->m, D = steps * m, w = padded(D), margin = padded(m);
     const ptrdiff_t p = c->outputs + c->terms + c->inputs, rank = c->rank, stride = c->size;
@@ -509,7 +536,7 @@ void condense(const cost *c)
 
 /* Lower block-Toeplitz matrix of an impulse response, (s, steps, m), into rows of length `stride`, (steps, s) of them;
    entries above the diagonal stay as they are. */
-void toeplitz(ptrdiff_t steps, ptrdiff_t s, ptrdiff_t m, const double *impulse, double *to, ptrdiff_t stride)
+static void toeplitz(ptrdiff_t steps, ptrdiff_t s, ptrdiff_t m, const double *impulse, double *to, ptrdiff_t stride)
 {
     for (ptrdiff_t k = 0; k < steps; k++)
         for (ptrdiff_t o = 0; o < s; o++) {
@@ -520,7 +547,7 @@ void toeplitz(ptrdiff_t steps, ptrdiff_t s, ptrdiff_t m, const double *impulse, 
         }
 }
 
-/* Distances of pairs of UAVs along their present direction; see mpc/rows/separation.py.
+/* Distances of pairs of UAVs along their present direction; see mpc/rows.py.
 
    pairs: (count, 2). r: positions, (3 N). free_: the same at steps 1 .. steps, rows of length `outputs`. effect: of
    the decisions on them, (3 N, steps, m). by: (count, steps, m), effect on the distances; distance: (steps, count). */
@@ -545,6 +572,47 @@ void distances(ptrdiff_t steps, ptrdiff_t m, ptrdiff_t count, const ptrdiff_t *p
             for (int x = 0; x < 3; x++) sum += d[x] * (at[i + x] - at[j + x]);
             distance[k * count + pair] = sum;
         }
+    }
+}
+
+/* The QP of a prediction: cost, bounds, and rows of limited distances and angles; see mpc/program.py. */
+void fill(const problem *p)
+{
+    const ptrdiff_t steps = p->steps, m = p->m, D = steps * m;
+    condense(p);
+    for (ptrdiff_t k = 0; k < steps; k++)
+        for (ptrdiff_t i = 0; i < m; i++) {
+            double low = p->low[i] - p->U_free[i], high = p->high[i] - p->U_free[i];
+            if (k == 0) {
+                /* Inputs in force outside their bounds return at once. */
+                low = low < -p->rate[i] ? -p->rate[i] : low;
+                low = low > high ? high : low;
+                high = high > p->rate[i] ? p->rate[i] : high;
+                high = high < low ? low : high;
+            }
+            p->lower[k * m + i] = low / p->scale[i];
+            p->upper[k * m + i] = high / p->scale[i];
+        }
+    double *rows = p->rows + (steps - 1) * m * p->size, *distance = p->signals + p->pairs * D;
+    double *lower = p->row_lower + (steps - 1) * m, *upper = p->row_upper + (steps - 1) * m;
+    if (p->pairs) {
+        distances(steps, m, p->pairs, p->pair, p->outputs, p->y, p->free, p->S, p->signals, distance);
+        toeplitz(steps, p->pairs, m, p->signals, rows, p->size);
+        for (ptrdiff_t i = 0; i < steps * p->pairs; i++) lower[i] = p->separation - distance[i];
+        rows += steps * p->pairs * p->size, lower += steps * p->pairs, upper += steps * p->pairs;
+    }
+    if (p->angles) {
+        const ptrdiff_t half = steps * p->angles;
+        for (ptrdiff_t a = 0; a < p->angles; a++)
+            for (ptrdiff_t j = 0; j < D; j++) p->signals[a * D + j] = p->effect[p->angle[a] * D + j] * p->scale[j % m];
+        toeplitz(steps, p->angles, m, p->signals, rows, p->size);
+        toeplitz(steps, p->angles, m, p->signals, rows + half * p->size, p->size);
+        for (ptrdiff_t k = 0; k < steps; k++)
+            for (ptrdiff_t a = 0; a < p->angles; a++) {
+                const double angle = p->x0[p->angle[a]] + p->dX[(k + 1) * p->n + p->angle[a]];
+                upper[k * p->angles + a] = p->tilt - angle;
+                lower[half + k * p->angles + a] = -p->tilt - angle;
+            }
     }
 }
 
@@ -596,13 +664,17 @@ static void substitute(ptrdiff_t n, ptrdiff_t width, const double *U, double *x)
     }
 }
 
-ptrdiff_t within_bounds_work(ptrdiff_t n) { return n * padded(n) + 2 * padded(n) + 2 * n; }
+ptrdiff_t within_bounds_work(ptrdiff_t n, ptrdiff_t rows)
+{
+    const ptrdiff_t solving = n * padded(n) + 2 * padded(n) + 2 * n;
+    return solving > rows + n ? solving : rows + n;
+}
 
-/* minimise 1/2 z' H z + g' z within bounds by a primal-dual active-set method; see mpc/bounded.py.
+/* minimise 1/2 z' H z + g' z within bounds by a primal-dual active-set method; see mpc/solvers.py.
 
    Returns the number of guesses, or 0 if there were too many or H is not positive definite. */
-int within_bounds(ptrdiff_t n, const double *H, const double *g, const double *lower, const double *upper,
-                  int most, double *z, double *multipliers, double *work)
+static int within_bounds(ptrdiff_t n, const double *H, const double *g, const double *lower, const double *upper,
+                         int most, double *z, double *multipliers, double *work)
 {
     double *U = work, *x = U + n * padded(n);
     ptrdiff_t *free_ = (ptrdiff_t *)(x + 2 * padded(n)), *held = free_ + n; /* held: -1 at the lower bound, 1, or 0 */
@@ -681,4 +753,25 @@ void residuals(ptrdiff_t n, ptrdiff_t rows, const double *H, const double *g, co
     found[0] = slope / (1.0 + of_g);
     found[1] = outside / (1.0 + of_z);
     found[2] = slackness / (1.0 + fabs(objective));
+}
+
+/* A QP by its bounds alone, and the residuals of that solution in the whole QP; `found` as in `residuals`.
+
+   Returns the number of guesses; 0 if there is no such solution or rows are equalities, -1 if H or g is not finite. */
+int solve_within_bounds(ptrdiff_t n, ptrdiff_t rows, const double *H, const double *g, const double *lower,
+                        const double *upper, const double *A, const double *row_lower, const double *row_upper,
+                        int most, double *z, double *multipliers, double *found, double *work)
+{
+    for (ptrdiff_t i = 0; i < n; i++)
+        if (!isfinite(g[i])) return -1;
+    for (ptrdiff_t i = 0; i < n * n; i++)
+        if (!isfinite(H[i])) return -1;
+    for (ptrdiff_t r = 0; r < rows; r++)
+        if (row_lower[r] == row_upper[r]) return 0;
+    const int guesses = within_bounds(n, H, g, lower, upper, most, z, multipliers, work);
+    if (!guesses) return 0;
+    double *none = work; /* the multipliers of the rows */
+    memset(none, 0, (size_t)rows * sizeof *none);
+    residuals(n, rows, H, g, lower, upper, A, row_lower, row_upper, z, multipliers, none, found, work + rows);
+    return guesses;
 }

@@ -4,7 +4,7 @@ Without a C compiler `AVAILABLE` is false and Python functions with the same res
 """
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from model.linearisation import Linearisation
 
 Places = npt.NDArray[np.intp]
-_PLACE = np.dtype(np.intp).char
 
 _FLAGS = ("-O3", "-march=native", "-fno-math-errno")
 
@@ -27,15 +26,12 @@ _SIGNATURES: dict[str, tuple[Any, Sequence[Any]]] = {
     "zero_order_hold_work": (_number, [_number] * 3),
     "zero_order_hold": (_double, [_number] * 3 + [_address] * 4 + [_double] * 4 + [_address] * 4),
     "predict_work": (_number, [_number] * 3),
-    "predict": (None, [_number] * 4 + [_address] * 11),
-    "relax_work": (_number, [_number] * 2),
+    "respond": (None, [_address]),
     "relax": (None, [_number] * 3 + [_address] * 8 + [_double] + [_address] * 6),
     "condense_work": (_number, [_number] * 5),
-    "condense": (None, [_address]),
-    "toeplitz": (None, [_number] * 3 + [_address] * 2 + [_number]),
-    "distances": (None, [_number] * 3 + [_address] + [_number] + [_address] * 5),
-    "within_bounds_work": (_number, [_number]),
-    "within_bounds": (ctypes.c_int, [_number] + [_address] * 4 + [ctypes.c_int] + [_address] * 3),
+    "fill": (None, [_address]),
+    "within_bounds_work": (_number, [_number] * 2),
+    "solve_within_bounds": (ctypes.c_int, [_number] * 2 + [_address] * 7 + [ctypes.c_int] + [_address] * 4),
     "residuals": (None, [_number] * 2 + [_address] * 12),
 }
 
@@ -50,26 +46,11 @@ def zero_order_hold(
     (n, m), accelerations = linear.pattern.shapes[1], linear.pattern.shapes[2][1]
     A, B, f_d = np.empty((n, n)), np.empty((n, m)), np.empty(n)
     theta = _KERNELS.zero_order_hold(
-        n, m, accelerations, *linear.pattern.addresses, _at(linear.values), _at(linear.f),
+        n, m, accelerations, *linear.pattern.addresses, at(linear.values), at(linear.f),
         period_s, theta_max, theta_possible, remainder,
-        _at(A), _at(B), _at(f_d), _work("zero_order_hold_work", n, m, accelerations),
+        at(A), at(B), at(f_d), _work("hold", _KERNELS.zero_order_hold_work(n, m, accelerations)),
     )  # fmt: skip
     return theta, A, B, f_d
-
-
-def predict(
-    A: Array, B: Array, f_d: Array, own: Places, K: Array | None, drive: Array
-) -> tuple[Array, Array, Array, Array]:
-    """Return impulse, dX, feedback and dU; see `mpc.prediction`."""
-    steps, (n, m), count = len(drive), B.shape, len(own)
-    fed = 0 if K is None else m
-    impulse, dX = np.empty((n, steps, count)), np.empty((steps + 1, n))
-    feedback, dU = np.empty((fed, steps, count)), np.empty((steps, fed))
-    _KERNELS.predict(
-        steps, n, m, count, _place(own), _at(A), _at(B), _at(f_d), 0 if K is None else _at(K), _at(drive),
-        _at(impulse), _at(dX), _at(feedback), _at(dU), _work("predict_work", n, m, count),
-    )  # fmt: skip
-    return impulse, dX, feedback, dU
 
 
 def relax(
@@ -79,144 +60,109 @@ def relax(
     """Return U and c; see `mpc.plan`."""
     U, c = np.empty(U_free.shape), np.empty(U_free.shape)
     _KERNELS.relax(
-        *U.shape, dU.shape[1], _place(own), _at(z), _at(scale), _at(U_free), _at(uncorrected), _at(previous), _at(dU),
-        _at(feedback), w, _at(lower), _at(upper), _at(rate), _at(U), _at(c), _work("relax_work", *U.shape),
+        *U.shape, dU.shape[1], at(own), at(z), at(scale), at(U_free), at(uncorrected), at(previous), at(dU),
+        at(feedback), w, at(lower), at(upper), at(rate), at(U), at(c), _work("relax", U.size),
     )  # fmt: skip
     return U, c
 
 
-class Cost(ctypes.Structure):
-    """The struct `cost` of the kernels."""
+class Problem(ctypes.Structure):
+    """The struct `problem` of the kernels; arrays by their addresses (`at`), which do not keep them alive."""
 
     _fields_ = (
         *((name, _number) for name in ("steps", "n", "m", "size", "outputs", "terms", "inputs")),
-        *((name, _number) for name in ("model_outputs", "all_inputs", "rank")),
-        ("terminal", _double),
-        *((name, _address) for name in ("begin", "index", "value", "chosen", "answering", "own")),
-        *((name, _address) for name in ("y", "y_ref", "slope", "at_x0", "effect", "feedback", "dX", "U", "u_target")),
-        *((name, _address) for name in ("Q", "scale", "effort", "root", "error", "end_slope", "penalties")),
-        *((name, _address) for name in ("H", "g", "S", "free", "work")),
+        *((name, _number) for name in ("model_outputs", "all_inputs", "rank", "pairs", "angles")),
+        *((name, _double) for name in ("terminal", "separation", "tilt")),
+        *((name, _address) for name in ("begin", "index", "value", "chosen", "answering", "own", "pair", "angle")),
+        *((name, _address) for name in ("A", "B", "f_d", "K", "x0", "u0", "uncorrected", "announced", "y", "y_ref")),
+        *((name, _address) for name in ("slope", "at_x0", "u_target", "Q", "scale", "effort", "low", "high", "rate")),
+        *((name, _address) for name in ("root", "error", "end_slope", "penalties", "effect", "feedback", "dX", "dU")),
+        *((name, _address) for name in ("U", "U_free", "H", "g", "lower", "upper", "rows", "row_lower", "row_upper")),
+        *((name, _address) for name in ("S", "free", "signals", "work")),
     )
 
 
-def condense(
-    linear: "Linearisation", chosen: Places, answering: Places, own: Places, terminal: float, y_ref: Array,
-    slope: Array, at_x0: Array, effect: Array, feedback: Array, dX: Array, U: Array, u_target: Array, Q: Array,
-    scale: Array, effort: Array, root: Array, error: Array, end_slope: Array, penalties: Array,
-) -> tuple[Array, Array, Array, Array]:  # fmt: skip
-    """Return H, g, S and the free response of the chosen outputs; see `mpc.objective`."""
-    (n, steps, m), p, rank = effect.shape, len(Q), len(root)
-    size, outputs, pattern = steps * m + len(penalties), len(chosen), linear.pattern
-    H, g, S, free = np.empty((size, size)), np.empty(size), np.empty((p, steps, m)), np.empty((steps, outputs))
-    begin, index = pattern.addresses
-    cost = Cost(
-        steps, n, m, size, outputs, len(at_x0), len(answering), len(linear.y), len(u_target), rank, terminal,
-        begin + 8 * pattern.first_rows[-2], index, _at(linear.values), _place(chosen), _place(answering), _place(own),
-        _at(linear.y), _at(y_ref), _at(slope), _at(at_x0), _at(effect), _at(feedback), _at(dX), _at(U), _at(u_target),
-        _at(Q), _at(scale), _at(effort), _at(root), _at(error), _at(end_slope), _at(penalties),
-        _at(H), _at(g), _at(S), _at(free), _work("condense_work", steps, n, m, p, rank),
-    )  # fmt: skip
-    _KERNELS.condense(ctypes.addressof(cost))
-    return H, g, S, free
+def problem(most_outputs: int, **fields: float) -> Problem:
+    """Return a problem with some fields, and work space for at most that many weighted outputs."""
+    new = Problem(**fields)
+    predicting = _KERNELS.predict_work(new.n, new.all_inputs, new.m)
+    new.work = _work("step", max(predicting, _KERNELS.condense_work(new.steps, new.n, new.m, most_outputs, new.n)))
+    return new
 
 
-def toeplitz(impulse: Array, rows: Array) -> None:
-    """See `mpc.condensing.fill`."""
-    s, steps, m = impulse.shape
-    _KERNELS.toeplitz(steps, s, m, _at(impulse), _at(rows), rows.shape[1])
+def respond(at: Problem) -> None:
+    """Fill in the prediction of a problem; see `mpc.program`."""
+    _KERNELS.respond(ctypes.addressof(at))
 
 
-def distances(pairs: Places, r: Array, free: Array, effect: Array) -> tuple[Array, Array]:
-    """Return the effect of decisions on distances, and the distances; see `mpc.rows.separation`."""
-    (_, steps, m), count = effect.shape, len(pairs)
-    by, distance = np.empty((count, steps, m)), np.empty((steps, count))
-    _KERNELS.distances(
-        steps, m, count, _place(pairs), free.shape[1], _at(r), _at(free), _at(effect), _at(by), _at(distance)
-    )  # fmt: skip
-    return by, distance
+def fill(at: Problem) -> None:
+    """Fill in the QP of a problem; see `mpc.program`."""
+    _KERNELS.fill(ctypes.addressof(at))
 
 
-def within_bounds(H: Array, g: Array, lower: Array, upper: Array, most: int) -> tuple[int, Array, Array]:
-    """Return number of guesses (0: failed), solution and multipliers; see `mpc.bounded.solve`."""
-    n = len(g)
-    z, multipliers = np.empty(n), np.empty(n)
-    guesses = _KERNELS.within_bounds(
-        n, _at(H), _at(g), _at(lower), _at(upper), most, _at(z), _at(multipliers), _work("within_bounds_work", n)
-    )  # fmt: skip
-    return guesses, z, multipliers
+def solve_within_bounds(
+    shape: tuple[int, ...], program: Sequence[int], most: int
+) -> tuple[int, Array, Array, tuple[float, float, float]]:
+    """Return number of guesses, solution, multipliers and residuals of a QP by its bounds; see `mpc.solvers`.
+
+    Given are the shape of the rows and the addresses of H, g, bounds, rows and their bounds. No guesses: no
+    such solution; -1: H or g is not finite. The rest is then meaningless.
+    """
+    rows, n = shape
+    z, multipliers, found = np.empty(n), np.empty(n), _Residuals()
+    work = _work("within_bounds", _KERNELS.within_bounds_work(n, rows))
+    guesses = _KERNELS.solve_within_bounds(
+        n, rows, *program, most, at(z), at(multipliers), ctypes.addressof(found), work
+    )
+    return guesses, z, multipliers, tuple(found)
 
 
 def residuals(
-    H: Array, g: Array, lower: Array, upper: Array, A: Array, row_lower: Array, row_upper: Array,
-    z: Array, bound_multipliers: Array, row_multipliers: Array,
-) -> tuple[float, float, float]:  # fmt: skip
-    """See `mpc.qp.residuals`: stationarity, primal, complementarity."""
-    found = (ctypes.c_double * 3)()
-    n, rows = len(g), len(A)
-    work = np.empty(n)
-    _KERNELS.residuals(
-        n, rows, _at(H), _at(g), _at(lower), _at(upper), _at(A), _at(row_lower), _at(row_upper), _at(z),
-        _at(bound_multipliers), _at(row_multipliers), ctypes.addressof(found), _at(work),
-    )  # fmt: skip
-    return found[0], found[1], found[2]
+    shape: tuple[int, ...], program: Sequence[int], z: Array, bound_multipliers: Array, row_multipliers: Array
+) -> tuple[float, float, float]:
+    """Return stationarity, primal and complementarity, see `mpc.qp.residuals`; program as above."""
+    (rows, n), found = shape, _Residuals()
+    work = _work("residuals", n)
+    solution = at(z), at(bound_multipliers), at(row_multipliers)
+    _KERNELS.residuals(n, rows, *program, *solution, ctypes.addressof(found), work)
+    return tuple(found)
 
 
-def _at(array: Array) -> int:
-    """Return the address of a row-major float64 array, 0 for an empty one."""
+_Residuals = ctypes.c_double * 3
+
+
+def at(array: npt.NDArray[Any]) -> int:
+    """Return the address of a row-major array of float64 or indices, 0 for an empty one."""
     if array.size == 0:
         return 0
-    if array.dtype.char != "d":
-        raise TypeError(f"expected a row-major array of float64, got {array.dtype}")
+    kind = _KINDS.get(array.dtype.char)
+    if kind is None:
+        raise TypeError(f"expected a row-major array of float64 or indices, got {array.dtype}")
     try:
         # Refuses read-only arrays, and those that are not row-major.
-        return ctypes.addressof(_DOUBLE_IN(array))  # type: ignore[arg-type]  # an array is a buffer
+        return ctypes.addressof(kind(array))
     except (TypeError, ValueError):
-        return _read_only(array)
-
-
-def _place(indices: Places) -> int:
-    """Return the address of row-major indices, 0 for no indices."""
-    if indices.size == 0:
-        return 0
-    if indices.dtype.char != _PLACE:
-        raise TypeError(f"expected row-major indices, got {indices.dtype}")
-    try:
-        return ctypes.addressof(_PLACE_IN(indices))  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        return _read_only(indices)
-
-
-def _read_only(array: npt.NDArray[Any]) -> int:
-    """Return the address of a read-only array; those met again, such as gains, are looked up."""
-    found = _READ_ONLY.get(id(array))
-    if found is None:
         if not array.flags.c_contiguous:
-            raise TypeError(f"expected a row-major array, got {array.dtype} with strides {array.strides}")
-        if len(_READ_ONLY) >= _MOST_READ_ONLY:
-            _READ_ONLY.clear()
-        found = _READ_ONLY[id(array)] = array, int(array.ctypes.data)
-    return found[1]
+            raise TypeError(f"expected a row-major array, got {array.dtype} with strides {array.strides}") from None
+        return int(array.__array_interface__["data"][0])
 
 
-_DOUBLE_IN, _PLACE_IN = ctypes.c_double.from_buffer, ctypes.c_ssize_t.from_buffer
-# By identity; the arrays are kept, so that no other has the same one.
-_READ_ONLY: dict[int, tuple[npt.NDArray[Any], int]] = {}
-_MOST_READ_ONLY = 256
+_KINDS: dict[str, Callable[[Any], Any]] = {"d": _double.from_buffer, np.dtype(np.intp).char: _number.from_buffer}
 
 
-def _work(which: str, *sizes: int) -> int:
-    """Return the address of a kernel's work space, shared by all its calls: kernels hold the interpreter lock."""
-    found = _WORK.get((which, sizes))
+def _work(which: str, size: int) -> int:
+    """Return the address of a work space of that size, shared by all its calls: kernels hold the interpreter lock."""
+    found = _WORK.get((which, size))
     if found is None:
-        room = np.zeros(getattr(_KERNELS, which)(*sizes) + 8)
         # Aligned to the widest vectors.
-        room = room[(-room.ctypes.data // 8) % 8 :]
-        found = _WORK[which, sizes] = room, int(room.ctypes.data)
+        space = np.zeros(size + 8)
+        space = space[(-space.ctypes.data // 8) % 8 :]
+        found = _WORK[which, size] = space, int(space.ctypes.data)
     return found[1]
 
 
-# By kernel and sizes; never freed, as addresses do not keep the arrays alive.
-_WORK: dict[tuple[str, tuple[int, ...]], tuple[Array, int]] = {}
+# By kernel and size; never freed, as addresses do not keep the arrays alive.
+_WORK: dict[tuple[str, int], tuple[Array, int]] = {}
 
 
 def _load() -> Any:

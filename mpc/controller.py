@@ -14,13 +14,11 @@ from model.state import LARGEST
 from mpc import plan
 from mpc.decision import Decision
 from mpc.feedback import FeedbackLaw
-from mpc.objective import Objective
 from mpc.plan import StepResult
-from mpc.prediction import Linear, Prediction, closed_loop, open_loop
+from mpc.prediction import Linear, Prediction
+from mpc.program import Program
 from mpc.qp import QP, Solution
 from mpc.regulation import CostToGo, Regulation
-from mpc.rows.interface import StepData
-from mpc.rows.table import Rows
 from mpc.settings import ControllerSettings, SettingsError
 from mpc.solvers import solve, unsolved
 
@@ -62,10 +60,7 @@ class Controller:
         self.regulation = Regulation(model, hover, settings, X_ref)
         self.law, self.end = self.regulation.law, self.regulation.cost_to_go
         self.cost = self.regulation.cost
-        self._rows = Rows(self._decision)
-        slacks = self._rows.penalties
-        self._slack_bounds = np.zeros(len(slacks)), np.full(len(slacks), np.inf)
-        self._objective = Objective(self._decision, self.cost, self.regulation.user_costs, slacks)
+        self._program = Program(self._decision, self.cost, self.regulation.user_costs)
 
     def step(
         self,
@@ -123,16 +118,17 @@ class Controller:
         return method(linear.model, self.settings.sampling_period_s)
 
     def predict(self, linear: Linear, discrete: Discrete, U: Array, law: FeedbackLaw | None) -> Prediction:
-        """Predict the team over the horizon. Source: docs/equations.md (22)-(24), (35)-(36)."""
-        if law is None:
-            return open_loop(discrete, linear.u0, self.own, U)
-        return closed_loop(discrete, linear.u0, self.own, law)
+        """Predict the team over the horizon; valid until the next prediction, as is its QP (`mpc.program`).
+
+        Source: docs/equations.md (22)-(24), (35)-(36).
+        """
+        return self._program.predict(linear, discrete, U, law)
 
     def condense(
         self,
         linear: Linear,
         prediction: Prediction,
-        U: Array,
+        U: Array,  # noqa: ARG002  the prediction has them
         y_ref: Array,
         law: FeedbackLaw | None = None,
         end: CostToGo | None = None,
@@ -141,12 +137,7 @@ class Controller:
 
         Source: docs/equations.md (22)-(30), (48); paper (22)-(27).
         """
-        cost = self._objective.fill(linear, prediction, y_ref, law, end)
-        lower, upper = self._decision.bounds(prediction.U_free, linear.u0)
-        step = StepData(linear=linear, prediction=prediction, positions=cost.free, position_effect=cost.effect, U=U)
-        A, row_lower, row_upper = self._rows.fill(step)
-        lower, upper = np.concatenate([lower, self._slack_bounds[0]]), np.concatenate([upper, self._slack_bounds[1]])
-        return QP(H=cost.H, g=cost.g, lower=lower, upper=upper, A=A, row_lower=row_lower, row_upper=row_upper)
+        return self._program.condense(linear, prediction, y_ref, law, end)
 
     def solve(self, qp: QP) -> Solution:
         """Solve by the chosen solver, or by Clarabel when that fails."""
@@ -208,4 +199,4 @@ class Controller:
     def _form(self) -> None:
         self.regulation.form(self._gone, self._off, self._released)
         self.cost = self.regulation.cost
-        self._objective.form(self.cost, self._gone)
+        self._program.form(self.cost, self._gone)

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from model import native
 from model.arrays import Array
 from model.discretisation import Discrete
 from model.linearisation import Linearisation
@@ -57,11 +56,6 @@ class Prediction:
     feedback: Array
     dU_free: Array
 
-    @property
-    def impulse(self) -> Array:
-        """Effect of the decision by steps, (N_p, n, m_own)."""
-        return self.effect.transpose(1, 0, 2)
-
 
 def open_loop(discrete: Discrete, u0: Array, own: Places, U: Array) -> Prediction:
     """Predict with the owned inputs held at u0 and the others' inputs as announced, as in the paper.
@@ -104,21 +98,17 @@ def respond(discrete: Discrete, own: Places, K: Array | None, drive: Array) -> t
 
     Source: docs/equations.md (23)-(24), (36); paper (15)-(16).
     """
-    if native.AVAILABLE:
-        return native.predict(discrete.A, discrete.B, discrete.f_d, own, K, drive)
-    return _respond(discrete, own, K, drive)
-
-
-def _respond(discrete: Discrete, own: Places, K: Array | None, drive: Array) -> tuple[Array, Array, Array, Array]:
-    B_others = discrete.B.copy()
+    (n, _), steps, B_others = discrete.B.shape, len(drive), discrete.B.copy()
     B_others[:, own] = 0.0
     A = discrete.A if K is None else discrete.A + B_others @ K
-    impulse, dX = responses(A, discrete.B[:, own], discrete.f_d + drive @ B_others.T)
-    effect, (steps, _, m_own) = np.ascontiguousarray(impulse.transpose(1, 0, 2)), impulse.shape
+    dX = free_response(A, discrete.f_d + drive @ B_others.T)
+    effect = np.empty((n, steps, len(own)))
+    effect[:, 0] = discrete.B[:, own]
+    for j in range(1, steps):
+        effect[:, j] = A @ effect[:, j - 1]
     if K is None:
-        return effect, dX, np.zeros((0, steps, m_own)), np.zeros((steps, 0))
-    feedback = (K @ effect.reshape(len(effect), -1)).reshape(len(K), steps, m_own)
-    return effect, dX, feedback, dX[:-1] @ K.T
+        return effect, dX, np.zeros((0, steps, len(own))), np.zeros((steps, 0))
+    return effect, dX, np.tensordot(K, effect, 1), dX[:-1] @ K.T
 
 
 def convolve(effect: Array, v: Array) -> Array:
@@ -143,20 +133,14 @@ def free_response(A: Array, W: Array) -> Array:
     return dX
 
 
-def responses(A: Array, B: Array, W: Array) -> tuple[Array, Array]:
-    """Return impulse response A^j B and free response; one matrix product per step serves both.
+def stacked(effect: Array) -> Array:
+    """Return the prediction matrix of signals at steps 1..N_p, lower block-Toeplitz, (N_p s, N_p m).
 
-    A (n, n), B (n, m), drive per step W (N_p, n).
-
-    Returns: A^j B for j = 0..N_p-1, (N_p, n, m), the first block column of H in paper (16); dx at steps
-        0..N_p as in `free_response`, (N_p + 1, n).
-    Source: docs/equations.md (23)-(24); paper (15)-(16).
+    Given is the effect of one decision on them 1, 2, .. steps later, (s, N_p, m).
+    Source: docs/equations.md (25); paper (16).
     """
-    steps, (n, m) = len(W), B.shape
-    columns = np.empty((steps + 1, n, m + 1))  # at step k: A^k B, and dx(k)
-    columns[0, :, :m] = B
-    columns[0, :, m] = 0.0
-    for k in range(steps):
-        np.matmul(A, columns[k], out=columns[k + 1])
-        columns[k + 1, :, m] += W[k]
-    return np.ascontiguousarray(columns[:-1, :, :m]), np.ascontiguousarray(columns[:, :, m])
+    s, steps, m = effect.shape
+    matrix = np.zeros((steps, s, steps, m))
+    for j in range(steps):
+        matrix[j:, :, j] = effect[:, : steps - j].transpose(1, 0, 2)
+    return matrix.reshape(steps * s, steps * m)

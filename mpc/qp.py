@@ -5,6 +5,7 @@ minimise 1/2 z' H z + g' z   subject to   lower <= z <= upper,   row_lower <= A 
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -19,7 +20,7 @@ Status = Literal["solved", "infeasible", "limit", "numerical"]
 RESIDUAL_TOLERANCE = 1e-6
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class QP:
     """The data of one program; equalities are rows with equal bounds, missing bounds are infinite.
 
@@ -39,12 +40,19 @@ class QP:
     row_lower: Array
     row_upper: Array
 
+    @cached_property
+    def addresses(self) -> list[int]:
+        """Addresses of the data for the compiled kernels; row-major copies are kept where needed."""
+        data = (self.H, self.g, self.lower, self.upper, self.A, self.row_lower, self.row_upper)
+        self.__dict__["_row_major"] = rows = [np.ascontiguousarray(array) for array in data]
+        return [native.at(array) for array in rows]
+
     def objective(self, z: Array) -> float:
         """Return 1/2 z' H z + g' z."""
         return float(z @ (0.5 * (self.H @ z) + self.g))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Residuals:
     """The violations of the optimality conditions, relative to the data.
 
@@ -93,9 +101,7 @@ class Solution:
 def residuals(qp: QP, z: Array, bound_multipliers: Array, row_multipliers: Array) -> Residuals:
     """Return the Karush-Kuhn-Tucker residuals; arguments as in `Solution`. Source: docs/equations.md (28)."""
     if native.AVAILABLE:
-        program = qp.H, qp.g, qp.lower, qp.upper, qp.A, qp.row_lower, qp.row_upper
-        stationarity, primal, complementarity = native.residuals(*program, z, bound_multipliers, row_multipliers)
-        return Residuals(stationarity=stationarity, primal=primal, complementarity=complementarity)
+        return Residuals(*native.residuals(qp.A.shape, qp.addresses, z, bound_multipliers, row_multipliers))
     return _residuals(qp, z, bound_multipliers, row_multipliers)
 
 

@@ -13,13 +13,12 @@ from model.hover import Hover
 from model.linearisation import Model
 from model.parameters import ParameterError
 from model.state import input_slice
-from mpc.cost import Cost
+from mpc.cost import Cost, UserCosts
 from mpc.fail_safe import FailSafe
 from mpc.feedback import FeedbackError, FeedbackLaw, Regulator, regulator
 from mpc.preview import Preview, at_rest, preview
 from mpc.settings import ControllerSettings
 from mpc.target import Target, target
-from mpc.user_costs import UserCosts
 
 _NO_CORRECTIONS = np.zeros((1, 0))
 

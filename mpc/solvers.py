@@ -1,20 +1,21 @@
 """QP solvers behind one call: DAQP for speed, Clarabel as an alternative and the fallback."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import clarabel
 import daqp
 import numpy as np
 
+from model import native
 from model.arrays import Array
-from mpc import bounded
 from mpc.qp import QP, RESIDUAL_TOLERANCE, Residuals, Solution, Status, residuals
 from mpc.settings import SolverName
 
+# A usual QP needs one guess of its active bounds, others two or three; the limit ends a cycle.
+MOST_GUESSES = 8
 _ITERATIONS = 2000  # DAQP needs about as many as active constraints; the limit ends a cycle
 _INFINITY = 1e30  # DAQP's own
-_NO_RESIDUALS = Residuals(stationarity=np.inf, primal=np.inf, complementarity=np.inf)
+_NO_RESIDUALS = Residuals(np.inf, np.inf, np.inf)
 _CLARABEL: dict[str, Status] = {
     "Solved": "solved", "PrimalInfeasible": "infeasible", "MaxIterations": "limit", "MaxTime": "limit"
 }  # fmt: skip
@@ -22,12 +23,15 @@ _CLARABEL: dict[str, Status] = {
 
 def solve(qp: QP, solver: SolverName) -> Solution:
     """Solve by the chosen solver, check the residuals, and use Clarabel as fallback; return the last failure else."""
+    first = within_bounds(qp) if solver == "daqp" else None
+    if first is not None:
+        return first
     if not (np.isfinite(qp.g).all() and np.isfinite(qp.H).all()):
         return unsolved(len(qp.g), len(qp.A), solver)
-    first = _SOLVERS[solver](qp)
-    if first.status == "solved" or solver == "clarabel":
-        return first
-    return replace(solve_clarabel(qp), fallback=True)
+    if solver == "clarabel":
+        return solve_clarabel(qp)
+    first = _by_daqp(qp)
+    return first if first.status == "solved" else replace(solve_clarabel(qp), fallback=True)
 
 
 def unsolved(n: int, rows: int, solver: str) -> Solution:
@@ -39,17 +43,63 @@ def unsolved(n: int, rows: int, solver: str) -> Solution:
 
 
 def solve_daqp(qp: QP) -> Solution:
-    """Dual active-set method (Arnstrom, Bemporad, Axehill 2022).
+    """Dual active-set method (Arnstrom, Bemporad, Axehill 2022), after `within_bounds`."""
+    return within_bounds(qp) or _by_daqp(qp)
 
-    Most QPs of a run have no active row, and preparing the rows is most of the work: the QP with bounds alone is
-    solved first, and its solution is accepted if it passes the residual check of the whole QP.
+
+def within_bounds(qp: QP) -> Solution | None:
+    """Return the solution of the QP with its bounds alone if it passes the residual check of the whole QP.
+
+    Most QPs of a run have no active row, and preparing the rows is most of a solver's work.
     """
-    if not (qp.row_lower == qp.row_upper).any():
-        z, multipliers, guesses = bounded.solve(qp.H, qp.g, qp.lower, qp.upper)
-        if guesses:
-            answer = _checked(qp, z, multipliers, np.zeros(len(qp.A)), "solved", guesses, "active_set")
-            if answer.status == "solved":
-                return answer
+    if native.AVAILABLE:
+        guesses, z, multipliers, found = native.solve_within_bounds(qp.A.shape, qp.addresses, MOST_GUESSES)
+        if guesses <= 0 or (passed := Residuals(*found)).worst > RESIDUAL_TOLERANCE:
+            return None
+        return Solution(
+            status="solved", z=z, bound_multipliers=multipliers, row_multipliers=np.zeros(len(qp.A)),
+            residuals=passed, iterations=guesses, solver="active_set",
+        )  # fmt: skip
+    if (qp.row_lower == qp.row_upper).any() or not (np.isfinite(qp.g).all() and np.isfinite(qp.H).all()):
+        return None
+    z, multipliers, guesses = _active_set(qp.H, qp.g, qp.lower, qp.upper)
+    answer = _checked(qp, z, multipliers, np.zeros(len(qp.A)), "solved" if guesses else "limit", guesses, "active_set")
+    return answer if answer.status == "solved" else None
+
+
+def _active_set(H: Array, g: Array, lower: Array, upper: Array) -> tuple[Array, Array, int]:
+    """Minimise 1/2 z' H z + g' z within bounds by a primal-dual active-set method (Hintermueller, Ito, Kunisch 2003).
+
+    Guess the active bounds; solve the remaining equations; release bounds whose multiplier has the wrong sign, add
+    violated ones; repeat until the guess is consistent. The method may cycle; it then reports failure.
+
+    Returns: Solution, (n,); multipliers, (n,), positive at upper bounds; number of guesses, 0 for a failure.
+    """
+    z, multipliers = np.zeros(len(g)), np.zeros(len(g))
+    # Start with the bounds at zero that the gradient pushes against, such as those of slacks.
+    held = np.where((lower >= 0.0) & (g > 0.0), -1, np.where((upper <= 0.0) & (g < 0.0), 1, 0))
+    for guess in range(1, MOST_GUESSES + 1):
+        free = held == 0
+        z[~free] = np.where(held < 0, lower, upper)[~free]
+        try:
+            U = np.linalg.cholesky(H[np.ix_(free, free)])
+        except np.linalg.LinAlgError:
+            break
+        z[free] = np.linalg.solve(U.T, np.linalg.solve(U, -g[free] - H[np.ix_(free, ~free)] @ z[~free]))
+        if not np.isfinite(z).all():
+            break
+        slope = H @ z + g
+        multipliers = np.where(free, 0.0, -slope)
+        stays = (lower == upper) | np.where(held < 0, slope >= 0.0, slope <= 0.0)
+        crossed = np.where(z < lower, -1, np.where(z > upper, 1, 0))
+        now = np.where(free, crossed, np.where(stays, held, 0))
+        if (now == held).all():
+            return z, multipliers, guess
+        held = now
+    return z, multipliers, 0
+
+
+def _by_daqp(qp: QP) -> Solution:
     z, multipliers, status, iterations = _daqp(qp)
     n = len(qp.g)
     return _checked(qp, z, multipliers[:n], multipliers[n:], status, iterations, "daqp")
@@ -114,6 +164,3 @@ def _checked(
         status=status, z=z, bound_multipliers=bound_multipliers, row_multipliers=row_multipliers,
         residuals=found, iterations=iterations, solver=solver,
     )  # fmt: skip
-
-
-_SOLVERS: dict[str, Callable[[QP], Solution]] = {"daqp": solve_daqp, "clarabel": solve_clarabel}

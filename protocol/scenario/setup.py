@@ -15,10 +15,10 @@ from model.linearisation import Model
 from model.maneuver import Maneuver, Phase, Reference
 from model.parameters import Payload, System, Uav
 from model.shape import resting_height
+from mpc.cost import UserCosts
 from mpc.regulation import Regulation
-from mpc.rows.user import compile_constraints
+from mpc.rows import compile_constraints
 from mpc.settings import Constraint, ControllerSettings, CostTerm, Limits, Separation, Tilt, Weights
-from mpc.user_costs import UserCosts
 from protocol.scenario.errors import ScenarioError, building
 from protocol.scenario.faults import Fault, scripted
 from protocol.scenario.links import Link, link

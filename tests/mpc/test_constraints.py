@@ -10,8 +10,7 @@ import pytest
 from model.arrays import Array
 from model.state import THETA, V0, uav_slice
 from mpc.qp import QP
-from mpc.rows.rate import rate_rows
-from mpc.rows.separation import pairs_of, separation_rows
+from mpc.rows import pairs_of, rate_rows, separation_rows
 from mpc.settings import Constraint, ControllerSettings, Separation, Tilt
 from tests.support import naive
 from tests.support.systems import Setup, Situation, controller, paper_setup, situation, step

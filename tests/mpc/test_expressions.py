@@ -10,7 +10,7 @@ from model import state
 from model.arrays import Array
 from model.dynamics import Symbols
 from mpc.expressions import Relation, read
-from mpc.rows.user import compile_constraints
+from mpc.rows import compile_constraints
 from mpc.settings import Constraint, SettingsError
 from tests.support.systems import disturbed, paper_setup
 

@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from mpc.objective import _condense
+from mpc.rows.interface import StepData
 
 from model import native
 from model.arrays import Array
@@ -11,11 +13,9 @@ from model.discretisation import Discrete
 from model.linearisation import Linearisation
 from model.native import Places
 from mpc import bounded, condensing, qp
-from mpc.objective import _condense
 from mpc.plan import _relax
 from mpc.prediction import Linear, _respond, open_loop, respond
-from mpc.rows.interface import StepData
-from mpc.rows.separation import _distances, _plain_distances, pairs_of
+from mpc.rows import _distances, _plain_distances, pairs_of
 from mpc.solvers import solve_clarabel
 from tests.support.programs import random_qp
 from tests.support.systems import paper_setup

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from mpc.decision import Decision
-from mpc.rows.table import Rows
+from mpc.rows import Rows
 from protocol.scenario import budget
 from protocol.scenario.budget import check_budget, estimate
 from protocol.scenario.file import ScenarioError, find_scenario, read_scenario, validate

@@ -1,0 +1,170 @@
+"""The QP of one step: prediction, cost, bounds and constraint rows in terms of the scaled decision and the slacks.
+
+The prediction matrix is block-Toeplitz, so the Hessian's blocks along each diagonal, and likewise the gradient's, are
+partial sums of the same products: the compiled kernels do O(N_p^2) blocks of work instead of O(N_p^3) for the matrix
+products of paper (16). Without a C compiler the matrices are multiplied as they stand.
+"""
+
+from collections.abc import Collection
+from dataclasses import replace
+
+import numpy as np
+
+from model import native
+from model.arrays import Array, padded
+from model.discretisation import Discrete
+from model.state import input_indices
+from mpc.cost import Cost, UserCosts
+from mpc.decision import Decision
+from mpc.feedback import FeedbackLaw
+from mpc.prediction import Linear, Prediction, closed_loop, open_loop, stacked
+from mpc.qp import QP
+from mpc.regulation import CostToGo
+from mpc.rows import Rows
+
+_NONE = np.zeros(0, dtype=np.intp)
+
+
+class Program:
+    """Prediction and QP of one controller.
+
+    With compiled kernels the arrays of both stay in place: they are valid until the next prediction.
+    """
+
+    def __init__(self, decision: Decision, cost: Cost, user_costs: UserCosts) -> None:
+        self._decision, self._user_costs, self._rows = decision, user_costs, Rows(decision)
+        settings, system = decision.settings, decision.system
+        self._n = system.n + (system.m if settings.motor_lag_s > 0.0 else 0)
+        # Outputs without a weight stay out of the program.
+        self._weighted = np.flatnonzero(cost.Q)
+        self._effort = cost.R[decision.own] * decision.scale
+        self._no_terms = np.zeros((0, self._n)), np.zeros(0)
+        self._predicted: Prediction | None = None
+        if native.AVAILABLE:
+            self._allocate()
+        self.form(cost, ())
+
+    def form(self, cost: Cost, uncontrolled: Collection[int]) -> None:
+        """Set the team: its weights, and its UAVs without an agent, 0-based."""
+        self._responding = np.setdiff1d(self._decision.others, input_indices(sorted(uncontrolled)))
+        self._Q = np.concatenate([cost.Q[self._weighted], self._user_costs.weights])
+        # With the inputs of the other agents' UAVs as further outputs.
+        self._Q_with_others = np.concatenate([self._Q, cost.R[self._responding]])
+
+    def predict(self, linear: Linear, discrete: Discrete, U: Array, law: FeedbackLaw | None) -> Prediction:
+        """Predict the team over the horizon; arguments as those of `Controller.step`."""
+        if not native.AVAILABLE:
+            decision, u0 = self._decision, linear.u0
+            return (
+                open_loop(discrete, u0, decision.own, U)
+                if law is None
+                else closed_loop(discrete, u0, decision.own, law)
+            )
+        at, problem = native.at, self._problem
+        problem.A, problem.B, problem.f_d, problem.u0 = at(discrete.A), at(discrete.B), at(discrete.f_d), at(linear.u0)
+        if law is None:
+            problem.K, problem.uncorrected, problem.announced = 0, 0, at(U)
+        else:
+            problem.K, problem.uncorrected, problem.announced = at(law.K), at(law.uncorrected), at(law.c)
+        native.respond(problem)
+        self._predicted = self._open if law is None else self._closed
+        return self._predicted
+
+    def condense(
+        self, linear: Linear, prediction: Prediction, y_ref: Array, law: FeedbackLaw | None, end: CostToGo | None
+    ) -> QP:
+        """Return the QP of a prediction. Arguments as those of `Controller.step`.
+
+        With a cost-to-go, the inputs of the other agents' UAVs, which respond to the state, have the weight they have
+        in the shared regulator's cost. Source: docs/equations.md (26)-(30), (36e), (48); paper (25)-(27).
+        """
+        terminal, responding, Q = self._decision.settings.weights.terminal, _NONE, self._Q
+        if end is not None:
+            terminal = 0.0  # the stage cost of the last state is part of the cost-to-go
+            if law is not None:
+                responding, Q = self._responding, self._Q_with_others
+        slope, at_x0 = self._terms(linear.x0) if len(self._user_costs) else self._no_terms
+        if prediction is not self._predicted:
+            return self._plain(linear, prediction, y_ref, slope, at_x0, end, terminal, responding, Q)
+        at, problem, model = native.at, self._problem, linear.model
+        problem.inputs, problem.terminal, problem.answering, problem.Q = (
+            len(responding),
+            terminal,
+            at(responding),
+            at(Q),
+        )
+        problem.slope, problem.at_x0, problem.x0 = at(slope), at(at_x0), at(linear.x0)
+        problem.rank = 0 if end is None else len(end.root)
+        if end is not None:
+            problem.root, problem.error, problem.end_slope = at(end.root), at(end.error), at(end.slope)
+        begin, problem.index = model.pattern.addresses
+        problem.begin, problem.value = begin + 8 * model.pattern.first_rows[-2], at(model.values)
+        problem.model_outputs, problem.y, problem.y_ref = len(model.y), at(model.y), at(y_ref)
+        problem.u_target = at(linear.u_target)
+        native.fill(problem)
+        qp = self._qp
+        self._rows.fill_user(linear, prediction, qp.A, qp.row_lower, qp.row_upper)
+        return qp
+
+    def _terms(self, x0: Array) -> tuple[Array, Array]:
+        """Return slopes, (t, n), and values of the user's terms at a state."""
+        terms = self._user_costs.at(x0)
+        return np.ascontiguousarray(padded(terms.slope, self._n)), terms.value
+
+    def _plain(
+        self, linear: Linear, prediction: Prediction, y_ref: Array, slope: Array, at_x0: Array, end: CostToGo | None,
+        terminal: float, responding: native.Places, Q: Array,
+    ) -> QP:  # fmt: skip
+        """Return the QP by the matrix products of the paper."""
+        decision, chosen, (n, steps, _) = self._decision, self._weighted, prediction.effect.shape
+        model, scale, dX, effect = linear.model, decision.scale, prediction.dX_free, prediction.effect * decision.scale
+        C = model.C[chosen]
+        free = model.y[chosen] + dX[1:] @ C.T
+        effort = prediction.U_all - linear.u_target
+        others = np.vstack([effort[1:, responding], np.zeros(len(responding))])  # step N_p has no input
+        error = np.hstack([free - y_ref[1:, chosen], at_x0 + dX[1:] @ slope.T, others])
+        S = np.concatenate([np.tensordot(np.vstack([C, slope]), effect, 1), prediction.feedback[responding] * scale])
+        weights = 2.0 * np.tile(Q, (steps, 1))
+        weights[-1] *= terminal
+        G = stacked(S)
+        H = G.T @ (weights.reshape(-1, 1) * G) + np.diag(np.tile(2.0 * self._effort * scale, steps))
+        g = G.T @ (weights * error).reshape(-1) + (2.0 * self._effort * effort[:, decision.own]).reshape(-1)
+        if end is not None:
+            last = effect[:, ::-1].reshape(n, -1)  # effect of all decisions on the last state, the first one's first
+            H += 2.0 * last.T @ end.root.T @ end.root @ last
+            g += 2.0 * (end.root.T @ (end.root @ (end.error + dX[-1])) + end.slope) @ last
+        penalties = self._rows.penalties
+        whole = np.diag(np.concatenate([np.zeros(len(g)), penalties]))
+        whole[: len(g), : len(g)] = (H + H.T) / 2.0
+        lower, upper = decision.bounds(prediction.U_free, linear.u0)
+        A, row_lower, row_upper = self._rows.fill(linear, prediction, free, S)
+        return QP(
+            H=whole, g=np.concatenate([g, penalties]), lower=np.concatenate([lower, 0.0 * penalties]),
+            upper=np.concatenate([upper, np.full(len(penalties), np.inf)]),
+            A=A, row_lower=row_lower, row_upper=row_upper,
+        )  # fmt: skip
+
+    def _allocate(self) -> None:
+        """Make the arrays of the compiled kernels: the constant ones, and room for all results."""
+        decision, rows, n, m_all = self._decision, self._rows, self._n, self._decision.system.m
+        (steps, m), slacks, terms, empty = decision.shape, len(rows.penalties), len(self._user_costs), np.empty
+        size, weighted, pairs, angles = decision.size + slacks, len(self._weighted), len(rows.pairs), len(rows.angles)
+        effect, feedback, S = (empty((count, steps, m)) for count in (n, m_all, weighted + terms + m_all))
+        dX, dU, U, U_free = empty((steps + 1, n)), empty((steps, m_all)), empty((steps, m_all)), empty((steps, m))
+        H, g, lower, upper = empty((size, size)), empty(size), np.zeros(size), np.full(size, np.inf)
+        A, row_lower, row_upper = rows.A.copy(), rows.lower.copy(), rows.upper.copy()
+        self._arrays: dict[str, np.ndarray] = {
+            "chosen": self._weighted, "own": decision.own, "pair": rows.pairs, "angle": rows.angles,
+            "scale": decision.scale, "effort": self._effort, "penalties": rows.penalties,
+            "low": decision.lower, "high": decision.upper, "rate": decision.rate,
+            "effect": effect, "feedback": feedback, "S": S, "dX": dX, "dU": dU, "U": U, "U_free": U_free,
+            "H": H, "g": g, "lower": lower, "upper": upper, "rows": A, "row_lower": row_lower, "row_upper": row_upper,
+            "free": empty((steps, weighted)), "signals": empty(steps * (m * max(pairs, angles) + pairs)),
+        }  # fmt: skip
+        sizes = {"steps": steps, "n": n, "m": m, "size": size, "outputs": weighted, "terms": terms, "all_inputs": m_all}
+        limits = {"pairs": pairs, "angles": angles, "separation": rows.minimum_m, "tilt": rows.limit}
+        addresses = {name: native.at(array) for name, array in self._arrays.items()}
+        self._problem = native.problem(len(S), **sizes, **limits, **addresses)
+        self._qp = QP(H=H, g=g, lower=lower, upper=upper, A=A, row_lower=row_lower, row_upper=row_upper)
+        self._closed = Prediction(effect=effect, dX_free=dX, U_free=U_free, U_all=U, feedback=feedback, dU_free=dU)
+        self._open = replace(self._closed, feedback=feedback[:0], dU_free=dU[:, :0])
