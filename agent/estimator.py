@@ -59,6 +59,8 @@ class StateEstimator:
         self._measured: dict[int, Measurement] = {}
         self._stale_from: int | None = None  # earliest tick whose estimate or inputs have changed
         self._newest: dict[int, int] = {}
+        self.measured = -1  # tick of the newest measurement taken in
+        self._assumed: tuple[int, Array] | None = None  # tick and inputs of the newest period, unless replaced since
         self._breaks: list[tuple[int, Model, Callable[[Array], Array]]] = []  # see `change`, ascending in the tick
 
     def take(self, plan: Plan) -> None:
@@ -71,6 +73,7 @@ class StateEstimator:
 
     def measure(self, measurement: Measurement) -> None:
         """Take in a measurement of a tick not later than the one to be estimated."""
+        self.measured = max(self.measured, measurement.tick)
         if measurement.tick >= self._first:
             self._measured[measurement.tick] = measurement
             # Disturbance and reported inputs act in the period before, which is therefore predicted again.
@@ -91,6 +94,8 @@ class StateEstimator:
         """
         if not self._estimates:
             self._first = k
+            self._received = {tick: plans for tick, plans in self._received.items() if tick >= k}
+            self._measured = {tick: measurement for tick, measurement in self._measured.items() if tick >= k}
             self._estimates = [self._overwritten(self._reference_at(k), k)]
         begin = self._first + len(self._estimates) - 1
         if self._stale_from is not None:
@@ -99,11 +104,14 @@ class StateEstimator:
         at = begin - self._first
         del self._estimates[at + 1 :]
         self._estimates[at] = self._overwritten(self._estimates[at].copy(), begin)
+        self._assumed = None
         for tick in range(begin, k):
             u = announced.at(tick, before=k, x=self._estimates[-1])
             if self._disturbance is None:
                 if self._motor_lag_s > 0.0:
                     self._report(u, tick + 1)
+                else:
+                    self._assumed = tick, u
                 self._estimates.append(self._overwritten(self._predicted(tick, u), tick + 1))
             else:
                 self._estimates.append(self._disturbed(tick, u, self._disturbance))
@@ -119,10 +127,11 @@ class StateEstimator:
         """Return the ticks since the newest state received from another agent, -1 for none."""
         return tick - self._newest[agent] if agent in self._newest else -1
 
-    @property
-    def measured(self) -> int:
-        """Tick of the newest measurement taken in, -1 for none."""
-        return max(self._measured, default=-1)
+    def inputs_until(self, k: int, announced: AnnouncedInputs) -> Array:
+        """Return the inputs announced for the period before tick k, after `estimate` for that tick, (4 N,)."""
+        if self._assumed is not None and self._assumed[0] == k - 1:
+            return self._assumed[1]
+        return announced.at(k - 1, before=k, x=self.known(k - 1))
 
     def reported_inputs(self, tick: int) -> Array | None:
         """Return the inputs that the own actuators report at a tick, (owned, 4), N and N m, if measured."""
@@ -192,10 +201,8 @@ class StateEstimator:
         return x
 
     def _forget(self) -> None:
-        excess = len(self._estimates) - WINDOW
-        if excess > 0:
-            del self._estimates[:excess]
-            self._first += excess
-        for kept in (self._received, self._measured):
-            for tick in [tick for tick in kept if tick < self._first]:
-                del kept[tick]
+        while len(self._estimates) > WINDOW:
+            del self._estimates[0]
+            self._received.pop(self._first, None)
+            self._measured.pop(self._first, None)
+            self._first += 1

@@ -102,7 +102,7 @@ class TeamEstimate:
         """Return the inputs in force until a tick: own ones as the actuators report them, the others as announced."""
         u = self._setup.hover.u.copy()
         if k > 0:
-            u = self.announced.at(k - 1, before=k, x=self.estimator.known(k - 1))
+            u = self.estimator.inputs_until(k, self.announced)
         reported = self.estimator.reported_inputs(k)
         if reported is not None:
             u[input_indices(self._owned)] = reported.reshape(-1)

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from copy import deepcopy
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, TypeVar
@@ -70,7 +71,7 @@ def step_times(run: Setup) -> Array:
 def programs(run: Setup, most: int) -> list[QP]:
     """Return programs that the agents solve in a run, evenly spaced over it."""
     found: list[QP] = []
-    with _observed("solve", lambda _, qp: found.append(qp)):
+    with _observed("solve", lambda _, qp: found.append(deepcopy(qp))):
         messages(run)
     return _spaced(found, most)
 

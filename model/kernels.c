@@ -333,10 +333,10 @@ INLINE double answer(ptrdiff_t steps, ptrdiff_t m, ptrdiff_t i, ptrdiff_t k, con
    own: (m,) of all inputs. z: scaled decision, (steps, m). uncorrected, previous, dU: (steps, all): inputs by the law at
    x0, corrections, K dX. feedback: (all, steps, m). w: of the new corrections, 0 for none.
    U: (steps, m), within bounds and rates (w < 1). c, work: (steps, m). */
-void relax(ptrdiff_t steps, ptrdiff_t m, ptrdiff_t all, const ptrdiff_t *own, const double *z, const double *scale,
-           const double *U_free, const double *uncorrected, const double *previous, const double *dU,
-           const double *feedback, double w, const double *lower, const double *upper, const double *rate, double *U,
-           double *c, double *work)
+static void relax(ptrdiff_t steps, ptrdiff_t m, ptrdiff_t all, const ptrdiff_t *own, const double *z, const double *scale,
+                  const double *U_free, const double *uncorrected, const double *previous, const double *dU,
+                  const double *feedback, double w, const double *lower, const double *upper, const double *rate,
+                  double *U, double *c, double *work)
 {
     double *v = work;
     for (ptrdiff_t k = 0; k < steps; k++)
@@ -614,6 +614,13 @@ void fill(const problem *p)
                 lower[half + k * p->angles + a] = -p->tilt - angle;
             }
     }
+}
+
+/* Plan from the scaled decision z, with a weight of the new corrections; see `relax`. */
+void conclude(const problem *p, const double *z, double w, double *U, double *c)
+{
+    relax(p->steps, p->m, p->all_inputs, p->own, z, p->scale, p->U_free, p->uncorrected, p->announced, p->dU,
+          p->feedback, w, p->low, p->high, p->rate, U, c, p->work);
 }
 
 #define PIVOTS 16 /* rows of the factor per update of the remaining matrix */

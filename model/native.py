@@ -27,9 +27,9 @@ _SIGNATURES: dict[str, tuple[Any, Sequence[Any]]] = {
     "zero_order_hold": (_double, [_number] * 3 + [_address] * 4 + [_double] * 4 + [_address] * 4),
     "predict_work": (_number, [_number] * 3),
     "respond": (None, [_address]),
-    "relax": (None, [_number] * 3 + [_address] * 8 + [_double] + [_address] * 6),
     "condense_work": (_number, [_number] * 5),
     "fill": (None, [_address]),
+    "conclude": (None, [_address] * 2 + [_double] + [_address] * 2),
     "within_bounds_work": (_number, [_number] * 2),
     "solve_within_bounds": (ctypes.c_int, [_number] * 2 + [_address] * 7 + [ctypes.c_int] + [_address] * 4),
     "residuals": (None, [_number] * 2 + [_address] * 12),
@@ -51,19 +51,6 @@ def zero_order_hold(
         at(A), at(B), at(f_d), _work("hold", _KERNELS.zero_order_hold_work(n, m, accelerations)),
     )  # fmt: skip
     return theta, A, B, f_d
-
-
-def relax(
-    own: Places, z: Array, scale: Array, U_free: Array, uncorrected: Array, previous: Array, dU: Array,
-    feedback: Array, w: float, lower: Array, upper: Array, rate: Array,
-) -> tuple[Array, Array]:  # fmt: skip
-    """Return U and c; see `mpc.plan`."""
-    U, c = np.empty(U_free.shape), np.empty(U_free.shape)
-    _KERNELS.relax(
-        *U.shape, dU.shape[1], at(own), at(z), at(scale), at(U_free), at(uncorrected), at(previous), at(dU),
-        at(feedback), w, at(lower), at(upper), at(rate), at(U), at(c), _work("relax", U.size),
-    )  # fmt: skip
-    return U, c
 
 
 class Problem(ctypes.Structure):
@@ -90,14 +77,21 @@ def problem(most_outputs: int, **fields: float) -> Problem:
     return new
 
 
-def respond(at: Problem) -> None:
+def respond(of: Problem) -> None:
     """Fill in the prediction of a problem; see `mpc.program`."""
-    _KERNELS.respond(ctypes.addressof(at))
+    _KERNELS.respond(ctypes.addressof(of))
 
 
-def fill(at: Problem) -> None:
+def fill(of: Problem) -> None:
     """Fill in the QP of a problem; see `mpc.program`."""
-    _KERNELS.fill(ctypes.addressof(at))
+    _KERNELS.fill(ctypes.addressof(of))
+
+
+def conclude(of: Problem, z: Array, w: float) -> tuple[Array, Array]:
+    """Return U and c of a problem's plan; see `mpc.plan`."""
+    U, c = np.empty((of.steps, of.m)), np.empty((of.steps, of.m))
+    _KERNELS.conclude(ctypes.addressof(of), at(z), w, at(U), at(c))
+    return U, c
 
 
 def solve_within_bounds(

@@ -162,7 +162,7 @@ class Controller:
         w = self._relaxation
         if ticks_since_start is not None:
             w = max(w, 1.0 / (ticks_since_start + 1))
-        result = plan.relaxed(self._decision, solution, prediction, U, law, w)
+        result = plan.relaxed(self._program, solution, prediction, U, law, w)
         if np.isfinite(result.U).all() and np.abs(result.c).max(initial=0.0) <= LARGEST:
             return result
         return plan.fallback(self._decision, solution, U, law)

@@ -5,13 +5,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from model import native
 from model.arrays import Array
 from model.discretisation import Discrete
-from model.native import Places
 from mpc.decision import Decision
 from mpc.feedback import FeedbackLaw
 from mpc.prediction import Prediction, convolve, free_response
+from mpc.program import Program
 from mpc.qp import Solution
 
 
@@ -32,7 +31,7 @@ class StepResult:
 
 
 def relaxed(
-    decision: Decision, solution: Solution, prediction: Prediction, U: Array, law: FeedbackLaw | None, w: float
+    program: Program, solution: Solution, prediction: Prediction, U: Array, law: FeedbackLaw | None, w: float
 ) -> StepResult:
     """Return the plan w U* + (1 - w) U_previous; with a shared control law only the corrections are mixed.
 
@@ -42,7 +41,7 @@ def relaxed(
     Args: as those of `Controller.conclude`, with the relaxation weight w in (0, 1].
     Source: docs/equations.md (30a), (36a).
     """
-    solved = solution.status == "solved"
+    decision, solved = program.decision, solution.status == "solved"
     z = solution.z[: decision.size] if solved else np.zeros(decision.size)
     if law is None:
         previous = U[:, decision.own]
@@ -50,35 +49,8 @@ def relaxed(
         best = decision.clip(prediction.U_free + decision.inputs(z))
         inputs = decision.clip(w * best + (1.0 - w) * previous) if solved else previous.copy()
         return StepResult(U=inputs, c=np.zeros((0, len(decision.own))), solution=solution)
-    inputs, c = (native.relax if native.AVAILABLE else _relax)(
-        decision.own, z, decision.scale, prediction.U_free, law.uncorrected, law.c, prediction.dU_free,
-        prediction.feedback, w if solved else 0.0, decision.lower, decision.upper, decision.rate,
-    )  # fmt: skip
+    inputs, c = program.relaxed(prediction, law, z, w if solved else 0.0)
     return StepResult(U=inputs, c=c, solution=solution)
-
-
-def _relax(
-    own: Places, z: Array, scale: Array, U_free: Array, uncorrected: Array, previous: Array, dU: Array,
-    feedback: Array, w: float, lower: Array, upper: Array, rate: Array,
-) -> tuple[Array, Array]:  # fmt: skip
-    """Return inputs and corrections of a plan with a shared control law, (N_p, m_own) each.
-
-    Given are positions, unit and limits of the decision and its scaled value z, (N_p m_own,); the prediction; inputs
-    and corrections of the control law, (N_p, m); and the weight w of the new corrections, 0 without a solution.
-    """
-    at_x0, fed_back, c = uncorrected[:, own], dU[:, own], previous[:, own]
-    best = np.clip(U_free + z.reshape(U_free.shape) * scale, lower, upper)
-    if w > 0.0:
-        c_best = best - at_x0 - fed_back - convolve(feedback[own], best - U_free)
-        if w == 1.0:
-            return best, c_best
-        c = w * c_best + (1.0 - w) * c
-    wanted, U, before = at_x0 + c + fed_back, np.empty_like(U_free), U_free[0]
-    for k in range(len(U)):
-        answer = np.einsum("ijm,jm->i", feedback[own, :k], (U - U_free)[:k][::-1])
-        # The corrections may come from a plan of another team: the rates hold all the same.
-        U[k] = before = np.clip(np.clip(wanted[k] + answer, before - rate, before + rate), lower, upper)
-    return U, c
 
 
 def fallback(decision: Decision, solution: Solution, U: Array, law: FeedbackLaw | None) -> StepResult:

@@ -17,7 +17,7 @@ from model.state import input_indices
 from mpc.cost import Cost, UserCosts
 from mpc.decision import Decision
 from mpc.feedback import FeedbackLaw
-from mpc.prediction import Linear, Prediction, closed_loop, open_loop, stacked
+from mpc.prediction import Linear, Prediction, closed_loop, convolve, open_loop, stacked
 from mpc.qp import QP
 from mpc.regulation import CostToGo
 from mpc.rows import Rows
@@ -32,21 +32,23 @@ class Program:
     """
 
     def __init__(self, decision: Decision, cost: Cost, user_costs: UserCosts) -> None:
-        self._decision, self._user_costs, self._rows = decision, user_costs, Rows(decision)
+        self.decision, self._user_costs, self._rows = decision, user_costs, Rows(decision)
         settings, system = decision.settings, decision.system
         self._n = system.n + (system.m if settings.motor_lag_s > 0.0 else 0)
         # Outputs without a weight stay out of the program.
         self._weighted = np.flatnonzero(cost.Q)
         self._effort = cost.R[decision.own] * decision.scale
         self._no_terms = np.zeros((0, self._n)), np.zeros(0)
+        # The newest prediction by the kernels, and its control law.
         self._predicted: Prediction | None = None
+        self._law: FeedbackLaw | None = None
         if native.AVAILABLE:
             self._allocate()
         self.form(cost, ())
 
     def form(self, cost: Cost, uncontrolled: Collection[int]) -> None:
         """Set the team: its weights, and its UAVs without an agent, 0-based."""
-        self._responding = np.setdiff1d(self._decision.others, input_indices(sorted(uncontrolled)))
+        self._responding = np.setdiff1d(self.decision.others, input_indices(sorted(uncontrolled)))
         self._Q = np.concatenate([cost.Q[self._weighted], self._user_costs.weights])
         # With the inputs of the other agents' UAVs as further outputs.
         self._Q_with_others = np.concatenate([self._Q, cost.R[self._responding]])
@@ -54,7 +56,7 @@ class Program:
     def predict(self, linear: Linear, discrete: Discrete, U: Array, law: FeedbackLaw | None) -> Prediction:
         """Predict the team over the horizon; arguments as those of `Controller.step`."""
         if not native.AVAILABLE:
-            decision, u0 = self._decision, linear.u0
+            decision, u0 = self.decision, linear.u0
             return (
                 open_loop(discrete, u0, decision.own, U)
                 if law is None
@@ -67,7 +69,7 @@ class Program:
         else:
             problem.K, problem.uncorrected, problem.announced = at(law.K), at(law.uncorrected), at(law.c)
         native.respond(problem)
-        self._predicted = self._open if law is None else self._closed
+        self._predicted, self._law = (self._open if law is None else self._closed), law
         return self._predicted
 
     def condense(
@@ -78,7 +80,7 @@ class Program:
         With a cost-to-go, the inputs of the other agents' UAVs, which respond to the state, have the weight they have
         in the shared regulator's cost. Source: docs/equations.md (26)-(30), (36e), (48); paper (25)-(27).
         """
-        terminal, responding, Q = self._decision.settings.weights.terminal, _NONE, self._Q
+        terminal, responding, Q = self.decision.settings.weights.terminal, _NONE, self._Q
         if end is not None:
             terminal = 0.0  # the stage cost of the last state is part of the cost-to-go
             if law is not None:
@@ -106,6 +108,28 @@ class Program:
         self._rows.fill_user(linear, prediction, qp.A, qp.row_lower, qp.row_upper)
         return qp
 
+    def relaxed(self, prediction: Prediction, law: FeedbackLaw, z: Array, w: float) -> tuple[Array, Array]:
+        """Return inputs and corrections of a plan with a shared control law, (N_p, m_own) each.
+
+        Given are the scaled decision, (N_p m_own,), and the weight of the new corrections, 0 without a solution.
+        """
+        if prediction is self._predicted and law is self._law:
+            return native.conclude(self._problem, z, w)
+        own, decision, U_free = self.decision.own, self.decision, prediction.U_free
+        at_x0, fed_back, c = law.uncorrected[:, own], prediction.dU_free[:, own], law.c[:, own]
+        best = decision.clip(U_free + decision.inputs(z))
+        if w > 0.0:
+            c_best = best - at_x0 - fed_back - convolve(prediction.feedback[own], best - U_free)
+            if w == 1.0:
+                return best, c_best
+            c = w * c_best + (1.0 - w) * c
+        wanted, U, before = at_x0 + c + fed_back, U_free.copy(), U_free[0]
+        for k in range(len(U)):
+            # Of the decisions before step k. The corrections may come from a plan of another team: the rates hold.
+            answer = convolve(prediction.feedback[own, : k + 1], (U - U_free)[: k + 1])[-1]
+            U[k] = before = decision.clip(np.clip(wanted[k] + answer, before - decision.rate, before + decision.rate))
+        return U, c
+
     def _terms(self, x0: Array) -> tuple[Array, Array]:
         """Return slopes, (t, n), and values of the user's terms at a state."""
         terms = self._user_costs.at(x0)
@@ -116,7 +140,7 @@ class Program:
         terminal: float, responding: native.Places, Q: Array,
     ) -> QP:  # fmt: skip
         """Return the QP by the matrix products of the paper."""
-        decision, chosen, (n, steps, _) = self._decision, self._weighted, prediction.effect.shape
+        decision, chosen, (n, steps, _) = self.decision, self._weighted, prediction.effect.shape
         model, scale, dX, effect = linear.model, decision.scale, prediction.dX_free, prediction.effect * decision.scale
         C = model.C[chosen]
         free = model.y[chosen] + dX[1:] @ C.T
@@ -146,7 +170,7 @@ class Program:
 
     def _allocate(self) -> None:
         """Make the arrays of the compiled kernels: the constant ones, and room for all results."""
-        decision, rows, n, m_all = self._decision, self._rows, self._n, self._decision.system.m
+        decision, rows, n, m_all = self.decision, self._rows, self._n, self.decision.system.m
         (steps, m), slacks, terms, empty = decision.shape, len(rows.penalties), len(self._user_costs), np.empty
         size, weighted, pairs, angles = decision.size + slacks, len(self._weighted), len(rows.pairs), len(rows.angles)
         effect, feedback, S = (empty((count, steps, m)) for count in (n, m_all, weighted + terms + m_all))

@@ -4,7 +4,7 @@ minimise 1/2 z' H z + g' z   subject to   lower <= z <= upper,   row_lower <= A 
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Literal
 
@@ -46,6 +46,10 @@ class QP:
         data = (self.H, self.g, self.lower, self.upper, self.A, self.row_lower, self.row_upper)
         self.__dict__["_row_major"] = rows = [np.ascontiguousarray(array) for array in data]
         return [native.at(array) for array in rows]
+
+    def __getstate__(self) -> dict[str, Array]:
+        """Return the data for copies, which have addresses of their own."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def objective(self, z: Array) -> float:
         """Return 1/2 z' H z + g' z."""

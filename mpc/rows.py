@@ -116,7 +116,7 @@ def separation_rows(positions: Array, pairs: npt.NDArray[np.intp]) -> tuple[Arra
     d[together] = [1.0, 0.0, 0.0]
     rows, each = np.zeros((len(pairs), len(r), 3)), np.arange(len(pairs))
     rows[each, pairs[:, 0]], rows[each, pairs[:, 1]] = d, -d
-    return distances, rows.reshape(len(pairs), -1)
+    return distances, rows.reshape(len(pairs), len(positions))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

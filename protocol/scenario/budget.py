@@ -174,7 +174,7 @@ def _plant_steps(scenario: Scenario, step_s: float) -> int:
 
 
 def _program(scenario: Scenario, own: int) -> tuple[int, int]:
-    """Return variables and rows of the QP of an agent with that many UAVs, as `mpc.rows.table` makes them."""
+    """Return variables and rows of the QP of an agent with that many UAVs, as `mpc.rows.Rows` makes them."""
     controller, N = scenario.controller, len(scenario.system.uav)
     horizon = controller.horizon
     decisions, slacks, rows = INPUTS * own * horizon, 0, INPUTS * own * (horizon - 1)

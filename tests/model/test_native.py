@@ -79,7 +79,7 @@ def test_kernels_refuse_arrays_they_cannot_read() -> None:
     bad: list[Any] = [np.zeros((4, 6))[:, ::2], np.zeros((3, 3), dtype=np.float32)]
     for matrix in bad:
         with pytest.raises(TypeError, match="row-major"):
-            native._at(matrix)
+            native.at(matrix)
 
 
 def bits(built: dict[str, ca.Function], N: int) -> list[bytes]:

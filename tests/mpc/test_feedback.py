@@ -90,7 +90,7 @@ def test_prediction_is_the_team_under_the_law(owned: tuple[int, ...]) -> None:
         u[own] = at.u[own] + v[k]
         u[others] = (setup.hover.u + gain() @ (at.x + dx - x_ref[k]) + feedforward[k] + c[k])[others]
         dx = discrete.f_d + discrete.A @ dx + discrete.B @ (u - at.u)
-        convolved = sum(prediction.impulse[k - j] @ v[j] for j in range(k + 1))
+        convolved = sum(prediction.effect[:, k - j] @ v[j] for j in range(k + 1))
         assert np.abs(prediction.dX_free[k + 1] + convolved - dx).max() < ROLLOUT_TOLERANCE
 
 

@@ -170,8 +170,8 @@ def test_others_effort_is_part_of_the_program() -> None:
     for answering in (True, False):
         one = Controller(LinearModel(case.system, at), at, LQ, case.owned, X_ref)
         if not answering:
-            one._objective._responding = np.zeros(0, dtype=np.intp)
-            one._objective._Q_with_others = one._objective._Q
+            one._program._responding = np.zeros(0, dtype=np.intp)
+            one._program._Q_with_others = one._program._Q
         x = X_ref[15] + small_state(at, np.random.default_rng(1), 0.05)
         found.append(np.abs(optimum(one, X_ref, 15, x, at.u, None).c).max())
     assert found[0] < NO_CORRECTION

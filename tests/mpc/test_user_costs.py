@@ -70,7 +70,7 @@ def test_a_curved_term_is_expanded_about_the_present_state() -> None:
     steps = 1e-6 * np.eye(len(at.x))
     slope = np.array([(value(at.x + h) - value(at.x - h)) / 2e-6 for h in steps])
     ahead = value(at.x) + slope @ free.dX_free[1]
-    expected = 2.0 * 2.0 * 0.7 * ahead * (slope @ free.impulse[0])
+    expected = 2.0 * 2.0 * 0.7 * ahead * (slope @ free.effect[:, 0])
     scale = (settings.limits.upper(1) - settings.limits.lower(1)) / 2.0
     difference = (own_g - g)[: len(scale)] / scale
     assert np.abs(difference - expected).max() <= 1e-6 * np.abs(expected).max()

@@ -53,7 +53,7 @@ def test_size_of_the_program(name: str, uavs: int, group: int) -> None:
     constraints = len(scenario.controller.constraint)
     actual = decision.size + len(rows.penalties)
     assert actual <= found.variables <= actual + constraints
-    actual_rows = len(rows._template)
+    actual_rows = len(rows.A)
     assert actual_rows <= found.rows <= actual_rows + 7 * constraints
 
 

@@ -1,5 +1,6 @@
 """Quadratic programs for the tests of the solvers: random, infeasible, and from simulated runs."""
 
+from copy import deepcopy
 from functools import lru_cache
 
 import numpy as np
@@ -73,7 +74,6 @@ def collected(minimum_m: float) -> list[QP]:
     for at in situations(setup, centralized, start_s=5.0, steps=8):
         for one in [*centralized, *team(setup, settings, [(0,), (1, 2)])]:
             linear = one.linearise(at.x, at.u)
-            programs.append(
-                one.condense(linear, one.predict(linear, one.discretise(linear), at.U, None), at.U, at.y_ref)
-            )
+            prediction = one.predict(linear, one.discretise(linear), at.U, None)
+            programs.append(deepcopy(one.condense(linear, prediction, at.U, at.y_ref)))
     return programs

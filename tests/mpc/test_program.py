@@ -1,0 +1,202 @@
+"""Prediction and QP against the paper's stacked matrices, and the compiled kernels against the matrix products."""
+
+from copy import deepcopy
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from model import native
+from model.arrays import Array
+from model.discretisation import Discrete
+from mpc.controller import Controller
+from mpc.feedback import FeedbackLaw
+from mpc.prediction import Prediction, free_response, open_loop, stacked
+from mpc.qp import QP, _residuals, residuals
+from mpc.regulation import CostToGo
+from mpc.settings import Constraint, ControllerSettings, CostTerm, Separation, Tilt
+from mpc.solvers import _active_set, solve_clarabel, within_bounds
+from tests.support import naive
+from tests.support.programs import random_qp
+from tests.support.systems import paper_setup, ring_setup, situation
+
+needs_kernels = pytest.mark.skipif(not native.AVAILABLE, reason="no compiled kernels: no C compiler, or switched off")
+
+# Both sides are sums of the same products in another order: only rounding, relative to the largest entry.
+ROUNDING = 1e-12
+# The same of sums over the horizon whose terms cancel.
+CANCELLED = 1e-10
+
+# (states, owned inputs, others' inputs, outputs, horizon): scalars, horizon 1 and 2, wide, tall, many steps.
+SIZES = [(1, 1, 1, 1, 1), (3, 2, 1, 2, 1), (4, 1, 3, 5, 2), (2, 3, 2, 1, 3), (6, 2, 4, 3, 7), (5, 4, 4, 4, 20)]
+
+
+def close(left: Array, right: Array, within: float = ROUNDING) -> bool:
+    """Equal up to rounding relative to the largest entry."""
+    scale = max(1.0, float(np.abs(right).max(initial=0.0)))
+    return left.shape == right.shape and bool(np.abs(left - right).max(initial=0.0) <= within * scale)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("size", SIZES, ids=str)
+def test_prediction_is_that_of_the_stacked_matrices(size: tuple[int, int, int, int, int], seed: int) -> None:
+    """dX = F + G dx(k) + H_i dU_i + H-bar_i dU-bar_i, paper (24), with dx(k) = 0 and any choice of owned inputs.
+
+    Rows of a signal s = S x at steps 1..N_p are S-bar H of paper (16) without its first, zero block row; the owned
+    columns of the announced inputs are the decision itself, so their content changes nothing.
+    """
+    n, m, others, p, steps = size
+    rng = np.random.default_rng(seed)
+    A = rng.standard_normal((n, n))
+    # Powers neither explode nor vanish over the horizon, so that every block counts in the comparison.
+    A /= max(abs(np.linalg.eigvals(A)))
+    B, f_d, C = rng.standard_normal((n, m + others)), rng.standard_normal(n), rng.standard_normal((p, n))
+    u0, U, v = (
+        rng.standard_normal(m + others),
+        rng.standard_normal((steps, m + others)),
+        rng.standard_normal((steps, m)),
+    )
+    own = np.sort(rng.permutation(m + others)[:m])
+    rest = np.setdiff1d(np.arange(m + others), own)
+    announced = U.copy()
+    announced[:, own] += 5.0
+    prediction = open_loop(Discrete(A=A, B=B, f_d=f_d), u0, own, announced)
+
+    expected = naive.stacked_drift(A, f_d, steps)
+    expected += naive.stacked_input(A, B[:, own], steps) @ v.reshape(-1)
+    expected += naive.stacked_input(A, B[:, rest], steps) @ (U - u0)[:, rest].reshape(-1)
+    decided = (stacked(prediction.effect) @ v.reshape(-1)).reshape(steps, n)
+    assert close((prediction.dX_free + np.vstack([np.zeros(n), decided])).reshape(-1), expected)
+    assert np.array_equal(prediction.U_free, np.tile(u0[own], (steps, 1)))
+    outputs = naive.stacked_output(C, steps) @ naive.stacked_input(A, B[:, own], steps)
+    assert close(stacked(np.tensordot(C, prediction.effect, 1)), outputs[p:])
+    W = rng.standard_normal((steps, n))
+    assert close(free_response(A, W), naive.simulate(A, np.eye(n), np.zeros(n), W))
+
+
+ALL_ROWS: dict[str, Any] = {
+    "separation": Separation(minimum_m=0.45),
+    "tilt": Tilt(limit_deg=12.0),
+    "constraints": (Constraint(expression="dot(v0, v0) <= 1.0"), Constraint(expression="thrust1 + thrust2 <= 45")),
+    "costs": (CostTerm(expression="v0[0] * v0[1]", weight=0.3), CostTerm(expression="e1[0]", weight=2.0)),
+}
+LQ: dict[str, Any] = {"prediction": "closed_loop", "terminal": "riccati"}
+# UAVs, owned ones, settings: around the width of a vector, with and without each kind of output and row.
+CASES: list[tuple[int, tuple[int, ...], dict[str, Any]]] = [
+    (1, (0,), {"horizon": 1}),
+    (2, (1,), {"horizon": 3, "separation": Separation(minimum_m=1.5)}),
+    (4, (0, 2), {"horizon": 7, **ALL_ROWS}),
+    (4, (2,), {"horizon": 20, "tilt": Tilt(limit_deg=20.0), **LQ}),
+    (4, (0, 1, 2, 3), {"horizon": 5, **ALL_ROWS, **LQ}),
+    (4, (1, 3), {"horizon": 9, "motor_lag_s": 0.03, **ALL_ROWS, **LQ}),
+    (3, (0,), {"horizon": 6, "prediction": "closed_loop", "motor_lag_s": 0.03}),
+]
+
+
+def problem(
+    case: tuple[int, tuple[int, ...], dict[str, Any]], seed: int = 1
+) -> tuple[Controller, Prediction, QP, FeedbackLaw | None, QP]:
+    """Return controller, prediction and QP by the kernels, control law, and the QP by the matrix products."""
+    N, owned, options = case
+    setup, settings = paper_setup() if N == 4 else ring_setup(N), ControllerSettings(**options)
+    at, rng = situation(setup, settings, seed), np.random.default_rng(seed)
+    one = Controller(setup.model, setup.hover, settings, owned)
+    x = np.concatenate([at.x, 1.01 * at.u]) if settings.motor_lag_s else at.x
+    X_ref = setup.x + 0.1 * rng.standard_normal((settings.horizon + 1, len(setup.x)))
+    law = one.law(x, X_ref[:-1], 0.1 * rng.standard_normal(at.U.shape))
+    end: CostToGo | None = one.end(x, X_ref[-1])
+    linear = one.linearise(x, at.u)
+    prediction = one.predict(linear, one.discretise(linear), at.U, law)
+    qp = one.condense(linear, prediction, at.U, at.y_ref, law, end)
+    plain = one.condense(linear, replace(prediction), at.U, at.y_ref, law, end)
+    return one, prediction, qp, law, plain
+
+
+@needs_kernels
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_kernels_are_the_matrix_products(
+    case: tuple[int, tuple[int, ...], dict[str, Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Prediction, Hessian, symmetric to the bit, gradient, bounds and rows."""
+    _, prediction, qp, _, plain = problem(case)
+    assert np.array_equal(qp.H, qp.H.T), "solvers read one triangle only"
+    for name in ("H", "g", "A"):
+        assert close(getattr(qp, name), getattr(plain, name), CANCELLED), name
+    for name in ("lower", "upper", "row_lower", "row_upper"):
+        one, other = getattr(qp, name), getattr(plain, name)
+        assert np.array_equal(np.isfinite(one), np.isfinite(other))
+        assert close(one[np.isfinite(one)], other[np.isfinite(other)], CANCELLED), name
+    monkeypatch.setattr(native, "AVAILABLE", False)
+    expected = problem(case)[1]
+    for name in ("effect", "dX_free", "U_free", "U_all", "feedback", "dU_free"):
+        assert close(getattr(prediction, name), getattr(expected, name), CANCELLED), name
+
+
+@needs_kernels
+@pytest.mark.parametrize("w", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("size", [0.01, 10.0], ids=["within limits", "beyond limits"])
+@pytest.mark.parametrize("case", [case for case in CASES if "prediction" in case[2]], ids=str)
+def test_relaxed_plans_of_the_kernels(case: tuple[int, tuple[int, ...], dict[str, Any]], w: float, size: float) -> None:
+    """Inputs and corrections, with bounds and rates that hold and that do not, are those of the plain functions."""
+    one, prediction, _, law, _ = problem(case)
+    assert law is not None
+    program = one._program
+    z = size * np.random.default_rng(2).standard_normal(program.decision.size)
+    for found, expected in zip(
+        program.relaxed(prediction, law, z, w), program.relaxed(replace(prediction), law, z, w), strict=True
+    ):
+        assert close(found, expected, CANCELLED)
+
+
+def test_copies_of_a_program_stay() -> None:
+    """The arrays of a QP are used again for the next one; a copy keeps its data and its solution."""
+    one, _, qp, _, _ = problem(CASES[2])
+    kept, before = deepcopy(qp), one.solve(qp).z
+    qp.g[:] += 1.0
+    assert np.array_equal(one.solve(kept).z, before)
+    assert not np.array_equal(one.solve(qp).z, before)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_bounded_programs_have_their_solution(seed: int) -> None:
+    """Kernel and plain method find the optimum an interior-point method finds, whatever the bounds."""
+    program = random_qp(seed)
+    none, n = np.zeros(0), len(program.g)
+    program = replace(program, A=np.zeros((0, n)), row_lower=none, row_upper=none)
+    expected, found = solve_clarabel(program), within_bounds(program)
+    assert found is not None, "these are well conditioned: no circles"
+    plain = _active_set(program.H, program.g, program.lower, program.upper)
+    assert plain[2] > 0
+    for z, multipliers in ((found.z, found.bound_multipliers), plain[:2]):
+        assert np.abs(z - expected.z).max() <= 1e-6 * max(1.0, np.abs(z).max())
+        assert ((program.lower <= z) & (z <= program.upper)).all()
+        assert residuals(program, z, multipliers, none).worst <= 1e-9
+
+
+def test_a_program_without_curvature_is_given_up() -> None:
+    """A matrix that is not positive definite, or nan, is reported as a failure."""
+    for H in (-np.eye(3), np.zeros((3, 3)), np.full((3, 3), np.nan)):
+        free = np.full(3, np.inf)
+        qp = QP(H=H, g=np.ones(3), lower=-free, upper=free, A=np.zeros((0, 3)), row_lower=free[:0], row_upper=free[:0])
+        assert within_bounds(qp) is None
+        assert _active_set(H, qp.g, qp.lower, qp.upper)[2] == 0
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_residuals_of_the_kernels(seed: int) -> None:
+    """At the optimum, and anywhere else; what is not a number stays so, wherever it is."""
+    program = random_qp(seed)
+    answer = solve_clarabel(program)
+    rng = np.random.default_rng(seed)
+    for size in (0.0, 1e-3, 1.0):
+        z = answer.z + size * rng.standard_normal(len(answer.z))
+        pushed = answer.bound_multipliers + size * rng.standard_normal(len(z))
+        rows = answer.row_multipliers + size * rng.standard_normal(len(program.A))
+        found, expected = residuals(program, z, pushed, rows), _residuals(program, z, pushed, rows)
+        for name in ("stationarity", "primal", "complementarity"):
+            assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=1e-9, abs=1e-12)
+    for at in (0, len(z) // 2, len(z) - 1):
+        broken = answer.z.copy()
+        broken[at] = np.nan
+        assert residuals(program, broken, answer.bound_multipliers, answer.row_multipliers).worst == np.inf
