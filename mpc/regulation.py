@@ -55,7 +55,7 @@ class Regulation:
     def __init__(self, model: Model, hover: Hover, settings: ControllerSettings, X_ref: Array | None = None) -> None:
         self._whole, self._whole_hover = model, hover
         self._lag_s = settings.motor_lag_s
-        self._settings, self.user_costs = settings, UserCosts(settings.costs, model)
+        self._settings, self.user_costs = settings, UserCosts(settings.cost, model)
         self._fail_safe = FailSafe(model.system, hover.u)
         self._X_ref = X_ref if settings.preview else None
         # Values of the user's terms on the reference, (K, terms): no team changes them.

@@ -167,7 +167,7 @@ class UserRows:
 
     def __init__(self, decision: Decision) -> None:
         self._decision, steps = decision, decision.settings.horizon
-        self._on_state, self._on_input = compile_constraints(decision.settings.constraints, decision.system)
+        self._on_state, self._on_input = compile_constraints(decision.settings.constraint, decision.system)
         self._kept = self._on_input.expressions.depends[:, decision.own].any(axis=1)
         soft = np.flatnonzero(~np.isnan(self._on_state.penalty))
         self.penalties = self._on_state.penalty[soft]

@@ -1,54 +1,116 @@
-"""Settings of a controller: rates, horizon, weights, limits."""
+"""Settings of a controller: rates, horizon, weights, limits; and the base of all sections of a scenario.
 
-from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+These classes are sections of a scenario file as well: each field has its key, type, range, default and meaning here
+alone. docs/keys.md, labels of figures, short names in Python and options of commands are made from them
+(`protocol.scenario.keys`).
+"""
+
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from annotated_types import Interval
+from annotated_types import Interval, Len
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict
+from pydantic_core import PydanticCustomError
 
 from model.arrays import Array
 
 SolverName = Literal["daqp", "clarabel"]
 PredictionName = Literal["open_loop", "closed_loop"]
-TerminalName = Literal["multiple", "riccati"]
-DiscretisationName = Literal["exact", "euler"]
 PenalisedInput = Literal["deviation", "absolute"]
-
-# Limits stand here alone: settings check them, and the scenario's schema is built from them.
-Positive = Annotated[float, Interval(gt=0.0)]
-NotNegative = Annotated[float, Interval(ge=0.0)]
-Horizon = Annotated[int, Interval(ge=1)]
 
 
 class SettingsError(ValueError):
-    """A setting out of its range; the text names it, what was expected and what came."""
+    """A setting that a controller cannot use; the text names it, what was expected and what came."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Weights:
-    """The diagonal weights of the cost (docs/equations.md (21)).
+class Key:
+    """Properties of a key beside type and range, in the annotation of its field.
 
     Attributes:
-        position: On each UAV position error, 1/m^2.
-        attitude: On payload roll, pitch, yaw, 1/rad^2.
-        yaw_rate: On each UAV yaw rate, s^2/rad^2.
-        payload_position: On the payload's position error, 1/m^2.
-        payload_velocity: On the payload's velocity error, s^2/m^2.
-        terminal: Q_f as a multiple of Q, with a terminal cost of that kind.
-        thrust: 1/N^2.
-        moments: About the UAV's body axes, (3,), 1/(N m)^2.
-        penalised_input: R weighs the input's deviation from hover, or the input itself as in paper (17).
+        unit: In SI; None where the ending of the name tells (`protocol.scenario.keys.UNITS`).
+        within: Smallest magnitude apart from zero, and largest; None: by the ending of the name.
+        label: Name on the axis of a figure; empty: the words of the key.
+        shown: Unit in figures, where it is not `unit`.
+        short: Name as a keyword argument in Python, if it has one.
+        type: Type and range in words, where a check in code decides.
+        option, words: Of a key of a link: option of `transport link set`, and a change in words, with a place for the
+            value, in percent before "%".
     """
 
-    position: Positive = 1.0
-    attitude: Positive = 5.0
-    yaw_rate: Positive = 0.05
-    payload_position: NotNegative = 0.0
-    payload_velocity: NotNegative = 0.0
-    terminal: NotNegative = 5.0
-    thrust: Positive = 1e-3
-    moments: tuple[Positive, Positive, Positive] = (1e-2, 1e-2, 1e-2)
+    unit: str | None = None
+    within: tuple[float, float] | None = None
+    label: str = ""
+    shown: str = ""
+    short: str = ""
+    type: str = ""
+    option: str = ""
+    words: str = ""
+
+
+class Section(BaseModel):
+    """Part of a scenario: unknown keys are refused, values are frozen."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+def _as_tuple(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _three_numbers(value: tuple[float, ...]) -> tuple[float, ...]:
+    if len(value) != 3:
+        raise PydanticCustomError("shape", "expected 3 numbers")
+    return value
+
+
+def _growing(value: tuple[float, ...]) -> tuple[float, ...]:
+    if not value[0] < value[1]:
+        raise PydanticCustomError("range", "expected smallest < largest")
+    return value
+
+
+Positive = Annotated[float, Interval(gt=0.0)]
+NotNegative = Annotated[float, Interval(ge=0.0)]
+Vector = Annotated[tuple[float, ...], BeforeValidator(_as_tuple), AfterValidator(_three_numbers)]
+PositiveVector = Annotated[tuple[Positive, ...], BeforeValidator(_as_tuple), AfterValidator(_three_numbers)]
+NotNegativeVector = Annotated[tuple[NotNegative, ...], BeforeValidator(_as_tuple), AfterValidator(_three_numbers)]
+Range = Annotated[tuple[NotNegative, ...], BeforeValidator(_as_tuple), Len(2, 2), AfterValidator(_growing)]
+
+# Weights: the condition of the QP is about their ratio.
+_WEIGHTS = (1e-12, 1e8)
+
+
+class Weights(Section):
+    """The diagonal weights of the cost (docs/equations.md (21))."""
+
+    position: Annotated[Positive, Key(unit="1/m²", within=_WEIGHTS, label="weight on UAV position")] = 1.0
+    """weight on each coordinate of each UAV's position error"""
+    attitude: Annotated[Positive, Key(unit="1/rad²", within=_WEIGHTS, label="weight on payload attitude")] = 5.0
+    """weight on payload roll, pitch, yaw"""
+    yaw_rate: Annotated[Positive, Key(unit="s²/rad²", within=_WEIGHTS, label="weight on yaw rate")] = 0.05
+    """weight on each UAV's third body rate"""
+    payload_position: Annotated[NotNegative, Key(unit="1/m²", within=_WEIGHTS, label="weight on payload position")] = (
+        0.0
+    )
+    """weight on each coordinate of the payload's position error"""
+    payload_velocity: Annotated[NotNegative, Key(unit="s²/m²", within=_WEIGHTS, label="weight on payload velocity")] = (
+        0.0
+    )
+    """weight on each coordinate of the payload's velocity error"""
+    terminal: Annotated[NotNegative, Key(within=_WEIGHTS, label="terminal weight")] = 5.0
+    """Q_f as a multiple of Q; no effect with `controller.terminal=riccati`"""
+    thrust: Annotated[Positive, Key(unit="1/N²", within=_WEIGHTS, label="weight on thrust")] = 1e-3
+    """weight on each thrust"""
+    moments: Annotated[PositiveVector, Key(unit="1/(N m)²", within=_WEIGHTS, label="weight on moments")] = (
+        1e-2,
+        1e-2,
+        1e-2,
+    )
+    """weight on each moment, per body axis"""
     penalised_input: PenalisedInput = "deviation"
+    """argument of R: the deviation of the input from hover, or the input itself (the paper)"""
 
     def Q(self, N: int) -> Array:
         """Return the diagonal of Q for N UAVs, (4 N + 9,)."""
@@ -60,27 +122,17 @@ class Weights:
         return np.tile([self.thrust, *self.moments], N)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Limits:
-    """The actuator limits, the same for every UAV.
+class Limits(Section):
+    """The actuator limits, the same for every UAV."""
 
-    Attributes:
-        thrust_N: Smallest and largest thrust.
-        moments_Nm: Largest moment about each body axis, either sign, (3,).
-        thrust_rate_N_s: Largest change of thrust per second.
-        moment_rates_Nm_s: Largest change of each moment per second, (3,).
-    """
-
-    thrust_N: tuple[NotNegative, NotNegative] = (0.0, 45.0)
-    moments_Nm: tuple[Positive, Positive, Positive] = (1.0, 1.0, 0.5)
+    thrust_N: Range = (0.0, 45.0)
+    """smallest and largest thrust; hover must lie between"""
+    moments_Nm: PositiveVector = (1.0, 1.0, 0.5)
+    """largest moment about each body axis, either sign"""
     thrust_rate_N_s: Positive = 100.0
-    moment_rates_Nm_s: tuple[Positive, Positive, Positive] = (10.0, 10.0, 5.0)
-
-    def __post_init__(self) -> None:
-        low, high = self.thrust_N
-        if not 0.0 <= low < high < np.inf:
-            raise SettingsError(f"thrust_N: expected 0 <= smallest < largest, got {list(self.thrust_N)}")
-        _check(self)
+    """largest change of thrust; over one period it is this times T_s"""
+    moment_rates_Nm_s: PositiveVector = (10.0, 10.0, 5.0)
+    """largest change of each moment"""
 
     def lower(self, uavs: int) -> Array:
         """Return the smallest inputs of that many UAVs, (4 uavs,)."""
@@ -95,132 +147,83 @@ class Limits:
         return np.tile([self.thrust_rate_N_s, *self.moment_rates_Nm_s], uavs) * period_s
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Separation:
-    """The smallest distance between the centres of any two UAVs, softened so that no state makes the QP infeasible.
+class Separation(Section):
+    """The smallest distance between the centres of any two UAVs, softened so that no state makes the QP infeasible."""
 
-    Attributes:
-        minimum_m: m.
-        penalty: Weight of the largest violation over the horizon, per metre. Above the constraint's
-            multiplier the softened problem has the solution of the hard one if that exists.
-    """
-
-    minimum_m: Positive
-    penalty: Positive = 100.0
+    minimum_m: Annotated[Positive, Key(label="smallest allowed distance of UAVs")]
+    """smallest distance between the centres of any two UAVs; at most the distance at hover"""
+    # Above the constraint's multiplier the softened problem has the solution of the hard one if that exists.
+    penalty: Annotated[Positive, Key(unit="1/m", within=_WEIGHTS)] = 100.0
+    """penalty on the largest violation over the horizon"""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Tilt:
+class Tilt(Section):
     """The largest roll and pitch that an agent plans for its UAVs, softened so that no state makes the QP infeasible.
 
     It keeps a UAV far off its reference from angles at which the linearisation is not valid.
-
-    Attributes:
-        limit_deg: Either sign, deg.
-        penalty: Weight of the largest violation over the horizon, per radian.
     """
 
-    limit_deg: Annotated[float, Interval(gt=0.0, lt=90.0)]
-    penalty: Positive = 10.0
+    limit_deg: Annotated[float, Interval(gt=0.0, lt=90.0), Key(label="largest planned tilt")]
+    """largest roll and pitch, either sign, that an agent plans for its own UAVs"""
+    penalty: Annotated[Positive, Key(unit="1/rad", within=_WEIGHTS)] = 10.0
+    """penalty on the largest violation over the horizon"""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Constraint:
+class Constraint(Section):
     """A constraint of the user as text over the model's variables (see `mpc.expressions`).
 
-    Attributes:
-        expression: Such as "r0[2] <= -2" or "thrust1 + thrust2 <= 60".
-        soft: Soften a state inequality with a slack of its own; equalities stay hard.
-        penalty: Weight per unit of the largest violation over the horizon. Every agent corrects the whole
-            violation it predicts: use `relaxation` where the constraint becomes active.
+    Every agent corrects the whole violation it predicts: use `relaxation` where the constraint becomes active.
     """
 
     expression: str
+    """such as `"r0[2] >= -12.0"`"""
     soft: bool = True
-    penalty: Positive = 1000.0
+    """true: a state inequality may be violated at a penalty; equalities and input constraints are always hard"""
+    penalty: Annotated[Positive, Key(unit="1 over the unit of the expression", within=_WEIGHTS)] = 1000.0
+    """penalty on the largest violation over the horizon"""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CostTerm:
-    """A cost term of the user: weight times the square of an expression, at every step of the horizon.
-
-    Attributes:
-        expression: Of states, zero without cost, such as "e1[0]" (see `mpc.expressions`).
-        weight: Per square of its unit; at the last step `Weights.terminal` times as much.
-    """
+class CostTerm(Section):
+    """A cost term of the user: weight times the square of an expression, at every step of the horizon."""
 
     expression: str
-    weight: Positive
+    """term of the cost, such as `"v0[0]"`: of states alone, zero where the cost is zero"""
+    weight: Annotated[Positive, Key(unit="1 over the square of the expression's unit", within=_WEIGHTS)]
+    """weight of its square at each step of the horizon; at the last step `controller.weights.terminal` times as much,
+    or the cost-to-go"""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ControllerSettings:
-    """All settings of one controller.
+class ControllerSettings(Section):
+    """All settings of one controller."""
 
-    Attributes:
-        sampling_period_s: T_s.
-        horizon: N_p, in sampling periods.
-        prediction: Of the other UAVs: by the inputs they announced ("open_loop", the paper), or by
-            the shared control law and the corrections they announced ("closed_loop").
-        terminal: Cost of the last state: a multiple of the stage cost ("multiple", the paper), or the infinite-horizon
-            cost-to-go of the team's linear-quadratic regulator ("riccati").
-        preview: The regulator, and with it the shared control law and the cost-to-go, uses the reference ahead.
-        discretisation: Exact zero-order hold, or one step of Euler's method for comparison.
-        relaxation: w in (0, 1]; the published plan is w U* + (1 - w) U_shifted, in closed loop the same of the
-            corrections.
-        solver: First choice; Clarabel takes over when the residual check fails.
-        motor_lag_s: Time constant of the motors that the controller predicts with; 0: inputs act at once.
-    """
-
-    sampling_period_s: Positive = 0.05
-    horizon: Horizon = 20
-    weights: Weights = field(default_factory=Weights)
-    limits: Limits = field(default_factory=Limits)
+    sampling_period_s: Annotated[
+        Positive, Key(within=(1e-5, 10.0), label="sampling period", shown="ms", short="sampling_period_s")
+    ] = 0.05
+    """sampling period T_s"""
+    horizon: Annotated[int, Interval(ge=1), Key(label="horizon", shown="steps", short="horizon")] = 20
+    """prediction horizon N_p, in sampling periods"""
+    prediction: Annotated[PredictionName, Key(short="prediction")] = "open_loop"
+    """prediction of the others: their announced inputs (the paper), or the shared control law plus announced
+    corrections"""
+    terminal: Literal["multiple", "riccati"] = "multiple"
+    """cost at the end of the horizon: Q_f, or the cost-to-go of the team's linear-quadratic regulator,
+    [equations.md](equations.md) (36d). riccati needs `controller.weights.penalised_input=deviation`"""
+    preview: bool = False
+    """true: the shared control law and the cost-to-go use the reference ahead, [equations.md](equations.md) (36c).
+    true needs closed_loop or riccati"""
+    discretisation: Literal["exact", "euler"] = "exact"
+    """discretisation of the linearised model: zero-order hold, or one step of Euler's method for comparison"""
+    relaxation: Annotated[float, Interval(gt=0.0, le=1.0)] = 1.0
+    """share w in (0, 1] of the new optimum in the published plan w U* + (1 - w) U_shifted"""
+    solver: Annotated[SolverName, Key(short="solver")] = "daqp"
+    """first QP solver. daqp: the program with bounds alone is tried first, and Clarabel solves any program whose
+    solution fails the residual check"""
+    motor_lag_s: Annotated[NotNegative, Key(label="motor lag of the model", shown="ms")] = 0.0
+    """time constant of the motors that the controller predicts with, [equations.md](equations.md#motors) (55); 0, or
+    at least a hundredth of T_s. The time constant of the plant is `plant.motors.lag_s`"""
+    weights: Weights = Weights()
+    limits: Limits = Limits()
     separation: Separation | None = None
     tilt: Tilt | None = None
-    constraints: tuple[Constraint, ...] = ()
-    costs: tuple[CostTerm, ...] = ()
-    prediction: PredictionName = "open_loop"
-    terminal: TerminalName = "multiple"
-    preview: bool = False
-    discretisation: DiscretisationName = "exact"
-    relaxation: Annotated[float, Interval(gt=0.0, le=1.0)] = 1.0
-    solver: SolverName = "daqp"
-    motor_lag_s: NotNegative = 0.0
-
-    def __post_init__(self) -> None:
-        _check(self)
-
-
-def _check(settings: object) -> None:
-    """Check settings against the limits and choices in the types of their fields.
-
-    Raises: SettingsError: naming the field, what was expected and what came.
-    """
-    for name, hint in get_type_hints(type(settings), include_extras=True).items():
-        value = getattr(settings, name)
-        is_tuple = get_origin(hint) is tuple
-        entry = get_args(hint)[0] if is_tuple else hint
-        if get_origin(entry) is Literal and value not in get_args(entry):
-            raise SettingsError(f"{name}: expected one of {', '.join(get_args(entry))}, got {value!r}")
-        if get_origin(entry) is Annotated:
-            kind, limits = get_args(entry)
-            if not all(_is_within(one, kind, limits) for one in (value if is_tuple else (value,))):
-                noun = "an integer" if kind is int else "numbers" if is_tuple else "a number"
-                got = list(value) if is_tuple else value
-                raise SettingsError(f"{name}: expected {noun} {_range(limits)}, got {got}")
-
-
-def _is_within(value: Any, kind: type, limits: Any) -> bool:
-    if (kind is int and not isinstance(value, int)) or not np.isfinite(value):
-        return False
-    above = value >= limits.ge if limits.gt is None else value > limits.gt
-    return bool(above and (limits.le is None or value <= limits.le) and (limits.lt is None or value < limits.lt))
-
-
-def _range(limits: Any) -> str:
-    """Return limits as text, such as ">= 1" or "in (0, 1]"."""
-    if limits.le is limits.lt is None:
-        return f">= {limits.ge:g}" if limits.gt is None else f"> {limits.gt:g}"
-    low = f"[{limits.ge:g}" if limits.gt is None else f"({limits.gt:g}"
-    return f"in {low}, {limits.lt:g})" if limits.le is None else f"in {low}, {limits.le:g}]"
+    constraint: Annotated[tuple[Constraint, ...], BeforeValidator(_as_tuple)] = ()
+    cost: Annotated[tuple[CostTerm, ...], BeforeValidator(_as_tuple)] = ()

@@ -11,7 +11,7 @@ import numpy as np
 
 from model import motors, state
 from model.arrays import Array
-from protocol.scenario.motor_sections import MotorsSection, RotorsSection
+from protocol.scenario.plant_sections import MotorsSection, RotorsSection
 
 # Signs of a rotor's arm along y, along x, and of its drag moment: front right, rear left (both turning
 # counterclockwise seen from above), front left, rear right (clockwise); arms at 45 deg to the axes, x forward, z down.

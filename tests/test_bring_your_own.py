@@ -50,7 +50,7 @@ def test_the_constraint_of_the_document(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text((SCENARIOS / "resilient.toml").read_text(encoding="utf-8") + "\n" + constraint, encoding="utf-8")
     run = Setup.of(read_scenario(path), str(path))
-    assert [(c.expression, c.penalty, c.soft) for c in run.settings.constraints] == [("r0[2] >= -11.0", 0.5, True)]
+    assert [(c.expression, c.penalty, c.soft) for c in run.settings.constraint] == [("r0[2] >= -11.0", 0.5, True)]
 
 
 @pytest.mark.slow

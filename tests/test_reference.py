@@ -1,5 +1,6 @@
 """Pages and pictures made from the code: up to date, and whole."""
 
+import re
 import subprocess
 import sys
 import tomllib
@@ -7,11 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from protocol.scenario import keys
-from protocol.scenario.keys import MeaningError, schema_sections, sections, toml, type_of
+from protocol.scenario.keys import fields, section_in, unit_of
 from protocol.scenario.link_sections import LinkSection
-from protocol.scenario.schema import Scenario
 from tests.support.command_tree import every_command, root
+from transport.interface.settings import KEY_OF, ShortSettings
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -33,50 +33,48 @@ def test_made_files_are_up_to_date(name: str) -> None:
     assert done.stdout == (ROOT / "docs" / name).read_text(encoding="utf-8"), "make reference"
 
 
-def test_every_key_has_a_meaning() -> None:
-    """keys.toml has an entry for each key of the schema and no other; the walk goes through the whole schema."""
-    found = {(section.path, key.name) for section in sections() for key in section.keys}
-    assert found == {(path, name) for path, _, fields in schema_sections() for name in fields}
-    top = {field.alias or name for name, field in Scenario.model_fields.items()}
-    assert {path.partition(".")[0] for path, _, _ in schema_sections()} - {""} <= top
-    assert {("links", name) for name in LinkSection.model_fields if name != "gilbert_elliott"} <= found
-    assert ("controller.weights", "payload_velocity") in found
-
-
-@pytest.mark.parametrize("change", ["lacks", "invents"])
-def test_wrong_meanings_are_refused(change: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A key without an entry and an entry without a key are named."""
-    text = keys.MEANINGS.read_text(encoding="utf-8")
-    line = next(line for line in text.splitlines() if line.startswith("horizon = "))
-    other = tmp_path / "keys.toml"
-    other.write_text(text.replace(line, "" if change == "lacks" else f"{line}\nwarp = {{ meaning = 'speed' }}"))
-    monkeypatch.setattr(keys, "MEANINGS", other)
-    with pytest.raises(MeaningError, match=r"\[controller\].*wrong: " + ("horizon" if change == "lacks" else "warp")):
-        sections()
-
-
-def test_defaults_are_toml() -> None:
-    """A default as the page shows it is read as the default."""
-    for section, (_, _, fields) in zip(sections(), schema_sections(), strict=True):
-        for key in section.keys:
-            field = fields[key.name]
-            if field.is_required() or field.default is None:
-                assert key.default == ("required" if field.is_required() else "left out")
-            else:
-                value = tomllib.loads(f"value = {key.default}")["value"]
-                assert (value, type(value)) == (field.default, type(field.default)), f"{section.path}.{key.name}"
-    assert toml(["a", 1.0, True]) == '["a", 1.0, true]'
+def test_every_key_is_on_the_page() -> None:
+    """docs/keys.md has a row with a meaning for each key of the scenario; default, type and unit are the schema's."""
+    text = (ROOT / "docs" / "keys.md").read_text(encoding="utf-8")
+    rows = {}
+    for path, table in re.findall(r"<!-- keys of (\S+) -->\n(.*?)\n<!-- end of keys -->", text, re.DOTALL):
+        for row in table.splitlines()[2:]:
+            name, *cells = (cell.strip() for cell in row.strip("|").split(" |"))
+            rows[f"{path}.{name.strip('`')}".removeprefix("scenario.")] = cells
+    like_links = re.compile(r"links\.(measurement|actuation|override|change)\.")
+    for key, field in fields().items():
+        repeated = like_links.match(key) and key.rpartition(".")[2] in {*LinkSection.model_fields, "enter", "leave"}
+        if section_in(field.annotation) is not None or repeated:
+            continue
+        kind, unit, default, meaning = rows.pop(key)
+        assert kind, key
+        assert meaning, key
+        assert unit == unit_of(key, field)
+        if field.is_required() or field.default is None:
+            assert default == ("required" if field.is_required() else "left out")
+        else:
+            value = tomllib.loads(f"value = {default.strip('`')}")["value"]
+            assert (tuple(value) if isinstance(value, list) else value) == field.default, key
+    assert not rows
 
 
 def test_types_show_the_limits() -> None:
     """Type and range of a key are those that the schema checks."""
-    shown = {(section.path, key.name): key.type for section in sections() for key in section.keys}
-    assert shown["links", "loss"] == "number, 0 to 1"
-    assert shown["controller", "horizon"] == "integer, 1 to 10 000"
-    assert shown["controller.tilt", "limit_deg"] == "number > 0, < 90"
-    assert shown["controller.limits", "moments_Nm"] == "3 numbers > 0"
-    assert shown["clock", "mode"] == "lockstep, realtime"
-    assert type_of(list[float] | list[list[float]]) == ""  # decided by code: keys.toml says so
+    text = (ROOT / "docs" / "keys.md").read_text(encoding="utf-8")
+    for row in (
+        "| `loss` | number, 0 to 1 |",
+        "| `horizon` | integer, 1 to 10 000 |",
+        "| `limit_deg` | number > 0, < 90 |",
+        "| `moments_Nm` | 3 numbers > 0 |",
+        "| `mode` | lockstep, realtime |",
+        "| `thrust_N` | 2 numbers >= 0 |",
+    ):
+        assert row in text
+
+
+def test_short_names_are_typed() -> None:
+    """The short names in Python that an editor completes are those that keys have."""
+    assert KEY_OF.keys() == ShortSettings.__annotations__.keys()
 
 
 def test_the_page_of_commands_names_every_option() -> None:

@@ -2,7 +2,7 @@
 
 import difflib
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, TypeVar, get_args
+from typing import TypeVar
 
 from pydantic import BaseModel, ValidationError
 
@@ -10,6 +10,7 @@ from model.arrays import ShapeError
 from model.parameters import ParameterError
 from mpc.feedback import FeedbackError
 from mpc.settings import SettingsError
+from protocol.scenario.keys import names_of, section_in
 from protocol.scenario.schema import Scenario
 from protocol.wire.errors import TransportError
 
@@ -85,7 +86,8 @@ def first_problem(error: ValidationError, source: str, root: type[BaseModel] = S
         return ScenarioError(source, field, "expected a value, got nothing")
     message = problem["msg"]
     expected = f"expected {_WORDS[kind].format(**context)}" if kind in _WORDS else message[0].lower() + message[1:]
-    return ScenarioError(source, field, f"{expected}, got {_short(repr(value))}")
+    shown = list(value) if isinstance(value, tuple) else value  # lists of numbers become tuples
+    return ScenarioError(source, field, f"{expected}, got {_short(repr(shown))}")
 
 
 _WORDS = {
@@ -104,6 +106,7 @@ _WORDS = {
     "string_type": "text",
     "bool_type": "true or false",
     "list_type": "a list",
+    "tuple_type": "a list",
     "model_type": "a section",
     "dict_type": "a section",
 }
@@ -116,18 +119,6 @@ def _is_union_branch(part: int | str) -> bool:
 
 def _known_keys(section: type[BaseModel], location: Iterable[int | str]) -> list[str]:
     for part in location:
-        if isinstance(part, int):
-            continue
-        section = _section_of(section.model_fields[part].annotation)
-    return [field.alias or name for name, field in section.model_fields.items()]
-
-
-def _section_of(annotation: Any) -> type[BaseModel]:
-    """Return the section class inside an annotation such as `list[UavSection]` or `X | None`."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    for argument in get_args(annotation):
-        found = _section_of(argument) if argument is not type(None) else None
-        if found is not None:
-            return found
-    return Scenario
+        if not isinstance(part, int):
+            section = section_in(section.model_fields[part].annotation) or Scenario
+    return list(names_of(section))

@@ -2,41 +2,80 @@
 
 from typing import Annotated, Any, Literal
 
+from annotated_types import Interval
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
-from mpc.settings import NotNegative, Positive
-from protocol.scenario.sections import Section
+from mpc.settings import Key, NotNegative, Positive, Section
 from protocol.wire.names import PLANT
 
-Probability = Annotated[float, Field(ge=0.0, le=1.0)]
+Probability = Annotated[float, Interval(ge=0.0, le=1.0)]
+
+_PROCESS, _MS = "agent1, agent2, ..., plant", "ms"
 
 
 class GilbertElliottSection(Section):
     """Bursts of loss: a chain between a good state without and a bad state with loss, one step per tick."""
 
     enter: Probability
+    """probability per tick of going bad"""
     leave: Probability
+    """probability per tick of recovering"""
     loss: Probability = 1.0
+    """probability of loss while bad"""
 
 
 class LinkSection(Section):
     """Impairments of a link: all random, in scenario time, independent for each message (but for bursts).
 
-    The scale of the delay's random part is a width (uniform), standard deviation (normal, lognormal) or mean
-    (exponential). The delay is never negative.
+    The default of each key means a link without that impairment.
     """
 
-    delay_s: NotNegative = 0.0  # fixed part of the delay
-    jitter_s: NotNegative = 0.0  # scale of its random part
-    distribution: Literal["uniform", "normal", "exponential", "lognormal", "empirical"] = "uniform"
-    samples: str | None = None  # file of measured delays, which replace both parts with distribution "empirical"
-    loss: Probability = 0.0  # that a message is lost
-    gilbert_elliott: GilbertElliottSection | None = None  # bursts of loss
-    duplicate: Probability = 0.0  # that a message arrives twice, each time with a delay of its own
-    reorder: Probability = 0.0  # that a message is held back by `reorder_s` more
-    reorder_s: NotNegative = 0.0
-    # Messages per second of scenario time carried at most; those beyond are dropped.
-    rate_hz: Positive | None = None
+    delay_s: Annotated[
+        NotNegative, Key(label="delay of plans", shown=_MS, short="delay_s", option="--delay", words="delay {:g} s")
+    ] = 0.0
+    """fixed part of the delay"""
+    jitter_s: Annotated[
+        NotNegative, Key(label="jitter of plans", shown=_MS, short="jitter_s", option="--jitter", words="jitter {:g} s")
+    ] = 0.0
+    """scale of the random part of the delay: width (uniform, centred on `delay_s`), standard deviation (normal,
+    lognormal), mean (exponential); delays below 0 become 0"""
+    distribution: Annotated[
+        Literal["uniform", "normal", "exponential", "lognormal", "empirical"],
+        Key(label="delay distribution", option="--distribution"),
+    ] = "uniform"
+    """distribution of the random part of the delay; empirical draws whole delays from `samples`"""
+    samples: str | None = None
+    """file of measured delays in s, separated by blanks or commas, in or below the scenario's folder, or by its
+    absolute path; for empirical"""
+    loss: Annotated[
+        Probability, Key(label="loss of plans", shown="%", short="loss", option="--loss", words="loss {:g} %")
+    ] = 0.0
+    """probability that a message is lost, independent for each message"""
+    gilbert_elliott: GilbertElliottSection | None = None
+    duplicate: Annotated[
+        Probability, Key(label="duplicated plans", shown="%", option="--duplicate", words="duplication {:g} %")
+    ] = 0.0
+    """probability that a message arrives a second time, with a separate delay"""
+    reorder: Annotated[
+        Probability, Key(label="plans held back", shown="%", option="--reorder", words="reordering {:g} %")
+    ] = 0.0
+    """probability that a message is held back by `reorder_s`"""
+    reorder_s: Annotated[
+        NotNegative,
+        Key(
+            label="extra delay of plans held back",
+            shown=_MS,
+            option="--reorder-s",
+            words="{:g} s more for reordered messages",
+        ),
+    ] = 0.0
+    """extra delay of a message that is held back"""
+    rate_hz: Annotated[
+        Positive | None,
+        Key(label="plans per second on a link", option="--rate", words="at most {:g} messages per second"),
+    ] = None
+    """messages per second of scenario time that the link carries, evenly spread; those beyond are dropped. There is
+    one per tick: half of 1 / T_s drops every other"""
 
     @property
     def perfect(self) -> bool:
@@ -52,8 +91,10 @@ class LinkSection(Section):
 class LinkOverrideSection(LinkSection):
     """Impairments of the links from and to one process; an end left out means any agent."""
 
-    from_: Annotated[str | None, Field(alias="from")] = None
-    to: str | None = None
+    from_: Annotated[str | None, Key(type=_PROCESS), Field(alias="from")] = None
+    """sender; if omitted: any agent"""
+    to: Annotated[str | None, Key(type=_PROCESS)] = None
+    """receiver; if omitted: any agent"""
 
     def covers(self, sender: str, receiver: str) -> bool:
         """Return whether it applies to the link from one process to another; the plant has to be named."""
@@ -65,6 +106,7 @@ class LinkChangeSection(LinkOverrideSection):
     """Change of links during a run: the keys given apply to messages sent from `at_s` on, the others stay."""
 
     at_s: NotNegative
+    """time of the change: it applies to messages of the first tick not before it, and of later ticks"""
 
     @model_serializer(mode="wrap")
     def _given(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -76,9 +118,13 @@ class LinkChangeSection(LinkOverrideSection):
 class PartitionSection(Section):
     """Interval in which no message passes between the named processes and the other agents."""
 
-    between: Annotated[list[str], Field(min_length=1)]
+    between: Annotated[list[str], Field(min_length=1), Key(type=f"list of {_PROCESS}")]
+    """processes of one side: no message passes between them and the processes that are not in the list. A list without
+    the plant does not change the links to the plant; `["plant"]` cuts all of them"""
     start_s: NotNegative
-    end_s: Positive
+    """first time of sending"""
+    end_s: Annotated[Positive, Key(type="number > `start_s`, s", unit="")]
+    """time of sending at which messages pass again"""
 
 
 class LinksSection(LinkSection):

@@ -3,29 +3,13 @@
 from collections.abc import Mapping
 from typing import Any
 
+from protocol.scenario.keys import key_of
+from protocol.scenario.link_sections import LinkSection
 from protocol.scenario.links import LinkError, link_change
 from protocol.wire.messages import LinkChange
 
-# Settings of a link that make it perfect.
-PERFECT: Mapping[str, Any] = {
-    "delay_s": 0.0,
-    "jitter_s": 0.0,
-    "distribution": "uniform",
-    "loss": 0.0,
-    "gilbert_elliott": {"enter": 0.0, "leave": 1.0},
-    "duplicate": 0.0,
-    "reorder": 0.0,
-    "rate_hz": 1e9,
-}
-
-# Templates of the settings that are numbers; those in percent are shares.
-_NUMBERS = {
-    "delay_s": "delay {:g} s",
-    "jitter_s": "jitter {:g} s",
-    "reorder_s": "{:g} s more for reordered messages",
-    "rate_hz": "at most {:g} messages per second",
-}
-_PERCENT = {"loss": "loss {:g} %", "duplicate": "duplication {:g} %", "reorder": "reordering {:g} %"}
+# Settings of a link that make it perfect: the defaults.
+PERFECT: Mapping[str, Any] = {key: field.default for key, field in LinkSection.model_fields.items()}
 
 
 def words_of(change: LinkChange) -> str:
@@ -47,21 +31,20 @@ def change_in_words(source: str, target: str, settings: Mapping[str, Any]) -> st
     """
     ends = (f" from {source}" if source else "") + (f" to {target}" if target else "")
     links = f"links{ends or ' between agents'}"
-    if all(key in settings and _words(key, settings[key]) == _words(key, value) for key, value in PERFECT.items()):
+    if PERFECT.items() <= settings.items():
         return f"{links} cleared"
     return f"{links}: {', '.join(_words(key, value) for key, value in settings.items())}"
 
 
 def _words(key: str, value: Any) -> str:
     """Return a key of a link and its new value in words."""
-    if value is not None and key in _NUMBERS:
-        return _NUMBERS[key].format(value)
-    if key in _PERCENT:
-        return _PERCENT[key].format(100.0 * value)
+    template = key_of(LinkSection.model_fields[key]).words
     if key == "gilbert_elliott":
         if value is None or not value["enter"]:
             return "no burst loss"
         return f"burst loss, entered with {100.0 * value['enter']:g} % and left with {100.0 * value['leave']:g} %"
     if value is None:
         return f"no {key}"
+    if template:
+        return template.format(100.0 * value if "%" in template else value)
     return f"{key} {value}"

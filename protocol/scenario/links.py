@@ -17,8 +17,8 @@ from pydantic import ValidationError
 from model.arrays import Array
 from protocol.scenario.draws import draw_key, generator
 from protocol.scenario.errors import first_problem
+from protocol.scenario.keys import UNITS, out_of_range
 from protocol.scenario.link_sections import LinkOverrideSection, LinkSection, LinksSection
-from protocol.scenario.magnitudes import LONGEST_S, out_of_range
 from protocol.wire.messages import LinkChange, MessageError
 from protocol.wire.names import PLANT
 
@@ -30,6 +30,9 @@ _CHAIN, _MESSAGE = 2**32, 0
 
 # Rounding of a delay that is a whole number of sampling periods must not cost one more.
 _SLACK = 1e-9
+
+# Longest delay: that of a key in seconds.
+*_, _LONGEST_S = UNITS["_s"]
 
 
 class LinkError(ValueError):
@@ -115,7 +118,7 @@ class Link:
             delays[0] += section.reorder_s
         if draw[_DUPLICATE] < section.duplicate:
             delays.append(self._delay(section, draw[_ECHO : _ECHO + 2]))
-        return [min(delay, LONGEST_S) for delay in delays]
+        return [min(delay, _LONGEST_S) for delay in delays]
 
     def usable_ticks(self, tick: int, after: int = 1) -> list[int]:
         """Return the ticks from which the message of a tick can be used: the first at or after its arrival.

@@ -1,14 +1,15 @@
-"""Sections of a scenario about the plant: engine, bodies, wind, sensors."""
+"""Sections of a scenario about the plant: engine, bodies, motors, wind, sensors."""
 
 import re
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field
+from annotated_types import Interval
+from pydantic import AfterValidator
 from pydantic_core import PydanticCustomError
 
-from mpc.settings import NotNegative, Positive
-from protocol.scenario.motor_sections import MotorsSection
-from protocol.scenario.sections import NotNegativeVector, Section, Vector
+from mpc.settings import Key, NotNegative, NotNegativeVector, Positive, Range, Section, Vector
+
+_NOISE = (1e-12, 1e4)
 
 
 def _engine(value: str) -> str:
@@ -17,50 +18,100 @@ def _engine(value: str) -> str:
     raise PydanticCustomError("engine", "expected 'rods', 'mujoco' or 'package.module:Class'")
 
 
-MassFactor = Annotated[float, Field(gt=0.0, le=100.0)]
-
-
-class WindSection(Section):
-    """Moving air, inertial frame, and the drag of the bodies in it."""
-
-    speed_mps: Vector = [0.0, 0.0, 0.0]
-    gust_mps: NotNegativeVector = [0.0, 0.0, 0.0]
-    gust_time_constant_s: Positive = 2.0
-    drag_payload_kgps: NotNegative = 0.4
-    drag_uav_kgps: NotNegative = 0.2
-
-
-class NoiseSection(Section):
-    """Standard deviations of the measurements."""
-
-    position_m: NotNegative = 0.0
-    velocity_mps: NotNegative = 0.0
-    attitude_rad: NotNegative = 0.0
-    rate_rads: NotNegative = 0.0
-    rod_direction_rad: NotNegative = 0.0
-    rod_rate_rads: NotNegative = 0.0
+MassFactor = Annotated[float, Interval(gt=0.0, le=100.0)]
 
 
 class MujocoSection(Section):
     """Bodies and integration of the engine "mujoco"."""
 
-    step_s: Positive = 0.005
-    rod_mass_kg: Annotated[float, Field(ge=1e-4, le=100.0)] = 0.001
+    step_s: Annotated[Positive, Key(type="number > 0, <= 0.01")] = 0.005
+    """longest integration step, at most T_s; a period is divided into equal steps. Contacts need steps of at most 0.01
+    s"""
+    rod_mass_kg: Annotated[float, Interval(ge=1e-4, le=100.0)] = 0.001
+    """mass of each rod, homogeneous and thin, unknown to the controllers. MuJoCo needs bodies with a mass: the default
+    is so small that the path of the payload is that of massless rods within a millimetre"""
     suspension: Literal["rods", "cables"] = "rods"
+    """rods, or cables, which have no mass, pull at their full length and never push"""
+
+
+class RotorsSection(Section):
+    """Four equal rotors of every UAV, on arms at 45 deg to its axes, and the limits of their thrusts."""
+
+    arm_m: Positive
+    """distance of each rotor from the centre of the UAV; arms at 45 deg to its axes"""
+    drag_to_thrust_m: Positive
+    """drag moment of a rotor over its thrust"""
+    thrust_N: Range
+    """smallest and largest thrust of one rotor; a quarter of the hover thrust of each UAV must lie between them"""
+
+
+class MotorsSection(Section):
+    """Difference of the actual inputs of all UAVs from their commands."""
+
+    lag_s: Annotated[NotNegative, Key(label="motor lag", shown="ms")] = 0.0
+    """time constant of thrust and moments; 0, or at least a hundredth of T_s"""
+    thrust_step_N: Annotated[NotNegative, Key(label="thrust step")] = 0.0
+    """the thrust of a UAV is rounded to multiples of this step; 0: any thrust"""
+    rotors: RotorsSection | None = None
+
+
+class WindSection(Section):
+    """Moving air, inertial frame, and the drag of the bodies in it."""
+
+    speed_mps: Annotated[Vector, Key(label="wind speed", short="wind_mps")] = (0.0, 0.0, 0.0)
+    """mean velocity of the air, inertial frame"""
+    gust_mps: Annotated[NotNegativeVector, Key(label="gusts, standard deviation", short="gust_mps")] = (0.0, 0.0, 0.0)
+    """standard deviation of the gusts about it, per inertial axis"""
+    gust_time_constant_s: Annotated[Positive, Key(label="correlation time of gusts")] = 2.0
+    """correlation time of the gusts"""
+    drag_payload_kgps: NotNegative = 0.4
+    """drag force on the payload per relative speed of the air (N per m/s); at most mass over T_s"""
+    drag_uav_kgps: NotNegative = 0.2
+    """drag force on each UAV per relative speed of the air"""
+
+
+class NoiseSection(Section):
+    """Standard deviations of the measurements."""
+
+    position_m: Annotated[NotNegative, Key(within=_NOISE, label="noise of payload position", shown="mm")] = 0.0
+    """noise of the payload position"""
+    velocity_mps: Annotated[NotNegative, Key(label="noise of payload velocity", shown="mm/s")] = 0.0
+    """noise of the payload velocity"""
+    attitude_rad: Annotated[NotNegative, Key(label="noise of attitudes")] = 0.0
+    """noise of the attitudes of payload and UAVs"""
+    rate_rads: Annotated[NotNegative, Key(label="noise of angular velocities")] = 0.0
+    """noise of the angular velocities of payload and UAVs"""
+    rod_direction_rad: NotNegative = 0.0
+    """noise of the rod directions"""
+    rod_rate_rads: NotNegative = 0.0
+    """noise of the rod rates"""
 
 
 class PlantSection(Section):
     """Ground truth: its integration, its difference from the controller's model, limits beyond which a run diverged."""
 
-    engine: Annotated[str, AfterValidator(_engine)] = "rods"
+    engine: Annotated[str, AfterValidator(_engine), Key(type="rods, mujoco, package.module:Class")] = "rods"
+    """engine that integrates the plant state: the controllers' own equations, the physics engine MuJoCo, or [your own
+    class](bring-your-own.md#your-own-engine); [engines.md](engines.md) compares the first two"""
     ground_m: float | None = None
+    """z of a level ground, inertial frame (z down), that payload and UAVs touch; needs an engine with contacts, so not
+    rods. The payload is a box about its centre of mass that reaches to its attachment points, a UAV a sphere of 0.1
+    m"""
     mujoco: MujocoSection = MujocoSection()
-    step_s: Positive = 0.01
-    tolerance: Annotated[float, Field(ge=1e-12, le=10.0)] = 1e-9
-    max_attitude_deg: Annotated[float, Field(gt=0.0, lt=90.0)] = 80.0
+    step_s: Annotated[Positive, Key(label="integration step", shown="ms")] = 0.01
+    """longest integration step of rods, at most T_s; a period is divided into equal steps"""
+    tolerance: Annotated[float, Interval(ge=1e-12, le=10.0), Key(unit="SI")] = 1e-9
+    """local error above which an integration step of rods is halved, [equations.md](equations.md) (13c)"""
+    max_attitude_deg: Annotated[float, Interval(gt=0.0, lt=90.0)] = 80.0
+    """roll or pitch of the payload or a UAV beyond which the run counts as diverged"""
     max_error_m: Positive = 20.0
-    payload_mass_factor: MassFactor = 1.0
-    uav_mass_factor: MassFactor = 1.0
+    """distance of the payload from its path beyond which the run counts as diverged"""
+    payload_mass_factor: Annotated[
+        MassFactor, Key(label="actual over assumed payload mass", short="payload_mass_factor")
+    ] = 1.0
+    """actual mass and inertia of the payload over those of `[system.payload]`, which the controller assumes"""
+    uav_mass_factor: Annotated[MassFactor, Key(label="actual over assumed UAV mass")] = 1.0
+    """actual mass and inertia of every UAV over those that the controller assumes"""
     motors: MotorsSection = MotorsSection()
     wind: WindSection = WindSection()
     noise: NoiseSection = NoiseSection()

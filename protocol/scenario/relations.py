@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from protocol.scenario.budget import estimate
 from protocol.scenario.errors import ScenarioError
 from protocol.scenario.faults import OF_UAVS
+from protocol.scenario.keys import out_of_range
 from protocol.scenario.link_sections import LinkChangeSection, LinkOverrideSection
-from protocol.scenario.magnitudes import out_of_range
 from protocol.scenario.plant_sections import MujocoSection
 from protocol.scenario.schema import Scenario
 from protocol.wire.codec import MAX_BYTES
@@ -175,9 +175,6 @@ def _sharing(scenario: Scenario) -> Iterator[Problem]:
 
 
 def _limits(scenario: Scenario) -> Iterator[Problem]:
-    low, high = scenario.controller.limits.thrust_N
-    if low >= high:
-        yield "controller.limits.thrust_N", f"expected smallest < largest, got {[low, high]}"
     period_s, step_s = scenario.controller.sampling_period_s, scenario.plant.step_s
     if step_s > period_s:
         yield "plant.step_s", f"expected at most the sampling period {period_s}, got {step_s}"
@@ -233,7 +230,7 @@ def _path(scenario: Scenario) -> Iterator[Problem]:
     expected = f"expected a path within {FURTHEST_M:g} m of the origin"
     reached = scenario.maneuver.start_m
     if max(map(abs, reached)) > FURTHEST_M:
-        yield "maneuver.start_m", f"{expected}, got {reached}"
+        yield "maneuver.start_m", f"{expected}, got {list(reached)}"
     for i, phase in enumerate(scenario.maneuver.phase, start=1):
         places = [place for _, *place in phase.way or [] if len(place) == len(reached)]
         for way in [*places, phase.displacement_m]:
@@ -241,7 +238,7 @@ def _path(scenario: Scenario) -> Iterator[Problem]:
             if furthest > FURTHEST_M:
                 key = "way" if phase.way else "displacement_m"
                 yield f"maneuver.phase.{i}.{key}", f"{expected}, got {furthest:g} m"
-        reached = [a + b for a, b in zip(reached, phase.displacement_m, strict=True)]
+        reached = tuple(a + b for a, b in zip(reached, phase.displacement_m, strict=True))
 
 
 def _on_the_ground(scenario: Scenario) -> Iterator[Problem]:
@@ -256,7 +253,7 @@ def _on_the_ground(scenario: Scenario) -> Iterator[Problem]:
             yield f"{field}.kind", f"expected 'move' with a path from a file, got {phase.kind!r}"
         if x != 0.0 or y != 0.0 or (z >= 0.0 if phase.kind == "take_off" else z <= 0.0):
             direction = "up, negative z" if phase.kind == "take_off" else "down, positive z"
-            yield f"{field}.displacement_m", f"expected a path straight {direction}, got {phase.displacement_m}"
+            yield f"{field}.displacement_m", f"expected a path straight {direction}, got {list(phase.displacement_m)}"
 
 
 def _network(scenario: Scenario) -> Iterator[Problem]:

@@ -1,6 +1,6 @@
 """The scenario: one validated tree that describes a run. Units are in the names; ids are 1-based.
 
-Every process of a run reads the same file; keys.toml has unit and meaning of each key for people.
+Every process of a run reads the same file. The docstring of a field is its meaning in docs/keys.md.
 """
 
 import hashlib
@@ -8,30 +8,15 @@ import json
 from typing import Annotated, Any, Literal
 
 import numpy as np
+from annotated_types import Interval
 from pydantic import AfterValidator, Field
 from pydantic_core import PydanticCustomError
 
 from model.maneuver import PhaseKind, Profile
 from model.parameters import GRAVITY
-from mpc.settings import (
-    Constraint,
-    ControllerSettings,
-    CostTerm,
-    DiscretisationName,
-    Horizon,
-    Limits,
-    NotNegative,
-    Positive,
-    PredictionName,
-    Separation,
-    SolverName,
-    TerminalName,
-    Tilt,
-    Weights,
-)
+from mpc.settings import ControllerSettings, Key, NotNegative, Positive, Section, Vector
 from protocol.scenario.link_sections import LinksSection
 from protocol.scenario.plant_sections import PlantSection
-from protocol.scenario.sections import Section, SettingsSection, Vector, like
 from protocol.wire.messages import MAX_HORIZON, MAX_NEGOTIATION_ITERATIONS
 from protocol.wire.names import MAX_UAVS
 
@@ -52,30 +37,44 @@ def _relaxation(value: float | str) -> float | str:
     raise PydanticCustomError("relaxation", "expected a number in (0, 1] or 'auto'")
 
 
-Inertia = Annotated[list[float] | list[list[float]], AfterValidator(_inertia)]
+Inertia = Annotated[list[float] | list[list[float]], AfterValidator(_inertia), Key(type="3 numbers or 3 rows of 3")]
+Relaxation = Annotated[
+    float | str,
+    AfterValidator(_relaxation),
+    Key(type="number > 0, <= 1, or auto", label="relaxation", short="relaxation"),
+]
+_WAIT_S = (1e-3, 1e6)
 
 
 class PayloadSection(Section):
     """The carried body."""
 
-    mass_kg: Positive
+    mass_kg: Annotated[Positive, Key(label="payload mass")]
+    """payload mass m_0"""
     inertia_kgm2: Inertia
+    """payload inertia J_0 about the centre of mass: principal moments along the body axes, or the symmetric matrix"""
 
 
 class UavSection(Section):
     """One UAV and its rod."""
 
-    id: Annotated[int, Field(ge=1, le=MAX_UAVS)]
+    id: Annotated[int, Interval(ge=1, le=MAX_UAVS)]
+    """number of the UAV: 1, 2, ... in the order of the file"""
     mass_kg: Positive
+    """mass m_i of the UAV"""
     inertia_kgm2: Inertia
-    rho_m: Vector
-    rod_length_m: Positive
+    """inertia J_i of the UAV, given as that of the payload"""
+    rho_m: Annotated[Vector, Key(within=(1e-12, 1e4))]
+    """attachment point on the payload, payload frame: x forward, y right, z down"""
+    rod_length_m: Annotated[Positive, Key(within=(1e-3, 1e4))]
+    """rod length l_i"""
 
 
 class SystemSection(Section):
     """The physical system."""
 
     gravity_mps2: Positive = GRAVITY
+    """gravitational acceleration g"""
     payload: PayloadSection
     uav: Annotated[list[UavSection], Field(min_length=1, max_length=MAX_UAVS)]
 
@@ -87,109 +86,120 @@ class PhaseSection(Section):
     """
 
     name: str
+    """name of the phase in progress display and figures"""
     duration_s: Positive
-    displacement_m: Vector
+    """duration of the phase"""
+    displacement_m: Annotated[Vector, Key(within=(0.0, 1e6))]  # that of a path from a file: a difference of its rows
+    """displacement of the payload over the phase, inertial frame; up is negative z"""
     kind: PhaseKind = "move"
-    way: list[list[float]] | None = None
+    """a take_off begins and a land ends with the payload standing on the ground, `plant.ground_m`; both are vertical,
+    with minimum jerk. In the first quarter of a take_off and the last of a land the payload stands still, and its
+    weight passes from the ground to the team or back. After a land only a take_off or a hover follows"""
+    way: Annotated[
+        list[list[float]] | None, Key(type="list of lists of 4 numbers", unit="s and m", within=(0.0, 1e9))
+    ] = None
+    """the table of `file` after reading: times since the start of the phase and positions relative to it, from zeros
+    to duration and displacement; between rows at constant speed"""
     file: str | None = None
+    """path of the phase as a table, instead of duration and displacement: CSV with the columns `t_s,x_m,y_m,z_m`,
+    relative to the scenario's folder; see [bring-your-own.md](bring-your-own.md#your-own-maneuver)"""
 
 
 class ManeuverSection(Section):
     """Path of the payload."""
 
-    start_m: Vector = [0.0, 0.0, -10.0]
+    start_m: Vector = (0.0, 0.0, -10.0)
+    """payload position at t = 0, inertial frame; the run starts there at rest in hover. The path must stay within 100
+    km of the origin"""
     profile: Profile = "ramp"
+    """speed profile along a straight segment: constant speed, minimum jerk, or a step"""
     press_m: NotNegative = 0.2
-    phase: Annotated[list[PhaseSection], Field(min_length=1)]
-
-
-@like(Weights)
-class WeightsSection(SettingsSection):
-    """Diagonal weights of the cost."""
-
-
-@like(Limits)
-class LimitsSection(SettingsSection):
-    """Actuator limits."""
-
-
-@like(Separation)
-class SeparationSection(SettingsSection):
-    """Smallest distance between any two UAVs."""
-
-
-@like(Tilt)
-class TiltSection(SettingsSection):
-    """Largest roll and pitch an agent plans for its UAVs."""
-
-
-@like(Constraint)
-class ConstraintSection(SettingsSection):
-    """A constraint of the user."""
-
-
-@like(CostTerm)
-class CostSection(SettingsSection):
-    """A cost term of the user."""
+    """distance of the controllers' reference below the path of the payload while it stands on the ground
+    ([equations.md](equations.md#on-the-ground)): the larger, the less of its weight the team holds"""
+    phase: Annotated[list[PhaseSection], Field(min_length=1), Key(short="phases")]
 
 
 class DisturbanceSection(Section):
     """Estimate of a constant force on the payload, compensated by the controller."""
 
-    estimate: bool = False
-    time_constant_s: Positive = 1.0
+    estimate: Annotated[bool, Key(short="estimate_disturbance")] = False
+    """true: each agent estimates constant forces on payload and UAVs (a wrong mass, wind) and compensates them"""
+    time_constant_s: Annotated[Positive, Key(label="time constant of the estimator")] = 1.0
+    """time constant of the low-pass filter of the estimate"""
 
 
-# Source of the controller's defaults.
-_DEFAULT = ControllerSettings()
+class ControllerSection(ControllerSettings):
+    """The controller of every agent, and what it exchanges with the others."""
 
-
-class ControllerSection(Section):
-    """The controller of every agent."""
-
-    sampling_period_s: Positive = _DEFAULT.sampling_period_s
-    horizon: Annotated[Horizon, Field(le=MAX_HORIZON)] = _DEFAULT.horizon
-    prediction: PredictionName = _DEFAULT.prediction
-    terminal: TerminalName = _DEFAULT.terminal
-    preview: bool = _DEFAULT.preview
+    horizon: Annotated[int, Interval(ge=1, le=MAX_HORIZON), Key(label="horizon", shown="steps", short="horizon")] = 20
+    """prediction horizon N_p, in sampling periods"""
+    relaxation: Relaxation = 1.0  # type: ignore[assignment]  # a number in `Setup.settings`
+    """share w of the new optimum in the published plan, the rest is the previous plan. With closed_loop it acts on the
+    corrections alone; the feedback acts in full. auto: 1 over the number of agents"""
     received_plans: Literal["by_age", "by_one", "held"] = "by_age"
+    """alignment of the others' plans with the horizon: shifted by their actual age; shifted by one period at any age,
+    as published; or their current input, held. On a network without delay and loss the first two are the same"""
     received_states: Literal["predicted", "as_received"] = "predicted"
-    discretisation: DiscretisationName = _DEFAULT.discretisation
-    negotiation_iterations: Annotated[int, Field(ge=1, le=MAX_NEGOTIATION_ITERATIONS)] = 1
-    relaxation: Annotated[float | str, AfterValidator(_relaxation)] = _DEFAULT.relaxation
-    solver: SolverName = _DEFAULT.solver
-    motor_lag_s: NotNegative = _DEFAULT.motor_lag_s
-    share: Literal["always", "on_change"] = "always"
-    share_threshold: NotNegative = 0.01
-    share_heartbeat_s: Positive = 1.0
-    weights: WeightsSection = WeightsSection()
-    limits: LimitsSection = LimitsSection()
-    separation: SeparationSection | None = None
-    tilt: TiltSection | None = None
-    constraint: list[ConstraintSection] = []
-    cost: list[CostSection] = []
+    """states of the others: predicted from the time of sending to now, or as received"""
+    negotiation_iterations: Annotated[
+        int, Interval(ge=1, le=MAX_NEGOTIATION_ITERATIONS), Key(label="negotiation iterations")
+    ] = 1
+    """iterations of negotiation: number of solves of each agent within a tick, with an exchange of plans after each
+    ([time.md](time.md#negotiation)); in real time 1"""
+    share: Annotated[Literal["always", "on_change"], Key(short="share")] = "always"
+    """plans that an agent sends to the other agents: all, or only those that change what the others assume
+    ([equations.md](equations.md) (49)). The plant receives every plan. on_change requires `prediction` closed_loop,
+    `received_plans` by_age, `received_states` predicted, `negotiation_iterations` 1"""
+    share_threshold: Annotated[
+        NotNegative,
+        Key(unit="share of the input's range", label="threshold of sharing", shown="% of the input's range"),
+    ] = 0.01
+    """with on_change: change of the corrections above which a plan is sent, the largest over horizon and inputs. 0.01
+    is 0.45 N of thrust and 0.02 N m of roll moment with the default limits"""
+    share_heartbeat_s: Annotated[Positive, Key(label="longest time without a plan")] = 1.0
+    """with on_change: longest interval between two plans sent, so that a lost plan is replaced"""
     disturbance: DisturbanceSection = DisturbanceSection()
 
 
 class AgentsSection(Section):
     """UAVs each agent owns; agent 1 owns the first list. One agent for each UAV by default."""
 
-    owned: Annotated[list[Annotated[list[int], Field(min_length=1)]], Field(min_length=1)] | None = None
+    owned: Annotated[
+        Annotated[list[Annotated[list[int], Field(min_length=1)]], Field(min_length=1)] | None,
+        Key(type="list of lists of UAV ids", label="UAVs of each agent", short="owned"),
+    ] = None
+    """UAVs of each agent: agent 1 owns the first list, and so on; each UAV once. If omitted: one agent for each UAV"""
 
 
 class ClockSection(Section):
     """Sampling clock and membership."""
 
     mode: Literal["lockstep", "realtime"] = "lockstep"
-    speed: NotNegative = 0.0
+    """a tick opens when all agents have answered the one before, or at its deadline"""
+    speed: Annotated[NotNegative, Key(within=(1e-4, 1e4))] = 0.0
+    """scenario seconds per second. 0: as fast as possible, in lockstep only; real time needs a number > 0"""
     actuation: Literal["immediate", "next_tick"] | None = None
+    """a plan acts from its own tick on, or from the next. If omitted: immediate in lockstep, next_tick in real time,
+    which allows no other"""
     exchange: Literal["relayed", "direct"] | None = None
-    barrier_timeout_s: Positive = 5.0
-    join_timeout_s: Positive = 30.0
-    on_agent_loss: Literal["abort", "continue"] = "abort"
+    """path of the plans: by the coordinator with the next tick, or from agent to agent
+    ([time.md](time.md#relayed-and-direct)). If omitted: relayed in lockstep, direct in real time, which allows no
+    other. Results do not depend on it"""
+    barrier_timeout_s: Annotated[Positive, Key(within=_WAIT_S)] = 5.0
+    """wall time after which a silent agent counts as lost: one that has not answered the open tick (lockstep), or any
+    tick (real time; the plant likewise)"""
+    join_timeout_s: Annotated[Positive, Key(within=_WAIT_S)] = 30.0
+    """wall time the processes wait for each other at the start; in lockstep also the longest wait of a tick for an
+    agent that `[[faults.event]]` restarts"""
+    on_agent_loss: Annotated[Literal["abort", "continue"], Key(short="on_agent_loss")] = "abort"
+    """end the run with exit code 4, or continue without the agent, which may return"""
     on_overrun: Literal["continue", "hold", "abort"] = "continue"
-    overrun_limit: Annotated[int, Field(ge=0)] = 0
-    overrun_limit_s: Positive | None = None
+    """in real time, when plans are missing at a deadline: open the next tick anyway, hold it until they arrive, or end
+    the run with exit code 5"""
+    overrun_limit: Annotated[int, Interval(ge=0)] = 0
+    """with abort: number of plans that may miss their deadline"""
+    overrun_limit_s: Annotated[Positive | None, Key(within=(1e-9, 1e6))] = None
+    """with abort: largest delay of a plan after its deadline, and of the opening of a tick; wall time"""
 
     @property
     def next_tick(self) -> bool:
@@ -206,15 +216,25 @@ class FaultSection(Section):
     """Fault of a process or a UAV at an instant of the run."""
 
     at_s: NotNegative
+    """scenario time of the fault"""
     do: Literal["kill", "stop", "continue", "restart", "motor_off", "release", "degrade"]
-    target: str
-    efficiency: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
+    """kill: SIGKILL; stop: SIGSTOP; continue: SIGCONT to a stopped process; restart: start an agent again and end the
+    old process if there is one; motor_off: thrust and moments of a UAV are zero from then on; release: a UAV is
+    detached from its rod, and its motors stop; degrade: the motors of a UAV produce only a share of thrust and moments
+    from then on"""
+    target: Annotated[
+        str,
+        Key(type="coordinator, plant, agent1, agent2, ...; uav1, uav2, ... for motor_off, release and degrade"),
+    ]
+    """affected process or UAV"""
+    efficiency: Annotated[float, Interval(gt=0.0, le=1.0)] | None = None
+    """with degrade, and required there: share of the commands that the motors produce"""
 
 
 class FaultsSection(Section):
     """Scripted faults."""
 
-    event: list[FaultSection] = []
+    event: Annotated[list[FaultSection], Key(short="faults")] = []
 
 
 class NetworkSection(Section):
@@ -224,19 +244,35 @@ class NetworkSection(Section):
     """
 
     host: Annotated[str, Field(pattern=r"^[A-Za-z0-9_:%-]{1,63}(\.[A-Za-z0-9_:%-]{1,63}){0,9}$")] = "127.0.0.1"
-    base_port: Annotated[int, Field(ge=1024, le=65_000)] | None = None
+    """address the processes listen on; beyond the loopback interface only with `keys` or `insecure`"""
+    base_port: Annotated[int, Interval(ge=1024, le=65_000)] | None = None
+    """port of the coordinator, then plant, agent 1, ... If omitted: free ports for `transport run`, 7447 and up for
+    processes started by hand"""
     router: str | None = None
+    """address of a router such as `tls/192.0.2.1:7447`: all processes are its clients and none listens
+    ([deploy.md](deploy.md#topologies))"""
     keys: Annotated[str, Field(pattern=r"^[^\x00]*$")] | None = None
+    """folder of certificates or passwords, relative to the current folder: TLS and access control on every link
+    ([deploy.md](deploy.md#access-control))"""
     insecure: bool = False
+    """true: listen unencrypted on an address that other hosts can reach"""
     secret: bool = True
+    """true: for `transport run` without `keys` and `router`, only processes with the random secret of the run connect;
+    false: any local process can ([deploy.md](deploy.md#a-run-on-one-host))"""
 
 
 class Scenario(Section):
     """The whole description of a run."""
 
     schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,40}$")]
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    """version of this format"""
+    name: Annotated[
+        str, Field(pattern=r"^[A-Za-z0-9_-]{1,40}$"), Key(type="text: letters, digits, `_`, `-`; at most 40")
+    ]
+    """name of the run, part of every network key and of the run folder"""
+    # Below the limit of TOML's integers, which is that of the format and not of the key.
+    seed: Annotated[int, Interval(ge=0, lt=2**63), Key(type="integer >= 0", short="seed")] = 0
+    """seed of all random numbers of a run: `[links]`, wind and noise"""
     system: SystemSection
     maneuver: ManeuverSection
     controller: ControllerSection = ControllerSection()

@@ -2,10 +2,9 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, TypeVar
 
 import numpy as np
 
@@ -18,17 +17,14 @@ from model.shape import resting_height
 from mpc.cost import UserCosts
 from mpc.regulation import Regulation
 from mpc.rows import compile_constraints
-from mpc.settings import Constraint, ControllerSettings, CostTerm, Limits, Separation, Tilt, Weights
+from mpc.settings import ControllerSettings
 from protocol.scenario.errors import ScenarioError, building
 from protocol.scenario.faults import Fault, scripted
 from protocol.scenario.links import Link, link
 from protocol.scenario.schema import Scenario, UavSection
-from protocol.scenario.sections import SettingsSection
 from protocol.scenario.text_file import read_text
 from protocol.wire.messages import Measurement, Plan
 from protocol.wire.names import PLANT
-
-T = TypeVar("T")
 
 # How far a payload that takes off or lands may be from the ground, m.
 _ON_GROUND_M = 1e-3
@@ -69,8 +65,8 @@ class Setup:
             owned=tuple(tuple(uav - 1 for uav in group) for group in scenario.owned),
             samples_s=_samples(scenario, source),
         )
-        building(source, "controller.constraint", lambda: compile_constraints(settings.constraints, system))
-        building(source, "controller.cost", lambda: UserCosts(settings.costs, setup.model).about(equilibrium.x))
+        building(source, "controller.constraint", lambda: compile_constraints(settings.constraint, system))
+        building(source, "controller.cost", lambda: UserCosts(settings.cost, setup.model).about(equilibrium.x))
         building(source, "controller.prediction", lambda: Regulation(setup.model, equilibrium, settings))
         setup._check_ground(source)
         setup._check_hover_is_possible(source)
@@ -242,20 +238,5 @@ def _maneuver(scenario: Scenario) -> Maneuver:
 def _settings(scenario: Scenario) -> ControllerSettings:
     section = scenario.controller
     # 1/M of M agents: the descent guarantee of cooperative distributed MPC (docs/decisions.md).
-    relaxation = 1.0 / len(scenario.owned) if section.relaxation == "auto" else float(section.relaxation)
-    built: dict[str, Any] = {
-        "weights": _like(Weights, section.weights),
-        "limits": _like(Limits, section.limits),
-        "separation": section.separation and _like(Separation, section.separation),
-        "tilt": section.tilt and _like(Tilt, section.tilt),
-        "constraints": tuple(_like(Constraint, constraint) for constraint in section.constraint),
-        "costs": tuple(_like(CostTerm, cost) for cost in section.cost),
-        "relaxation": relaxation,
-    }
-    same = {field.name: getattr(section, field.name) for field in fields(ControllerSettings) if field.name not in built}
-    return ControllerSettings(**same, **built)
-
-
-def _like(settings: type[T], section: SettingsSection) -> T:
-    """Return settings with the values of the section that has their fields."""
-    return settings(**{key: tuple(value) if isinstance(value, list) else value for key, value in section})
+    share = 1.0 / len(scenario.owned) if section.relaxation == "auto" else section.relaxation
+    return section.model_copy(update={"relaxation": share})

@@ -50,7 +50,7 @@ def ring(N: int, gravity_mps2: float) -> SystemSection:
                 id=i,
                 mass_kg=uav.mass,
                 inertia_kgm2=uav.inertia.diagonal().tolist(),
-                rho_m=_rounded([radius * math.cos(angle), radius * math.sin(angle), scale * z]),
+                rho_m=tuple(_rounded([radius * math.cos(angle), radius * math.sin(angle), scale * z])),
                 rod_length_m=uav.rod_length,
             )
             for i, angle in enumerate(angles, start=1)

@@ -33,7 +33,7 @@ CEILING_SLACK_M = 0.05  # softened, linearised, and checked between the instants
 @lru_cache
 def flight(teams: tuple[tuple[int, ...], ...], again: int = 0, constraints: tuple[Constraint, ...] = ()) -> Flight:
     """One climb; `again` tells repetitions apart."""
-    settings = ControllerSettings(separation=Separation(minimum_m=MINIMUM_M), constraints=constraints)
+    settings = ControllerSettings(separation=Separation(minimum_m=MINIMUM_M), constraint=constraints)
     setup = paper_setup()
     return simulate(setup, team(setup, settings, teams), CLIMB_S, STEPS)
 

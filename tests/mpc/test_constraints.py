@@ -27,7 +27,7 @@ SETTINGS = ControllerSettings(
     horizon=HORIZON,
     separation=Separation(minimum_m=MINIMUM_M),
     tilt=Tilt(limit_deg=TILT_DEG),
-    constraints=(
+    constraint=(
         Constraint(expression=f"r0[2] >= {CEILING_M}", soft=False),
         Constraint(expression=f"thrust1 * thrust2 <= {THRUST_PRODUCT}"),
         Constraint(expression=f"dot(v0, v0) <= {SPEED_LIMIT}"),
@@ -230,9 +230,9 @@ def test_soft_equals_hard_when_the_penalty_is_high() -> None:
     y_ref[:, 2:12:3] -= 1.0
     u = setup.hover.u
     at = Situation(x=setup.x, u=u, U=np.tile(u, (horizon, 1)), y_ref=y_ref)
-    hard = ControllerSettings(horizon=horizon, constraints=(Constraint(expression=ceiling, soft=False),))
-    soft = ControllerSettings(horizon=horizon, constraints=(Constraint(expression=ceiling, penalty=1e4),))
-    cheap = ControllerSettings(horizon=horizon, constraints=(Constraint(expression=ceiling, penalty=1e-3),))
+    hard = ControllerSettings(horizon=horizon, constraint=(Constraint(expression=ceiling, soft=False),))
+    soft = ControllerSettings(horizon=horizon, constraint=(Constraint(expression=ceiling, penalty=1e4),))
+    cheap = ControllerSettings(horizon=horizon, constraint=(Constraint(expression=ceiling, penalty=1e-3),))
     plans = [step(controller(setup, settings, (0, 1, 2, 3)), at) for settings in (hard, soft, cheap)]
     assert all(plan.solution.status == "solved" for plan in plans)
     assert np.abs(plans[0].U - plans[1].U).max() < SAME_PLAN

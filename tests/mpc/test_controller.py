@@ -119,7 +119,7 @@ def test_owning_all_is_the_centralized_controller(solver: str) -> None:
     settings = ControllerSettings(
         horizon=6,
         weights=Weights(penalised_input="absolute"),
-        constraints=(
+        constraint=(
             Constraint(expression=f"r0[2] >= {ceiling}", soft=False),
             Constraint(expression="thrust1 == thrust2"),
         ),

@@ -1,13 +1,11 @@
 """The stage cost, by hand."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from mpc.cost import Cost
 from mpc.settings import Weights
-from tests.support.systems import paper_setup, ring_setup
+from tests.support.systems import changed, paper_setup, ring_setup
 
 # A handful of products of numbers near 1: rounding only.
 ROUNDING = 1e-13
@@ -17,7 +15,7 @@ def test_stage_cost_by_hand() -> None:
     """(y - y_ref)' Q (y - y_ref) + (u - u_hover)' R (u - u_hover), paper (17), term by term for one UAV."""
     setup = ring_setup(1)
     uavs = Weights(position=2.0, attitude=3.0, yaw_rate=0.5, thrust=0.1, moments=(1.0, 10.0, 100.0))
-    cost = Cost(replace(uavs, payload_position=7.0, payload_velocity=0.25), setup.hover)
+    cost = Cost(changed(uavs, payload_position=7.0, payload_velocity=0.25), setup.hover)
     y_ref = np.zeros(13)
     y = np.array([1.0, -2.0, 3.0, 0.1, 0.2, -0.3, 4.0, 0.5, -1.0, 1.5, 2.0, 0.0, -6.0])
     u = setup.hover.u + np.array([2.0, 0.1, -0.2, 0.3])

@@ -26,7 +26,7 @@ WITHOUT_SOLUTION = {
 def test_no_solution_keeps_the_shifted_plan(name: str, owned: tuple[int, ...], solver: SolverName) -> None:
     """Contradictory constraints (20)-(21), (26)-(27) return the announced plan untouched and status "infeasible"."""
     setup = paper_setup()
-    settings = ControllerSettings(horizon=HORIZON, constraints=WITHOUT_SOLUTION[name], solver=solver)
+    settings = ControllerSettings(horizon=HORIZON, constraint=WITHOUT_SOLUTION[name], solver=solver)
     at = situation(setup, settings, seed=1)
     one = controller(setup, settings, owned)
     optimum = step(one, at)
@@ -39,7 +39,7 @@ def test_no_solution_keeps_the_shifted_plan(name: str, owned: tuple[int, ...], s
 def test_kept_plan_belongs_to_the_controller() -> None:
     """The plan after a failure is a copy: writing into it leaves the caller's announced inputs alone."""
     setup = paper_setup()
-    settings = ControllerSettings(horizon=HORIZON, constraints=WITHOUT_SOLUTION["two thrusts at once"])
+    settings = ControllerSettings(horizon=HORIZON, constraint=WITHOUT_SOLUTION["two thrusts at once"])
     at = situation(setup, settings, seed=1)
     before = at.U.copy()
     step(controller(setup, settings, (0,)), at).U[:] = 0.0
@@ -49,7 +49,7 @@ def test_kept_plan_belongs_to_the_controller() -> None:
 def test_softened_constraint_never_fails() -> None:
     """The same demand on the payload, softened, costs a penalty and has a solution; docs/equations.md (29)-(30)."""
     setup = paper_setup()
-    settings = ControllerSettings(horizon=HORIZON, constraints=(Constraint(expression="r0[2] >= 5"),))
+    settings = ControllerSettings(horizon=HORIZON, constraint=(Constraint(expression="r0[2] >= 5"),))
     optimum = step(controller(setup, settings, (0, 1, 2, 3)), situation(setup, settings, seed=1))
     assert optimum.solution.status == "solved"
     assert optimum.solution.z[-1] > 10.0, "15 m are missing and the horizon is too short to win them"
@@ -60,7 +60,7 @@ def test_recovers_when_the_next_program_has_a_solution(solver: SolverName) -> No
     """A failure leaves no trace: the controller solves the next program as a fresh one does."""
     setup = paper_setup()
     settings = ControllerSettings(
-        horizon=HORIZON, constraints=(Constraint(expression="r0[2] >= -10.5", soft=False),), solver=solver
+        horizon=HORIZON, constraint=(Constraint(expression="r0[2] >= -10.5", soft=False),), solver=solver
     )
     good = situation(setup, settings, seed=2)
     x = good.x.copy()
@@ -79,7 +79,7 @@ def test_others_inputs_do_not_stop_a_controller(expression: str) -> None:
     UAV1 cannot repair it, so refusing every program would freeze UAV1 for what UAV2 announces.
     """
     setup = paper_setup()
-    settings = ControllerSettings(horizon=HORIZON, constraints=(Constraint(expression=expression),))
+    settings = ControllerSettings(horizon=HORIZON, constraint=(Constraint(expression=expression),))
     at = situation(setup, settings, seed=1)
     U = np.tile(setup.hover.u, (HORIZON, 1))
     U[:, 4] = THRUST_LIMIT + 1.0
@@ -94,7 +94,7 @@ def test_speed_limit_holds_at_rest(expression: str) -> None:
     The derivative that (20) needs does not exist there; a nan in its place makes every program unsolvable.
     """
     setup = paper_setup()
-    settings = ControllerSettings(horizon=HORIZON, constraints=(Constraint(expression=expression),))
+    settings = ControllerSettings(horizon=HORIZON, constraint=(Constraint(expression=expression),))
     at = Situation(
         x=setup.x,
         u=setup.hover.u,

@@ -1,7 +1,5 @@
 """A controller that knows the lag of the motors: prediction, control law and their limit without lag."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -15,17 +13,17 @@ from mpc.cost import Cost
 from mpc.feedback import regulator
 from mpc.prediction import Prediction, convolve
 from mpc.settings import Constraint, ControllerSettings, CostTerm, Separation, Tilt, Weights
-from tests.support.systems import Situation, paper_setup, situation
+from tests.support.systems import Situation, changed, paper_setup, situation
 
 PERIOD_S = 0.05
 SETTINGS = ControllerSettings(prediction="closed_loop", terminal="riccati", preview=False, horizon=8)
 # With every kind of row and term that reads states.
-FULL = replace(
+FULL = changed(
     SETTINGS,
     separation=Separation(minimum_m=0.45),
     tilt=Tilt(limit_deg=20.0),
-    constraints=(Constraint(expression="r0[2] <= -2"), Constraint(expression="thrust1 + thrust2 <= 60")),
-    costs=(CostTerm(expression="v0[0]", weight=0.3),),
+    constraint=(Constraint(expression="r0[2] <= -2"), Constraint(expression="thrust1 + thrust2 <= 60")),
+    cost=(CostTerm(expression="v0[0]", weight=0.3),),
 )
 # Two ways to sum up some hundred products of numbers up to 100.
 SAME = 1e-9
@@ -59,9 +57,9 @@ def simulated(plain: Linearisation, z: Array, u0: Array, commands: Array, lag_s:
 def test_prediction_is_the_simulation(lag_s: float, shared: bool) -> None:
     """The prediction equals the augmented linear system under the same commands, open and closed loop, (55), (36)."""
     setup, rng = paper_setup(), np.random.default_rng(2)
-    settings = replace(SETTINGS, motor_lag_s=lag_s)
+    settings = changed(SETTINGS, motor_lag_s=lag_s)
     if not shared:
-        settings = replace(settings, prediction="open_loop")
+        settings = changed(settings, prediction="open_loop")
     one, at = Controller(setup.model, setup.hover, settings, (1, 2)), situation(setup, settings, seed=3)
     z, n = lagging(at, rng), setup.system.n
     c = 0.1 * rng.standard_normal(at.U.shape)
@@ -109,7 +107,7 @@ def test_lag_to_zero() -> None:
     without = solved(FULL, at.x, at)
     differences = []
     for lag_s in (4e-3, 2e-3, 1e-3):
-        found = solved(replace(FULL, motor_lag_s=lag_s), np.concatenate([at.x, at.u]), at)
+        found = solved(changed(FULL, motor_lag_s=lag_s), np.concatenate([at.x, at.u]), at)
         differences.append(np.abs(found.U - without.U).max())
     ratios = np.divide(differences[:-1], differences[1:])
     assert differences[-1] < 0.05 * np.abs(without.U - paper_setup().hover.u[4:8]).max()
@@ -123,7 +121,7 @@ def test_the_law_of_motors_stabilises_what_the_other_does_not() -> None:
     knows = regulator(setup.model, setup.hover, cost, PERIOD_S, motor_lag_s=lag_s)
     ignores = regulator(setup.model, setup.hover, cost, PERIOD_S)
     T, n = knows.T, setup.system.n
-    one = Controller(setup.model, setup.hover, replace(SETTINGS, motor_lag_s=lag_s), (0,))
+    one = Controller(setup.model, setup.hover, changed(SETTINGS, motor_lag_s=lag_s), (0,))
     discrete = one.discretise(one.linearise(np.concatenate([setup.hover.x, setup.hover.u]), setup.hover.u))
 
     def largest(K: Array) -> float:
@@ -136,7 +134,7 @@ def test_the_law_of_motors_stabilises_what_the_other_does_not() -> None:
 def test_motors_of_failed_uavs_are_left_out() -> None:
     """A UAV without motors has no part in the control law; that of the others remains one of their motors."""
     setup = paper_setup()
-    one = Controller(setup.model, setup.hover, replace(SETTINGS, motor_lag_s=0.05), (0,))
+    one = Controller(setup.model, setup.hover, changed(SETTINGS, motor_lag_s=0.05), (0,))
     one.fail([2], [2])
     found = one.regulation.regulator
     assert found is not None
@@ -149,7 +147,7 @@ def test_motors_of_failed_uavs_are_left_out() -> None:
 def test_linear_keeps_the_state_of_the_plant() -> None:
     """Rows and terms read the state without motors; the drift is that of motion and motors."""
     setup = paper_setup()
-    one = Controller(setup.model, setup.hover, replace(SETTINGS, motor_lag_s=0.05), (0,))
+    one = Controller(setup.model, setup.hover, changed(SETTINGS, motor_lag_s=0.05), (0,))
     at = situation(setup, SETTINGS, seed=1)
     z = lagging(at, np.random.default_rng(0))
     linear: Linear = one.linearise(z, at.u)

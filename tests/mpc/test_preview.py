@@ -214,7 +214,7 @@ def test_beyond_the_maneuver_its_last_instant_counts() -> None:
     of = problem("min_jerk", "none")
     settings = ControllerSettings(
         prediction="closed_loop", terminal="riccati", preview=True, weights=PAYLOAD,
-        costs=(CostTerm(expression="e1[0] - 0.02", weight=0.5),),
+        cost=(CostTerm(expression="e1[0] - 0.02", weight=0.5),),
     )  # fmt: skip
     regulation = Regulation(Model(of.system), of.at, settings, of.X_ref)
     ahead = regulation.feedforward(INSTANTS - 2, 6)

@@ -5,7 +5,7 @@ optimum of every agent's program, for any owned UAVs and any horizon.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
@@ -30,7 +30,7 @@ from tests.support.linear_model import (
     small_state,
     uneven,
 )
-from tests.support.systems import INTEGRATION_STEPS
+from tests.support.systems import INTEGRATION_STEPS, changed
 
 # Relative to the largest deviation of the inputs from hover: two solutions of one linear problem with condition around
 # 1e5, one by the Riccati recursion, one by condensing and a solver.
@@ -113,7 +113,7 @@ def corrections(case: Case, settings: ControllerSettings, starts: Sequence[int] 
     at = hover(case.system)
     model = LinearModel(case.system, at)
     X_ref = reference_states(case.system, at, "ramp", INSTANTS)
-    settings = replace(settings, weights=case.weights, costs=case.costs)
+    settings = changed(settings, weights=case.weights, cost=case.costs)
     one = Controller(model, at, settings, case.owned, X_ref)
     if case.gone:
         one.without(case.gone)
@@ -138,7 +138,7 @@ def corrections(case: Case, settings: ControllerSettings, starts: Sequence[int] 
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 def test_no_agent_leaves_the_law(case: Case, horizon: int) -> None:
     """c = 0 is the optimum of every program, from any small state and instant, docs/equations.md (36a)-(36e)."""
-    assert max(corrections(case, replace(LQ, horizon=horizon))) < NO_CORRECTION
+    assert max(corrections(case, changed(LQ, horizon=horizon))) < NO_CORRECTION
 
 
 @pytest.mark.parametrize(
@@ -152,13 +152,13 @@ def test_no_agent_leaves_the_law(case: Case, horizon: int) -> None:
 )
 def test_no_agent_leaves_the_law_of_motors(name: str, lag_s: float, horizon: int) -> None:
     """With motors that lag, c = 0 is the optimum as well: gain, preview, cost-to-go and prediction are of (55)."""
-    assert max(corrections(CASES[name], replace(LQ, horizon=horizon, motor_lag_s=lag_s))) < NO_CORRECTION
+    assert max(corrections(CASES[name], changed(LQ, horizon=horizon, motor_lag_s=lag_s))) < NO_CORRECTION
 
 
 @pytest.mark.parametrize("change", [{"terminal": "multiple"}, {"preview": False}])
 def test_another_cost_has_corrections(change: dict[str, object]) -> None:
     """Without the cost-to-go or the preview the same program leaves the control law: the guarantee assumes them."""
-    assert min(corrections(Case(), replace(LQ, **change), [15])) > A_CORRECTION  # type: ignore[arg-type]
+    assert min(corrections(Case(), changed(LQ, **change), [15])) > A_CORRECTION
 
 
 def test_others_effort_is_part_of_the_program() -> None:
@@ -194,7 +194,7 @@ def test_at_hover_the_model_itself_gives_no_corrections(owned: tuple[int, ...]) 
 
 def test_without_preview_nothing_is_missing_at_rest() -> None:
     """With a reference at rest the control law needs no preview, (36c)."""
-    assert max(corrections(Case(), replace(LQ, preview=False), [INSTANTS])) < NO_CORRECTION
+    assert max(corrections(Case(), changed(LQ, preview=False), [INSTANTS])) < NO_CORRECTION
 
 
 @pytest.mark.parametrize("forced", [False, True])
@@ -203,7 +203,7 @@ def test_centralized_open_loop_program_is_the_law(forced: bool) -> None:
     system = table_1()
     at = hover(system)
     model, X_ref = LinearModel(system, at), reference_states(system, at, "min_jerk", INSTANTS)
-    free = Controller(model, at, replace(LQ, prediction="open_loop"), range(4), X_ref)
+    free = Controller(model, at, changed(LQ, prediction="open_loop"), range(4), X_ref)
     shared = Controller(model, at, LQ, range(4), X_ref)
     rng = np.random.default_rng(4)
     forces = rng.normal(0.0, 2.0, 15) if forced else None
@@ -229,7 +229,7 @@ def test_cost_to_go_is_the_sum_of_the_costs_to_come(gone: list[int], terms: tupl
     """|root (x - x_hover)|^2 is the cost of the closed loop summed until it rests, docs/equations.md (36d)."""
     system, at = uneven(), uneven_hover()
     model = difference(system, at)
-    regulation = Regulation(Model(system), at, replace(LQ, weights=PAYLOAD, costs=terms))
+    regulation = Regulation(Model(system), at, changed(LQ, weights=PAYLOAD, cost=terms))
     regulation.form(gone, (), ())
     law, cost = regulation.regulator, Cost(PAYLOAD, at)
     assert law is not None
@@ -252,7 +252,7 @@ def test_no_gain_is_better(gone: list[int]) -> None:
     """Any small change of the led inputs' control law raises the sum: K is the minimiser, with the fail-safe given."""
     system, at = uneven(), uneven_hover()
     model, cost = difference(system, at), Cost(PAYLOAD, at)
-    regulation = Regulation(Model(system), at, replace(LQ, weights=PAYLOAD))
+    regulation = Regulation(Model(system), at, changed(LQ, weights=PAYLOAD))
     regulation.form(gone, (), ())
     law = regulation.regulator
     assert law is not None

@@ -1,7 +1,5 @@
 """Cost terms of the user: equal to weights on the outputs where both say the same, and effective."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -11,7 +9,7 @@ from mpc.settings import ControllerSettings, CostTerm, Weights
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Message, PlantState
 from tests.support import runs
-from tests.support.systems import controller, paper_setup, situation
+from tests.support.systems import changed, controller, paper_setup, situation
 from transport.flight.memory import simulate
 
 OWNED = [(0,), (1, 3), (0, 1, 2, 3)]
@@ -41,12 +39,12 @@ def test_a_term_that_is_an_output_adds_to_its_weight(owned: tuple[int, ...], pre
         for i in range(4)
         for axis in range(3)
     )
-    halves = replace(whole, weights=replace(whole.weights, position=0.5), costs=terms)
+    halves = changed(whole, weights=changed(whole.weights, position=0.5), cost=terms)
     H, g = programs(controller(setup, whole, owned), at.x, at.u, at.U, y_ref)
     own_H, own_g = programs(controller(setup, halves, owned), at.x, at.u, at.U, y_ref)
     assert np.abs(own_H - H).max() <= ROUNDING * np.abs(H).max()
     assert np.abs(own_g - g).max() <= ROUNDING * np.abs(g).max()
-    bare = controller(setup, replace(halves, costs=()), owned)
+    bare = controller(setup, changed(halves, cost=()), owned)
     assert np.abs(programs(bare, at.x, at.u, at.U, y_ref)[0] - H).max() > 1e-3 * np.abs(H).max()
 
 
@@ -57,7 +55,7 @@ def test_a_curved_term_is_expanded_about_the_present_state() -> None:
     term = CostTerm(expression="norm(r1 - r3) * v0[1] + sin(Theta0[0])", weight=0.7)
     at = situation(setup, settings, seed=3)
     plain = controller(setup, settings, (0,))
-    own = controller(setup, replace(settings, costs=(term,)), (0,))
+    own = controller(setup, changed(settings, cost=(term,)), (0,))
     _, g = programs(plain, at.x, at.u, at.U, at.y_ref)
     _, own_g = programs(own, at.x, at.u, at.U, at.y_ref)
 

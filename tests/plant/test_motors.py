@@ -8,13 +8,13 @@ from model import state
 from model.arrays import Array
 from plant.motors import Motors, Rotors
 from plant.node import PlantNode
-from protocol.scenario.motor_sections import MotorsSection, RotorsSection
+from protocol.scenario.plant_sections import MotorsSection, RotorsSection
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import ActualInputs, Message
 from tests.support.runs import ALL, plan, plant_states, recorded, roster, setup, tick, ticks
 
 PERIOD_S, STEPS = 0.05, 5
-ROTORS = RotorsSection(arm_m=0.25, drag_to_thrust_m=0.016, thrust_N=[0.5, 12.0])
+ROTORS = RotorsSection(arm_m=0.25, drag_to_thrust_m=0.016, thrust_N=(0.5, 12.0))
 U_HOVER = np.tile([22.0, 0.0, 0.0, 0.0], 4)
 # Five steps of order 4 per period against an ODE solver, over ten periods of inputs that jump, SI.
 CLOSE = 1e-5

@@ -1,5 +1,6 @@
 """Changes of links in words: every key of a link has words, and "clear all links" is one short sentence."""
 
+import json
 from typing import Any
 
 import pytest
@@ -55,6 +56,7 @@ def test_cleared_links_are_short() -> None:
     """All keys of a cleared link are one word, also with the defaults that the schema adds; one key less is a list."""
     assert change_in_words("", "", PERFECT) == "links between agents cleared"
     assert change_in_words("plant", "", PERFECT) == "links from plant cleared"
-    section = link_change("", "", '{"gilbert_elliott": {"enter": 0.0, "leave": 1.0}}')
-    assert change_in_words("", "", {**PERFECT, **section.settings()}) == "links between agents cleared"
+    section = link_change("", "", json.dumps(dict(PERFECT)))
+    assert section.perfect
+    assert change_in_words("", "", section.settings()) == "links between agents cleared"
     assert "delay 0 s, jitter 0 s" in change_in_words("", "", {**PERFECT, "loss": 0.1})

@@ -63,7 +63,7 @@ def collected(minimum_m: float) -> list[QP]:
     settings = ControllerSettings(
         horizon=8,
         separation=Separation(minimum_m=minimum_m),
-        constraints=(
+        constraint=(
             Constraint(expression="r0[2] >= -10.001"),
             Constraint(expression="thrust1 + thrust2 <= 45"),
             Constraint(expression="tau3[2] == 0"),

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -13,7 +14,9 @@ from model.linearisation import Model
 from model.maneuver import Maneuver, Phase, Reference
 from model.parameters import Payload, System, Uav, table_1
 from mpc.controller import Controller, StepResult
-from mpc.settings import ControllerSettings
+from mpc.settings import ControllerSettings, Section
+
+S = TypeVar("S", bound=Section)
 
 INTEGRATION_STEPS = 5  # Dormand-Prince steps per 0.05 s: the local error is then far below every tolerance here
 
@@ -33,6 +36,11 @@ class Setup:
     model: Model
     hover: Hover
     x: Array
+
+
+def changed(settings: S, **changes: Any) -> S:
+    """Return settings with changes, unchecked."""
+    return settings.model_copy(update=changes)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

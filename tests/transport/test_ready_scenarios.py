@@ -69,7 +69,7 @@ def test_wind_is_flown_through() -> None:
     """The paper's 25 s with a payload 15 % too heavy, gusts of 3 m/s and noise: level within 10 deg, and apart."""
     run, series, reports = flown("windy")
     plant = run.scenario.plant
-    assert (plant.payload_mass_factor, plant.wind.gust_mps) == (1.15, [3.0, 3.0, 3.0])
+    assert (plant.payload_mass_factor, plant.wind.gust_mps) == (1.15, (3.0, 3.0, 3.0))
     assert min(plant.noise.model_dump().values()) > 0.0
     assert run.maneuver.duration_s == 25.0
     assert run.settings.prediction == "closed_loop"

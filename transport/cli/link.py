@@ -1,11 +1,15 @@
 """The commands `transport link`."""
 
+import inspect
 import json
-from typing import Annotated
+from collections.abc import Iterator
+from typing import Annotated, Any, Literal, get_origin
 
 import typer
 from typer import Option
 
+from protocol.scenario.keys import key_of, meanings, unit_of
+from protocol.scenario.link_sections import LinkSection
 from protocol.scenario.link_words import PERFECT
 from protocol.scenario.links import LinkError, link_change
 from protocol.wire.exit_codes import EXIT_USAGE
@@ -14,37 +18,42 @@ from transport.cli.active_run import ActiveRun
 from transport.cli.options import FormatOption, with_options
 from transport.cli.output import Format, exit_on, fail, show_json
 
+# Placeholders of the options by the unit of their keys.
+_METAVARS = {"s": "SECONDS", "1/s": "HZ", "": "PROBABILITY"}
 
-@with_options(ActiveRun)
+
+def _options() -> Iterator[inspect.Parameter]:
+    """Yield the options that set the keys of a link."""
+    meaning = meanings(LinkSection)
+    for name, field in LinkSection.model_fields.items():
+        if not (option := key_of(field).option):
+            continue
+        is_choice = get_origin(field.annotation) is Literal
+        low, high = (next((getattr(e, end) for e in field.metadata if hasattr(e, end)), None) for end in ("ge", "le"))
+        metavar = "NAME" if is_choice else _METAVARS[unit_of(name, field)]
+        text = f"{meaning[name][0].upper()}{meaning[name][1:]}.".replace("`", "")
+        kind: Any = Annotated[
+            (str if is_choice else float) | None, Option(option, metavar=metavar, min=low, max=high, help=text)
+        ]
+        yield inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=kind)
+
+
+def _settings(**given: Any) -> dict[str, Any]:
+    """Return the keys of a link whose options are given."""
+    return {key: value for key, value in given.items() if value is not None}
+
+
+_settings.__signature__ = inspect.Signature(list(_options()))  # type: ignore[attr-defined]
+
+
+@with_options(_settings, ActiveRun)
 def set_links(
+    settings: dict[str, Any],
     run: ActiveRun,
     sender: Annotated[
         str | None, Option("--from", metavar="PROCESS", help="Sender: number of an agent, or plant; else all agents.")
     ] = None,
     receiver: Annotated[str | None, Option("--to", metavar="PROCESS", help="Receiver, in the same way.")] = None,
-    delay_s: Annotated[float | None, Option("--delay", metavar="SECONDS", min=0.0, help="Fixed delay, s.")] = None,
-    jitter_s: Annotated[
-        float | None, Option("--jitter", metavar="SECONDS", min=0.0, help="Scale of the random delay, s.")
-    ] = None,
-    distribution: Annotated[
-        str | None,
-        Option("--distribution", metavar="NAME", help="Distribution of the random delay (docs/keys.md)."),
-    ] = None,
-    loss: Annotated[
-        float | None, Option("--loss", metavar="PROBABILITY", min=0.0, max=1.0, help="Probability of packet loss.")
-    ] = None,
-    duplicate: Annotated[
-        float | None, Option("--duplicate", metavar="PROBABILITY", min=0.0, max=1.0, help="Probability of duplication.")
-    ] = None,
-    reorder: Annotated[
-        float | None, Option("--reorder", metavar="PROBABILITY", min=0.0, max=1.0, help="Probability of reordering.")
-    ] = None,
-    reorder_s: Annotated[
-        float | None, Option("--reorder-s", metavar="SECONDS", min=0.0, help="Extra delay of reordered messages, s.")
-    ] = None,
-    rate_hz: Annotated[
-        float | None, Option("--rate", metavar="HZ", help="Maximum number of messages per second.")
-    ] = None,
     output: FormatOption = Format.text,
 ) -> None:
     """Impair or repair links from the next tick on.
@@ -53,17 +62,6 @@ def set_links(
 
     Example: transport link set --from 1 --to 2 --delay 0.1
     """
-    changes = {
-        "delay_s": delay_s,
-        "jitter_s": jitter_s,
-        "distribution": distribution,
-        "loss": loss,
-        "duplicate": duplicate,
-        "reorder": reorder,
-        "reorder_s": reorder_s,
-        "rate_hz": rate_hz,
-    }
-    settings = {key: value for key, value in changes.items() if value is not None}
     if not settings:
         fail("expected at least one of --delay, --jitter, --loss, ..., got none", EXIT_USAGE)
     with exit_on(LinkError, code=EXIT_USAGE):

@@ -57,22 +57,25 @@ HostOption = Annotated[
 PortOption = Annotated[int, Option("--port", metavar="PORT", min=0, max=65535, help="Port, or the next free one.")]
 
 
-def with_options(options: Callable[..., Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
+def with_options(*options: Callable[..., Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Return a decorator that gives a command shared options, after its own.
 
-    The annotated parameters of `options` become options, and its result the first argument of the command.
+    The annotated parameters of all `options` become options, and their results the first arguments of the command.
     """
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        _, *own = inspect.signature(command).parameters.values()
-        every = inspect.signature(options).parameters
-        shared = {name: parameter for name, parameter in every.items() if get_origin(parameter.annotation) is Annotated}
+        own = list(inspect.signature(command).parameters.values())[len(options) :]
+        shared = [
+            {name: parameter for name, parameter in every.items() if get_origin(parameter.annotation) is Annotated}
+            for every in (inspect.signature(option).parameters for option in options)
+        ]
 
         @wraps(command)
         def with_shared(**given: Any) -> None:
-            command(options(**{name: given.pop(name) for name in shared}), **given)
+            made = [{name: given.pop(name) for name in names} for names in shared]
+            command(*(option(**values) for option, values in zip(options, made, strict=True)), **given)
 
-        parameters = [*own, *shared.values()]
+        parameters = [*own, *(parameter for of in shared for parameter in of.values())]
         with_shared.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         with_shared.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
         return with_shared

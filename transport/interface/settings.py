@@ -8,6 +8,7 @@ from typing import Any, Literal, TypedDict
 import numpy as np
 import tomli_w
 
+from protocol.scenario.keys import short_names
 from protocol.scenario.text_file import path_problem
 from protocol.wire.errors import TransportError
 
@@ -42,26 +43,7 @@ class ShortSettings(TypedDict, total=False):
 
 
 # Keys of the scenario by their short names.
-KEY_OF: Mapping[str, str] = {
-    "seed": "seed",
-    "horizon": "controller.horizon",
-    "sampling_period_s": "controller.sampling_period_s",
-    "relaxation": "controller.relaxation",
-    "solver": "controller.solver",
-    "prediction": "controller.prediction",
-    "share": "controller.share",
-    "estimate_disturbance": "controller.disturbance.estimate",
-    "owned": "agents.owned",
-    "delay_s": "links.delay_s",
-    "jitter_s": "links.jitter_s",
-    "loss": "links.loss",
-    "on_agent_loss": "clock.on_agent_loss",
-    "faults": "faults.event",
-    "phases": "maneuver.phase",
-    "payload_mass_factor": "plant.payload_mass_factor",
-    "wind_mps": "plant.wind.speed_mps",
-    "gust_mps": "plant.wind.gust_mps",
-}
+KEY_OF: Mapping[str, str] = short_names()
 
 
 def key_of(name: str) -> str:

@@ -131,7 +131,7 @@ def doubts(runs: Sequence[Compared]) -> Iterator[str]:
             )
         if differs.system != scenario.system:
             yield f"{other.label} has another system than {first.label} (UAVs or payload): costs are not comparable"
-        if settings.weights != first.run.setup.settings.weights or settings.costs != first.run.setup.settings.costs:
+        if settings.weights != first.run.setup.settings.weights or settings.cost != first.run.setup.settings.cost:
             yield f"{other.label} has other weights than {first.label}: costs are not comparable"
         if other.summary["machine"] != first.summary["machine"]:
             yield f"{other.label} ran on another machine than {first.label}: times do not only depend on the controller"

@@ -153,7 +153,7 @@ def test_every_cell_can_be_run() -> None:
         labels, scenario = points[case.point].labels, case.scenario
         assert scenario.controller.sampling_period_s == labels["period_s"]
         assert scenario.controller.horizon == labels["horizon"]
-        assert scenario.plant.wind.gust_mps == [0.5 if labels["weather"] == GUSTS else 0.0] * 3
+        assert scenario.plant.wind.gust_mps == (0.5 if labels["weather"] == GUSTS else 0.0,) * 3
     assert {point.labels["weather"] for point in comparison.experiment(cells, REFERENCE, 0.0).points} == {STILL}
     assert sum(point.baseline for point in points) == 2
 
