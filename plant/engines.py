@@ -6,7 +6,8 @@ import math
 import sys
 import traceback
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
+from contextvars import ContextVar
 from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
@@ -33,6 +34,10 @@ UNKNOWN_ERROR = -1.0
 _DIGESTS: dict[str, str] = {}
 # Longest text of an error that is passed on, characters: it travels in messages, with the name of the engine.
 _LONGEST_TEXT = 400
+
+
+_is_called = ContextVar("_is_called", default=False)  # whether the code of an engine runs, in this thread
+_hooks: list[str] = []  # the audit events that are refused, once the hook is installed
 
 
 class EngineError(ValueError):
@@ -171,11 +176,24 @@ def _engine_class(name: str) -> EngineClass:
     return _own_class(name)
 
 
+def _refuse_forks() -> None:
+    """Refuse forks by the code of an engine in this process: a copy would go on as this process."""
+
+    def refuse(event: str, _: object) -> None:
+        if event in _hooks and _is_called.get():
+            raise RuntimeError("an engine must not fork its process; use subprocess, or the start method 'spawn'")
+
+    if not _hooks:
+        _hooks.extend(("os.fork", "os.forkpty"))
+        sys.addaudithook(refuse)  # for ever
+
+
 def _own_class(name: str) -> EngineClass:
     """Return the user's class "package.module:Class", which may lie in the current folder.
 
     The folder is on the path during this import only, and last: a file there hides no package.
     """
+    _refuse_forks()
     module_name, _, attribute = name.partition(":")
     folder = str(Path.cwd())
     sys.path.append(folder)
@@ -218,7 +236,10 @@ def _kind(found: object) -> str:
 def _state_of(physics: Physics, shape: tuple[int, ...]) -> Array:
     """Return a copy of the state of an engine, of the given shape; it need not be finite."""
     with _told("state"):
-        found = np.array(physics.state(), dtype=np.float64)
+        given = np.asarray(physics.state())
+        if np.iscomplexobj(given):
+            raise EngineError(f"state: expected real numbers, got {given.dtype}")
+        found = np.array(given, dtype=np.float64)
     if found.shape != shape:
         raise EngineError(f"state: expected shape {shape}, got {found.shape}")
     return found
@@ -226,13 +247,20 @@ def _state_of(physics: Physics, shape: tuple[int, ...]) -> Array:
 
 @contextmanager
 def _told(what: str) -> Iterator[None]:
-    """Turn any exception of the code of an engine into one line: what was called, the error, file and line."""
+    """Turn any exception of the code of an engine into one line: what was called, the error, file and line.
+
+    Its output goes to standard error: results are on standard output.
+    """
+    _is_called.set(True)
     try:
-        yield
-    except KeyboardInterrupt:
+        with redirect_stdout(sys.stderr):
+            yield
+    except (EngineError, KeyboardInterrupt):
         raise
-    except (Exception, SystemExit) as error:
+    except BaseException as error:
         raise EngineError(f"{what} raised {_line(error)}{_place(error)}") from error
+    finally:
+        _is_called.set(False)
 
 
 def _line(error: BaseException) -> str:

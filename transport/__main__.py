@@ -1,8 +1,13 @@
 """The command `transport`, also as `python -m transport`."""
 
+import atexit
 import os
 import signal
 import sys
+import traceback
+from contextlib import suppress
+from types import FrameType
+from typing import NoReturn
 
 from protocol.network.parent import ending_signals, wake_with_its_end
 from protocol.wire.exit_codes import EXIT_INTERRUPTED
@@ -11,11 +16,12 @@ from transport.flight.fork_server import fork_server
 from transport.flight.signals import raise_interrupts
 
 
-def main() -> None:
-    """Run the command; SIGTERM and SIGHUP end it like Ctrl-C, from the first import to the end."""
+def main() -> NoReturn:
+    """Run the command and end the process; SIGTERM and SIGHUP end it like Ctrl-C, from the first import to the end."""
     if sys.getfilesystemencoding() != "utf-8" and os.environ.get("PYTHONUTF8") != "1":
         # Paths are UTF-8 for Zenoh and in TOML, whatever the locale.
         os.execve(sys.executable, sys.orig_argv, {**os.environ, "PYTHONUTF8": "1"})  # noqa: S606
+    code = 1
     try:
         wake_with_its_end()
         raise_interrupts()  # before the imports: they take a while
@@ -25,16 +31,37 @@ def main() -> None:
             from transport.cli.main import app
 
             app(prog_name="transport")
+        code = 0
+    except SystemExit as end:
+        code = end.code if isinstance(end.code, int) else int(end.code is not None)
     except KeyboardInterrupt:  # during the imports
-        sys.exit(EXIT_INTERRUPTED)
-    finally:
-        # CPython remembers an interrupt during `exec` of a text, as in the definition of a dataclass, and would end by
-        # SIGINT whatever the exit code; the next `exec` forgets it.
-        exec("")  # noqa: S102  # nothing is executed
-        # The exit code is decided. The interpreter restores the default handlers when it shuts down; a signal during
-        # that would still kill the process.
-        for number in ending_signals():
-            signal.signal(number, signal.SIG_IGN)
+        code = EXIT_INTERRUPTED
+    except BaseException:  # noqa: BLE001  # a bug
+        traceback.print_exc()
+    _end(code)
+
+
+def _end(code: int) -> NoReturn:
+    """End this process without the interpreter's shutdown, which may wait for native threads and ignores signals.
+
+    The exit code is decided: a signal changes nothing, and a second one ends the process at once.
+    """
+    received = 0
+
+    def count(_: int, __: FrameType | None) -> None:
+        nonlocal received
+        received += 1
+        if received > 1:
+            os._exit(code)
+
+    for number in ending_signals():
+        signal.signal(number, count)
+    atexit._run_exitfuncs()
+    with suppress(OSError, ValueError):  # nobody reads the output any more
+        sys.stdout.flush()
+    with suppress(OSError, ValueError):
+        sys.stderr.flush()
+    os._exit(code)
 
 
 if __name__ == "__main__":

@@ -9,6 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+try:
+    import resource
+except ImportError:  # not on every system
+    resource = None  # type: ignore[assignment]
+
+# Address space of a process with a session of Zenoh: 1.3 GB were measured, mostly reserved for its threads.
+_ADDRESS_SPACE = 2 * 2**30
 # Exchanges in a measurement of a clock's offset; the quickest one counts.
 _EXCHANGES = 4
 
@@ -64,6 +71,23 @@ def usage(process: str = "self") -> dict[str, float | int | None]:
         }
     except (OSError, ValueError, IndexError):
         return dict.fromkeys(("memory_bytes", "threads", "open_files", "cpu_s"))
+
+
+def limit_problem(open_files: int) -> str:
+    """Return which limit of this process is too low for so many open files and for Zenoh's threads; empty if none is.
+
+    Zenoh ends a process that reaches such a limit.
+    """
+    if resource is None:
+        return ""
+    for name, limit, needed, unit, command in (
+        ("open files", resource.RLIMIT_NOFILE, open_files, "", "ulimit -n"),
+        ("address space", resource.RLIMIT_AS, _ADDRESS_SPACE, " bytes", "ulimit -v, in KiB"),
+    ):
+        allowed = resource.getrlimit(limit)[0]
+        if allowed != resource.RLIM_INFINITY and allowed < needed:
+            return f"{name}: expected a limit of at least {needed}{unit}, got {allowed} ({command})"
+    return ""
 
 
 def give_back_memory() -> None:

@@ -174,8 +174,12 @@ def _fail_if_due(faults: Sequence[Fault], name: str, message: Message, exchange:
 
 def _watch_signals(bus: Bus) -> None:
     """Turn Ctrl-C, SIGTERM, SIGHUP and the end of the parent into an interruption of the bus."""
+    received: list[int] = []
 
     def interrupt(number: int, _: FrameType | None) -> None:
+        received.append(number)
+        if len(received) > 2:  # the parent of this process passes on the first one, and ends it by the second
+            os._exit(EXIT_INTERRUPTED)
         bus.interrupt(f"interrupted ({signal.Signals(number).name})")
 
     for number in ending_signals():

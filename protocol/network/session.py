@@ -1,6 +1,7 @@
 """Zenoh sessions: their configuration, requests from outside a run, and a router."""
 
 import json
+import os
 import re
 import threading
 import time
@@ -11,6 +12,7 @@ from typing import Any
 import zenoh
 
 from protocol.network.endpoints import Endpoints
+from protocol.network.health import limit_problem
 from protocol.network.security import Security, SecurityError
 from protocol.wire.codec import MAX_BYTES
 from protocol.wire.keys import ACTING, OPERATOR, ROUTER, WATCHER, Keys
@@ -30,8 +32,28 @@ class BusError(RuntimeError):
     """The network cannot be used: the text says what was tried and what to do."""
 
 
+# Open files of a session, with a margin for those of the process.
+_OPEN_FILES = 64
+_first_user = 0  # process id of the process that opened the first session
+
+
 class UnreachableError(BusError):
     """No endpoint that a client may connect to accepts it."""
+
+
+def check_usable(open_files: int = _OPEN_FILES) -> None:
+    """Check that this process can open a session.
+
+    Raises: BusError: it was forked from a process that has opened one, or its limits are too low.
+    """
+    if _first_user not in (0, os.getpid()):
+        raise BusError(
+            "this process was forked from one that has used the network, whose threads do not survive a fork: start it "
+            "by 'spawn' (multiprocessing.get_context('spawn')), or run in memory"
+        )
+    problem = limit_problem(open_files)
+    if problem:
+        raise BusError(problem)
 
 
 def open_session(endpoints: Endpoints, patience_s: float, name: str, keys: Keys, reach_s: float) -> zenoh.Session:
@@ -41,6 +63,9 @@ def open_session(endpoints: Endpoints, patience_s: float, name: str, keys: Keys,
 
     Raises: BusError: the endpoint cannot be listened on, the router not reached, or the keys not used.
     """
+    global _first_user
+    check_usable()
+    _first_user = os.getpid()
     try:
         text = json.dumps(configuration(endpoints, patience_s, name, keys), ensure_ascii=False)
     except SecurityError as error:

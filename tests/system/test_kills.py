@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -10,7 +11,17 @@ from pathlib import Path
 import pytest
 
 from protocol.wire.messages import Control, Roster
-from tests.support.commands import ENDLESS, PATIENCE_S, is_flying, processes_of, settings, start, transport, wait_for
+from tests.support.commands import (
+    ENDLESS,
+    PATIENCE_S,
+    command,
+    is_flying,
+    processes_of,
+    settings,
+    start,
+    transport,
+    wait_for,
+)
 from transport.log.run_log import read_log
 
 TEAM = ["coordinator", "plant", "agent1", "agent2", "agent3", "agent4"]
@@ -19,20 +30,36 @@ RELAYED, DIRECT = (f"clock.exchange={exchange}" for exchange in ("relayed", "dir
 # Lockstep exchanges plans in two ways; a second run of a test is slow.
 BOTH = [RELAYED, pytest.param(DIRECT, marks=pytest.mark.slow)]
 
-# A command, and signals after its end: while it returns, and while the interpreter shuts down.
+# A command that hangs at its end, and signals then.
 SIGNALLED_AFTERWARDS = """
-import atexit, os, sys
+import atexit, os, sys, time
 from transport.__main__ import main
 
-class Last:
-    def __del__(self, kill=os.kill, me=os.getpid()):
-        kill(me, {number})
-        print("signalled", flush=True)
+def hang():
+    os.kill(os.getpid(), {number})
+    print("signalled", flush=True)
+    os.kill(os.getpid(), {number})
+    time.sleep(600.0)
 
-last = Last()
-atexit.register(os.kill, os.getpid(), {number})
+atexit.register(hang)
 sys.argv[1:] = {arguments}
 main()
+"""
+# One run after another, the second in a forked process, which has none of the threads of the network.
+FORKED = """
+import multiprocessing
+import transport
+
+def fly(folder):
+    phases = [dict(name="hover", duration_s=0.2, displacement_m=[0.0, 0.0, 0.0])]
+    try:
+        return transport.fly("paper", processes=True, phases=phases, folder=folder).summary["outcome"]
+    except transport.TransportError as error:
+        return str(error)
+
+print(fly("first"))
+with multiprocessing.get_context("fork").Pool(1) as pool:
+    print(pool.map(fly, ["second"])[0])
 """
 
 
@@ -152,8 +179,40 @@ def test_the_others_continue_if_configured(exchange: str, tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("arguments", "code"), [(["--help"], 0), (["plot", "nowhere"], USAGE)])
-def test_a_signal_after_the_end_changes_nothing(number: signal.Signals, arguments: list[str], code: int) -> None:
-    """A finished command keeps its exit code, even if signals arrive before its process ends."""
+def test_signals_after_the_end(number: signal.Signals, arguments: list[str], code: int) -> None:
+    """A finished command keeps its exit code; a second signal ends it even if it hangs then."""
     program = SIGNALLED_AFTERWARDS.format(number=int(number), arguments=arguments)
     result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
     assert (result.returncode, "signalled" in result.stdout, "Traceback" in result.stderr) == (code, True, False)
+
+
+@pytest.mark.parametrize(
+    ("limit", "text"),
+    [
+        ("-n 20", "open files: expected a limit of at least 62, got 20 (ulimit -n)"),
+        ("-n 40", "open files: expected a limit of at least 62, got 40 (ulimit -n)"),
+        (
+            "-v 300000",
+            "address space: expected a limit of at least 2147483648 bytes, got 307200000 (ulimit -v, in KiB)",
+        ),
+    ],
+)
+def test_limits_that_are_too_low(limit: str, text: str, tmp_path: Path) -> None:
+    """A limit that would end a process of Zenoh in the middle is refused in one line before anything starts."""
+    run = shlex.join(command("run", "resilient", "--out", "limited"))
+    result = subprocess.run(
+        ["bash", "-c", f"ulimit {limit}; {run}"], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (result.returncode, result.stderr) == (LOST, f"transport: {text}\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_in_a_forked_process_is_refused(tmp_path: Path) -> None:
+    """The threads of the network do not survive a fork: the second run is refused in words, at once."""
+    result = subprocess.run(
+        [sys.executable, "-c", FORKED], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False
+    )
+    first, second = result.stdout.splitlines()
+    assert first == "completed"
+    assert "start it by 'spawn'" in second
+    assert not (tmp_path / "second").exists()

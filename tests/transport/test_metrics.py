@@ -374,6 +374,16 @@ def test_how_late_plans_were(answered: tuple[int, ...], overrun_ns: int, worst_m
     assert summary["deadline"]["worst_ms"] == worst_ms
 
 
+def test_held_ticks_are_missed_deadlines() -> None:
+    """With `hold` every plan has arrived when a tick opens: the ticks that waited for one are counted."""
+    run = runs.setup(HOVER, *REALTIME, "clock.on_overrun=hold")
+    late_ns = (0, 0, 2_900_000_000, 0)
+    messages = [replace(runs.tick(k), overrun_ns=overrun_ns) for k, overrun_ns in enumerate(late_ns)]
+    deadline = summarise(run, log_of(messages))["deadline"]
+    assert [deadline[name] for name in ("plans", "missed", "worst_ms")] == [3, 1, 2900.0]
+    assert deadline["share"] == pytest.approx(1 / 3)
+
+
 def test_times_by_hand() -> None:
     """Wall time is from first tick to control; the rest of a tick is its length minus its slowest step, at least 0."""
     run = runs.setup(HOVER)

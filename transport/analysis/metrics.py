@@ -145,14 +145,18 @@ def _plan_ages(reports: Iterable[StepReport]) -> dict[str, float | int | None]:
 
 
 def _deadline(setup: Setup, log: RunLog) -> dict[str, Any]:
-    """Count plans that missed their deadline, and measure how late ticks were opened."""
+    """Count plans that missed their deadline, or ticks that were held for them; measure how late ticks were opened."""
     if setup.scenario.clock.mode != "realtime":
         # The lockstep clock waits: there is no deadline to miss.
         return {"plans": 0, "missed": 0, "share": None, "worst_ms": None, "tick_late_ms": _percentiles([])}
     ticks = {tick.tick: tick for tick in log.of(Tick)}
     pairs = [(tick, ticks[k + 1]) for k, tick in sorted(ticks.items()) if k + 1 in ticks]
-    missed = sum(len(set(tick.members) - set(after.answered)) for tick, after in pairs)
-    plans = sum(len(tick.members) for tick, _ in pairs)
+    if setup.scenario.clock.on_overrun == "hold":
+        # No plan is missing when a tick opens: a deadline is missed by the tick that waited for a late plan.
+        missed, plans = sum(after.overrun_ns > 0 for _, after in pairs), len(pairs)
+    else:
+        missed = sum(len(set(tick.members) - set(after.answered)) for tick, after in pairs)
+        plans = sum(len(tick.members) for tick, _ in pairs)
     worst_ms = max((tick.overrun_ns / 1e6 for tick in ticks.values()), default=None)
     return {
         "plans": plans,

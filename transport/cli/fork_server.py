@@ -72,7 +72,6 @@ def _started(request: Mapping[str, Any], stdin: int, output: int) -> int:
 
 def _become(request: Mapping[str, Any], stdin: int, output: int) -> NoReturn:
     """Run the requested command in this process, and end."""
-    code = 1
     try:
         os.setsid()
         for descriptor, target in ((stdin, 0), (output, 1), (output, 2)):
@@ -83,16 +82,12 @@ def _become(request: Mapping[str, Any], stdin: int, output: int) -> NoReturn:
         sys.argv = ["transport", *request["arguments"]]
         setproctitle.setproctitle(" ".join(sys.argv))
         main()
-    except SystemExit as end:
-        code = end.code if isinstance(end.code, int) else int(end.code is not None)
     except KeyboardInterrupt:  # before main handles it
-        code = EXIT_INTERRUPTED
+        os._exit(EXIT_INTERRUPTED)
     except BaseException:  # noqa: BLE001  # no caller would report it
         traceback.print_exc()
     finally:
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(code)
+        os._exit(1)
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 import tomli_w
 import typer
 
-from plant.engines import checked_engine
+from plant.trial import tried_engine
 from protocol.scenario.budget import estimate
 from transport.cli.options import FormatOption, LargeOption, ScenarioArgument, SetOption
 from transport.cli.output import Format, show_json
@@ -24,7 +24,7 @@ def validate(
     """
     setup = read_setup(scenario, settings, allow_large=large)
     with scenario_errors(settings):
-        engine = checked_engine(setup)
+        engine = tried_engine(setup)
     doubts = list(setup.doubts())
     if output is Format.json:
         show_json({"scenario": setup.scenario.tree(), "digest": setup.scenario.digest(), "warnings": doubts})

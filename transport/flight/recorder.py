@@ -199,6 +199,8 @@ class Recorder:
                     self._take(notice)
         except (BusError, LogError) as error:
             self.error = str(error)
+        except BaseException as error:  # noqa: BLE001  # such as no memory: the run ends, and the error is told
+            self.error = f"{RECORDER}: {type(error).__name__}: {error}".rstrip(": ")
         finally:
             self._bus.close()  # the coordinator waits for this
 

@@ -10,11 +10,11 @@ from pathlib import Path
 
 from rich.console import Console
 
-from plant.engines import checked_engine
+from plant.trial import tried_engine
 from protocol.network.endpoints import Endpoints, endpoints_of_all, process_names
 from protocol.network.process import Place
 from protocol.network.security import Security, SecurityError
-from protocol.network.session import BusError
+from protocol.network.session import BusError, check_usable
 from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import (
     EXIT_INTERRUPTED,
@@ -42,6 +42,8 @@ from transport.log.relocating_file import RelocatingFile
 # Time for the processes to end after the run before they are killed.
 _LEAVE_S = 3.0
 _POLL_S = 0.05
+# Open files of the command, and for each process: its port, output, pipe and connection.
+_OPEN_FILES, _OPEN_FILES_EACH = 32, 5
 # Time for the recorder to receive the messages of a run whose processes have ended.
 _CATCH_UP_S = 2.0
 
@@ -73,10 +75,14 @@ def simulate(
         ScenarioError: the plant's engine cannot be used.
     """
     refuse_existing(folder)
-    engine = "external" if PLANT in external else checked_engine(setup)
     scenario = setup.scenario
-    compile_model(setup.system.N, console)
     names = process_names(scenario)
+    try:
+        check_usable(_OPEN_FILES + _OPEN_FILES_EACH * len(names))
+    except BusError as error:
+        raise RunError(str(error), EXIT_UNREACHABLE) from error
+    engine = "external" if PLANT in external else tried_engine(setup)
+    compile_model(setup.system.N, console)
     host, base_port = scenario.network.host, scenario.network.base_port
     # The recorder has a port for requests to the parent of the processes.
     with free_ports(host, 1 if base_port is not None else 1 + len(names)) as (own, *ports):

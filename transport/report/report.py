@@ -175,14 +175,13 @@ def _rejected(total: int, rejections: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _deadlines(deadline: Mapping[str, Any]) -> str:
-    share = _text(deadline["share"], ".2%", "{} missed")
+    share = _text(deadline["share"], ".2%", "{}")
     worst = ""
     if deadline["missed"]:
         worst_ms = deadline["worst_ms"]
-        worst = ", none of which arrived" if worst_ms is None else f", worst arrived {worst_ms:.1f} ms late"
-    return (
-        f"{deadline['missed']} of {deadline['plans']} plans late ({share}){worst}; ticks opened late: "
-        + _milliseconds(deadline["tick_late_ms"])
+        worst = ", no plan of which arrived" if worst_ms is None else f", worst plan {worst_ms:.1f} ms late"
+    return f"{deadline['missed']} of {deadline['plans']} missed ({share}){worst}; ticks opened late: " + _milliseconds(
+        deadline["tick_late_ms"]
     )
 
 
