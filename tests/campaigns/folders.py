@@ -1,8 +1,8 @@
 """Folders campaign: damages the files of runs while they are written.
 
 In each run one thing happens to the run folder, the disk or a file of the run: it is removed, renamed, replaced, cut,
-or full. The run must fly on and say so at once; the log must open, in the run folder or in the place that the command
-names; the exit code must fit, no process may be left and no output may have a traceback.
+or full. The run must go on and say so at once; a log that is not lost must open; the exit code must fit, no process may
+be left and no output may have a traceback.
 """
 
 import os
@@ -53,16 +53,11 @@ class Damage:
     Attributes:
         apply: Function that does it to the run folder, given random numbers.
         exit_codes: Exit codes that fit.
-        moves: Whether the log goes on in a second place; None if it may or may not.
-        is_whole: Whether the log that is named at the end tells how the run ended.
-        on: "disk" for a small file system, "limit" for a limit of the size of every file, "full" for a small file
-            system that holds the second place as well.
+        on: "disk" for a small file system, "limit" for a limit of the size of every file.
     """
 
     apply: Callable[[Path, random.Random], None]
     exit_codes: frozenset[int] = frozenset({0})
-    moves: bool | None = True
-    is_whole: bool = True
     on: str = ""
 
 
@@ -124,40 +119,34 @@ def _nothing(_folder: Path, _rng: random.Random) -> None:
     """Let the disk fill up."""
 
 
+_LOST = frozenset({EXIT_UNRECORDED})
 DAMAGES: dict[str, Damage] = {
-    "log removed": Damage(apply=_remove("run.mcap")),
-    "log cut": Damage(apply=_cut),
-    "log replaced": Damage(apply=_replace),
-    "folder removed": Damage(apply=_remove("")),
-    "folder renamed": Damage(apply=_rename),
-    "outputs removed": Damage(apply=_remove("logs"), moves=False),
-    "scenario removed": Damage(apply=_remove("scenario.toml"), moves=False),
-    "report not writable": Damage(apply=_make_unwritable, exit_codes=frozenset({EXIT_UNRECORDED}), moves=False),
-    "state file changed": Damage(apply=_change_state, moves=False),
-    "disk full": Damage(apply=_nothing, on="disk"),
-    "both places full": Damage(
-        apply=_nothing, on="full", moves=None, exit_codes=frozenset({EXIT_UNRECORDED}), is_whole=False
-    ),
-    "file size limit": Damage(
-        apply=_nothing, on="limit", moves=None, exit_codes=frozenset({EXIT_UNRECORDED}), is_whole=False
-    ),
+    "log removed": Damage(apply=_remove("run.mcap"), exit_codes=_LOST),
+    "log cut": Damage(apply=_cut, exit_codes=_LOST),
+    "log replaced": Damage(apply=_replace, exit_codes=_LOST),
+    "folder removed": Damage(apply=_remove(""), exit_codes=_LOST),
+    "folder renamed": Damage(apply=_rename, exit_codes=_LOST),
+    "outputs removed": Damage(apply=_remove("logs")),
+    "scenario removed": Damage(apply=_remove("scenario.toml")),
+    "report not writable": Damage(apply=_make_unwritable, exit_codes=_LOST),
+    "state file changed": Damage(apply=_change_state),
+    "disk full": Damage(apply=_nothing, on="disk", exit_codes=_LOST),
+    "file size limit": Damage(apply=_nothing, on="limit", exit_codes=_LOST),
 }
 
 
 def execute(seed: int, number: int, folder: Path, stop: threading.Event) -> Result:
     """Execute one run, damage its files in the way of its number, check it, and end all of its processes."""
-    names = [name for name, damage in DAMAGES.items() if damage.on not in ("disk", "full") or can_mount()]
+    names = [name for name, damage in DAMAGES.items() if damage.on != "disk" or can_mount()]
     name, rng = names[number % len(names)], random.Random(f"{seed}/{number}")  # noqa: S311  # no secret
     damage = DAMAGES[name]
-    second = folder / "second"
-    second.mkdir(parents=True)
+    folder.mkdir(parents=True, exist_ok=True)
     run = folder / f"folders-{number}-{os.getpid()}"
     output = folder / "output.txt"
     with output.open("wb") as file:
         command = subprocess.Popen(
             _command(damage, run, folder),
             cwd=folder,
-            env={**os.environ, "TMPDIR": str(_second_place(damage, folder))},
             stdin=subprocess.DEVNULL,
             stdout=file,
             stderr=file,
@@ -194,20 +183,14 @@ def execute(seed: int, number: int, folder: Path, stop: threading.Event) -> Resu
 
 def _problems_of_log(damage: Damage, run: Path, said: str) -> Iterator[str]:
     """Yield what is wrong with the log of a run, given what its command has said."""
-    lines = said.splitlines()
-    moved = [line.rsplit(" recording continues in ", 1)[1] for line in lines if " recording continues in " in line]
-    if damage.moves is not None and bool(moved) != damage.moves:
-        yield f"the log {'goes' if moved else 'does not go'} on in a second place"
-    if damage.on in ("full", "limit"):
-        if not any("continues without recording" in line for line in lines):
+    if damage.exit_codes == _LOST and damage.apply is not _make_unwritable:
+        if "the run continues without recording" not in said:
             yield "the command did not say that the run continues without recording"
-        return  # the files of the small disk are gone with it
-    if damage.on == "disk" and not moved:
         return
-    log, unreadable = log_in(Path(moved[0]).parent if moved else run)
+    log, unreadable = log_in(run)
     if unreadable or log is None:
         yield f"unreadable log: {unreadable or 'there is none'}"
-    elif damage.is_whole and [control.outcome for control in log.of(Control)] != ["completed"]:
+    elif [control.outcome for control in log.of(Control)] != ["completed"]:
         yield "the log does not say that the run was completed"
 
 
@@ -216,16 +199,10 @@ def _command(damage: Damage, run: Path, folder: Path) -> list[str]:
     words = [*python("transport"), "run", "resilient", "--no-figures", "--out", run.name]
     for setting in _SETTINGS:
         words += ["--set", setting]
-    if damage.on not in ("disk", "full"):
+    if damage.on != "disk":
         return words
-    script = (
-        f'mkdir -p small && mount -t tmpfs -o size={_DISK} tmpfs small && mkdir -p small/second && cd small && "$@"'
-    )
+    script = f'mkdir -p small && mount -t tmpfs -o size={_DISK} tmpfs small && cd small && "$@"'
     return ["unshare", "--mount", "--map-root-user", "sh", "-c", script, str(folder), *words]
-
-
-def _second_place(damage: Damage, folder: Path) -> Path:
-    return folder / "small" / "second" if damage.on == "full" else folder / "second"
 
 
 def _limit_file_size() -> None:

@@ -14,7 +14,8 @@ from protocol.scenario.setup import Setup
 from protocol.wire.messages import Message, Plan, PlantState, StepReport, agent_name
 from tests.support import runs
 from transport.flight.memory import simulate
-from transport.log.run_log import LogWriter, Recorded, RunLog
+from transport.log.run_log import Recorded, RunLog
+from transport.log.writer import LogWriter
 
 MILLISECOND_NS = 1_000_000
 

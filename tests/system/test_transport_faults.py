@@ -13,7 +13,8 @@ from protocol.wire.messages import Control, FaultNote, Message, Plan, Roster, Ti
 from tests.support.commands import PATIENCE_S, SHORT, processes_of, settings, start, transport
 from tests.support.troubles import FAULTS, HEAVY, ITERATIONS, NEXT_TICK
 from transport.flight.memory import simulate
-from transport.log.run_log import LogWriter, RunLog, read_log
+from transport.log.run_log import RunLog, read_log
+from transport.log.writer import LogWriter
 from transport.report.report import write_report
 
 LOST = 4

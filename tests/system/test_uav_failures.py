@@ -20,7 +20,8 @@ from tests.support.logs import log_of
 from tests.support.runs import SCENARIOS
 from transport.analysis.series import Series, series_of
 from transport.flight.memory import simulate
-from transport.log.run_log import LogWriter, read_log
+from transport.log.run_log import read_log
+from transport.log.writer import LogWriter
 from transport.report.report import write_report
 
 # The paper's maneuver at its speeds, shortened: the fault is in the climb, before a corner.

@@ -18,7 +18,6 @@ from tests.support.logs import record_run
 from transport.cli.main import app
 from transport.log.channels import topic_of
 from transport.log.run_log import read_log
-from transport.log.salvage import Salvage
 from transport.report.foxglove import CHANNELS, METADATA
 from transport.report.json_messages import to_json
 
@@ -53,18 +52,17 @@ def test_the_copy_holds_the_log(copied: Path) -> None:
     """Every message of the log is in the copy as JSON, in order, with its times; and so is the header."""
     log = read_log(copied / "run.mcap")
     with (copied / "foxglove.mcap").open("rb") as file:
-        copy = Salvage(file)
+        copy = make_reader(file)
         found = [
             (channel.topic, entry.log_time, entry.publish_time, entry.data)
-            for channel, entry in copy.entries()
+            for _, channel, entry in copy.iter_messages(log_time_order=False)
             if channel.topic not in CHANNELS
         ]
+        assert {record.name: record.metadata for record in copy.iter_metadata()} == {METADATA: log.header}
     assert found == [
         (topic_of(entry.message), entry.message.tick * 50_000_000, entry.received_ns, to_json(entry.message))
         for entry in log.messages
     ]
-    assert copy.metadata == {METADATA: log.header}
-    assert copy.ended
 
 
 def test_the_copy_is_no_log(copied: Path) -> None:

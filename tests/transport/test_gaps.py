@@ -11,8 +11,9 @@ from protocol.wire.messages import FaultNote, Message, Plan, PlantState, Rejecte
 from tests.support import runs
 from tests.support.logs import log_of
 from tests.support.troubles import FAULTS, RESILIENT
-from transport.log.gaps import END_NOT_RECORDED, missing
-from transport.log.run_log import LogWriter, read_log
+from transport.log.run_folder import END_NOT_RECORDED, missing
+from transport.log.run_log import read_log
+from transport.log.writer import LogWriter
 from transport.report.report import write_report
 
 TICKS = 30

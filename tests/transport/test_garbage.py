@@ -26,7 +26,8 @@ from tests.support.runs import reproducible, setup
 from tests.support.wire import Wire, without_network
 from transport.analysis.metrics import summarise
 from transport.flight.recorder import Recorder
-from transport.log.run_log import LogWriter, read_log
+from transport.log.run_log import read_log
+from transport.log.writer import LogWriter
 
 SEED = 20240611
 

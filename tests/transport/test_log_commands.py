@@ -13,7 +13,7 @@ from model import state
 from protocol.wire.messages import KINDS, Message, Plan, PlantState, StepReport
 from tests.support import logs, runs
 from transport.cli.main import app
-from transport.log.run_log import LogWriter
+from transport.log.writer import LogWriter
 
 KILL = (
     *("clock.on_agent_loss='continue'", "controller.prediction='closed_loop'", "controller.relaxation='auto'"),

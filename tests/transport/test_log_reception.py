@@ -16,9 +16,10 @@ from protocol.wire.messages import Message, Plan, PlantState, Record, Rejected, 
 from protocol.wire.outbox import Outbox
 from tests.support import runs
 from tests.support.logs import HEADER, with_scenario
-from transport.log.run_log import LogWriter, RunLog, read_log
-from transport.log.salvage import frames
+from transport.log.parser import records
+from transport.log.run_log import RunLog, read_log
 from transport.log.tail import LogTail
+from transport.log.writer import LogWriter
 
 TICKS = 30
 RUN = runs.setup("controller.horizon=5", runs.ticks(TICKS))
@@ -138,8 +139,8 @@ def test_a_damaged_chunk_costs_no_other(tmp_path: Path, flight: list[Message]) -
     path = write(tmp_path / "run.mcap", [entry(message) for message in flight])
     data = bytearray(path.read_bytes())
     with path.open("rb") as file:
-        file.seek(len(MCAP0_MAGIC))
-        chunks = [(offset, len(body)) for opcode, offset, body in frames(file) if opcode == Opcode.CHUNK]
+        found_in = records(file, len(MCAP0_MAGIC))
+        chunks = [(offset, len(body)) for opcode, offset, body in found_in if opcode == Opcode.CHUNK]
     for offset, size in chunks[:-2]:
         data[offset + size // 2] ^= 0xFF
     path.write_bytes(data)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
 
@@ -17,9 +18,9 @@ from tests.support import runs
 from tests.support.logs import record_run
 from transport.log import tail as log_tail
 from transport.log.channels import ENCODING, TOKENS, TOKENS_ENCODING
+from transport.log.parser import Place, content_of, records
 from transport.log.run_log import read_log
-from transport.log.salvage import chunk_content, frames
-from transport.log.tail import Chunks, LogTail, Unread
+from transport.log.tail import LogTail, Unread
 from transport.scene.run_history import KINDS, LATER, RunHistory
 
 TICKS = 40
@@ -59,7 +60,7 @@ def test_it_reads_what_is_whole(log: Path, tmp_path: Path, piece: int) -> None:
 def test_damage_costs_what_is_damaged(log: Path, tmp_path: Path) -> None:
     """A damaged chunk is skipped, and the messages behind it are read."""
     data = bytearray(log.read_bytes())
-    _, chunk, *_ = (body for opcode, _, body in frames(behind_magic(data)) if opcode == Opcode.CHUNK)
+    _, chunk, *_ = (body for opcode, _, body in records(BytesIO(data), len(MCAP0_MAGIC)) if opcode == Opcode.CHUNK)
     data[data.index(chunk) + len(chunk) // 2] ^= 0xFF
     (tmp_path / "run.mcap").write_bytes(data)
     messages, whole = LogTail(tmp_path / "run.mcap").read(), read_log(log).messages
@@ -67,13 +68,6 @@ def test_damage_costs_what_is_damaged(log: Path, tmp_path: Path) -> None:
     at = next(i for i, pair in enumerate(zip(found, expected, strict=False)) if pair[0] != pair[1])
     assert found == expected[:at] + expected[at - len(found) :]
     assert 0 < at < len(found) < len(expected)
-
-
-def behind_magic(data: bytes | bytearray) -> BytesIO:
-    """Return a file at its first record."""
-    file = BytesIO(data)
-    file.seek(len(MCAP0_MAGIC))
-    return file
 
 
 def test_unread_messages_give_the_same_record(log: Path) -> None:
@@ -106,13 +100,14 @@ def test_unreadable_messages_are_missing(log: Path, tmp_path: Path, kind: str, o
     taken = [message for message in LogTail(log, KINDS, LATER).read() if isinstance(message, Unread)]
     one = next(message for message in taken if message.kind == kind)
     assert tick_found(one) == one.tick
-    at, size = one.chunk
+    at, size, _ = one.chunk
     flipped = bytearray(whole)
     flipped[at + size // 2] ^= 0xFF
     for damaged in (whole[: at + size // 2], flipped):
         path.write_bytes(damaged)
-        assert tick_found(replace(one, chunks=Chunks(path))) is None
-    assert tick_found(replace(one, chunks=Chunks(tmp_path / "none.mcap"))) is None
+        log_tail.chunk.cache_clear()
+        assert tick_found(replace(one, path=path)) is None
+    assert tick_found(replace(one, path=tmp_path / "none.mcap")) is None
     not_it = next(message for message in taken if message.kind == other and message.chunk == one.chunk)
     later = next(message for message in taken if message.kind == kind and message.tick > one.tick)
     assert tick_found(replace(one, span=not_it.span)) is None
@@ -166,15 +161,14 @@ def chunk_of(data: bytes) -> bytes:
 
 def test_each_chunk_is_read_once(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Messages of one chunk cost one read of the file, and only a limited number of chunks is cached."""
-    read = []
+    read: list[Place] = []
 
-    def unpacked(body: bytes) -> bytes:
-        read.append(body)
-        return chunk_content(body)
+    def unpacked(path: Path, place: Place) -> bytes:
+        read.append(place)
+        return content_of(path, place)
 
     taken = [message for message in LogTail(log, KINDS, LATER).read() if isinstance(message, Unread)]
-    monkeypatch.setattr(log_tail, "chunk_content", unpacked)
-    monkeypatch.setattr(log_tail, "_CACHED_CHUNKS", 1)
+    monkeypatch.setattr(log_tail, "chunk", lru_cache(maxsize=1)(unpacked))
     for _ in range(2):
         assert all(message.message() is not None for message in taken)
     chunks = {message.chunk for message in taken}

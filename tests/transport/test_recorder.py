@@ -25,7 +25,8 @@ from tests.support.runs import setup
 from tests.support.samples import sample
 from transport.flight import recorder as recorder_module
 from transport.flight.recorder import Recorder
-from transport.log.run_log import LogWriter, read_log
+from transport.log.run_log import read_log
+from transport.log.writer import LogWriter
 
 RUN = setup("controller.horizon=5", runs.ticks(40))
 KEYS = Keys(RUN.scenario.name)

@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 import tracemalloc
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,9 +23,9 @@ from tests.support import runs
 from tests.support.samples import sample
 from tests.support.strategies import messages as any_message
 from transport.log.channels import ENCODING, TOKENS
-from transport.log.log_file import CHUNK_BYTES, CHUNK_S
-from transport.log.run_log import LogError, LogWriter, RunLog, read_log
-from transport.log.salvage import Salvage
+from transport.log.parser import Parser
+from transport.log.run_log import LogError, RunLog, read_log
+from transport.log.writer import CHUNK_BYTES, CHUNK_S, LogWriter
 
 HEADER = {"run_id": "r1", "scenario": "name = 'x'\n", "versions": "python 3.12", "note": "Ω0"}
 RECEIVED_NS = 1_700_000_000_000_000_000
@@ -116,8 +116,7 @@ def test_any_message_can_be_logged(
     with LogWriter(path, {}, period_ns=10**9) as writer:
         for message in messages:
             writer.write(message, received_ns)
-    with path.open("rb") as file:
-        found = [entry.data for channel, entry in Salvage(file).entries() if channel.topic != TOKENS]
+    found = [entry.data for entry in Parser(path).entries() if entry.channel.topic != TOKENS]
     assert found == bits(messages)
 
 
@@ -211,7 +210,7 @@ def test_a_killed_recorder_loses_a_chunk_at_most(tmp_path: Path, flight: list[Me
 import os, signal, sys
 from pathlib import Path
 from protocol.wire.codec import decode
-from transport.log.run_log import LogWriter
+from transport.log.writer import LogWriter
 data, at = Path(sys.argv[2]).read_bytes(), 0
 writer = LogWriter(Path(sys.argv[1]), {}, period_ns=50_000_000)
 while at < len(data) - 2000:
@@ -299,6 +298,31 @@ def test_a_full_disk_leaves_what_fits(tmp_path: Path, flight: list[Message]) -> 
     assert "it stops before its end" in log.cut
     assert log.messages
     assert read_bits(log) == bits((flight * 3)[: len(log.messages)])
+
+
+DAMAGES: dict[str, Callable[[Path], object]] = {
+    "removed": lambda path: path.unlink(),
+    "replaced": lambda path: path.with_name("other").replace(path),
+    "cut": lambda path: os.truncate(path, 100),
+}
+
+
+@pytest.mark.parametrize("apart_ns", [1, 10**8])
+@pytest.mark.parametrize("what", DAMAGES)
+def test_a_log_that_goes_while_it_is_written(what: str, apart_ns: int, tmp_path: Path, flight: list[Message]) -> None:
+    """A file that was removed, replaced or cut is told in one line at the next chunk; later messages are dropped."""
+    path, said = tmp_path / "run.mcap", list[str]()
+    path.with_name("other").write_bytes(b"other")
+    writer = LogWriter(path, HEADER, period_ns=50_000_000, say=said.append)
+    writer.write(flight[0], 0)
+    DAMAGES[what](path)
+    for message in flight:
+        writer.write(message, apart_ns * message.sequence)
+    writer.close()
+    reason = "the file was cut" if what == "cut" else "the file was removed"
+    assert writer.lost == f"{path}: cannot write the log ({reason})"
+    assert said == [f"{writer.lost}: the run continues without recording"]
+    assert writer.is_up_to_date
 
 
 def test_other_files_are_refused(tmp_path: Path) -> None:

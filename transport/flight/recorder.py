@@ -43,8 +43,9 @@ from protocol.wire.names import COORDINATOR
 from protocol.wire.outbox import Outbox, lost
 from transport.flight.departures import Departures
 from transport.flight.newest_state import NewestState
-from transport.log.gaps import END_NOT_RECORDED
-from transport.log.run_log import LogError, LogWriter
+from transport.log.run_folder import END_NOT_RECORDED
+from transport.log.run_log import LogError
+from transport.log.writer import LogWriter
 
 # Kinds of messages that the recorder reads; of the others it reads the header.
 _READ = frozenset(kind.kind for kind in (Roster, LinkChange, Control, Rejected, FaultNote))

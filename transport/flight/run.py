@@ -37,7 +37,7 @@ from transport.flight.run_files import create, open_log, own_keys, refuse_existi
 from transport.flight.signals import collected_signals
 from transport.flight.watchdog import Watchdog
 from transport.log.latest import forget_latest
-from transport.log.relocating_file import RelocatingFile
+from transport.log.writer import LogWriter
 
 # Time for the processes to end after the run before they are killed.
 _LEAVE_S = 3.0
@@ -127,7 +127,7 @@ def _simulate(
             recording = replace(recording, security=Security(own, ()))
         keys = "" if recording.security is None else str(recording.security.folder)
         harness.start(observers=[RECORDER])
-        writer, file = open_log(folder, setup, header, progress.say)
+        writer = open_log(folder, setup, header, progress.say)
         recorder = Recorder(
             setup,
             run,
@@ -161,7 +161,7 @@ def _simulate(
             harness.end()
             for notice in harness.notices:
                 progress.say(notice)
-    return _finished(file, recorder)
+    return _finished(folder, writer, recorder)
 
 
 def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finished:
@@ -173,7 +173,7 @@ def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finis
     text = create(folder, setup)
     with RunProgress(setup, console) as progress:
         header = run_header(setup, place.run, len(names), text, setup.scenario.plant.engine)
-        writer, file = open_log(folder, setup, header, progress.say)
+        writer = open_log(folder, setup, header, progress.say)
         try:
             recorder = Recorder(setup, place.run, writer, place.endpoints, place.join_timeout_s, place.incarnation)
         except BusError as error:
@@ -186,7 +186,7 @@ def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finis
         finally:
             recorder.close()
             _discard_if_empty(folder, recorder)
-    return _finished(file, recorder)
+    return _finished(folder, writer, recorder)
 
 
 def _discard_if_empty(folder: Path, recorder: Recorder) -> None:
@@ -196,19 +196,19 @@ def _discard_if_empty(folder: Path, recorder: Recorder) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _finished(file: RelocatingFile, recorder: Recorder) -> Finished:
+def _finished(folder: Path, writer: LogWriter, recorder: Recorder) -> Finished:
     """Return how a run ended; raise RunError if it did not begin or was not recorded."""
     if recorder.error is not None:
         raise RunError(recorder.error, EXIT_UNREACHABLE)
     if recorder.control is None and recorder.started_s is not None:
-        return Finished(file.path.parent, EXIT_INTERRUPTED, "recording interrupted; the run may continue without it")
+        return Finished(folder, EXIT_INTERRUPTED, "recording interrupted; the run may continue without it")
     if recorder.control is None:
         raise RunError("the run ended before its first tick", EXIT_UNREACHABLE)
     control = recorder.control
-    if file.lost:
+    if writer.lost:
         ended = f"{control.outcome}{f': {control.reason}' if control.reason else ''}"
-        raise RunError(f"{file.lost}; the run {ended}", control.exit_code or EXIT_UNRECORDED)
-    return Finished(file.path.parent, control.exit_code, control.reason)
+        raise RunError(f"{writer.lost}; the run {ended}", control.exit_code or EXIT_UNRECORDED)
+    return Finished(folder, control.exit_code, control.reason)
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,7 @@
 
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -15,8 +15,8 @@ from protocol.scenario.text_file import path_problem
 from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
 from transport.flight.run_error import RunError
 from transport.log.latest import point_latest
-from transport.log.relocating_file import RelocatingFile
-from transport.log.run_log import LogWriter
+from transport.log.run_log import LogError
+from transport.log.writer import LogWriter
 
 _LOG = "run.mcap"
 _OPEN = "--set network.secret=false runs without, open to every local process"
@@ -85,29 +85,15 @@ def own_keys(scenario: Scenario, folder: Path, say: Callable[[str], None]) -> It
         yield keys
 
 
-def open_log(
-    folder: Path, setup: Setup, header: Mapping[str, str], say: Callable[[str], None]
-) -> tuple[LogWriter, RelocatingFile]:
-    """Open the log of a run folder; its second place is a new folder in the temporary folder of the system.
-
-    `say` is called when the log has to go on there.
+def open_log(folder: Path, setup: Setup, header: Mapping[str, str], say: Callable[[str], None]) -> LogWriter:
+    """Open the log of a run folder; `say` is called when the run has to go on without it.
 
     Raises: RunError: it cannot be written.
     """
-
-    def second_place() -> Path:
-        second = Path(tempfile.mkdtemp(prefix=f"{folder.name}-"))
-        _write_scenario(second, setup, header["scenario"])
-        return second / _LOG
-
-    with suppress(OSError):  # a system without one has no second place
-        tempfile.gettempdir()  # chosen now: on a disk that is full later it would not be the one that TMPDIR names
-    path = folder / _LOG
     try:
-        file = RelocatingFile(path, header, second_place, say)
-    except OSError as error:
-        raise RunError(f"{path}: cannot write the log ({error.strerror or error})", EXIT_USAGE) from error
-    return LogWriter(file, header, period_ns=setup.period_ns), file
+        return LogWriter(folder / _LOG, header, period_ns=setup.period_ns, say=say)
+    except LogError as error:
+        raise RunError(str(error), EXIT_USAGE) from error
 
 
 def _write_scenario(folder: Path, setup: Setup, text: str) -> None:

@@ -17,7 +17,8 @@ from transport.interface.optional import require_pandas
 from transport.interface.scenario import Scenario
 from transport.interface.series import RunSeries
 from transport.interface.settings import ArgumentError, file_name
-from transport.log.run_log import LogWriter, RunLog
+from transport.log.run_log import RunLog
+from transport.log.writer import LogWriter
 from transport.report.report import summary_table, write_report
 
 if TYPE_CHECKING:

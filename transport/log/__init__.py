@@ -1,1 +1,1 @@
-"""Logs: writing and reading run.mcap, salvage of cut files, tables, gaps."""
+"""Logs: writing and reading run.mcap, also cut or live, tables, gaps."""

@@ -6,6 +6,8 @@ from protocol.wire.codec import VERSION
 from protocol.wire.keys import RECORDER, Keys
 from protocol.wire.messages import LinkChange, Message, Plan
 
+# Name of the metadata record that describes the run.
+METADATA = "run"
 # Encoding of the bytes of messages (docs/protocol.md); a log of another version of the protocol has another.
 ENCODING = f"payload-transport/{VERSION}"
 # Beginning of the channels of messages that the recorder made; no message from the network can be there.

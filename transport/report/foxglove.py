@@ -15,7 +15,8 @@ from mcap.writer import CompressionType, Writer
 from model.arrays import Array
 from protocol.scenario.setup import Setup
 from transport.log.channels import topic_of
-from transport.log.run_log import LAST_TIME_NS, SEQUENCES, RunLog
+from transport.log.run_log import RunLog
+from transport.log.writer import LAST_TIME_NS, SEQUENCES
 from transport.report.foxglove_schemas import NUMBERS, SCHEMAS
 from transport.report.json_messages import JsonChannels, to_json
 from transport.scene.geometry import (

@@ -21,7 +21,6 @@ from protocol.scenario.file import find_scenario, read_scenario
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Message, Plan, PlantState
 from tests.support.runs import recorded, reproducible
-from transport.flight import run as processes_run
 from transport.interface.series import QUANTITIES
 from transport.report.style import RC, save_both
 
@@ -172,16 +171,6 @@ def test_an_existing_folder_is_refused_before_the_run(tmp_path: Path) -> None:
     """The run is not simulated in vain."""
     with pytest.raises(transport.ArgumentError, match="folder: expected a folder that does not exist yet"):
         transport.fly("paper", folder=tmp_path)
-
-
-@pytest.mark.slow
-def test_a_log_that_goes_on_elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A run whose folder was removed is that of the folder in which its log went on."""
-    second = short().save(tmp_path / "second", figures=False)
-    monkeypatch.setattr(processes_run, "simulate", lambda *_, **__: processes_run.Finished(second, 0, ""))
-    found = short(processes=True, folder=tmp_path / "first")
-    assert (found.folder, found.completed) == (second, True)
-    assert (second / "figures").is_dir()
 
 
 def digest(run: transport.Run) -> list[bytes]:

@@ -9,8 +9,8 @@ from rich.text import Text
 from transport.cli.log.opening import LogArgument, open_or_fail
 from transport.cli.options import FormatOption
 from transport.cli.output import Format, show_json
-from transport.log.gaps import ranges
 from transport.log.info import describe
+from transport.log.run_folder import ranges
 
 
 def info(path: LogArgument = None, output: FormatOption = Format.text) -> None:

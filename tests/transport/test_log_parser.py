@@ -1,0 +1,161 @@
+"""The parser of MCAP files: what other readers read, after any cut, and never more than a bound."""
+
+import tracemalloc
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, IndexType, Writer
+
+from tests.support import runs
+from transport.log.channels import ENCODING
+from transport.log.parser import MOST_CHUNK_BYTES, Parser
+from transport.log.run_log import LogError, read_log
+from transport.log.tail import LogTail
+from transport.log.writer import LogWriter
+
+CHUNK_BYTES = 2000
+CHANNELS = 7
+MEGABYTE = 1_000_000
+
+Entry = dict[str, Any]
+
+
+def entries() -> Iterator[Entry]:
+    """Yield messages without end: some empty, some larger than a chunk, not in the order of time."""
+    rng, number = np.random.default_rng(5), 0
+    while True:
+        size = 3 * CHUNK_BYTES if number % 100 == 50 else int(rng.choice([0, 2, 50, 300, 500]))
+        yield {
+            "channel_id": 1 + int(rng.integers(CHANNELS)),
+            "log_time": 10**9 * (number // 15) + int(rng.integers(10**9)),
+            "publish_time": 2**63 - 1 - number,
+            "sequence": number if number % 2 else 2**32 - 1 - number,
+            "data": rng.bytes(size // 2) + bytes(size // 2),
+        }
+        number += 1
+
+
+def written(path: Path, count: int, compression: CompressionType, *, finished: bool = True) -> Path:
+    """Return a file of `entries`."""
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=CHUNK_BYTES, compression=compression, enable_data_crcs=True)
+        writer.start(library="tests")
+        writer.add_metadata("run", {"run_id": "r1", "note": "Ω0"})
+        for number in range(CHANNELS):
+            writer.register_channel(f"/topic/{number}", "json", writer.register_schema(f"schema {number}", "", b""))
+        for entry in islice(entries(), count):
+            writer.add_message(**entry)
+        (writer.finish if finished else writer.flush)()  # type: ignore[no-untyped-call]
+    return path
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+def test_it_reads_what_the_library_reads(tmp_path: Path, compression: CompressionType) -> None:
+    """Channels, data, times and metadata are those that the reader of the mcap package finds."""
+    path = written(tmp_path / "run.mcap", 400, compression)
+    parser = Parser(path)
+    found = [(entry.channel.topic, entry.data, entry.received_ns) for entry in parser.entries()]
+    with path.open("rb") as file:
+        expected = [
+            (channel.topic, message.data, message.publish_time)
+            for _, channel, message in make_reader(file).iter_messages(log_time_order=False)
+        ]
+    assert found == expected
+    assert len(found) == 400
+    assert (parser.damaged, parser.is_whole()) == (0, True)
+    assert parser.metadata == {"run": {"run_id": "r1", "note": "Ω0"}}
+
+
+def test_flushed_messages_are_in_the_file(tmp_path: Path) -> None:
+    """A file that is never finished has all flushed messages; cut at any byte, it has a beginning of them."""
+    data = written(tmp_path / "run.mcap", 200, CompressionType.LZ4, finished=False).read_bytes()
+    expected, sizes = [entry["data"] for entry in islice(entries(), 200)], []
+    cut = tmp_path / "cut.mcap"
+    for end in [*range(0, len(data), 197), len(data)]:
+        cut.write_bytes(data[:end])
+        parser = Parser(cut)
+        readable = [entry.data for entry in parser.entries()]
+        assert not parser.damaged
+        assert readable == expected[: len(readable)]
+        sizes.append(len(readable))
+    assert sizes == sorted(sizes)
+    assert sizes[-1] == 200
+
+
+def bomb(path: Path, chunks: int, messages: int, size: int, compression: CompressionType) -> Path:
+    """Return a small file of chunks with messages that have only zeros."""
+    with path.open("wb") as file:
+        writer = Writer(
+            file, chunk_size=10**9, compression=compression, index_types=IndexType.METADATA, use_statistics=False
+        )
+        writer.start()
+        writer.add_metadata("run", {})
+        channel = writer.register_channel("/tick", ENCODING, 0)
+        for _ in range(chunks):
+            for _ in range(messages):
+                writer.add_message(channel, 0, bytes(size), 0, 0)
+            writer.flush()  # type: ignore[no-untyped-call]
+        writer.finish()  # type: ignore[no-untyped-call]
+    return path
+
+
+BOMBS = {
+    "a chunk of 60 MB": (1, 1, 60 * MEGABYTE, CompressionType.ZSTD),
+    "a chunk of 60 MB, LZ4": (1, 1, 60 * MEGABYTE, CompressionType.LZ4),
+    "many chunks": (40, 1, 15 * MEGABYTE, CompressionType.ZSTD),
+    "a million messages": (1, MEGABYTE, 0, CompressionType.ZSTD),
+}
+
+
+@pytest.mark.parametrize("content", BOMBS.values(), ids=BOMBS.keys())
+def test_a_small_file_cannot_become_a_large_log(tmp_path: Path, content: tuple[int, int, int, CompressionType]) -> None:
+    """A chunk, or a file, that becomes thousands of times its size is refused with both numbers, in little memory."""
+    path = bomb(tmp_path / "run.mcap", *content)
+    for read in (lambda: read_log(path), lambda: LogTail(path).read()):
+        tracemalloc.start()
+        try:
+            with pytest.raises(LogError, match=r"run\.mcap: a chunk of .* becomes .* \(expected at most .*\), all"):
+                read()
+            assert tracemalloc.get_traced_memory()[1] < 4 * MOST_CHUNK_BYTES
+        finally:
+            tracemalloc.stop()
+
+
+def test_a_chunk_cannot_lie_about_its_size(tmp_path: Path) -> None:
+    """A chunk that becomes more than it states is damaged, and no more than that is decompressed."""
+    for compression in (CompressionType.ZSTD, CompressionType.LZ4):
+        path = bomb(tmp_path / "run.mcap", 1, 1, 60 * MEGABYTE, compression)
+        data = path.read_bytes()
+        path.write_bytes(data.replace((60 * MEGABYTE + 80).to_bytes(8, "little"), (999).to_bytes(8, "little")))
+        tracemalloc.start()
+        try:
+            log = read_log(path)
+            assert tracemalloc.get_traced_memory()[1] < MOST_CHUNK_BYTES
+        finally:
+            tracemalloc.stop()
+        assert "1 damaged part left out" in log.cut
+
+
+@pytest.mark.slow
+def test_memory_of_the_writer_does_not_grow(tmp_path: Path) -> None:
+    """Only the time and place of each chunk are kept, not an index of its messages."""
+    message = runs.tick(3)
+    with LogWriter(tmp_path / "long.mcap", {}, period_ns=1) as writer:
+
+        def held(count: int) -> int:
+            for number in range(count):
+                writer.write(message, 10**8 * number)  # each in a chunk of its own
+            return tracemalloc.get_traced_memory()[0]
+
+        tracemalloc.start()
+        try:
+            before = held(1_000)
+            after = held(9_000)
+        finally:
+            tracemalloc.stop()
+    assert after - before < 500 * 8_000

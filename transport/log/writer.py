@@ -1,0 +1,200 @@
+"""Writer of the log of a run: one MCAP file in chunks, each of which can be read as soon as it is written.
+
+One record for each message or bundle that the recorder received, with its bytes, in a channel for each key. `log_time`
+is scenario time, `publish_time` is when the recorder received the message. The metadata record "run", ahead of all
+messages, describes the run. `transport log export` makes files for other programs.
+"""
+
+import os
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from errno import EIO, ENOENT
+from pathlib import Path
+
+import orjson
+from mcap.writer import CompressionType, IndexType, Writer
+
+from protocol.wire.codec import encode
+from protocol.wire.header import Header
+from protocol.wire.keys import RECORDER
+from protocol.wire.messages import Control, FaultNote, Message
+from transport.log.channels import ENCODING, METADATA, TOKENS, TOKENS_ENCODING, channel_of
+from transport.log.run_log import LogError
+
+# A chunk ends at this size, before compression (about ten ticks of four agents), or at this age. A kill loses at most
+# one chunk; live readers wait for it.
+CHUNK_BYTES = 64 * 1024
+CHUNK_S = 0.05
+_CHUNK_NS = round(CHUNK_S * 1e9)
+
+# Kinds of messages that are in the file as soon as they are written.
+_URGENT = (Control.kind, FaultNote.kind)
+
+# Largest time of an MCAP record, ns, and number of its sequence numbers.
+LAST_TIME_NS = 2**63 - 1
+SEQUENCES = 2**32  # MCAP numbers have 32 bits; the message has the full number
+
+
+class LogWriter:
+    """Writes the log of one run. The file can be read at any moment; a kill loses at most the unfinished chunk.
+
+    After a failed write the file is closed as it is, as no reader would find a record behind one that was written in
+    part. With `say` the failure is told, and further messages are dropped; without it, it raises LogError.
+
+    Args:
+        path: File to create.
+        header: Metadata of the run, as `read_log` returns it.
+        period_ns: Sampling period, ns: converts ticks to log times.
+        say: Function called with a sentence about a failure.
+
+    Attributes:
+        lost: Why messages are dropped; empty as long as all are written.
+        is_up_to_date: Whether all messages are in the file.
+
+    Raises: LogError: the file cannot be created.
+    """
+
+    def __init__(
+        self, path: Path, header: Mapping[str, str], *, period_ns: int, say: Callable[[str], None] | None = None
+    ) -> None:
+        self.lost, self.is_up_to_date = "", True
+        self._path, self._period_ns, self._say = path, period_ns, say
+        self._announced: dict[str, int] = {}  # newest incarnation of each process
+        self._channels: dict[str, int] = {}
+        self._begun_ns = self._bytes = 0  # of the unfinished chunk
+        try:
+            self._file = path.open("wb")
+            # Without an index of messages, which would grow in memory; LZ4 is the cheapest, see docs/decisions.md.
+            self._writer = Writer(
+                self._file,
+                chunk_size=2 * CHUNK_BYTES,
+                compression=CompressionType.LZ4,
+                index_types=IndexType.METADATA,
+                enable_data_crcs=True,
+            )
+            self._writer.start(library="payload-transport")
+            self._writer.add_metadata(METADATA, dict(header))
+            self._file.flush()
+        except OSError as error:
+            raise self._error(error) from error
+        self._size = self._file.tell()  # of the file, as far as it was flushed
+
+    def __enter__(self) -> "LogWriter":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def write(self, message: Message, received_ns: int) -> None:
+        """Append a message of this process, or one that was checked, received at a wall-clock time, ns since 1970.
+
+        Raises: LogError: the file cannot be written, or is closed.
+        """
+        if message.sender != RECORDER and message.incarnation > self._announced.get(message.sender, -1):
+            self.announce(message.sender, message.incarnation, received_ns)
+        self.add(channel_of(message), encode(message), message, received_ns)
+
+    def add(self, topic: str, data: bytes, header: Header | Message, received_ns: int) -> None:
+        """Append a message as it came, with its header, to the channel of its key.
+
+        Raises: LogError: the file cannot be written, or is closed.
+        """
+        self._append(topic, ENCODING, data, received_ns, header.tick, header.sequence)
+        # The end of the run and its faults must not wait for the closing of the log.
+        if header.kind in _URGENT:
+            self.flush()
+
+    def announce(self, name: str, incarnation: int, received_ns: int) -> None:
+        """Append that the token of a process has appeared.
+
+        Raises: LogError: the file cannot be written, or is closed.
+        """
+        self._announced[name] = max(incarnation, self._announced.get(name, -1))
+        self._append(TOKENS, TOKENS_ENCODING, self._tokens(name), received_ns)
+
+    def _tokens(self, *now: str) -> bytes:
+        return orjson.dumps({"announced": self._announced, "now": now})
+
+    def _append(
+        self, topic: str, encoding: str, data: bytes, received_ns: int, tick: int = 0, sequence: int = 0
+    ) -> None:
+        if self._file.closed:
+            if self._say is None:
+                raise LogError(f"{self._path}: the log is closed, got an entry of {topic}")
+            return
+        log_ns = min(max(tick * self._period_ns, 0), LAST_TIME_NS)
+        received_ns = min(max(received_ns, 0), LAST_TIME_NS)
+        if received_ns - self._begun_ns > _CHUNK_NS:
+            self.flush()
+            if self.lost:
+                return
+        with self._guarded():
+            if self.is_up_to_date:
+                self._begun_ns = received_ns
+                if self._announced and topic != TOKENS:  # in every chunk, so that a damaged one costs no other
+                    self._put(TOKENS, TOKENS_ENCODING, self._tokens(), 0, received_ns, 0)
+            self._put(topic, encoding, data, log_ns, received_ns, sequence % SEQUENCES)
+        if self._bytes > CHUNK_BYTES:
+            self.flush()
+
+    def _put(self, topic: str, encoding: str, data: bytes, log_ns: int, received_ns: int, sequence: int) -> None:
+        channel = self._channels.get(topic)
+        if channel is None:
+            channel = self._channels[topic] = self._writer.register_channel(topic, encoding, 0)
+        self._writer.add_message(channel, log_ns, data, received_ns, sequence)
+        self._bytes += len(data)
+        self.is_up_to_date = False
+
+    def flush(self) -> None:
+        """Finish the chunk: all messages are in the file, for live readers and against kills.
+
+        Raises: LogError: the file cannot be written.
+        """
+        if not self.is_up_to_date:
+            with self._guarded():
+                self._check()
+                self._writer.flush()  # type: ignore[no-untyped-call]
+                self._file.flush()
+                self._size, self._bytes, self.is_up_to_date = self._file.tell(), 0, True
+
+    def close(self) -> None:
+        """Write the summary and close the file; a second time, or after a failure, does nothing.
+
+        Raises: LogError: the file cannot be written.
+        """
+        if not self._file.closed:
+            with self._guarded():
+                self._check()
+                self._writer.finish()  # type: ignore[no-untyped-call]
+                self._file.close()
+            self.is_up_to_date = True
+
+    def _check(self) -> None:
+        """Raise OSError if the file at the path is another one, or was cut: writing to it would not fail."""
+        own = os.fstat(self._file.fileno())
+        try:
+            is_there = os.path.samestat(self._path.stat(), own)
+        except OSError:
+            is_there = False
+        if not is_there:
+            raise OSError(ENOENT, "the file was removed")
+        if own.st_size < self._size:
+            raise OSError(EIO, "the file was cut")
+
+    @contextmanager
+    def _guarded(self) -> Iterator[None]:
+        """Close the file as it is when a write fails; tell, or raise LogError."""
+        try:
+            yield
+        except OSError as error:
+            with suppress(OSError):
+                self._file.close()
+            self.is_up_to_date = True
+            failure = self._error(error)
+            if self._say is None:
+                raise failure from error
+            self.lost = str(failure)
+            self._say(f"{failure}: the run continues without recording")
+
+    def _error(self, error: OSError) -> LogError:
+        return LogError(f"{self._path}: cannot write the log ({error.strerror or error})")
