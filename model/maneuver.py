@@ -15,6 +15,9 @@ from model.parameters import ParameterError, System
 Profile = Literal["ramp", "min_jerk", "step"]
 PhaseKind = Literal["move", "take_off", "land"]
 
+# Ends of a computed table, such as that of a closed circle, may differ from duration and displacement by this, s and m.
+_ROUNDING = 1e-9
+
 # Share of a take-off before the payload rises, and of a landing after it has reached the ground: there its weight goes
 # from the ground to the team, or back.
 HANDOVER = 0.25
@@ -60,7 +63,7 @@ class Phase:
         name = f"phase {self.name!r} way"
         table = checked(name, way, (None, 4))
         ends = np.array([np.zeros(4), [self.duration_s, *self.displacement_I]])
-        if len(table) < 2 or not np.array_equal(table[[0, -1]], ends):
+        if len(table) < 2 or np.abs(table[[0, -1]] - ends).max() > _ROUNDING:
             raise ParameterError(f"{name}: expected rows from {ends[0].tolist()} to {ends[1].tolist()}")
         late = np.flatnonzero(np.diff(table[:, 0]) <= 0.0)
         if len(late):

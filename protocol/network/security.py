@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from protocol.scenario.text_file import path_problem
+from protocol.scenario.files import path_problem
 from protocol.wire.keys import ACTING, OPERATOR, READING, ROUTER, WATCHER, Keys
 
 # Files of a folder of keys; besides them NAME.pem and NAME.key, or NAME.password, for each name.

@@ -57,9 +57,16 @@ def key_of(setting: str) -> str:
     return setting.partition("=")[0].strip()
 
 
+class PythonSetting(str):
+    """A setting "key=value" that was given in Python, where errors do not name an option of the command line."""
+
+    __slots__ = ()
+
+
 def option(setting: str) -> str:
-    """Return a setting as it was given on the command line, shortened when it is long."""
-    return f"--set {_short(setting) or repr(setting)}"
+    """Return a setting as it was given on the command line or in Python, shortened when it is long."""
+    text = _short(setting) or repr(setting)
+    return text if isinstance(setting, PythonSetting) else f"--set {text}"
 
 
 def _short(text: str) -> str:

@@ -11,10 +11,9 @@ from pydantic import ValidationError
 
 from protocol.scenario.budget import check_budget
 from protocol.scenario.errors import ScenarioError, first_problem, key_of, option
-from protocol.scenario.path_file import PathFileError, with_paths
+from protocol.scenario.files import TableError, from_here, path_problem, read_text, with_paths
 from protocol.scenario.relations import check_relations
 from protocol.scenario.schema import Scenario
-from protocol.scenario.text_file import path_problem, read_text
 
 __all__ = ["ScenarioError", "find_scenario", "read_scenario", "validate", "with_settings"]
 
@@ -44,7 +43,8 @@ def read_scenario(path: Path, settings: Sequence[str] = (), *, allow_large: bool
 
     Args:
         path: TOML file.
-        settings: Changes on top of it, "dotted.key=value" with a TOML value; list entries by number from 1.
+        settings: Changes on top of it, "dotted.key=value" with a TOML value; list entries by number from 1, files
+            relative to the current folder.
         allow_large: Whether the run may exceed the limits of `protocol.scenario.budget`.
     Raises: ScenarioError: naming file, field, expected and got; the setting in place of the file if it gave the field.
     """
@@ -66,7 +66,7 @@ def with_settings(tree: dict[str, Any], settings: Sequence[str], source: str, *,
     Raises: ScenarioError: as `read_scenario`; `source` is the file of the tree.
     """
     for setting in settings:
-        _apply(tree, setting)
+        _apply(tree, setting, Path(source).parent)
     try:
         scenario = validate(tree, source)
         if not allow_large:
@@ -83,7 +83,7 @@ def validate(tree: dict[str, Any], source: str) -> Scenario:
     """
     try:
         tree = with_paths(tree, Path(source).parent)
-    except PathFileError as error:
+    except TableError as error:
         number, _, problem = str(error).partition(" ")
         raise ScenarioError(source, f"maneuver.phase.{number}.file", problem) from error
     try:
@@ -94,7 +94,7 @@ def validate(tree: dict[str, Any], source: str) -> Scenario:
     return scenario
 
 
-def _apply(tree: dict[str, Any], setting: str) -> None:
+def _apply(tree: dict[str, Any], setting: str, folder: Path) -> None:
     key, (_, separator, text) = key_of(setting), setting.partition("=")
     if not separator or not key:
         raise ScenarioError(option(setting), "", "expected key=value")
@@ -105,6 +105,7 @@ def _apply(tree: dict[str, Any], setting: str) -> None:
     except (ValueError, RecursionError) as error:
         raise ScenarioError(option(setting), "", f"not valid TOML: {error}") from error
     *parents, last = key.split(".")
+    value = from_here(value, folder, last)
     node: Any = tree
     for part in parents:
         node = _child(node, part, setting)

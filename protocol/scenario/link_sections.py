@@ -45,8 +45,8 @@ class LinkSection(Section):
     ] = "uniform"
     """distribution of the random part of the delay; empirical draws whole delays from `samples`"""
     samples: str | None = None
-    """file of measured delays in s, separated by blanks or commas, in or below the scenario's folder, or by its
-    absolute path; for empirical"""
+    """file of measured delays in s, separated by blanks or commas, in or below the scenario's folder (in `--set`:
+    relative to the current folder), or by its absolute path; for empirical"""
     loss: Annotated[
         Probability, Key(label="loss of plans", shown="%", short="loss", option="--loss", words="loss {:g} %")
     ] = 0.0

@@ -98,11 +98,12 @@ class PhaseSection(Section):
     way: Annotated[
         list[list[float]] | None, Key(type="list of lists of 4 numbers", unit="s and m", within=(0.0, 1e9))
     ] = None
-    """the table of `file` after reading: times since the start of the phase and positions relative to it, from zeros
-    to duration and displacement; between rows at constant speed"""
+    """the table of `file` after reading, or in its place: times since the start of the phase and positions relative to
+    it, from zeros to duration and displacement, which can then be omitted; between rows at constant speed"""
     file: str | None = None
     """path of the phase as a table, instead of duration and displacement: CSV with the columns `t_s,x_m,y_m,z_m`,
-    relative to the scenario's folder; see [bring-your-own.md](bring-your-own.md#your-own-maneuver)"""
+    relative to the scenario's folder, in `--set` to the current folder; see
+    [bring-your-own.md](bring-your-own.md#your-own-maneuver)"""
 
 
 class ManeuverSection(Section):

@@ -20,9 +20,9 @@ from mpc.rows import compile_constraints
 from mpc.settings import ControllerSettings
 from protocol.scenario.errors import ScenarioError, building
 from protocol.scenario.faults import Fault, scripted
+from protocol.scenario.files import TableError, delays_of
 from protocol.scenario.links import Link, link
 from protocol.scenario.schema import Scenario, UavSection
-from protocol.scenario.text_file import read_text
 from protocol.wire.messages import Measurement, Plan
 from protocol.wire.names import PLANT
 
@@ -209,16 +209,10 @@ def _samples(scenario: Scenario, source: str) -> dict[str, tuple[float, ...]]:
         if ".." in Path(section.samples).parts:
             expected = "expected an absolute path or one below the scenario's folder"
             raise ScenarioError(source, "links.samples", f"{expected}, got {section.samples!r}")
-        path = Path(source).parent / section.samples
         try:
-            values = [float(word) for word in read_text(path).replace(",", " ").split()]
-        except OSError as error:
-            raise ScenarioError(source, "links.samples", f"cannot read {path} ({error.strerror})") from error
-        except ValueError as error:
-            raise ScenarioError(source, "links.samples", f"{path}: expected delays in seconds, {error}") from error
-        if not values or not all(0.0 <= value < math.inf for value in values):
-            raise ScenarioError(source, "links.samples", f"{path}: expected delays >= 0 s, got {values[:3]}")
-        found[section.samples] = tuple(sorted(values))
+            found[section.samples] = delays_of(Path(source).parent / section.samples)
+        except TableError as error:
+            raise ScenarioError(source, "links.samples", str(error)) from error
     return found
 
 

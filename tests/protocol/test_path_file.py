@@ -1,6 +1,7 @@
 """Paths from files: flown as tabulated, part of the scenario once read, refused with the row and the reason."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -168,3 +169,38 @@ def test_a_way_that_does_not_fit_is_refused(way: str, problem: str) -> None:
     with pytest.raises(ScenarioError, match="maneuver: phase 'turn' way") as caught:
         Setup.of(read_scenario(PAPER, [phase]), str(PAPER))
     assert problem in str(caught.value)
+
+
+def circle() -> Any:
+    """A closed circle as a computation gives it: its last position is zero but for rounding."""
+    t = np.linspace(0.0, 2.0, 41)
+    a = np.pi * t
+    return np.stack([t, np.cos(a) - 1.0, np.sin(a), 0.0 * t], axis=1).tolist()
+
+
+@pytest.mark.parametrize("ends", ["", "duration_s=2.0,displacement_m=[0,0,0],"], ids=["from the table", "given"])
+def test_a_table_is_enough(ends: str) -> None:
+    """A phase with a table needs no duration and displacement; those given may differ from its ends by rounding."""
+    way = circle()
+    assert way[-1][2] != 0.0
+    run = Setup.of(read_scenario(PAPER, [f"maneuver.phase=[{{name='round',{ends}way={way}}}]"]), str(PAPER))
+    assert run.maneuver.duration_s == 2.0
+    r, _ = run.maneuver.path(np.array([0.0, 1.0, 2.0]))
+    assert r - r[0] == pytest.approx(np.array([[0, 0, 0], [-2, 0, 0], [0, 0, 0]]), abs=1e-12)
+
+
+@pytest.mark.parametrize("below", [True, False], ids=["below the scenario", "elsewhere"])
+def test_files_of_settings_are_the_callers(below: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file named by a setting is relative to the current folder, one in the scenario to the scenario's folder."""
+    scenario = written(tmp_path, csv(QUARTER))
+    here = tmp_path / "below" if below else tmp_path.parent / f"{tmp_path.name}-elsewhere"
+    here.mkdir()
+    monkeypatch.chdir(here)
+    (here / "circle.csv").write_text(csv(np.array(circle())), encoding="utf-8")
+    (here / "delays.csv").write_text("0.1, 0.2", encoding="utf-8")
+    settings = ["links.distribution=empirical", "links.samples=delays.csv"]
+    read = read_scenario(scenario, [*settings, "maneuver.phase=[{name='round',file='circle.csv'}]"])
+    assert read.links.samples == ("below/delays.csv" if below else str(here / "delays.csv"))
+    assert Setup.of(read, str(scenario)).samples_s == {read.links.samples: (0.1, 0.2)}
+    assert read.maneuver.phase[0].duration_s == 2.0
+    assert read_scenario(scenario, ["maneuver.phase.2.name=turn"]).maneuver.phase[1].way is not None

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from protocol.scenario import text_file
+from protocol.scenario import files
 from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
+from protocol.scenario.files import read_text
 from protocol.scenario.setup import Setup
-from protocol.scenario.text_file import read_text
 
 
 def refusal(folder: Path, name: str) -> str:
@@ -42,7 +42,7 @@ def test_null_characters_are_refused(tmp_path: Path) -> None:
 
 def test_size_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A file of the largest size is read, a larger one refused; so is a scenario, and an endless one."""
-    monkeypatch.setattr(text_file, "MOST_BYTES", 1000)
+    monkeypatch.setattr(files, "MOST_BYTES", 1000)
     (tmp_path / "most").write_bytes(b"x" * 1000)
     (tmp_path / "more").write_bytes(b"x" * 1001)
     assert read_text(tmp_path / "most") == "x" * 1000

@@ -9,9 +9,9 @@ from pathlib import Path
 import tomli_w
 
 from protocol.network.security import SecurityError, new_secret
+from protocol.scenario.files import path_problem
 from protocol.scenario.schema import Scenario
 from protocol.scenario.setup import Setup
-from protocol.scenario.text_file import path_problem
 from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
 from transport.flight.run_error import RunError
 from transport.log.latest import point_latest

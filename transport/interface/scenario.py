@@ -39,7 +39,7 @@ class Scenario:
     >>> scenario.links.loss = 1.5
     Traceback (most recent call last):
         ...
-    protocol.scenario.errors.ScenarioError: --set links.loss=1.5: expected a number <= 1.0, got 1.5
+    protocol.scenario.errors.ScenarioError: links.loss=1.5: expected a number <= 1.0, got 1.5
     >>> scenario.links.loss
     0.0
     >>> scenario.resized(6)

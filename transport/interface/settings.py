@@ -8,8 +8,9 @@ from typing import Any, Literal, TypedDict
 import numpy as np
 import tomli_w
 
+from protocol.scenario.errors import PythonSetting
+from protocol.scenario.files import path_problem
 from protocol.scenario.keys import short_names
-from protocol.scenario.text_file import path_problem
 from protocol.wire.errors import TransportError
 
 Settings = Mapping[str, Any]
@@ -61,11 +62,11 @@ def key_of(name: str) -> str:
 
 
 def setting(key: str, value: Any) -> str:
-    """Return a setting as the command line takes it, "dotted.key=value" with a TOML value.
+    """Return a setting "dotted.key=value" with a TOML value, as the command line takes it.
 
     Raises: ArgumentError: an unknown short name, or a value that TOML cannot hold.
     """
-    return f"{key_of(key)}={_toml(value, key)}"
+    return PythonSetting(f"{key_of(key)}={_toml(value, key)}")
 
 
 def settings_of(settings: Settings | None, short: Mapping[str, Any]) -> list[str]:
@@ -81,7 +82,7 @@ def settings_of(settings: Settings | None, short: Mapping[str, Any]) -> list[str
         key = key_of(name)
         if key in found:
             raise ArgumentError(f"{name}: expected each key once, got {key} twice")
-        found[key] = f"{key}={_toml(value, name)}"
+        found[key] = PythonSetting(f"{key}={_toml(value, name)}")
     return list(found.values())
 
 

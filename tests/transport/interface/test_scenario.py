@@ -59,8 +59,8 @@ def test_a_change_is_that_of_the_command_line(key: str, value: Any) -> None:
 
 
 REFUSED = [
-    ({"links.delay_s": -1.0}, "--set links.delay_s=-1.0: expected a number >= 0.0, got -1.0"),
-    ({"controller.horizn": 3}, "--set controller.horizn=3: unknown key; did you mean 'horizon'?"),
+    ({"links.delay_s": -1.0}, "links.delay_s=-1.0: expected a number >= 0.0, got -1.0"),
+    ({"controller.horizn": 3}, "controller.horizn=3: unknown key; did you mean 'horizon'?"),
     ({"controller.limits.thrust_N": [0.0, 5.0]}, "expected a range that contains the hover thrust"),
     ({"agents.owned": [[1, 2], [3]]}, "expected each UAV once, got none for UAV4"),
 ]
@@ -169,3 +169,14 @@ def test_unknown_scenarios() -> None:
         transport.Scenario("missing.toml")
     with pytest.raises(transport.ArgumentError, match="scenario: expected text or a path, got int"):
         transport.Scenario(3)  # type: ignore[arg-type]
+
+
+def test_files_are_the_callers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A relative file in a Python setting is in the current folder, not beside the ready scenario."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "d.csv").write_text("0.1 0.2", encoding="utf-8")
+    (tmp_path / "way.csv").write_text("t_s,x_m,y_m,z_m\n0,0,0,0\n2,1,0,0\n", encoding="utf-8")
+    scenario = transport.Scenario("resilient", phases=[{"name": "way", "file": "way.csv"}])
+    scenario.set({"links.samples": "d.csv", "links.distribution": "empirical"})
+    assert scenario.setup.samples_s == {str(tmp_path / "d.csv"): (0.1, 0.2)}
+    assert scenario.maneuver.phase[0].displacement_m == (1.0, 0.0, 0.0)
