@@ -62,7 +62,7 @@ from protocol.wire.keys import Keys, matches
 from protocol.wire.outbox import Outbox
 from protocol.wire.records import Battery
 from tests.support.samples import sample
-from transport.report.json_messages import json_schema, to_json
+from transport.report.foxglove import json_schema, to_json
 
 keys = Keys("run")
 message = Outbox("agent2", 0).stamp(Battery, tick=3, agent=2, charge_As=7e3)

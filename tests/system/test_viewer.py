@@ -37,7 +37,7 @@ from transport.flight.run import simulate as run_processes
 from transport.log.run_folder import setup_of
 from transport.log.run_log import read_log
 from transport.log.tail import LogTail, Unread
-from transport.scene.run_history import RunHistory
+from transport.scene.history import RunHistory
 from transport.scene.scene import SceneBuilder
 from transport.viewer.playback import Playback
 from transport.viewer.viewer import Viewer, open_viewer
@@ -153,9 +153,8 @@ def test_no_frame_of_a_live_run_without_a_browser(recorded: Path, tmp_path: Path
             assert viewer.shown.tick == builder.history.last < 29
         with log.open("ab") as growing:
             growing.write(data[round(CUT * len(data)) :])
-        viewer.update()
+        assert wait_for(lambda: seen() and viewer.shown is not None and viewer.shown.tick == 29)
         assert viewer.notice.startswith("the run has ended: ")
-        assert viewer.shown.tick == 29
 
 
 @contextmanager
@@ -236,7 +235,7 @@ def rod_error_m(drawing: Drawing, attachments: Array) -> float:
     """
     errors = []
     for i, rho in enumerate(attachments):
-        ends = drawing.points[f"/payload/rod{i + 1}"]
+        ends = drawing.points[f"/rod{i + 1}/rod"]
         attachment = (drawing.poses["/payload"] @ np.append(rho, 1.0))[:3]
         errors.append(ends - [attachment, drawing.poses[f"/uav{i + 1}"][:3, 3]])
     return float(np.linalg.norm(errors, axis=-1).max())

@@ -18,7 +18,7 @@ from tests.support.commands import PATIENCE_S, wait_for
 from tests.support.logs import record_run
 from transport.flight.live import LiveRun
 from transport.log.tail import LogTail
-from transport.scene.run_history import RunHistory
+from transport.scene.history import RunHistory
 from transport.scene.scene import SceneBuilder
 from transport.viewer.server import Guard
 from transport.viewer.viewer import Viewer
@@ -36,7 +36,7 @@ def sent(monkeypatch: pytest.MonkeyPatch) -> Sent:
         requests.append((kind, content))
         return {"tick": 0}
 
-    monkeypatch.setattr("transport.viewer.commands.request", request)
+    monkeypatch.setattr("transport.viewer.panel.request", request)
     return requests
 
 

@@ -15,7 +15,7 @@ from transport.analysis.series import series_of
 from transport.cli.main import app
 from transport.log.run_log import read_log
 from transport.report.animation import FPS, LENGTH_S, animate
-from transport.scene.run_history import RunHistory
+from transport.scene.history import RunHistory
 from transport.scene.scene import SceneBuilder
 
 # Largest size of a frame with moving lines.

@@ -21,7 +21,7 @@ from transport.log.channels import ENCODING, TOKENS, TOKENS_ENCODING
 from transport.log.parser import Place, content_of, records
 from transport.log.run_log import read_log
 from transport.log.tail import LogTail, Unread
-from transport.scene.run_history import KINDS, LATER, RunHistory
+from transport.scene.history import KINDS, LATER, RunHistory
 
 TICKS = 40
 RUN = runs.setup(runs.ticks(TICKS))

@@ -1,7 +1,6 @@
 """The scene of a run: positions, predicted paths, links; and the shapes and colours it is drawn with."""
 
 import json
-from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -14,18 +13,20 @@ from model.rotations import rotation
 from protocol.wire.messages import LinkChange, Message
 from tests.support import runs
 from tests.support.logs import record_run
-from transport.scene.geometry import (
-    age_colour,
+from transport.scene.colours import age_colour
+from transport.scene.drawing import (
+    Drawing,
+    Lines,
+    Mesh,
     link_segments,
-    payload_mesh,
+    payload_points,
     quaternion,
-    quaternion_from_up,
+    rotation_from_up,
     segments,
     simplified,
     uav_span,
 )
-from transport.scene.link_history import LinkState
-from transport.scene.run_history import RunHistory
+from transport.scene.history import LinkState, RunHistory
 from transport.scene.scene import SceneBuilder
 
 # One step of order 5 over a sampling period against the plant's five, and rounding of the announced inputs.
@@ -157,15 +158,40 @@ def test_missing_ticks(distributed: SceneBuilder) -> None:
     np.testing.assert_array_equal(payload_I[-1], distributed.history.plant_states[9].x[:3])
 
 
-def test_the_payload_is_solid(distributed: SceneBuilder) -> None:
-    """The mesh is closed and faces outwards, and every rod ends on it."""
+def test_bodies_are_solid(distributed: SceneBuilder) -> None:
+    """The mesh of every body is closed and faces outwards, and every rod ends on the payload."""
     system = distributed.setup.system
-    points, faces = payload_mesh(system)
-    a, b, c = (points[faces[:, k]] for k in range(3))
-    volume = float(np.einsum("ij,ij->", a - points.mean(axis=0), np.cross(b - a, c - a))) / 6.0
-    hull = ConvexHull(points)
-    assert volume == pytest.approx(hull.volume)
-    assert all((hull.equations[:, :3] @ uav.rho + hull.equations[:, 3] < ROUNDING).all() for uav in system.uavs)
+    meshes = [part for part in Drawing(distributed).fixed if isinstance(part, Mesh)]
+    assert len(meshes) == 2 + 7 * system.N
+    for mesh in meshes:
+        a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+        volume = float(np.einsum("ij,ij->", a - mesh.vertices.mean(axis=0), np.cross(b - a, c - a))) / 6.0
+        assert volume == pytest.approx(ConvexHull(mesh.vertices).volume)
+    equations = ConvexHull(payload_points(system)).equations
+    assert all((equations[:, :3] @ uav.rho + equations[:, 3] < ROUNDING).all() for uav in system.uavs)
+
+
+@pytest.mark.parametrize("tick", [0, 20])
+def test_parts_are_where_the_scene_is(distributed: SceneBuilder, tick: int) -> None:
+    """In their poses rods join attachments and UAVs, predicted paths begin at the UAVs, actual paths end there."""
+    drawing, scene = Drawing(distributed), distributed.at(tick)
+    poses = drawing.poses(scene)
+
+    def placed(lines: Lines) -> Array:
+        position, R = poses[lines.frame]
+        return np.asarray(lines.segments @ R.T + position)
+
+    rods = [placed(part)[0] for part in drawing.fixed if isinstance(part, Lines) and part.name == "rod"]
+    ends = np.stack([scene.attachments_I, scene.uavs_I], axis=1)
+    np.testing.assert_allclose(np.array(rods), ends, atol=ROUNDING)
+    moving = {lines.name: placed(lines) for lines in drawing.moving(scene)}
+    horizon = distributed.setup.settings.horizon
+    np.testing.assert_allclose(moving["predicted UAVs"][::horizon, 0], scene.uavs_I, atol=ROUNDING)
+    np.testing.assert_allclose(moving["predicted payload"][::horizon, 0], [scene.payload_I] * 4, atol=ROUNDING)
+    np.testing.assert_allclose(moving["thrust"][::5, 0], scene.uavs_I, atol=ROUNDING)
+    if tick:
+        flown_I = moving["actual paths"].reshape(-1, 3)
+        assert all(np.linalg.norm(flown_I - place_I, axis=1).min() < ROUNDING for place_I in scene.uavs_I)
 
 
 def test_quaternions_rotate_as_matrices() -> None:
@@ -173,21 +199,16 @@ def test_quaternions_rotate_as_matrices() -> None:
     R = rotation(np.array([0.3, -0.7, 2.5]))
     w, *xyz = quaternion(R)
     v = np.array([1.0, 2.0, -3.0])
-    np.testing.assert_allclose(rotated([w, *xyz], v), R @ v, atol=ROUNDING)
+    np.testing.assert_allclose(v + 2.0 * np.cross(xyz, np.cross(xyz, v) + w * v), R @ v, atol=ROUNDING)
 
 
 @pytest.mark.parametrize("direction", [(0.0, 0.0, -3.0), (0.3, -0.4, -2.0), (1.0, 0.0, 0.0), (0.0, 0.0, 2.0)])
-def test_quaternion_from_up(direction: tuple[float, float, float]) -> None:
-    """It rotates up (-z) to the direction, also to the opposite one."""
-    up = rotated(quaternion_from_up(np.array(direction)), np.array([0.0, 0.0, -1.0]))
-    np.testing.assert_allclose(up, np.array(direction) / np.linalg.norm(direction), atol=ROUNDING)
-
-
-def rotated(wxyz: Sequence[float] | Array, v: Array) -> Array:
-    """Return q v q*."""
-    w, *xyz = wxyz
-    result: Array = v + 2.0 * np.cross(xyz, np.cross(xyz, v) + w * v)
-    return result
+def test_rotation_from_up(direction: tuple[float, float, float]) -> None:
+    """It is a rotation of up (-z) to the direction, also to the opposite one."""
+    R = rotation_from_up(np.array(direction))
+    np.testing.assert_allclose(R @ [0.0, 0.0, -1.0], np.array(direction) / np.linalg.norm(direction), atol=ROUNDING)
+    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=ROUNDING)
+    assert np.linalg.det(R) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("loss", [0.0, 0.3])
@@ -240,4 +261,4 @@ def test_contacts_with_the_ground(tmp_path: Path) -> None:
     assert last.payload_I[2] < -10.1
     assert last.contacts_I.shape == (0, 3)
     # The drawn payload is as deep as the box that touches the ground.
-    assert payload_mesh(builder.setup.system, grounded=True)[0][:, 2].max() == pytest.approx(0.125)
+    assert payload_points(builder.setup.system, grounded=True)[:, 2].max() == pytest.approx(0.125)

@@ -89,7 +89,7 @@ app.add_typer(
     lazy_group(
         {
             "info": ("transport.cli.log.info:info", "Describe the content of a log, and its gaps."),
-            "export": ("transport.cli.log.export:export", "Write a log as tables, or as a copy for Foxglove."),
+            "export": ("transport.cli.log.export:export", "Write a log as tables, as a copy for Foxglove, or both."),
         },
         help="Describe and export the log of a run.",
         epilog="Exit codes: 0 done, also for an incomplete log; 2 the log cannot be read.",

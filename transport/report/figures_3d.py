@@ -1,12 +1,15 @@
-"""3D figure of a run: paths of UAVs and payload, and the formation at the ends of the phases."""
+"""Drawings by matplotlib, in space and from above; 3D figure of a run with the formation at the ends of the phases."""
 
 import itertools
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, MultipleLocator
+from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection  # type: ignore[import-untyped]
 
 from model.arrays import Array
 from model.rotations import rotation
@@ -16,6 +19,7 @@ from transport.analysis.series import Series
 from transport.report.column import draw_legend, legend_height_in
 from transport.report.style import COLUMN_IN, PAYLOAD, REFERENCE
 from transport.scene.colours import uav_style
+from transport.scene.drawing import Label, Lines, Mesh, Part, Pose
 
 # Smallest distance between drawn formations, m.
 _APART_M = 0.5
@@ -124,6 +128,40 @@ def frame(axes: Any, points: Array, *, zoom: float = 0.95, ticks: int = 8) -> No
     axes.set_ylabel("y (m)")
     axes.set_zlabel("altitude, -z (m)", labelpad=10.0)
     axes.view_init(elev=18.0, azim=-60.0)
+
+
+def draw_parts(axes: Any, parts: Iterable[Part], poses: Mapping[str, Pose], *, above: bool, width: float) -> list[Any]:
+    """Draw parts of a drawing in their poses, in space with altitude up, or from above; return the drawn artists.
+
+    Lines have `width` points for a pixel on the screen. From above, meshes are transparent, so that nothing is hidden.
+    """
+    triangles, faces, pieces, colours, widths, drawn = [], [], [], [], [], []
+    for part in (part for part in parts if part.frame in poses):
+        position, R = poses[part.frame]
+        match part:
+            case Mesh():
+                triangles.append((part.vertices @ R.T + position)[part.faces])
+                opacity = 0.2 if above else part.opacity
+                faces += [(*(np.array(part.colour) / 255.0), opacity)] * len(part.faces)
+            case Lines() if len(part.segments):
+                pieces.append(part.segments @ R.T + position)
+                colours.append(part.colours / 255.0)
+                widths += [width * part.width] * len(part.segments)
+            case Label() if above:
+                x, y, _ = part.position + position  # labels face the reader
+                colour = np.array(part.colour) / 255.0
+                style = {"fontsize": 8.0, "color": colour, "ha": "center", "va": "center", "weight": "bold"}
+                drawn.append(axes.text(x, y, part.text, **style))
+    solid, segments = np.concatenate(triangles) * _UP, np.concatenate(pieces) * _UP
+    line_style: Any = {"colors": np.concatenate(colours), "linewidths": widths}
+    if above:
+        order = np.argsort(solid[..., 2].mean(axis=1))
+        flat = LineCollection(list(segments[..., :2]), **line_style)
+        bodies = PolyCollection(list(solid[order, :, :2]), facecolors=[faces[k] for k in order], linewidths=0.0)
+        return [*drawn, axes.add_collection(flat), axes.add_collection(bodies)]
+    lines = Line3DCollection(list(segments), **line_style)
+    mesh = Poly3DCollection(list(solid), facecolors=faces, linewidths=0.0)
+    return [axes.add_collection3d(artist, autolim=False) for artist in (lines, mesh)]
 
 
 def line(axes: Any, points_I: Array, **style: Any) -> list[Any]:

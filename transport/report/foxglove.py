@@ -1,61 +1,67 @@
 """Copy of a log for Foxglove: messages as JSON, and additional channels for transforms, 3D scene and numbers.
 
-Additional messages follow Foxglove's schemas
-(https://docs.foxglove.dev/docs/visualization/message-schemas/introduction).
+Transforms and scenes are Foxglove's own messages in protobuf. A matrix in JSON is written row by row with its shape in
+a second field (`inputs`, `inputs_shape`): viewers plot `inputs[0]`, but few plot a list of lists. A float64 is written
+with the fewest digits that read back as the same bits.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+import dataclasses
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 import orjson
+from foxglove_schemas_protobuf.Color_pb2 import Color
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
+from foxglove_schemas_protobuf.Point3_pb2 import Point3
+from foxglove_schemas_protobuf.Pose_pb2 import Pose
+from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
+from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
+from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrimitive
+from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
+from google.protobuf.timestamp_pb2 import Timestamp
 from mcap.writer import CompressionType, Writer
+from mcap_protobuf.schema import register_schema
 
 from model.arrays import Array
-from protocol.scenario.setup import Setup
+from protocol.wire.messages import KINDS, Message
 from transport.log.channels import topic_of
 from transport.log.run_log import RunLog
 from transport.log.writer import LAST_TIME_NS, SEQUENCES
-from transport.report.foxglove_schemas import NUMBERS, SCHEMAS
-from transport.report.json_messages import JsonChannels, to_json
-from transport.scene.geometry import (
-    ARM,
-    BODY,
-    ROTOR,
-    Colour,
-    agent_positions,
-    link_segments,
-    payload_mesh,
-    quaternion,
-    rotor_centres,
-    segments,
-    uav_colour,
-    uav_span,
-)
+from transport.scene.drawing import INERTIAL, Drawing, Label, Lines, Mesh, Part, quaternion
+from transport.scene.drawing import Pose as FramePose
 from transport.scene.scene import Scene, SceneBuilder
 
 # Foxglove draws z up; the inertial frame, z down, is its root turned about x.
-ROOT, INERTIAL, PAYLOAD = "map", "inertial", "payload"
-_UPSIDE_DOWN = {"x": 1.0, "y": 0.0, "z": 0.0, "w": 0.0}
-_GREY, _DARK, _GROUND, _CONTACT = (140, 140, 140), (60, 60, 60), (225, 222, 214), (178, 24, 43)
-# Thickness of lines, m, and length of a thrust arrow at hover, m.
-_LINE_M, _ARROW_M = 0.02, 0.6
-_LINE_LIST = 2
-# Thickness of the drawn ground, its margin around the path, and radius of a mark where the payload touches it, m.
-_GROUND_M, _MARGIN_M, _CONTACT_M = 0.02, 3.0, 0.03
+ROOT = "map"
+_UPSIDE_DOWN: FramePose = (np.zeros(3), np.diag([1.0, -1.0, -1.0]))
+# Most times at which the actual paths are written, which are long.
+_PATHS = 100
 
+NUMBERS = "transport.Numbers"
 # Additional channels and their schemas.
 CHANNELS: Mapping[str, str] = {
     "/tf": "foxglove.FrameTransforms",
     "/scene/bodies": "foxglove.SceneUpdate",
-    "/scene/reference": "foxglove.SceneUpdate",
+    "/scene/paths": "foxglove.SceneUpdate",
     "/scene/now": "foxglove.SceneUpdate",
     "/numbers": NUMBERS,
 }
-
 # Metadata record with the header of the log; another name than in a log, which the copy is not.
 METADATA = "exported run"
+
+# Array fields with two axes; all others have one.
+_MATRICES = ("uav_states", "inputs", "corrections")
+_FIELDS: dict[str, dict[str, Any]] = {
+    kind: {field.name: get_type_hints(cls)[field.name] for field in dataclasses.fields(cls)}
+    for kind, cls in KINDS.items()
+}
+_SCALARS = {str: "string", int: "integer", float: "number", bool: "boolean"}
 
 Json = dict[str, Any]
 
@@ -70,129 +76,141 @@ def write_foxglove(builder: SceneBuilder, log: RunLog, out: Path) -> int:
     Raises: OSError: it cannot be written.
     """
     period_ns = builder.setup.period_ns
-    partial = out.with_name(out.name + ".partial")
-    with partial.open("wb") as file:
-        copy = Writer(file, compression=CompressionType.ZSTD)
-        channels = JsonChannels(copy)
-        copy.start(library="payload-transport")
-        copy.add_metadata(METADATA, log.header)
+    partial_file = out.with_name(out.name + ".partial")
+    with partial_file.open("wb") as file:
+        copy = _Copy(Writer(file, compression=CompressionType.ZSTD))
+        copy.writer.start(library="payload-transport")
+        copy.writer.add_metadata(METADATA, log.header)
         for entry in log.messages:
             message = entry.message
-            copy.add_message(
-                channels.of_message(topic_of(message), message.kind),
+            copy.writer.add_message(
+                copy.json_channel(topic_of(message), f"transport.{type(message).__name__}", message.kind),
                 min(message.tick * period_ns, LAST_TIME_NS),
                 to_json(message),
                 publish_time=entry.received_ns,
                 sequence=message.sequence % SEQUENCES,
             )
-
-        def put(topic: str, at_ns: int, content: Json) -> None:
-            name = CHANNELS[topic]
-            data = orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY)
-            channel = channels.number(topic, name, lambda: SCHEMAS[name])
-            copy.add_message(channel, at_ns, data, publish_time=at_ns)
-
-        ticks = sorted(builder.history.plant_states)
-        for tick in ticks:
+        drawing, ticks = Drawing(builder), sorted(builder.history.plant_states)
+        every, shown = max(1, len(ticks) // _PATHS), set[str]()
+        for number, tick in enumerate(ticks):
             scene, at_ns = builder.at(tick), tick * period_ns
-            if tick == ticks[0]:
-                put("/scene/bodies", at_ns, _update(_bodies(builder, at_ns)))
-                put("/scene/reference", at_ns, _update(_reference(builder, at_ns)))
-            put("/tf", at_ns, {"transforms": list(_transforms(scene, at_ns))})
-            put("/scene/now", at_ns, _update(_now(builder, scene, at_ns)))
-            put("/numbers", at_ns, _numbers(scene))
-        copy.finish()  # type: ignore[no-untyped-call]
-    partial.replace(out)
+            poses = drawing.poses(scene)
+            transforms = [_transform(ROOT, INERTIAL, _UPSIDE_DOWN, at_ns)]
+            transforms += [_transform(INERTIAL, name, pose, at_ns) for name, pose in poses.items() if name != INERTIAL]
+            copy.put("/tf", at_ns, FrameTransforms(transforms=transforms))
+            if shown != poses.keys():  # at the start, and when a UAV leaves or the payload touches the ground
+                shown = set(poses)
+                bodies = [(_entity if part.frame in shown else _nothing)(part, at_ns) for part in drawing.fixed]
+                copy.put("/scene/bodies", at_ns, SceneUpdate(entities=bodies))
+            if number % every == 0 or tick == ticks[-1]:
+                copy.put("/scene/paths", at_ns, SceneUpdate(entities=[_entity(drawing.flown(scene), at_ns)]))
+            moving = [_entity(lines, at_ns) for lines in drawing.moving(scene, flown=False)]
+            copy.put("/scene/now", at_ns, SceneUpdate(entities=moving))
+            data = orjson.dumps(_numbers(scene), option=orjson.OPT_SERIALIZE_NUMPY)
+            copy.writer.add_message(copy.json_channel("/numbers", NUMBERS), at_ns, data, publish_time=at_ns)
+        copy.writer.finish()  # type: ignore[no-untyped-call]
+    partial_file.replace(out)
     return len(ticks)
 
 
-def _transforms(scene: Scene, at_ns: int) -> Iterator[Json]:
-    time = _time(at_ns)
-    yield _transform(time, ROOT, INERTIAL, np.zeros(3), _UPSIDE_DOWN)
-    yield _transform(time, INERTIAL, PAYLOAD, scene.payload_I, _rotation(scene.R_payload))
-    for i, (place, R) in enumerate(zip(scene.uavs_I, scene.R_uavs, strict=True)):
-        yield _transform(time, INERTIAL, _frame(i), place, _rotation(R))
+class _Copy:
+    """An MCAP writer with channels and schemas, registered on first use."""
+
+    def __init__(self, writer: Writer) -> None:
+        self.writer = writer
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
+
+    def json_channel(self, topic: str, name: str, kind: str = "") -> int:
+        """Return the channel of a topic with messages of one kind, or of numbers, as JSON."""
+
+        def schema() -> int:
+            content = orjson.dumps(json_schema(kind) if kind else _NUMBERS)
+            return int(self.writer.register_schema(name, "jsonschema", content))
+
+        return self._channel(topic, name, "json", schema)
+
+    def put(self, topic: str, at_ns: int, message: FrameTransforms | SceneUpdate) -> None:
+        """Write one of Foxglove's messages."""
+        channel = self._channel(topic, CHANNELS[topic], "protobuf", lambda: register_schema(self.writer, type(message)))
+        self.writer.add_message(channel, at_ns, message.SerializeToString(), publish_time=at_ns)
+
+    def _channel(self, topic: str, name: str, encoding: str, register: Callable[[], Any]) -> int:
+        if topic not in self._channels:
+            if name not in self._schemas:
+                self._schemas[name] = register()
+            self._channels[topic] = self.writer.register_channel(topic, encoding, self._schemas[name])
+        return self._channels[topic]
 
 
-def _transform(time: Json, parent: str, child: str, translation: Array, rotation: Json) -> Json:
-    return {
-        "timestamp": time,
-        "parent_frame_id": parent,
-        "child_frame_id": child,
-        "translation": _vector(translation),
-        "rotation": rotation,
-    }
+def _entity(part: Part, at_ns: int) -> SceneEntity:
+    """Return a part of the drawing, which moves with its frame and is replaced by the next of its name."""
+    entity = _nothing(part, at_ns)
+    match part:
+        case Lines():
+            line = LinePrimitive(
+                type=LinePrimitive.LINE_LIST,
+                pose=_pose(np.zeros(3)),
+                thickness=part.width,
+                scale_invariant=True,
+                points=_points(part.segments.reshape(-1, 3)),
+                colors=[_colour(colour) for colour in np.repeat(part.colours, 2, axis=0)],
+            )
+            entity.lines.append(line)
+        case Mesh():
+            mesh = TriangleListPrimitive(
+                pose=_pose(np.zeros(3)),
+                points=_points(part.vertices),
+                color=_colour(part.colour, part.opacity),
+                indices=part.faces.reshape(-1).tolist(),
+            )
+            entity.triangles.append(mesh)
+        case Label():
+            text = TextPrimitive(
+                pose=_pose(part.position),
+                billboard=True,
+                font_size=14.0,
+                scale_invariant=True,
+                color=_colour(part.colour),
+                text=part.text,
+            )
+            entity.texts.append(text)
+    return entity
 
 
-def _bodies(builder: SceneBuilder, at_ns: int) -> Iterator[Json]:
-    """Yield payload and UAVs, each in its own frame, which the transforms move."""
-    system = builder.setup.system
-    ground_m = builder.setup.scenario.plant.ground_m
-    vertices, faces = payload_mesh(system, grounded=ground_m is not None)
-    mesh = {
-        "pose": _pose(np.zeros(3)),
-        "points": [_vector(point) for point in vertices],
-        "color": _colour(_DARK),
-        "colors": [],
-        "indices": faces.reshape(-1).tolist(),
-    }
-    yield _entity("payload", PAYLOAD, at_ns, locked=True, triangles=[mesh])
-    if ground_m is not None:
-        yield _entity("ground", INERTIAL, at_ns, cubes=[_ground(builder.setup, ground_m)])
-    span = uav_span(builder.start_I)
-    for i in range(system.N):
-        parts = [(2.0 * BODY, BODY, np.zeros(3), uav_colour(i))]
-        parts += [(ROTOR, 0.02, c, _DARK if c[0] > 0.0 else uav_colour(i)) for c in rotor_centres()]
-        cylinders = [
-            {
-                "pose": _pose(span * centre),
-                "size": _vector(span * np.array([2.0 * radius, 2.0 * radius, height])),
-                "bottom_scale": 1.0,
-                "top_scale": 1.0,
-                "color": _colour(colour),
-            }
-            for radius, height, centre, colour in parts
-        ]
-        beams = [_line([span * c, -span * c * [1, 1, -1]], _DARK, span * 0.04) for c in rotor_centres()[:2]]
-        name = {
-            "pose": _pose(np.array([0.0, 0.0, -span * (ARM + 0.2)])),
-            "billboard": True,
-            "font_size": 14.0,
-            "scale_invariant": True,
-            "color": _colour((0, 0, 0)),
-            "text": f"UAV{i + 1}",
-        }
-        yield _entity(f"uav{i + 1}", _frame(i), at_ns, locked=True, cylinders=cylinders, lines=beams, texts=[name])
+def _nothing(part: Part, at_ns: int) -> SceneEntity:
+    """Return an entity without content in place of a part."""
+    return SceneEntity(timestamp=_time(at_ns), frame_id=part.frame, id=f"{part.frame}/{part.name}", frame_locked=True)
 
 
-def _reference(builder: SceneBuilder, at_ns: int) -> Iterator[Json]:
-    setup = builder.setup
-    times_s = np.linspace(0.0, setup.ticks * setup.settings.sampling_period_s, 240)
-    path = setup.maneuver.path(times_s)[0]
-    yield _entity("reference", INERTIAL, at_ns, lines=[_line(segments(path)[::2].reshape(-1, 3), _GREY)])
+def _transform(parent: str, child: str, pose: FramePose, at_ns: int) -> FrameTransform:
+    place = _pose(*pose)
+    return FrameTransform(
+        timestamp=_time(at_ns),
+        parent_frame_id=parent,
+        child_frame_id=child,
+        translation=place.position,
+        rotation=place.orientation,
+    )
 
 
-def _now(builder: SceneBuilder, scene: Scene, at_ns: int) -> Iterator[Json]:
-    """Yield the entities that change at every tick: rods, thrust, predicted paths, links."""
-    setup = builder.setup
-    rods = np.stack([scene.uavs_I, scene.attachments_I], axis=1)
-    rods = np.delete(rods, [uav - 1 for uav in scene.released], axis=0).reshape(-1, 3)
-    yield _entity("rods", INERTIAL, at_ns, lines=[_line(rods, _GREY)])
-    thrusts = enumerate(zip(scene.uavs_I, scene.thrusts_I, strict=True))
-    arrows = [_arrow(tail, thrust, builder.hover_N, uav_colour(i)) for i, (tail, thrust) in thrusts]
-    yield _entity("thrust", INERTIAL, at_ns, arrows=arrows)
-    if setup.scenario.plant.ground_m is not None:
-        marks = [_sphere(corner, _CONTACT, 2.0 * _CONTACT_M) for corner in scene.contacts_I]
-        yield _entity("contacts", INERTIAL, at_ns, spheres=marks)
-    for prediction in scene.predictions:
-        own = setup.owned[prediction.agent - 1]
-        paths = [(prediction.payload_I, own[0]), *((prediction.uavs_I[:, k], uav) for k, uav in enumerate(own))]
-        lines = [_line(segments(path).reshape(-1, 3), uav_colour(uav)) for path, uav in paths]
-        yield _entity(f"predicted by agent {prediction.agent}", INERTIAL, at_ns, lines=lines)
-    pieces, colours = link_segments(scene.links, agent_positions(scene, setup.owned), setup.settings.sampling_period_s)
-    line = _line(pieces.reshape(-1, 3), _GREY)
-    line["colors"] = [_colour(colour) for colour in np.repeat(colours, 2, axis=0).tolist()]
-    yield _entity("links", INERTIAL, at_ns, lines=[line])
+def _pose(position: Array, R: Array | None = None) -> Pose:
+    w, x, y, z = (1.0, 0.0, 0.0, 0.0) if R is None else quaternion(R).tolist()
+    place = dict(zip("xyz", position.tolist(), strict=True))
+    return Pose(position=Vector3(**place), orientation=Quaternion(x=x, y=y, z=z, w=w))
+
+
+def _points(points: Array) -> list[Point3]:
+    return [Point3(x=x, y=y, z=z) for x, y, z in points.tolist()]
+
+
+def _colour(colour: Iterable[float], opacity: float = 1.0) -> Color:
+    r, g, b = (channel / 255.0 for channel in colour)
+    return Color(r=r, g=g, b=b, a=opacity)
+
+
+def _time(at_ns: int) -> Timestamp:
+    return Timestamp(seconds=at_ns // 10**9, nanos=at_ns % 10**9)
 
 
 def _numbers(scene: Scene) -> Json:
@@ -207,92 +225,52 @@ def _numbers(scene: Scene) -> Json:
     }
 
 
-def _update(entities: Iterator[Json]) -> Json:
-    return {"deletions": [], "entities": list(entities)}
+def _object(title: str, properties: Json) -> Json:
+    return {"title": title, "type": "object", "properties": properties, "required": list(properties)}
 
 
-def _entity(name: str, frame: str, at_ns: int, *, locked: bool = False, **primitives: Sequence[Json]) -> Json:
-    kinds = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
-    return {
-        "timestamp": _time(at_ns),
-        "frame_id": frame,
-        "id": name,
-        "lifetime": _time(0),
-        "frame_locked": locked,
-        "metadata": [],
-        **{kind: list(primitives.get(kind, [])) for kind in kinds},
-    }
+_NUMBER, _MAYBE = {"type": "number"}, {"type": ["number", "null"]}
+_NUMBERS = _object(
+    NUMBERS,
+    {
+        "cost": _NUMBER,
+        "attitude_deg": _object("roll, pitch, yaw", {"roll": _NUMBER, "pitch": _NUMBER, "yaw": _NUMBER}),
+        "payload_error_m": _NUMBER,
+        "phase": {"type": "string"},
+        "step_ms": {"type": "array", "items": _MAYBE},
+        "oldest_plan_s": _MAYBE,
+    },
+)
 
 
-def _line(points: Any, colour: Colour, thickness_m: float = _LINE_M) -> Json:
-    """Return line segments between pairs of points, (2 k, 3)."""
-    return {
-        "type": _LINE_LIST,
-        "pose": _pose(np.zeros(3)),
-        "thickness": thickness_m,
-        "scale_invariant": False,
-        "points": [_vector(point) for point in points],
-        "color": _colour(colour),
-        "colors": [],
-        "indices": [],
-    }
+def to_json(message: Message) -> bytes:
+    """Return a message as a JSON object."""
+    content: Json = {}
+    for name in _FIELDS[message.kind]:
+        value = getattr(message, name)
+        if name in _MATRICES:
+            content[name], content[f"{name}_shape"] = value.reshape(-1), value.shape
+        else:
+            content[name] = value
+    return orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY)
 
 
-def _ground(setup: Setup, ground_m: float) -> Json:
-    """Return a thin slab whose top is the ground, below the whole maneuver."""
-    times_s = setup.settings.sampling_period_s * np.arange(setup.ticks, dtype=np.float64)
-    way_I = setup.maneuver.path(times_s)[0]
-    low, high = way_I.min(axis=0) - _MARGIN_M, way_I.max(axis=0) + _MARGIN_M
-    middle = np.array([*(low + high)[:2] / 2.0, ground_m + _GROUND_M / 2.0])
-    return {"pose": _pose(middle), "size": _vector([*(high - low)[:2], _GROUND_M]), "color": _colour(_GROUND)}
+def json_schema(kind: str) -> Json:
+    """Return the JSON Schema of a kind of message, for viewers."""
+    properties: Json = {}
+    for name, hint in _FIELDS[kind].items():
+        properties[name] = _type(hint)
+        if name in _MATRICES:
+            properties[f"{name}_shape"] = {"type": "array", "items": {"type": "integer"}}
+    cls = KINDS[kind]
+    return {"description": (cls.__doc__ or "").split("\n", 1)[0], **_object(cls.__name__, properties)}
 
 
-def _sphere(centre: Array, colour: Colour, diameter_m: float) -> Json:
-    return {"pose": _pose(centre), "size": _vector([diameter_m] * 3), "color": _colour(colour)}
-
-
-def _arrow(tail: Array, force: Array, hover: float, colour: Colour) -> Json:
-    """Return an arrow along a force; its pose turns the x axis into the direction of the force."""
-    size = float(np.linalg.norm(force))
-    along = force / size if size > 0.0 else np.array([1.0, 0.0, 0.0])
-    aside = np.cross(along, [1.0, 0.0, 0.0] if abs(along[0]) < 0.9 else [0.0, 1.0, 0.0])
-    aside /= np.linalg.norm(aside)
-    length = _ARROW_M * size / hover
-    return {
-        "pose": {
-            "position": _vector(tail),
-            "orientation": _rotation(np.column_stack([along, aside, np.cross(along, aside)])),
-        },
-        "shaft_length": 0.8 * length,
-        "shaft_diameter": 0.04,
-        "head_length": 0.2 * length,
-        "head_diameter": 0.09,
-        "color": _colour(colour),
-    }
-
-
-def _frame(i: int) -> str:
-    return f"uav{i + 1}"
-
-
-def _pose(position: Array) -> Json:
-    return {"position": _vector(position), "orientation": _rotation(np.eye(3))}
-
-
-def _rotation(R: Array) -> Json:
-    w, x, y, z = quaternion(R).tolist()
-    return {"x": x, "y": y, "z": z, "w": w}
-
-
-def _vector(value: Any) -> Json:
-    x, y, z = (float(component) for component in value)
-    return {"x": x, "y": y, "z": z}
-
-
-def _colour(colour: Sequence[int]) -> Json:
-    r, g, b = (channel / 255.0 for channel in colour)
-    return {"r": r, "g": g, "b": b, "a": 1.0}
-
-
-def _time(at_ns: int) -> Json:
-    return {"sec": at_ns // 10**9, "nsec": at_ns % 10**9}
+def _type(hint: Any) -> Json:
+    if hint == Array:
+        return {"type": "array", "items": {"type": "number"}}
+    if get_origin(hint) is Literal:
+        return {"type": "string", "enum": list(get_args(hint))}
+    if get_origin(hint) is tuple:
+        return {"type": "array", "items": _type(get_args(hint)[0])}
+    return {"type": _SCALARS[hint]}

@@ -13,7 +13,7 @@ from mpc.feedback import FeedbackError
 from mpc.regulation import Regulation
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Plan, StepReport
-from transport.scene.run_history import RunHistory
+from transport.scene.history import RunHistory
 
 # Longest integration step, s; at order 5 its error is far below the width of a line.
 _STEP_S = 0.05

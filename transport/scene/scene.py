@@ -13,9 +13,8 @@ from protocol.scenario.setup import Setup
 from protocol.scenario.stage_cost import StageCost
 from protocol.wire.messages import StepReport
 from transport.log.run_log import LogError, RunLog
-from transport.scene.link_history import LinkHistory, LinkState
+from transport.scene.history import LinkHistory, LinkState, RunHistory
 from transport.scene.predictor import Predictor
-from transport.scene.run_history import RunHistory
 
 # A corner this near to the ground is drawn as touching it, m.
 _TOUCHING_M = 2e-3

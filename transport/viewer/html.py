@@ -4,7 +4,7 @@ import json
 from collections.abc import Sequence
 from html import escape
 
-from transport.scene.geometry import DARK, Colour, age_colour, uav_colour
+from transport.scene.colours import DARK, Colour, age_colour, uav_colour
 from transport.scene.scene import AgentState, Scene
 
 _TABLE = "font-size:12px;width:100%;border-collapse:collapse;font-variant-numeric:tabular-nums"
@@ -13,10 +13,23 @@ _ALARM = "color:#b2182b"
 # Ages in the legend, s.
 _AGES = ((0.0, "fresh"), (0.2, "0.2 s"), (0.5, "0.5 s"))
 _SHOWN_EVENTS = 5
+# Smallest delay behind an active run that is shown, s.
+_BEHIND_S = 1.0
+# A sentence that the browser shows by itself once this table has not been replaced for 5 s.
+_STALE = (
+    "<style>@keyframes late {to {visibility: visible}}</style>"
+    f'<div style="{_ALARM};font-size:12px;margin:2px 12px;visibility:hidden;animation:late 0s 5s forwards">'
+    "<b>no new frame for 5 s: run, viewer or browser is busy</b></div>"
+)
 
 
 # An image of one pixel.
 _PIXEL = "data:image/gif;base64,R0lGODlhAQABAIAAAAAAAP///yH5BAEAAAAALAAAAAABAAEAAAIBRAA7"
+
+
+def receipt(path: str) -> str:
+    """Return an invisible image that the page asks the server for once it shows a frame."""
+    return f'<img src="{path}" alt="" style="display:none">'
 
 
 def tab_title(name: str) -> str:
@@ -36,8 +49,15 @@ def notice(text: str, *, warning: bool) -> str:
     )
 
 
-def flight(scene: Scene, duration_s: float) -> str:
-    """Return a table of time, phase, cost, attitude and position error of the payload."""
+def flight(scene: Scene, duration_s: float, behind_s: float, *, watched: bool) -> str:
+    """Return a table of time, phase, cost, attitude and position error of the payload.
+
+    Args:
+        scene: Shown scene.
+        duration_s: Duration of the run, s.
+        behind_s: Time by which the scene is behind an active run, s; 0 for a recorded one.
+        watched: Whether the page is to say so if no further table comes.
+    """
     roll, pitch, yaw = scene.attitude_deg
     rows = [
         ("time", f"{scene.time_s:.2f} of {duration_s:.1f} s, {escape(scene.phase)}"),
@@ -45,10 +65,14 @@ def flight(scene: Scene, duration_s: float) -> str:
         ("payload", f"roll {roll:+.2f}, pitch {pitch:+.2f}, yaw {yaw:+.2f} deg"),
         ("payload error", f"{scene.error_m:.3f} m"),
     ]
+    if behind_s > _BEHIND_S:
+        ahead = f"{behind_s:.1f} s behind the run, which is at {scene.time_s + behind_s:.2f} s"
+        rows.insert(1, ("", f'<b style="{_ALARM}">{ahead}</b>'))
     if scene.fail_safe:
         rows.append(("fail-safe", ", ".join(f"UAV{uav}" for uav in scene.fail_safe)))
     cells = "".join(f'<tr><td style="{_CELL};color:#666">{a}</td><td style="{_CELL}">{b}</td></tr>' for a, b in rows)
-    return f'<table style="{_TABLE};margin:4px 8px;width:auto">{cells}</table>'
+    table = f'<table style="{_TABLE};margin:4px 8px;width:auto">{cells}</table>'
+    return f"{table}{_STALE if watched else ''}"
 
 
 def agents(scene: Scene, owned: Sequence[Sequence[int]], period_s: float) -> str:

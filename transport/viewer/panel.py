@@ -1,18 +1,23 @@
 """Panel of the viewer: playback, numbers, layers, and for live runs links and processes."""
 
+import queue
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from protocol.scenario.link_words import PERFECT
 from protocol.wire.messages import agent_name
+from protocol.wire.names import COORDINATOR, PLANT, RECORDER
+from transport.flight.live import LiveRun
+from transport.flight.requests import RefusedError, UnansweredError, request
+from transport.scene.drawing import LAYERS
 from transport.scene.scene import Scene, SceneBuilder
 from transport.viewer import html
-from transport.viewer.commands import Commands
 from transport.viewer.playback import SPEEDS, Playback
 from transport.viewer.plots import Plots
 from transport.viewer.server import report_malformed
-from transport.viewer.view3d import LAYERS
 
 if TYPE_CHECKING:
     import viser
@@ -25,6 +30,44 @@ _SLIDER_S = 20.0
 _REST_S = 0.3
 # Largest number of links in the drop-down; others are changed on the command line.
 _MOST_LINKS = 90
+
+
+class Commands:
+    """Queue of requests to one live run, sent one after the other by a thread.
+
+    It calls `on_result` with a sentence about each result and whether the request was refused.
+    """
+
+    def __init__(self, run: LiveRun, on_result: Callable[[str, bool], None]) -> None:
+        self._run, self._on_result = run, on_result
+        self._requests: queue.SimpleQueue[tuple[str, str, Mapping[str, Any]]] = queue.SimpleQueue()
+        threading.Thread(target=self._send_requests, name="commands", daemon=True).start()
+
+    def link(self, ends: tuple[int, int] | None, settings: Mapping[str, Any]) -> None:
+        """Change the link from one agent to another, or, for None, all links between agents."""
+        source, target = ("", "") if ends is None else (agent_name(ends[0]), agent_name(ends[1]))
+        self._requests.put((COORDINATOR, "link", {"from": source, "to": target, "settings": settings}))
+
+    def clear(self) -> None:
+        """Make all links perfect, those of the plant included."""
+        for ends in ({}, {"from": PLANT}, {"to": PLANT}):
+            self._requests.put((COORDINATOR, "link", {**ends, "settings": PERFECT}))
+
+    def fault(self, action: str, target: str) -> None:
+        """Kill or restart a process."""
+        self._requests.put((RECORDER, "fault", {"do": action, "target": target}))
+
+    def _send_requests(self) -> None:
+        keys = Path(self._run.keys) if self._run.keys else None
+        while True:
+            name, kind, content = self._requests.get()
+            try:
+                answer = request(self._run.run, [self._run.endpoints[name]], name, kind, content, keys)
+            except (RefusedError, UnansweredError) as error:
+                self._on_result(str(error), True)
+                continue
+            done = f"{content['do']} {content['target']}" if kind == "fault" else "links change"
+            self._on_result(f"{done}: at tick {answer['tick']}", False)
 
 
 class Panel:
@@ -52,6 +95,7 @@ class Panel:
         self._period_s = self._setup.settings.sampling_period_s
         self._duration_s = self._setup.ticks * self._period_s
         self._timer: threading.Timer | None = None
+        self._is_over = commands is None
         gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
         gui.main_panel.dock_right()
         gui.set_panel_label(f"transport: {self._setup.scenario.name}")
@@ -103,12 +147,15 @@ class Panel:
             self._time.max = min(2.0 * self._time.max, self._duration_s)
         _set(self._time, scene.time_s)
         self._plots.show(scene.tick)
-        self._flight.content = html.flight(scene, self._duration_s)
+        behind_s = 0.0 if self._is_over else self._builder.history.last * self._period_s - scene.time_s
+        watched = not self._is_over and self._playback.follows
+        self._flight.content = html.flight(scene, self._duration_s, behind_s, watched=watched)
         self._agents.content = html.agents(scene, self._setup.owned, self._period_s)
         self._events.content = html.events(self._builder.history.events, scene.tick, self._period_s)
 
     def close_controls(self) -> None:
         """Hide the controls of a live run, which has ended."""
+        self._is_over = True
         if self._commands is not None:
             self._links.visible = self._processes.visible = self._follow.visible = False
 

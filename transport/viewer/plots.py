@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from model.arrays import Array
+from model.state import INPUTS
 from transport.scene.colours import uav_style
-from transport.scene.curves import CurveReader
 from transport.scene.scene import SceneBuilder
 
 if TYPE_CHECKING:
@@ -18,64 +18,117 @@ _LIVE_S, _POINTS, _UPDATE_S = 30.0, 200, 0.5
 _HEIGHT_PX = 120
 # Smaller costs are rounding errors.
 _LEAST_COST = 1e-8
+# Opacity, two hexadecimal digits, of the part of a recorded run after the shown tick.
+_FADED = "48"
+
+
+class Curves:
+    """Quantities of a run at chosen ticks; a tick is computed once."""
+
+    def __init__(self, builder: SceneBuilder) -> None:
+        self._builder = builder
+        self._rows: dict[int, tuple[list[float], list[float], Array, Array]] = {}
+
+    def between(self, first: int, last: int) -> tuple[Array, tuple[Array, ...]]:
+        """Return ticks, (T,), until the last, which is recorded, and at them error, cost, ages of plans and thrust.
+
+        Returns: Ticks; distance of the payload from its reference, (1, T), m; power of ten of the stage cost, (1, T);
+            age of the oldest plan that each agent used, (A, T), s; thrust of each UAV, (N, T), N.
+        """
+        recorded = self._builder.history.plant_states
+        first = max(self._builder.history.first, first)
+        # Multiples of the spacing, so that the same ticks are drawn again, and the last.
+        every = max(1, (last - first) // _POINTS)
+        ticks = [k for k in range(first - first % every, last, every) if k in recorded] + [last]
+        rows = [self._row(k) for k in ticks]
+        return np.array(ticks), tuple(np.array([row[part] for row in rows], dtype=float).T for part in range(4))
+
+    def _row(self, tick: int) -> tuple[list[float], list[float], Array, Array]:
+        if tick not in self._rows:
+            setup, history = self._builder.setup, self._builder.history
+            error_m, cost = self._builder.error_and_cost(tick)
+            reports = [history.report(agent, tick) for agent in setup.agents]
+            ages = [0 if report is None else max([0, *report.plan_ages]) for report in reports]
+            thrusts_N = history.plant_states[tick].u[::INPUTS]
+            decade = float(np.log10(max(cost, _LEAST_COST)))
+            self._rows[tick] = [error_m], [decade], np.array(ages) * setup.settings.sampling_period_s, thrusts_N
+        return self._rows[tick]
 
 
 class Plots:
     """Four plots in the panel of the viewer; lines have the colours of the UAVs.
 
+    Those of a recorded run show the whole run, faded after the shown tick; those of a live run the seconds before it,
+    by the time before it, since the browser does not move a time axis with its data.
+
     Args:
         gui: Panel, in the folder that is open.
         builder: Scenes of the run.
-        is_live: Whether the run is active: the plots then show the last seconds.
+        is_live: Whether the run is active.
     """
 
     def __init__(self, gui: "viser.GuiApi", builder: SceneBuilder, *, is_live: bool) -> None:
         setup = builder.setup
-        self._reader, self._is_live = CurveReader(builder), is_live
-        self._duration_s = setup.ticks * setup.settings.sampling_period_s
+        self._curves, self._history, self._is_live = Curves(builder), builder.history, is_live
+        self._period_s = setup.settings.sampling_period_s
         self._updated_s = -_UPDATE_S
         agents = [uav_style(owned[0])["color"] for owned in setup.owned]
         uavs = [uav_style(i)["color"] for i in range(setup.system.N)]
-        self._error = self._add(gui, "payload error (m)", ["#000000"])
-        self._cost = self._add(gui, "stage cost (power of ten)", ["#000000"])
-        self._ages = self._add(gui, "oldest plan in use, by agent (s)", agents)
-        self._thrusts = self._add(gui, "thrust, by UAV (N)", uavs)
+        # Title, colours, and the least range of the axis: that of a single value would be any.
+        kinds = (
+            ("payload error (m)", ["#000000"], (0.0, 0.01)),
+            ("stage cost (power of ten)", ["#000000"], (-6.0, -3.0)),
+            ("oldest plan in use, by agent (s)", agents, (0.0, 2.0 * self._period_s)),
+            ("thrust, by UAV (N)", uavs, (0.98 * builder.hover_N, 1.02 * builder.hover_N)),
+        )
+        self._whole = None if is_live or self._history.last < 0 else self._curves.between(0, self._history.last)
+        self._plots = [self._add(gui, number, *kind) for number, kind in enumerate(kinds)]
 
     def show(self, tick: int) -> None:
-        """Show the curves until a tick; of a live run at most every `_UPDATE_S` seconds."""
+        """Show the curves at a tick; of a live run at most every `_UPDATE_S` seconds."""
         now_s = time.monotonic()
         if self._is_live and now_s - self._updated_s < _UPDATE_S:
             return
         self._updated_s = now_s
-        curves = self._reader.until(tick, _LIVE_S if self._is_live else self._duration_s, _POINTS)
-        t = curves.times_s
-        for plot, values in (
-            (self._error, curves.error_m[None]),
-            (self._cost, np.log10(np.maximum(curves.cost, _LEAST_COST))[None]),
-            (self._ages, curves.ages_s),
-            (self._thrusts, curves.thrusts_N),
-        ):
-            _set_data(plot, t, values)
+        for plot, data in zip(self._plots, self._data(tick), strict=True):
+            plot.data = data
 
-    def _add(self, gui: "viser.GuiApi", title: str, colours: list[str]) -> Any:
-        series: list[Any] = [{"label": "time (s)"}, *({"stroke": colour, "width": 1.5} for colour in colours)]
-        scales: dict[str, Any] = {"x": {"time": False}}
-        if not self._is_live:
-            scales["x"] |= {"auto": False, "range": [0.0, self._duration_s]}
-        axes: list[Any] = [{"size": 26, "font": "10px sans-serif"}, {"size": 46, "font": "10px sans-serif"}]
-        empty = (np.array([0.0, 1.0]), *(np.zeros(2) for _ in colours))
+    def _data(self, tick: int) -> list[tuple[Array, ...]]:
+        """Return times, s, and curves of each plot."""
+        if self._whole is None:
+            ticks, parts = self._curves.between(tick - round(_LIVE_S / self._period_s), tick)
+            return [((ticks - tick) * self._period_s, *map(np.ascontiguousarray, part)) for part in parts]
+        ticks, parts = self._whole
+        t = ticks * self._period_s
+        return [(t, *part.copy(), *np.where(ticks <= tick, part, np.nan)) for part in parts]
+
+    def _add(self, gui: "viser.GuiApi", number: int, title: str, colours: list[str], least: tuple[float, float]) -> Any:
+        data: tuple[Array, ...]
+        low, high = least
+        if self._whole is None:
+            label, span_s = "time before the shown tick (s)", [-_LIVE_S, 0.0]
+            data = (np.array(span_s), *(np.full(2, np.nan) for _ in colours))
+            # A range in uPlot's words: wider where the curves are.
+            range_y: Any = {
+                name: {"pad": 0.1, "soft": soft, "mode": 1} for name, soft in zip(("min", "max"), least, strict=True)
+            }
+        else:
+            data, part = self._data(0)[number], self._whole[1][number]
+            label, span_s = "time (s)", [0.0, max(float(data[0][-1]), self._period_s)]
+            colours = [*(colour + _FADED for colour in colours), *colours]
+            finite = part[np.isfinite(part)]
+            low, high = min([low, *finite]), max([high, *finite])
+            range_y = [low - 0.05 * (high - low), high + 0.05 * (high - low)]
+        series: Any = ({"label": label}, *({"stroke": colour, "width": 1.5} for colour in colours))
+        axes: Any = tuple({"size": size, "font": "10px sans-serif"} for size in (26, 46))
+        scales: Any = {"x": {"time": False, "auto": False, "range": span_s}, "y": {"range": range_y}}
         return gui.add_uplot(
-            empty,
-            tuple(series),
+            data,
+            series,
             title=title,
             scales=scales,
-            axes=tuple(axes),
+            axes=axes,
             legend={"show": False},
             cursor={"show": False},
             height=_HEIGHT_PX,
         )
-
-
-def _set_data(plot: Any, t: Array, values: Array) -> None:
-    """Set the curves of a plot, (k, T), over times, (T,), s."""
-    plot.data = (np.asarray(t), *(np.ascontiguousarray(row) for row in values))

@@ -9,6 +9,7 @@ import asyncio
 import hmac
 import io
 import logging
+import re
 import secrets
 import socket
 import sys
@@ -39,6 +40,7 @@ _INVALID_DATA = 1007  # close code of RFC 6455
 _SILENT = logging.getLogger("transport.viewer.websockets")
 _SILENT.disabled = True
 _INSTALLING = threading.Lock()
+_RECEIPT = re.compile(r"/shown/(\d{1,9})/(\d{1,9})")
 
 
 class ViewerError(TransportError, RuntimeError):
@@ -51,10 +53,10 @@ def require_viser() -> None:
         raise ViewerError("viser is not installed: pip install 'payload-transport[view]'")
 
 
-def start_server(host: str, port: int, *, secret: bool) -> tuple["viser.ViserServer", str]:
+def start_server(host: str, port: int, *, secret: bool) -> tuple["viser.ViserServer", "Guard", str]:
     """Start a viser server on the first free port from `port` on, or on any for 0.
 
-    Returns: The server, and its URL, with `secret` with a path without which every request is refused.
+    Returns: The server, its guard, and its URL, with `secret` with a path without which every request is refused.
     Raises: ViewerError: viser is not installed, the address is not usable, or no port is free.
     """
     require_viser()
@@ -68,7 +70,7 @@ def start_server(host: str, port: int, *, secret: bool) -> tuple["viser.ViserSer
         server.stop()
         raise ViewerError(f"the viewer cannot check connections with viser {viser.__version__}; install viser 1.1")
     name = f"[{host}]" if ":" in host else host
-    return server, f"http://{name}:{server.get_port()}{guard.path}"
+    return server, guard, f"http://{name}:{server.get_port()}{guard.path}"
 
 
 def told_port(requested: int, got: int) -> str:
@@ -82,12 +84,18 @@ class Guard:
     Attributes:
         path: Path below which the server answers, `/` and the token; empty without a token.
         serves: Whether a server uses it.
+        shown: Newest frame that each page has shown, by the number of its connection.
     """
 
     def __init__(self, host: str, token: str) -> None:
         self._host = host.lower()
         self.path = f"/{token}" if token else ""
         self.serves = False
+        self.shown: dict[int, int] = {}
+
+    def receipt(self, page: int, frame: int) -> str:
+        """Return the path that a page asks for once it shows a frame."""
+        return f"{self.path}/shown/{page}/{frame}"
 
     def refusal(self, path: str, host: str, origin: str | None) -> str:
         """Return why a request is refused, by its path and headers; empty for one that is answered."""
@@ -133,6 +141,11 @@ class Guard:
             if why := self.refusal(request.path, hosts[0], origins[0] if origins else None):
                 return connection.respond(403, f"{why}\n")
             request.path = request.path.removeprefix(self.path) or "/"
+            if receipt := _RECEIPT.fullmatch(request.path):
+                page, frame = map(int, receipt.groups())
+                if page in self.shown:
+                    self.shown[page] = max(self.shown[page], frame)
+                return connection.respond(204, "")
             response: Response | None = answer(connection, request)
             return response
 

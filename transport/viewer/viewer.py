@@ -12,23 +12,28 @@ import time
 from collections.abc import Callable
 from contextlib import redirect_stdout, suppress
 from pathlib import Path
+from typing import Any
 
 from transport.flight.live import LiveRun
 from transport.flight.live import read as read_live_run
 from transport.log.run_folder import open_run, setup_of
 from transport.log.tail import LogTail
-from transport.scene.run_history import KINDS, LATER, RunHistory
+from transport.scene.drawing import Drawing
+from transport.scene.history import KINDS, LATER, RunHistory
 from transport.scene.scene import Scene, SceneBuilder
-from transport.viewer.commands import Commands
-from transport.viewer.panel import Panel
+from transport.viewer import html
+from transport.viewer.panel import Commands, Panel
 from transport.viewer.playback import Playback
-from transport.viewer.server import start_server, told_port
+from transport.viewer.server import Guard, start_server, told_port
 from transport.viewer.view3d import View3D
 
 LOG = "run.mcap"
 # Shortest time between two frames, s: of a recorded or paced run, and of a live run without pacing, which needs the
 # processors itself.
 _FRAME_S, _FRAME_UNPACED_S = 0.1, 0.5
+# A page shows a frame before it gets the next, so that it is never behind by more than one; one that has shown none for
+# this long, such as that of a hidden tab, is no longer waited for, s.
+_PATIENCE_S = 2.0
 # Priority of the viewer of a live run: the run gets the processors first, but requests are still sent in time.
 _NICE = 10
 
@@ -65,10 +70,12 @@ class Viewer:
     ) -> None:
         self._builder, self._tail = builder, tail
         self.shown: Scene | None = None
-        self._server, self.address = start_server(host, port, secret=live is not None)
+        self._server, self._guard, self.address = start_server(host, port, secret=live is not None)
+        self._pages: dict[int, _Page] = {}
+        self._frame = 0
         self.other_port = told_port(port, self._server.get_port())
         self.playback = Playback(builder.setup.settings.sampling_period_s, follows=live is not None)
-        self.view3d = View3D(self._server, builder)
+        self.view3d = View3D(self._server, Drawing(builder))
         commands = None if live is None else Commands(live, self._show_result)
         self._panel = Panel(self._server, builder, self.playback, self._show_layer, self._look, commands)
         self._paced = builder.setup.scenario.clock.speed > 0.0
@@ -77,7 +84,8 @@ class Viewer:
         running = "live" if self._paced else f"live, without pacing: a frame every {_FRAME_UNPACED_S:g} s"
         self._set_notice(notice or ("" if live is None else running), warning=bool(notice))
         self._redraw = True
-        self._server.on_client_connect(lambda _: self._request_frame())
+        self._server.on_client_connect(self._add_page)
+        self._server.on_client_disconnect(self._remove_page)
         self._updated_s = time.monotonic()
 
     def __enter__(self) -> "Viewer":
@@ -101,6 +109,8 @@ class Viewer:
         if not self._is_over and not self._server.get_clients():
             return  # a browser that connects gets the newest frame
         self._panel.show_playback()
+        if any(page.is_busy(now_s) for page in list(self._pages.values())):
+            return
         if self._redraw or self.shown is None or history.nearest(tick) != self.shown.tick:
             self._redraw = False
             self.shown = self._builder.at(tick)
@@ -127,6 +137,9 @@ class Viewer:
             with self._server.atomic():
                 self.view3d.show(scene)
                 self._panel.show(scene)
+            self._frame += 1
+            for page in list(self._pages.values()):
+                page.send(self._frame)
 
         asyncio.run_coroutine_threadsafe(send(), self._server.get_event_loop()).result()
 
@@ -145,15 +158,45 @@ class Viewer:
         self.notice = text
         self._panel.set_notice(text, warning=warning)
 
-    def _request_frame(self) -> None:
+    def _add_page(self, client: Any) -> None:
+        self._guard.shown[client.client_id] = self._frame
+        self._pages[client.client_id] = _Page(client, self._guard, self._frame)
         self._redraw = True
+
+    def _remove_page(self, client: Any) -> None:
+        self._pages.pop(client.client_id, None)
+        self._guard.shown.pop(client.client_id, None)
 
     def _look(self, team: bool) -> None:
         self.view3d.look_at(self.shown if team else None)
 
     def _show_layer(self, name: str, shown: bool) -> None:
         self.view3d.show_layer(name, shown)
-        self._request_frame()
+        self._redraw = True
+
+
+class _Page:
+    """One page: its newest frames sent and shown."""
+
+    def __init__(self, client: Any, guard: Guard, frame: int) -> None:
+        self._number, self._guard = client.client_id, guard
+        self._sent = self._shown = frame
+        self._progress_s = time.monotonic()
+        self._receipt = client.gui.add_html("")
+
+    def send(self, frame: int) -> None:
+        """Ask the page to tell when it shows a frame."""
+        if self._sent == self._shown:
+            self._progress_s = time.monotonic()
+        self._sent = frame
+        self._receipt.content = html.receipt(self._guard.receipt(self._number, frame))
+
+    def is_busy(self, now_s: float) -> bool:
+        """Return whether the page still draws a frame, and has shown one lately."""
+        shown = self._guard.shown.get(self._number, self._sent)
+        if shown > self._shown:
+            self._shown, self._progress_s = shown, now_s
+        return self._shown < self._sent and now_s - self._progress_s < _PATIENCE_S
 
 
 def open_viewer(folder: Path, host: str, port: int) -> Viewer:

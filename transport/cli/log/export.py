@@ -37,18 +37,28 @@ def export(
     ] = None,
     output: FormatOption = Format.text,
 ) -> None:
-    """Write a log as tables, or as a copy for Foxglove.
+    """Write a log as tables, as a copy for Foxglove, or both.
 
     A table for each kind of message: arrays become columns whose names end in their units; docs/log.md lists them.
 
     Example: transport log export runs/20260102-101500-paper --parquet --out tables
     """
-    if (out is None) == (foxglove is None):
-        fail(f"expected either --out or --foxglove, got {'neither' if out is None else 'both'}", EXIT_USAGE)
-    if out is not None:
-        written = _export_tables(path, out, kinds or [], parquet=parquet)
-    elif foxglove is not None:
-        written = _export_foxglove(path, foxglove)
+    if out is None and foxglove is None:
+        fail("expected --out, --foxglove or both, got neither", EXIT_USAGE)
+    unknown = sorted(set(kinds or []) - set(KINDS))
+    if unknown:
+        fail(f"--kind: expected one of {', '.join(KINDS)}, got {unknown[0]!r}", EXIT_USAGE)
+    if foxglove is not None and foxglove.exists():
+        fail(f"--foxglove: expected a file that does not exist yet, got {foxglove}", EXIT_USAGE)
+    if parquet:
+        try:
+            import pyarrow.parquet  # noqa: F401 - before the log is read, which may take minutes
+        except ImportError:
+            fail("--parquet: needs pyarrow; pip install 'payload-transport[parquet]', or use --csv", EXIT_USAGE)
+    file = open_or_fail(path)
+    written = [] if out is None else _export_tables(file, out, kinds or [], parquet=parquet)
+    written += [] if foxglove is None else _export_foxglove(file, foxglove)
+    _warn(file)
     if output is Format.json:
         show_json({"files": written})
         return
@@ -57,16 +67,7 @@ def export(
         typer.echo(f" {file}  {count} {unit}")
 
 
-def _export_tables(path: Path | None, out: Path, kinds: list[str], *, parquet: bool) -> list[dict[str, Any]]:
-    unknown = sorted(set(kinds) - set(KINDS))
-    if unknown:
-        fail(f"--kind: expected one of {', '.join(KINDS)}, got {unknown[0]!r}", EXIT_USAGE)
-    if parquet:
-        try:
-            import pyarrow.parquet  # noqa: F401 - before the log is read, which may take minutes
-        except ImportError:
-            fail("--parquet: needs pyarrow; pip install 'payload-transport[parquet]', or use --csv", EXIT_USAGE)
-    file = open_or_fail(path)
+def _export_tables(file: LogFile, out: Path, kinds: list[str], *, parquet: bool) -> list[dict[str, Any]]:
     period_s = None if file.setup is None else file.setup.settings.sampling_period_s
     written: list[dict[str, Any]] = []
     try:
@@ -82,14 +83,10 @@ def _export_tables(path: Path | None, out: Path, kinds: list[str], *, parquet: b
             written.append({"file": str(target), "rows": len(rows)})
     except OSError as error:
         fail(f"--out: cannot write to {out} ({error.strerror or error})", EXIT_USAGE)
-    _warn(file)
     return written
 
 
-def _export_foxglove(path: Path | None, out: Path) -> list[dict[str, Any]]:
-    if out.exists():
-        fail(f"--foxglove: expected a file that does not exist yet, got {out}", EXIT_USAGE)
-    file = open_or_fail(path)
+def _export_foxglove(file: LogFile, out: Path) -> list[dict[str, Any]]:
     if file.setup is None:
         fail(f"--foxglove: {file.path} has no scenario, or one of another version", EXIT_USAGE)
     try:
@@ -97,7 +94,6 @@ def _export_foxglove(path: Path | None, out: Path) -> list[dict[str, Any]]:
             ticks = write_foxglove(SceneBuilder.of(file.setup, file.log), file.log, out)
     except OSError as error:
         fail(f"--foxglove: cannot write {out} ({error.strerror or error})", EXIT_USAGE)
-    _warn(file)
     return [{"file": str(out), "ticks": ticks}]
 
 
