@@ -50,10 +50,9 @@ docs: $(VENV)/.installed-docs ## build the site into build/site; open build/site
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 	@echo build/site/index.html
 
-reference: $(VENV)/.installed ## renew pages and pictures made from the code: keys of the scenario, commands, architecture
+reference: $(VENV)/.installed ## renew pages made from the code: keys of the scenario, commands
 	@$(BIN)/python docs/keys_page.py
 	@$(BIN)/python docs/commands_page.py
-	@$(BIN)/python docs/pictures.py
 
 lint: $(VENV)/.installed-dev ## style and types, as continuous integration sees them
 	@$(BIN)/ruff check .

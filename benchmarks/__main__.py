@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from benchmarks import aims, loop, network, parts, solvers, step
+from benchmarks import loop, parts, solvers, step
 from benchmarks.effort import FULL, QUICK, Effort
 from benchmarks.page import BenchmarkError, Table, check, write
 from protocol.wire.exit_codes import EXIT_INTERRUPTED
@@ -18,12 +18,10 @@ from transport.flight.header import machine
 DOCUMENT = Path(__file__).resolve().parent.parent / "docs" / "performance.md"
 
 SECTIONS: Mapping[str, Callable[[Effort, Callable[[str], None]], list[Table]]] = {
-    "aims": aims.measure,
     "step": step.measure,
     "solvers": solvers.measure,
     "parts": parts.measure,
     "loop": loop.measure,
-    "network": network.measure,
 }
 
 

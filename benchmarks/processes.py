@@ -11,11 +11,9 @@ from typing import Any
 import tomli_w
 
 from benchmarks.page import BenchmarkError
-from protocol.network.endpoints import mesh, process_names
 from protocol.network.health import command_of
 from protocol.scenario.setup import Setup
 from protocol.wire.keys import RECORDER
-from transport.flight.harness import Harness, free_ports
 
 # Time allowed besides the simulated time: sixteen agents need half a minute to start on two busy cores.
 _PATIENCE_S = 600.0
@@ -37,7 +35,8 @@ def recorded(setup: Setup, folder: Path) -> Run:
 
     Raises: BenchmarkError: the command fails or does not end.
     """
-    scenario = _written(setup, folder)
+    scenario = folder.parent / f"{folder.name}.toml"
+    scenario.write_text(tomli_w.dumps(setup.scenario.tree()), encoding="utf-8")
     command = [sys.executable, "-m", "transport", "run", str(scenario), "--out", str(folder), "--no-figures"]
     memory_MB: dict[str, float] = {}
     with (folder.parent / f"{folder.name}.err").open("w+", encoding="utf-8") as errors:
@@ -60,41 +59,6 @@ def recorded(setup: Setup, folder: Path) -> Run:
             raise BenchmarkError(f"{' '.join(command)}: exit code {run.returncode}: {lines[-1]}")
     summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     return Run(summary=summary, tick_ms=1e3 * float(summary["wall_time_s"]) / setup.ticks, memory_MB=memory_MB)
-
-
-def unrecorded(setup: Setup, folder: Path) -> None:
-    """Run a scenario without recorder; its logs are in `folder / "logs"`.
-
-    Raises: BenchmarkError: a process fails or does not end.
-    """
-    scenario = _written(setup, folder)
-    names, host = process_names(setup.scenario), setup.scenario.network.host
-    with (
-        free_ports(host, len(names)) as ports,
-        Harness(setup.scenario.name, scenario, mesh(names, host, ports), folder / "logs") as harness,
-    ):
-        harness.start()
-        if not harness.wait(_PATIENCE_S):
-            raise BenchmarkError(f"{folder}: expected the processes to end in {_PATIENCE_S:g} s, they did not")
-        for child in harness.children:
-            if child.process.returncode != 0:
-                raise BenchmarkError(f"{child.name}: exit code {child.process.returncode}: {child.last_line()}")
-
-
-def duration_s(logs: Path) -> float:
-    """Return the wall-clock time from the coordinator's meeting all processes to the plant's end, by their logs.
-
-    Raises: BenchmarkError: one of the two is not in the logs.
-    """
-    times = {
-        (name, entry.get("event")): float(entry["time"])
-        for name in ("coordinator", "plant")
-        for entry in map(json.loads, (logs / f"{name}.log").read_text(encoding="utf-8").splitlines())
-    }
-    try:
-        return times["plant", "finished"] - times["coordinator", "joined"]
-    except KeyError as error:
-        raise BenchmarkError(f"{logs}: expected a run from joined to finished, got no {error}") from error
 
 
 def processes_of(run: int) -> dict[str, str]:
@@ -120,13 +84,6 @@ def _memory_MB(pid: str) -> float:
     except OSError:
         return 0.0
     return sum(float(line.split()[1]) for line in shares.splitlines() if line.startswith("Pss:")) * 1024 / 1e6
-
-
-def _written(setup: Setup, folder: Path) -> Path:
-    """Write the scenario to a file beside the run folder and return its path."""
-    path = folder.parent / f"{folder.name}.toml"
-    path.write_text(tomli_w.dumps(setup.scenario.tree()), encoding="utf-8")
-    return path
 
 
 def _end(run: subprocess.Popen[bytes]) -> None:

@@ -1,8 +1,6 @@
 """Timing in turns, so that a slow minute of the machine affects all that is compared alike."""
 
 import gc
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -15,9 +13,6 @@ from model.arrays import Array
 
 # Calls that are not counted, while caches fill and modules load.
 WARM_UP = 3
-
-# The other process of a round trip, with the least work possible in Python.
-_ECHO = "import os\nwhile data := os.read(0, {size}):\n    os.write(1, data)\n"
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,22 +73,3 @@ def in_turns(tasks: Mapping[str, Callable[[], object]], repetitions: int) -> dic
                 task()
                 taken[name].append(time.thread_time_ns() - start_ns)
     return {name: Times(np.array(ns[WARM_UP:]) / 1e6) for name, ns in taken.items()}
-
-
-def round_trips(count: int, size: int) -> Times:
-    """Measure the wall-clock time of messages to another process and back over pipes: the floor of any exchange.
-
-    Messages go one after the other and have at most the bytes that a pipe takes at once (4096).
-    """
-    command = [sys.executable, "-S", "-c", _ECHO.format(size=size)]
-    taken: list[int] = []
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0) as echo:
-        if echo.stdin is None or echo.stdout is None:
-            raise RuntimeError("expected pipes, got none")
-        for _ in range(WARM_UP + count):
-            start_ns = time.perf_counter_ns()
-            echo.stdin.write(bytes(size))
-            echo.stdout.read(size)
-            taken.append(time.perf_counter_ns() - start_ns)
-        echo.stdin.close()
-    return Times(np.array(taken[WARM_UP:]) / 1e6)

@@ -1,20 +1,19 @@
-"""Make every figure and table of results in README and docs: `make figures`.
+"""Make every figure and table of results in README and docs: part of `make figures`, 45 minutes on two cores.
 
 Runs the experiments, or only those named as arguments, as far as runs/figures/ has no results of this commit, and
-writes their parts of docs/results.md, docs/images/ and the tables of the README. All take 50 minutes on two cores.
+writes their parts of docs/results.md, docs/images/ and the tables of the README.
 """
 
 import csv
 import json
-import re
+import math
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
-from results_sections import HOVER_TITLE, SECTIONS, Columns, Row, Section, compared_at, cost_range, number, periods
-from tables import ROOT, commit, put, table
+from tables import ROOT, commit, place, put, table
 
 RUNS, IMAGES = ROOT / "runs" / "figures", ROOT / "docs" / "images"
 PAGE, README = ROOT / "docs" / "results.md", ROOT / "README.md"
@@ -26,6 +25,172 @@ NETWORK = (
     "links.change=[{at_s=8.0,from='agent2',loss=1.0},{at_s=15.0,from='agent2',loss=0.0}]",
 )
 
+Row = Mapping[str, str]
+# Columns of a table: heading, and field of a row or function of it.
+Columns = Mapping[str, str | Callable[[Row], str]]
+
+
+def number(name: str, factor: float = 1.0, digits: int = 2, *, interval: bool = True) -> Callable[[Row], str]:
+    """Return a cell with a number of a row, ± half its confidence interval if it has one."""
+
+    def cell(row: Row) -> str:
+        if not row[name]:
+            return ""
+        half = row.get(f"{name}_ci95", "") if interval else ""
+        text = f"{factor * float(row[name]):.{digits}f}"
+        return f"{text} ± {factor * float(half):.{digits}f}" if half else text
+
+    return cell
+
+
+def mean(name: str, factor: float = 1.0, digits: int = 2) -> Callable[[Row], str]:
+    """Return a cell with a number of a row alone."""
+    return number(name, factor, digits, interval=False)
+
+
+def plain(name: str, factor: float = 1.0, unit: str = "") -> Callable[[Row], str]:
+    """Return a cell with a value of a row in another unit."""
+    return lambda row: f"{factor * float(row[name]):g}{unit}"
+
+
+def done(row: Row) -> str:
+    """Return the number of completed runs and the first time of divergence."""
+    lost = f", diverged at {float(row['first_lost_s']):.1f} s" if row["first_lost_s"] else ""
+    return f"{row['completed']} of {row['flights']}{lost}"
+
+
+def spread(name: str, digits: int = 2) -> Callable[[Row], str]:
+    """Return a cell with median, smallest and largest of repetitions."""
+
+    def cell(row: Row) -> str:
+        middle, low, high = (f"{float(row[name + end]):.{digits}f}" for end in ("", "_min", "_max"))
+        return f"{middle} ({low} to {high})"
+
+    return cell
+
+
+def periods(row: Row) -> str:
+    """Return the sampling periods of equal computation, ms; an end beyond the grid is left open."""
+    low, high = (f"{1e3 * float(row[name]):.3g}" if row[name] else "" for name in ("period_low_s", "period_high_s"))
+    if low == high:
+        return low or "none of the grid"
+    return f"{low} to {high}" if low and high else f"from {low}" if low else f"up to {high}"
+
+
+def cost_range(row: Row) -> str:
+    """Return the range of cost ratios at these periods."""
+    if not row["cost_ratio_low"]:
+        return ""
+    ratios = [float(row[name]) for name in ("cost_ratio_low", "cost_ratio_high")]
+    low, high = (f"{ratio:.2f}" if math.isfinite(ratio) else "diverged" for ratio in ratios)
+    return low if low == high else f"{low} to {high}"
+
+
+def compared_at(row: Row) -> str:
+    """Return what both controllers of a comparison have in common."""
+    if row["budget"] == "same rate":
+        return "the same rate"
+    whose = "the whole team" if row["budget"] == "whole team" else row["budget"]
+    return f"the same computation of {whose}, as many {row['kept']} of horizon"
+
+
+SCENARIO: Columns = {"scenario": "scenario"}
+WITHOUT_RATIO: Columns = {
+    "completed": done,
+    "cost, 1e-3": number("cost_mean", 1e3),
+    "attitude, deg": number("attitude_max_deg"),
+    "swing, m": number("swing_m"),
+}
+OUTCOME: Columns = {"completed": done, "cost over unimpaired": number("cost_ratio"), **WITHOUT_RATIO}
+
+COMPARED: Columns = {
+    "weather": "weather",
+    "controller": "controller",
+    "horizon kept": "kept",
+    "T_s, ms": plain("period_s", 1e3),
+    "N_p": "horizon",
+    "completed": done,
+    "cost, 1e-3": mean("cost_mean", 1e3, 3),
+    "over centralized": number("cost_mean_ratio", digits=3),
+    "peak over centralized": number("cost_max_ratio", digits=3),
+    "attitude, deg": mean("attitude_max_deg"),
+    "swing, m": mean("swing_m"),
+    "CPU of a step, ms": spread("cpu_step_ms"),
+    "of an agent, s/s": spread("cpu_agent_s_per_s", 3),
+    "of the team, s/s": spread("cpu_team_s_per_s", 3),
+}
+VERDICT: Columns = {
+    "weather": "weather",
+    "controller": "controller",
+    "compared at": compared_at,
+    "T_s, ms": periods,
+    "cost over centralized": cost_range,
+    "verdict": "verdict",
+}
+GROWTH: Columns = {
+    "UAVs": "uavs",
+    "agents": "ownership",
+    "CPU of a step, ms": number("cpu_step_p50_ms"),
+    "99th percentile": mean("cpu_step_p99_ms"),
+    "team per tick, ms": number("cpu_team_tick_ms", digits=1),
+    "plans, kB/s": mean("plan_bytes_per_s", 1e-3, 0),
+    "cost, 1e-3": mean("cost_mean", 1e3),
+    "over centralized": number("cost_ratio"),
+    "swing, m": mean("swing_m"),
+}
+SHARED: Columns = {
+    **SCENARIO,
+    "network": "network",
+    "threshold": "share_threshold",
+    "plans sent, %": number("plans_shared_share", 100.0, 1),
+    "completed": done,
+    "cost over all sent": number("cost_ratio", digits=3),
+    **WITHOUT_RATIO,
+}
+DELAY, LOST = {"delay, ms": plain("delay_s", 1e3)}, {"lost": plain("loss", 100.0, " %")}
+NETWORK_OF: Columns = {**SCENARIO, "network": "network"}
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """An experiment: tables by the file that the command writes, its further arguments, and further figures."""
+
+    tables: Mapping[str, Columns]
+    arguments: tuple[str, ...] = ()
+    figures: tuple[str, ...] = ()
+
+
+def points(columns: Columns, outcome: Columns = OUTCOME) -> Section:
+    """Return a section with the table of points: the columns that tell them apart, and their outcome."""
+    return Section({"points.csv": {**columns, **outcome}})
+
+
+SECTIONS: Mapping[str, Section] = {
+    "paper": Section({"verdict.csv": VERDICT, "curves.csv": COMPARED}, figures=("maneuver.png",)),
+    "latency": points({**SCENARIO, **DELAY}),
+    "loss": points({**SCENARIO, "losses": "model", **LOST}),
+    "jitter": points(
+        {
+            **SCENARIO,
+            "distribution": "distribution",
+            "mean, ms": plain("mean_s", 1e3),
+            "std, ms": plain("std_s", 1e3),
+        }
+    ),
+    "matrix": points({**SCENARIO, **DELAY, **LOST}),
+    "kill": points({**SCENARIO, "killed": "agent", "back at, s": "restart_s"}),
+    "deaths": points({**SCENARIO, "killed": "agent", "at, s": "killed_s"}),
+    "sharing": Section({"points.csv": SHARED}),
+    "ablation": points(
+        {**NETWORK_OF, "changed": "part", "to": lambda row: f"`{row['value']}`" if row["value"] else ""}
+    ),
+    "horizon": points(
+        {**NETWORK_OF, "N_p": "horizon", "terminal weight": lambda row: row["terminal"].removesuffix(".0")}
+    ),
+    "hover": points({**SCENARIO, "last hover, s": plain("hover_s")}, WITHOUT_RATIO),
+    "scaling": Section({"points.csv": GROWTH}, ("--max", "12", "--seeds", "3")),
+}
+
 
 def transport(*arguments: str) -> str:
     """Run a command of the project and return its standard output."""
@@ -33,89 +198,33 @@ def transport(*arguments: str) -> str:
     return subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True, cwd=ROOT).stdout
 
 
-def simulate(section: Section) -> list[str]:
-    """Run an experiment as far as this commit has not run it, and return the sentences it ends with."""
-    sys.stderr.write(f"experiment {section.name}\n")
-    folder, now = RUNS / section.name, commit()
-    if not folder.exists() or commit_of(section) != now:
+def read(name: str, file: str = "points.csv") -> list[dict[str, str]]:
+    """Return the rows of a table of an experiment."""
+    with (RUNS / name / file).open(encoding="utf-8", newline="") as opened:
+        return list(csv.DictReader(opened))
+
+
+def part_of(name: str) -> str:
+    """Run an experiment as far as this commit has not run it; return sentences, tables and origin, copy the figures."""
+    sys.stderr.write(f"experiment {name}\n")
+    section, folder, now = SECTIONS[name], RUNS / name, commit()
+    begun_with = RUNS / f"{name}.commit"
+    if not folder.exists() or not begun_with.exists() or begun_with.read_text(encoding="utf-8") != now:
         shutil.rmtree(folder, ignore_errors=True)
-        _commit_file(section).write_text(now, encoding="utf-8")
-    done = transport("experiment", section.name, *section.arguments, "--out", str(folder))
-    shutil.copy(folder / section.figure, IMAGES / f"{section.name}.png")
-    if section.second is not None:
-        shutil.copy(folder / section.second[0], IMAGES / section.second[1])
+        begun_with.write_text(now, encoding="utf-8")
+    output = transport("experiment", name, *section.arguments, "--out", str(folder))
+    shutil.copy(folder / "figure.png", IMAGES / f"{name}.png")
+    for figure in section.figures:
+        shutil.copy(folder / figure, IMAGES / figure)
     # The last paragraph in front of the machine and the files.
-    return done.rpartition("\nmachine: ")[0].rstrip().rpartition("\n\n")[2].splitlines()
-
-
-def read(section: Section, table: str | None = None) -> list[dict[str, str]]:
-    """Return the rows of an experiment's table, or of another of its files."""
-    with (RUNS / section.name / (table or section.table)).open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
-
-
-def section_of(name: str) -> Section:
-    """Return the section of an experiment."""
-    return next(section for section in SECTIONS if section.name == name)
-
-
-def listed(columns: Columns, rows: Iterable[Row]) -> str:
-    """Return rows as a table in Markdown."""
-    cells = columns.values()
-    return table(columns, ([row[cell] if isinstance(cell, str) else cell(row) for cell in cells] for row in rows))
-
-
-def page(sections: Mapping[str, str]) -> str:
-    """Return docs/results.md with the given parts, by the name of the experiment, and its present other parts."""
-    parts = [
-        "# Results\n\n<!-- Made by `make figures` (docs/results_page.py): do not edit. -->\n\n"
-        "This page has the results of all experiments. Every number comes from the command above it, and `make "
-        "figures` repeats all of them. Costs, attitudes and survival are the same on every machine; processor times "
-        "are of the machine named below a table. Costs are means over a run of the team's cost at each tick "
-        "([equations.md](equations.md) (21)), ± half the 95 % confidence interval for random runs. `swing` is the "
-        "largest distance of the payload from its reference in the last 4 s of a run. "
-        "[experiments.md](experiments.md) describes the experiments."
-    ]
-    present = PAGE.read_text(encoding="utf-8") if PAGE.exists() else ""
-    for section in SECTIONS:
-        found = re.search(rf"^## {re.escape(section.title)}\n.*?(?=^## |\Z)", present, re.DOTALL | re.MULTILINE)
-        part = sections.get(section.name) or (found[0].strip() if found else "")
-        if not part:
-            raise SystemExit(f"{PAGE.name}: expected a part on {section.name}, got none: run it as well")
-        parts.append(part)
-    return "\n\n".join(parts) + "\n"
-
-
-def part_of_page(section: Section, sentences: Sequence[str]) -> str:
-    """Return the part of docs/results.md on an experiment, given the sentences its command ends with."""
-    command = " ".join(("transport experiment", section.name, *section.arguments))
-    pieces = [f"## {section.title}", f"```\n{command}\n```", section.text]
-    pieces.append(f"![{section.alt}](images/{section.name}.png)")
-    pieces.append("\n".join(f"- {sentence}" for sentence in sentences))
-    if section.before is not None:
-        file, columns = section.before
-        pieces.append(listed(columns, read(section, file)))
-    pieces.append(listed(section.columns, read(section)))
-    if section.second is not None:
-        _, image, alt = section.second
-        pieces.append(f"![{alt}](images/{image})")
-    return "\n\n".join([*pieces, f"*Commit {commit_of(section)}. {machine_of(section)}*"])
-
-
-def commit_of(section: Section) -> str:
-    """Return the commit an experiment was run with; "unknown" if none is noted."""
-    file = _commit_file(section)
-    return file.read_text(encoding="utf-8") if file.exists() else "unknown"
-
-
-def _commit_file(section: Section) -> Path:
-    return RUNS / f"{section.name}.commit"
-
-
-def machine_of(section: Section) -> str:
-    """Return the machine on which an experiment was started."""
-    identity: dict[str, str] = json.loads((RUNS / section.name / "experiment.json").read_text(encoding="utf-8"))
-    return identity["machine"]
+    sentences = output.rpartition("\nmachine: ")[0].rstrip().rpartition("\n\n")[2].splitlines()
+    parts = ["\n".join(f"- {sentence}" for sentence in sentences)]
+    for file, columns in section.tables.items():
+        cells = columns.values()
+        rows = [[row[cell] if isinstance(cell, str) else cell(row) for cell in cells] for row in read(name, file)]
+        parts.append(table(columns, rows))
+    machine = json.loads((folder / "experiment.json").read_text(encoding="utf-8"))["machine"]
+    return "\n\n".join([*parts, f"*Commit {now}. {machine}*"])
 
 
 def between(values: Sequence[float]) -> str:
@@ -126,12 +235,11 @@ def between(values: Sequence[float]) -> str:
 
 def at_a_glance() -> str:
     """Return the README's table: effect of the network on the two algorithms."""
-    by_name = {name: read(section_of(name)) for name in ("latency", "loss", "kill", "deaths")}
 
     def cell(name: str, scenario: str, **labels: str) -> str:
         rows = [
             row
-            for row in by_name[name]
+            for row in read(name)
             if row["scenario"] == scenario and all(row[label] == value for label, value in labels.items())
             if row.get("agent") != "none"  # the run without a death
         ]
@@ -147,8 +255,7 @@ def at_a_glance() -> str:
         swings = [float(row["swing_m"]) for row in rows if row["swing_m"]]
         return f"{count}: cost x{between(ratios)}, attitude {attitude:.1f} deg, swing {between(swings)} m"
 
-    lines = ["| | `paper`: the paper's algorithm with our weights | `resilient` |", "|---|---|---|"]
-    for what, name, labels in (
+    wanted: Sequence[tuple[str, str, dict[str, str]]] = (
         ("`transport experiment latency`: 100 ms delay", "latency", {"delay_s": "0.1"}),
         ("400 ms delay", "latency", {"delay_s": "0.4"}),
         ("`transport experiment loss`: 10 % packet loss", "loss", {"loss": "0.1", "model": "bernoulli"}),
@@ -156,23 +263,23 @@ def at_a_glance() -> str:
         ("`transport experiment kill`: an agent killed and restarted after 2 s", "kill", {"restart_s": "10.0"}),
         ("never restarted", "kill", {"restart_s": "never"}),
         ("`transport experiment deaths`: killed for good at 20 random times", "deaths", {}),
-    ):
+    )
+    lines = ["| | `paper`: the paper's algorithm with our weights | `resilient` |", "|---|---|---|"]
+    for what, name, labels in wanted:
         lines.append(f"| {what} | {cell(name, 'paper', **labels)} | {cell(name, 'resilient', **labels)} |")
     return "\n".join(lines)
 
 
 def claim() -> str:
     """Return the README's table of the paper's algorithm against the centralized controller, one row a comparison."""
-    rows = [row for row in read(section_of("paper"), "verdict.csv") if row["controller"] == "paper's algorithm"]
+    rows = [row for row in read("paper", "verdict.csv") if row["controller"] == "paper's algorithm"]
     weathers = list(dict.fromkeys(row["weather"] for row in rows))
     lines = [f"| the paper's algorithm with our weights | {' | '.join(weathers)} |", "|" + "---|" * (1 + len(weathers))]
     for key in dict.fromkeys((row["budget"], row["kept"]) for row in rows):
         found = {row["weather"]: row for row in rows if (row["budget"], row["kept"]) == key}
         cells = [
-            f"{cost_range(found[weather])}: {found[weather]['verdict']}"
-            if cost_range(found[weather]) not in ("", "diverged")
-            else found[weather]["verdict"]
-            for weather in weathers
+            f"{ratios}: {row['verdict']}" if (ratios := cost_range(row)) not in ("", "diverged") else row["verdict"]
+            for row in (found[weather] for weather in weathers)
         ]
         period = periods(found[weathers[0]])
         where = f" (T_s {period} ms)" if period != "none of the grid" else ""
@@ -182,11 +289,10 @@ def claim() -> str:
 
 def hover() -> str:
     """Return the README's sentence about the stability of the paper's algorithm in a long hover."""
-    rows = read(section_of("hover"))
+    rows = read("hover")
     longest = max(float(row["hover_s"]) for row in rows)
     by_scenario = {row["scenario"]: row for row in rows if float(row["hover_s"]) == longest}
     own = by_scenario.pop("paper")
-    anchor = re.sub(r"[^\w -]", "", HOVER_TITLE.lower()).replace(" ", "-")
     if own["first_lost_s"]:
         found = f"is unstable: it diverges at {float(own['first_lost_s']):.1f} s"
     else:
@@ -196,49 +302,43 @@ def hover() -> str:
     )
     return (
         f"In a hover of {longest:g} s at the end of the maneuver the paper's algorithm with our weights {found}; "
-        f"{others} ([table](docs/results.md#{anchor}))."
+        f"{others} ([table](docs/results.md#is-a-long-hover-stable))."
     )
 
 
-def figures_of_a_run() -> None:
-    """Run the paper's maneuver with processes; copy the figures of `paper`, and of `resilient` the README's."""
-    for scenario in ("paper", "resilient"):
-        folder = RUNS / f"run-{scenario}"
+def figures_of_runs() -> None:
+    """Copy the figures of the paper's maneuver, and animate a run with an unreachable agent for the README."""
+    run, animated = RUNS / "run", RUNS / "animation"
+    for folder in (run, animated):
         shutil.rmtree(folder, ignore_errors=True)
-        transport("run", scenario, "--out", str(folder))
-    for figure in (RUNS / "run-paper" / "figures").glob("*.png"):
+    transport("run", "paper", "--out", str(run))
+    for figure in (run / "figures").glob("*.png"):
         shutil.copy(figure, IMAGES / figure.name)
-    shutil.copy(RUNS / "run-resilient" / "figures" / "performance.png", IMAGES / "resilient.png")
-
-
-def animation() -> None:
-    """Animate a run with delay, packet loss and one unreachable agent: the README's first picture."""
-    folder = RUNS / "animation"
-    shutil.rmtree(folder, ignore_errors=True)
     options = [part for setting in NETWORK for part in ("--set", setting)]
-    transport("run", "resilient", *options, "--no-figures", "--out", str(folder))
-    transport("plot", str(folder), "--animate", str(IMAGES / "flight.gif"))
+    transport("run", "resilient", *options, "--no-figures", "--out", str(animated))
+    transport("plot", str(animated), "--animate", str(IMAGES / "flight.gif"))
 
 
 def main() -> None:
     """Run the named experiments, all without a name, and write their parts of the page and the README's tables."""
-    names = sys.argv[1:] or [section.name for section in SECTIONS]
-    strange = set(names) - {section.name for section in SECTIONS}
+    names = sys.argv[1:] or list(SECTIONS)
+    strange = set(names) - SECTIONS.keys()
     if strange:
         raise SystemExit(f"expected names of experiments, got {', '.join(sorted(strange))}")
-    IMAGES.mkdir(parents=True, exist_ok=True)
-    RUNS.mkdir(parents=True, exist_ok=True)
-    figures_of_a_run()
-    animation()
-    parts = {name: part_of_page(section_of(name), simulate(section_of(name))) for name in names}
-    PAGE.write_text(page(parts), encoding="utf-8")
-    for place, content, needed in (
+    for folder in (IMAGES, RUNS):
+        folder.mkdir(parents=True, exist_ok=True)
+    for name in names:
+        place(PAGE, name)  # refused before minutes are spent
+    figures_of_runs()
+    for name in names:
+        put(PAGE, name, part_of(name))
+    for mark, content, needed in (
         ("network", at_a_glance, {"latency", "loss", "kill", "deaths"}),
         ("claim", claim, {"paper"}),
         ("hover", hover, {"hover"}),
     ):
         if needed <= set(names):
-            put(README, place, content())
+            put(README, mark, content())
     sys.stderr.write(f"written: {PAGE.name}, images/, {README.name}\n")
 
 

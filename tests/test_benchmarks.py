@@ -1,4 +1,4 @@
-"""Benchmarks without processes: equal plans, equal solutions, all rows. No time is judged."""
+"""Benchmarks without processes: equal solutions, all rows. No time is judged."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -8,39 +8,25 @@ from pathlib import Path
 import pytest
 
 from benchmarks import __main__ as command
-from benchmarks import aims, parts, solvers, step
+from benchmarks import parts, solvers, step
 from benchmarks.effort import FULL, QUICK, Effort
 from benchmarks.page import BenchmarkError, Table, check, write
-from benchmarks.runs import Situation, programs, setup, situations
+from benchmarks.runs import programs, setup
 from benchmarks.solvers import SOLVERS, TIGHT, Solver
 from mpc.qp import QP
 from tests.support.tables import first_cells, numbers, silent
 
 DOCUMENT = (
-    "a\n<!-- bench: aims -->\nold\n<!-- end of bench -->\nb\n<!-- bench: step -->\nold\n<!-- end of bench -->\nc\n"
+    "a\n<!-- bench: parts -->\nold\n<!-- end of bench -->\nb\n<!-- bench: step -->\nold\n<!-- end of bench -->\nc\n"
 )
 FAILED, INTERRUPTED = 1, 130
 ACTIVE_SETS = ("this project's", "quadprog")
 
 
 @lru_cache
-def met() -> list[Situation]:
-    """Return situations of a run, the first of them with limits that bind."""
-    return situations(setup("paper", QUICK.climb), QUICK.programs)
-
-
-@lru_cache
 def asked() -> list[QP]:
     """Return programs of two runs, with few limits binding in one and many in the other."""
     return [qp for settings in ((), TIGHT) for qp in programs(setup("paper", QUICK.climb, *settings), QUICK.programs)]
-
-
-@pytest.mark.slow
-def test_the_naive_step_makes_the_same_plans() -> None:
-    """The naive step forms the controller's program: equal plans to 1e-9, and with Clarabel to its own error."""
-    assert len(met()) == QUICK.programs
-    assert max(aims.plan_difference(at) for at in met()) < aims.SAME_PLAN
-    assert max(aims.plan_difference(at, "daqp") for at in met()) < aims.SAME_PROGRAM
 
 
 @pytest.mark.slow
@@ -58,23 +44,12 @@ def test_solvers_agree(solver: Solver) -> None:
 
 
 @pytest.mark.slow
-def test_aims_have_their_rows() -> None:
-    """The table has steps, naive step and ratios, each with its aim."""
-    (table,) = aims.measure(QUICK, silent)
-    assert first_cells(table) == [
-        "agent, `paper`", "agent, `resilient`", "agent, `centralized`", f"agent, `{aims.PLAIN}`",
-        "`Controller.step`, `paper`", "naive step, same plans", "centralized over `paper`",
-        "centralized over `resilient`", "naive over `Controller.step`", f"`{aims.PLAIN}` over `paper`",
-    ]  # fmt: skip
-    assert min(numbers(table, "median, ms")) > 0.0
-
-
-@pytest.mark.slow
 def test_steps_have_their_rows() -> None:
     """The table has every team at every horizon, and the scenarios with four UAVs."""
     (table,) = step.measure(QUICK, silent)
     teams = [("`resilient`", str(uavs), str(horizon)) for uavs in QUICK.teams for horizon in QUICK.horizons]
-    assert [tuple(row[:3]) for row in table.rows] == [*teams, ("`paper`", "4", "20"), ("`centralized`", "4", "20")]
+    others = [(f"`{name}`", "4", "20") for name in ("paper", "centralized", step.PLAIN)]
+    assert [tuple(row[:3]) for row in table.rows] == [*teams, *others]
     assert min(value for stage in (*step.SHOWN, "step") for value in numbers(table, stage)) > 0.0
 
 
@@ -114,9 +89,9 @@ def test_a_document_without_the_section_is_refused(tmp_path: Path) -> None:
     document = tmp_path / "page.md"
     document.write_text(DOCUMENT)
     with pytest.raises(BenchmarkError, match=r"page\.md: expected <!-- bench: loop -->"):
-        check(document, ["aims", "loop"])
+        check(document, ["parts", "loop"])
     with pytest.raises(BenchmarkError, match=r"none\.md: cannot be read"):
-        check(tmp_path / "none.md", ["aims"])
+        check(tmp_path / "none.md", ["parts"])
     check(command.DOCUMENT, list(command.SECTIONS))
 
 
@@ -137,13 +112,13 @@ def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: py
         return measure
 
     for error, code, said in ((KeyboardInterrupt(), INTERRUPTED, "interrupted"), (BenchmarkError("no"), FAILED, "no")):
-        monkeypatch.setattr(command, "SECTIONS", {"aims": measured, "step": failing(error)})
+        monkeypatch.setattr(command, "SECTIONS", {"parts": measured, "step": failing(error)})
         assert command.main(["--document", str(document)]) == code
         assert f"benchmarks: {said}" in capsys.readouterr().err
         assert document.read_text() == DOCUMENT
-    assert command.main(["--quick", "--only", "aims"]) == 0
+    assert command.main(["--quick", "--only", "parts"]) == 0
     assert "| 1 | 2 |" in capsys.readouterr().out
     assert document.read_text() == DOCUMENT
-    assert command.main(["--only", "aims", "--document", str(document)]) == 0
+    assert command.main(["--only", "parts", "--document", str(document)]) == 0
     assert "what\n\n| a | b |\n| --- | --- |\n| 1 | 2 |\n\n*" in document.read_text()
     assert efforts == [FULL, FULL, QUICK, FULL]

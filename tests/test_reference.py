@@ -1,4 +1,4 @@
-"""Pages and pictures made from the code: up to date, and whole."""
+"""Pages made from the code: up to date, and whole."""
 
 import re
 import subprocess
@@ -19,8 +19,6 @@ ROOT = Path(__file__).resolve().parent.parent
 MADE = {
     "keys.md": "import keys_page; print(keys_page.page(), end='')",
     "commands.md": "import commands_page; print(commands_page.page(), end='')",
-    "images/architecture.svg": "import pictures; print(pictures.architecture(), end='')",
-    "images/frames.svg": "import pictures; print(pictures.frames(), end='')",
 }
 
 

@@ -7,7 +7,6 @@ cost of (17) and (25) needs.
 import numpy as np
 from scipy.linalg import block_diag, expm
 
-from benchmarks import naive
 from model.arrays import Array
 from model.linearisation import Linearisation
 
@@ -41,7 +40,12 @@ def stacked_state(A: Array, steps: int) -> Array:
 
 def stacked_input(A: Array, B: Array, steps: int) -> Array:
     """Return H of (16), or H_i of (24) for the columns B_i: block (k, j) is A^(k-1-j) B below the diagonal."""
-    return naive.stacked_input(naive.powers_of(A, steps), B)
+    n, m = B.shape
+    H = np.zeros(((steps + 1) * n, steps * m))
+    for k in range(steps + 1):
+        for j in range(k):
+            H[k * n : (k + 1) * n, j * m : (j + 1) * m] = np.linalg.matrix_power(A, k - 1 - j) @ B
+    return H
 
 
 def stacked_output(C: Array, steps: int) -> Array:
