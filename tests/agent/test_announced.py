@@ -76,13 +76,6 @@ def test_shift_and_hold(age: int, delay: int) -> None:
     np.testing.assert_array_equal(rows(1, U), shifted)
 
 
-def test_one_step_old_is_the_papers_shift() -> None:
-    """One tick later a plan has lost its first step and repeats its last: the paper's section IV-A."""
-    plan = labelled(2, 3)
-    U = announced(plan).sequence(4, STEPS, before=4)
-    np.testing.assert_array_equal(rows(2, U), np.vstack([plan.inputs[1:], plan.inputs[-1:]]))
-
-
 @pytest.mark.parametrize("age", range(1, STEPS + 3))
 @pytest.mark.parametrize("delay", [0, 1])
 def test_taken_to_be_one_tick_old(age: int, delay: int) -> None:
@@ -158,13 +151,6 @@ def test_early_plans_wait() -> None:
     np.testing.assert_array_equal(rows(1, inputs.sequence(6, STEPS, before=6))[0], early.inputs[1])
 
 
-def test_only_early_plans() -> None:
-    """An agent whose only plans are early is assumed to hover."""
-    inputs = announced(labelled(1, 5))
-    assert inputs.newest(1, before=5) is None
-    np.testing.assert_array_equal(inputs.sequence(5, 1, before=5), U_HOVER[None])
-
-
 def test_order_of_arrival_does_not_matter() -> None:
     """Any order of arrival, repeated arrivals included, gives the same inputs bit for bit."""
     rng = np.random.default_rng(3)
@@ -206,13 +192,6 @@ def kept(inputs: AnnouncedInputs, agent: int, ticks: Sequence[int]) -> list[int]
     return [k for k, plan in newest.items() if plan is not None and plan.tick == k]
 
 
-def test_newest() -> None:
-    """A plan is kept for exactly its agent and tick."""
-    inputs = announced(labelled(1, 4))
-    assert kept(inputs, 1, range(8)) == [4]
-    assert kept(inputs, 2, range(8)) == []
-
-
 def test_the_oldest_are_forgotten() -> None:
     """A fixed number of newest plans is kept, for any order of arrival; older ones change nothing."""
     ticks = range(KEPT_PLANS + 10)
@@ -220,16 +199,6 @@ def test_the_oldest_are_forgotten() -> None:
     assert kept(inputs, 1, ticks) == list(ticks)[10:]
     backwards = announced(*[labelled(1, k) for k in reversed(ticks)])
     assert kept(backwards, 1, ticks) == list(ticks)[10:]
-
-
-def test_results_are_the_callers() -> None:
-    """Changing a result changes neither the next one nor the hover inputs."""
-    hover = U_HOVER.copy()
-    inputs = announced(labelled(1, 0))
-    inputs.sequence(1, STEPS, before=1)[:] = 0.0
-    inputs.at(0, before=1)[:] = 0.0
-    assert rows(1, inputs.sequence(1, STEPS, before=1)).all()
-    np.testing.assert_array_equal(U_HOVER, hover)
 
 
 X = np.linspace(-1.0, 1.0, 48)

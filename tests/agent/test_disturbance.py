@@ -142,14 +142,6 @@ def test_lost_measurements(kept: Callable[[int], bool], found: bool) -> None:
     assert last.any() == found
 
 
-def test_lost_plans_make_it_noisier() -> None:
-    """With two of three plans lost the estimate errs by the filtered error of the others' assumed thrusts."""
-    plant_state = flight(tuple(HEAVY_IN_WIND))
-    error = estimates(plant_state, lambda k: k + 1 if k % 3 == 0 else TICKS + 1) - estimates(plant_state)
-    # Three thrusts each up to 2 N from the one held for them; in the mean over 8 ticks much less.
-    assert 0.0 < np.abs(error).max() < 1.0
-
-
 @pytest.mark.parametrize("wrong", [1e3, 1e150, np.nan])
 def test_wrong_predictions_are_no_forces(wrong: float) -> None:
     """An implausible prediction error changes no bit of the estimate; a plausible one changes it."""

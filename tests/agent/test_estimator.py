@@ -207,16 +207,6 @@ def test_order_of_arrival_does_not_matter(seed: int, delay: int) -> None:
     np.testing.assert_array_equal(found[TICKS], in_order[TICKS])
 
 
-def test_late_news_corrects_the_past() -> None:
-    """A delayed state is inserted at its own tick and predicted forward into the next estimate."""
-    plant_state = flight(FOUR, 0.05)
-    arrivals = arriving(plant_state, lambda k: TICKS, steps=TICKS)
-    first = {agent: plant_state.plan(agent, 0, TICKS) for agent in (2, 3, 4)}
-    found = estimates(plant_state, {20: list(first.values()), TICKS: arrivals[TICKS]})
-    assert np.abs(found[19] - plant_state.X[19]).max() > 0.04
-    np.testing.assert_allclose(found[20], plant_state.X[20], rtol=0.0, atol=20 * ONE_PERIOD)
-
-
 def test_missed_measurements() -> None:
     """Ticks without a measurement are bridged by prediction."""
     plant_state = flight(FOUR)
@@ -224,20 +214,6 @@ def test_missed_measurements() -> None:
     found = estimates(plant_state, arriving(plant_state, lambda k: k + 1, steps=10), missed)
     assert not set(missed) & set(found)
     assert_close(found, plant_state, sorted(found), TEN_PERIODS)
-
-
-def test_states_received_over_a_gap() -> None:
-    """States of ticks without own measurement are used like any others."""
-    run = setup(FOUR)
-    estimator = StateEstimator(run.model, lambda k: run.initial_state(), PERIOD_S)
-    announced = AnnouncedInputs(run.owned, run.hover.u)
-    estimated(estimator, measurement(run, 1, 0), announced)
-    x = run.initial_state()
-    x[state.uav_slice(1)][state.THETA] = [0.1, 0.0, 0.0]
-    estimator.take(plan(run, 2, 4, x=x))  # before the measurement of tick 5; those of 1..4 are lost
-    found = estimated(estimator, measurement(run, 1, 5), announced)
-    assert estimator.age(2, 5) == 1
-    assert found[state.uav_slice(1)][state.THETA][0] == pytest.approx(0.1, abs=1e-6)  # it does not turn
 
 
 @pytest.mark.parametrize(("age", "known"), [(1, True), (WINDOW, True), (WINDOW + 1, False)])
@@ -273,15 +249,6 @@ def test_age() -> None:
     assert estimator.age(2, 6) == 2
     estimator.take(plan(run, 2, 5))
     assert (estimator.age(2, 6), estimator.age(2, 9), estimator.age(3, 6)) == (1, 4, -1)
-
-
-def test_estimates_are_read_only() -> None:
-    """An estimate is read-only: the next one is predicted from it."""
-    run = setup(FOUR)
-    estimator = StateEstimator(run.model, lambda k: run.initial_state(), PERIOD_S)
-    found = estimated(estimator, measurement(run, 1, 0), AnnouncedInputs(run.owned, run.hover.u))
-    with pytest.raises(ValueError, match="read-only"):
-        found[0] = 0.0
 
 
 def test_joining_late() -> None:
@@ -371,15 +338,3 @@ def test_the_law_makes_late_states_exact() -> None:
     held = estimates(plant_state, led.late())
     missed = [np.abs(held[k] - plant_state.X[k]).max() for k in range(LATE, TICKS + 1)]
     assert np.mean(missed) > MISSED_BY_HELD_PLANS
-
-
-def test_the_law_is_better_than_held_plans_under_an_unknown_force() -> None:
-    """Under an unknown force the estimate by the control law is not exact, but closer than with held plans."""
-    led = led_flight(3.0)
-    plant_state = led.flight
-    errors = []
-    for law in (led.law, lambda _tick, _x: None):
-        found = estimates(plant_state, led.late(), law=law)
-        others = np.array([found[k] - plant_state.X[k] for k in range(LATE, TICKS + 1)])[:, state.uav_slice(1).start :]
-        errors.append(float(np.sqrt(np.mean(others**2))))
-    assert TEN_PERIODS < errors[0] < errors[1] / 2.0

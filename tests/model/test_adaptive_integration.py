@@ -101,15 +101,6 @@ def test_calm_motion_has_the_bits_of_equal_steps() -> None:
         assert with_tolerance[1] == error
 
 
-def test_blocks_end_where_single_steps_end() -> None:
-    """More equal steps than one block holds end where as many calls of one step end, up to rounding."""
-    model, x, u = violent(2)
-    end, _ = model.integrate(x, u, PERIOD_S, 130)
-    for _ in range(130):
-        x, _ = model.integrate(x, u, PERIOD_S / 130, 1)
-    assert np.abs(end - x).max() < 1e-11 * np.abs(end).max()
-
-
 def test_work_is_bounded_and_the_error_stated(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the shortest or the most steps do not suffice, the integration ends and its error exceeds the tolerance."""
     model, x, u = violent(0)

@@ -1,7 +1,5 @@
 """A team after a motor failure: statics with the UAV on its rod, and without it."""
 
-import math
-
 import numpy as np
 import pytest
 
@@ -11,7 +9,6 @@ from model.failure import RELEASED_MASS_KG, failed_hover, failed_model, motor_of
 from model.hover import hover
 from model.linearisation import Model
 from model.parameters import ParameterError, System, table_1
-from model.rotations import euler_angles, rotation
 from model.state import INPUTS, StateView
 from protocol.scenario.file import read_scenario
 from protocol.scenario.setup import Setup
@@ -43,34 +40,6 @@ def thrusts(u: Array) -> Array:
     return u[::INPUTS]
 
 
-def tilted(system: System, angle: float) -> tuple[Array, Array]:
-    """Equilibrium with the payload tilted about the diagonal of the neighbours, the corner of the dead UAV downwards.
-
-    All rods are vertical, the dead UAV is upright on its own. Returns: x (n,), u (m,).
-    """
-    rho = np.array([uav.rho for uav in system.uavs])
-    toward = np.append(rho[DEAD, :2], 0.0) / np.linalg.norm(rho[DEAD, :2])
-    axis = np.cross([0.0, 0.0, 1.0], toward)  # z is down: a positive turn about it lifts that corner
-    x, u = hover(system).x.copy(), np.zeros(system.m)
-    turned = np.array(
-        [
-            [math.cos(angle) + (1 - math.cos(angle)) * axis[0] ** 2, (1 - math.cos(angle)) * axis[0] * axis[1], 0.0],
-            [(1 - math.cos(angle)) * axis[0] * axis[1], math.cos(angle) + (1 - math.cos(angle)) * axis[1] ** 2, 0.0],
-            [0.0, 0.0, math.cos(angle)],
-        ]
-    ) - math.sin(angle) * np.array([[0, 0, axis[1]], [0, 0, -axis[0]], [-axis[1], axis[0], 0]])
-    x[state.THETA0] = euler_angles(turned)
-    StateView(x).e_P[:] = turned[2]
-    at = rho @ turned.T  # attachment points, inertial axes
-    live = [i for i in range(system.N) if i != DEAD]
-    balance = np.vstack([np.ones(3), at[live, 0], at[live, 1]])
-    weight = system.uavs[DEAD].mass * system.gravity
-    carried = np.array([system.payload.mass * system.gravity + weight, weight * at[DEAD, 0], weight * at[DEAD, 1]])
-    for i, tension in zip(live, np.linalg.solve(balance, carried), strict=True):
-        u[INPUTS * i] = system.uavs[i].mass * system.gravity + tension
-    return x, u
-
-
 def test_three_hold_a_payload_without_the_fourth() -> None:
     """Cut loose: the neighbours carry half the payload each, the opposite UAV nothing. docs/equations.md (51)."""
     at = failed_hover(table_1(), {DEAD}, {DEAD})
@@ -89,44 +58,6 @@ def test_with_the_fourth_on_its_rod_the_opposite_one_has_no_thrust() -> None:
     assert pytest.approx(0.855) == MOST_N - 3.0 * WEIGHT_N
     np.testing.assert_allclose(at.tensions[[OPPOSITE, DEAD]], -WEIGHT_N, atol=FORCE_TOLERANCE_N)
     assert np.abs(Model(table_1()).derivative(at.x, at.u)).max() < AT_REST
-
-
-def test_hanging_or_upright_is_the_same_for_the_payload() -> None:
-    """A dead UAV below its corner pulls with its weight as one above it pushes."""
-    rods = np.tile([0.0, 0.0, 1.0], (4, 1))
-    rods[DEAD] *= -1.0
-    upright, hanging = failed_hover(table_1(), {DEAD}, set()), hover(table_1(), rods, {DEAD: 0.0})
-    np.testing.assert_allclose(upright.u, hanging.u, atol=FORCE_TOLERANCE_N)
-    assert hanging.tensions[DEAD] == pytest.approx(WEIGHT_N)
-    assert np.abs(Model(table_1()).derivative(hanging.x, hanging.u)).max() < AT_REST
-
-
-@pytest.mark.parametrize("angle_deg", [5.0, 15.0, 30.0])
-def test_inclined_rods_do_not_relieve_the_opposite_one(angle_deg: float) -> None:
-    """With the payload level, neighbours that lean outwards only need more thrust. docs/equations.md (51)."""
-    rods = np.tile([0.0, 0.0, 1.0], (4, 1))
-    for i in NEIGHBOURS:
-        outwards = np.append(table_1().uavs[i].rho[:2], 0.0)
-        rods[i] = math.cos(math.radians(angle_deg)) * rods[i] - math.sin(math.radians(angle_deg)) * (
-            outwards / np.linalg.norm(outwards)
-        )
-    at = hover(table_1(), rods, {DEAD: 0.0})
-    assert thrusts(at.u)[OPPOSITE] == 0.0
-    assert (thrusts(at.u)[list(NEIGHBOURS)] > 3.0 * WEIGHT_N + 0.05).all()
-
-
-@pytest.mark.parametrize("angle_deg", [0.0, 10.0, 30.0, 54.0])
-def test_a_tilted_payload_gives_the_opposite_one_thrust(angle_deg: float) -> None:
-    """The centre of mass moves towards the opposite corner: thrust m0 g h tan(angle) / d. docs/equations.md (51)."""
-    system = table_1()
-    x, u = tilted(system, math.radians(angle_deg))
-    assert np.abs(Model(system).derivative(x, u)).max() < AT_REST
-    h, d = 0.125, 0.25 * math.sqrt(2.0)
-    expected = 3.0 * 9.81 * h / d * math.tan(math.radians(angle_deg))
-    assert thrusts(u)[OPPOSITE] == pytest.approx(expected, abs=FORCE_TOLERANCE_N)
-    # Down goes the corner that carries more: the payload's third axis leans away from it.
-    corner = rotation(x[state.THETA0]) @ system.uavs[DEAD].rho
-    assert angle_deg == 0.0 or corner[2] > -h
 
 
 @pytest.mark.parametrize(("uavs", "least", "most"), [(5, 15.2, 40.0), (6, 14.7, 36.8), (8, 17.6, 32.8)])

@@ -64,14 +64,6 @@ def test_every_time_belongs_to_one_phase() -> None:
     assert belongs == [0, 0, 0, 1, 2, 4, 4, 4]
 
 
-def test_paper_maneuver_moves_at_half_a_metre_per_second() -> None:
-    """Each leg of 2.5 m is covered at constant speed over its 5 s, docs/equations.md (20)."""
-    r, v = paper_maneuver().path(np.array([2.5, 7.5, 12.5, 17.5, 22.5]))
-    expected = [[0.0, 0.0, 0.0], [0.0, 0.0, -0.5], [0.5, 0.0, 0.0], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]]
-    assert v == pytest.approx(np.array(expected), abs=PATH_TOLERANCE_M)
-    assert r[1] == pytest.approx([0.0, 0.0, -11.25], abs=PATH_TOLERANCE_M)
-
-
 @pytest.mark.parametrize("profile", PROFILES)
 def test_every_profile_ends_where_the_phases_add_up(profile: Profile) -> None:
     """Positions at the ends of phases do not depend on the profile; before and after, the path stands still."""
@@ -213,15 +205,6 @@ def test_what_controllers_follow_is_below_the_path_on_the_ground() -> None:
     np.testing.assert_allclose(y - flown_y, np.outer(depth, lower) + np.outer(rate, faster), atol=PATH_TOLERANCE_M)
     assert (x - flown_x)[:, [2, 5]] == pytest.approx(np.column_stack([depth, rate]))
     assert np.abs(np.delete(x - flown_x, [2, 5], axis=1)).max() == 0.0
-
-
-def test_without_the_ground_they_follow_the_path() -> None:
-    """The reference of a maneuver in the air is its path, bit for bit."""
-    system, times_s = table_1(), np.linspace(0.0, 30.0, 601)
-    reference = Reference(system, hover(system), paper_maneuver())
-    y, x = reference.followed(times_s)
-    np.testing.assert_array_equal(y, reference.outputs(times_s))
-    np.testing.assert_array_equal(x, reference.states(times_s))
 
 
 def test_after_a_landing_comes_a_take_off() -> None:

@@ -10,7 +10,7 @@ import pytest
 from model.arrays import Array
 from model.state import THETA, V0, uav_slice
 from mpc.qp import QP
-from mpc.rows import pairs_of, rate_rows, separation_rows
+from mpc.rows import pairs_of, separation_rows
 from mpc.settings import Constraint, ControllerSettings, Separation, Tilt
 from tests.support import naive
 from tests.support.systems import Setup, Situation, controller, paper_setup, situation, step
@@ -195,13 +195,6 @@ def test_input_rows(case: Case) -> None:
     assert close(above, -np.column_stack([product, moments]))
     assert np.isinf(below[:, 0]).all()
     assert close(below[:, 1], moments)
-
-
-@pytest.mark.parametrize("steps", [1, 2, 5])
-def test_rate_rows_are_differences(steps: int) -> None:
-    """The rate rows take differences of successive decisions; one step has none."""
-    decisions = np.random.default_rng(0).standard_normal((steps, 3))
-    assert np.array_equal(rate_rows(steps, 3) @ decisions.reshape(-1), np.diff(decisions, axis=0).reshape(-1))
 
 
 def test_linear_distance_is_a_lower_bound() -> None:

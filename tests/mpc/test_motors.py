@@ -8,7 +8,7 @@ from model.arrays import Array
 from model.linearisation import Linearisation
 from model.native import Places
 from model.state import input_indices
-from mpc.controller import Controller, Linear, StepResult
+from mpc.controller import Controller, StepResult
 from mpc.cost import Cost
 from mpc.feedback import regulator
 from mpc.prediction import Prediction, convolve
@@ -142,15 +142,3 @@ def test_motors_of_failed_uavs_are_left_out() -> None:
     assert not found.K[:, gone].any()
     assert not found.K[input_indices([2])].any()
     assert found.K[:, setup.system.n + input_indices([1])].any()
-
-
-def test_linear_keeps_the_state_of_the_plant() -> None:
-    """Rows and terms read the state without motors; the drift is that of motion and motors."""
-    setup = paper_setup()
-    one = Controller(setup.model, setup.hover, changed(SETTINGS, motor_lag_s=0.05), (0,))
-    at = situation(setup, SETTINGS, seed=1)
-    z = lagging(at, np.random.default_rng(0))
-    linear: Linear = one.linearise(z, at.u)
-    np.testing.assert_array_equal(linear.x0, at.x)
-    np.testing.assert_array_equal(linear.u0, at.u)
-    np.testing.assert_array_equal(linear.model.f[: setup.system.n], setup.model.derivative(at.x, z[setup.system.n :]))

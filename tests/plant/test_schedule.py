@@ -114,15 +114,6 @@ def test_plays_on_while_nothing_newer_comes() -> None:
     assert played(plans, 7)[1] == (7, FAIL_SAFE, 7)
 
 
-def test_fail_safe_hovers() -> None:
-    """A level UAV at rest has hover thrust without moments, for any yaw."""
-    x = X.copy()
-    x[state.uav_slice(1)][state.THETA] = [0.0, 0.0, 2.0]
-    u, sources = schedule(labelled(1, 0), labelled(2, 0)).inputs(STEPS, x, U_HOVER)
-    np.testing.assert_array_equal(u, U_HOVER)
-    assert sources == (FAIL_SAFE,) * N
-
-
 def test_fail_safe_law() -> None:
     """Small errors: moments J (-36 (roll, pitch, 0) - 9.6 omega). Source: docs/equations.md (31)."""
     x = X.copy()
@@ -188,17 +179,3 @@ def test_fail_safe_goes_over_at_the_actuators_rate() -> None:
     # 100 N/s and 10 N m/s: 5 N and 0.5 N m in 50 ms.
     assert thrusts == pytest.approx([28.0, 23.0, 21.0, 21.0], abs=RATE_SLACK)
     assert moments == pytest.approx([0.4, 0.0, 0.0, 0.0], abs=RATE_SLACK)
-
-
-def test_limits_of_the_hover_thrust() -> None:
-    """Hover thrust at a limit is not moved by the fail-safe."""
-    tight = schedule(labelled(1, 0), limits=Limits(thrust_N=(20.0, 22.0)))
-    assert tight.inputs(STEPS, X, U_HOVER)[0][::4].tolist() == [20.0, 21.0, 22.0]
-
-
-def test_results_are_the_callers() -> None:
-    """Changing a result changes neither the hover inputs nor a plan."""
-    plans = schedule(labelled(2, 0))
-    before = plans.inputs(0, X, U_HOVER)[0].copy()
-    plans.inputs(0, X, U_HOVER)[0][:] = 0.0
-    np.testing.assert_array_equal(plans.inputs(0, X, U_HOVER)[0], before)
