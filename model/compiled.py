@@ -14,7 +14,7 @@ import numpy as np
 
 from model import compiler, dynamics, rotations, state
 from model.arrays import Array, ShapeError
-from model.cache import cache_folder, replace_atomically
+from model.compiler import cache_folder, replace_atomically
 from model.dynamics import Symbols
 
 # No contraction of products and sums: the same bits as CasADi's interpreter.
@@ -220,23 +220,16 @@ def _digest() -> str:
 
 
 def _read_cache(path: Path, names: Sequence[str]) -> dict[str, ca.Function] | None:
-    """Return some of the functions; only these are held in memory, as those of large teams are large."""
-    texts: dict[str, bytes] = {}
-    digest, count = hashlib.sha256(), 0
+    """Return some of the functions; only these are built, as those of large teams are large."""
     try:
-        with path.open("rb") as file:
-            checksum = file.readline().rstrip(b"\n")
-            for count, line in enumerate(file, start=1):
-                digest.update(line)
-                if count <= len(_FUNCTIONS) and _FUNCTIONS[count - 1] in names:
-                    texts[_FUNCTIONS[count - 1]] = line
+        checksum, *lines = path.read_bytes().split(b"\n")
     except OSError:
         return None
-    if digest.hexdigest().encode() != checksum:
-        return None  # truncated or damaged: CasADi could crash on it
-    if count != len(_FUNCTIONS):
-        return None  # written by a process whose source changed while it ran
-    return {name: ca.Function.deserialize(texts.pop(name).decode("latin-1").rstrip("\n")) for name in names}
+    # CasADi could crash on a truncated file; a process whose source changed while it ran wrote other functions.
+    if hashlib.sha256(b"\n".join(lines)).hexdigest().encode() != checksum or len(lines) != len(_FUNCTIONS):
+        return None
+    texts = dict(zip(_FUNCTIONS, lines, strict=True))
+    return {name: ca.Function.deserialize(texts.pop(name).decode("latin-1")) for name in names}
 
 
 def _write_cache(path: Path, built: dict[str, ca.Function]) -> None:

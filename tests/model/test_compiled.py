@@ -13,8 +13,8 @@ import pytest
 
 import model
 from model.arrays import Array, ShapeError
-from model.cache import cache_folder
 from model.compiled import Compiled, functions
+from model.compiler import cache_folder
 from tests.support.random_systems import random_forces, random_input, random_state, random_system
 
 N = 2

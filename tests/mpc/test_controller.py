@@ -1,5 +1,7 @@
 """The controller's program against the cost of the paper and against the paper's own matrices; its arguments."""
 
+from typing import Any
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -153,11 +155,16 @@ def test_bad_arguments_are_named(name: str) -> None:
     """An argument of the wrong shape, or with nan or inf, is refused with its name before it reaches a solver."""
     setup, settings = paper_setup(), ControllerSettings(horizon=3)
     good = situation(setup, settings, seed=0)
-    arguments = {"x0": good.x.copy(), "u0": good.u.copy(), "U": good.U.copy(), "y_ref": good.y_ref.copy()}
+    arguments: dict[str, Any] = {
+        "x0": good.x.copy(),
+        "u0": good.u.copy(),
+        "U": good.U.copy(),
+        "y_ref": good.y_ref.copy(),
+    }
     one = controller(setup, settings, (0,))
     with pytest.raises(ShapeError, match=rf"^{name}: expected shape \(.*\), got \(.*\)$"):
-        one.step(**arguments | {name: arguments[name][:-1]})
+        one.step(*(arguments | {name: arguments[name][:-1]}).values())
     for value in (np.nan, np.inf):
         arguments[name].reshape(-1)[-1] = value
         with pytest.raises(ShapeError, match=f"^{name}: expected finite numbers, got {value}"):
-            one.step(**arguments)
+            one.step(*arguments.values())

@@ -12,7 +12,7 @@ from packaging.requirements import Requirement
 from packaging.version import Version
 
 from model import compiler, native
-from model.cache import cache_folder
+from model.compiler import cache_folder
 from protocol.scenario.setup import Setup
 from transport.doctor.finding import Finding
 from transport.doctor.host import host_checks
