@@ -762,6 +762,17 @@ void residuals(ptrdiff_t n, ptrdiff_t rows, const double *H, const double *g, co
     found[2] = slackness / (1.0 + fabs(objective));
 }
 
+static int all_finite(ptrdiff_t n, const double *a)
+{
+    lanes sum = splat(0.0); /* x - x is nan for an infinite x */
+    double rest = 0.0;
+    ptrdiff_t i = 0;
+    for (; i + LANES <= n; i += LANES) sum += VECTOR(a + i) - VECTOR(a + i);
+    for (; i < n; i++) rest += a[i] - a[i];
+    for (int v = 0; v < LANES; v++) rest += sum[v];
+    return rest == 0.0;
+}
+
 /* A QP by its bounds alone, and the residuals of that solution in the whole QP; `found` as in `residuals`.
 
    Returns the number of guesses; 0 if there is no such solution or rows are equalities, -1 if H or g is not finite. */
@@ -769,10 +780,7 @@ int solve_within_bounds(ptrdiff_t n, ptrdiff_t rows, const double *H, const doub
                         const double *upper, const double *A, const double *row_lower, const double *row_upper,
                         int most, double *z, double *multipliers, double *found, double *work)
 {
-    for (ptrdiff_t i = 0; i < n; i++)
-        if (!isfinite(g[i])) return -1;
-    for (ptrdiff_t i = 0; i < n * n; i++)
-        if (!isfinite(H[i])) return -1;
+    if (!all_finite(n, g) || !all_finite(n * n, H)) return -1;
     for (ptrdiff_t r = 0; r < rows; r++)
         if (row_lower[r] == row_upper[r]) return 0;
     const int guesses = within_bounds(n, H, g, lower, upper, most, z, multipliers, work);

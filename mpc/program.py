@@ -42,6 +42,7 @@ class Program:
         # The newest prediction by the kernels, and its control law.
         self._predicted: Prediction | None = None
         self._law: FeedbackLaw | None = None
+        self._addresses: dict[str, tuple[np.ndarray, int]] = {}
         if native.AVAILABLE:
             self._allocate()
         self.form(cost, ())
@@ -67,7 +68,7 @@ class Program:
         if law is None:
             problem.K, problem.uncorrected, problem.announced = 0, 0, at(U)
         else:
-            problem.K, problem.uncorrected, problem.announced = at(law.K), at(law.uncorrected), at(law.c)
+            problem.K, problem.uncorrected, problem.announced = self._kept("K", law.K), at(law.uncorrected), at(law.c)
         native.respond(problem)
         self._predicted, self._law = (self._open if law is None else self._closed), law
         return self._predicted
@@ -88,25 +89,28 @@ class Program:
         slope, at_x0 = self._terms(linear.x0) if len(self._user_costs) else self._no_terms
         if prediction is not self._predicted:
             return self._plain(linear, prediction, y_ref, slope, at_x0, end, terminal, responding, Q)
-        at, problem, model = native.at, self._problem, linear.model
-        problem.inputs, problem.terminal, problem.answering, problem.Q = (
-            len(responding),
-            terminal,
-            at(responding),
-            at(Q),
-        )
-        problem.slope, problem.at_x0, problem.x0 = at(slope), at(at_x0), at(linear.x0)
-        problem.rank = 0 if end is None else len(end.root)
+        at, kept, problem, model = native.at, self._kept, self._problem, linear.model
+        problem.terminal, problem.inputs, problem.rank = terminal, len(responding), 0
+        problem.answering, problem.Q = kept("answering", responding), kept("Q", Q)
+        problem.slope, problem.at_x0, problem.x0 = kept("slope", slope), kept("at_x0", at_x0), at(linear.x0)
         if end is not None:
-            problem.root, problem.error, problem.end_slope = at(end.root), at(end.error), at(end.slope)
+            problem.rank, problem.root = len(end.root), kept("root", end.root)
+            problem.error, problem.end_slope = at(end.error), at(end.slope)
         begin, problem.index = model.pattern.addresses
         problem.begin, problem.value = begin + 8 * model.pattern.first_rows[-2], at(model.values)
         problem.model_outputs, problem.y, problem.y_ref = len(model.y), at(model.y), at(y_ref)
-        problem.u_target = at(linear.u_target)
+        problem.u_target = kept("u_target", linear.u_target)
         native.fill(problem)
         qp = self._qp
         self._rows.fill_user(linear, prediction, qp.A, qp.row_lower, qp.row_upper)
         return qp
+
+    def _kept(self, name: str, array: np.ndarray) -> int:
+        """Return the address of an array that is mostly that of the step before."""
+        known = self._addresses.get(name)
+        if known is None or known[0] is not array:
+            known = self._addresses[name] = array, native.at(array)
+        return known[1]
 
     def relaxed(self, prediction: Prediction, law: FeedbackLaw, z: Array, w: float) -> tuple[Array, Array]:
         """Return inputs and corrections of a plan with a shared control law, (N_p, m_own) each.

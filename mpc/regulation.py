@@ -1,8 +1,10 @@
 """The shared control law of a team: its regulator, preview and target, for the UAVs that have agents."""
 
 import contextlib
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
+from typing import Any, TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +22,12 @@ from mpc.preview import Preview, at_rest, preview
 from mpc.settings import ControllerSettings
 from mpc.target import Target, target
 
+T = TypeVar("T")
+
 _NO_CORRECTIONS = np.zeros((1, 0))
+# Regulators and previews by model and team: computed once for all controllers of a process. Keys have the identities of
+# what else they follow from, which is kept beside the result.
+_FOUND: WeakKeyDictionary[Model, dict[tuple[Any, ...], tuple[Any, tuple[object, ...]]]] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,7 +99,7 @@ class Regulation:
 
     def _form(self, gone: frozenset[int], off: frozenset[int], released: frozenset[int]) -> None:
         """Set the team. Raises: ParameterError, FeedbackError: there is no hover, or no regulator."""
-        self._off, self._released = off, released
+        self._team, self._off, self._released = (gone, off, released), off, released
         # A UAV without motors has no fail-safe.
         self._uncontrolled = {uav: self._fail_safe.gain(uav) for uav in gone - off}
         self._model, self.hover = self._whole, self._whole_hover
@@ -167,17 +174,30 @@ class Regulation:
     def _regulate(self) -> None:
         further = self.user_costs.about(self.hover.x)
         period_s = self._settings.sampling_period_s
-        found = regulator(
-            self._model, self.hover, self.cost, period_s, self._uncontrolled, further, self._off, self._released,
-            self._lag_s,
+        self.regulator = found = self._shared(
+            lambda: regulator(
+                self._model, self.hover, self.cost, period_s, self._uncontrolled, further, self._off, self._released,
+                self._lag_s,
+            ),
+            self._whole_hover, self._settings,
         )  # fmt: skip
-        self.regulator = found
         if self._X_ref is not None:
             # On the reference, the output error is zero; the user's terms are not.
             states = len(found.T)
             pull = (np.sqrt(self.user_costs.weights) * self._on_reference) @ padded(further, states)
             # The actual inputs of the reference are those of hover: their deviation from the last ones is zero.
-            self._preview = preview(found, padded(self._X_ref, states), pull)
+            X_ref = padded(self._X_ref, states)
+            self._preview = self._shared(
+                lambda: preview(found, X_ref, pull), self._whole_hover, self._settings, self._X_ref
+            )
+
+    def _shared(self, compute: Callable[[], T], *follows_from: object) -> T:
+        """Return a result for this team, computed by the first controller that needs it."""
+        found, key = _FOUND.setdefault(self._whole, {}), (*map(id, follows_from), *self._team)
+        if key not in found:
+            found[key] = compute(), follows_from
+        result: T = found[key][0]
+        return result
 
     def _within(self, start: int, steps: int) -> slice | npt.NDArray[np.intp]:
         """Return instants of the maneuver; later ones are replaced by its last."""

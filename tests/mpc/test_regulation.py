@@ -293,7 +293,8 @@ def test_the_team_alone_decides(team: tuple[tuple[int, ...], ...]) -> None:
     system = table_1()
     at, model = hover(system), Model(system)
     X_ref = reference_states(system, at, "ramp", INSTANTS)
-    fresh, old = Regulation(model, at, LQ, X_ref), Regulation(model, at, LQ, X_ref)
+    # Controllers of one model share results.
+    fresh, old = Regulation(model, at, LQ, X_ref), Regulation(Model(system), at, LQ, X_ref)
     fresh.form(*team)
     for before in (((0, 1), (), ()), ((), (2,), ()), ((0, 1), (2,), (2,))):
         old.form(*before)
