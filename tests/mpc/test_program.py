@@ -78,8 +78,8 @@ def test_prediction_is_that_of_the_stacked_matrices(size: tuple[int, int, int, i
 ALL_ROWS: dict[str, Any] = {
     "separation": Separation(minimum_m=0.45),
     "tilt": Tilt(limit_deg=12.0),
-    "constraints": (Constraint(expression="dot(v0, v0) <= 1.0"), Constraint(expression="thrust1 + thrust2 <= 45")),
-    "costs": (CostTerm(expression="v0[0] * v0[1]", weight=0.3), CostTerm(expression="e1[0]", weight=2.0)),
+    "constraint": (Constraint(expression="dot(v0, v0) <= 1.0"), Constraint(expression="thrust1 + thrust2 <= 45")),
+    "cost": (CostTerm(expression="v0[0] * v0[1]", weight=0.3), CostTerm(expression="e1[0]", weight=2.0)),
 }
 LQ: dict[str, Any] = {"prediction": "closed_loop", "terminal": "riccati"}
 # UAVs, owned ones, settings: around the width of a vector, with and without each kind of output and row.
