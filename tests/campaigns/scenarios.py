@@ -32,7 +32,7 @@ from protocol.wire.exit_codes import EXIT_SCENARIO
 from protocol.wire.messages import Message, PlantState
 from tests.campaigns.harness import Result
 from tests.support.mutations import mutated
-from transport.cli.validate import validate
+from transport.cli.scenario import validate
 from transport.flight.memory import simulate
 
 READY = ("paper", "centralized", "resilient", "precise", "windy", "collision")

@@ -11,7 +11,7 @@ from protocol.scenario.file import ScenarioError, read_scenario
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Message
 from tests.support.runs import PAPER, plant_states
-from transport.cli.scenario_text import scenario_text
+from transport.cli.scenario import scenario_text
 from transport.flight.memory import simulate
 
 HEADING = "t_s,x_m,y_m,z_m\n"

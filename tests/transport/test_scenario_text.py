@@ -7,7 +7,7 @@ import pytest
 from protocol.scenario.file import read_scenario
 from protocol.scenario.team import given
 from tests.support.runs import PAPER, SCENARIOS
-from transport.cli.scenario_text import scenario_text
+from transport.cli.scenario import scenario_text
 
 # One of everything that is written in a way of its own: tables in tables, lists of lists, texts with brackets.
 EVERYTHING = (

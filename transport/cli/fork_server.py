@@ -29,8 +29,8 @@ def serve(own: socket.socket) -> None:
     """Start a process for each request from a socket until its other end is closed."""
     wake_with_its_end()
     setproctitle.setproctitle(FORK_SERVER_TITLE)  # before the environment moves: titles use its memory
-    for name in ("main", "agent", "coordinator", "plant"):
-        load(f"transport.cli.{name}")
+    for name in ("transport.cli.main", "transport.cli.processes", "agent.main", "coordinator.main", "plant.main"):
+        load(name)
     while True:
         content, descriptors, _, _ = socket.recv_fds(own, REQUEST_BYTES, 2)
         if not content:

@@ -11,22 +11,22 @@ from transport.cli.lazy import lazy_group
 app = lazy_group(
     {
         "run": ("transport.cli.run:run", "Run a scenario with all its processes; record and report it."),
-        "validate": ("transport.cli.validate:validate", "Check a scenario and print it with every default."),
+        "validate": ("transport.cli.scenario:validate", "Check a scenario and print it with every default."),
         "margins": ("transport.cli.margins:margins", "Show how far the plant may differ from the controllers' model."),
         "plot": ("transport.cli.plot:plot", "Regenerate metrics and figures of a recorded run."),
         "view": ("transport.cli.view:view", "Show a recorded or active run in the browser."),
         "compare": ("transport.cli.compare:compare", "Compare recorded runs in a table and in figures."),
         "replay": ("transport.cli.replay:replay", "Feed a recorded run to one agent and compare its plans."),
         "top": ("transport.cli.top:top", "Watch the agents of an active run."),
-        "status": ("transport.cli.status:status", "Show the progress of a run, or the health of one process."),
-        "fault": ("transport.cli.fault:fault", "Kill, stop, continue or restart a process of an active run."),
+        "status": ("transport.cli.operate:status", "Show the progress of a run, or the health of one process."),
+        "fault": ("transport.cli.operate:fault", "Kill, stop, continue or restart a process of an active run."),
         "doctor": ("transport.cli.doctor:doctor", "Check that this machine can run a scenario."),
-        "agent": ("transport.cli.agent:agent", "Run one agent: the controller of the UAVs it owns."),
-        "plant": ("transport.cli.plant:plant", "Run the plant: dynamics and actuators."),
-        "coordinator": ("transport.cli.coordinator:coordinator", "Run the coordinator: sampling clock and roster."),
-        "record": ("transport.cli.record:record", "Record and report a run whose processes were started by hand."),
-        "router": ("transport.cli.router:router", "Route messages between hosts without a direct connection."),
-        "metrics": ("transport.cli.metrics:metrics", "Export process metrics to Prometheus."),
+        "agent": ("transport.cli.processes:agent", "Run one agent: the controller of the UAVs it owns."),
+        "plant": ("transport.cli.processes:plant", "Run the plant: dynamics and actuators."),
+        "coordinator": ("transport.cli.processes:coordinator", "Run the coordinator: sampling clock and roster."),
+        "record": ("transport.cli.processes:record", "Record and report a run whose processes were started by hand."),
+        "router": ("transport.cli.processes:router", "Route messages between hosts without a direct connection."),
+        "metrics": ("transport.cli.operate:metrics", "Export process metrics to Prometheus."),
     },
     {
         "Simulate": ["run", "experiment", "scenario", "validate", "margins", "doctor"],
@@ -88,8 +88,8 @@ app.add_typer(
 app.add_typer(
     lazy_group(
         {
-            "info": ("transport.cli.log.info:info", "Describe the content of a log, and its gaps."),
-            "export": ("transport.cli.log.export:export", "Write a log as tables, as a copy for Foxglove, or both."),
+            "info": ("transport.cli.log:info", "Describe the content of a log, and its gaps."),
+            "export": ("transport.cli.log:export", "Write a log as tables, as a copy for Foxglove, or both."),
         },
         help="Describe and export the log of a run.",
         epilog="Exit codes: 0 done, also for an incomplete log; 2 the log cannot be read.",
@@ -100,10 +100,10 @@ app.add_typer(
     lazy_group(
         {
             "keys": (
-                "transport.cli.deploy.keys:keys",
+                "transport.cli.deploy:keys",
                 "Create a certificate authority and process certificates.",
             ),
-            "render": ("transport.cli.deploy.render:render", "Write one deployment folder per host."),
+            "render": ("transport.cli.deploy:render", "Write one deployment folder per host."),
         },
         help="Deploy a run to several hosts.",
     ),

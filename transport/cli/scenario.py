@@ -1,21 +1,24 @@
-"""The command `transport scenario new`."""
+"""The commands about scenarios: `transport scenario new` and `transport validate`."""
 
 import shlex
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
+import tomli_w
 import typer
 from typer import Option
 
-from protocol.scenario.budget import check_budget
+from plant.trial import tried_engine
+from protocol.scenario.budget import check_budget, estimate
 from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
 from protocol.scenario.schema import Scenario
 from protocol.scenario.setup import Setup
 from protocol.scenario.team import FEWEST, MOST, given, resized
 from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
-from transport.cli.options import FormatOption
+from transport.cli.options import FormatOption, LargeOption, ScenarioArgument, SetOption
 from transport.cli.output import Format, exit_on, fail, show_json
-from transport.cli.scenario_text import scenario_text
+from transport.cli.scenario_setup import read_setup, scenario_errors
 
 # Number of UAVs beyond which a user should know that the model takes long to build.
 _LONG = 48
@@ -94,3 +97,65 @@ def _is_within_limits(scenario: Scenario) -> bool:
     except ScenarioError:
         return False
     return True
+
+
+def validate(
+    scenario: ScenarioArgument,
+    settings: SetOption = None,
+    large: LargeOption = False,
+    output: FormatOption = Format.text,
+) -> None:
+    """Check a scenario and print it with every default.
+
+    Prints an estimate of memory, log size and processor time on standard error.
+
+    Example: transport validate paper --set controller.horizon=10
+    """
+    setup = read_setup(scenario, settings, allow_large=large)
+    with scenario_errors(settings):
+        engine = tried_engine(setup)
+    doubts = list(setup.doubts())
+    if output is Format.json:
+        show_json({"scenario": setup.scenario.tree(), "digest": setup.scenario.digest(), "warnings": doubts})
+        return
+    typer.echo(tomli_w.dumps(setup.scenario.tree()), nl=False)
+    for doubt in doubts:
+        typer.echo(f"warning: {doubt}", err=True)
+    hover = ", ".join(f"{thrust:.2f}" for thrust in setup.hover.u[::4])
+    sizes = f"{setup.system.N} UAVs, {len(setup.agents)} agents, {setup.ticks} ticks"
+    about = f"{sizes}, hover thrust {hover} N, digest {setup.scenario.digest()}"
+    typer.echo(f"valid: {about}, engine {engine}", err=True)
+    typer.echo(f"estimate: {estimate(setup.scenario).text()}", err=True)
+
+
+def scenario_text(tree: dict[str, Any], comment: Sequence[str]) -> str:
+    """Return a scenario in TOML.
+
+    Args:
+        tree: The scenario as plain data; its keys are bare words.
+        comment: Lines for the top; TOML forbids most unprintable characters, so each becomes a question mark.
+    """
+    top = ["# " + "".join(c if c.isprintable() else "?" for c in line) for line in comment]
+    return "\n".join([*top, *_table(tree, ""), ""])
+
+
+def _table(tree: dict[str, Any], path: str) -> Iterator[str]:
+    """Yield the lines of a table: its values first, as everything after a heading belongs to that heading."""
+    tables: list[tuple[str, str, dict[str, Any]]] = []
+    for key, value in tree.items():
+        name = path + key
+        if isinstance(value, dict):
+            tables.append((f"[{name}]", name, value))
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            tables += [(f"[[{name}]]", name, entry) for entry in value]
+        else:
+            yield f"{key} = {_value(value)}"
+    for heading, name, table in tables:
+        yield from ("", heading)
+        yield from _table(table, f"{name}.")
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, list):
+        return f"[{', '.join(map(_value, value))}]"
+    return tomli_w.dumps({"_": value}).removeprefix("_ = ").rstrip("\n")

@@ -1,4 +1,4 @@
-"""The command `transport log export`."""
+"""The commands `transport log`: describe and export the log of a run."""
 
 import csv
 import io
@@ -6,19 +6,91 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from typer import Option
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+from typer import Argument, Option
 
 from protocol.wire.exit_codes import EXIT_USAGE
 from protocol.wire.messages import KINDS
-from transport.cli.log.opening import LogArgument, open_or_fail
 from transport.cli.options import FormatOption
 from transport.cli.output import Format, exit_on, fail, show_json
-from transport.log.info import LogFile, lost
+from transport.cli.recorded_run import complete_run, run_folder
+from transport.log.info import LogFile, describe, lost, open_log
+from transport.log.run_folder import ranges
 from transport.log.run_log import LogError
 from transport.log.tables import Row, columns, tables
-from transport.report.foxglove import write_foxglove
-from transport.report.report import write_whole
-from transport.scene.scene import SceneBuilder
+
+LogArgument = Annotated[
+    Path | None,
+    Argument(
+        metavar="RUN|FILE",
+        help="Run folder, its name in runs/, or MCAP file; by default the most recent run.",
+        autocompletion=complete_run,
+    ),
+]
+
+
+def open_or_fail(given: Path | None) -> LogFile:
+    """Open a log, by default that of the most recent run, or end the command if it cannot be read."""
+    path = run_folder(given)
+    with exit_on(LogError, code=EXIT_USAGE):
+        return open_log(path)
+
+
+def info(path: LogArgument = None, output: FormatOption = Format.text) -> None:
+    """Describe the content of a log, and its gaps.
+
+    Reads a truncated or damaged log as far as possible.
+
+    Example: transport log info runs/20260102-101500-paper
+    """
+    content = describe(open_or_fail(path))
+    if output is Format.json:
+        show_json(content)
+        return
+    console = Console()
+    console.print(_summary(content))
+    if content["channels"]:
+        console.print(_channels(content["channels"]))
+
+
+def _summary(content: dict[str, Any]) -> Table:
+    whole = Text("complete", "bold green") if content["complete"] else Text("incomplete", "bold red")
+    table = Table(box=None, show_header=False, title=Text.assemble((content["file"], "bold"), " ", whole))
+    table.title_justify = "left"
+    table.add_column(style="cyan", no_wrap=True)
+    table.add_column()
+    period_s, last, ticks = content["sampling_period_s"], content["last_tick"], content["ticks_of_the_run"]
+    span = "no message is readable" if last is None else f"{content['first_tick']} to {last}"
+    if last is not None and ticks is not None:
+        flown = content["ticks_flown"]
+        span += f"; {flown} of {ticks} simulated ({flown * period_s:.2f} of {ticks * period_s:.2f} s of scenario time)"
+    reason = f": {content['reason']}" if content["reason"] else ""
+    lines = [
+        ("run", f"{content['run_id'] or 'unknown'}, scenario {content['scenario'] or 'unknown'}"),
+        ("ended", f"{content['outcome']}{reason}"),
+        ("ticks", span),
+        ("received", "-" if content["wall_time_s"] is None else f"within {content['wall_time_s']:.2f} s of wall time"),
+        ("size", f"{content['bytes'] / 1e3:.0f} kB, {content['messages']} messages"),
+        ("recorded with", content["versions"] or "unknown"),
+        ("on", content["machine"] or "unknown"),
+        *([("log", content["cut"])] if content["cut"] else []),
+        *[("lost", sentence) for sentence in content["lost"]],
+    ]
+    for name, text in lines:
+        table.add_row(name, Text(text, "yellow" if name in ("log", "lost") else ""))
+    return table
+
+
+def _channels(channels: list[dict[str, Any]]) -> Table:
+    table = Table(box=None)
+    for column in ("channel", "messages", "first tick", "last tick", "ticks without"):
+        table.add_column(column, justify="left" if column in ("channel", "ticks without") else "right")
+    for channel in channels:
+        counts = (channel["messages"], channel["first_tick"], channel["last_tick"])
+        table.add_row(channel["topic"], *map(str, counts), ranges(channel["ticks_without"]))
+    return table
 
 
 def export(
@@ -87,6 +159,9 @@ def _export_tables(file: LogFile, out: Path, kinds: list[str], *, parquet: bool)
 
 
 def _export_foxglove(file: LogFile, out: Path) -> list[dict[str, Any]]:
+    from transport.report.foxglove import write_foxglove
+    from transport.scene.scene import SceneBuilder
+
     if file.setup is None:
         fail(f"--foxglove: {file.path} has no scenario, or one of another version", EXIT_USAGE)
     try:
@@ -105,6 +180,8 @@ def _warn(file: LogFile) -> None:
 
 
 def _write_csv(rows: list[Row], path: Path) -> None:
+    from transport.report.report import write_whole
+
     text = io.StringIO(newline="")
     # Floats are written by repr: they read back as the same bits.
     writer = csv.DictWriter(text, columns(rows), lineterminator="\n")

@@ -1,1 +1,0 @@
-"""The commands `transport deploy`: keys and folders for a run on several hosts."""

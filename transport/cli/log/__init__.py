@@ -1,1 +1,0 @@
-"""The commands `transport log`: describe and export the log of a run."""

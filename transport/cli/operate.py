@@ -1,0 +1,166 @@
+"""Commands that ask the processes of an active run: `status`, `fault`, and `metrics` for Prometheus."""
+
+import json
+import sys
+import threading
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+from typer import Argument, Option
+
+from protocol.network.endpoints import Endpoints, default_mesh, process_names, security_of
+from protocol.network.security import SecurityError
+from protocol.scenario.schema import Scenario
+from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
+from protocol.wire.names import COORDINATOR, RECORDER
+from transport.cli.active_run import ActiveRun
+from transport.cli.options import FormatOption, ScenarioOption, SetOption, with_options
+from transport.cli.output import Format, exit_on, fail, show_json
+from transport.cli.scenario_setup import read_setup
+from transport.flight.requests import FAULTS
+from transport.monitor.health import FACTS, Exporter
+
+_HIDDEN = ("asked_ns", "answered_ns")
+
+
+@with_options(ActiveRun)
+def status(
+    run: ActiveRun,
+    process: Annotated[
+        str | None, Option("--process", metavar="PROCESS", help="Process, such as plant, agent1 or recorder.")
+    ] = None,
+    output: FormatOption = Format.text,
+) -> None:
+    """Show the progress of a run, or the health of one process.
+
+    Tick and roster; with --process its resource use and the messages it rejected.
+
+    Example: transport status --process agent2
+    """
+    name, what = (COORDINATOR, "status") if process is None else (process, "health")
+    answer = run.ask(name, what, {})
+    if output is Format.json:
+        show_json(answer)
+    elif process is None:
+        typer.echo(_progress(answer))
+    else:
+        Console().print(_table(answer))
+
+
+def _progress(answer: Mapping[str, Any]) -> str:
+    """Return a sentence about tick, roster and observers."""
+    begun = f"tick {answer['tick']} of {answer['ticks']}" if answer["tick"] >= 0 else "before the first tick"
+    agents = ", ".join(map(str, answer["members"])) or "none"
+    observers = f"; observed by {', '.join(answer['observers'])}" if answer["observers"] else ""
+    return f"{begun}; agents on the roster: {agents}{observers}"
+
+
+def _table(answer: Mapping[str, Any]) -> Table:
+    """Return a row for each value."""
+    table = Table(box=None, show_header=False)
+    table.add_column(style="cyan", no_wrap=True)
+    table.add_column()
+    for name, value in answer.items():
+        if name in _HIDDEN or value is None:
+            continue
+        fact = FACTS.get(name)
+        text = value if isinstance(value, str) else json.dumps(value)
+        if fact is not None and fact.scale is not None:
+            text = f"{round(fact.scale * value, 3):g} {fact.unit}"
+        table.add_row(name if fact is None else fact.label, Text(text))
+    return table
+
+
+def _actions(incomplete: str) -> list[str]:
+    """Return the faults that begin like an incomplete word, for the shell."""
+    return [action for action in FAULTS if action.startswith(incomplete)]
+
+
+@with_options(ActiveRun)
+def fault(
+    run: ActiveRun,
+    action: Annotated[
+        str, Argument(metavar="ACTION", help="kill, stop, continue or restart.", autocompletion=_actions)
+    ],
+    target: Annotated[str, Argument(metavar="PROCESS", help="agent1, agent2, ..., plant or coordinator.")],
+    output: FormatOption = Format.text,
+) -> None:
+    """Kill, stop, continue or restart a process of an active run.
+
+    The fault is written to the log of the run.
+
+    Example: transport fault kill agent3
+    """
+    if action not in FAULTS:
+        fail(f"ACTION: expected one of {', '.join(FAULTS)}, got {action!r}", EXIT_USAGE)
+    answer = run.ask(RECORDER, "fault", {"do": action, "target": target})
+    if output is Format.json:
+        show_json(answer)
+        return
+    typer.echo(f"{action} {target}: done at tick {answer['tick']}")
+
+
+def metrics(
+    scenario: ScenarioOption = "paper",
+    settings: SetOption = None,
+    run: Annotated[
+        str | None, Option("--run", metavar="NAME", help="Name of the run; the scenario's by default.")
+    ] = None,
+    connect: Annotated[
+        list[str] | None,
+        Option("--connect", metavar="ENDPOINT", help="Endpoints of coordinator, plant, agent 1, ... in this order."),
+    ] = None,
+    port: Annotated[
+        int, Option("--port", metavar="PORT", min=1, max=65535, help="Port to serve on, at 127.0.0.1.")
+    ] = 9464,
+    output: FormatOption = Format.text,
+) -> None:
+    """Export process metrics to Prometheus.
+
+    Example: transport metrics --scenario resilient --port 9464
+    """
+    try:
+        from prometheus_client import CollectorRegistry, start_http_server
+    except ModuleNotFoundError as error:
+        fail(f"expected the package {error.name}, got none: pip install 'payload-transport[metrics]'", EXIT_USAGE)
+    described = read_setup(scenario, settings, allow_large=True).scenario
+    registry = CollectorRegistry()
+    with exit_on(SecurityError, code=EXIT_SCENARIO):
+        registry.register(Exporter(run or described.name, process_endpoints(described, connect)))
+    try:
+        server, thread = start_http_server(port, "127.0.0.1", registry)
+    except OSError as error:
+        fail(f"--port: cannot serve on {port} ({error.strerror})", EXIT_USAGE)
+    address = f"http://127.0.0.1:{port}/metrics"
+    if output is Format.json:
+        show_json({"address": address})
+        sys.stdout.flush()
+    else:
+        typer.echo(address, err=True)
+    try:
+        threading.Event().wait()
+    except KeyboardInterrupt:
+        server.shutdown()
+        thread.join()
+
+
+def process_endpoints(scenario: Scenario, connect: Sequence[str] | None = None) -> dict[str, Endpoints]:
+    """Return the endpoints at which to ask each process of a scenario, by name.
+
+    Given endpoints, in the order of the mesh, replace the default ones.
+
+    Raises: SecurityError: the keys cannot be used.
+    """
+    names = process_names(scenario)
+    default = default_mesh(scenario)
+    if connect is not None and len(connect) != len(names):
+        fail(f"--connect: expected {len(names)} endpoints, for {', '.join(names)}, got {len(connect)}", EXIT_USAGE)
+    found = {}
+    for i, name in enumerate(names):
+        at = connect[i] if connect is not None else [*default[name].listen, *default[name].connect][0]
+        found[name] = Endpoints(listen=[], connect=[at], mode=default[name].mode, security=security_of(scenario))
+    return found
