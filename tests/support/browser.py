@@ -15,6 +15,7 @@ from urllib.parse import urlparse, urlsplit
 import msgpack
 import numpy as np
 import pytest
+import zstandard
 from matplotlib.image import imread
 from selenium import webdriver
 from selenium.common.exceptions import StaleElementReferenceException
@@ -110,6 +111,15 @@ class Page(ClientConnection):
     """Connection that looks like a page; `first` are the first messages it got."""
 
     first: bytes
+
+    def messages(self) -> bytes:
+        """Return the next messages, MessagePack, without the arrays behind them."""
+        return unpacked(self.recv(timeout=PATIENCE_S, decode=False))
+
+
+def unpacked(frame: bytes) -> bytes:
+    """Return the messages in a frame of viser, MessagePack, without the arrays behind them."""
+    return zstandard.decompress(frame[16 : 16 + int.from_bytes(frame[8:16], "little")])
 
 
 @contextmanager

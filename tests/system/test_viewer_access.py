@@ -9,11 +9,10 @@ from urllib.parse import urlsplit
 
 import msgpack
 import pytest
-import zstandard
 from websockets.exceptions import InvalidStatus
 
 from tests.support import runs
-from tests.support.browser import Page, connected_pages
+from tests.support.browser import Page, connected_pages, unpacked
 from tests.support.commands import PATIENCE_S, wait_for
 from tests.support.logs import record_run
 from transport.flight.live import LiveRun
@@ -59,17 +58,16 @@ def kill_agent_2(page: Page) -> None:
 
 def update(page: Page, kind: str, label: str, updates: Any) -> bytes:
     """Return the message of a page that changes properties of a widget."""
-    data = page.first
+    data = unpacked(page.first)
     while not (found := [m["uuid"] for m in messages(data) if m["type"] == kind and m["props"]["label"] == label]):
-        data = bytes(page.recv(timeout=PATIENCE_S, decode=False))
+        data = page.messages()
     message: bytes = msgpack.packb({"type": "GuiUpdateMessage", "uuid": found[0], "updates": updates})
     return message
 
 
 def messages(data: bytes) -> list[Any]:
-    """Return the messages in a frame of viser, without the arrays behind them."""
-    size = int.from_bytes(data[8:16], "little")
-    found: list[Any] = msgpack.unpackb(zstandard.decompress(data[16 : 16 + size]))["messages"]
+    """Return the messages in a frame of viser."""
+    found: list[Any] = msgpack.unpackb(data)["messages"]
     return found
 
 

@@ -17,8 +17,8 @@ from tests.support.figure_texts import problems
 from tests.support.logs import SINGLE_UAV, log_of, plant_state, record_run, report
 from transport.analysis.series import series_of
 from transport.log.run_log import RunLog, read_log
+from transport.report.column import caption_of, marks_of
 from transport.report.figures import FIGURES, draw, fill
-from transport.report.marks import caption_of, marks_of
 from transport.report.report import write_report
 from transport.report.style import COLUMN_IN, RC, SMALL
 

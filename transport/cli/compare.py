@@ -20,8 +20,7 @@ from transport.cli.recorded_run import complete_run, newest_runs, run_folder
 from transport.flight.run_files import new_folder
 from transport.log.run_folder import open_run
 from transport.log.run_log import LogError
-from transport.report.compare import Compared, Row, doubts, rows
-from transport.report.compare_figure import draw_compared
+from transport.report.compare import Compared, Row, doubts, draw_compared, rows
 from transport.report.report import write_whole
 
 

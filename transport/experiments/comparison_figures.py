@@ -18,7 +18,7 @@ from transport.experiments.cost_curves import COST, Curve
 from transport.experiments.processor_time import AGENT, TEAM
 from transport.experiments.simulation import run_in_memory
 from transport.report.column import column_panels, draw_legend, head, legend_height_in
-from transport.report.compare_figure import Overlaid, fill_overlaid
+from transport.report.compare import Overlaid, fill_overlaid
 from transport.report.style import CURVES, DIVERGED, MARKER, RC, REFERENCE, SMALL, label_decades, save
 
 # Colour of each controller; marker and line of a horizon with as many steps and of one with as many seconds.

@@ -3,9 +3,9 @@
 import ctypes
 import os
 import signal
-import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from multiprocessing import get_context
 
 _PR_SET_PDEATHSIG = 1  # <sys/prctl.h>
 
@@ -14,7 +14,7 @@ _PR_SET_PDEATHSIG = 1  # <sys/prctl.h>
 def beside(work: Callable[[], object], *, forks: bool) -> Iterator[None]:
     """Do some work in a forked process while the block runs; without `forks` in this process, before the block.
 
-    Only processes of one thread may fork.
+    Only processes of one thread may fork. On Linux the forked process ends with this one.
 
     Raises: ChildProcessError: the work failed in the forked process; its traceback is on standard error.
     """
@@ -22,33 +22,19 @@ def beside(work: Callable[[], object], *, forks: bool) -> Iterator[None]:
         work()
         yield
         return
-    parent, pid = os.getpid(), os.fork()
-    if pid == 0:
-        _end_with(parent)
-        _do(work)
+    parent = os.getpid()
+
+    def do() -> None:
+        with suppress(OSError, AttributeError):  # an interrupted report must not go on writing
+            ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+        if os.getppid() == parent:
+            work()
+
+    process = get_context("fork").Process(target=do)
+    process.start()
     try:
         yield
     finally:
-        _, status = os.waitpid(pid, 0)
-    if status:
-        raise ChildProcessError(f"a forked process of the report failed (exit status {status})")
-
-
-def _end_with(parent: int) -> None:
-    """End this process when its parent ends: an interrupted report must not go on writing. Linux only."""
-    with suppress(OSError, AttributeError):
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-    if os.getppid() != parent:  # it has ended before
-        os._exit(1)
-
-
-def _do(work: Callable[[], object]) -> None:
-    """Do the work and end this process."""
-    code = 1
-    try:
-        work()
-        code = 0
-    except BaseException:  # noqa: BLE001  # no caller would report it
-        traceback.print_exc()
-    finally:
-        os._exit(code)
+        process.join()
+    if process.exitcode:
+        raise ChildProcessError(f"a forked process of the report failed (exit status {process.exitcode})")

@@ -1,26 +1,38 @@
 """Figures of a run: performance over time (paper Fig. 3, 5), inputs with limits, trajectories (Fig. 4), timing."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
+from model.arrays import Array
+from model.state import INPUTS
 from protocol.scenario.setup import Setup
+from protocol.wire.messages import STAGES, StepReport
+from transport.analysis.metrics import rest_of_tick_ms
 from transport.analysis.series import Series, series_of
 from transport.analysis.swing import SWING_S, swing_of
 from transport.log.run_log import RunLog
 from transport.report.beside import beside
-from transport.report.column import column_panels, finish, head
+from transport.report.column import column_panels, draw_legend, finish, head, legend_height_in, limits, marks_of
 from transport.report.figures_3d import draw_trajectories
-from transport.report.figures_inputs import draw_inputs
-from transport.report.figures_timing import draw_timing
-from transport.report.marks import marks_of
-from transport.report.style import COMPONENTS, RC, REFERENCE, line_width, save_both, scale_cost
-from transport.scene.colours import uav_style
+from transport.report.style import (
+    COMPONENTS,
+    RC,
+    REFERENCE,
+    label_decades,
+    line_width,
+    save_both,
+    scale_cost,
+    shade_phases,
+)
+from transport.scene.colours import UAV_COLOURS, uav_style
 
 # Names of the figures of a run.
 FIGURES = ("performance", "inputs", "trajectories", "timing")
@@ -122,3 +134,160 @@ def _plot_performance(setup: Setup, series: Series, panels: list[Axes]) -> None:
     if len(panels) > 3:
         panels[3].plot(t, np.where(series.cost > 0.0, series.cost, np.nan), color="#000000")
         scale_cost(panels[3], float(series.cost.max()), _COST_DECADES)
+
+
+_INPUT_IN = 0.7
+# Smallest range of an axis either side of zero, N and N m.
+_LEAST = 1e-3
+_NAMES = ("thrust (N)", "roll moment (N m)", "pitch moment (N m)", "yaw moment (N m)")
+
+
+def draw_inputs(figure: Figure, setup: Setup, log: RunLog, series: Series) -> None:
+    """Draw inputs, separation and age of plans into an empty figure; panels without data are left out."""
+    marks, t = marks_of(setup, log), series.times_s
+    until_s = float(t[-1]) + setup.settings.sampling_period_s
+    ages = _oldest_plans_s(setup, log)
+    separated = bool(np.isfinite(series.separation_m).any())
+    panels = column_panels(figure, [_INPUT_IN] * (INPUTS + separated + bool(ages)), marks)
+    bounds = setup.settings.limits
+    lower, upper = bounds.lower(1), bounds.upper(1)
+    N = setup.system.N
+    for k, (panel, name) in enumerate(zip(panels, _NAMES, strict=False)):
+        for i in range(N):
+            width = line_width(i, N, 1.8)
+            panel.plot(t, series.u[:, INPUTS * i + k], label=f"UAV{i + 1}", linewidth=width, **uav_style(i))
+        low, high = panel.get_ylim()
+        panel.set_ylim(min(low, high - _LEAST), max(high, low + _LEAST))
+        limits(panel, float(lower[k]), float(upper[k]))
+        if lower[k] == -upper[k]:
+            head(panel, f"{name}, limits ± {upper[k]:g}", legend=False)
+        else:
+            head(panel, f"{name}, limits {lower[k]:g}, {upper[k]:g}")
+    place = INPUTS
+    if separated:
+        panels[place].plot(t, np.where(np.isfinite(series.separation_m), series.separation_m, np.nan), color="#000000")
+        text = "smallest distance between UAVs (m)"
+        if setup.settings.separation is not None:
+            minimum_m = setup.settings.separation.minimum_m
+            limits(panels[place], minimum_m)
+            text += f", limit {minimum_m:g}"
+        head(panels[place], text)
+        place += 1
+    if ages:
+        for k, (agent, (times_s, values_s)) in enumerate(ages.items()):
+            style = uav_style(setup.owned[agent - 1][0])
+            panels[place].plot(
+                times_s,
+                values_s,
+                label=f"agent {agent}" if k == 0 else str(agent),
+                linewidth=line_width(k, len(ages), 1.8),
+                **style,
+            )
+        panels[place].set_ylim(0.0, 1.1 * max(float(np.nanmax(values_s)) for _, values_s in ages.values()) or 1.0)
+        head(panels[place], "oldest plan used (s)")
+    finish(figure, panels, setup, until_s, marks)
+
+
+def _oldest_plans_s(setup: Setup, log: RunLog) -> dict[int, tuple[Array, Array]]:
+    """Return times, s, and the age of the oldest plan of another agent in use, s, by agent; empty without any."""
+    period_s = setup.settings.sampling_period_s
+    rows: dict[int, dict[int, int]] = {agent: {} for agent in setup.agents}
+    for report in log.of(StepReport):
+        if report.agent in rows and any(age >= 0 for age in report.plan_ages):
+            rows[report.agent][report.tick] = max(report.plan_ages)
+    found: dict[int, tuple[Array, Array]] = {}
+    for agent, ages in rows.items():
+        if ages:
+            ticks = np.arange(min(ages), max(ages) + 1)
+            values: Array = np.array(
+                [ages.get(int(tick), np.nan) for tick in ticks]
+            )  # a gap while the agent made no step
+            found[agent] = np.asarray(ticks * period_s, dtype=float), values * period_s
+    return found
+
+
+_OVER_TIME_IN, _BAR_IN = 1.5, 0.14
+# Room: for the names of the bars; between the panels; for title and phases above the first.
+_LEFT_IN, _GAP_IN, _ABOVE_IN = 0.6, 0.62, 0.3
+_PERIOD = "#B2182B"
+
+# Dots, since lines would hide other agents behind every outlier.
+_DOTS: dict[str, Any] = {"linestyle": "none", "markersize": 1.4, "markeredgewidth": 0.0}
+# Markers of agents whose colours repeat.
+_MARKERS = ("o", "^", "s", "D")
+_SAMPLE: dict[str, Any] = {"linestyle": "none", "markersize": 4.0, "markeredgewidth": 0.0}
+
+
+def draw_timing(figure: Figure, setup: Setup, log: RunLog) -> bool:
+    """Draw step times and rest of each tick above, medians by stage below; return False without any step."""
+    reports = list(log.of(StepReport))
+    if not reports:
+        return False
+    rest_ms = rest_of_tick_ms(setup, log)
+    steps = {agent: [r.times_ms for r in reports if r.agent == agent] for agent in setup.agents}
+    medians_ms = {agent: np.median(np.array(times), axis=0) for agent, times in steps.items() if times}
+    handles = [_sample(f"agent {agent}", **_look(setup, agent)) for agent in medians_ms]
+    if rest_ms:
+        handles.append(_sample("rest of tick", marker="o", color=REFERENCE))
+    handles.append(Line2D([], [], label="sampling period", color=_PERIOD, linestyle="--", linewidth=0.8))
+    rows = {"": handles}
+    over_time, by_stage = column_panels(
+        figure,
+        [_OVER_TIME_IN, _BAR_IN * (len(medians_ms) + bool(rest_ms))],
+        left_in=_LEFT_IN,
+        top_in=legend_height_in(rows) + _ABOVE_IN,
+        gap_in=_GAP_IN,
+        x_label="median time per tick (ms)",
+    )
+    draw_legend(figure, rows)
+    _draw_over_time(setup, over_time, reports, rest_ms)
+    _draw_by_stage(figure, by_stage, medians_ms, rest_ms)
+    return True
+
+
+def _draw_over_time(setup: Setup, panel: Axes, reports: Sequence[StepReport], rest_ms: Mapping[int, float]) -> None:
+    """Draw the computation of each agent and the rest of each tick over time, and the sampling period."""
+    period_s = setup.settings.sampling_period_s
+    head(panel, "time per tick (ms)", legend=False)
+    if rest_ms:
+        ticks = sorted(rest_ms)
+        panel.plot([k * period_s for k in ticks], [rest_ms[k] for k in ticks], color=REFERENCE, marker="o", **_DOTS)
+    for agent in setup.agents:
+        own = [report for report in reports if report.agent == agent]
+        times_ms = [float(report.times_ms[-1]) for report in own]
+        panel.plot([report.tick * period_s for report in own], times_ms, **_look(setup, agent), **_DOTS)
+    panel.axhline(1e3 * period_s, color=_PERIOD, linestyle="--", linewidth=0.8)
+    panel.set_yscale("log")
+    label_decades(panel.yaxis)
+    shade_phases(setup, [panel], (max(report.tick for report in reports) + 1) * period_s)
+    panel.tick_params(labelbottom=True)
+    panel.set_xlabel("time (s)")
+
+
+def _draw_by_stage(figure: Figure, panel: Axes, medians_ms: Mapping[int, Array], rest_ms: Mapping[int, float]) -> None:
+    """Draw a bar of the stages of a step for each agent, and one for the rest of a tick."""
+    names = [f"agent {agent}" for agent in medians_ms]
+    left = np.zeros(len(names))
+    stages = STAGES[STAGES.index("estimate") : -1]  # without waiting
+    colours = [mpl.colormaps["cividis"](share) for share in np.linspace(0.05, 0.95, len(stages))]
+    for stage, colour in zip(stages, colours, strict=True):
+        widths = np.array([median_ms[STAGES.index(stage)] for median_ms in medians_ms.values()])
+        panel.barh(names, widths, left=left, color=colour, height=0.7)
+        left += widths
+    if rest_ms:
+        panel.barh(["rest of tick"], [float(np.median(list(rest_ms.values())))], color=REFERENCE, height=0.7)
+    panel.invert_yaxis()
+    panel.grid(visible=False, axis="y")
+    rows = {"": [_sample(stage, marker="s", color=colour) for stage, colour in zip(stages, colours, strict=True)]}
+    top = panel.get_position().y1 * figure.get_figheight()
+    draw_legend(figure, rows, top_in=figure.get_figheight() - top - legend_height_in(rows) - 0.02)
+
+
+def _sample(label: str, *, marker: str, color: Any) -> Line2D:
+    return Line2D([], [], label=label, marker=marker, color=color, **_SAMPLE)
+
+
+def _look(setup: Setup, agent: int) -> dict[str, Any]:
+    """Return colour and marker of an agent, those of its first UAV."""
+    uav = setup.owned[agent - 1][0]
+    return {"color": uav_style(uav)["color"], "marker": _MARKERS[uav // len(UAV_COLOURS) % len(_MARKERS)]}

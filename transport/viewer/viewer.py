@@ -106,7 +106,7 @@ class Viewer:
         self._updated_s = now_s
         if not self._is_over and history.control is not None:
             self._end(history.control.outcome, history.control.reason)
-        if not self._is_over and not self._server.get_clients():
+        if not self._is_over and not self.clients():
             return  # a browser that connects gets the newest frame
         self._panel.show_playback()
         if any(page.is_busy(now_s) for page in list(self._pages.values())):
@@ -121,6 +121,10 @@ class Viewer:
         while not ended():
             self.update()
             time.sleep(_FRAME_S if self._is_over or self._paced else _FRAME_UNPACED_S)
+
+    def clients(self) -> list[Any]:
+        """Return the connected browsers, as viser knows them."""
+        return list(self._server.get_clients().values())
 
     def close(self) -> None:
         """Stop the server and disconnect the browsers."""
