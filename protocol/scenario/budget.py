@@ -17,8 +17,6 @@ MB = 1e6
 # Limits without --allow-large.
 MOST_TICKS = 1_000_000
 MOST_PLANT_STEPS = 10_000
-MOST_VARIABLES = 5_000
-MOST_ROWS = 40_000
 MOST_PROCESS_BYTES = 1_000 * MB
 MOST_TOTAL_BYTES = 8_000 * MB
 MOST_LOG_BYTES = 4_000 * MB
@@ -31,8 +29,6 @@ ADMITTED = "--allow-large admits more"
 _FLOAT = 8  # bytes
 # Interpreter and packages; and the functions of a model, per UAV.
 BASE_BYTES, _MODEL_BYTES = 60 * MB, 1 * MB
-# Bytes of a plan, report, measurement, plant state and actual inputs beside their arrays.
-_PLAN_BYTES, _REPORT_BYTES, _MEASUREMENT_BYTES, _PLANT_STATE_BYTES, _ACTUAL_BYTES = 100.0, 260.0, 60.0, 60.0, 60.0
 # Bytes of the log over bytes of its messages: compression.
 _COMPRESSED = 0.65
 # Bytes in the memory of the report per tick and agent: Python objects of plans and step reports.
@@ -41,32 +37,19 @@ _REPORTED_BYTES = 4_000.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Budget:
-    """Estimate of what a run takes.
+    """Estimate of what a run takes."""
 
-    Attributes:
-        ticks: Sampling periods of the run.
-        plant_steps: Integration steps per sampling period before any is halved.
-        variables, rows: Size of the largest agent's QP, without the rows of the user's constraints on inputs.
-        relay_bytes: Largest message: all plans and reports of a tick.
-        agent_bytes: Memory of the largest agent.
-        process_bytes: Memory of the largest process: an agent, the plant, or the report after the run.
-        total_bytes: Memory of all processes.
-        worker_bytes: Memory of one process that simulates the whole run, as in a sweep.
-        log_bytes: Size of run.mcap.
-        step_s: Processor time of one step of the largest agent while few constraints are active, s.
-    """
-
-    ticks: int
-    plant_steps: int
-    variables: int
-    rows: int
-    relay_bytes: float
-    agent_bytes: float
-    process_bytes: float
-    total_bytes: float
-    worker_bytes: float
-    log_bytes: float
-    step_s: float
+    ticks: int  # sampling periods
+    plant_steps: int  # integration steps per sampling period before any is halved
+    variables: int  # of the largest agent's QP
+    rows: int  # of that QP, without the user's constraints on inputs
+    relay_bytes: float  # largest message: all plans and reports of a tick
+    agent_bytes: float  # memory of the largest agent
+    process_bytes: float  # memory of the largest process: an agent, the plant, or the report after the run
+    total_bytes: float  # memory of all processes
+    worker_bytes: float  # memory of one process that simulates the whole run, as in a sweep
+    log_bytes: float  # size of run.mcap
+    step_s: float  # processor time of one step of the largest agent while few constraints are active
 
     def text(self) -> str:
         """Return the estimate in one line."""
@@ -88,13 +71,14 @@ def estimate(scenario: Scenario) -> Budget:
     variables, rows = _program(scenario, own)
     has_corrections = controller.prediction == "closed_loop"
 
-    plan = _FLOAT * own * (INPUTS * horizon * (1 + has_corrections) + PER_UAV) + _PLAN_BYTES
-    report = _REPORT_BYTES + 10.0 * M
-    measurement = _FLOAT * (PAYLOAD + (PER_UAV + INPUTS) * own) + _MEASUREMENT_BYTES + 3.0 * M
-    plant_state = _FLOAT * (n + INPUTS * N) + _PLANT_STATE_BYTES
+    # Arrays, and what is beside them.
+    plan = _FLOAT * own * (INPUTS * horizon * (1 + has_corrections) + PER_UAV) + 100.0
+    report = 260.0 + 10.0 * M
+    measurement = _FLOAT * (PAYLOAD + (PER_UAV + INPUTS) * own) + 60.0 + 3.0 * M
+    plant_state = _FLOAT * (n + INPUTS * N) + 60.0
     tick_bytes = M * (plan * controller.negotiation_iterations + report + measurement) + plant_state
     if _are_motors_recorded(scenario):
-        tick_bytes += (_FLOAT * INPUTS + 1.0) * N + _ACTUAL_BYTES
+        tick_bytes += (_FLOAT * INPUTS + 1.0) * N + 60.0
 
     instants = ticks + horizon + 2
     # Reference, with intermediate results; the preview and its recursion.
@@ -135,16 +119,12 @@ def check_budget(scenario: Scenario, source: str) -> Budget:
     Raises: ScenarioError: a limit is exceeded, naming the field that causes it, the limit and the estimate.
     """
     found = estimate(scenario)
-    by_path = found.ticks > 20 * found.variables
-    size = "maneuver.phase" if by_path else "controller.horizon"
-    steps = (
-        "plant.mujoco.step_s" if found.plant_steps > _plant_steps(scenario, scenario.plant.step_s) else "plant.step_s"
-    )
+    size = "maneuver.phase" if found.ticks > 20 * found.variables else "controller.horizon"
+    is_mujoco = found.plant_steps > _plant_steps(scenario, scenario.plant.step_s)
+    steps = "plant.mujoco.step_s" if is_mujoco else "plant.step_s"
     for field, got, most, unit, shown in (
         ("maneuver.phase", found.ticks, MOST_TICKS, "sampling periods", ",d"),
         (steps, found.plant_steps, MOST_PLANT_STEPS, "integration steps per sampling period", ",d"),
-        ("controller.horizon", found.variables, MOST_VARIABLES, "variables of a QP", ",d"),
-        ("controller.horizon", found.rows, MOST_ROWS, "rows of a QP", ",d"),
         (size, found.process_bytes / MB, MOST_PROCESS_BYTES / MB, "MB of memory per process", ",.0f"),
         (size, found.total_bytes / MB, MOST_TOTAL_BYTES / MB, "MB of memory in total", ",.0f"),
         ("maneuver.phase", found.log_bytes / MB, MOST_LOG_BYTES / MB, "MB of log", ",.0f"),

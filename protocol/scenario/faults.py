@@ -66,21 +66,17 @@ def scripted(scenario: Scenario) -> tuple[Fault, ...]:
     down: dict[str, int] = {}  # processes that do not run, and since which tick
     for event in sorted(scenario.faults.event, key=lambda event: event.at_s):
         tick, target = math.ceil(event.at_s / period_s - 1e-9), event.target
-        if event.do == "motor_off" or event.do == "release":
-            found.append(Fault(tick, event.do, target))
-            continue
-        if event.do == "degrade":
-            found.append(Fault(tick, event.do, target, event.efficiency or 1.0))
-            continue
-        if event.do in ("kill", "stop"):
-            found.append(Fault(tick, "kill" if event.do == "kill" else "stop", target))
-            down.setdefault(target, tick)
-            continue
-        if target not in down:
-            found.append(Fault(tick, "kill", target))
-        # A process is back at the next tick at the earliest.
-        tick = max(tick, down.pop(target, tick) + 1)
-        found.append(Fault(tick, "start" if event.do == "restart" else "continue", target))
+        match event.do:
+            case "restart" | "continue":
+                if target not in down:
+                    found.append(Fault(tick, "kill", target))
+                # A process is back at the next tick at the earliest.
+                tick = max(tick, down.pop(target, tick) + 1)
+                found.append(Fault(tick, "start" if event.do == "restart" else "continue", target))
+            case do:
+                found.append(Fault(tick, do, target, event.efficiency or 1.0))
+                if do not in OF_UAVS:
+                    down.setdefault(target, tick)
     return tuple(sorted(found, key=lambda fault: fault.tick))
 
 

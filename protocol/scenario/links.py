@@ -43,36 +43,43 @@ class Link:
     """One directed link of a run: decides which messages arrive, and when.
 
     Args:
-        section: Its impairments at the start.
-        seed: Of the run.
+        links: The links of the scenario: its general keys or the last override of this link, partitions, changes.
         sender, receiver: Process names.
         kind: Message kind.
+        seed: Of the run.
         period_s: Sampling period, s.
         samples_s: Measured delays by file name, for the distribution "empirical".
-        partitions: Intervals [start, end) of scenario time in which all messages are lost, s.
     """
 
     def __init__(
         self,
-        section: LinkSection,
-        *,
-        seed: int,
+        links: LinksSection,
         sender: str,
         receiver: str,
+        *,
         kind: str,
+        seed: int,
         period_s: float,
         samples_s: Mapping[str, tuple[float, ...]] | None = None,
-        partitions: tuple[tuple[float, float], ...] = (),
     ) -> None:
         self.sender, self.receiver = sender, receiver
+        chosen: LinkSection = links
+        if PLANT in (sender, receiver):
+            chosen = links.measurement if sender == PLANT else links.actuation
+        for override in links.override:
+            if override.covers(sender, receiver):
+                chosen = override
         # First tick, impairments from then on, and whether they are none: asked for with every message.
-        self._sections = [(0, section, section.perfect)]
+        self._sections = [(0, chosen, chosen.perfect)]
         self._changes: list[tuple[int, dict[str, Any]]] = []  # first tick, keys given
-        self._period_s = period_s
-        self._samples_s = samples_s or {}
-        self._partitions = partitions
+        self._period_s, self._samples_s = period_s, samples_s or {}
+        # A partition concerns the plant only if it names it.
+        cuts = [p for p in links.partition if PLANT in p.between or PLANT not in (sender, receiver)]
+        self._partitions = [(p.start_s, p.end_s) for p in cuts if (sender in p.between) != (receiver in p.between)]
         self._key = draw_key(seed, sender, receiver, kind)
         self._bad: list[bool] = []  # Gilbert-Elliott state by tick
+        for change in sorted(links.change, key=lambda change: change.at_s):
+            self.change(math.ceil(change.at_s / period_s - _SLACK), change)
 
     def change(self, tick: int, change: LinkOverrideSection) -> None:
         """Apply the given keys to the messages of a tick and later ones, if the change covers this link.
@@ -169,47 +176,6 @@ class Link:
             "lognormal": math.exp(normal) * section.jitter_s / math.sqrt((math.e - 1.0) * math.e),
         }[section.distribution]
         return max(0.0, section.delay_s + random)
-
-
-def link(
-    section: LinksSection,
-    sender: str,
-    receiver: str,
-    *,
-    kind: str,
-    seed: int,
-    period_s: float,
-    samples_s: Mapping[str, tuple[float, ...]] | None = None,
-) -> Link:
-    """Return one directed link of a scenario: the general keys or the last override of it, partitions, changes.
-
-    All arguments but the first are those of `Link`.
-    """
-    chosen: LinkSection = section
-    if PLANT in (sender, receiver):
-        chosen = section.measurement if sender == PLANT else section.actuation
-    for override in section.override:
-        if override.covers(sender, receiver):
-            chosen = override
-    # A partition concerns the plant only if it names it.
-    partitions = tuple(
-        (p.start_s, p.end_s)
-        for p in section.partition
-        if (sender in p.between) != (receiver in p.between) and (PLANT in p.between or PLANT not in (sender, receiver))
-    )
-    found = Link(
-        chosen,
-        seed=seed,
-        sender=sender,
-        receiver=receiver,
-        kind=kind,
-        period_s=period_s,
-        samples_s=samples_s,
-        partitions=partitions,
-    )
-    for change in sorted(section.change, key=lambda change: change.at_s):
-        found.change(math.ceil(change.at_s / period_s - _SLACK), change)
-    return found
 
 
 class LinkChanges:

@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, partial
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from mpc.settings import ControllerSettings
 from protocol.scenario.errors import ScenarioError, building
 from protocol.scenario.faults import Fault, scripted
 from protocol.scenario.files import TableError, delays_of
-from protocol.scenario.links import Link, link
+from protocol.scenario.links import Link
 from protocol.scenario.schema import Scenario, UavSection
 from protocol.wire.messages import Measurement, Plan
 from protocol.wire.names import PLANT
@@ -115,7 +116,7 @@ class Setup:
 
     def link(self, sender: str, receiver: str) -> Link:
         """Return the link that carries one process's messages to another: plans, or measurements from the plant."""
-        return link(
+        return Link(
             self.scenario.links,
             sender,
             receiver,
@@ -158,43 +159,41 @@ class Setup:
         if ground_m is None:
             return  # without take-offs and landings: protocol.scenario.relations
         resting_m = resting_height(self.system, ground_m)
+        where = "where the payload stands on the ground"
         height_m = float(self.maneuver.start_I[2])
         if height_m > resting_m + _ON_GROUND_M:
-            expected = f"expected z of at most {resting_m:g} m, where the payload stands on the ground"
-            raise ScenarioError(source, "maneuver.start_m", f"{expected}, got {height_m:g}")
+            expected = f"expected z of at most {resting_m:g} m, {where}, got {height_m:g}"
+            raise ScenarioError(source, "maneuver.start_m", expected)
         for number, phase in enumerate(self.maneuver.phases, start=1):
             before_m, height_m = height_m, height_m + float(phase.displacement_I[2])
             lowest_m = height_m if phase.way is None else before_m + float(phase.way[:, 3].max())
-            field, expected = f"maneuver.phase.{number}", f"z = {resting_m:g} m, where the payload stands on the ground"
-            if phase.kind == "take_off" and abs(before_m - resting_m) > _ON_GROUND_M:
-                raise ScenarioError(source, field, f"expected a take-off from {expected}, got {before_m:g}")
-            if phase.kind == "land" and abs(height_m - resting_m) > _ON_GROUND_M:
-                raise ScenarioError(source, field, f"expected a landing at {expected}, got {height_m:g}")
-            if lowest_m > resting_m + _ON_GROUND_M:
-                raise ScenarioError(source, field, f"expected a path above {expected}, got {lowest_m:g}")
+            for what, got_m, wrong in (
+                ("a take-off from", before_m, phase.kind == "take_off" and abs(before_m - resting_m) > _ON_GROUND_M),
+                ("a landing at", height_m, phase.kind == "land" and abs(height_m - resting_m) > _ON_GROUND_M),
+                ("a path above", lowest_m, lowest_m > resting_m + _ON_GROUND_M),
+            ):
+                if wrong:
+                    expected = f"expected {what} z = {resting_m:g} m, {where}, got {got_m:g}"
+                    raise ScenarioError(source, f"maneuver.phase.{number}", expected)
 
     def _check_hover_is_possible(self, source: str) -> None:
-        limits = self.settings.limits
-        for i, thrust in enumerate(self.hover.u[::4]):
-            low, high = limits.thrust_N
-            if not low <= thrust <= high:
-                expected = f"expected a range that contains the hover thrust {thrust:.2f} N of UAV{i + 1}"
-                raise ScenarioError(source, "controller.limits.thrust_N", f"{expected}, got {[low, high]}")
-        rotors = self.scenario.plant.motors.rotors
-        if rotors is not None:
-            for i, thrust in enumerate(self.hover.u[::4]):
-                low, high = rotors.thrust_N
-                if not low <= thrust / 4.0 <= high:
-                    quarter = f"a quarter of the hover thrust of UAV{i + 1}, {thrust / 4.0:.2f} N"
-                    expected = f"expected a range that contains {quarter}"
-                    raise ScenarioError(source, "plant.motors.rotors.thrust_N", f"{expected}, got {[low, high]}")
+        """Check that hover is within the limits on thrust and on the distance of UAVs."""
+        thrusts_N, rotors = self.hover.u[::4], self.scenario.plant.motors.rotors
+        ranges = [(1.0, "controller.limits.thrust_N", self.settings.limits.thrust_N)]
+        ranges += [(0.25, "plant.motors.rotors.thrust_N", rotors.thrust_N)] if rotors else []
+        for share, key, (low, high) in ranges:
+            for uav, thrust in enumerate(share * thrusts_N, start=1):
+                if not low <= thrust <= high:
+                    hover = f"the hover thrust {thrust:.2f} N of UAV{uav}"
+                    quarter = f"a quarter of the hover thrust of UAV{uav}, {thrust:.2f} N"
+                    expected = f"expected a range that contains {hover if share == 1.0 else quarter}"
+                    raise ScenarioError(source, key, f"{expected}, got {[low, high]}")
         separation = self.settings.separation
         if separation is None or self.system.N < 2:
             return
         r = self.model.outputs(self.hover.x)[: 3 * self.system.N].reshape(-1, 3)
-        distance, i, j = min(
-            (float(np.linalg.norm(r[i] - r[j])), i, j) for i in range(len(r)) for j in range(i + 1, len(r))
-        )
+        pairs = combinations(range(len(r)), 2)
+        distance, i, j = min((float(np.linalg.norm(r[i] - r[j])), i, j) for i, j in pairs)
         if distance < separation.minimum_m:
             expected = f"expected at most the {distance:.3f} m between UAV{i + 1} and UAV{j + 1} at hover"
             raise ScenarioError(source, "controller.separation.minimum_m", f"{expected}, got {separation.minimum_m}")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from protocol.scenario.file import ScenarioError, validate
-from protocol.scenario.link_sections import GilbertElliottSection, LinkSection
+from protocol.scenario.link_sections import GilbertElliottSection, LinkSection, LinksSection, PartitionSection
 from protocol.scenario.links import Link
 from protocol.scenario.setup import Setup
 from tests.support.runs import setup
@@ -29,19 +29,11 @@ def link(
     seed: int = 0,
     sender: str = "agent1",
     receiver: str = "agent2",
-    partitions: tuple[tuple[float, float], ...] = (),
+    partition: list[PartitionSection] | None = None,
 ) -> Link:
     """A link that carries plans."""
-    return Link(
-        section,
-        seed=seed,
-        sender=sender,
-        receiver=receiver,
-        kind="plan",
-        period_s=PERIOD_S,
-        samples_s=SAMPLES,
-        partitions=partitions,
-    )
+    links = LinksSection(**dict(section), partition=partition or [])
+    return Link(links, sender, receiver, kind="plan", seed=seed, period_s=PERIOD_S, samples_s=SAMPLES)
 
 
 def link_history(section: LinkSection, seed: int = 0) -> list[list[float]]:
@@ -135,7 +127,7 @@ def test_reordering_holds_back() -> None:
 
 def test_partition_has_a_start_and_an_end() -> None:
     """No message sent in [start, end) arrives; those sent before and after do."""
-    one = link(LinkSection(), partitions=((0.5, 1.0),))
+    one = link(LinkSection(), partition=[PartitionSection(between=["agent1"], start_s=0.5, end_s=1.0)])
     assert [bool(one.delays(tick)) for tick in (9, 10, 19, 20)] == [True, False, False, True]
 
 

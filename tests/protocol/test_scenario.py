@@ -249,7 +249,7 @@ def test_digest_ignores_formatting(tmp_path: Path) -> None:
         ("maneuver.phase.5.name=wait", ("maneuver", "phase", 4, "name"), "wait"),
         ("name=run-2", ("name",), "run-2"),
         ("network.host=plant.local", ("network", "host"), "plant.local"),
-        ("network.host=a=b", ("network", "host"), "a=b"),
+        ("network.keys=a=b", ("network", "keys"), "a=b"),
     ],
 )
 def test_settings(setting: str, path: tuple[str | int, ...], value: Any) -> None:

@@ -1,5 +1,6 @@
 """Scenario as an object that stays valid: each change is checked as a whole, and made or refused."""
 
+import difflib
 from os import PathLike
 from pathlib import Path
 from typing import Any, Unpack
@@ -9,11 +10,11 @@ from pydantic import BaseModel
 
 from protocol.scenario.budget import check_budget
 from protocol.scenario.file import ScenarioError, find_scenario, read_scenario, with_settings
+from protocol.scenario.keys import names_of
 from protocol.scenario.schema import Scenario as ScenarioTree
 from protocol.scenario.setup import Setup
 from protocol.scenario.team import FEWEST, MOST, given, resized
 from transport.interface.boundary import public
-from transport.interface.section import Section, field_of, hint_of, shown
 from transport.interface.settings import (
     ArgumentError,
     Settings,
@@ -94,13 +95,10 @@ class Scenario:
         """Return the value of a dotted key or short name."""
         found: Any = self._data
         for part in key_of(key).split("."):
-            if isinstance(found, list) and part.isdecimal() and 1 <= int(part) <= len(found):
-                found = found[int(part) - 1]
-            elif isinstance(found, BaseModel) and (name := field_of(found, part)) is not None:
-                found = getattr(found, name)
-            else:
-                raise ScenarioError(str(self._path), key_of(key), f"unknown key; {hint_of(found, part)}")
-        return shown(self, key_of(key), found)
+            if (inner := _part(found, part)) is None:
+                raise ScenarioError(str(self._path), key_of(key), f"unknown key; {_hint(found, part)}")
+            (found,) = inner
+        return self._shown(key_of(key), found)
 
     @public
     def __setitem__(self, key: str, value: Any) -> None:
@@ -212,6 +210,14 @@ class Scenario:
             raise ArgumentError(f"path: cannot write {target} ({error.strerror})") from error
         return target
 
+    def _shown(self, key: str, value: Any) -> Any:
+        """Return a value as the user gets it: sections, and lists as tuples, which cannot be changed."""
+        if isinstance(value, BaseModel):
+            return Section(self, key, value)
+        if isinstance(value, list | tuple):
+            return tuple(self._shown(f"{key}.{number}", part) for number, part in enumerate(value, start=1))
+        return value
+
     def _change(self, changes: list[str]) -> None:
         self._replace(given(self._data), changes)
 
@@ -230,3 +236,61 @@ def _setup_of(data: ScenarioTree, path: Path, changes: list[str]) -> Setup:
         return Setup.of(data, str(path))
     except ScenarioError as error:
         raise error.blaming(changes) from error.__cause__
+
+
+class Section:
+    """A section of a scenario; reading an attribute reads the value, setting one changes the scenario."""
+
+    _owner: Scenario
+    _key: str
+    _data: BaseModel
+
+    def __init__(self, owner: Scenario, key: str, data: BaseModel) -> None:
+        for name, value in (("_owner", owner), ("_key", key), ("_data", data)):
+            object.__setattr__(self, name, value)
+
+    def __getattr__(self, name: str) -> Any:
+        if (found := _part(self._data, name)) is None:
+            raise AttributeError(f"{self._key or 'scenario'}: unknown key {name!r}; {_hint(self._data, name)}")
+        return self._owner._shown(self._key_of(name), *found)
+
+    @public
+    def __setattr__(self, name: str, value: Any) -> None:
+        self._owner[self._key_of(name)] = value
+        data = self._owner[self._key]._data if self._key else self._owner.validated
+        object.__setattr__(self, "_data", data)
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *type(self._data).model_fields]
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Section) and self._data == other._data
+
+    __hash__ = None  # type: ignore[assignment]  # it changes
+
+    def __repr__(self) -> str:
+        return repr(self._data)
+
+    def _key_of(self, name: str) -> str:
+        """Return the dotted key of a field."""
+        field = type(self._data).model_fields.get(name)
+        return f"{self._key}.{(field and field.alias) or name}".lstrip(".")
+
+
+def _part(found: Any, name: str) -> tuple[Any] | None:
+    """Return the value of a key or field in a section, or of a number, from 1, in a list; None if there is none."""
+    if isinstance(found, list | tuple):
+        return (found[int(name) - 1],) if name.isdecimal() and 1 <= int(name) <= len(found) else None
+    if not isinstance(found, BaseModel):
+        return None
+    name = names_of(type(found)).get(name, name)
+    return (getattr(found, name),) if name in type(found).model_fields else None
+
+
+def _hint(found: Any, name: str) -> str:
+    """Return what there is instead of an unknown key."""
+    if isinstance(found, list | tuple):
+        return f"expected an entry from 1 to {len(found)}"
+    known = list(names_of(type(found))) if isinstance(found, BaseModel) else []
+    near = difflib.get_close_matches(name, known, n=1)
+    return f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known) or 'none'}"

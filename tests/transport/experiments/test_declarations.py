@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
-from protocol.scenario.links import link
+from protocol.scenario.links import Link
 from protocol.scenario.schema import Scenario
 from tests.support.results import here
 from tests.support.runs import ticks
@@ -38,7 +38,7 @@ def built(name: str, *, of: tuple[str, ...] = BOTH, **given: Any) -> Experiment:
 def delays(point: Point) -> list[list[float]]:
     """Return the delays of many plans on a link of a point."""
     scenario = read_scenario(find_scenario(point.scenario), point.settings)
-    path = link(scenario.links, "agent1", "agent2", kind="plan", seed=0, period_s=0.05, samples_s={})
+    path = Link(scenario.links, "agent1", "agent2", kind="plan", seed=0, period_s=0.05, samples_s={})
     return [path.delays(tick) for tick in range(TICKS)]
 
 

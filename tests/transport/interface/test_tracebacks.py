@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 import transport
-from transport.interface.section import Section
+from transport.interface.scenario import Section
 
 INTERFACE = Path(transport.__file__).parent / "interface"
 HOVER = [{"name": "hover", "duration_s": 0.1, "displacement_m": [0.0, 0.0, 0.0]}]
