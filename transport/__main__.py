@@ -12,8 +12,10 @@ from typing import NoReturn
 from protocol.network.parent import ending_signals, wake_with_its_end
 from protocol.wire.exit_codes import EXIT_INTERRUPTED
 from transport.cli.standard_streams import standard_streams
-from transport.flight.fork_server import fork_server
 from transport.flight.signals import raise_interrupts
+
+# As in transport.flight.fork_server, which other commands do not import.
+_FORK_SERVER = "fork-server"
 
 
 def main() -> NoReturn:
@@ -22,10 +24,14 @@ def main() -> NoReturn:
         # Paths are UTF-8 for Zenoh and in TOML, whatever the locale.
         os.execve(sys.executable, sys.orig_argv, {**os.environ, "PYTHONUTF8": "1"})  # noqa: S606
     code = 1
+    if sys.argv[1:2] == [_FORK_SERVER]:
+        _serve()
     try:
         wake_with_its_end()
         raise_interrupts()  # before the imports: they take a while
         if sys.argv[1:2] == ["run"] and not {"-h", "--help"} & set(sys.argv):
+            from transport.flight.fork_server import fork_server
+
             fork_server()  # imports for the processes of the run while this process imports for itself
         with standard_streams():
             from transport.cli.main import app
@@ -39,6 +45,17 @@ def main() -> NoReturn:
     except BaseException:  # noqa: BLE001  # a bug
         traceback.print_exc()
     _end(code)
+
+
+def _serve() -> NoReturn:
+    """Be the fork server, whose processes begin with `main`."""
+    import socket
+
+    wake_with_its_end()
+    from transport.cli.fork_server import serve
+
+    serve(socket.socket(fileno=int(sys.argv[2])), main)
+    os._exit(0)
 
 
 def _end(code: int) -> NoReturn:

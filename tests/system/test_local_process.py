@@ -10,8 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.commands import wait_for
-from transport.flight.live import LiveRun
-from transport.flight.local_process import why_silent
+from transport.flight.live import LiveRun, why_silent
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs /proc")
 

@@ -1,13 +1,14 @@
 """The process that reports a run: the same files as any report, prepared or not, and nothing left behind."""
 
-import os
 import signal
 import subprocess
 import sys
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 
+import psutil
 import pytest
 
 from protocol.network.health import command_of
@@ -16,8 +17,6 @@ from tests.support.commands import wait_for
 from tests.support.logs import record_run
 from transport.cli import report_process
 from transport.cli.report_process import ReportProcess
-from transport.flight.fork_server import Forked
-from transport.flight.vitals import children_of, has_died, vitals
 from transport.report.report import write_report
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
@@ -62,10 +61,8 @@ def test_failures_are_noticed(tmp_path: Path) -> None:
     with ReportProcess(tmp_path) as reporter:
         assert not reporter.report()
         reporter.prepare()
-        process = reporter._process
-        assert isinstance(process, Forked)
-        process.kill()
-        process.wait()
+        assert reporter._child is not None
+        reporter._child.process.kill()
         assert not reporter.report()
     with ReportProcess(tmp_path) as reporter:
         reporter.prepare()
@@ -74,38 +71,33 @@ def test_failures_are_noticed(tmp_path: Path) -> None:
 
 def test_a_stopped_process_that_draws(recorded: tuple[Path, dict[str, bytes]], monkeypatch: pytest.MonkeyPatch) -> None:
     """A report that waits for a stopped process is given up; then neither of them can write any more."""
-    monkeypatch.setattr(report_process, "_STOPPED_S", 0.5)
-    monkeypatch.setattr(report_process, "_GRACE_S", 0.2)
+    monkeypatch.setattr(report_process, "_LOOK_S", 0.3)
     folder, _ = recorded
     for _ in range(_ATTEMPTS):
-        stopped: list[int] = []
+        stopped: list[psutil.Process] = []
         with ReportProcess(folder) as reporter:
             reporter.prepare()
-            process = reporter._process
-            assert isinstance(process, Forked)
-            watch = threading.Thread(target=_stop_a_child, args=(process.pid, stopped))
+            assert reporter._child is not None
+            watch = threading.Thread(target=_stop_a_child, args=(reporter._child.process, stopped))
             watch.start()
             is_written = reporter.report()
-            has_ended = process.returncode is not None
             watch.join()
         if stopped:
             break
     assert stopped, "no process that draws was found"
     assert not is_written
-    assert has_ended
-    assert wait_for(lambda: has_died(stopped[0]))
+    assert wait_for(lambda: not stopped[0].is_running() or stopped[0].status() == psutil.STATUS_ZOMBIE)
 
 
-def _stop_a_child(pid: int, stopped: list[int]) -> None:
+def _stop_a_child(process: psutil.Process, stopped: list[psutil.Process]) -> None:
     """Stop a child of a process as soon as there is one; list it if it was stopped."""
-    while not has_died(pid):
-        for child in children_of(pid):
-            os.kill(child, signal.SIGSTOP)
-            found = vitals(child)
-            if found is not None and found.state == "T":
-                stopped.append(child)
-                return
-        time.sleep(0.005)
+    with suppress(psutil.Error):
+        while process.is_running() and not stopped:
+            for child in process.children():
+                child.suspend()
+                if child.status() == psutil.STATUS_STOPPED:
+                    stopped.append(child)
+            time.sleep(0.005)
 
 
 def test_ends_with_its_context(tmp_path: Path) -> None:
@@ -113,17 +105,17 @@ def test_ends_with_its_context(tmp_path: Path) -> None:
     for number in (signal.SIGCONT, signal.SIGSTOP):
         with ReportProcess(tmp_path) as reporter:
             reporter.prepare()
-            process = reporter._process
-            assert isinstance(process, Forked)
-            process.send_signal(number)
-        assert process.returncode is not None
+            child = reporter._child
+            assert child is not None
+            child.signal(number)
+        assert child.code is not None
 
 
 def test_ends_with_its_parent(tmp_path: Path) -> None:
     """A process that stands by ends when its parent is killed."""
     code = (
         "import time\nfrom pathlib import Path\nfrom transport.cli.report_process import ReportProcess\n"
-        "reporter = ReportProcess(Path('/none'))\nreporter.prepare()\nprint(reporter._process.pid, flush=True)\n"
+        "reporter = ReportProcess(Path('/none'))\nreporter.prepare()\nprint(reporter._child.process.pid, flush=True)\n"
         "time.sleep(60)\n"
     )
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, cwd=tmp_path, text=True) as process:

@@ -9,6 +9,7 @@ import time
 from collections import Counter
 from pathlib import Path
 
+import psutil
 import pytest
 
 from protocol.network.health import command_of
@@ -19,7 +20,6 @@ from tests.campaigns.signal_runs import KINDS, RESTART, RESUMED_S, TARGETS, Inje
 from tests.campaigns.signals import execute_run, waits_for_user
 from tests.support.commands import command as command_line
 from tests.support.commands import settings, wait_for
-from transport.flight.vitals import children_of
 
 ROOT = Path(__file__).parents[2]
 MANY = 1500
@@ -78,7 +78,7 @@ def test_every_process_of_a_run_is_a_target(tmp_path: Path) -> None:
 
         def is_over() -> bool:
             names = names_below(tmp_path)
-            for pid in descendants(command.pid):
+            for pid in (command.pid, *(child.pid for child in psutil.Process(command.pid).children(recursive=True))):
                 words = command_of(str(pid))
                 if words:  # it has not ended
                     seen.setdefault(names.get(pid) or name_of(words), words)
@@ -91,11 +91,6 @@ def test_every_process_of_a_run_is_a_target(tmp_path: Path) -> None:
         command.kill()
         command.wait()
     assert seen.keys() - {TOOL} == set(TARGETS), seen
-
-
-def descendants(pid: int) -> list[int]:
-    """Return a process and all that it and they have started."""
-    return [pid, *(found for child in children_of(pid) for found in descendants(child))]
 
 
 def test_names_of_processes() -> None:

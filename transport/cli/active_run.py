@@ -12,7 +12,6 @@ from transport.cli.options import RUNS
 from transport.cli.output import exit_on, fail
 from transport.cli.recorded_run import newest_runs
 from transport.flight import live
-from transport.flight.local_process import why_silent
 from transport.flight.requests import RefusedError, UnansweredError, request
 
 RunOption = Annotated[
@@ -59,7 +58,7 @@ class ActiveRun:
             folder, there = find_active(self.run, "name its folder with --run, or its endpoints with --connect")
             if name not in there.endpoints:
                 fail(f"--process: expected one of {', '.join(there.endpoints)}, got {name!r}", EXIT_USAGE)
-            why = why_silent(folder, there, name)
+            why = live.why_silent(folder, there, name)
             if why:
                 fail(why, EXIT_UNREACHABLE)
             # Connect only to the process that is asked: a stopped one delays the connection.

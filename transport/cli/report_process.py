@@ -2,21 +2,18 @@
 
 import os
 import signal
-import subprocess
 import sys
 from contextlib import suppress
 from pathlib import Path
 from typing import Self
 
-from protocol.network.parent import PARENT_PIPE, STANDBY
-from transport.flight.fork_server import Started, fork_server
-from transport.flight.vitals import Pulse, children_of
+import psutil
 
-# Time for the process to end before it is killed.
-_GRACE_S = 2.0
-# A process that has been stopped for this long, or has not run although it could, s, is not waited for. Those that draw
-# for it are watched as well: it waits for them.
-_STOPPED_S, _IDLE_S, _LOOK_S = 2.0, 30.0, 0.25
+from transport.flight.fork_server import STOPPED, state_of
+from transport.flight.harness import Child, start_child
+
+# A process is given up when it or one that draws for it is stopped at two looks in a row, or after the longest time.
+_LOOK_S, _LONGEST_S = 1.0, 120.0
 
 
 class ReportProcess:
@@ -27,7 +24,7 @@ class ReportProcess:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._process: Started | None = None
+        self._child: Child | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -35,57 +32,38 @@ class ReportProcess:
     def __exit__(self, *_: object) -> None:
         self._end()
 
-    def _end(self) -> None:
-        """End the process, if there is one that has not ended, and those that draw for it."""
-        if self._process is None:
-            return
-        if self._process.poll() is None:
-            self._process.terminate()
-            with suppress(subprocess.TimeoutExpired):
-                self._process.wait(_GRACE_S)
-            self._kill_group()
-            with suppress(subprocess.TimeoutExpired):
-                self._process.wait(_GRACE_S)  # a tracer may keep it for longer
-        if self._process.stdin is not None:
-            with suppress(BrokenPipeError):
-                self._process.stdin.close()
-
     def prepare(self) -> None:
         """Start the process, where processes are forked."""
-        if sys.platform == "linux":
-            with Path(os.devnull).open("wb") as output:  # if it fails, the report is made once more, and errors told
-                extra = {PARENT_PIPE: "1", STANDBY: "1"}
-                self._process = fork_server().start(["plot", str(self._folder.absolute())], output, extra)
+        if sys.platform == "linux":  # if it fails, the report is made once more, and errors told
+            arguments = ["plot", str(self._folder.absolute())]
+            self._child = start_child("report", arguments, Path(os.devnull), standby=True)
 
     def report(self) -> bool:
         """Let the process report, and wait for its end; return whether it has written the report.
 
         If not, it has ended as well: it must not write the same files as the caller, who makes the report instead.
         """
-        if self._process is None or self._process.stdin is None:
+        if self._child is None or not self._child.go():
             return False
-        try:
-            self._process.stdin.write(b"\n")
-            self._process.stdin.flush()
-        except BrokenPipeError:  # it has ended
-            return False
-        own = Pulse(self._process.pid)
-        pulses = {self._process.pid: own}
-        while all(pulse.stopped_s < _STOPPED_S for pulse in pulses.values()) and own.idle_s < _IDLE_S:
-            with suppress(subprocess.TimeoutExpired):
-                is_written = self._process.wait(_LOOK_S) == 0
-                if not is_written:
-                    self._kill_group()
-                return is_written
-            for pid in children_of(self._process.pid):
-                pulses.setdefault(pid, Pulse(pid))
-            for pulse in pulses.values():
-                pulse.look()
+        code, stopped = None, 0
+        for _ in range(round(_LONGEST_S / _LOOK_S)):
+            code = self._child.wait(_LOOK_S)
+            stopped = stopped + 1 if self._is_stopped(self._child.process) else 0
+            if code is not None or stopped > 1:
+                break
         self._end()
+        return code == 0
+
+    @staticmethod
+    def _is_stopped(process: psutil.Process) -> bool:
+        with suppress(psutil.Error):
+            return any(state_of(found) in STOPPED.values() for found in (process, *process.children()))
         return False
 
-    def _kill_group(self) -> None:
-        """Kill the process and those that draw: one that was stopped as it began does not end with its parent."""
-        if self._process is not None:
+    def _end(self) -> None:
+        """Kill the process and those that draw for it: one that is stopped does not end with its parent."""
+        if self._child is not None:
             with suppress(ProcessLookupError):
-                os.killpg(self._process.pid, signal.SIGKILL)
+                os.killpg(self._child.process.pid, signal.SIGKILL)
+            self._child.wait(_LOOK_S)  # a tracer may keep it for longer
+            self._child.close()

@@ -46,7 +46,7 @@ class FaultScript:
         while not self._recorder.requests.empty():
             self._answer(self._recorder.requests.get())
         for child in self._harness.ended():
-            code = child.process.returncode
+            code = child.code or 0
             if child.process.pid in self._dead or code >= 0:
                 continue
             kill = self._kill_of(child.name) if code == -signal.SIGKILL else None

@@ -4,29 +4,27 @@ import json
 import os
 import signal
 import socket
-import subprocess
 import sys
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
 
+import psutil
+
 from protocol.network.endpoints import Endpoints
 from protocol.network.parent import PARENT_PIPE, STANDBY
 from protocol.wire.errors import TransportError
 from protocol.wire.exit_codes import EXIT_DIVERGED, EXIT_INTERRUPTED, EXIT_OVERRUN, EXIT_UNREACHABLE
 from protocol.wire.names import COORDINATOR
-from transport.flight.fork_server import Started, fork_server
-from transport.flight.vitals import Pulse, has_died
+from transport.flight.fork_server import fork_server, state_of
 
 # Exit codes of a process after the end of its run.
 ORDERLY_ENDS = {0, EXIT_UNREACHABLE, EXIT_OVERRUN, EXIT_DIVERGED, EXIT_INTERRUPTED}
 
-# Time for a process to end before it is killed, and for a killed one, s: time in which it could run.
+# Time for processes to end before they are killed, and for killed ones, s.
 _GRACE_S = 5.0
-_POLL_S = 0.05
 
 
 class HarnessError(TransportError, RuntimeError):
@@ -35,23 +33,52 @@ class HarnessError(TransportError, RuntimeError):
 
 @dataclass(slots=True)
 class Child:
-    """One started process: its name, handle, file with its output, and number of this start."""
+    """One started process: its name, handle, input that ends it, file with its output, and number of this start."""
 
     name: str
-    process: Started
+    process: psutil.Process
+    stdin: IO[bytes]
     log: Path
     incarnation: int = 0
 
+    @property
+    def code(self) -> int | None:
+        """Exit code, negative for a signal; None while the process runs."""
+        return self.wait(0.0)
+
+    @property
+    def state(self) -> str:
+        """State in words, such as "stopped by a signal"."""
+        return state_of(self.process)
+
+    def wait(self, timeout_s: float) -> int | None:
+        """Wait for the end; return the exit code, None if the process still runs."""
+        try:
+            code: int = self.process.wait(timeout_s)
+        except psutil.TimeoutExpired:
+            return None
+        return code
+
+    def signal(self, number: int) -> bool:
+        """Send a signal; return whether the process is running."""
+        if self.code is not None:
+            return False
+        with suppress(psutil.NoSuchProcess):
+            self.process.send_signal(number)
+        return True
+
     def go(self) -> bool:
         """Let a standby process begin; return whether it was running."""
-        try:
-            if self.process.poll() is None and self.process.stdin is not None:
-                self.process.stdin.write(b"\n")
-                self.process.stdin.flush()
+        with suppress(BrokenPipeError):
+            if self.code is None:
+                self.stdin.write(b"\n")
                 return True
-        except BrokenPipeError:
-            pass
         return False
+
+    def close(self) -> None:
+        """Close the input of the process, which ends it."""
+        with suppress(OSError):
+            self.stdin.close()
 
     def last_line(self) -> str:
         """Return the last line of output that is not empty."""
@@ -60,6 +87,26 @@ class Child:
         except OSError:
             return ""
         return lines[-1] if lines else ""
+
+
+def start_child(
+    name: str, arguments: Sequence[str], log: Path, incarnation: int = 0, *, standby: bool = False
+) -> Child:
+    """Start `transport` with arguments and a file for its output; it ends when this process does.
+
+    Raises: OSError: the file cannot be written.
+    """
+    with log.open("wb") as output:
+        reads, writes = os.pipe()
+        stdin = os.fdopen(writes, "wb", 0)
+        try:
+            extra = {PARENT_PIPE: "1", STANDBY: "1" if standby else ""}
+            return Child(name, fork_server().start(arguments, reads, output, extra), stdin, log, incarnation)
+        except BaseException:
+            stdin.close()
+            raise
+        finally:
+            os.close(reads)
 
 
 @dataclass(slots=True)
@@ -88,7 +135,6 @@ class Harness:
     children: list[Child] = field(default_factory=list)
     notices: list[str] = field(default_factory=list)
     _spares: dict[str, Child] = field(default_factory=dict)  # standby processes by name
-    _files: ExitStack = field(default_factory=ExitStack)
 
     def __enter__(self) -> "Harness":
         return self
@@ -106,11 +152,11 @@ class Harness:
 
     def alive(self) -> list[Child]:
         """Return the children that are running."""
-        return [child for child in self.children if child.process.poll() is None]
+        return [child for child in self.children if child.code is None]
 
     def ended(self) -> list[Child]:
         """Return the children that have ended."""
-        return [child for child in self.children if child.process.poll() is not None]
+        return [child for child in self.children if child.code is not None]
 
     def child(self, name: str) -> Child | None:
         """Return the last started process of a name."""
@@ -119,15 +165,12 @@ class Harness:
     def has_ended(self, name: str) -> bool:
         """Return whether a child has ended with an exit code for the end of a run."""
         child = self.child(name)
-        return child is not None and child.process.poll() in ORDERLY_ENDS
+        return child is not None and child.code in ORDERLY_ENDS
 
     def signal(self, name: str, number: int) -> bool:
         """Send a signal to one child; return whether it is running."""
         child = self.child(name)
-        if child is None or child.process.poll() is not None:
-            return False
-        child.process.send_signal(number)
-        return True
+        return child is not None and child.signal(number)
 
     def prepare(self, name: str) -> None:
         """Start a standby successor of an agent, which waits for `restart`."""
@@ -137,72 +180,48 @@ class Harness:
     def restart(self, name: str) -> None:
         """Kill a process if it still runs, and start it again with the next incarnation."""
         old, spare = self.child(name), self._spares.pop(name, None)
-        if old is not None:
-            old.process.kill()
-            self._wait_given([old])
         incarnation = 0 if old is None else old.incarnation + 1
-        if spare is not None and spare.incarnation == incarnation and spare.go():
-            self.children.append(spare)
-            return
-        if spare is not None:
-            spare.process.kill()
-            self._wait_given([spare])
-        self.children.append(self._start(name, (), incarnation))
+        for child in (old, spare if spare is not None and spare.incarnation != incarnation else None):
+            if child is not None and child.signal(signal.SIGKILL):
+                child.wait(_GRACE_S)
+        is_ready = spare is not None and spare.go()
+        self.children.append(spare if spare is not None and is_ready else self._start(name, (), incarnation))
 
     def wait(self, timeout_s: float) -> bool:
         """Wait for all children to end; return whether they did."""
-        deadline = time.monotonic() + timeout_s
-        for child in self.children:
-            try:
-                child.process.wait(max(0.0, deadline - time.monotonic()))
-            except subprocess.TimeoutExpired:
-                return False
-        return True
+        return not psutil.wait_procs([child.process for child in self.children], timeout_s)[1]
 
     def end(self) -> None:
         """End all running children: SIGTERM, and SIGKILL after a grace period; note those that had to be killed."""
         self.children += self._spares.values()
         self._spares.clear()
         for child in self.alive():
-            child.process.terminate()
-            child.process.send_signal(signal.SIGCONT)  # a stopped process ignores SIGTERM
-        for child, pulse in self._wait_given(self.alive()):
-            if child.process.poll() is None:
-                child.process.kill()
-                self.notices.append(f"{child.name} did not end: {pulse.description}; it was killed")
-        for child, _ in self._wait_given(self.alive()):
+            child.signal(signal.SIGTERM)
+            child.signal(signal.SIGCONT)  # a stopped process ignores SIGTERM
+        for child in self._left():
+            self.notices.append(f"{child.name} did not end: {child.state}; it was killed")
+            child.signal(signal.SIGKILL)
+        for child in self._left():
             self.notices.append(f"{child.name} (process {child.process.pid}) does not end after SIGKILL")
         for child in self.children:
-            if child.process.stdin is not None:
-                with suppress(OSError):
-                    child.process.stdin.close()
-        self._files.close()
+            child.close()
 
-    def _wait_given(self, children: Sequence[Child]) -> list[tuple[Child, Pulse]]:
-        """Give children a grace period to end, in which they could run; return those that have not ended."""
-        left = [(child, Pulse(child.process.pid)) for child in children]
-        while left := [found for found in left if not _has_ended(found[0])]:
-            for _, pulse in left:
-                pulse.look()
-            if all(pulse.given_s > _GRACE_S for _, pulse in left):
-                break
-            with suppress(subprocess.TimeoutExpired):
-                left[0][0].process.wait(_POLL_S)
-        return left
+    def _left(self) -> list[Child]:
+        """Wait for all children to end; return those that have not; one that a tracer keeps from being reaped has."""
+        self.wait(_GRACE_S)
+        return [child for child in self.alive() if child.state != psutil.STATUS_ZOMBIE]
 
     def _start(self, name: str, observers: Sequence[str], incarnation: int = 0, *, standby: bool = False) -> Child:
+        arguments = self._arguments(name, observers, incarnation)
         log = self.logs / (f"{name}.log" if incarnation == 0 else f"{name}-{incarnation}.log")
         try:
             self.logs.mkdir(parents=True, exist_ok=True)
-            output: IO[bytes] = self._files.enter_context(log.open("wb"))
+            return start_child(name, arguments, log, incarnation, standby=standby)
         except OSError as error:
             if incarnation == 0:
                 raise HarnessError(f"{log}: cannot write the output of {name} ({error.strerror})") from error
-            log = Path(os.devnull)  # a process that is started again must not wait for the folder
-            output = self._files.enter_context(log.open("wb"))
-        extra = {PARENT_PIPE: "1", STANDBY: "1" if standby else ""}
-        process = fork_server().start(self._arguments(name, observers, incarnation), output, extra)
-        return Child(name, process, log, incarnation)
+        # A process that is started again must not wait for the folder.
+        return start_child(name, arguments, Path(os.devnull), incarnation, standby=standby)
 
     def _arguments(self, name: str, observers: Sequence[str], incarnation: int) -> list[str]:
         endpoints = self.mesh[name]
@@ -220,11 +239,6 @@ class Harness:
 def keys_setting(folder: Path | str) -> str:
     """Return the setting of a scenario that names a folder of keys."""
     return f"network.keys={json.dumps(str(folder), ensure_ascii=False)}"  # TOML has no surrogate pairs
-
-
-def _has_ended(child: Child) -> bool:
-    """Return whether a child has ended, also while a tracer keeps this process from reaping it."""
-    return child.process.poll() is not None or has_died(child.process.pid)
 
 
 @contextmanager

@@ -1,21 +1,37 @@
-"""Active runs on this machine: a file in the run folder that exists while the run is active."""
+"""Active runs on this machine: a file in the run folder that exists while the run is active, and its processes."""
 
-import os
-import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
 import orjson
+import psutil
+from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
 
+from protocol.scenario.errors import first_problem
 from protocol.wire.keys import Keys
 from protocol.wire.names import COORDINATOR
+from transport.flight.fork_server import STOPPED, state_of
 
 _FILE = "live.json"
-# Longest value in an error, characters.
-_SHOWN = 60
+
+
+def _named(run: str) -> str:
+    if not Keys.allows(run):
+        raise ValueError("expected the name of a run")
+    return run
+
+
+def _with_coordinator(endpoints: Mapping[str, str]) -> Mapping[str, str]:
+    if COORDINATOR not in endpoints:
+        raise ValueError(f"expected endpoints by process, with that of {COORDINATOR}")
+    return endpoints
+
+
+_Endpoint = Annotated[str, Field(pattern=r"^[a-z0-9-]+/\S+$")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,15 +46,15 @@ class LiveRun:
         is_client: Whether the endpoints belong to a router.
     """
 
-    run: str
-    endpoints: Mapping[str, str]
-    pid: int
+    run: Annotated[str, AfterValidator(_named)]
+    endpoints: Annotated[Mapping[str, _Endpoint], AfterValidator(_with_coordinator)]
+    pid: Annotated[int, Field(gt=0, lt=2**31)]
     keys: str = ""
     is_client: bool = False
 
 
 class LiveError(ValueError):
-    """A file that should describe an active run and does not; one line with file, field, got, expected."""
+    """A file that should describe an active run and does not; one line with file, field, expected, got."""
 
 
 def write(folder: Path, run: LiveRun) -> None:
@@ -62,55 +78,14 @@ def read(folder: Path) -> LiveRun | None:
     """
     path = folder / _FILE
     try:
-        data = path.read_bytes()
+        run = TypeAdapter(LiveRun).validate_json(path.read_bytes(), strict=True)
     except OSError:
         return None
-    try:
-        content = orjson.loads(data)
-    except ValueError:
-        raise LiveError(f"{path}: expected a JSON object, got {_shown(data.decode(errors='replace'))}") from None
-    if not isinstance(content, dict):
-        raise LiveError(f"{path}: expected a JSON object, got {_shown(content)}")
-    for field, (expected, is_valid) in _FIELDS.items():
-        if field not in content:
-            raise LiveError(f"{path}: {field}: expected {expected}, got nothing")
-        if not is_valid(content[field]):
-            raise LiveError(f"{path}: {field}: expected {expected}, got {_shown(content[field])}")
-    run = LiveRun(**{field: content[field] for field in _FIELDS})
-    try:
-        os.kill(run.pid, 0)
-    except ProcessLookupError:
-        return None
-    except PermissionError:  # a process of another user
-        pass
-    return run
-
-
-def _are_endpoints(value: object) -> bool:
-    return (
-        isinstance(value, dict)
-        and COORDINATOR in value
-        and all(isinstance(at, str) and re.fullmatch(r"[a-z0-9-]+/\S+", at) for at in value.values())
-    )
-
-
-def _shown(value: object) -> str:
-    """Return a value in an error, cut to a length that fits a line."""
-    text = repr(value)
-    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
-
-
-# What each field is expected to be, and its check.
-_FIELDS: Mapping[str, tuple[str, Callable[[Any], bool]]] = {
-    "run": ("the name of a run", lambda value: isinstance(value, str) and Keys.allows(value)),
-    "endpoints": (f"Zenoh endpoints by process, with that of {COORDINATOR}", _are_endpoints),
-    "pid": (
-        "the number of a process",
-        lambda value: isinstance(value, int) and not isinstance(value, bool) and 0 < value < 2**31,
-    ),
-    "keys": ("a folder or an empty text", lambda value: isinstance(value, str)),
-    "is_client": ("true or false", lambda value: isinstance(value, bool)),
-}
+    except ValidationError as error:
+        if not error.errors()[0]["loc"]:
+            raise LiveError(f"{path}: expected a JSON object that describes an active run") from None
+        raise LiveError(str(first_problem(error, str(path)))) from None
+    return run if psutil.pid_exists(run.pid) else None
 
 
 def newest_folder(parent: Path) -> Path | None:
@@ -125,3 +100,33 @@ def newest_folder(parent: Path) -> Path | None:
         with suppress(OSError):  # removed since
             found.append((path.stat().st_mtime, path.parent))
     return next((folder for _, folder in sorted(found, reverse=True) if read(folder) is not None), None)
+
+
+def why_silent(folder: Path, run: LiveRun, name: str) -> str:
+    """Return why a process of the active run of a folder cannot answer, and the remedy: it has ended, or is stopped.
+
+    Empty if it runs, was not started by the run, or the system does not tell.
+    """
+    if not (folder / "logs" / f"{name}.log").exists():
+        return ""
+    try:
+        children = psutil.Process(run.pid).children()
+    except psutil.Error:
+        return ""
+    is_agent = name.startswith("agent")
+    words = {("--id", name.removeprefix("agent")) if is_agent else ("transport", name), ("--run", run.run)}
+    process = next((child for child in children if words <= _pairs(child) and child.is_running()), None)
+    if process is None:
+        remedy = f"; transport fault restart {name} starts it again" if is_agent else ", and the run ends"
+        return f"{name} of run {run.run} has ended{remedy}"
+    if state_of(process) in STOPPED.values():
+        remedy = f"; transport fault continue {name} lets it go on" if is_agent else ""
+        return f"{name} of run {run.run} is {state_of(process)}{remedy}"
+    return ""
+
+
+def _pairs(process: psutil.Process) -> set[tuple[str, str]]:
+    """Return the neighbouring words in the command line of a process; none if it has ended."""
+    with suppress(psutil.Error):
+        return set(pairwise(" ".join(process.cmdline()).split()))
+    return set()

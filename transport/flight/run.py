@@ -243,7 +243,7 @@ def _watch(recorder: Recorder, progress: RunProgress, local: _Local | None) -> N
             if local is None or recorder.control is not None:
                 continue
             if recorder.started_s is not None:
-                silent = local.watchdog.end_silent_coordinator()
+                silent = local.watchdog.end_silent_coordinator(recorder.received)
                 if silent:
                     recorder.gone = silent
                     progress.say(silent)
@@ -255,7 +255,7 @@ def _watch(recorder: Recorder, progress: RunProgress, local: _Local | None) -> N
             if ended:
                 # A run may end within its first ticks: its messages can reach the recorder after a process has ended.
                 ended_s = time.monotonic() if ended_s is None else ended_s
-                orderly = all(child.process.returncode in ORDERLY_ENDS for child in ended)
+                orderly = all(child.code in ORDERLY_ENDS for child in ended)
                 if not orderly or time.monotonic() - ended_s > _CATCH_UP_S:
                     raise _ended_early(ended)
     _say(recorder, progress)
@@ -268,7 +268,7 @@ def _say(recorder: Recorder, progress: RunProgress) -> None:
 
 def _ended_early(ended: list[Child]) -> RunError:
     child = ended[0]
-    code = child.process.returncode
+    code = child.code or 0
     how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
     # A child refuses the same options and scenario as this command would; any other end is that of a peer.
     passed_on = code in (EXIT_USAGE, EXIT_SCENARIO)
