@@ -12,7 +12,7 @@ app = lazy_group(
     {
         "run": ("transport.cli.run:run", "Run a scenario with all its processes; record and report it."),
         "validate": ("transport.cli.scenario:validate", "Check a scenario and print it with every default."),
-        "margins": ("transport.cli.margins:margins", "Show how far the plant may differ from the controllers' model."),
+        "margins": ("transport.cli.margins:margins", "Compute how much model error a hover tolerates."),
         "plot": ("transport.cli.plot:plot", "Regenerate metrics and figures of a recorded run."),
         "view": ("transport.cli.view:view", "Show a recorded or active run in the browser."),
         "compare": ("transport.cli.compare:compare", "Compare recorded runs in a table and in figures."),

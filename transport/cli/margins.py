@@ -27,7 +27,7 @@ def margins(
     large: LargeOption = False,
     output: FormatOption = Format.text,
 ) -> None:
-    """Show how far the plant may differ from the controllers' model.
+    """Compute how much model error a hover tolerates.
 
     Analyses the sampled loop about hover: actuator lag, delay and gain, masses, inertias and rods up to which the hover
     is stable, the others as known. Factors are relative to the known value. Takes seconds.
