@@ -52,9 +52,7 @@ def drawn(base: str, number: int, seed: int) -> tuple[transport.Scenario, dict[s
         uav = f"system.uav.{i + 1}."
         settings[uav + "mass_kg"] = float(masses[i])
         settings[uav + "inertia_kgm2"] = [float(f * masses[i] * arm_m**2) for f in (0.31, 0.31, 0.55)]
-        settings[uav + "rho_m"] = [
-            round(radius_m * f, 6) + 0.0 for f in (math.cos(angle), math.sin(angle), -0.3)
-        ]
+        settings[uav + "rho_m"] = [round(radius_m * f, 6) + 0.0 for f in (math.cos(angle), math.sin(angle), -0.3)]
         settings[uav + "rod_length_m"] = float(draw.uniform(1.5, 4.0))
     hover_N = (float(masses.max()) + load_kg / N) * 9.81
     settings["controller.limits.thrust_N"] = [0.0, 2.5 * hover_N]

@@ -1,21 +1,23 @@
 """One controller for any set of owned UAVs: one is the paper's distributed controller, all the centralized one."""
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from model import motors, state
 from model.arrays import Array, checked
 from model.discretisation import Discrete, euler, zero_order_hold
 from model.failure import failed_model
 from model.hover import Hover
-from model.linearisation import Model
+from model.linearisation import Linearisation, Model
 from model.motors import lagged
 from model.state import LARGEST
 from mpc import plan
 from mpc.decision import Decision
 from mpc.feedback import FeedbackLaw
 from mpc.plan import StepResult
-from mpc.prediction import Linear, Prediction
+from mpc.prediction import Linear, Prediction, follow
 from mpc.program import Program
 from mpc.qp import QP, Solution
 from mpc.regulation import CostToGo, Regulation
@@ -23,6 +25,9 @@ from mpc.settings import ControllerSettings, SettingsError
 from mpc.solvers import solve, unsolved
 
 __all__ = ["Controller", "Linear", "StepResult"]
+
+# A trajectory beyond these angles of payload or UAVs, rad, is not followed: Euler angles become singular.
+_STEEPEST = 1.3
 
 
 class Controller:
@@ -61,6 +66,9 @@ class Controller:
         self.law, self.end = self.regulation.law, self.regulation.cost_to_go
         self.cost = self.regulation.cost
         self._program = Program(self._decision, self.cost, self.regulation.user_costs)
+        self._at_hover: Linearisation | None = None
+        # Outputs along the newest trajectory beyond their linearisation, (N_p + 1, p).
+        self._curvature: Array | None = None
 
     def step(
         self,
@@ -107,10 +115,21 @@ class Controller:
             u_target = u_target + self.regulation.target.M_u @ forces
         lag_s, n = self.settings.motor_lag_s, self.model.system.n
         if lag_s == 0.0:
-            return Linear(x0=x0, u0=u0, model=self.model.linearise(x0, u0, forces=forces), u_target=u_target)
+            model = self._expansion(x0, u0, forces)
+            return Linear(x0=x0, u0=u0, model=model, u_target=u_target, forces=forces)
         x0, actual = x0[:n], x0[n:]
-        model = lagged(self.model.linearise(x0, actual, forces=forces), actual, u0, lag_s)
-        return Linear(x0=x0, u0=u0, model=model, u_target=u_target)
+        model = lagged(self._expansion(x0, actual, forces), actual, u0, lag_s)
+        return Linear(x0=x0, u0=u0, model=model, u_target=u_target, actual=actual, forces=forces)
+
+    def _expansion(self, x0: Array, actual: Array, forces: Array | None) -> Linearisation:
+        """Return the expansion about a state and actual inputs; along the control law with the derivatives at hover."""
+        if self.settings.linearisation == "present":
+            return self.model.linearise(x0, actual, forces=forces)
+        if self._at_hover is None:
+            at_rest = self.regulation.hover
+            self._at_hover = self.model.linearise(at_rest.x, at_rest.u)
+        f = self.model.derivative(x0, actual, forces=forces)
+        return replace(self._at_hover, f=f, y=self.model.outputs(x0))
 
     def discretise(self, linear: Linear) -> Discrete:
         """Return the difference equation over the sampling period. Source: docs/equations.md (16)-(17)."""
@@ -122,7 +141,35 @@ class Controller:
 
         Source: docs/equations.md (22)-(24), (35)-(36).
         """
-        return self._program.predict(linear, discrete, U, law)
+        prediction = self._program.predict(linear, discrete, U, law)
+        self._curvature = None
+        if law is not None and self.settings.linearisation == "along":
+            self._follow(linear, discrete, prediction, law)
+        return prediction
+
+    def _follow(self, linear: Linear, discrete: Discrete, prediction: Prediction, law: FeedbackLaw) -> None:
+        """Predict along the trajectory of the shared control law and the announced corrections, unless it is too steep.
+
+        Source: docs/equations.md (35a).
+        """
+        model, settings, N = self.model, self.settings, self.model.system.N
+        lower, upper = settings.limits.lower(N), settings.limits.upper(N)
+        z = z0 = linear.x0 if linear.actual is None else np.concatenate([linear.x0, linear.actual])
+        states, inputs = [z0], []
+        for at_x0 in law.uncorrected + law.c:
+            inputs.append(np.minimum(np.maximum(at_x0 + law.K @ (z - z0), lower), upper))
+            z, _ = motors.integrate(
+                model, z, inputs[-1], settings.sampling_period_s, 1, settings.motor_lag_s, linear.forces
+            )
+            states.append(z)
+        Z, n = np.array(states), model.system.n
+        view = state.StateView(Z[:, :n])
+        angles = np.concatenate([view.Theta0[:, None, :2], view.Theta[..., :2]], axis=1)
+        if not np.abs(angles).max() < _STEEPEST or not np.isfinite(Z).all():
+            return
+        follow(prediction, discrete, linear.u0, self.own, law, Z, np.array(inputs)[:, self.own] - linear.u0[self.own])
+        outputs = np.array([model.outputs(x) for x in Z[:, :n]])
+        self._curvature = outputs - linear.model.y - (Z - z0) @ linear.model.C.T
 
     def condense(
         self,
@@ -137,6 +184,8 @@ class Controller:
 
         Source: docs/equations.md (22)-(30), (48); paper (22)-(27).
         """
+        if self._curvature is not None:
+            y_ref = y_ref - self._curvature
         return self._program.condense(linear, prediction, y_ref, law, end)
 
     def solve(self, qp: QP) -> Solution:
@@ -198,5 +247,5 @@ class Controller:
 
     def _form(self) -> None:
         self.regulation.form(self._gone, self._off, self._released)
-        self.cost = self.regulation.cost
+        self.cost, self._at_hover = self.regulation.cost, None
         self._program.form(self.cost, self._gone)

@@ -24,12 +24,16 @@ class Linear:
         u0: Input from which the inputs deviate, (m,).
         model: f, A_c, B_c, y, C.
         u_target: Input without cost, (m,).
+        actual: With motor lag the actual inputs, (m,).
+        forces: Estimated external forces, (3 + 3 N,).
     """
 
     x0: Array
     u0: Array
     model: Linearisation
     u_target: Array
+    actual: Array | None = None
+    forces: Array | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,6 +93,23 @@ def closed_loop(discrete: Discrete, u0: Array, own: Places, law: FeedbackLaw) ->
     U_all, U_free = at_x0 + dU, np.repeat(u0[own][None], len(dU), axis=0)
     U_all[:, own] = U_free
     return Prediction(effect=effect, dX_free=dX, U_free=U_free, U_all=U_all, feedback=feedback, dU_free=dU)
+
+
+def follow(
+    prediction: Prediction, discrete: Discrete, u0: Array, own: Places, law: FeedbackLaw, Z: Array, V: Array
+) -> None:
+    """Change the free response of a `closed_loop` prediction so that it is exact along a trajectory.
+
+    The owned decision V, (N_p, m_own), which follows the shared control law, then leads to the states Z,
+    (N_p + 1, n). Source: docs/equations.md (35a).
+    """
+    B_others = discrete.B.copy()
+    B_others[:, own] = 0.0
+    caused = free_response(discrete.A + B_others @ law.K, V @ discrete.B[:, own].T)
+    prediction.dX_free[:] = Z - Z[0] - caused
+    prediction.dU_free[:] = prediction.dX_free[:-1] @ law.K.T
+    prediction.U_all[:] = law.uncorrected + law.c + prediction.dU_free
+    prediction.U_all[:, own] = u0[own]
 
 
 def respond(discrete: Discrete, own: Places, K: Array | None, drive: Array) -> tuple[Array, Array, Array, Array]:

@@ -108,6 +108,9 @@ def _controller(scenario: Scenario) -> Problems:
     if section.terminal == "riccati" and section.weights.penalised_input == "absolute":
         expected = "'deviation' with controller.terminal = 'riccati', whose optimum is hover"
         yield "controller.weights.penalised_input", expected, "'absolute'"
+    if section.linearisation == "along" and section.prediction == "open_loop":
+        expected = "'present' with controller.prediction = 'open_loop', which has no shared control law"
+        yield "controller.linearisation", expected, "'along'"
     if section.preview and section.prediction == "open_loop" and section.terminal == "multiple":
         expected = "controller.prediction = 'closed_loop' or controller.terminal = 'riccati' with it"
         yield "controller.preview", expected, "neither"
