@@ -5,7 +5,12 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
+from model import motors
+from model.hover import hover
+from model.linearisation import Model
+from model.parameters import table_1
 from model.state import R0, THETA0, StateView
+from mpc.controller import Controller
 from mpc.settings import Constraint, ControllerSettings, Separation
 from tests.support.systems import Flight, paper_setup, simulate, team
 
@@ -25,6 +30,8 @@ SEPARATION_SLACK_M = 0.02
 RATE_SLACK = 1e-6
 # Rods are projected back after each integration step: rounding.
 ROD_ROUNDING = 1e-12
+
+ON_THE_TRAJECTORY = 1e-9  # rounding over 40 steps
 
 CEILING_M = -11.0  # altitude limit, z down
 CEILING_SLACK_M = 0.05  # softened, linearised, and checked between the instants it is imposed at
@@ -106,3 +113,30 @@ def test_ceiling_limits_the_climb(name: str) -> None:
     assert free.X[:, 2].min() < CEILING_M - 2.0 * CEILING_SLACK_M, "the climb must want to pass the ceiling"
     assert limited.X[:, 2].min() > CEILING_M - CEILING_SLACK_M
     assert limited.X[-1, 2] < CEILING_M + CEILING_SLACK_M, "it follows the reference up to the ceiling"
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 0.05])
+def test_prediction_along_the_control_law_is_exact_on_it(lag_s: float) -> None:
+    """If all UAVs follow the shared control law, the prediction is the nonlinear motion, also far from hover: (35a)."""
+    system = table_1()
+    model, at_rest = Model(system), hover(system)
+    settings = ControllerSettings(
+        prediction="closed_loop", terminal="riccati", linearisation="along", horizon=40, motor_lag_s=lag_s
+    )
+    controller = Controller(model, at_rest, settings, (1,))
+    x = at_rest.x.copy()
+    x[[0, 1, 3, 7]] += [0.3, -0.2, 0.2, 0.1]
+    z0 = np.concatenate([x, at_rest.u]) if lag_s else x
+    law = controller.law(z0, np.tile(at_rest.x, (40, 1)), np.zeros((40, system.m)))
+    assert law is not None
+    linear = controller.linearise(z0, at_rest.u)
+    prediction = controller.predict(linear, controller.discretise(linear), np.tile(at_rest.u, (40, 1)), law)
+    z, V = z0, []
+    lower, upper = settings.limits.lower(4), settings.limits.upper(4)
+    for at_x0 in law.uncorrected:
+        u = np.clip(at_x0 + law.K @ (z - z0), lower, upper)
+        V.append(u[controller.own] - at_rest.u[controller.own])
+        z, _ = motors.integrate(model, z, u, settings.sampling_period_s, 1, lag_s)
+    caused = sum(prediction.effect[:, 39 - j] @ V[j] for j in range(40))
+    assert z0 + prediction.dX_free[-1] + caused == pytest.approx(z, abs=ON_THE_TRAJECTORY)
+    assert np.abs(z - z0).max() > 0.1, "far enough from the start to tell it from a linearisation there"

@@ -1,7 +1,5 @@
 """The linear analysis of the sampled loop about hover (docs/equations.md (58))."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -39,7 +37,7 @@ def test_with_the_plant_as_known_the_loop_is_the_regulator(next_tick: bool, age:
 @pytest.mark.parametrize("age", [1, 4])
 def test_a_known_lag_is_no_mismatch(age: int) -> None:
     """A controller that knows the motors is stable with them, and its margins are a range about their lag."""
-    loop = _loop(replace(SHARED, motor_lag_s=0.05), age=age)
+    loop = _loop(SHARED.model_copy(update={"motor_lag_s": 0.05}), age=age)
     assert loop.growth(Mismatch(lag_s=0.05)) <= GROWTH
     assert loop.growth(Mismatch(lag_s=0.5)) > GROWTH
 
@@ -67,6 +65,6 @@ def test_plans_of_the_paper_are_states_of_the_loop() -> None:
     settings = ControllerSettings(horizon=6)
     loop = _loop(settings)
     assert len(loop.matrix(Mismatch())) > SYSTEM.N * settings.horizon * 4
-    whole = _loop(replace(SHARED, horizon=6, relaxation=0.5), whole=True)
+    whole = _loop(SHARED.model_copy(update={"horizon": 6, "relaxation": 0.5}), whole=True)
     # The announced corrections decay, so the loop without them has the same slowest modes.
     assert whole.growth(Mismatch(lag_s=0.02)) == pytest.approx(_loop().growth(Mismatch(lag_s=0.02)), abs=1e-6)

@@ -486,6 +486,8 @@ def test_settings_that_contradict_the_cost_to_go() -> None:
     penalised_input = refusal(PAPER, "controller.terminal=riccati", "controller.weights.penalised_input=absolute")
     expected = "expected 'deviation' with controller.terminal = 'riccati', whose optimum is hover, got 'absolute'"
     assert penalised_input == f"--set controller.weights.penalised_input=absolute: {expected}"
+    along = refusal(PAPER, "controller.linearisation=along")
+    assert along.startswith("--set controller.linearisation=along: expected 'present' with controller.prediction")
     alone = refusal(PAPER, "controller.preview=true")
     assert alone.startswith("--set controller.preview=true: expected controller.prediction = 'closed_loop' or ")
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import threadpoolctl
@@ -66,7 +66,7 @@ def hover_margins(setup: Setup) -> HoverMargins:
     age = max(1, math.ceil(setup.scenario.links.delay_s / period_s - 1e-9))
     # Several threads are slower than one with matrices of this size.
     with threadpoolctl.threadpool_limits(1):
-        settings = replace(setup.settings, linearisation="present")  # about hover both are the same
+        settings = setup.settings.model_copy(update={"linearisation": "present"})  # about hover both are the same
         team = [Controller(setup.model, setup.hover, settings, owned) for owned in setup.owned]
         loops = {name: Loop(team, next_tick=name == "next_tick", age=age) for name in ACTUATIONS}
         growth = {name: loop.growth(Mismatch(lag_s=loop.known_lag_s)) for name, loop in loops.items()}
