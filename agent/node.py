@@ -13,24 +13,13 @@ from agent.step import Planner, Step
 from agent.team_estimate import Known
 from protocol.admission.arrivals import Arrivals
 from protocol.admission.membership import Membership
-from protocol.admission.plausibility import check_moment
-from protocol.admission.reception import Reception
+from protocol.admission.plausibility import check_tick
 from protocol.scenario.links import LinkChanges
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import (
-    Control,
-    Event,
-    LinkChange,
-    Measurement,
-    Message,
-    MessageError,
-    Plan,
-    Presence,
-    Roster,
-    agent_name,
-)
-from protocol.wire.names import COORDINATOR, PLANT
-from protocol.wire.outbox import Outbox, lost
+from protocol.wire.message import Message, MessageError
+from protocol.wire.messages import Control, Event, LinkChange, Measurement, Plan, Presence, Roster
+from protocol.wire.names import COORDINATOR, PLANT, agent_name
+from protocol.wire.node import Outbox, lost
 
 
 class AgentNode:
@@ -43,14 +32,11 @@ class AgentNode:
         self._agent = agent
         self._setup = setup
         self._stopwatch = stopwatch
-        self._uavs = tuple(uav + 1 for uav in setup.owned[agent - 1])
         self._planner = Planner(setup, agent, stopwatch)
         self._waits = setup.scenario.clock.mode == "lockstep"
-        self._relayed = setup.scenario.clock.relayed
         self._membership = Membership()
         self.publish_ns = 0
-        self._reception = Reception(setup, self._handle, self._newest_tick)
-        self.rejected = self._reception.rejected
+        self._window = setup.shape.window
         self.finished: Control | None = None
         self._begin(incarnation)
 
@@ -86,11 +72,9 @@ class AgentNode:
         """Take in the roster, measurements and the others' plans."""
         match event:
             case Message():
-                self._reception.receive(event, now_ns)
+                self._handle(event, now_ns)
             case Presence(alive=False) if event.name == COORDINATOR:
                 self.finished = lost(self._out, self._last_tick, "coordinator is gone")
-            case Presence(alive=False) if not self._relayed:
-                self._membership.close(event.name, event.incarnation)
         return self._work(now_ns) if self._waits and self.finished is None else ()
 
     def poll(self, now_ns: int) -> Sequence[Message]:
@@ -102,19 +86,38 @@ class AgentNode:
         self._planner.warm_up()
 
     def _handle(self, message: Message, now_ns: int) -> None:
-        """Take in a message that passed the checks of the reception."""
+        """Take in a message that passed all checks."""
         match message:
             case Control():
                 self.finished = message
             case Roster():
                 for plan in self._enlist(message):
-                    self._reception.receive(plan, now_ns)
+                    self._handle(plan, now_ns)
             case LinkChange():
                 self._link_changes.apply(message)
             case Measurement():
-                self._measure(message, now_ns)
+                self._measurement = message
+                self._measurements.put(message, now_ns)
             case Plan() if self._membership.admits(message):
                 self._take(message, now_ns)
+
+    def check_moment(self, message: Message) -> None:
+        """Refuse what the others cannot send at the tick this agent knows of.
+
+        Raises: MessageError: with the reason.
+        """
+        now, window = self._newest_tick(), self._window
+        match message:
+            case LinkChange():
+                self._link_changes.check(message)
+            case Control() | Roster() if now is not None:
+                check_tick(message, now - window, now + 1 + window)
+            case Measurement():
+                self._check_measurement(message, now)
+            case Plan():
+                self._membership.check(message)
+                if now is not None:
+                    check_tick(message, 0, now + window)
 
     def _newest_tick(self) -> int | None:
         """Return the newest tick this agent knows of, or None while it is not on the roster."""
@@ -133,30 +136,21 @@ class AgentNode:
         self._early.clear()
         return [*early, *waiting]
 
-    def _measure(self, measurement: Measurement, now_ns: int) -> None:
-        if measurement.uavs != self._uavs:
-            raise MessageError("wrong_uavs", f"measurement of UAVs {list(measurement.uavs)}")
+    def _check_measurement(self, measurement: Measurement, now: int | None) -> None:
         newest = self._last_tick if self._measurement is None else self._measurement.tick
         last = self._setup.ticks
-        now = self._newest_tick()
         if now is not None:
-            last = now + self._reception.window
+            last = now + self._window
         elif measurement.roster <= self._membership.version:
             raise MessageError("past", f"measurement of tick {measurement.tick}, without this start on the roster")
         if self._waits and self._measurement is not None:
             last = newest  # wait for its answer first
-        check_moment(measurement, newest + 1, last)
-        self._measurement = measurement
-        self._measurements.put(measurement, now_ns)
+        check_tick(measurement, newest + 1, last)
 
     def _take(self, plan: Plan, now_ns: int) -> None:
-        if plan.agent == self._agent:
-            raise MessageError("wrong_sender", "plan of this process itself")
-        now = self._newest_tick()
-        if now is None:
+        if self._newest_tick() is None:
             self._early.append(plan)
             return
-        check_moment(plan, 0, now + self._reception.window)
         if plan.tick < self._membership.since[self._agent]:
             return
         if plan.negotiation > 0:

@@ -23,7 +23,7 @@ from mpc.feedback import FeedbackLaw
 from mpc.regulation import CostToGo
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import STAGES, Message, Plan, StepReport
-from protocol.wire.outbox import Outbox
+from protocol.wire.node import Outbox
 
 # Stages counted as computation (not waiting or publishing), before the negotiation and in each of its iterations.
 _PREPARATION, _ITERATION = ("estimate", "linearise", "discretise"), ("condense", "solve")

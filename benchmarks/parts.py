@@ -1,6 +1,7 @@
 """Processor time of plant and codec."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 from benchmarks.effort import Effort
@@ -9,12 +10,11 @@ from benchmarks.runs import messages, setup
 from benchmarks.timing import WARM_UP, Times, in_turns, joined
 from model.arrays import Array
 from plant.node import PlantNode
-from protocol.admission.admission import Admission
+from protocol.admission.gate import Gate
 from protocol.scenario.setup import Setup
 from protocol.wire.codec import decode, encode
 from protocol.wire.keys import Keys
 from protocol.wire.messages import Message, Plan, PlantState
-from protocol.wire.rejections import Rejections
 
 TEXT = (
     "Processor time, ms. The plant integrates one sampling period in steps of `plant.step_s`. A plan has one UAV "
@@ -56,18 +56,18 @@ def coding(run: Setup, plans: list[Plan], repetitions: int) -> dict[str, Times]:
     """
     keys = Keys(run.scenario.name)
     data, key = [encode(plan) for plan in plans], keys.of(plans[0])
+    shape = replace(run.shape, relayed=False)
     turns = []
     for _ in range(repetitions):
-        # An admission refuses repeated messages: a new one takes all plans in their order.
-        rejections = Rejections()
-        admission = Admission("plant", keys, run, rejections)
-        admission.announce(plans[0].sender, plans[0].incarnation)
+        gate = Gate("plant", keys, shape)  # a new one, as it refuses repeated messages
         calls: dict[str, Callable[[], object]] = {
             "plan to bytes": partial(next, map(encode, plans)),
             "bytes to plan": partial(next, map(decode, data)),
-            "bytes to plan, all checks": partial(next, map(partial(admission.read, key), data)),
+            "bytes to plan, all checks": partial(
+                next, (message for part in data for message in gate.accept(key, part))
+            ),
         }
         turns.append(in_turns(calls, len(plans) - WARM_UP))
-        if rejections.total:
-            raise BenchmarkError(f"codec: expected all plans to be admitted, got {rejections.total} refusals")
+        if gate.rejections.total:
+            raise BenchmarkError(f"codec: expected all plans to be accepted, got {gate.rejections.total} refusals")
     return {name: joined(turn[name] for turn in turns) for name in turns[0]}

@@ -8,7 +8,7 @@ from protocol.scenario.links import LinkError, link_change
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import LinkChange, agent_name
 from protocol.wire.names import PLANT
-from protocol.wire.outbox import Outbox
+from protocol.wire.node import Outbox
 
 # Most changes per tick and per run: every process applies each of them, and an agent that joins receives all again.
 # "Clear all links" is three.

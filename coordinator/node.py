@@ -11,14 +11,14 @@ from coordinator.clock import clock_of
 from coordinator.links import RequestedLinkChanges
 from coordinator.roster import TeamRoster, names
 from coordinator.state import ENDS, TRANSITIONS, State, Trigger
-from protocol.admission.plausibility import check_moment
-from protocol.admission.reception import Reception
+from protocol.admission.plausibility import check_tick
 from protocol.scenario.link_words import words_of
 from protocol.scenario.links import LinkError
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import Control, Event, Message, MessageError, Plan, PlantState, Presence, Request, Tick
+from protocol.wire.message import Message, MessageError
+from protocol.wire.messages import Control, Event, Plan, PlantState, Presence, Request, Tick
 from protocol.wire.names import COORDINATOR, PLANT
-from protocol.wire.outbox import Outbox
+from protocol.wire.node import Outbox
 
 
 class CoordinatorNode:
@@ -44,8 +44,6 @@ class CoordinatorNode:
         self._clock = clock_of(setup)
         self._roster = TeamRoster(setup, self._out)
         self._link_changes = RequestedLinkChanges(setup, self._out)
-        self._reception = Reception(setup, self._handle)
-        self.rejected = self._reception.rejected
         self._awaited = {PLANT, *self._roster.agents, *observers}
         self._observers = set(observers)  # that have not left
         self._answered: set[int] = set()
@@ -77,7 +75,8 @@ class CoordinatorNode:
                 return self._agent_returned(event, now_ns)
             case Presence():
                 return self._process_gone(event, now_ns)
-        return self._advance(now_ns) if self._reception.receive(event, now_ns) else ()
+        self._handle(event, now_ns)
+        return self._advance(now_ns)
 
     def poll(self, now_ns: int) -> Sequence[Message]:
         """Open a tick that is due; take agents that missed the barrier timeout off the roster."""
@@ -123,36 +122,36 @@ class CoordinatorNode:
         return self._clock.waiting_since_ns + round(self._settings.join_timeout_s * 1e9)
 
     def _handle(self, message: Message, now_ns: int) -> None:
-        """Take in an agent's plan or the plant's state that passed the checks of the reception.
-
-        Raises: MessageError: a plan of an incarnation off the roster, or a repeated plan.
-        """
+        """Take in an agent's plan or the plant's state that passed all checks."""
         match message:
             case PlantState():
-                check_moment(message, self._plant_tick + 1, self.tick)
                 self._plant_tick = message.tick
                 self._clock.plant_answer(now_ns)
                 if message.diverged and not self._divergence:
                     self._divergence = f"{message.diverged} at {self._roster.time(message.tick)}"
                     self._move(Trigger.DIVERGENCE_REPORTED)
+            case Plan(negotiation=left) if left > 0:
+                self._negotiating[message.agent] = left
             case Plan():
-                roster = self._roster
-                if message.agent not in roster.members or message.incarnation != roster.incarnations.get(
-                    message.sender
-                ):
-                    raise MessageError("wrong_incarnation", "plan of an incarnation that is not on the roster")
-                check_moment(message, 0 if self._clock.counts_late_plans else self.tick, self.tick)
-                if message.negotiation > 0:
-                    self._negotiating[message.agent] = message.negotiation
-                    return
                 if message.tick == self.tick:
-                    if message.agent in self._answered:
-                        # A plan can come under two keys, and only one of them may count.
-                        raise MessageError("replayed", f"plan of tick {message.tick} again")
                     self._answered.add(message.agent)
                     if message.shared:
                         self._shared.add(message.agent)
                 self._clock.answer(message, self.tick, now_ns)
+
+    def check_moment(self, message: Message) -> None:
+        """Refuse answers to other ticks than the open one, and plans of agents off the roster.
+
+        Raises: MessageError: with the reason.
+        """
+        match message:
+            case PlantState():
+                check_tick(message, self._plant_tick + 1, self.tick)
+            case Plan():
+                roster = self._roster
+                if message.agent not in roster.members or message.incarnation != roster.incarnations[message.sender]:
+                    raise MessageError("wrong_incarnation", "plan of an incarnation that is not on the roster")
+                check_tick(message, 0 if self._clock.counts_late_plans else self.tick, self.tick)
 
     def _process_ready(self, event: Presence, now_ns: int) -> Sequence[Message]:
         """Note that a process is ready; open the first tick when all are."""

@@ -5,7 +5,7 @@ from collections.abc import Collection
 from protocol.scenario.faults import uav_faults, uav_name
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Roster, agent_name
-from protocol.wire.outbox import Outbox
+from protocol.wire.node import Outbox
 
 
 class TeamRoster:

@@ -21,28 +21,25 @@ from plant.motors import Motors
 from plant.schedule import MOTOR_OFF, ActuatorSchedule
 from protocol.admission.arrivals import Arrivals
 from protocol.admission.membership import Membership
-from protocol.admission.plausibility import check_moment
-from protocol.admission.reception import Reception
+from protocol.admission.plausibility import check_tick
 from protocol.scenario.faults import degradations, uav_faults
 from protocol.scenario.links import LinkChanges
 from protocol.scenario.setup import Setup
+from protocol.wire.message import Message
 from protocol.wire.messages import (
     ActualInputs,
     Control,
     Event,
     LinkChange,
     Measurement,
-    Message,
-    MessageError,
     Plan,
     PlantState,
     Presence,
     Roster,
     Tick,
-    agent_name,
 )
-from protocol.wire.names import COORDINATOR, PLANT
-from protocol.wire.outbox import Outbox, lost
+from protocol.wire.names import COORDINATOR, PLANT, agent_name
+from protocol.wire.node import Outbox, lost
 
 
 class PlantNode:
@@ -83,22 +80,18 @@ class PlantNode:
         self._measured_tick = -1
         self._pending: deque[Tick] = deque()  # open, waiting for the interval before
         self._arrived: dict[int, set[int]] = {}  # agents whose plans have been received, by tick
-        self._relayed = clock.relayed
         self._membership = Membership()
         self._diverged = False
-        self._reception = Reception(setup, self._handle, lambda: self._measured_tick)
-        self.rejected = self._reception.rejected
+        self._window = setup.shape.window
         self.finished: Control | None = None
 
     def receive(self, event: Event, now_ns: int) -> Sequence[Message]:
         """Take in ticks, plans and the roster."""
         match event:
             case Message():
-                self._reception.receive(event, now_ns)
+                self._handle(event, now_ns)
             case Presence(alive=False) if event.name == COORDINATOR:
                 self.finished = lost(self._out, self._state_tick, "coordinator is gone")
-            case Presence(alive=False) if not self._relayed:
-                self._membership.close(event.name, event.incarnation)
         return self._work(now_ns) if self.finished is None else ()
 
     def poll(self, now_ns: int) -> Sequence[Message]:  # noqa: ARG002
@@ -106,33 +99,39 @@ class PlantNode:
         return ()
 
     def _handle(self, message: Message, now_ns: int) -> None:
-        """Take in a message that passed the checks of the reception."""
+        """Take in a message that passed all checks."""
         match message:
             case Control():
                 self.finished = message
             case Roster():
                 for plan in self._membership.update(message):
-                    self._reception.receive(plan, now_ns)
+                    self._handle(plan, now_ns)
             case LinkChange():
                 self._link_changes.apply(message)
             case Tick():
-                self._open(message)
-            case Plan() if self._membership.admits(message):
-                self._take(message, now_ns)
+                self._pending.append(message)
+            case Plan(negotiation=0) if self._membership.admits(message):
+                self._plans.put(message, now_ns)
+                self._arrived.setdefault(message.tick, set()).add(message.agent)
 
-    def _open(self, tick: Tick) -> None:
-        # In real time the next tick opens even if this one is not measured yet; the plant catches up.
-        newest = self._pending[-1].tick if self._pending else self._measured_tick
-        check_moment(tick, newest + 1, self._measured_tick + 1 if self._waits else newest + 1)
-        self._pending.append(tick)
+    def check_moment(self, message: Message) -> None:
+        """Refuse what the others cannot send at the tick that is measured.
 
-    def _take(self, plan: Plan, now_ns: int) -> None:
-        check_moment(plan, 0, self._measured_tick)
-        if plan.negotiation == 0:
-            if plan.agent in self._arrived.get(plan.tick, ()):
-                raise MessageError("replayed", f"plan of tick {plan.tick} again")  # shared, and unshared
-            self._plans.put(plan, now_ns)
-            self._arrived.setdefault(plan.tick, set()).add(plan.agent)
+        Raises: MessageError: with the reason.
+        """
+        now, window = self._measured_tick, self._window
+        match message:
+            case LinkChange():
+                self._link_changes.check(message)
+            case Control() | Roster():
+                check_tick(message, now - window, now + 1 + window)
+            case Tick():
+                # In real time the next tick opens even if this one is not measured yet; the plant catches up.
+                newest = self._pending[-1].tick if self._pending else now
+                check_tick(message, newest + 1, now + 1 if self._waits else newest + 1)
+            case Plan():
+                self._membership.check(message)
+                check_tick(message, 0, now)
 
     def _work(self, now_ns: int) -> list[Message]:
         """Measure and integrate in turn as far as the messages received allow."""

@@ -157,6 +157,15 @@ def test_rooms_import_lower_floors_only(package: str) -> None:
     assert wrong == []
 
 
+def test_messages_do_not_know_the_controller() -> None:
+    """Messages, gate and network import nothing of `mpc`; messages and gate do not through others either."""
+    rooms = [path for room in ("wire", "admission", "network") for path in (ROOT / "protocol" / room).rglob("*.py")]
+    assert [named(path) for path in rooms if "mpc" in top(imports(path))] == []
+    gate = [*(ROOT / "protocol" / "wire").rglob("*.py"), ROOT / "protocol" / "admission" / "gate.py"]
+    found = {named(other) for path in gate for other in reached(path)}
+    assert not {name for name in found if name.startswith(("mpc/", "protocol/scenario/"))}
+
+
 def arrows(package: str) -> dict[str, set[str]]:
     """Return the rooms that each room of a package imports, without those that follow from others."""
     folder = ROOT / package

@@ -1,6 +1,5 @@
 """The recipes of docs/contributing.md, followed on a copy of the sources."""
 
-import dataclasses
 import os
 import re
 import shutil
@@ -56,18 +55,16 @@ assert sum(getattr(message, "lost", 0) for message in reports) > 0
 # From the sender's outbox over key, bytes and checks to the JSON of the log.
 MESSAGE = """
 from protocol.wire.codec import decode, encode
-from protocol.wire.fields import MessageError
-from protocol.wire.header import header_of
+from protocol.wire.messages import Battery, MessageError
 from protocol.wire.keys import Keys, matches
-from protocol.wire.outbox import Outbox
-from protocol.wire.records import Battery
-from tests.support.samples import sample
+from protocol.wire.node import Outbox
+from tests.support.messages import sample
 from transport.report.foxglove import json_schema, to_json
 
 keys = Keys("run")
 message = Outbox("agent2", 0).stamp(Battery, tick=3, agent=2, charge_As=7e3)
 key, data = keys.of(message), encode(message)
-assert header_of(data).place == (3, 0)
+assert message.place == (3, 0)
 hears = {name for name in ("coordinator", "plant", "agent1", "agent2", "recorder")
          if any(matches(expression, key) for expression in keys.subscriptions(name))}
 assert (key, hears) == ("transport/run/battery/2", {"recorder"})
@@ -134,6 +131,5 @@ def test_messages_are_described(kind: type[Message]) -> None:
     """docs/protocol.md has each message's fields, in the order in which they are sent."""
     row = re.search(rf"^\| `{kind.kind}` \| (.*) \|$", PROTOCOL.read_text(encoding="utf-8"), re.MULTILINE)
     assert row is not None, f"docs/protocol.md has no row for {kind.kind}"
-    common = len(dataclasses.fields(Message))
-    names = [field.name for field in dataclasses.fields(kind)][common:]
-    assert [name for name in SEEN.findall(row[1]) if name in names] == names
+    names = kind.__struct_fields__[len(Message.__struct_fields__) :]
+    assert [name for name in SEEN.findall(row[1]) if name in names] == list(names)

@@ -6,7 +6,7 @@ of the payload as high as the middle, and carries its share. Start all but agent
 
     python docs/examples/foreign_agent.py resilient DIGEST 3 7447
 
-In lockstep the coordinator relays the plans; for a run with `clock.exchange = "direct"` add the word direct.
+In lockstep the coordinator relays the plans; for a run in real time add the word direct.
 """
 
 import json

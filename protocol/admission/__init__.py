@@ -1,1 +1,1 @@
-"""Checks of received messages, from bytes to messages that a node may use."""
+"""From received bytes to messages that a node may use: the gate, the roster, and the links' arrivals."""

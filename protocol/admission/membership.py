@@ -4,7 +4,10 @@ Plans and rosters come over different connections, so a plan may overtake the ro
 Such a plan is kept until the roster is here; a plan of an earlier incarnation is refused.
 """
 
-from protocol.wire.messages import MessageError, Plan, Roster
+from collections import deque
+
+from protocol.wire.message import MessageError
+from protocol.wire.messages import Plan, Roster
 
 # Plans kept for a roster to come: a few ticks of a large team.
 _KEPT = 1024
@@ -24,9 +27,8 @@ class Membership:
         self.since: dict[int, int] = {}
         self._incarnations: dict[int, int] = {}
         self._newest: dict[int, int] = {}  # highest incarnation ever on a roster
-        self._early: list[Plan] = []
+        self._early: deque[Plan] = deque(maxlen=_KEPT)
         self._left: dict[int, tuple[int, int]] = {}  # by agent that left: its last incarnation, the tick it left at
-        self._closed: dict[int, int] = {}  # newest incarnation of each agent whose connection is closed
         self._history: dict[int, Roster | None] = {0: None}  # by version
 
     @property
@@ -37,25 +39,11 @@ class Membership:
     def took_part(self, tick: int) -> set[int]:
         """Return the agents whose plans of a tick are here or still to come.
 
-        Plans of an agent that has left since may be on their way until its connection is closed.
+        Plans of an agent that has left since may be on their way: the tick names the plans that come.
         """
         present = {agent for agent, since in self.since.items() if since <= tick}
-        left = {
-            agent
-            for agent, (incarnation, at) in self._left.items()
-            if tick < at and incarnation > self._closed.get(agent, -1)
-        }
+        left = {agent for agent, (_, at) in self._left.items() if tick < at}
         return present | left
-
-    def close(self, name: str, incarnation: int) -> None:
-        """Note that a process is gone: messages it sent have arrived, or never will.
-
-        Not for runs in which the coordinator relays them: the end of a process may overtake its last plan, and the
-        tick names the plans that come.
-        """
-        agent = name.removeprefix("agent")
-        if agent != name and agent.isdecimal():
-            self._closed[int(agent)] = max(incarnation, self._closed.get(int(agent), -1))
 
     def agents_at(self, version: int) -> frozenset[int]:
         """Return the agents on the roster of a version, the same at all processes at a tick that names the version."""
@@ -83,13 +71,7 @@ class Membership:
         return self._incarnations.get(agent)
 
     def update(self, roster: Roster) -> list[Plan]:
-        """Take in a roster.
-
-        Returns: Plans that were ahead of it, to be received again.
-        Raises: MessageError: it is not newer than the one in force.
-        """
-        if roster.version <= self.version:
-            raise MessageError("past", f"roster of version {roster.version} after version {self.version}")
+        """Take in a roster, newer than the one in force; return the plans that were ahead of it."""
         newest = self._history.get(max(self._history))
         if self._failed(roster) != self._failed(newest):
             self.failed_since = roster.tick
@@ -106,22 +88,28 @@ class Membership:
         }
         for agent, incarnation in self._incarnations.items():
             self._newest[agent] = max(incarnation, self._newest.get(agent, incarnation))
-        waiting, self._early = self._early, []
+        waiting = list(self._early)
+        self._early.clear()
         return waiting
 
-    def admits(self, plan: Plan) -> bool:
-        """Return whether a plan's sender is on the roster; otherwise keep the plan for a roster to come.
+    def check(self, plan: Plan) -> None:
+        """Refuse a plan that neither this roster nor one to come admits.
 
-        Raises: MessageError: no roster to come will admit it, or too many wait for one.
+        Raises: MessageError: it is of an incarnation that is not on the roster.
         """
+        if not self._counts(plan) and plan.incarnation <= self._newest.get(plan.agent, -1):
+            raise MessageError("wrong_incarnation", "plan of an incarnation that is not on the roster")
+
+    def admits(self, plan: Plan) -> bool:
+        """Return whether a plan counts now; otherwise keep it for a roster to come."""
+        if self._counts(plan):
+            return True
+        self._early.append(plan)
+        return False
+
+    def _counts(self, plan: Plan) -> bool:
+        """Return whether the sender is on the roster, or was when it sent the plan: that counts at all receivers."""
         if self._incarnations.get(plan.agent) == plan.incarnation:
             return True
         incarnation, at = self._left.get(plan.agent, (-1, 0))
-        if plan.incarnation == incarnation and plan.tick < at:
-            return True  # sent while the agent took part: it counts at all receivers
-        if plan.incarnation <= self._newest.get(plan.agent, -1):
-            raise MessageError("wrong_incarnation", "plan of an incarnation that is not on the roster")
-        if len(self._early) >= _KEPT:
-            raise MessageError("wrong_incarnation", "plan of an incarnation that no roster has admitted")
-        self._early.append(plan)
-        return False
+        return plan.incarnation == incarnation and plan.tick < at

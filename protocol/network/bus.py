@@ -8,30 +8,24 @@ here, and its order would be lost between two classes.
 import json
 import queue
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import zenoh
 
-from protocol.admission.admission import Admission
-from protocol.admission.rate_limit import REQUEST_BURST, REQUEST_RATE_HZ, RateLimit
-from protocol.admission.samples import Sample
-from protocol.admission.unbundling import Unbundling
+from protocol.admission.gate import Gate, Sample
 from protocol.network.endpoints import Endpoints
 from protocol.network.health import Offset, usage
 from protocol.network.joining import WAITING_S, Expected, Peers, absent, waiting_for
 from protocol.network.session import BusError, fetch_answer, in_bounded_time, log_errors, open_session
 from protocol.wire.codec import VERSION, encode
 from protocol.wire.keys import RECORDER, WATCHER, Keys
-from protocol.wire.messages import Bundle, Event, Message, MessageError, Request
+from protocol.wire.messages import Event, Message, MessageError, Request
 from protocol.wire.names import COORDINATOR, is_name
 
 # How long a process waits at the end of the run for those that leave before it: a busy host may take seconds to read.
 LINGER_S = 10.0
-
-# How much longer than its timeout `next` may take because of refused messages.
-_FLOOD_S = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,15 +45,7 @@ class Left:
 BusEvent = Event | Sample | Interrupted | Left
 
 
-@dataclass(frozen=True, slots=True)
-class _Oversized:
-    """Record of a sample that is too large to be kept."""
-
-    key_expr: str
-    size: int
-
-
-_Item = zenoh.Sample | zenoh.Query | _Oversized | Interrupted | Request
+_Item = zenoh.Sample | zenoh.Query | Interrupted | Request
 
 
 class Bus:
@@ -76,6 +62,7 @@ class Bus:
 
     Attributes:
         arrived_ns: Wall-clock time of arrival of the last event that `next` returned, ns since 1970.
+        gate: The checks of all messages; it has the bundle that the last event came in.
         before_wait: Function that `next` calls when no message of a bundle is left to be read.
         offset: By how much the coordinator's wall clock is ahead of this one, once this process has joined.
 
@@ -90,7 +77,7 @@ class Bus:
         run: str,
         digest: str,
         endpoints: Endpoints,
-        admission: Admission,
+        gate: Gate,
         relayed: bool | None = None,
         serves: bool = False,
         patience_s: float = 1.0,
@@ -103,23 +90,22 @@ class Bus:
         self._gather_s, self._serves = gather_s, serves
         self.name, self.incarnation, self._digest = name, incarnation, digest
         self._keys, self._endpoints = Keys(run), endpoints
-        self._unbundling = Unbundling(name, self._keys, admission)
+        self.gate = gate
+        self._accepted: Iterator[Message | Sample] = iter(())  # in the bytes that arrived last
         self._inbox: queue.SimpleQueue[tuple[int, _Item]] = queue.SimpleQueue()  # with the time of arrival
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._tokens: list[zenoh.LivelinessToken] = []
-        self.admission, self._rate_limit = admission, RateLimit()
-        self._request_limit = RateLimit(REQUEST_RATE_HZ, REQUEST_BURST)
-        self._peers = Peers(name, incarnation, digest, self._keys, admission)
+        self.peers = Peers(name, incarnation, digest, self._keys, gate)
         log_errors(to_output=name not in (RECORDER, WATCHER))
         self._session = open_session(endpoints, patience_s, name, self._keys, reach_s)
         # Subscribers before the token: a process that sees the token may send at once, and nothing is lost. Their
         # callback runs on the thread that receives, which must be brief, but saves a second thread.
-        arrived: zenoh.handlers.Callback[zenoh.Sample] = zenoh.handlers.Callback(self._arrived, indirect=False)
+        arrived: zenoh.handlers.Callback[zenoh.Sample] = zenoh.handlers.Callback(self._put, indirect=False)
         self._declared: list[Any] = [
             self._session.declare_subscriber(key, arrived) for key in self._keys.subscriptions(name, relayed=relayed)
         ]
         if name != WATCHER:  # a watcher has no token, so it is not asked either
-            self._declared.append(self._session.declare_queryable(self._keys.request(name, "*"), self._asked))
+            self._declared.append(self._session.declare_queryable(self._keys.request(name, "*"), self._put))
         self._declared += [
             self._session.liveliness().declare_subscriber(f"{self._keys.prefix}/{kind}/**", self._put, history=True)
             for kind in ("alive", "ready")
@@ -130,11 +116,6 @@ class Bus:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    @property
-    def bundle(self) -> Bundle | None:
-        """Bundle that the last event came in, or None."""
-        return self._unbundling.bundle
 
     def join(
         self, expected: Collection[str], timeout_s: float, on_wait: Callable[[str], object] = lambda _: None
@@ -151,11 +132,11 @@ class Bus:
         sign_s = time.monotonic() + WAITING_S
         early: list[tuple[int, _Item]] = []
         awaited = Expected(self.name, expected, lambda: self.ask(COORDINATOR, "status", timeout_s=1.0))
-        while missing := awaited.missing(self._peers.alive):
+        while missing := awaited.missing(self.peers.alive):
             now_s = time.monotonic()
             if now_s >= sign_s:
                 sign_s += WAITING_S
-                on_wait(waiting_for(missing, self._peers.left, deadline - now_s))
+                on_wait(waiting_for(missing, self.peers.left, deadline - now_s))
             try:
                 at_ns, item = self._inbox.get(
                     timeout=max(0.0, min(deadline, sign_s, now_s + awaited.update_every_s) - now_s)
@@ -166,7 +147,7 @@ class Bus:
                     continue
                 called = ", ".join(self._endpoints.connect) or "none: others connect to it"
                 raise BusError(
-                    f"{self.name}: {absent(missing, self._peers.left)} within {timeout_s:g} s; "
+                    f"{self.name}: {absent(missing, self.peers.left)} within {timeout_s:g} s; "
                     f"listening on {', '.join(self._endpoints.listen) or 'nothing'}, connecting to {called}"
                 ) from None
             if isinstance(item, Interrupted):
@@ -177,8 +158,8 @@ class Bus:
             elif isinstance(item, zenoh.Sample) and str(item.key_expr).startswith(f"{self._keys.prefix}/alive/"):
                 here = item.kind == zenoh.SampleKind.PUT
                 if here:
-                    self._peers.check(str(item.key_expr))
-                self._peers.note(str(item.key_expr), here=here)
+                    self.peers.check(str(item.key_expr))
+                self.peers.note(str(item.key_expr), here=here)
             else:
                 early.append((at_ns, item))
                 if isinstance(item, zenoh.Sample) and self._keys.is_ready(str(item.key_expr), COORDINATOR):
@@ -194,7 +175,7 @@ class Bus:
         """Announce a new incarnation of this process, which is ready at once."""
         old, self._tokens = self._tokens, []
         self.incarnation = incarnation
-        self.admission.renew(incarnation)
+        self.gate.announce(self.name, incarnation)
         self._declare_token(self._keys.alive(self.name, incarnation, self._digest, VERSION))
         self._declare_token(self._keys.ready(self.name, incarnation))
         for token in old:
@@ -223,34 +204,22 @@ class Bus:
         publisher.put(data)
 
     def next(self, timeout_s: float | None) -> BusEvent | None:
-        """Return the next event, or None after the timeout (None: no timeout). Bad messages are only counted."""
+        """Return the next event, or None after the timeout (None: no timeout). Refused messages are only counted."""
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
-        self.admission.count_unread()
         while True:
-            message = self._unbundling.next()
-            if message is not None:
+            for message in self._accepted:
                 return message
             self.before_wait()
-            kept = self.admission.released()
-            if isinstance(kept, Bundle):
-                self._unbundling.open(kept)
-                continue
-            if kept is not None:
-                return kept
             if self._gather_s > 0.0 and self._inbox.empty():
                 time.sleep(self._gather_s)
-            left = None if deadline is None else max(0.0, deadline - time.monotonic())
             try:
-                self.arrived_ns, item = self._inbox.get(timeout=left)
+                left_s = None if deadline is None else max(0.0, deadline - time.monotonic())
+                self.arrived_ns, item = self._inbox.get(timeout=left_s)
             except queue.Empty:
                 return None
             event = self._event(item)
-            if isinstance(event, Bundle):
-                self._unbundling.open(event)
-            elif event is not None:
+            if event is not None:
                 return event
-            if deadline is not None and time.monotonic() > deadline + _FLOOD_S:
-                return None
 
     def leave(self, after: Collection[str] = ()) -> None:
         """Say at the end of the run that the last message was sent; wait until the recorder and others have left.
@@ -259,7 +228,7 @@ class Bus:
         """
         self.put(self._keys.left(self.name), b"")
         deadline = time.monotonic() + LINGER_S
-        while {RECORDER, *after} & set(self._peers.alive) and time.monotonic() < deadline:
+        while {RECORDER, *after} & set(self.peers.alive) and time.monotonic() < deadline:
             if isinstance(self.next(max(0.0, deadline - time.monotonic())), Interrupted):
                 return
 
@@ -293,7 +262,7 @@ class Bus:
             if not isinstance(given, dict) or "/" in what or "*" in what:
                 raise MessageError("malformed", "expected a JSON object under the key of one request")
         except (ValueError, RecursionError, MessageError, zenoh.ZError) as error:
-            self.admission.refuse(key, MessageError("malformed", f"not a request ({type(error).__name__})"))
+            self.gate.refuse(self._keys.end(key), MessageError("malformed", f"not a request ({type(error).__name__})"))
             query.reply_err(json.dumps({"error": "expected a JSON object under the key of one request"}))
             query.drop()  # type: ignore[no-untyped-call]
             return None
@@ -302,8 +271,8 @@ class Bus:
                 "name": self.name,
                 "incarnation": self.incarnation,
                 "protocol": VERSION,
-                "tick": self.admission.tick,
-                "refused": self.admission.rejections.total,
+                "tick": self.gate.tick,
+                "refused": self.gate.rejections.total,
                 "clock_offset_s": None if self.offset is None else self.offset.ahead_s,
                 "clock_uncertainty_s": None if self.offset is None else self.offset.uncertainty_s,
                 **usage(),
@@ -315,24 +284,6 @@ class Bus:
             return None
         return Request(what, given, reply)
 
-    def _arrived(self, sample: zenoh.Sample) -> None:
-        """Put a sample into the inbox, on a thread of Zenoh's.
-
-        Oversized samples are not kept there. In a flood, messages that are certain to be refused are not either.
-        """
-        flooded = self._rate_limit.flooded()
-        if len(sample.payload) > self.admission.max_bytes:
-            self._put(_Oversized(str(sample.key_expr), len(sample.payload)))
-        elif flooded and self.admission.has_passed(str(sample.key_expr), sample.payload.to_bytes()):
-            self._rate_limit.hold()
-        else:
-            self._put(sample)
-
-    def _asked(self, query: zenoh.Query) -> None:
-        """Put a request into the inbox, on a thread of its own, where a client that sends too many waits."""
-        self._request_limit.hold()
-        self._put(query)
-
     def _put(self, item: _Item) -> None:
         self._inbox.put((time.time_ns(), item))
 
@@ -342,15 +293,14 @@ class Bus:
         if isinstance(item, zenoh.Query):
             return self._request(item, self.arrived_ns)
         key = str(item.key_expr)
-        if isinstance(item, _Oversized):
-            self.admission.refuse(key, self.admission.oversized(item.size))
-            return None
         if self._keys.is_token(key):
-            return self._peers.note(key, here=item.kind == zenoh.SampleKind.PUT)
+            return self.peers.note(key, here=item.kind == zenoh.SampleKind.PUT)
         name = key.removeprefix(self._keys.left(""))
-        if name != key:
-            if is_name(name) and not len(item.payload):
-                return Left(name)
-            self.admission.refuse(key, MessageError("malformed", "expected no content under the key of a process"))
-            return None
-        return self.admission.take(key, item.payload.to_bytes())
+        if name == key:
+            self._accepted = self.gate.accept(key, item.payload.to_bytes())
+        elif is_name(name) and not len(item.payload):
+            return Left(name)
+        else:
+            error = MessageError("malformed", "expected no content under the key of a process")
+            self.gate.refuse(self._keys.end(key), error)
+        return None

@@ -8,23 +8,26 @@ from collections.abc import Callable
 from typing import Protocol
 
 from protocol.scenario.setup import Setup
-from protocol.wire.bundles import Answer, Bundle, Record, Relay
 from protocol.wire.codec import encode
 from protocol.wire.keys import Keys
 from protocol.wire.messages import (
     ActualInputs,
+    Answer,
+    Bundle,
     Control,
     Event,
     Measurement,
     Message,
     Plan,
     PlantState,
+    Record,
+    Relay,
     Roster,
     StepReport,
     Tick,
 )
 from protocol.wire.names import AGENT, COORDINATOR, PLANT, RECORDER
-from protocol.wire.outbox import Outbox
+from protocol.wire.node import Outbox
 
 # Sends encoded messages under a key.
 Put = Callable[[str, bytes], None]

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
-from protocol.admission.admission import Admission
+from protocol.admission.gate import Gate
 from protocol.network.session import BusError
 from protocol.wire.codec import VERSION
 from protocol.wire.keys import Keys
@@ -35,18 +35,20 @@ def waiting_for(missing: Collection[str], left: Collection[str], left_s: float) 
 class Peers:
     """The processes of a run that are up, by their liveliness tokens.
 
-    The admission learns of each new incarnation of a process, and counts bad tokens.
+    The gate learns of each new incarnation of a process, and counts bad tokens.
 
     Attributes:
         alive: Incarnations of the processes that are up, by name.
         left: Processes that were up, and are not any more.
+        on_announced: Called with name and incarnation of each process whose token has appeared.
     """
 
-    def __init__(self, name: str, incarnation: int, digest: str, keys: Keys, admission: Admission) -> None:
+    def __init__(self, name: str, incarnation: int, digest: str, keys: Keys, gate: Gate) -> None:
         self.alive: dict[str, int] = {}
         self.left: set[str] = set()
         self._name, self._incarnation, self._digest = name, incarnation, digest
-        self._keys, self._admission = keys, admission
+        self._keys, self._gate = keys, gate
+        self.on_announced: Callable[[str, int], None] = lambda *_: None
 
     def check(self, key: str) -> None:
         """Check the token of another process while this one joins.
@@ -79,7 +81,7 @@ class Peers:
             token = self._keys.token(key)
         except MessageError as error:
             if here:
-                self._admission.refuse(key, error)
+                self._gate.refuse(self._keys.end(key), error)
             return None
         if token.digest is None:
             return Presence(token.name, token.incarnation, alive=True) if here else None
@@ -88,7 +90,8 @@ class Peers:
         if here:
             self.alive[token.name] = token.incarnation
             self.left.discard(token.name)
-            self._admission.announce(token.name, token.incarnation)
+            self._gate.announce(token.name, token.incarnation)
+            self.on_announced(token.name, token.incarnation)
             return None
         if self.alive.get(token.name) == token.incarnation:
             del self.alive[token.name]

@@ -13,8 +13,7 @@ from typing import Any
 
 import threadpoolctl
 
-from protocol.admission.admission import Admission
-from protocol.admission.samples import Sample
+from protocol.admission.gate import Gate, Sample
 from protocol.network.bus import Bus, Interrupted, Left
 from protocol.network.endpoints import Endpoints
 from protocol.network.exchange import Exchange, exchange_of
@@ -65,7 +64,7 @@ def run_node(
     """
     journal = Journal(place.run, node.name)
     relayed = setup.scenario.clock.relayed
-    admission = Admission(node.name, Keys(place.run), setup, node.rejected, refuses_lone_plans=relayed)
+    gate = Gate(node.name, Keys(place.run), setup.shape, node.check_moment)
     # A garbage collection in mid-step is a latency spike: reference counting frees nearly all that the loop makes, and
     # the rest is collected between steps. Before this process joins, no other waits for it.
     gc.collect()
@@ -79,7 +78,7 @@ def run_node(
             run=place.run,
             digest=setup.scenario.digest(),
             endpoints=place.endpoints,
-            admission=admission,
+            gate=gate,
             relayed=relayed,
             serves=node.name == COORDINATOR,
             patience_s=PATIENCE_S[setup.scenario.clock.mode],
@@ -114,10 +113,9 @@ def run_node(
             for message in on_interrupt(interruption.reason) if on_interrupt else ():
                 exchange.send(message)
         exchange.flush()
-        admission.close()
-        for message in admission.remaining_notices(node.incarnation):
+        for message in gate.last_notices(node.incarnation):
             bus.publish(message)
-        for entry in node.rejected:
+        for entry in gate.rejections:
             journal.log("rejected", sender=entry.sender, reason=entry.reason, count=entry.count, example=entry.example)
         end = node.finished
         if end is not None:
@@ -142,13 +140,13 @@ def _drive(node: Node, bus: Bus, exchange: Exchange, faults: Sequence[Fault]) ->
             continue  # for recorders
         if isinstance(event, Message):
             _fail_if_due(faults, node.name, event, exchange)
-        now_ns, refused = time.monotonic_ns(), node.rejected.total
+        now_ns = time.monotonic_ns()
         messages = node.poll(now_ns) if event is None else node.receive(event, now_ns)
-        if event is not None and node.rejected.total == refused:
-            exchange.received(event, bus.bundle)
+        if event is not None:
+            exchange.received(event, bus.gate.bundle)
         if node.incarnation != bus.incarnation:
             bus.renew(node.incarnation)
-        for notice in bus.admission.due_notices(now_ns, node.incarnation):
+        for notice in bus.gate.notices(now_ns, node.incarnation):
             bus.publish(notice)
         if not messages:
             continue

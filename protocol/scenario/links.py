@@ -185,13 +185,17 @@ class LinkChanges:
         self._links, self._samples_s = tuple(links), samples_s
         self._applied = 0
 
-    def apply(self, message: LinkChange) -> None:
-        """Apply a change, unless it was repeated for a process that has just joined.
+    def check(self, message: LinkChange) -> None:
+        """Check a change.
 
         Raises: MessageError: it is invalid, or not the next one.
         """
         if message.number > self._applied + 1:
             raise MessageError("future", f"change {message.number} of the links after {self._applied}")
+        told_change(message, self._samples_s)
+
+    def apply(self, message: LinkChange) -> None:
+        """Apply a change, unless it was repeated for a process that has just joined."""
         if message.number == self._applied + 1:
             change = told_change(message, self._samples_s)
             self._applied += 1

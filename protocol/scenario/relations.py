@@ -55,7 +55,7 @@ def check_relations(scenario: Scenario, source: str) -> None:
             raise ScenarioError(source, field, f"expected {expected}, got {got}")
     if scenario.clock.relayed and (size := estimate(scenario).relay_bytes) > MAX_BYTES:
         text = f"expected plans of a tick of at most {MAX_BYTES:,} bytes in one message, got {size:,.0f}"
-        text += "; set clock.exchange = 'direct', or a shorter horizon"
+        text += "; set a shorter horizon"
         raise ScenarioError(source, "controller.horizon", text)
 
 
@@ -134,9 +134,6 @@ def _clock(scenario: Scenario) -> Problems:
         yield "clock.speed", "a number > 0 with mode realtime, such as 1", 0
     if clock.actuation == "immediate":
         yield "clock.actuation", "'next_tick' with mode realtime, where a step takes time", "'immediate'"
-    if clock.exchange == "relayed":
-        expected = "'direct' with mode realtime, where agents do not wait for the coordinator"
-        yield "clock.exchange", expected, "'relayed'"
     if iterations > 1:
         expected = "1 with mode realtime, where agents do not wait for each other"
         yield "controller.negotiation_iterations", expected, iterations

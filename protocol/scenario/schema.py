@@ -182,10 +182,6 @@ class ClockSection(Section):
     actuation: Literal["immediate", "next_tick"] | None = None
     """a plan acts from its own tick on, or from the next. If omitted: immediate in lockstep, next_tick in real time,
     which allows no other"""
-    exchange: Literal["relayed", "direct"] | None = None
-    """path of the plans: by the coordinator with the next tick, or from agent to agent
-    ([time.md](time.md#relayed-and-direct)). If omitted: relayed in lockstep, direct in real time, which allows no
-    other. Results do not depend on it"""
     barrier_timeout_s: Annotated[Positive, Key(within=_WAIT_S)] = 5.0
     """wall time after which a silent agent counts as lost: one that has not answered the open tick (lockstep), or any
     tick (real time; the plant likewise)"""
@@ -209,8 +205,8 @@ class ClockSection(Section):
 
     @property
     def relayed(self) -> bool:
-        """Return whether the coordinator hands on the agents' plans with the next tick; never so in real time."""
-        return self.mode == "lockstep" and self.exchange != "direct"
+        """Return whether the coordinator hands on the agents' plans with the next tick, as it waits for all of them."""
+        return self.mode == "lockstep"
 
 
 class FaultSection(Section):

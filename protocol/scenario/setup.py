@@ -15,6 +15,7 @@ from model.linearisation import Model
 from model.maneuver import Maneuver, Phase, Reference
 from model.parameters import Payload, System, Uav
 from model.shape import resting_height
+from model.state import INPUTS, PAYLOAD, PER_UAV
 from mpc.cost import UserCosts
 from mpc.regulation import Regulation
 from mpc.rows import compile_constraints
@@ -24,11 +25,16 @@ from protocol.scenario.faults import Fault, scripted
 from protocol.scenario.files import TableError, delays_of
 from protocol.scenario.links import Link
 from protocol.scenario.schema import Scenario, UavSection
+from protocol.wire.codec import MAX_BYTES
 from protocol.wire.messages import Measurement, Plan
 from protocol.wire.names import PLANT
+from protocol.wire.run_shape import RunShape
 
 # How far a payload that takes off or lands may be from the ground, m.
 _ON_GROUND_M = 1e-3
+
+# Size of a message without its arrays, with the longest texts and lists it may have.
+_FRAME_BYTES = 16 * 1024
 
 
 @dataclass(frozen=True)
@@ -113,6 +119,33 @@ class Setup:
     def period_ns(self) -> int:
         """Return the sampling period, ns."""
         return round(self.settings.sampling_period_s * 1e9)
+
+    @cached_property
+    def shape(self) -> RunShape:
+        """What the messages of the run must fit."""
+        clock, limits = self.scenario.clock, self.settings.limits
+        lockstep = clock.mode == "lockstep"
+        # The most numbers of a UAV in the messages of a tick: state and plan, or state and measurement.
+        per_uav = max(PER_UAV + 2 * INPUTS * self.settings.horizon, 2 * (PER_UAV + INPUTS))
+        # The largest message: plans and reports of all agents, or else one plan for all UAVs, or the plant state.
+        size = _FRAME_BYTES + 8 * (PAYLOAD + self.system.N * per_uav)
+        size += len(self.owned) * (2 * _FRAME_BYTES + 8 * PAYLOAD) if clock.relayed else 0
+        return RunShape(
+            owned={agent: tuple(uav + 1 for uav in owned) for agent, owned in enumerate(self.owned, start=1)},
+            limits={
+                agent: (limits.lower(len(owned)), limits.upper(len(owned)))
+                for agent, owned in enumerate(self.owned, start=1)
+            },
+            ticks=self.ticks,
+            delay=1 if clock.next_tick else 0,
+            negotiation_iterations=self.scenario.controller.negotiation_iterations,
+            # In lockstep one; in real time twice the number of ticks an agent may miss before it leaves the roster.
+            window=1
+            if lockstep
+            else 2 * math.ceil(clock.barrier_timeout_s * clock.speed / self.settings.sampling_period_s),
+            relayed=clock.relayed,
+            max_bytes=min(MAX_BYTES, size),
+        )
 
     def link(self, sender: str, receiver: str) -> Link:
         """Return the link that carries one process's messages to another: plans, or measurements from the plant."""

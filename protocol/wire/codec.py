@@ -1,52 +1,52 @@
-"""Messages as bytes: one version byte, then msgpack; arrays as raw little-endian float64.
+"""Messages as bytes: one version byte, then MessagePack; arrays as raw little-endian float64.
 
-Layout (docs/protocol.md): `version (1 byte) | msgpack [kind, field, field, ...]`, fields in the order of the
-message class. An array is msgpack extension type 1: number of axes and up to three lengths as four
-little-endian uint32, then the values row by row.
+Layout (docs/protocol.md): `version (1 byte) | MessagePack [kind, field, field, ...]`, fields in the order of the
+message class. An array is MessagePack extension type 1: number of axes and up to three lengths as four little-endian
+uint32, then the values row by row.
 """
 
-import dataclasses
 import math
 import struct
-from functools import cache
+from contextlib import suppress
+from functools import reduce
+from operator import or_
 from typing import Any
 
-import msgpack
+import msgspec
 import numpy as np
 
 from model.arrays import Array
-from protocol.wire.messages import BUNDLES, KINDS, Message, MessageError
+from protocol.wire.message import Message, MessageError, Reason
+from protocol.wire.messages import BUNDLES, KINDS
 from protocol.wire.names import is_name
 
 VERSION = 6
-MAX_BYTES = 4 * 1024 * 1024  # a plan for 256 UAVs over 400 steps
+MAX_BYTES = 16 * 1024 * 1024  # plans of 256 UAVs over 800 steps
 
+_VERSION = bytes([VERSION])
+CLASSES = {**KINDS, **BUNDLES}  # by kind
 _ARRAY = 1
 _HEADER = struct.Struct("<4I")  # 16 bytes keep the values aligned
 _AXES = 3
 _FLOAT64 = np.dtype("<f8")
 
 
+class _Kind(msgspec.Struct, frozen=True, array_like=True):
+    kind: str
+
+
+class Header(_Kind, frozen=True):
+    """The beginning of a message, read without the rest."""
+
+    sender: str
+    incarnation: int
+    sequence: int
+    tick: int
+
+
 def encode(message: Message) -> bytes:
     """Return the bytes of a message."""
-    values = [getattr(message, name) for name in field_names(message.kind)]
-    body: bytes = msgpack.packb([message.kind, *values], default=_pack_array, use_bin_type=True)
-    return bytes([VERSION]) + body
-
-
-@cache
-def field_names(kind: str) -> tuple[str, ...]:
-    """Return the fields of a kind of message in the order they are sent in, after the kind."""
-    return tuple(field.name for field in dataclasses.fields(class_of(kind)))
-
-
-@cache
-def class_of(kind: str) -> type[Message]:
-    """Return the class of a kind of message or bundle.
-
-    Raises: KeyError: there is no such kind.
-    """
-    return KINDS[kind] if kind in KINDS else BUNDLES[kind]
+    return _VERSION + _ENCODER.encode(message)
 
 
 def decode(data: bytes) -> Message:
@@ -54,6 +54,25 @@ def decode(data: bytes) -> Message:
 
     Raises: MessageError: they are no valid message of this version.
     """
+    try:
+        message: Message = _decoded(data, _DECODER)
+        message.check()
+    except MessageError as error:
+        error.sender = error.sender or _sender(data)
+        raise
+    return message
+
+
+def header_of(data: bytes) -> Header:
+    """Return the header of a message.
+
+    Raises: MessageError: no message of this version begins so.
+    """
+    header: Header = _decoded(data, _HEADER_DECODER)
+    return header
+
+
+def _decoded(data: bytes, decoder: Any) -> Any:
     if not data:
         raise MessageError("malformed", "empty message")
     if len(data) > MAX_BYTES:
@@ -61,43 +80,69 @@ def decode(data: bytes) -> Message:
     if data[0] != VERSION:
         raise MessageError("wrong_version", f"protocol version {data[0]}, expected {VERSION}")
     try:
-        content = msgpack.unpackb(
-            memoryview(data)[1:], ext_hook=_unpack_array, raw=False, strict_map_key=True, use_list=False
-        )
+        return decoder.decode(memoryview(data)[1:])
+    except msgspec.ValidationError as error:
+        cause = error.__cause__
+        raise cause if isinstance(cause, MessageError) else _refusal(str(error), data) from error
     except MessageError:
         raise
-    except (ValueError, TypeError, RecursionError, msgpack.UnpackException) as error:
-        raise MessageError("malformed", f"not msgpack ({type(error).__name__})") from error
-    if not (isinstance(content, tuple) and content and isinstance(content[0], str)):
-        raise MessageError("malformed", "expected a list that starts with a message kind")
-    kind, values = content[0], content[1:]
-    if kind not in KINDS and kind not in BUNDLES:
-        raise MessageError("unknown_kind", f"unknown message kind {kind[:40]!r}")
-    names = field_names(kind)
-    if len(values) != len(names):
-        raise MessageError("wrong_shape", f"{kind}: expected {len(names)} fields, got {len(values)}")
+    except (msgspec.DecodeError, ValueError, RecursionError) as error:
+        raise MessageError("malformed", f"not MessagePack ({type(error).__name__})") from error
+
+
+def _refusal(text: str, data: bytes) -> MessageError:
+    """Return the error of a message that msgspec refuses with a text such as "Expected `int` >= 0 - at `$[3]`"."""
+    text, _, place = text.partition(" - at `$[")
+    if text.startswith("Invalid value"):
+        return MessageError("unknown_kind", f"unknown message kind {text[14:54]}")
+    number = int(place.split("]")[0]) if place else 0
+    if number == 0 and " length " not in text:
+        return MessageError("malformed", "expected a list that begins with a message kind")
+    reason: Reason = "wrong_shape"
+    if "float` >= " in text or "float` <= " in text:
+        reason = "not_finite"
+    elif number and any(word in text for word in (" length ", " <= ", " >= ", "enum")):
+        reason = "out_of_range"
+    field = ""
+    if number:
+        with suppress(msgspec.DecodeError, RecursionError, KeyError):
+            kind = _KIND_DECODER.decode(memoryview(data)[1:]).kind
+            field = f"{CLASSES[kind].__struct_fields__[number - 1]}: "
+    return MessageError(reason, f"{field}{text[0].lower()}{text[1:120]}".replace("`", ""))
+
+
+def _sender(data: bytes) -> str:
+    """Return the sender of a message that is refused, or an empty text."""
     try:
-        return class_of(kind)(**dict(zip(names, values, strict=True)))
-    except MessageError as error:
-        error.sender = values[0] if is_name(values[0]) else ""
-        raise
+        name = header_of(data).sender
+    except MessageError:
+        return ""
+    return name if is_name(name) else ""
 
 
-def _pack_array(value: Any) -> msgpack.ExtType:
+def _pack(value: Any) -> Any:
+    if isinstance(value, np.generic):
+        return value.item()
     if not isinstance(value, np.ndarray) or value.ndim > _AXES:
         raise TypeError(f"cannot send {type(value).__name__}")
     lengths = [*value.shape, *[0] * (_AXES - value.ndim)]
-    return msgpack.ExtType(_ARRAY, _HEADER.pack(value.ndim, *lengths) + value.astype(_FLOAT64, copy=False).tobytes())
+    values = value.astype(_FLOAT64, copy=False).tobytes()
+    return msgspec.msgpack.Ext(_ARRAY, _HEADER.pack(value.ndim, *lengths) + values)
 
 
-def _unpack_array(code: int, data: bytes) -> Array:
+def _unpack_array(code: int, data: memoryview) -> Array:
     if code != _ARRAY or len(data) < _HEADER.size:
         raise MessageError("malformed", f"unknown extension type {code} of {len(data)} bytes")
-    header = _HEADER.unpack_from(data)
-    axes = header[0]
+    axes, *lengths = _HEADER.unpack_from(data)
     if axes > _AXES:
         raise MessageError("malformed", f"array of {axes} axes, at most {_AXES} allowed")
-    shape = header[1 : 1 + axes]
+    shape = tuple(lengths[:axes])
     if len(data) - _HEADER.size != 8 * math.prod(shape):
         raise MessageError("malformed", f"array of shape {shape} in {len(data) - _HEADER.size} bytes")
-    return np.ndarray(shape, _FLOAT64, data, _HEADER.size)
+    return np.ndarray(shape, _FLOAT64, bytes(data), _HEADER.size)  # a copy is aligned, and does not keep its bundle
+
+
+_ENCODER = msgspec.msgpack.Encoder(enc_hook=_pack)
+_DECODER: Any = msgspec.msgpack.Decoder(reduce(or_, CLASSES.values()), ext_hook=_unpack_array)
+_HEADER_DECODER = msgspec.msgpack.Decoder(Header)
+_KIND_DECODER = msgspec.msgpack.Decoder(_Kind)

@@ -8,15 +8,336 @@ shared, the other agents `Plan`. For the record: plant `PlantState` and `ActualI
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, ClassVar, Literal
 
-from protocol.wire.bundles import Answer, Bundle, Record, Relay
-from protocol.wire.control_loop import Measurement, Plan, PlanStatus
-from protocol.wire.coordination import Control, LinkChange, Outcome, Roster, Tick
-from protocol.wire.fields import MAX_HORIZON, MAX_NEGOTIATION_ITERATIONS, MAX_TEXT, MAX_TICK, MessageError, Reason
-from protocol.wire.message import BUNDLES, KINDS, Message
-from protocol.wire.names import MAX_UAVS, agent_name, is_name
-from protocol.wire.records import STAGES, ActualInputs, FaultNote, FaultOrigin, PlantState, Rejected, StepReport
+from msgspec import Meta
+
+from model.arrays import Array
+from model.state import INPUTS, PAYLOAD, PER_UAV
+from protocol.wire.message import (
+    MAX_HORIZON,
+    MAX_NEGOTIATION_ITERATIONS,
+    MAX_TEXT,
+    MAX_TICK,
+    Age,
+    Agent,
+    Ages,
+    Count,
+    Counts,
+    Finite,
+    Ids,
+    KeyEnds,
+    Message,
+    MessageError,
+    Parts,
+    PlanTicks,
+    Reason,
+    Route,
+    ShapeOf,
+    Text,
+    lengths_fit,
+)
+from protocol.wire.names import AGENT, COORDINATOR, MAX_UAVS, PLANT, RECORDER, WATCHER, agent_name, is_name
+
+Outcome = Literal["completed", "diverged", "aborted"]
+PlanStatus = Literal["solved", "infeasible", "limit", "numerical"]
+FaultOrigin = Literal["script", "person", "unknown"]
+
+# Stages of an agent's step: waiting for the measurement, the computation, publishing; the total is of the computation.
+STAGES = ("wait", "estimate", "linearise", "discretise", "condense", "solve", "publish", "total")
+
+_ALL = (AGENT, PLANT, RECORDER, WATCHER)
+
+
+def _per_uav(numbers: int) -> ShapeOf:
+    return lambda message: (len(message.uavs), numbers)
+
+
+def _steps(message: Any) -> tuple[int | None, ...]:
+    return None, INPUTS * len(message.uavs)
+
+
+# From the coordinator
+
+
+class Tick(Message, tag="tick", frozen=True, kw_only=True):
+    """Coordinator to plant: tick k is open."""
+
+    route: ClassVar[Route] = Route(sender=COORDINATOR, receivers=(PLANT, RECORDER, WATCHER), grows="tick")
+
+    members: Ids  # agents whose plans of this tick the clock will wait for
+    answered: Ids  # agents whose plans of tick k - 1 count: users of plans of k - 1 wait for these
+    shared: Ids  # those of them that sent the plan to the other agents as well
+    roster: Count  # version of the roster in force: a receiver with an older one waits for it
+    late_ns: Count  # in real time, how long after its deadline the tick was opened; else 0
+    # In real time, by how much the latest plan received since the last tick missed its deadline, the opening of the
+    # tick after its own; else 0.
+    overrun_ns: Count
+
+
+class Roster(Message, tag="roster", frozen=True, kw_only=True):
+    """Coordinator to all: the agents that take part from this tick on."""
+
+    route: ClassVar[Route] = Route(sender=COORDINATOR, receivers=_ALL, grows="version")
+
+    version: Count  # grows with every change
+    agents: Ids  # agents on the roster
+    incarnations: Counts  # their incarnations, in the same order; messages of other incarnations are refused
+    off: Ids  # UAVs whose motors give no thrust and no moments, 1-based ids, ascending; the released ones too
+    released: Ids  # UAVs that are no longer on their rods, 1-based ids, ascending
+    reason: Text  # why it changed, for people
+
+    def check(self) -> None:
+        """Check that each agent has one incarnation, and that released UAVs are off."""
+        lengths_fit(agents=self.agents, incarnations=self.incarnations)
+        if not set(self.released) <= set(self.off):
+            text = f"released: expected UAVs among those off {list(self.off)}, got {list(self.released)}"
+            raise MessageError("out_of_range", text)
+
+
+class LinkChange(Message, tag="link", frozen=True, kw_only=True):
+    """Coordinator to all: from this tick on links treat messages differently.
+
+    Messages keep their order within one key only. The key is that of the roster, so a change arrives before the next
+    roster.
+    """
+
+    route: ClassVar[Route] = Route(sender=COORDINATOR, receivers=_ALL, key="roster")
+
+    number: Annotated[int, Meta(ge=1)]  # of the change in its run: a process that joins late receives all of them again
+    source: str  # name of an end; empty for any agent
+    target: str  # the same
+    settings: Text  # keys of a link and their new values, a JSON object (docs/keys.md, `links`)
+
+    def check(self) -> None:
+        """Check that the ends are processes."""
+        for field, end in (("source", self.source), ("target", self.target)):
+            if end and not is_name(end):
+                raise MessageError("out_of_range", f"{field}: expected a process name, got {end[:40]!r}")
+
+
+class Control(Message, tag="control", frozen=True, kw_only=True):
+    """Coordinator to all: the run ends here."""
+
+    route: ClassVar[Route] = Route(sender=COORDINATOR, receivers=_ALL)
+
+    outcome: Outcome
+    reason: Text  # why, for people; empty when completed
+    exit_code: Annotated[int, Meta(ge=0, le=255)]  # the code every process exits with
+
+
+# The control loop
+
+
+class Measurement(Message, tag="measurement", frozen=True, kw_only=True):
+    """Plant to one agent: the measurements of tick k. It opens the tick for that agent."""
+
+    route: ClassVar[Route] = Route(sender=PLANT, receivers=(AGENT, RECORDER), each="agent", grows="tick")
+    shapes: ClassVar[Mapping[str, ShapeOf]] = {
+        "payload": lambda _: (PAYLOAD,),
+        "uav_states": _per_uav(PER_UAV),
+        "inputs": _per_uav(INPUTS),
+    }
+
+    agent: Agent  # the agent it is for
+    answered: Ids  # forwarded from the tick: agents that planned at tick k - 1
+    shared: Ids  # forwarded from the tick: agents whose plans of tick k - 1 to wait for
+    roster: Count  # forwarded from the tick: the version of the roster in force
+    payload: Array  # states r0, v0, Theta0, omega0, (12,), SI
+    uavs: Ids  # owned UAVs, 1-based ids, ascending
+    uav_states: Array  # their states e, Omega, Theta, omega, (owned, 12), SI
+    inputs: Array  # inputs their actuators applied until now, (owned, 4), N and N m
+
+
+class Plan(Message, tag="plan", frozen=True, kw_only=True):
+    """Agent to plant and coordinator, if shared also to the other agents: states of its UAVs and inputs to apply.
+
+    Its negotiation is 0 for the plan a tick ends with, otherwise how many exchanges within the tick follow.
+    """
+
+    route: ClassVar[Route] = Route(
+        sender=AGENT,
+        receivers=(AGENT, COORDINATOR, PLANT, RECORDER),
+        each="agent",
+        unshared_key="unshared",
+        grows="tick",
+        falls="negotiation",
+    )
+    shapes: ClassVar[Mapping[str, ShapeOf]] = {
+        "uav_states": _per_uav(PER_UAV),
+        "inputs": _steps,
+        "corrections": _steps,
+    }
+
+    agent: Agent  # the agent that planned
+    start_tick: Count  # first sampling instant the inputs are for
+    negotiation: Annotated[int, Meta(ge=0, le=MAX_NEGOTIATION_ITERATIONS - 1)]
+    shared: bool  # whether the other agents receive it: it travels under another key if not
+    uavs: Ids  # owned UAVs, 1-based ids, ascending
+    uav_states: Array  # their states at `tick`, (owned, 12), SI
+    inputs: Array  # absolute inputs per step from `start_tick`, (N_p, 4 owned), N and N m
+    corrections: Array  # corrections of these inputs to the shared control law, (N_p, 4 owned); no rows without one
+    status: PlanStatus  # result of the solve; anything but "solved" means the shifted previous plan
+
+    def check(self) -> None:
+        """Check the arrays, and that inputs and corrections are over the same steps."""
+        Message.check(self)
+        steps = len(self.inputs)
+        if not 1 <= steps <= MAX_HORIZON:
+            raise MessageError("out_of_range", f"inputs: expected 1 to {MAX_HORIZON} steps, got {steps}")
+        if len(self.corrections) not in (0, steps):
+            text = f"corrections: expected none or {steps} steps, got {len(self.corrections)}"
+            raise MessageError("wrong_shape", text)
+
+
+# For the record; only the coordinator acts on them: it ends a diverged run
+
+
+class StepReport(Message, tag="report", frozen=True, kw_only=True):
+    """Agent to the record: one step, with the result of its solve.
+
+    `times_ms` has the wall-clock time per stage, in the order of `STAGES`, (8,); "publish" is that of the step before.
+    These times are not reproducible, unlike the rest.
+    """
+
+    route: ClassVar[Route] = Route(sender=AGENT, receivers=(RECORDER, WATCHER), each="agent", grows="tick")
+    shapes: ClassVar[Mapping[str, ShapeOf]] = {"force": lambda _: (3,), "times_ms": lambda _: (len(STAGES),)}
+
+    agent: Agent
+    status: PlanStatus
+    solver: Text
+    fallback: bool
+    iterations: Count
+    residual: Finite  # the worst KKT residual, or -1 when there is none
+    peers: Ids  # the other agents, ascending
+    plan_ages: Ages  # age in ticks of the newest plan used of each of `peers`; -1 where none was ever received
+    state_ages: Ages  # the same for the newest state of each
+    measurement_age: Age  # the same for the newest measurement used
+    delivered: Count  # plans of others that became usable at this tick
+    lost: Count  # plans of earlier ticks that are known from now on to be lost on their link
+    late: Count  # delivered plans that were older than one tick
+    force: Array  # estimated, on the payload, inertial frame, (3,), N; or zero
+    times_ms: Array
+
+    def check(self) -> None:
+        """Check the arrays, and that each peer has its ages."""
+        Message.check(self)
+        lengths_fit(peers=self.peers, plan_ages=self.plan_ages, state_ages=self.state_ages)
+
+
+class PlantState(Message, tag="plant_state", frozen=True, kw_only=True):
+    """Plant to the record and the coordinator: the true state at tick k and the inputs until k + 1.
+
+    State x, (12 + 12 N,), SI; inputs u over [t_k, t_{k+1}), (4 N,), N and N m. `plan_ticks` has the tick of the plan
+    each UAV's actuators followed, (N,): -1 before any plan, -2 for the fail-safe, -3 with the motors off.
+    """
+
+    route: ClassVar[Route] = Route(sender=PLANT, receivers=(COORDINATOR, RECORDER, WATCHER), grows="tick")
+    shapes: ClassVar[Mapping[str, ShapeOf]] = {
+        "x": lambda message: (PAYLOAD + PER_UAV * len(message.plan_ticks),),
+        "u": lambda message: (INPUTS * len(message.plan_ticks),),
+    }
+
+    x: Array
+    u: Array
+    plan_ticks: PlanTicks
+    local_error: Finite  # largest local error estimate of the integration over the interval, SI
+    diverged: Text  # empty, or why the run ends after this interval
+
+
+class ActualInputs(Message, tag="actual_inputs", frozen=True, kw_only=True):
+    """Plant to the record: mean of the actual inputs over [t_k, t_{k+1}), where the motors make them differ.
+
+    Sent only in a run whose motors are not ideal. With those of `PlantState`, the commands, it explains the motion.
+    """
+
+    route: ClassVar[Route] = Route(sender=PLANT, receivers=(RECORDER,), grows="tick")
+    shapes: ClassVar[Mapping[str, ShapeOf]] = {"inputs": _per_uav(INPUTS)}
+
+    uavs: Ids  # all of them, 1-based ids, ascending
+    inputs: Array  # (N, 4), N and N m
+
+
+class FaultNote(Message, tag="fault", frozen=True, kw_only=True):
+    """Fault injected into a process, or a process that ended by itself; written to the log only, never sent."""
+
+    route: ClassVar[Route] = Route(sender=RECORDER, receivers=())
+
+    target: Text  # name of the process
+    what: Text  # "killed", "stopped", "continued", "started" or how it ended
+    origin: FaultOrigin  # the scenario's script, a person, or unknown to the recorder
+
+
+class Rejected(Message, tag="rejected", frozen=True, kw_only=True):
+    """Any process to the record: it has refused messages. Sent only when there were any; not reproducible.
+
+    Its sequence numbers count messages of this kind alone, so that they do not change those of the others.
+    """
+
+    route: ClassVar[Route] = Route(sender=None, receivers=(RECORDER, WATCHER), each="sender")
+
+    offender: Text  # sender according to the messages, or the key they came under
+    reason: Reason  # why they were refused
+    count: Annotated[int, Meta(ge=1, le=10_000_000)]  # how many since the last message about this offender and reason
+    example: Text  # the error of the first of all of them, for people
+
+
+# Bundles: messages that travel together in lockstep; receivers check each of them as if it had come alone
+
+_ANSWERS = (Plan, StepReport)
+
+
+class Bundle(Message, frozen=True, kw_only=True):
+    """Messages as bytes, each with its key; `carries` has the kinds that a kind of bundle may carry."""
+
+    carries: ClassVar[tuple[type[Message], ...]] = ()
+
+    keys: KeyEnds  # without the prefix of the run, such as "plan/2"
+    parts: Parts  # encoded messages, in the same order
+
+    def may_carry(self, key: str) -> bool:
+        """Return whether a bundle of this kind may carry a message with a key."""
+        beginning = key.split("/", 1)[0]
+        return any(beginning in (cls.kind, cls.route.unshared_key) for cls in self.carries)
+
+    def check(self) -> None:
+        """Check that each message has its key."""
+        lengths_fit(keys=self.keys, parts=self.parts)
+
+
+class Answer(Bundle, tag="answer", frozen=True, kw_only=True):
+    """Agent to coordinator: the plan and the report of a tick."""
+
+    route: ClassVar[Route] = Route(sender=AGENT, receivers=(COORDINATOR,), each="agent", grows="tick")
+    carries: ClassVar[tuple[type[Message], ...]] = _ANSWERS
+
+    agent: Agent
+
+
+class Relay(Bundle, tag="relay", frozen=True, kw_only=True):
+    """Coordinator to all: the answers of a tick, and the tick after it once that is open."""
+
+    route: ClassVar[Route] = Route(sender=COORDINATOR, receivers=_ALL)
+    carries: ClassVar[tuple[type[Message], ...]] = (*_ANSWERS, Tick)
+
+
+class Record(Bundle, tag="record", frozen=True, kw_only=True):
+    """Plant to the record and the coordinator: the plant's state, and the measurements it has sent."""
+
+    route: ClassVar[Route] = Route(sender=PLANT, receivers=(COORDINATOR, RECORDER, WATCHER))
+    carries: ClassVar[tuple[type[Message], ...]] = (PlantState, ActualInputs, Measurement)
+
+
+def _by_kind(base: type[Message]) -> dict[str, type[Message]]:
+    found = {str(cls.__struct_config__.tag): cls for cls in base.__subclasses__() if cls is not Bundle}
+    for kind, cls in found.items():
+        cls.kind = kind
+    return found
+
+
+# Message classes by kind, in the order of their definition: codec, keys, log and exports are built from them. Nodes and
+# logs never see bundles.
+KINDS, BUNDLES = _by_kind(Message), _by_kind(Bundle)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,27 +1,31 @@
-"""Interface of a node: a state machine without I/O. Two runtimes drive the same nodes."""
+"""Interface of a node: a state machine without I/O, driven by two runtimes; and the numbering of its messages."""
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Any, Protocol, TypeVar
 
-from protocol.wire.messages import Control, Event, Message
-from protocol.wire.rejections import Rejections
+import msgspec
+import numpy as np
+
+from protocol.wire.exit_codes import EXIT_UNREACHABLE
+from protocol.wire.message import Message
+from protocol.wire.messages import Control, Event
+
+M = TypeVar("M", bound=Message)
 
 
 class Node(Protocol):
-    """A role in a run as a state machine: events and time in, messages out.
+    """A role in a run as a state machine: accepted messages, other events and time in, messages out.
 
     Times are nanoseconds of a monotonic clock; in lockstep nothing in the messages depends on them. A node that starts
     anew by itself has a higher incarnation from then on, which its runtime announces.
 
     Attributes:
         publish_ns: Time the runtime took to send the last messages; the runtime sets it.
-        rejected: Messages refused by the node and before it, by sender and reason.
     """
 
     name: str
     incarnation: int
     publish_ns: int
-    rejected: Rejections
 
     @property
     def finished(self) -> Control | None:
@@ -31,8 +35,41 @@ class Node(Protocol):
     def wake_ns(self) -> int | None:
         """Return the latest time of the next call of `poll`; None while only events matter."""
 
+    def check_moment(self, message: Message) -> None:
+        """Check that a message can be sent at the present tick, by an agent that takes part: the last check of a gate.
+
+        Raises: MessageError: with the reason.
+        """
+
     def receive(self, event: Event, now_ns: int) -> Sequence[Message]:
-        """Handle one event and return the messages to send."""
+        """Handle one event and return the messages to send. Messages have passed all checks."""
 
     def poll(self, now_ns: int) -> Sequence[Message]:
         """Advance time and return the messages to send."""
+
+
+class Outbox:
+    """Source of a process's messages, with sender, incarnation and a sequence number that grows by one."""
+
+    def __init__(self, sender: str, incarnation: int) -> None:
+        self.sender, self.incarnation = sender, incarnation
+        self._sequence = 0
+
+    def stamp(self, kind: type[M], **fields: Any) -> M:
+        """Return a message of this sender with the next sequence number; its arrays are read-only copies."""
+        for field in kind.shapes:
+            fields[field] = np.array(fields[field], dtype=np.float64)
+            fields[field].setflags(write=False)
+        message = kind(sender=self.sender, incarnation=self.incarnation, sequence=self._sequence, **fields)
+        self._sequence += 1
+        return message
+
+    def again(self, message: M) -> M:
+        """Return a message that was sent before, under a new sequence number, for processes that joined since."""
+        self._sequence += 1
+        return msgspec.structs.replace(message, sequence=self._sequence - 1)
+
+
+def lost(outbox: Outbox, tick: int, reason: str) -> Control:
+    """Return the end of a run for a node that has lost the coordinator, and with it the sender of that message."""
+    return outbox.stamp(Control, tick=max(tick, 0), outcome="aborted", reason=reason, exit_code=EXIT_UNREACHABLE)

@@ -4,10 +4,10 @@ Past inputs of the others: the first step of a plan as announced, then the share
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from agent.announced import KEPT_PLANS, Alignment, AnnouncedInputs, Law
 from model.arrays import Array

@@ -1,11 +1,12 @@
 """Estimate of external forces: it converges at the rate of its filter, under any delay and packet loss."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from agent.announced import AnnouncedInputs
 from agent.disturbance import DisturbanceEstimator

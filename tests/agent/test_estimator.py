@@ -1,11 +1,12 @@
 """State estimate: exact without disturbance, for any delay and order of arrival."""
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from agent.announced import AnnouncedInputs, Law
 from agent.estimator import WINDOW, StateEstimator

@@ -2,10 +2,9 @@
 
 import pytest
 
-from agent.node import AgentNode
-from plant.node import PlantNode
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import LinkChange, StepReport
+from tests.support.nodes import AgentNode, PlantNode
 from tests.support.runs import measurement, plan, roster, setup
 
 OTHERS = (2, 3, 4)

@@ -1,12 +1,12 @@
 """Negotiation within a tick: an iteration waits for the proposals of all agents on the roster."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import pytest
+from msgspec.structs import replace
 
-from agent.node import AgentNode
 from protocol.wire.messages import Message, Plan, Presence
+from tests.support.nodes import AgentNode
 from tests.support.runs import measurement, plan, roster, setup
 
 NEGOTIATION = ("controller.horizon=5", "controller.negotiation_iterations=3")

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import pytest
 
-from agent.node import AgentNode
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Message, Plan, StepReport
+from tests.support.nodes import AgentNode
 from tests.support.runs import measurement, plan, roster, setup
 
 S, MS = 10**9, 10**6  # ns

@@ -1,14 +1,13 @@
 """Sharing of plans: the first, on change, at the heartbeat, under a new roster."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
-from agent.node import AgentNode
 from agent.sharing import Sharing
 from protocol.scenario.schema import ControllerSection
 from protocol.wire.messages import Message, Plan
+from tests.support.nodes import AgentNode
 from tests.support.runs import INCARNATION, measurement, plan, roster, setup
 
 STEPS, RANGE = 4, 8.0

@@ -107,7 +107,7 @@ def random_run(seed: int, number: int) -> SignalRun:
     if rng.random() < 0.3:
         settings += [rng.choice(_IMPAIRED)]
     if pace != "realtime" and rng.random() < 0.3:
-        settings += ["clock.exchange=direct"]
+        settings += ["controller.negotiation_iterations=2"]
     count = 2 if rng.random() < 0.3 else 1
     injections = tuple(_random_injection(rng) for _ in range(count))
     targets = {injection.target for injection in injections}

@@ -24,13 +24,11 @@ from typing import Any
 import numpy as np
 import zenoh
 
-from protocol.admission.admission import Admission
 from protocol.network.endpoints import process_names
 from protocol.network.session import fetch_answer
 from protocol.scenario.file import find_scenario, read_scenario
 from protocol.scenario.setup import Setup
 from protocol.wire.keys import RECORDER, Keys, matches
-from protocol.wire.rejections import Rejections
 from tests.support import attack
 from tests.support.commands import free_base, settings, start, wait_for
 from tests.support.garbage import Garbage
@@ -97,8 +95,7 @@ def campaign(access: str, messages: int, seed: int, folder: Path) -> Result:
 def _attack(access: str, messages: int, rng: np.random.Generator, folder: Path, result: Result) -> None:
     name, base = f"{access}-{result.runs}", free_base()
     result.runs += 1
-    exchange = ("relayed", "direct")[result.runs % 2]
-    flight = (*_FLIGHT, f"clock.exchange={exchange}")
+    flight = _FLIGHT
     network = {
         "open": ("network.secret=false",),
         "recorder": ("network.secret=false",),
@@ -106,7 +103,7 @@ def _attack(access: str, messages: int, rng: np.random.Generator, folder: Path, 
         "certificates": (f"network.keys={keyring('one')}",),
     }[access]
     run = Setup.of(read_scenario(find_scenario("paper"), flight), "paper")
-    keys, names, relayed = Keys(name), process_names(run.scenario), exchange == "relayed"
+    keys, names, relayed = Keys(name), process_names(run.scenario), True
     names = [*names, *([] if access == "open" else [RECORDER])]
     command = ["run", "paper", *settings(*flight, f"network.base_port={base}", *network), "--out", name, "--no-figures"]
     process = start(*command, "--format", "json", cwd=folder)
@@ -120,7 +117,7 @@ def _attack(access: str, messages: int, rng: np.random.Generator, folder: Path, 
                 result.findings.append(f"{name}: a session without keys has connected")
         if access != "secret" and endpoints:
             secure = attack.tls(keyring("one"), "agent1") if access == "certificates" else None
-            max_bytes = Admission("recorder", keys, run, Rejections()).max_bytes
+            max_bytes = run.shape.max_bytes
             source = Garbage("recorder", keys, run, max_bytes, rng, incarnation=0, delay=_DELAY, far=_TICKS)
             awaited, hears = proofs_of_connection(keys, run.agents, relayed=relayed), list[str]()
             may_send = None

@@ -2,7 +2,6 @@
 
 import pytest
 
-from coordinator.node import CoordinatorNode
 from protocol.wire.messages import Control, Roster, Tick
 from tests.support.coordinator_clock import (
     CONTINUE,
@@ -19,7 +18,8 @@ from tests.support.coordinator_clock import (
     started,
     tell,
 )
-from tests.support.runs import ALL, plan, plant_state, refused, setup
+from tests.support.nodes import CoordinatorNode, refused
+from tests.support.runs import ALL, plan, plant_state, setup
 
 BARRIER_NS = round(TIMEOUT_S * S)
 PACED = "clock.speed=1"

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from coordinator.node import CoordinatorNode
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Control, Message, Plan, PlantState, Roster, Tick
 from tests.support.coordinator_clock import CONTINUE, MS, START_NS, S, gone, kinds, ready, started, tell
+from tests.support.nodes import CoordinatorNode
 from tests.support.runs import ALL, plan, plant_state, setup, ticks
 
 REALTIME = ("clock.mode=realtime", "clock.speed=1")

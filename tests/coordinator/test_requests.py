@@ -8,7 +8,6 @@ import pytest
 
 from coordinator import links
 from coordinator.links import MOST_PER_TICK
-from coordinator.node import CoordinatorNode
 from protocol.wire.messages import LinkChange, Message, Request, Roster
 from tests.support.coordinator_clock import (
     CONTINUE,
@@ -22,6 +21,7 @@ from tests.support.coordinator_clock import (
     tell,
 )
 from tests.support.coordinator_clock import ready as is_ready
+from tests.support.nodes import CoordinatorNode
 
 
 def answer_to(node: CoordinatorNode, what: str, **given: Any) -> tuple[Mapping[str, Any], list[Message]]:

@@ -1,13 +1,13 @@
 """Agents that return at a scripted tick, which waits for them, and agents that fall behind in a negotiation."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import pytest
+from msgspec.structs import replace
 
-from coordinator.node import CoordinatorNode
 from protocol.wire.messages import Control, Message, Roster, Tick
 from tests.support.coordinator_clock import CONTINUE, MS, START_NS, TIMEOUT_S, S, gone, kinds, ready, started, tell
+from tests.support.nodes import CoordinatorNode
 from tests.support.runs import ALL, plan, plant_state, setup, ticks
 
 BARRIER_NS = round(TIMEOUT_S * S)

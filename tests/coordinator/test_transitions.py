@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from coordinator.node import CoordinatorNode
 from coordinator.state import TRANSITIONS, State, Trigger
 from protocol.wire.messages import Message, Presence
 from tests.support.coordinator_clock import (
@@ -22,6 +21,7 @@ from tests.support.coordinator_clock import (
     started,
     tell,
 )
+from tests.support.nodes import CoordinatorNode
 from tests.support.runs import plant_state, setup, ticks
 
 AGENTS = [f"agent{agent}" for agent in (1, 2, 3, 4)]

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from model.arrays import Array
-from plant.node import PlantNode
 from protocol.wire.messages import PlantState
+from tests.support.nodes import PlantNode
 from tests.support.runs import ALL, plan, roster, setup, tick
 
 HOVER = np.array([22.0725, 0.0, 0.0, 0.0])  # N: 1.5 kg and a quarter of the payload's 3 kg, under 9.81 m/s^2

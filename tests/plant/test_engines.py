@@ -9,11 +9,11 @@ import pytest
 from model.arrays import Array
 from plant.engines import Engine, checked_engine, engine_version
 from plant.environment import Environment
-from plant.node import PlantNode
 from protocol.scenario.errors import ScenarioError
 from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import EXIT_DIVERGED
 from protocol.wire.messages import Control, Message
+from tests.support.nodes import PlantNode
 from tests.support.runs import ALL, SHORT, integrated, plan, plant_states, recorded, reproducible, roster, setup, tick
 from transport.flight.memory import simulate
 

@@ -7,9 +7,9 @@ from model import state
 from model.arrays import Array
 from model.state import StateView
 from plant.environment import Environment
-from plant.node import PlantNode
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Measurement, Message
+from tests.support.nodes import PlantNode
 from tests.support.runs import ALL, plan, roster, setup, tick
 
 MEAN = "plant.wind.speed_mps=[3.0,-1.0,0.5]"

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from model import state
-from plant.node import PlantNode
 from plant.schedule import MOTOR_OFF
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Measurement, Message, PlantState, Roster
+from tests.support.nodes import PlantNode
 from tests.support.runs import ALL, plan, roster, setup, tick
 
 TICKS = 6

@@ -7,10 +7,10 @@ from scipy.integrate import solve_ivp
 from model import state
 from model.arrays import Array
 from plant.motors import Motors, Rotors
-from plant.node import PlantNode
 from protocol.scenario.plant_sections import MotorsSection, RotorsSection
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import ActualInputs, Message
+from tests.support.nodes import PlantNode
 from tests.support.runs import ALL, plan, plant_states, recorded, roster, setup, tick, ticks
 
 PERIOD_S, STEPS = 0.05, 5

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from plant.node import PlantNode
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Measurement, Message, PlantState
+from tests.support.nodes import PlantNode
 from tests.support.runs import ALL, plan, roster, setup, tick
 
 S, MS = 10**9, 10**6  # ns

@@ -24,7 +24,7 @@ from protocol.wire.messages import (
     Tick,
     agent_name,
 )
-from tests.support.samples import sample
+from tests.support.messages import sample
 
 KEYS = Keys("run-1")
 AGENTS = (1, 2, 12, 123)  # ids that begin with each other

@@ -181,7 +181,7 @@ def test_unknown_measured_delays() -> None:
     found = links()
     changes = LinkChanges(found.values(), SAMPLES)
     with pytest.raises(MessageError, match=r"samples: expected a file that the scenario names, got 'c.csv'"):
-        changes.apply(change(1, 0, distribution="empirical", samples="c.csv"))
+        changes.check(change(1, 0, distribution="empirical", samples="c.csv"))
     assert found["agent2"].impairments(0).perfect
 
 
@@ -190,7 +190,8 @@ def test_changes_come_in_order() -> None:
     found = links()
     changes = LinkChanges(found.values(), SAMPLES)
     with pytest.raises(MessageError) as caught:
-        changes.apply(change(2, 0, loss=0.2))
+        changes.check(change(2, 0, loss=0.2))
+    changes.apply(change(2, 0, loss=0.2))
     assert caught.value.reason == "future"
     assert losses(found, 0) == [0.0, 0.0, 0.0]
 

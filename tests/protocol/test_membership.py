@@ -1,7 +1,5 @@
 """Membership: plans admitted by the rosters received, and plans that overtake their roster."""
 
-from contextlib import suppress
-
 import pytest
 
 from protocol.admission.membership import Membership
@@ -17,7 +15,7 @@ def sent(agent: int, incarnation: int = INCARNATION, k: int = 0) -> Plan:
 def is_refused(membership: Membership, message: Plan) -> bool:
     """Whether a plan is refused rather than kept."""
     with pytest.raises(MessageError) as caught:
-        membership.admits(message)
+        membership.check(message)
     return caught.value.reason == "wrong_incarnation"
 
 
@@ -27,19 +25,6 @@ def test_no_agents_at_first() -> None:
     assert membership.version == 0
     assert membership.agents == set()
     assert not membership.admits(sent(1))
-
-
-def test_rosters_count_in_order_of_version() -> None:
-    """A roster takes effect unless a newer one has; the same again or an older one is refused and changes nothing."""
-    membership = Membership()
-    membership.update(roster({1: 1, 2: 1}, version=2))
-    for old in (roster({1: 1, 2: 1, 3: 1}, version=1), roster({1: 1}, version=2)):
-        with pytest.raises(MessageError, match=r"roster of version \d after version 2"):
-            membership.update(old)
-    assert membership.version == 2
-    assert membership.agents == {1, 2}
-    membership.update(roster({2: 1}, version=5))
-    assert (membership.version, membership.agents) == (5, {2})
 
 
 def test_admitted_incarnations() -> None:
@@ -67,28 +52,12 @@ def test_early_plans_come_back_once_in_order() -> None:
     assert membership.update(roster(version=2)) == []
 
 
-def test_an_old_roster_releases_nothing() -> None:
-    """Plans ahead of a roster still wait after one that changes nothing."""
-    membership = Membership()
-    membership.update(roster())
-    assert not membership.admits(sent(1, 2))
-    with pytest.raises(MessageError):
-        membership.update(roster())
-    assert len(membership.update(roster({1: 2}, version=2))) == 1
-
-
 def test_kept_plans_are_bounded() -> None:
-    """A sender that is never admitted is refused from some plan on, with a text."""
+    """Of many plans whose sender is not on a roster yet the newest are kept."""
     membership = Membership()
-    kept = 0
-    with suppress(MessageError):
-        while kept < 5000:
-            assert not membership.admits(sent(1))
-            kept += 1
-    assert 100 < kept < 5000
-    with pytest.raises(MessageError, match="that no roster has admitted"):
-        membership.admits(sent(1))
-    assert len(membership.update(roster())) == kept
+    for _ in range(5000):
+        assert not membership.admits(sent(1))
+    assert 100 < len(membership.update(roster())) < 5000
 
 
 def test_plans_sent_before_leaving_count() -> None:
@@ -112,18 +81,3 @@ def test_participants_of_a_tick() -> None:
     membership.update(roster({1: 1}, k=5, version=2))
     membership.update(roster({1: 1, 3: 4}, k=8, version=3))
     assert [membership.took_part(tick) for tick in (4, 5, 7, 8)] == [{1, 2}, {1}, {1}, {1, 3}]
-
-
-def test_no_plans_come_from_a_closed_connection() -> None:
-    """Once its connection is closed an agent's old plans are not awaited, those of its next incarnation are."""
-    membership = Membership()
-    membership.update(roster({1: 1, 2: 3}))
-    membership.update(roster({1: 1}, k=5, version=2))
-    for name in ("recorder", "agent", "agent1x", "plant"):
-        membership.close(name, 9)
-    membership.close("agent2", 2)  # an earlier start of it
-    assert membership.took_part(4) == {1, 2}
-    membership.close("agent2", 3)
-    assert membership.took_part(4) == {1}
-    membership.update(roster({1: 1, 2: 4}, k=6, version=3))
-    assert membership.took_part(6) == {1, 2}

@@ -6,11 +6,11 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import zenoh
+from msgspec.structs import replace
 
 from protocol.wire.codec import decode, encode
 from protocol.wire.keys import Keys

@@ -2,8 +2,8 @@
 
 from collections.abc import Iterable, Sequence
 
-from coordinator.node import CoordinatorNode
 from protocol.wire.messages import Message, Presence, agent_name
+from tests.support.nodes import CoordinatorNode
 from tests.support.runs import ALL, INCARNATION, plan, plant_state, setup, ticks
 
 THREE = ticks(3)

@@ -3,11 +3,11 @@
 import struct
 from collections import deque
 from collections.abc import Callable, Iterable
-from dataclasses import replace
 from typing import Any, TypeVar
 
 import msgpack
 import numpy as np
+from msgspec.structs import replace
 
 from model import state
 from protocol.scenario.setup import Setup

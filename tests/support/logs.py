@@ -1,12 +1,12 @@
 """Logs composed of single messages and of simulated runs, for the tests of metrics, report and figures."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import tomli_w
+from msgspec.structs import replace
 
 from model import state
 from model.arrays import Array

@@ -18,7 +18,7 @@ _STRINGS = (
     "../../etc/passwd", "/", "/dev/zero", "/dev/null", "/dev/tty", "/proc/self/mem", "no.csv", "agent0",
     "agent9", "agent1", "plant", "coordinator", "recorder", "uav1", "uav99", "daqp", "clarabel", "riccati",
     "multiple", "open_loop", "closed_loop", "realtime", "lockstep", "next_tick", "immediate", "direct",
-    "relayed", "step", "min_jerk", "normal", "exponential", "lognormal", "empirical", "kill", "stop", "restart",
+    "step", "min_jerk", "normal", "exponential", "lognormal", "empirical", "kill", "stop", "restart",
     "continue", "motor_off", "release", "abort", "hold", "auto", "euler", "held", "as_received", "by_one",
     "on_change", "absolute", "(" * 5_000, "-" * 5_000, "1+" * 3_000 + "1", "thrust1 <= 40", "r0[2] <= 1e400",
     "r0[9] <= 1", "1/0 <= 1", "9**9**9**9 <= 1", "sqrt(-1) <= r0[0]", "r0[0] == 0", "__import__('os')", "v0[0]",
@@ -49,7 +49,7 @@ _ADDED: tuple[tuple[tuple[str, ...], Any], ...] = (
     (("agents",), {"owned": [[1, 2], [3, 4]]}),
     (("agents",), {"owned": [[1, 2, 3, 4]]}),
     (("clock",), {"mode": "realtime", "speed": 1.0, "overrun_limit": 3, "overrun_limit_s": 0.1, "on_overrun": "hold"}),
-    (("clock",), {"on_agent_loss": "continue", "barrier_timeout_s": 2.0, "join_timeout_s": 5.0, "exchange": "direct"}),
+    (("clock",), {"on_agent_loss": "continue", "barrier_timeout_s": 2.0, "join_timeout_s": 5.0}),
     (("maneuver",), {"profile": "min_jerk", "phase": [{"name": "path", "file": "path.csv"}]}),
     (("system",), {"gravity_mps2": 3.7}),
 )  # fmt: skip

@@ -2,11 +2,11 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from msgspec.structs import replace
 
 from model import state
 from model.arrays import Array
@@ -24,7 +24,6 @@ from protocol.wire.messages import (
     Tick,
     agent_name,
 )
-from protocol.wire.node import Node
 from transport.flight.memory import simulate
 
 SCENARIOS = Path(__file__).resolve().parents[2] / "scenarios"
@@ -111,11 +110,6 @@ def roster(incarnations: dict[int, int] | None = None, k: int = 0, version: int 
 def end(k: int = 0) -> Control:
     """Return the coordinator's message that ends the run at tick k."""
     return Control(sender="coordinator", incarnation=0, sequence=9, tick=k, outcome="completed", reason="", exit_code=0)
-
-
-def refused(node: Node) -> list[tuple[str, str, int]]:
-    """Return a node's rejections as sender, reason and count."""
-    return [(entry.sender, entry.reason, entry.count) for entry in node.rejected]
 
 
 def measurement(

@@ -10,8 +10,8 @@ import pytest
 from agent.node import AgentNode
 from coordinator.node import CoordinatorNode
 from plant.node import PlantNode
-from protocol.admission import samples
-from protocol.admission.admission import Admission
+from protocol.admission.gate import Gate
+from protocol.admission.gate import Sample as Unread
 from protocol.network import bus as bus_module
 from protocol.network import process
 from protocol.network.bus import Bus, Interrupted
@@ -22,7 +22,6 @@ from protocol.wire.codec import decode, encode
 from protocol.wire.keys import Keys, matches
 from protocol.wire.messages import Bundle, Control, Message, Presence, Rejected
 from protocol.wire.node import Node
-from protocol.wire.rejections import Rejections
 from tests.support.runs import INCARNATION
 from transport.flight.recorder import Recorder
 
@@ -97,17 +96,16 @@ class Receiver(Protocol):
     """A process that receives messages over its bus."""
 
     bus: Bus
-    admission: Admission
-    rejected: Rejections
+    gate: Gate
 
     def hear(self, key: str, data: bytes) -> list[tuple[str, bytes]]:
         """Process bytes that arrive under a key; return what is sent meanwhile."""
 
 
-class SilentAdmission(Admission):
-    """Admission whose notices wait for the end of the run: their times depend on the host."""
+class SilentGate(Gate):
+    """Gate whose notices wait for the end of the run: their times depend on the host."""
 
-    def due_notices(self, now_ns: int, incarnation: int) -> list[Rejected]:
+    def notices(self, now_ns: int, incarnation: int) -> list[Rejected]:
         """Return no notices."""
         return []
 
@@ -116,17 +114,16 @@ class NodeReceiver:
     """A node with admission, bus, exchange and loop of its process."""
 
     def __init__(self, node: Node, keys: Keys, setup: Setup) -> None:
-        self.node, self.rejected = node, node.rejected
-        relayed = setup.scenario.clock.relayed
-        self.admission: Admission = SilentAdmission(node.name, keys, setup, node.rejected, refuses_lone_plans=relayed)
+        self.node = node
+        self.gate: Gate = SilentGate(node.name, keys, setup.shape, node.check_moment)
         self.bus = Bus(
             name=node.name,
             incarnation=node.incarnation,
             run=keys.run,
             digest=setup.scenario.digest(),
             endpoints=Endpoints(listen=[], connect=[]),
-            admission=self.admission,
-            relayed=relayed,
+            gate=self.gate,
+            relayed=setup.scenario.clock.relayed,
         )
         self.exchange = exchange_of(setup, node.name, node.incarnation, keys, self.bus.put)
         self.bus.before_wait = self.exchange.settle
@@ -154,14 +151,14 @@ class RecordingReceiver:
 
     def __init__(self, recorder: Recorder) -> None:
         self._recorder, self.bus = recorder, recorder._bus
-        self.admission, self.rejected = recorder.admission, recorder.rejected
+        self.gate = recorder.gate
 
     def hear(self, key: str, data: bytes) -> list[tuple[str, bytes]]:
         """Record the messages that come with some bytes."""
         self.bus._put(Sample(key, data))  # type: ignore[arg-type]
         self.bus.interrupt("nothing more arrives")
         while not isinstance(event := self.bus.next(None), Interrupted):
-            if isinstance(event, Message | samples.Sample):
+            if isinstance(event, Message | Unread):
                 self._recorder.receive(event)
         return sent_by(self.bus)
 
@@ -194,7 +191,7 @@ class Wire:
         self._queue: deque[tuple[str, str, bytes]] = deque()
         for receiver in self.receivers.values():
             for name in self.receivers:
-                receiver.admission.announce(name, INCARNATION)
+                receiver.gate.announce(name, INCARNATION)
 
     def simulate(self) -> Control:
         """Simulate to the end and return the coordinator's last message."""
@@ -208,7 +205,7 @@ class Wire:
             for name in self.listeners(key):
                 if name != sender:
                     self._before(self, name, key, data)
-                    rejected = self.receivers[name].rejected
+                    rejected = self.receivers[name].gate.rejections
                     before = rejected.total
                     self._hear(name, key, data)
                     assert rejected.total == before, f"{name} refuses {key}: {list(rejected)}"
@@ -231,8 +228,7 @@ class Wire:
         """Send each receiver's rejections to the recorder, as at the end of a run; the recorder's own come last."""
         recorder = self.receivers["recorder"]
         for name, receiver in self.receivers.items():
-            receiver.admission.close()
-            for notice in receiver.admission.remaining_notices(INCARNATION):
+            for notice in receiver.gate.last_notices(INCARNATION):
                 if name == "recorder":
                     assert isinstance(recorder, RecordingReceiver)
                     recorder._recorder.receive(notice)

@@ -3,25 +3,24 @@
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import zenoh
+from msgspec.structs import replace
 
-from protocol.admission.admission import Admission
+from protocol.admission.gate import Gate
 from protocol.network.bus import Bus
 from protocol.network.endpoints import Endpoints
 from protocol.network.security import Security, access_control
 from protocol.wire.codec import VERSION, encode
 from protocol.wire.keys import ACTING, OPERATOR, ROUTER, WATCHER, Keys
 from protocol.wire.messages import BUNDLES, KINDS, Answer, Message, Plan, agent_name
-from protocol.wire.rejections import Rejections
 from tests.support import attack, runs
 from tests.support.commands import free_base
 from tests.support.keyrings import keyring
+from tests.support.messages import sample
 from tests.support.runs import setup
-from tests.support.samples import sample
 
 KEYS = Keys("guarded")
 DIGEST = "0123456789ab"
@@ -45,9 +44,8 @@ class Guarded:
     """
 
     def __init__(self, name: str, port: int) -> None:
-        self.rejections = Rejections()
         self.at = f"tls/127.0.0.1:{port}"
-        self.admission = Admission(name, KEYS, setup(), self.rejections)
+        self.gate = Gate(name, KEYS, setup().shape)
         security = Security(keyring("one"), TEAM)
         self.bus = Bus(
             name=name,
@@ -55,7 +53,7 @@ class Guarded:
             run=KEYS.run,
             digest=DIGEST,
             endpoints=Endpoints(listen=[self.at], connect=[], security=security),
-            admission=self.admission,
+            gate=self.gate,
             serves=name == "coordinator",
         )
 
@@ -68,9 +66,8 @@ class Guarded:
 
     @property
     def reached(self) -> int:
-        """Return the number of messages that reached the bus: refused, or kept until a token arrives."""
-        self.admission.count_unread()
-        return self.rejections.total + self.admission.kept
+        """Return the number of messages that reached the bus and were refused."""
+        return self.gate.rejections.total
 
 
 @pytest.fixture(scope="module", name="plant")
@@ -141,8 +138,8 @@ def test_impostors_are_refused(plant: Guarded, impostor: str) -> None:
         assert (
             0 <= extra <= (MOST_REPEATED if impostor == "agent1" else 0)
         )  # its own messages, repeated until one arrived
-        assert {entry.sender for entry in plant.rejections} <= {"plan/1"}
-        assert all(plant.bus._peers.alive.get(name) is None for name in ("coordinator", "agent2"))
+        assert {entry.sender for entry in plant.gate.rejections} <= {"plan/1"}
+        assert all(plant.bus.peers.alive.get(name) is None for name in ("coordinator", "agent2"))
         del tokens
 
 
@@ -163,9 +160,8 @@ def test_forged_bundles_are_dropped(impostor: str, own: str) -> None:
                     attack.say(session, key, encode(answer))
             assert reaches(coordinator, session, f"{KEYS.prefix}/{own}")
             assert coordinator.accepted(0.3) == []
-            assert {entry.sender for entry in coordinator.rejections} == {own}
+            assert {entry.sender for entry in coordinator.gate.rejections} == {own}
             assert coordinator.reached - before <= MOST_REPEATED
-            assert coordinator.admission.kept == 0
     finally:
         coordinator.bus.close()
 

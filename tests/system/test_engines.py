@@ -97,7 +97,7 @@ def states(folder: Path) -> Array:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("changes", [(), (SHORT, "clock.exchange=direct")], ids=["maneuver", "direct"])
+@pytest.mark.parametrize("changes", [(), (SHORT,)], ids=["maneuver", "short"])
 def test_a_foreign_plant_flies(changes: tuple[str, ...], tmp_path: Path) -> None:
     """A plant without code of the project integrates the maneuver like this one's, with relayed and direct plans."""
     base = free_base()

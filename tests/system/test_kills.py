@@ -26,9 +26,6 @@ from transport.log.run_log import read_log
 
 TEAM = ["coordinator", "plant", "agent1", "agent2", "agent3", "agent4"]
 USAGE, LOST, INTERRUPTED = 2, 4, 130
-RELAYED, DIRECT = (f"clock.exchange={exchange}" for exchange in ("relayed", "direct"))
-# Lockstep exchanges plans in two ways; a second run of a test is slow.
-BOTH = [RELAYED, pytest.param(DIRECT, marks=pytest.mark.slow)]
 
 # A command that hangs at its end, and signals then.
 SIGNALLED_AFTERWARDS = """
@@ -103,12 +100,11 @@ def test_a_process_stopped_before_the_run_is_named(tmp_path: Path) -> None:
     assert not log.cut
 
 
-@pytest.mark.parametrize("exchange", BOTH)
 @pytest.mark.parametrize("victim", ["coordinator", "plant", pytest.param("agent1", marks=pytest.mark.slow), "agent4"])
-def test_a_killed_process_ends_the_run_in_order(victim: str, exchange: str, tmp_path: Path) -> None:
+def test_a_killed_process_ends_the_run_in_order(victim: str, tmp_path: Path) -> None:
     """SIGKILL of any process: exit code 4, the victim named, the log complete up to then, no process left."""
     run = f"kill-{victim}"
-    process = take_off(tmp_path, run, exchange)
+    process = take_off(tmp_path, run)
     os.kill(processes_of(run)[victim], signal.SIGKILL)
     _, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == LOST
@@ -162,10 +158,9 @@ def test_a_frozen_agent_is_noticed_by_the_barrier(tmp_path: Path) -> None:
     assert processes_of("frozen") == {}
 
 
-@pytest.mark.parametrize("exchange", BOTH)
-def test_the_others_continue_if_configured(exchange: str, tmp_path: Path) -> None:
+def test_the_others_continue_if_configured(tmp_path: Path) -> None:
     """With `on_agent_loss = "continue"` the clock goes on without the killed agent, and the record names it."""
-    process = take_off(tmp_path, "continued", "clock.on_agent_loss=continue", exchange)
+    process = take_off(tmp_path, "continued", "clock.on_agent_loss=continue")
     os.kill(processes_of("continued")["agent3"], signal.SIGKILL)
     assert wait_for(lambda: "agent3" not in processes_of("continued"))
     log = tmp_path / "continued" / "run.mcap"

@@ -115,12 +115,11 @@ def test_two_runs_are_equal(short: tuple[Path, dict[str, Any]], tmp_path: Path) 
     [
         pytest.param(("clock.actuation=next_tick",), id="next tick"),
         pytest.param(
-            ("agents.owned=[[1, 2], [3, 4]]", "clock.exchange=direct"),
-            id="two UAVs each, direct",
+            ("agents.owned=[[1, 2], [3, 4]]",),
+            id="two UAVs each",
             marks=pytest.mark.slow,
         ),
         pytest.param((ITERATIONS, "clock.speed=2.0"), id="paced negotiation"),
-        pytest.param((ITERATIONS, "clock.exchange=direct"), id="negotiation, direct", marks=pytest.mark.slow),
     ],
 )
 def test_network_equals_memory(changes: tuple[str, ...], tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace as edited
 from rich.console import Console
 
 from protocol.scenario.setup import Setup
@@ -123,7 +124,7 @@ def test_computation_is_summed_over_the_team() -> None:
         times_ms = np.zeros(len(STAGES))
         last = message.agent == 3 and message.tick == TICKS - 1
         times_ms[[STAGES.index("solve"), STAGES.index("total")]] = slow_ms if last else message.agent
-        return replace(message, times_ms=times_ms)
+        return edited(message, times_ms=times_ms)
 
     messages = [timed(message) for message in messages]
     at = {id(message): per_message_ns * i for i, message in enumerate(messages)}

@@ -18,9 +18,6 @@ from transport.log.writer import LogWriter
 from transport.report.report import write_report
 
 LOST = 4
-RELAYED, DIRECT = (f"clock.exchange={exchange}" for exchange in ("relayed", "direct"))
-# Lockstep exchanges plans in two ways; a second run of a test is slow.
-BOTH = [RELAYED, pytest.param(DIRECT, marks=pytest.mark.slow)]
 
 
 def messages(log: RunLog) -> list[Message]:
@@ -35,11 +32,11 @@ def steps(folder: Path) -> list[list[str]]:
     return [[row[i] for i in kept] for row in rows]
 
 
-@pytest.fixture(scope="module", params=BOTH)
-def troubled(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture(scope="module")
+def troubled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of a run with all faults at once: impaired links, two iterations, a kill and a freeze."""
     folder = tmp_path_factory.mktemp("troubled")
-    changes = settings(SHORT, HEAVY, ITERATIONS, NEXT_TICK, *FAULTS, request.param)
+    changes = settings(SHORT, HEAVY, ITERATIONS, NEXT_TICK, *FAULTS)
     result = transport("run", "resilient", *changes, "--out", "run", "--no-figures", cwd=folder)
     assert result.returncode == 0, result.stderr
     assert processes_of("run") == {}
@@ -133,11 +130,10 @@ def aborted(folder: Path, victim: str, do: str, *changes: str) -> dict[str, Any]
     return summary
 
 
-@pytest.mark.parametrize("exchange", BOTH)
 @pytest.mark.parametrize("victim", ["plant", pytest.param("coordinator", marks=pytest.mark.slow)])
-def test_a_run_needs_plant_and_coordinator(victim: str, exchange: str, tmp_path: Path) -> None:
+def test_a_run_needs_plant_and_coordinator(victim: str, tmp_path: Path) -> None:
     """A run whose plant or coordinator is killed by script at a tick ends there, regardless of `on_agent_loss`."""
-    summary = aborted(tmp_path, victim, "kill", "clock.on_agent_loss=continue", exchange)
+    summary = aborted(tmp_path, victim, "kill", "clock.on_agent_loss=continue")
     assert summary["reason"] == f"{victim} is gone"
     (noted,) = (event for event in summary["faults"] if event["kind"] == "fault")
     assert (noted["what"], noted["tick"]) == (f"{victim} killed by script", 10)
@@ -150,10 +146,9 @@ def test_a_run_needs_plant_and_coordinator(victim: str, exchange: str, tmp_path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("exchange", [RELAYED, DIRECT])
-def test_a_frozen_plant(exchange: str, tmp_path: Path) -> None:
+def test_a_frozen_plant(tmp_path: Path) -> None:
     """A plant stopped for good is noticed by the barrier, as no agent can answer without it."""
-    summary = aborted(tmp_path, "plant", "stop", exchange, "clock.barrier_timeout_s=2.5")
+    summary = aborted(tmp_path, "plant", "stop", "clock.barrier_timeout_s=2.5")
     assert summary["reason"] == "no agent answered tick 10 in time: is the plant alive?"
 
 

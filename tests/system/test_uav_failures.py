@@ -176,18 +176,17 @@ def test_no_controller_anticipates_the_fault() -> None:
     ]
 
 
-@pytest.mark.parametrize("exchange", ["relayed", pytest.param("direct", marks=pytest.mark.slow)])
-def test_processes_fly_the_same(exchange: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("ideal", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["lag", "ideal"])
+def test_processes_fly_the_same(ideal: bool, tmp_path: Path) -> None:
     """Across processes a motor failure and a release give bitwise the in-memory run, with ideal and with other motors.
 
-    The motors are ideal in the direct run; in the relayed one they lag, as the controllers know, and one UAV's degrade.
+    Motors that are not ideal lag, as the controllers know, and those of one UAV degrade.
     """
     failure = "{at_s=0.5,do='motor_off',target='uav3'},{at_s=0.55,do='release',target='uav3'}"
     motors = ("plant.motors={lag_s=0.05,thrust_step_N=0.01}", "controller.motor_lag_s=0.05")
-    ideal = exchange == "direct"
     degraded = "{at_s=0.3,do='degrade',target='uav1',efficiency=0.95}"
     events = f"faults.event=[{failure if ideal else f'{degraded},{failure}'}]"
-    changes = settings(SHORT, events, f"clock.exchange={exchange}", *(() if ideal else motors))
+    changes = settings(SHORT, events, *(() if ideal else motors))
     result = transport("run", "resilient", *changes, "--out", "run", "--no-figures", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     folder, again = tmp_path / "run", tmp_path / "again"

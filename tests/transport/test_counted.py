@@ -1,6 +1,6 @@
 """Messages of a log that count: those of agents that took part in the tick of the message."""
 
-from dataclasses import replace
+from msgspec.structs import replace
 
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Message, Plan, StepReport

@@ -1,6 +1,5 @@
 """The copy of a log for Foxglove holds the whole log, and its additional messages are valid by their schemas."""
 
-import dataclasses
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,7 +20,7 @@ from protocol.wire.codec import encode
 from protocol.wire.messages import KINDS, Message, PlantState
 from tests.support import runs
 from tests.support.logs import record_run
-from tests.support.strategies import messages as any_message
+from tests.support.messages import messages as any_message
 from transport.cli.main import app
 from transport.log.channels import topic_of
 from transport.log.run_folder import open_run
@@ -163,11 +162,11 @@ def test_json_keeps_every_bit(message: Message) -> None:
     """A message rebuilt from its JSON is the same bit for bit, including signed zeros and empty arrays."""
     content = orjson.loads(to_json(message))
     values = {}
-    for field in dataclasses.fields(message):
-        value = content[field.name]
-        if isinstance(getattr(message, field.name), np.ndarray):
-            value = np.array(value, dtype=np.float64).reshape(content.get(f"{field.name}_shape", -1))
-        values[field.name] = value
+    for field in message.__struct_fields__:
+        value = content[field]
+        if isinstance(getattr(message, field), np.ndarray):
+            value = np.array(value, dtype=np.float64).reshape(content.get(f"{field}_shape", -1))
+        values[field] = value
     assert encode(type(message)(**values)) == encode(message)
 
 

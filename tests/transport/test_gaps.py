@@ -1,11 +1,11 @@
 """Messages missing from a log show as gaps in the sequence numbers of the others."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import tomli_w
+from msgspec.structs import replace
 
 from protocol.wire.messages import FaultNote, Message, Plan, PlantState, Rejected
 from tests.support import runs

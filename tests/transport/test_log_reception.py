@@ -1,19 +1,19 @@
 """A log holds what came; who reads it sees what a receiver of the run would have accepted."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
+from msgspec.structs import replace
 
-from protocol.wire.codec import encode
-from protocol.wire.header import header_of
+from protocol.wire.codec import encode, header_of
 from protocol.wire.keys import Keys
-from protocol.wire.messages import Message, Plan, PlantState, Record, Rejected, Relay, Tick
-from protocol.wire.outbox import Outbox
+from protocol.wire.messages import Message, MessageError, Plan, PlantState, Record, Rejected, Relay, Tick
+from protocol.wire.node import Outbox
 from tests.support import runs
 from tests.support.logs import HEADER, with_scenario
 from transport.log.parser import records
@@ -59,14 +59,15 @@ def bundled(flight: Sequence[Message]) -> list[Entry]:
     return [entry(alone[0]), *found, entry(alone[-1])]
 
 
-def write(path: Path, entries: Sequence[Entry], announced: Sequence[tuple[str, int]] | None = None) -> Path:
+def write(path: Path, entries: Sequence[Entry]) -> Path:
     """Write the log of entries as they came, 1 ms apart, behind the tokens of all processes."""
     with LogWriter(path, with_scenario(HEADER, RUN), period_ns=RUN.period_ns) as writer:
-        for name, incarnation in announced if announced is not None else [(name, 0) for name in PROCESSES]:
-            writer.announce(name, incarnation, 0)
+        for name in PROCESSES:
+            writer.announce(name, 0, 0)
+        header = header_of(entries[0][1])
         for number, (key, data) in enumerate(entries):
-            header = header_of(data)
-            assert header is not None
+            with suppress(MessageError):  # a garbled entry has the header of the one before
+                header = header_of(data)
             writer.add(f"/{key}", data, header, 1_000_000 * number)
     return path
 
@@ -115,23 +116,6 @@ def test_bad_messages_change_nothing(tmp_path: Path, flight: list[Message], rela
     assert sum(counts.values()) >= 3
     tail = [message for message in LogTail(tmp_path / "run.mcap").read() if not isinstance(message, Rejected)]
     assert {encode(message) for message in tail if isinstance(message, Message)} == accepted(log)
-
-
-def test_tokens_decide(tmp_path: Path, flight: list[Message]) -> None:
-    """A message ahead of its sender's token waits for it; without one it is refused, as is one of an earlier start."""
-    first = next(message for message in flight if isinstance(message, Plan) and message.agent == 2)
-    path, known = tmp_path / "run.mcap", [(name, 0) for name in PROCESSES if name != "agent2"]
-    assert accepted(read_log(write(path, [entry(first)], known))) == set()
-    log = read_log(write(path, [entry(first)], [*known, ("agent2", 1)]))
-    assert refused(log) == {("agent2", "wrong_incarnation"): 1}
-    header = header_of(encode(first))
-    assert header is not None
-    with LogWriter(path, with_scenario(HEADER, RUN), period_ns=RUN.period_ns) as writer:
-        writer.add("/plan/2", encode(first), header, 0)
-        writer.announce("agent2", 0, 1)
-    log = read_log(path)
-    assert accepted(log) == {encode(first)}
-    assert refused(log) == {}
 
 
 def test_a_damaged_chunk_costs_no_other(tmp_path: Path, flight: list[Message]) -> None:

@@ -1,10 +1,10 @@
 """Metrics: cases small enough to compute by hand."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from model import state
 from model.arrays import Array

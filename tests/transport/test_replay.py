@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace as edited
 from typer.testing import CliRunner, Result
 
 from protocol.wire.messages import FaultNote, Message, Plan, StepReport
@@ -94,7 +95,7 @@ def test_one_bit_is_found() -> None:
     victim = next(plan for plan in plans(log, 2) if plan.tick == 7)
     inputs = victim.inputs.copy()
     inputs[3, 0] = np.nextafter(inputs[3, 0], np.inf)
-    changed = replace(victim, inputs=inputs)
+    changed = edited(victim, inputs=inputs)
     log = logs.log_of([changed if entry.message is victim else entry.message for entry in log.messages])
     _, comparison = compared(log, 2)
     first = comparison.first
@@ -110,7 +111,7 @@ def test_zero_and_minus_zero_differ() -> None:
     """0 and -0 differ, by size 0."""
     run = runs.setup(runs.SHORT)
     one = runs.plan(run, 1, 3, inputs=np.zeros((2, 4)))
-    found = list(differences(replace(one, inputs=-one.inputs), one))
+    found = list(differences(edited(one, inputs=-one.inputs), one))
     assert [(entry.name, entry.size) for entry in found] == [("inputs", 0.0)]
 
 
@@ -221,6 +222,6 @@ def test_command_refuses(folder: Path, arguments: tuple[str, ...], code: int, te
 def test_step_reports_have_wall_clocks_that_do_not_count() -> None:
     """Two reports that differ only in their times are equal."""
     report = logs.report(runs.setup(), 1, 4)
-    assert list(differences(replace(report, times_ms=report.times_ms * 2.0), report)) == []
-    found = list(differences(replace(report, iterations=9), report))
+    assert list(differences(edited(report, times_ms=report.times_ms * 2.0), report)) == []
+    found = list(differences(edited(report, iterations=9), report))
     assert [(entry.field, entry.size) for entry in found] == [(f"{StepReport.kind}.iterations", 7.0)]

@@ -7,7 +7,6 @@ import subprocess
 import sys
 import tracemalloc
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,12 +15,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import Writer
+from msgspec.structs import replace
 
 from protocol.wire.codec import encode
 from protocol.wire.messages import FaultNote, Message, Plan, Tick
 from tests.support import runs
-from tests.support.samples import sample
-from tests.support.strategies import messages as any_message
+from tests.support.messages import messages as any_message
+from tests.support.messages import sample
 from transport.log.channels import ENCODING, TOKENS
 from transport.log.parser import Parser
 from transport.log.run_log import LogError, RunLog, read_log

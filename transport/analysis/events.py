@@ -5,14 +5,20 @@ from typing import Any
 
 from protocol.scenario.faults import degradations, uav_name
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import ActualInputs, Control, FaultNote, Message, Roster, Tick, agent_name
+from protocol.wire.message import Message
+from protocol.wire.messages import ActualInputs, Control, FaultNote, Roster, Tick
+from protocol.wire.names import agent_name
 from transport.log.run_log import RunLog
 
 _ORIGIN = {"script": " by script", "person": " by hand", "unknown": ""}
 
 
 def events(setup: Setup, log: RunLog, control: Control | None) -> list[dict[str, Any]]:
-    """Return the events in order, as JSON data with the fields of `faults` in summary.schema.json."""
+    """Return the events in the order of their ticks, as JSON data with the fields of `faults` in summary.schema.json.
+
+    The log is in the order of arrival, and on a busy host the messages of one process may arrive ticks after those of
+    another.
+    """
     found: list[dict[str, Any]] = []
     began_ns = min(log.received_ns(Tick).values(), default=None)
 
@@ -50,6 +56,7 @@ def events(setup: Setup, log: RunLog, control: Control | None) -> list[dict[str,
                 kind = "detected" if left else "rejoined" if joined else "notice"
                 add(message, received_ns, kind, message.reason, left or joined)
             before, off = message, now_off
+    found.sort(key=lambda event: int(event["tick"]))
     if control is not None and control.reason:
         add(control, log.received_ns(Control).get(control.tick), "end", control.reason, [])
     return found

@@ -19,12 +19,14 @@ from protocol.wire.messages import (
     LinkChange,
     Measurement,
     Message,
+    MessageError,
     Plan,
     Presence,
     Roster,
     StepReport,
     agent_name,
 )
+from protocol.wire.rejections import Rejections
 from transport.log.run_log import RunLog
 
 # Arrival time of plans in real time, ns: so early that no delay applies to a plan that is known to have been there.
@@ -88,6 +90,7 @@ class Replay:
     before_measurement: Callable[[AgentNode, Measurement], None] = lambda _node, _measurement: None
     notes: list[str] = field(default_factory=list)
     refused: list[str] = field(default_factory=list)
+    _rejections: Rejections = field(init=False)
 
     def steps(self) -> Iterator[Step]:
         """Yield the ticks of the agent, in order."""
@@ -102,6 +105,7 @@ class Replay:
         with threadpoolctl.threadpool_limits(1):  # as in every process of a run, for the same bits
             for process in processes:
                 node = AgentNode(self.setup, self.agent, process.incarnation)
+                self._rejections = Rejections(node.name)
                 feed = self._lockstep if self.setup.scenario.clock.mode == "lockstep" else self._realtime
                 for answers in _by_tick(feed(node, process)):
                     yield Step(
@@ -112,8 +116,17 @@ class Replay:
                     )
                 self.refused += [
                     f"{entry.count} of {entry.sender} ({entry.reason.replace('_', ' ')}: {entry.example})"
-                    for entry in node.rejected
+                    for entry in self._rejections
                 ]
+
+    def _give(self, node: AgentNode, message: Message, now_ns: int) -> list[Message]:
+        """Hand a message to a node as its gate would; return the answers."""
+        try:
+            node.check_moment(message)
+        except MessageError as error:
+            self._rejections.add(message.sender, error)
+            return []
+        return list(node.receive(message, now_ns))
 
     def _lockstep(self, node: AgentNode, process: _Process) -> Iterator[Message]:
         """Feed one process in a possible order of arrival, and yield its messages."""
@@ -134,7 +147,7 @@ class Replay:
                     return
                 self.before_measurement(node, message)
                 before, answered = message, False
-            answers = list(node.receive(message, 0))
+            answers = self._give(node, message, 0)
             if isinstance(message, Roster):
                 now = dict(zip(message.agents, message.incarnations, strict=True))
                 # Messages of agents that left are fed by the tick that needs them: the node must not wait for more.
@@ -165,18 +178,18 @@ class Replay:
             while (roster := next((c for c in changes if isinstance(c, Roster)), None)) is not None:
                 if roster.version > measurement.roster:
                     break
-                yield from node.receive(changes.pop(0), 0)
+                yield from self._give(node, changes.pop(0), 0)
             report = reports.get(measurement.tick)
             if report is not None:
                 for peer, age in zip(report.peers, report.state_ages, strict=True):
                     waiting = plans.get(peer, [])
                     count = 0 if age < 0 else bisect_left(waiting, measurement.tick - age + 1, key=lambda p: p.tick)
                     for plan in waiting[:count]:
-                        yield from node.receive(plan, _LONG_AGO_NS)
+                        yield from self._give(node, plan, _LONG_AGO_NS)
                     del waiting[:count]
             self.before_measurement(node, measurement)
             now_ns = arrived_ns[measurement.tick]
-            yield from node.receive(measurement, now_ns)
+            yield from self._give(node, measurement, now_ns)
             if report is not None:
                 yield from node.poll(now_ns)
 

@@ -14,7 +14,7 @@ from rich.table import Table
 from rich.text import Text
 from typer import Option
 
-from protocol.admission.admission import Admission
+from protocol.admission.gate import Gate
 from protocol.network.bus import Bus
 from protocol.network.endpoints import Endpoints, default_mesh, security_of
 from protocol.network.security import SecurityError
@@ -24,7 +24,6 @@ from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_SCENARIO, EXIT_UNREA
 from protocol.wire.keys import RECORDER, WATCHER, Keys
 from protocol.wire.messages import Message, Presence
 from protocol.wire.names import COORDINATOR
-from protocol.wire.rejections import Rejections
 from transport.cli.active_run import ConnectOption, RunOption, find_active
 from transport.cli.output import Format, exit_on, fail, show_json
 from transport.cli.scenario_setup import read_setup
@@ -126,7 +125,7 @@ def _listen(run: _Run) -> Bus:
             mode="client" if run.is_client else "peer",
             security=security_of(run.setup.scenario),
         ),
-        admission=Admission(WATCHER, Keys(run.name), run.setup, Rejections()),
+        gate=Gate(WATCHER, Keys(run.name), run.setup.shape),
         relayed=run.setup.scenario.clock.relayed,
         gather_s=_GATHER_S,
     )

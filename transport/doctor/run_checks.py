@@ -9,14 +9,13 @@ from importlib import metadata
 import threadpoolctl
 
 from agent.node import AgentNode
-from protocol.admission.admission import Admission
+from protocol.admission.gate import Gate
 from protocol.network.bus import Bus
 from protocol.network.endpoints import Endpoints, default_mesh
 from protocol.scenario.setup import Setup
 from protocol.wire.keys import WATCHER, Keys
 from protocol.wire.messages import Request
 from protocol.wire.names import RECORDER
-from protocol.wire.rejections import Rejections
 from transport.doctor.finding import Finding
 from transport.flight.harness import HarnessError, check_ports, free_ports
 
@@ -112,7 +111,7 @@ def _bus(setup: Setup, name: str, endpoints: Endpoints, *, serves: bool) -> Bus:
         run="doctor",
         digest="doctor",
         endpoints=endpoints,
-        admission=Admission(name, Keys("doctor"), setup, Rejections()),
+        gate=Gate(name, Keys("doctor"), setup.shape),
         serves=serves,
     )
 

@@ -3,7 +3,7 @@
 from collections import deque
 from collections.abc import Callable
 
-from protocol.admission.samples import Sample
+from protocol.admission.gate import Sample
 from protocol.wire.codec import decode
 from protocol.wire.messages import MessageError, PlantState, Record
 

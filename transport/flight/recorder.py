@@ -11,10 +11,8 @@ from collections import deque
 from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
 
-from protocol.admission.admission import Admission
-from protocol.admission.plausibility import Plausibility, check_moment
-from protocol.admission.reception import Reception
-from protocol.admission.samples import Sample
+from protocol.admission.gate import Gate, Sample
+from protocol.admission.plausibility import check_plausible, check_tick
 from protocol.network.bus import LINGER_S, Bus, BusEvent, Interrupted, Left
 from protocol.network.endpoints import Endpoints
 from protocol.network.health import give_back_memory
@@ -40,12 +38,15 @@ from protocol.wire.messages import (
     Tick,
 )
 from protocol.wire.names import COORDINATOR
-from protocol.wire.outbox import Outbox, lost
+from protocol.wire.node import Outbox, lost
 from transport.flight.departures import Departures
 from transport.flight.newest_state import NewestState
 from transport.log.run_folder import END_NOT_RECORDED
 from transport.log.run_log import LogError
 from transport.log.writer import LogWriter
+
+# How many ticks the end of the run may be from the newest tick here: one connection may be slower than another.
+_AHEAD = 16
 
 # Kinds of messages that the recorder reads; of the others it reads the header.
 _READ = frozenset(kind.kind for kind in (Roster, LinkChange, Control, Rejected, FaultNote))
@@ -79,8 +80,7 @@ class Recorder:
         received: Number of messages in the log.
         tick: The newest open tick, -1 before the first.
         requests: Requests to the parent of the run's processes.
-        rejected: Messages that the recorder itself has rejected; readers of the log reject others.
-        admission: Admission of messages.
+        gate: Checks of the messages that the recorder reads; readers of the log reject others.
 
     Args:
         setup, run: The run, and its name.
@@ -107,17 +107,13 @@ class Recorder:
         self.received = 0
         self.tick = -1
         self.requests: queue.SimpleQueue[Request] = queue.SimpleQueue()
-        self._reception = Reception(setup, self._handle)
-        self.rejected = self._reception.rejected
         self._samples_s, self._ticks = setup.samples_s, setup.ticks
         self._writer = writer
         self._writing = threading.Lock()  # notes come from another thread
         self._keys = Keys(run)
-        relayed = setup.scenario.clock.relayed
-        self.admission = Admission(
-            RECORDER, self._keys, setup, self.rejected, _UNREAD, self._announce, refuses_lone_plans=relayed
-        )
-        self._newest_state = NewestState(Plausibility(setup).check)
+        self._shape = setup.shape
+        self.gate = Gate(RECORDER, self._keys, self._shape, self._check_moment, _UNREAD)
+        self._newest_state = NewestState(self._check)
         self._join_timeout_s = join_timeout_s
         self._has_ended = has_ended
         self.gone = f"{COORDINATOR} is gone"
@@ -127,11 +123,12 @@ class Recorder:
             run=run,
             digest=setup.scenario.digest(),
             endpoints=endpoints,
-            admission=self.admission,
-            relayed=relayed,
+            gate=self.gate,
+            relayed=setup.scenario.clock.relayed,
             serves=True,
             gather_s=_GATHER_PACED_S if setup.scenario.clock.speed > 0.0 else _GATHER_S,
         )
+        self._bus.peers.on_announced = self._announce
         self._out = Outbox(RECORDER, incarnation)
         self._thread = threading.Thread(target=self._run, name=RECORDER, daemon=True)
         self._expected: Collection[str] = ()
@@ -195,8 +192,7 @@ class Recorder:
         try:
             if self._bus.join(self._expected, self._join_timeout_s, self._notices.append) is None:
                 self._record()
-                self.admission.close()
-                for notice in self.admission.remaining_notices(self._out.incarnation):
+                for notice in self.gate.last_notices(self._out.incarnation):
                     self._take(notice)
         except (BusError, LogError) as error:
             self.error = str(error)
@@ -232,7 +228,7 @@ class Recorder:
                     self.requests.put(event)
                 case _:
                     self.receive(event, self._bus.arrived_ns)
-            for notice in self.admission.due_notices(time.monotonic_ns(), self._out.incarnation):
+            for notice in self.gate.notices(time.monotonic_ns(), self._out.incarnation):
                 self._take(notice)
         if self.control is None:
             # The end of the run may have been sent during a standstill of this process.
@@ -257,7 +253,7 @@ class Recorder:
         if isinstance(message, Sample):
             self._record_sample(message, at_ns)
         else:
-            self._reception.receive(message, at_ns)
+            self._take(message, at_ns)
 
     def _record_sample(self, sample: Sample, at_ns: int) -> None:
         """Record a message as it came; progress is that of messages which are in order."""
@@ -265,7 +261,7 @@ class Recorder:
         with self._writing:
             self._writer.add(f"/{self._keys.end(sample.key)}", sample.data, header, at_ns)
         self.received += 1
-        if header.tick >= self._ticks or not self.admission.follows(sample):
+        if header.tick >= self._ticks:
             return
         if header.kind in _OF_TICKS:
             self.tick = max(header.tick, self.tick)
@@ -274,14 +270,18 @@ class Recorder:
             if self.started_s is None and (header.tick > 0 or header.kind == PlantState.kind):
                 self.started_s = time.monotonic()
 
-    def _handle(self, message: Message, at_ns: int) -> None:
-        """Record a message that passed the checks of the reception."""
-        if isinstance(message, Control):
-            tick, window = self.admission.tick, self.admission.window
-            check_moment(message, tick - window, tick + window)
+    def _check_moment(self, message: Message) -> None:
+        """Refuse an end of the run at an impossible tick, and an invalid change of links.
+
+        Raises: MessageError: with the reason.
+        """
+        if isinstance(message, Control) and self.tick >= 0:
+            check_tick(message, self.tick - _AHEAD, self.tick + _AHEAD)
         if isinstance(message, LinkChange):
             told_change(message, self._samples_s)
-        self._take(message, at_ns)
+
+    def _check(self, state: PlantState) -> None:
+        check_plausible(state, self._shape)
 
     def _take(self, message: Message, at_ns: int | None = None) -> None:
         with self._writing:

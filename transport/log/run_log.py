@@ -2,10 +2,12 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TypeVar, cast
+
+import msgspec
 
 from protocol.scenario.setup import Setup
 from protocol.wire.errors import TransportError
@@ -82,7 +84,9 @@ def read_log(path: Path, *, horizons: bool = True, setup: Setup | None = None) -
     def keep(read: Iterator[Read], received_ns: int) -> None:
         for message, _ in read:
             if not horizons and isinstance(message, Plan):
-                message = replace(message, inputs=message.inputs[:1].copy(), corrections=message.corrections[:0])
+                message = msgspec.structs.replace(
+                    message, inputs=message.inputs[:1].copy(), corrections=message.corrections[:0]
+                )
             messages.append(Recorded(message=message, received_ns=received_ns))
 
     reception: LogReception | None = None
@@ -94,7 +98,7 @@ def read_log(path: Path, *, horizons: bool = True, setup: Setup | None = None) -
             if reception is None:
                 reception = LogReception(setup or setup_in(parser.metadata.get(METADATA, {}), path.parent))
             try:
-                keep(reception.read(channel.topic, data, received_ns, parser.damaged), received_ns)
+                keep(reception.read(channel.topic, data, received_ns), received_ns)
             except MessageError as error:
                 unknown.append(f"{channel.topic}: {error}")
         if reception is not None:

@@ -1,7 +1,6 @@
 """Messages as one table per kind, with arrays flattened into columns whose names end in their units."""
 
 from collections.abc import Iterator
-from dataclasses import fields
 from typing import Any
 
 from model.arrays import Array
@@ -40,7 +39,7 @@ def tables(log: RunLog, period_s: float | None) -> dict[str, list[Row]]:
             "sequence": message.sequence,
         }
         spread_fields = _SPREAD.get(message.kind, ())
-        for name in (field.name for field in fields(message) if field.name not in (*row, *spread_fields)):
+        for name in (field for field in message.__struct_fields__ if field not in (*row, *spread_fields)):
             value = getattr(message, name)
             row[name] = " ".join(map(str, value)) if isinstance(value, tuple) else value
         found[message.kind] += [row | spread for spread in _spread(message)]

@@ -94,9 +94,7 @@ class LogTail:
                     header = self._parser.metadata.get(METADATA, {})
                     self._reception = LogReception(self._setup or setup_in(header, self._path.parent))
                 with suppress(MessageError):
-                    for read in self._reception.read(
-                        entry.channel.topic, entry.data, entry.received_ns, self._parser.damaged
-                    ):
+                    for read in self._reception.read(entry.channel.topic, entry.data, entry.received_ns):
                         if read[0].kind in self._wanted:
                             found.append(self._unread(read, entry) or read[0])
             if self.ended and self._reception is not None:

@@ -14,8 +14,7 @@ from pathlib import Path
 import orjson
 from mcap.writer import CompressionType, IndexType, Writer
 
-from protocol.wire.codec import encode
-from protocol.wire.header import Header
+from protocol.wire.codec import Header, encode
 from protocol.wire.keys import RECORDER
 from protocol.wire.messages import Control, FaultNote, Message
 from transport.log.channels import ENCODING, METADATA, TOKENS, TOKENS_ENCODING, channel_of

@@ -8,13 +8,11 @@ import numpy as np
 
 from model.state import StateView
 from plant.schedule import FAIL_SAFE
-from protocol.admission.plausibility import Plausibility
 from protocol.scenario.setup import Setup
 from protocol.scenario.stage_cost import StageCost
 from protocol.wire.messages import (
     Control,
     Message,
-    MessageError,
     PlantState,
     Rejected,
     Roster,
@@ -65,19 +63,13 @@ class Watch:
     _opened_ns: int = 0
     _first: tuple[int, int] | None = None  # tick and time
     _cost: StageCost = field(init=False)
-    _plausibility: Plausibility = field(init=False)
 
     def __post_init__(self) -> None:
-        self._plausibility = Plausibility(self.setup)
         self.agents = {agent: AgentStatus() for agent in self.setup.agents}
         self._cost = StageCost(self.setup)
 
     def take(self, message: Message, at_ns: int) -> None:
         """Update the status from any message; its arrival is on any steady clock, ns."""
-        try:
-            self._plausibility.check(message)
-        except MessageError:
-            return  # its receiver counts it
         match message:
             case Tick():
                 self._open(message, at_ns)

@@ -5,7 +5,6 @@ a second field (`inputs`, `inputs_shape`): viewers plot `inputs[0]`, but few plo
 with the fewest digits that read back as the same bits.
 """
 
-import dataclasses
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
@@ -58,7 +57,7 @@ METADATA = "exported run"
 # Array fields with two axes; all others have one.
 _MATRICES = ("uav_states", "inputs", "corrections")
 _FIELDS: dict[str, dict[str, Any]] = {
-    kind: {field.name: get_type_hints(cls)[field.name] for field in dataclasses.fields(cls)}
+    kind: {field: get_type_hints(cls)[field] for field in cls.__struct_fields__}
     for kind, cls in KINDS.items()
 }
 _SCALARS = {str: "string", int: "integer", float: "number", bool: "boolean"}

@@ -1,0 +1,189 @@
+"""The gate of a process: all checks of a received message, once, for the network and for readers of a log.
+
+In this order: size and form (`protocol.wire.codec`), sender, incarnation, order, plausibility, and, for a node, the
+moment. A refused message is counted and changes nothing. docs/protocol.md lists the reasons, docs/deploy.md the threats
+that the checks are for.
+"""
+
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass
+
+from protocol.admission.plausibility import check_plausible
+from protocol.wire.codec import MAX_BYTES, Header, decode, header_of
+from protocol.wire.keys import Keys, matches
+from protocol.wire.message import Message, MessageError
+from protocol.wire.messages import BUNDLES, KINDS, Bundle, LinkChange, Plan, Rejected
+from protocol.wire.names import AGENT, COORDINATOR, MAX_UAVS, PLANT, RECORDER, agent_name
+from protocol.wire.rejections import Rejections
+from protocol.wire.run_shape import RunShape
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """Event: a message as it came, of which only the header was read; its key belongs to its sender."""
+
+    key: str
+    data: bytes
+    header: Header
+
+
+class Gate:
+    """Checks of the messages that one process receives.
+
+    Args:
+        name: The process.
+        keys: Keys of the run.
+        shape: The run; None where it is not known: sizes, agents and plausibility are not checked then.
+        check_moment: Refuses messages that the node cannot use now; None for processes that only observe.
+        unread: Kinds that are handed over as samples.
+
+    Attributes:
+        rejections: Counts of refused messages.
+        bundle: Bundle that the last accepted message came in, or None.
+        data: Bytes of that message.
+        tick: Newest tick of an accepted message.
+        max_bytes: Upper bound of the size of a message.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        keys: Keys,
+        shape: RunShape | None = None,
+        check_moment: Callable[[Message], None] | None = None,
+        unread: Collection[str] = (),
+    ) -> None:
+        self.rejections = Rejections(name)
+        self.bundle: Bundle | None = None
+        self.data = b""
+        self.tick = 0
+        self.max_bytes = MAX_BYTES if shape is None else shape.max_bytes
+        self._name, self._keys, self._shape, self._check_moment = name, keys, shape, check_moment
+        self._relayed = shape is not None and shape.relayed
+        agents = range(1, MAX_UAVS + 1) if shape is None else shape.owned
+        self._senders = {COORDINATOR, PLANT, RECORDER, *map(agent_name, agents)}
+        self._subscribed = [keys.end(key) for key in keys.subscriptions(name)]
+        self._own = {keys.end(key) for key in keys.publications(name)}
+        self._is_for_me: dict[str, bool] = {}  # by end of key
+        self._owners = {
+            (f"{keys.prefix}/{key}{end}", kind): agent_name(agent) if route.sender == AGENT else str(route.sender)
+            for kind, route in ((kind, {**KINDS, **BUNDLES}[kind].route) for kind in unread)
+            for key in filter(None, (route.key or kind, route.unshared_key))
+            for agent, end in ([(agent, f"/{agent}") for agent in agents] if route.each else [(0, "")])
+        }
+        self._incarnations: dict[str, int] = {}  # newest, by sender
+        # Incarnation, place and sequence number of the newest message, by kind and end of the key. Proposals of a
+        # negotiation have an order of their own: they come alone, and may overtake the plan of the tick before.
+        self._newest: dict[tuple[str, object, bool], tuple[int, tuple[int, int], int]] = {}
+
+    def accept(self, key: str, data: bytes) -> Iterator[Message | Sample]:
+        """Yield the messages in some bytes that pass all checks: none, one, or those of a bundle.
+
+        Each must be handled before the next is asked for: what may come then depends on it.
+        """
+        sample = self._sample(key, data) if self._owners else None
+        if sample is not None:
+            yield sample
+            return
+        message = self._checked(key, data)
+        if not isinstance(message, Bundle):
+            if message is not None:
+                yield message
+            return
+        self.bundle = message
+        for end, part in zip(message.keys, message.parts, strict=True):
+            if not message.may_carry(end):
+                text = f"{message.kind} of {message.sender} with a message under the key {end}"
+                self.refuse(message.sender, MessageError("wrong_sender", text))
+            elif self._is_mine(end):
+                inner = self._checked(f"{self._keys.prefix}/{end}", part)
+                if inner is not None:
+                    yield inner
+        self.bundle = None
+
+    def announce(self, name: str, incarnation: int) -> None:
+        """Refuse messages of earlier incarnations of a process from now on: the token of this one has appeared."""
+        self._incarnations[name] = max(incarnation, self._incarnations.get(name, 0))
+
+    def refuse(self, sender: str, error: MessageError) -> None:
+        """Count a refused message."""
+        self.rejections.add(error.sender or sender, error)
+
+    def oversized(self, size: int) -> MessageError:
+        """Return the error of an oversized message."""
+        return MessageError("oversized", f"message of {size} bytes, at most {self.max_bytes} in this run")
+
+    def notices(self, now_ns: int, incarnation: int) -> list[Rejected]:
+        """Return the notices about refused messages that are to be published now."""
+        return self.rejections.due(now_ns, incarnation, self.tick)
+
+    def last_notices(self, incarnation: int) -> list[Rejected]:
+        """Return the notices that were not published yet; for the end of the process."""
+        return self.rejections.rest(incarnation, self.tick)
+
+    def _sample(self, key: str, data: bytes) -> Sample | None:
+        """Return a message as a sample; None if all of it must be read."""
+        try:
+            header = header_of(data)
+        except MessageError:
+            return None
+        return Sample(key, data, header) if self._owners.get((key, header.kind)) == header.sender else None
+
+    def _checked(self, key: str, data: bytes) -> Message | None:
+        """Return the message in some bytes if it passes all checks, and remember its place."""
+        sender = self._keys.end(key)
+        try:
+            if len(data) > self.max_bytes:
+                raise self.oversized(len(data))
+            message = decode(data)
+            sender = message.sender
+            self._check_sender(key, message)
+            if isinstance(message, Bundle):
+                return message  # its messages have an order, and the same bundle may come with others
+            end = getattr(message, message.route.each) if message.route.each else ""
+            stream = message.kind, end, isinstance(message, Plan) and message.negotiation > 0
+            self._check_order(message, self._newest.get(stream))
+            if self._shape is not None:
+                check_plausible(message, self._shape)
+            if self._check_moment is not None:
+                self._check_moment(message)
+        except MessageError as error:
+            self.refuse(sender, error)
+            return None
+        self.data = data
+        self._newest[stream] = message.incarnation, message.place, message.sequence
+        if not isinstance(message, LinkChange):  # a repeated change is of the past
+            self.tick = max(self.tick, message.tick)
+        return message
+
+    def _check_sender(self, key: str, message: Message) -> None:
+        self._keys.check_sender(key, message)
+        if message.sender == self._name:
+            raise MessageError("wrong_sender", f"{message.kind} of this process itself")
+        if message.sender not in self._senders:
+            raise MessageError("unknown_agent", f"{message.kind} of {message.sender}")
+        if self._relayed and self.bundle is None and isinstance(message, Plan) and message.negotiation == 0:
+            # The coordinator would count it, but could not relay it.
+            text = f"plan of {message.sender} alone, expected it in an answer"
+            raise MessageError("wrong_sender", text)
+
+    def _check_order(self, message: Message, newest: tuple[int, tuple[int, int], int] | None) -> None:
+        # The token of an agent's next start may overtake its last plan on the way through the coordinator.
+        announced = self._incarnations.get(message.sender, 0) if self.bundle is None else 0
+        if message.incarnation < announced or (newest is not None and message.incarnation < newest[0]):
+            text = f"{message.kind} of incarnation {message.incarnation}, which has ended"
+            raise MessageError("wrong_incarnation", text)
+        if newest is None or message.incarnation > newest[0] or message.place > newest[1]:
+            return
+        known = message.sequence <= newest[2]
+        text = f"{message.kind} {message.place[0]} (number {message.sequence}) after {newest[1][0]}"
+        raise MessageError("replayed" if known else "past", text)
+
+    def _is_mine(self, end: str) -> bool:
+        """Return whether this process subscribes to a key, and another one publishes under it."""
+        found = self._is_for_me.get(end)
+        if found is None:
+            found = end not in self._own and any(matches(expression, end) for expression in self._subscribed)
+            if len(self._is_for_me) < 4 * MAX_UAVS:
+                self._is_for_me[end] = found
+        return found

@@ -1,0 +1,278 @@
+"""The gate: size, form, sender, incarnation, order and moment of messages, alone and in bundles; counts of refusals."""
+
+from typing import Any, get_args
+
+import pytest
+
+from protocol.admission.gate import Gate, Sample
+from protocol.admission.plausibility import check_tick
+from protocol.wire.codec import decode, encode
+from protocol.wire.keys import Keys
+from protocol.wire.message import MAX_TEXT, Message, MessageError, Reason
+from protocol.wire.messages import Answer, LinkChange, Measurement, Plan, PlantState, Record, Rejected, Relay, Roster
+from protocol.wire.node import Outbox
+from protocol.wire.rejections import MAX_SENDERS, OTHERS, Rejections
+from tests.support import runs
+from tests.support.messages import changed, sample
+from tests.support.runs import setup, ticks
+
+RUN = setup("controller.horizon=5", ticks(60))
+KEYS = Keys(RUN.scenario.name)
+SECOND_NS = 10**9
+
+
+class Receiver:
+    """A gate, and what it lets through."""
+
+    def __init__(self, name: str = "plant", *settings: str, **options: Any) -> None:
+        self.run = setup("controller.horizon=5", ticks(60), *settings)
+        self.gate = Gate(name, KEYS, self.run.shape, **options)
+
+    def hear(self, message: Message, **changes: Any) -> bool:
+        """Return whether a message that comes alone under its own key is accepted."""
+        said = changed(message, **changes)
+        return len(list(self.gate.accept(KEYS.of(said), encode(said)))) == 1
+
+    def reasons(self) -> list[tuple[str, str]]:
+        """Return sender and reason of all refusals, in the order of the first of each."""
+        return [(entry.sender, entry.reason) for entry in self.gate.rejections]
+
+
+def answer(*parts: Message, agent: int = 2, **changes: Any) -> Answer:
+    """Return an agent's answer that carries messages."""
+    ends, data = [KEYS.end(KEYS.of(part)) for part in parts], [encode(part) for part in parts]
+    bundle = Outbox(f"agent{agent}", 1).stamp(Answer, tick=parts[0].tick, agent=agent, keys=ends, parts=data)
+    return changed(bundle, **changes)
+
+
+def plan(k: int, agent: int = 2, **changes: Any) -> Plan:
+    """Return a plan of tick k."""
+    return changed(runs.plan(RUN, agent, k), **changes)
+
+
+NEGOTIATED = "controller.negotiation_iterations=3"
+DIRECT = ("clock.mode=realtime", "clock.speed=1.0")
+
+
+def direct(k: int, **changes: Any) -> Plan:
+    """Return a plan as in real time, where it comes alone."""
+    return plan(k, start_tick=k + 1, **changes)
+
+
+@pytest.mark.parametrize(
+    ("key", "message", "sender", "reason"),
+    [
+        ("plan/2", b"", "plan/2", "malformed"),
+        ("plan/2", encode(plan(0))[:-1], "plan/2", "malformed"),
+        ("plan/2", encode(plan(0)) + bytes(10**6), "plan/2", "oversized"),
+        ("plan/3", encode(direct(0)), "agent2", "wrong_sender"),
+        ("plan/2", encode(direct(0, sender="agent3")), "agent3", "wrong_sender"),
+        ("tick", encode(changed(runs.tick(0), sender="agent3")), "agent3", "wrong_sender"),
+        ("tick", encode(direct(0)), "agent2", "wrong_sender"),
+        ("plan/9", encode(changed(direct(0), agent=9, sender="agent9")), "agent9", "unknown_agent"),
+        ("plant_state", encode(runs.plant_state(RUN, 0)), "plant", "wrong_sender"),
+        ("plan/2", encode(direct(0, uavs=(3,))), "agent2", "wrong_uavs"),
+        ("plan/2", encode(direct(0, inputs=runs.plan(RUN, 2, 0).inputs + 1e3)), "agent2", "outside_limits"),
+    ],
+)
+def test_each_check_has_its_reason(key: str, message: bytes, sender: str, reason: str) -> None:
+    """A bad message is counted once, by sender (or key) and reason, and does not block the true one."""
+    receiver = Receiver("plant", *DIRECT)
+    assert list(receiver.gate.accept(f"{KEYS.prefix}/{key}", message)) == []
+    assert receiver.reasons() == [(sender, reason)]
+    assert receiver.hear(direct(0))
+    assert receiver.gate.rejections.total == 1
+
+
+@pytest.mark.parametrize(
+    ("first", "again", "reason"),
+    [
+        (direct(5), {}, "replayed"),
+        (direct(5), {"sequence": 99}, "past"),
+        (direct(5), {"sequence": 99, "tick": 4, "start_tick": 5}, "past"),
+        (direct(5), {"sequence": 99, "shared": False}, "past"),  # under the other key
+        (direct(5), {"sequence": 99, "incarnation": 0, "tick": 6, "start_tick": 7}, "wrong_incarnation"),
+        (direct(5), {"tick": 6, "start_tick": 7}, ""),  # where ticks grow, numbers need not
+        (direct(5), {"incarnation": 2}, ""),
+        (runs.tick(5), {}, "replayed"),
+        (runs.tick(5), {"sequence": 99, "tick": 6}, ""),
+        (runs.roster(), {"sequence": 99}, "past"),
+        (runs.roster(), {"sequence": 99, "version": 2}, ""),
+        (runs.end(), {}, "replayed"),
+        (runs.end(), {"sequence": 99}, ""),
+        (sample(LinkChange), {}, "replayed"),
+        (sample(LinkChange), {"sequence": 99}, ""),  # repeated for an agent that joins
+    ],
+)
+def test_order(first: Message, again: dict[str, Any], reason: str) -> None:
+    """Under each kind and sender, tick, version or number grows; what does not is refused."""
+    receiver = Receiver("plant", *DIRECT)
+    assert receiver.hear(first)
+    assert receiver.hear(first, **again) == (not reason)
+    assert [found for _, found in receiver.reasons()] == [reason] * bool(reason)
+
+
+def test_the_order_of_one_sender_is_not_that_of_another() -> None:
+    """Messages of several senders and kinds may arrive in any order."""
+    receiver = Receiver("plant", *DIRECT)
+    said = [direct(5, agent=2), runs.tick(3), runs.roster(), changed(runs.plan(RUN, 3, 1), start_tick=2), runs.end()]
+    assert all(receiver.hear(message) for message in said)
+
+
+def test_proposals_have_their_own_order() -> None:
+    """A proposal comes alone, and may overtake the plan of the tick before, which is relayed; its number falls."""
+    receiver = Receiver("agent1", NEGOTIATED)
+    last = Outbox("coordinator", 0)
+
+    def relay(plan: Plan) -> bool:
+        end, data = KEYS.end(KEYS.of(plan)), encode(plan)
+        bundle = last.stamp(Relay, tick=plan.tick, keys=(end,), parts=(data,))
+        return len(list(receiver.gate.accept(KEYS.of(bundle), encode(bundle)))) == 1
+
+    assert receiver.hear(plan(0, negotiation=2))
+    assert receiver.hear(plan(0, negotiation=1))
+    assert not receiver.hear(plan(0, negotiation=2))
+    assert receiver.hear(plan(1, negotiation=2))
+    assert relay(plan(0))
+    assert not receiver.hear(plan(0, negotiation=1))
+    assert not receiver.hear(plan(1))  # alone: the coordinator could not relay it
+    assert [reason for _, reason in receiver.reasons()] == ["replayed", "wrong_sender"]
+
+
+def test_an_announced_start_ends_the_one_before() -> None:
+    """Once the token of a start has appeared, messages of earlier ones are refused, but for relayed plans."""
+    receiver = Receiver("coordinator")
+    for name, incarnation in (("agent2", 2), ("plant", 1), ("plant", 0)):  # the last token is late
+        receiver.gate.announce(name, incarnation)
+    said = runs.plant_state(RUN, 0)
+    assert not receiver.hear(said)
+    assert receiver.hear(said, incarnation=1)
+    (found,) = receiver.gate.accept(f"{KEYS.prefix}/answer/2", encode(answer(plan(0))))
+    assert isinstance(found, Plan)
+    assert receiver.reasons() == [("plant", "wrong_incarnation")]
+
+
+def test_moments() -> None:
+    """A node refuses what it cannot use now; that does not count for the order, and the counts name the sender."""
+    now = 3
+    receiver = Receiver("plant", check_moment=lambda message: check_tick(message, now, now))
+    assert not receiver.hear(runs.tick(4))
+    assert receiver.hear(runs.tick(3))
+    now = 4
+    assert receiver.hear(runs.tick(4))
+    assert receiver.reasons() == [("coordinator", "future")]
+    assert receiver.gate.tick == 4
+
+
+def test_bundles_are_opened() -> None:
+    """Each message of a bundle is checked as if it had come alone; those for others are skipped, uncounted."""
+    receiver = Receiver("agent1")
+    good, forged = plan(3), plan(3, agent=3, uavs=(2,))
+    own = plan(3, agent=1)
+    keys = ["plan/2", "plan/3", "plan/1", "report/2", "tick", "plan/4", "control", "unshared/4"]
+    parts = [encode(good), encode(forged), encode(own), b"any", b"any", b"?", encode(runs.end()), b"any"]
+    bundle = Outbox("coordinator", 0).stamp(Relay, tick=3, keys=keys, parts=parts)
+    found = list(receiver.gate.accept(KEYS.of(bundle), encode(bundle)))
+    assert [encode(message) for message in found if isinstance(message, Message)] == [encode(good)]
+    assert receiver.reasons() == [
+        ("agent3", "wrong_uavs"),
+        ("plan/4", "wrong_version"),
+        ("coordinator", "wrong_sender"),
+    ]
+
+
+def test_what_comes_next_depends_on_what_was_handled() -> None:
+    """The messages of a bundle are checked one after the other, each when the one before has been handled."""
+    newest = -1
+    receiver = Receiver("coordinator", check_moment=lambda message: check_tick(message, newest + 1, newest + 1))
+    states = [runs.plant_state(RUN, k) for k in (0, 1, 3)]
+    bundle = Outbox("plant", 0).stamp(
+        Record, tick=3, keys=["plant_state"] * 3, parts=[encode(state) for state in states]
+    )
+    for message in receiver.gate.accept(KEYS.of(bundle), encode(bundle)):
+        assert isinstance(message, PlantState)
+        assert receiver.gate.bundle is not None
+        newest = message.tick
+    assert newest == 1
+    assert receiver.gate.bundle is None
+    assert receiver.reasons() == [("plant", "future")]
+
+
+def test_unread_kinds_are_handed_over() -> None:
+    """A recorder gets messages of some kinds as they came, if under the key of their sender, and reads the others."""
+    receiver = Receiver("recorder", unread=[Answer.kind, Plan.kind, Measurement.kind, Record.kind])
+    said = answer(plan(3))
+    garbled = encode(said)[:-5]
+    (found,) = receiver.gate.accept(KEYS.of(said), encode(said))
+    assert isinstance(found, Sample)
+    assert (found.header.kind, found.header.tick, found.data) == ("answer", 3, encode(said))
+    assert list(receiver.gate.accept(f"{KEYS.prefix}/answer/3", encode(said))) == []
+    (roster,) = receiver.gate.accept(KEYS.of(runs.roster()), encode(runs.roster()))
+    assert isinstance(roster, Roster)
+    assert list(receiver.gate.accept(KEYS.of(said), garbled)) == []
+    assert receiver.reasons() == [("agent2", "wrong_sender"), ("answer/2", "malformed")]
+
+
+def test_without_a_run() -> None:
+    """Without its scenario, the messages of a log are checked for form, sender and order alone."""
+    gate = Gate("recorder", KEYS)
+    far = changed(plan(10**6), agent=200, sender="agent200", uavs=(1,))
+    assert len(list(gate.accept(KEYS.of(far), encode(far)))) == 1
+    assert list(gate.accept(KEYS.of(far), encode(far))) == []
+    assert [entry.reason for entry in gate.rejections] == ["replayed"]
+
+
+def test_sizes() -> None:
+    """The largest message of a run passes, and a bound that grows with it refuses larger ones."""
+    small, large = setup("controller.horizon=5").shape, setup("controller.horizon=50").shape
+    assert small.max_bytes < large.max_bytes
+    every = [
+        encode(part) for agent in RUN.agents for part in (plan(1, agent=agent), sample(Rejected, example="x" * 1000))
+    ]
+    assert sum(map(len, every)) < RUN.shape.max_bytes
+
+
+def past(text: str = "over") -> MessageError:
+    """Return some refusal."""
+    return MessageError("past", text)
+
+
+def test_refusals_are_counted_by_sender_and_reason() -> None:
+    """Each sender and reason has its own count, and the text of the first message as an example."""
+    rejections = Rejections("plant")
+    for sender, error in (("agent1", past("a")), ("agent2", past("b")), ("agent1", past("c")), ("agent1", past("d"))):
+        rejections.add(sender, error)
+    rejections.add("agent1", MessageError("future", "e"))
+    found = [(entry.sender, entry.reason, entry.count, entry.example) for entry in rejections]
+    assert found == [("agent1", "past", 3, "a"), ("agent2", "past", 1, "b"), ("agent1", "future", 1, "e")]
+    assert rejections.total == 5
+
+
+def test_senders_and_texts_are_bounded() -> None:
+    """Invented senders share a name beyond a number; keys and texts of any length are cut to what can be sent."""
+    rejections = Rejections("plant")
+    for i in range(10 * MAX_SENDERS):
+        for reason in get_args(Reason):
+            rejections.add(f"plan/{i}", MessageError(reason, "x"))
+    counts = {(entry.sender, entry.reason): entry.count for entry in rejections}
+    assert len(counts) == (MAX_SENDERS + 1) * len(get_args(Reason))
+    assert counts[OTHERS, "past"] == 9 * MAX_SENDERS
+    long = Rejections("plant")
+    long.add("k" * 60_000, past("t" * 60_000))
+    (notice,) = long.rest(0, 0)
+    assert (notice.offender, notice.example) == ("k" * 80, "t" * MAX_TEXT)
+    assert decode(encode(notice)) == notice
+
+
+def test_notices_come_once_a_second() -> None:
+    """The first refusals are reported at once, later ones at least a second after, the rest at the end, each once."""
+    rejections = Rejections("agent2")
+    assert rejections.due(0, 4, 0) == rejections.rest(4, 0) == []
+    told = []
+    for i in range(26):
+        rejections.add("plan/3", past())
+        told += [(i, notice.count, notice.sequence) for notice in rejections.due(i * SECOND_NS // 10, 4, i)]
+    assert told == [(0, 1, 0), (10, 10, 1), (20, 10, 2)]
+    (rest,) = rejections.rest(4, 99)
+    assert (rest.sender, rest.incarnation, rest.tick, rest.sequence, rest.count) == ("agent2", 4, 99, 3, 5)
+    assert rejections.rest(4, 99) == rejections.due(100 * SECOND_NS, 4, 99) == []

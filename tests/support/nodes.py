@@ -1,0 +1,51 @@
+"""Nodes behind the checks that depend on their run and their present tick, as in their processes."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from agent import node as agent_node
+from coordinator import node as coordinator_node
+from plant import node as plant_node
+from protocol.admission.plausibility import check_plausible
+from protocol.scenario.setup import Setup
+from protocol.wire.message import Message, MessageError
+from protocol.wire.messages import Event
+from protocol.wire.rejections import Rejections
+
+
+class _Checked:
+    """A node that counts the messages its gate would refuse for their content or moment."""
+
+    def __init__(self, setup: Setup, *args: Any, **options: Any) -> None:
+        self.rejected, self.shape = Rejections("test"), setup.shape
+        super().__init__(setup, *args, **options)  # type: ignore[call-arg]
+
+    def receive(self, event: Event, now_ns: int) -> Sequence[Message]:
+        """Handle an event, unless it is a message that is refused."""
+        node: Any = super()
+        if isinstance(event, Message):
+            try:
+                check_plausible(event, self.shape)
+                node.check_moment(event)
+            except MessageError as error:
+                self.rejected.add(event.sender, error)
+                return ()
+        answers: Sequence[Message] = node.receive(event, now_ns)
+        return answers
+
+
+class AgentNode(_Checked, agent_node.AgentNode):
+    """Agent behind the checks."""
+
+
+class PlantNode(_Checked, plant_node.PlantNode):
+    """Plant behind the checks."""
+
+
+class CoordinatorNode(_Checked, coordinator_node.CoordinatorNode):
+    """Coordinator behind the checks."""
+
+
+def refused(node: Any) -> list[tuple[str, str, int]]:
+    """Return the rejections of such a node as sender, reason and count."""
+    return [(entry.sender, entry.reason, entry.count) for entry in node.rejected]
