@@ -141,7 +141,7 @@ def test_early_plans_are_for_the_next_tick(run: Setup) -> None:
 def test_refused_plans(run: Setup, node: AgentNode, changes: dict[str, object], reason: str) -> None:
     """An implausible plan is refused and counted, and does not end the wait."""
     step(run, node, 0)
-    forged = replace(plan(run, 2, 0), **changes)  # type: ignore[arg-type]  # fields of several types
+    forged = replace(plan(run, 2, 0), **changes)
     assert tell(node, forged) == []
     assert refused(node) == [(forged.sender, reason, 1)]
     assert tell(node, plan(run, 3, 0), plan(run, 4, 0), measurement(run, 1, 1)) == []
@@ -214,7 +214,7 @@ def test_refused_measurements(run: Setup, node: AgentNode, changes: dict[str, ob
     """A measurement that is not this agent's next one, or not of a flight, is counted; the real one is answered."""
     for k in range(2):
         step(run, node, k)
-    wrong = replace(measurement(run, 1, 2), **changes)  # type: ignore[arg-type]  # fields of several types
+    wrong = replace(measurement(run, 1, 2), **changes)
     assert tell(node, wrong) == []
     assert refused(node) == [("plant", reason, 1)]
     step(run, node, 2)

@@ -220,7 +220,7 @@ def test_refused_plans(actuation: str, changes: dict[str, object], reason: str) 
     delay = int(actuation == NEXT_TICK)
     node = ready(run)
     tell(node, tick(0))
-    forged = replace(plan(run, 2, 0, delay=delay), **changes)  # type: ignore[arg-type]  # fields of several types
+    forged = replace(plan(run, 2, 0, delay=delay), **changes)
     assert tell(node, forged) == []
     assert refused(node) == [(forged.sender, reason, 1)]
     tell(node, *[plan(run, agent, 0, delay=delay) for agent in (1, 3, 4)])

@@ -57,8 +57,7 @@ METADATA = "exported run"
 # Array fields with two axes; all others have one.
 _MATRICES = ("uav_states", "inputs", "corrections")
 _FIELDS: dict[str, dict[str, Any]] = {
-    kind: {field: get_type_hints(cls)[field] for field in cls.__struct_fields__}
-    for kind, cls in KINDS.items()
+    kind: {field: get_type_hints(cls)[field] for field in cls.__struct_fields__} for kind, cls in KINDS.items()
 }
 _SCALARS = {str: "string", int: "integer", float: "number", bool: "boolean"}
 
