@@ -87,19 +87,6 @@ def test_faults_are_shown() -> None:
     assert watch.content()["agents"][0]["rejected"] == 3
 
 
-def test_strangers_are_not_shown() -> None:
-    """A report of an unknown agent changes no row and raises no error, regardless of its sender."""
-    watch = watched()
-    stranger = replace(logs.report(watch.setup, 1, 3), peers=(2, 3, 77))
-    watch.take(stranger, 0)
-    alone = replace(
-        runs.plant_state(watch.setup, 3), plan_ticks=(3,), x=watch.setup.hover.x[:24], u=watch.setup.hover.u[:4]
-    )
-    watch.take(alone, 0)
-    assert watch.agents[1].report is None
-    assert watch.plant_state is None
-
-
 def test_no_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without an active run, or with conflicting options, one line says what was expected; exit code 2."""
     monkeypatch.chdir(tmp_path)
