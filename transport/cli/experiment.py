@@ -151,7 +151,7 @@ def _command(name: str, declared: Declaration) -> Callable[..., None]:
 
     command.__name__, command.__doc__ = name, declared.build.__doc__
     first = inspect.Parameter("options", inspect.Parameter.POSITIONAL_OR_KEYWORD)
-    own = [_parameter(option, values) for option, values in declared.options.items() if values.help]
+    own = [_parameter(option, values) for option, values in declared.options.items() if values.metavar]
     command.__signature__ = inspect.Signature([first, *own])  # type: ignore[attr-defined]
     return with_options(partial(SweepOptions if declared.scenarios else ExperimentOptions, declared=declared))(command)
 

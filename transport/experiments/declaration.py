@@ -62,13 +62,13 @@ class Range:
                 raise refused(option, self.expected, f"{value:g}")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Values:
     """An option of an experiment: one value, or several if its default is a list."""
 
     default: Any
-    help: str = ""  # empty: not an option of the command
-    metavar: str = ""
+    metavar: str = ""  # empty: not an option of the command
+    help: str = ""
     quick: Any = None  # default with --quick, where it differs
     within: Range | None = None
     least: int | None = None  # smallest value, checked by the command line

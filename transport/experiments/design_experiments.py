@@ -98,25 +98,20 @@ def _is_possible(scenario: Scenario, key: str, value: str) -> bool:
 
 @declared(
     horizon=Values(
-        metavar="STEPS",
-        help="Steps N_p; by default 5, 10, 20, 30.",
-        default=[5, 10, 20, 30],
+        [5, 10, 20, 30],
+        "STEPS",
+        "Steps N_p; by default 5, 10, 20, 30.",
         quick=[10],
         within=Range("a number of steps >= 1", 1.0),
     ),
     terminal=Values(
-        metavar="WEIGHT",
-        help="Terminal weight, for open-loop prediction; by default 1, 5, 20.",
-        default=[1.0, 5.0, 20.0],
+        [1.0, 5.0, 20.0],
+        "WEIGHT",
+        "Terminal weight, for open-loop prediction; by default 1, 5, 20.",
         quick=[5.0],
         within=Range("a weight > 0"),
     ),
-    delay=Values(
-        metavar="SECONDS",
-        help="Delay of every plan on the second network, s.",
-        default=0.2,
-        within=Range("a delay > 0 s"),
-    ),
+    delay=Values(0.2, "SECONDS", "Delay of every plan on the second network, s.", within=Range("a delay > 0 s")),
 )
 def horizon(
     scenarios: Mapping[str, Scenario], horizon: Sequence[int], terminal: Sequence[float], delay: float
@@ -161,9 +156,9 @@ def horizon(
         "{name='hover',duration_s=0.5,displacement_m=[0,0,0]}]"
     },
     duration=Values(
-        metavar="SECONDS",
-        help="Duration of the last phase, s; by default 5, 20, 65.",
-        default=[5.0, 20.0, 65.0],
+        [5.0, 20.0, 65.0],
+        "SECONDS",
+        "Duration of the last phase, s; by default 5, 20, 65.",
         quick=[0.5, 1.0],
         within=Range("a duration > 0 s"),
     ),
@@ -193,14 +188,8 @@ def hover(scenarios: Mapping[str, Scenario], duration: Sequence[float]) -> Exper
 
 
 @declared(
-    at=Values(
-        metavar="SECONDS",
-        help="Time of the kill, s; by default 8.",
-        default=8.0,
-        quick=0.5,
-        within=Range("a time >= 0 s", 0.0),
-    ),
-    restart=Values(metavar="SECONDS", help="Time of the restart, s; by default 10.", default=10.0, quick=1.0),
+    at=Values(8.0, "SECONDS", "Time of the kill, s; by default 8.", quick=0.5, within=Range("a time >= 0 s", 0.0)),
+    restart=Values(10.0, "SECONDS", "Time of the restart, s; by default 10.", quick=1.0),
 )
 def kill(scenarios: Mapping[str, Scenario], at: float, restart: float) -> Experiment:
     """Effect of the death of each agent.
@@ -233,8 +222,8 @@ def kill(scenarios: Mapping[str, Scenario], at: float, restart: float) -> Experi
 
 @declared(
     scenarios=("resilient",),
-    count=Values(metavar="COUNT", help="Deaths per scenario; by default 20.", default=20, quick=2, least=1),
-    draw=Values(metavar="SEED", help="Random seed of the times and of the agents killed.", default=0, least=0),
+    count=Values(20, "COUNT", "Deaths per scenario; by default 20.", quick=2, least=1),
+    draw=Values(0, "SEED", "Random seed of the times and of the agents killed.", least=0),
 )
 def deaths(scenarios: Mapping[str, Scenario], count: int, draw: int) -> Experiment:
     """Effect of a permanent kill of a random agent.
@@ -283,9 +272,9 @@ def _event(at_s: float, action: str, agent: int) -> str:
         "{name='translate',duration_s=4.0,displacement_m=[2,0,0]}]",
     },
     max=Values(
-        metavar="COUNT",
-        help="UAVs of the largest team, 2 to 16; by default 12.",
-        default=12,
+        12,
+        "COUNT",
+        "UAVs of the largest team, 2 to 16; by default 12.",
         quick=6,
         within=Range(f"a number of UAVs from 2 to {_LARGEST}", 2, _LARGEST + 1),
     ),

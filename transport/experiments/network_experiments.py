@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from dataclasses import replace
 
 from transport.experiments.cases import Point
 from transport.experiments.declaration import NONE, Experiment, Range, Values, declared
@@ -35,18 +35,19 @@ _THRESHOLD_AXIS = Axis("share_threshold", "threshold (% of the input's range; 0:
 DELAY = Range("a delay >= 0 s", 0.0)
 
 
-def each(scenarios: Iterable[str], variants: Sequence[Mapping[str, Any]]) -> tuple[Point, ...]:
-    """Return the points of a sweep whose variants, as arguments of `Point`, are those of every scenario."""
-    return tuple(Point(scenario=name, **variant) for name in scenarios for variant in variants)
+def each(scenarios: Iterable[str], variants: Sequence[Point]) -> tuple[Point, ...]:
+    """Return the points of a sweep whose variants are those of every scenario."""
+    return tuple(replace(variant, scenario=name) for name in scenarios for variant in variants)
+
+
+def _variant(labels: Mapping[str, str | float], text: str, *settings: str, baseline: bool, group: str = "") -> Point:
+    """Return a point without its scenario."""
+    return Point(scenario="", labels=labels, text=text, settings=settings, baseline=baseline, group=group)
 
 
 @declared(
     delay=Values(
-        metavar="SECONDS",
-        help="Delay, s; by default 0 to 0.4.",
-        default=[0.0, 0.05, 0.1, 0.2, 0.4],
-        quick=[0.0, 0.2],
-        within=DELAY,
+        [0.0, 0.05, 0.1, 0.2, 0.4], "SECONDS", "Delay, s; by default 0 to 0.4.", quick=[0.0, 0.2], within=DELAY
     )
 )
 def latency(scenarios: Iterable[str], delay: Sequence[float]) -> Experiment:
@@ -55,12 +56,7 @@ def latency(scenarios: Iterable[str], delay: Sequence[float]) -> Experiment:
     Example: transport experiment latency --delay 0.1 --delay 0.3 --scenario resilient
     """
     variants = [
-        {
-            "labels": {"delay_s": delay_s},
-            "text": _ms(delay_s),
-            "settings": (f"links.delay_s={delay_s!r}",),
-            "baseline": delay_s == 0.0,
-        }
+        _variant({"delay_s": delay_s}, _ms(delay_s), f"links.delay_s={delay_s!r}", baseline=delay_s == 0.0)
         for delay_s in sorted({0.0, *delay})
     ]
     return Experiment(name="latency", points=each(scenarios, variants), x=_DELAY_AXIS)
@@ -69,18 +65,13 @@ def latency(scenarios: Iterable[str], delay: Sequence[float]) -> Experiment:
 @declared(
     defaults={"seeds": 5},
     loss=Values(
-        metavar="SHARE",
-        help="Packet loss; by default 0.1, 0.3, 0.6.",
-        default=[0.1, 0.3, 0.6],
+        [0.1, 0.3, 0.6],
+        "SHARE",
+        "Packet loss; by default 0.1, 0.3, 0.6.",
         quick=[0.3],
         within=Range("a share from 0 to below 1", 0.0, 1.0),
     ),
-    burst=Values(
-        metavar="TICKS",
-        help="Mean length of a burst, ticks.",
-        default=5.0,
-        within=Range("a mean length >= 1 tick", 1.0),
-    ),
+    burst=Values(5.0, "TICKS", "Mean length of a burst, ticks.", within=Range("a mean length >= 1 tick", 1.0)),
 )
 def loss(scenarios: Iterable[str], loss: Sequence[float], burst: float) -> Experiment:
     """Effect of packet loss, independent or in bursts.
@@ -94,12 +85,7 @@ def loss(scenarios: Iterable[str], loss: Sequence[float], burst: float) -> Exper
         *(("bursts", share, f"{_percent(share)} in bursts", _bursts(share, burst)) for share in lossy),
     ]
     variants = [
-        {
-            "labels": {"model": model, "loss": share},
-            "text": text,
-            "settings": (setting,),
-            "baseline": model == NONE,
-        }
+        _variant({"model": model, "loss": share}, text, setting, baseline=model == NONE)
         for model, share, text, setting in losses
     ]
     legend: dict[str | float, str] = {"bernoulli": "independent", "bursts": f"in bursts of {burst:g} ticks"}
@@ -119,18 +105,15 @@ def _bursts(share: float, burst_ticks: float) -> str:
 @declared(
     defaults={"seeds": 3},
     distribution=Values(
-        metavar="NAME",
-        help="uniform, normal, exponential, lognormal; by default all.",
-        default=list(JITTER),
+        list(JITTER),
+        "NAME",
+        "uniform, normal, exponential, lognormal; by default all.",
         quick=["uniform", "exponential"],
     ),
     std=Values(
-        metavar="SECONDS",
-        help="Standard deviation of the delay, s; by default 0.02, 0.05, 0.08.",
-        default=[0.02, 0.05, 0.08],
-        quick=[0.05],
+        [0.02, 0.05, 0.08], "SECONDS", "Standard deviation of the delay, s; by default 0.02, 0.05, 0.08.", quick=[0.05]
     ),
-    mean=Values(metavar="SECONDS", help="Mean delay, s.", default=0.16, within=DELAY),
+    mean=Values(0.16, "SECONDS", "Mean delay, s.", within=DELAY),
 )
 def jitter(scenarios: Iterable[str], distribution: Sequence[str], std: Sequence[float], mean: float) -> Experiment:
     """Effect of the distribution of random delays.
@@ -159,12 +142,9 @@ def jitter(scenarios: Iterable[str], distribution: Sequence[str], std: Sequence[
             )
             found.append((name, deviation_s, mean, f"{name} with {_ms(deviation_s)}", settings))
     variants = [
-        {
-            "labels": {"distribution": name, "std_s": deviation_s, "mean_s": delay_s},
-            "text": text,
-            "settings": settings,
-            "baseline": delay_s == 0.0,
-        }
+        _variant(
+            {"distribution": name, "std_s": deviation_s, "mean_s": delay_s}, text, *settings, baseline=delay_s == 0.0
+        )
         for name, deviation_s, delay_s, text, settings in found
     ]
     return Experiment(name="jitter", points=each(scenarios, variants), x=axis("std_s"), curves="distribution")
@@ -173,16 +153,12 @@ def jitter(scenarios: Iterable[str], distribution: Sequence[str], std: Sequence[
 @declared(
     defaults={"seeds": 3},
     delay=Values(
-        metavar="SECONDS",
-        help="Delay, s; by default 0, 0.1, 0.2, 0.4.",
-        default=[0.0, 0.1, 0.2, 0.4],
-        quick=[0.0, 0.2],
-        within=DELAY,
+        [0.0, 0.1, 0.2, 0.4], "SECONDS", "Delay, s; by default 0, 0.1, 0.2, 0.4.", quick=[0.0, 0.2], within=DELAY
     ),
     loss=Values(
-        metavar="SHARE",
-        help="Packet loss; by default 0, 0.1, 0.3, 0.6.",
-        default=[0.0, 0.1, 0.3, 0.6],
+        [0.0, 0.1, 0.3, 0.6],
+        "SHARE",
+        "Packet loss; by default 0, 0.1, 0.3, 0.6.",
         quick=[0.0, 0.3],
         within=Range("a share from 0 to 1", 0.0, math.nextafter(1.0, 2.0)),
     ),
@@ -195,12 +171,13 @@ def matrix(scenarios: Iterable[str], delay: Sequence[float], loss: Sequence[floa
     Example: transport experiment matrix --delay 0 --delay 0.2 --loss 0 --loss 0.3
     """
     variants = [
-        {
-            "labels": {"delay_s": delay_s, "loss": share},
-            "text": f"{_ms(delay_s)} and {_percent(share)} loss",
-            "settings": (f"links.delay_s={delay_s!r}", f"links.loss={share!r}"),
-            "baseline": delay_s == share == 0.0,
-        }
+        _variant(
+            {"delay_s": delay_s, "loss": share},
+            f"{_ms(delay_s)} and {_percent(share)} loss",
+            f"links.delay_s={delay_s!r}",
+            f"links.loss={share!r}",
+            baseline=delay_s == share == 0.0,
+        )
         for delay_s in sorted({0.0, *delay})
         for share in sorted({0.0, *loss})
     ]
@@ -212,15 +189,13 @@ def matrix(scenarios: Iterable[str], delay: Sequence[float], loss: Sequence[floa
     scenarios=("resilient",),
     defaults={"seeds": 5},
     threshold=Values(
-        metavar="SHARE",
-        help="Smallest change that is sent, share of the input's range.",
-        default=[0.002, 0.005, 0.01, 0.02, 0.05],
+        [0.002, 0.005, 0.01, 0.02, 0.05],
+        "SHARE",
+        "Smallest change that is sent, share of the input's range.",
         quick=[0.01],
         within=Range("a share > 0"),
     ),
-    heartbeat=Values(
-        metavar="SECONDS", help="Longest time between two plans, s.", default=1.0, within=Range("a time > 0 s")
-    ),
+    heartbeat=Values(1.0, "SECONDS", "Longest time between two plans, s.", within=Range("a time > 0 s")),
 )
 def sharing(scenarios: Iterable[str], threshold: Sequence[float], heartbeat: float) -> Experiment:
     """Cost against the number of plans sent.
@@ -237,13 +212,14 @@ def sharing(scenarios: Iterable[str], threshold: Sequence[float], heartbeat: flo
         for least in sorted(threshold)
     ]
     variants = [
-        {
-            "labels": {"network": network, "share_threshold": least},
-            "text": f"{text}, {network}",
-            "settings": (*links, *settings),
-            "baseline": least == 0.0,
-            "group": network,  # the baseline of each network sends all plans
-        }
+        _variant(  # the baseline of each network sends all plans
+            {"network": network, "share_threshold": least},
+            f"{text}, {network}",
+            *links,
+            *settings,
+            baseline=least == 0.0,
+            group=network,
+        )
         for network, links in NETWORKS.items()
         for least, text, settings in shared
     ]
