@@ -22,7 +22,6 @@ from transport.experiments.processor_time import (
     TEAM,
     Load,
     PeriodRange,
-    crossing_s,
     equal_periods,
     measure_in_turns,
     step_ms,
@@ -80,12 +79,6 @@ def test_periods_beyond_the_grid() -> None:
     assert sometimes.is_open
 
 
-@pytest.mark.parametrize(("ratios", "expected_s"), [((1.0, 2.0), 0.1), ((0.5, 1.0), 0.05), ((0.5, 0.9), 0.0)])
-def test_crossing_at_the_ends(ratios: tuple[float, float], expected_s: float) -> None:
-    """A ratio of exactly one at an end of the grid is found there; one that is not reached is below it."""
-    assert crossing_s([0.1, 0.05], ratios) == pytest.approx(expected_s)
-
-
 def test_all_are_measured_in_turns() -> None:
     """Each repetition measures every candidate once, each right behind the reference; ratios are of these pairs."""
     reference, printed = (comparison.setup_of(name, [MANEUVER]) for name in (CENTRALIZED, PAPER))
@@ -112,14 +105,6 @@ def test_a_step_takes_time() -> None:
     assert step_ms(comparison.setup_of(PAPER, [MANEUVER])) > 0.0
     with pytest.raises(ValueError, match="expected a run of more than 3 ticks"):
         step_ms(comparison.setup_of(PAPER, [ticks(2)]))
-
-
-@pytest.mark.parametrize(
-    ("kept", "period_s", "horizon"), [(STEPS, 0.01, 20), (SECONDS, 0.01, 100), (SECONDS, 0.05, 20), (SECONDS, 2.0, 1)]
-)
-def test_horizons(kept: str, period_s: float, horizon: int) -> None:
-    """A faster controller looks ahead as many steps or as many seconds."""
-    assert comparison.horizon_of(20, 0.05, period_s, kept) == horizon
 
 
 def test_grid() -> None:
@@ -218,14 +203,6 @@ def test_cost_of_an_interval() -> None:
     assert mean.half_width is not None
     expected = (mean.mean - mean.half_width, mean.mean + mean.half_width)
     assert paper_curve().cost_range(PeriodRange(0.05, 0.05)) == pytest.approx(expected)
-
-
-def test_periods_outside_the_grid_have_no_cost() -> None:
-    """An interval partly beyond the grid is cut off there, one wholly beyond it has no cost."""
-    curve = paper_curve(seeds=1)
-    assert curve.cost_range(PeriodRange(0.1, math.inf)) == pytest.approx((4.0, 4.0))
-    assert curve.cost_range(PeriodRange(math.inf, math.inf)) is None
-    assert curve.cost_range(PeriodRange(0.0, 0.0)) is None
 
 
 def test_diverged_runs_are_not_compared() -> None:

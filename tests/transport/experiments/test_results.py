@@ -33,15 +33,6 @@ def test_results_are_read_back_as_the_same_bits(tmp_path: Path) -> None:
         assert results.notices == []
 
 
-def test_an_error_is_replaced_by_a_later_result(tmp_path: Path) -> None:
-    """A case that could not be simulated may be repeated; the later line counts."""
-    with opened(tmp_path) as results:
-        results.add(result("a", ERROR))
-        results.add(result("a"))
-    with opened(tmp_path) as results:
-        assert results.done("a")
-
-
 @pytest.mark.parametrize("left", [1, 20, -1])
 def test_an_incomplete_line_is_reported_and_removed(tmp_path: Path, left: int) -> None:
     """A last line cut anywhere loses its own result only, and does not affect the next line."""
@@ -98,13 +89,6 @@ def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
     assert [path.name for path in (tmp_path / "mine").iterdir()] == ["thesis.tex"]
     with pytest.raises(ExperimentError, match="which is a file"):
         opened(tmp_path / "mine" / "thesis.tex", "loss")
-
-
-def test_a_folder_killed_at_its_first_moment_is_taken(tmp_path: Path) -> None:
-    """An empty folder, or one with a half-written identity, is what a kill leaves behind."""
-    (tmp_path / "experiment.json.partial").write_text('{"exp')
-    with opened(tmp_path) as results:
-        results.add(result("a"))
 
 
 def test_two_commands_at_one_folder_are_refused(tmp_path: Path) -> None:

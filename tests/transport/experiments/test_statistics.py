@@ -23,14 +23,6 @@ def result(outcome: str = "completed", cost: float = 1.0, lost_s: float | None =
     return Result(key="k", outcome=outcome, reason="", numbers={} if outcome == ERROR else numbers)
 
 
-def test_interval_by_hand() -> None:
-    """1, 2, 3: mean 2, s = 1, and t = 4.3027 of two degrees of freedom (any table) over the root of three."""
-    found = estimate([1.0, 2.0, 3.0])
-    assert found is not None
-    assert (found.mean, found.n) == (2.0, 3)
-    assert found.half_width == pytest.approx(4.302653 / np.sqrt(3.0), abs=1e-6)
-
-
 @pytest.mark.parametrize("n", [2, 3, 5, 10, 200])
 def test_interval_is_students(n: int) -> None:
     """The interval is that of scipy.stats for any number of repetitions, also of numbers far from zero."""
