@@ -85,8 +85,10 @@ def fields() -> dict[str, FieldInfo]:
 
 def short_names() -> dict[str, str]:
     """Return the dotted keys that have a short name in Python, by that name."""
-    # Links from and to the plant have the keys of `links`, which come first, again.
-    return {short: key for key, field in reversed(fields().items()) if (short := key_of(field).short)}
+    found: dict[str, str] = {}
+    for key, field in fields().items():  # links from and to the plant have the keys of `links`, which come first, again
+        found.setdefault(key_of(field).short, key)
+    return {short: key for short, key in found.items() if short}
 
 
 def meanings(section: type[BaseModel]) -> dict[str, str]:

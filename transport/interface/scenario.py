@@ -257,8 +257,10 @@ class Section:
     @public
     def __setattr__(self, name: str, value: Any) -> None:
         self._owner[self._key_of(name)] = value
-        data = self._owner[self._key]._data if self._key else self._owner.validated
-        object.__setattr__(self, "_data", data)
+        found: Any = self._owner.validated
+        for part in filter(None, self._key.split(".")):
+            found = next(iter(_part(found, part) or ()))
+        object.__setattr__(self, "_data", found)
 
     def __dir__(self) -> list[str]:
         return [*super().__dir__(), *type(self._data).model_fields]
