@@ -8,7 +8,7 @@ acceleration's own derivatives; P is its effect. So the factors have O(N) entrie
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +19,7 @@ from model.arrays import Array, frozen
 NAMES = ("X", "U", "P", "V_x", "V_u", "C")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Pattern:
     """Places of the entries of all factors, one list of rows after the other.
 
@@ -84,6 +84,7 @@ def of_matrices(A_c: Array, B_c: Array, C: Array) -> tuple[Pattern, Array]:
     return pattern, np.concatenate([matrix.reshape(-1) for matrix in matrices])
 
 
+@lru_cache(64)
 def with_lag(pattern: Pattern) -> tuple[Pattern, npt.NDArray[np.intp]]:
     """Return the pattern of a system whose inputs a follow commands u by a' = (u - a) / lag: states [x, a], inputs u.
 
@@ -91,20 +92,6 @@ def with_lag(pattern: Pattern) -> tuple[Pattern, npt.NDArray[np.intp]]:
 
     Returns: The pattern, and the order of its entries, taken from those of the system, -1/lag (m,) and 1/lag (m,).
     """
-    found = _WITH_LAG.get(id(pattern))
-    if found is None:
-        if len(_WITH_LAG) >= _MOST_PATTERNS:
-            _WITH_LAG.clear()
-        found = _WITH_LAG[id(pattern)] = pattern, *_with_lag(pattern)
-    return found[1], found[2]
-
-
-# By identity; the patterns are kept, so that no other has the same one.
-_WITH_LAG: dict[int, tuple[Pattern, Pattern, npt.NDArray[np.intp]]] = {}
-_MOST_PATTERNS = 64
-
-
-def _with_lag(pattern: Pattern) -> tuple[Pattern, npt.NDArray[np.intp]]:
     (n, m), r, (p, _) = pattern.shapes[1], pattern.shapes[2][1], pattern.shapes[5]
     entries = len(pattern.index)
 

@@ -328,7 +328,7 @@ INLINE double answer(ptrdiff_t steps, ptrdiff_t m, ptrdiff_t i, ptrdiff_t k, con
     return sum;
 }
 
-/* Plan from a solution by mixing corrections c to the shared control law with the previous ones; see mpc/plan.py.
+/* Plan from a solution by mixing corrections c to the shared control law with the previous ones; see mpc/program.py.
 
    own: (m,) of all inputs. z: scaled decision, (steps, m). uncorrected, previous, dU: (steps, all): inputs by the law at
    x0, corrections, K dX. feedback: (all, steps, m). w: of the new corrections, 0 for none.

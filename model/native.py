@@ -88,7 +88,7 @@ def fill(of: Problem) -> None:
 
 
 def conclude(of: Problem, z: Array, w: float) -> tuple[Array, Array]:
-    """Return U and c of a problem's plan; see `mpc.plan`."""
+    """Return U and c of a problem's plan; see `mpc.program`."""
     U, c = np.empty((of.steps, of.m)), np.empty((of.steps, of.m))
     _KERNELS.conclude(ctypes.addressof(of), at(z), w, at(U), at(c))
     return U, c

@@ -1,7 +1,7 @@
 """One controller for any set of owned UAVs: one is the paper's distributed controller, all the centralized one."""
 
 from collections.abc import Collection, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,12 +12,11 @@ from model.failure import failed_model
 from model.hover import Hover
 from model.linearisation import Linearisation, Model
 from model.motors import lagged
+from model.native import Places
 from model.state import LARGEST
-from mpc import plan
 from mpc.decision import Decision
 from mpc.feedback import FeedbackLaw
-from mpc.plan import StepResult
-from mpc.prediction import Linear, Prediction, follow
+from mpc.prediction import Linear, Prediction, convolve, follow, free_response
 from mpc.program import Program
 from mpc.qp import QP, Solution
 from mpc.regulation import CostToGo, Regulation
@@ -28,6 +27,22 @@ __all__ = ["Controller", "Linear", "StepResult"]
 
 # A trajectory beyond these angles of payload or UAVs, rad, is not followed: Euler angles become singular.
 _STEEPEST = 1.3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StepResult:
+    """Plan of one step.
+
+    Attributes:
+        U: Absolute inputs of the owned UAVs to announce and apply, (N_p, 4 owned); after a failed solve
+            the previous plan, shifted.
+        c: Their corrections to the shared control law, (N_p, 4 owned); (0, 4 owned) without that law.
+        solution: Of the QP, solved or not.
+    """
+
+    U: Array
+    c: Array
+    solution: Solution
 
 
 class Controller:
@@ -200,31 +215,68 @@ class Controller:
         law: FeedbackLaw | None,
         ticks_since_start: int | None = None,
     ) -> StepResult:
-        """Return the plan to announce: the relaxed solution, or the previous plan after a failure.
+        """Return the plan to announce: w U* + (1 - w) U_previous, or the previous plan after a failure.
+
+        With a shared control law only the corrections are mixed: the stabilising feedback acts in full, and the inputs
+        follow from the control law and the mixed corrections.
 
         Announced inputs and control law are those of `step`, the prediction that of the QP. In the first ticks since
-        this controller joined the relaxation weight is at least 1 / (ticks + 1), as there is no previous plan to
+        this controller joined the relaxation weight w is at least 1 / (ticks + 1), as there is no previous plan to
         average with; `ticks_since_start` is None for a member from the start.
 
         Source: docs/equations.md (30a), (36a).
         """
-        w = self._relaxation
+        w, decision, solved = self._relaxation, self._decision, solution.status == "solved"
         if ticks_since_start is not None:
             w = max(w, 1.0 / (ticks_since_start + 1))
-        result = plan.relaxed(self._program, solution, prediction, U, law, w)
-        if np.isfinite(result.U).all() and np.abs(result.c).max(initial=0.0) <= LARGEST:
-            return result
-        return plan.fallback(self._decision, solution, U, law)
+        z = solution.z[: decision.size] if solved else np.zeros(decision.size)
+        if law is None:
+            inputs, c = U[:, self.own], np.zeros((0, len(self.own)))
+            if solved:
+                # The solver meets the bounds to its tolerance; the plant's actuators have them exactly.
+                best = decision.clip(prediction.U_free + decision.inputs(z))
+                inputs = decision.clip(w * best + (1.0 - w) * inputs)
+        else:
+            inputs, c = self._program.relaxed(prediction, law, z, w if solved else 0.0)
+        if np.isfinite(inputs).all() and np.abs(c).max(initial=0.0) <= LARGEST:
+            return StepResult(U=inputs, c=c, solution=solution)
+        return self._previous(solution, U, law)
 
     def give_up(self, U: Array, law: FeedbackLaw | None) -> StepResult:
         """Return the previous plan where no QP can be formed because its numbers are out of range."""
-        return plan.fallback(self._decision, unsolved(0, 0, self.settings.solver), U, law)
+        return self._previous(unsolved(0, 0, self.settings.solver), U, law)
+
+    def _previous(self, solution: Solution, U: Array, law: FeedbackLaw | None) -> StepResult:
+        """Return the previous plan within bounds."""
+        c = np.zeros((0, len(self.own))) if law is None else law.c[:, self.own]
+        return StepResult(U=self._decision.clip(U[:, self.own]), c=c, solution=solution)
 
     def foreseen(self, prediction: Prediction, inputs: Array) -> Array:
-        """Return the expected inputs of all UAVs over the horizon, (N_p, m); see `mpc.plan.foreseen`."""
-        return plan.foreseen(self._decision, prediction, inputs)
+        """Return the inputs of all UAVs over the horizon as this controller expects them, within bounds, (N_p, m).
 
-    adapted = staticmethod(plan.adapted)
+        The owned inputs are given, (N_p, m_own). Source: docs/equations.md (35), (36).
+        """
+        U: Array = prediction.U_all + convolve(prediction.feedback, inputs - prediction.U_free)
+        U[:, self.own] = inputs
+        N, limits = self.model.system.N, self.settings.limits
+        return np.clip(U, limits.lower(N), limits.upper(N))
+
+    @staticmethod
+    def adapted(law: FeedbackLaw, discrete: Discrete, u0: Array, U: Array, columns: Places) -> FeedbackLaw:
+        """Return the control law whose corrections, in some columns, reproduce inputs announced under another one.
+
+        Args:
+            law: The shared control law over the horizon.
+            discrete: Zero-order hold about (x0, u0).
+            u0: Input of the linearisation, (m,).
+            U: Announced inputs of all UAVs over the horizon, (N_p, m).
+            columns: Positions in u.
+        Source: docs/equations.md (46).
+        """
+        dX = free_response(discrete.A, discrete.f_d + (U - u0) @ discrete.B.T)
+        c = law.c.copy()
+        c[:, columns] = U[:, columns] - law.uncorrected[:, columns] - dX[:-1] @ law.K[columns].T
+        return replace(law, c=c)
 
     def without(self, uavs: Collection[int]) -> None:
         """Set the UAVs without an agent, 0-based: they follow the fail-safe and are predicted so."""
