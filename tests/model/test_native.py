@@ -14,7 +14,7 @@ from model import compiler, native
 from model.arrays import ShapeError
 from model.compiled import Compiled, compile_functions, functions
 from model.discretisation import _zero_order_hold, zero_order_hold
-from model.linearisation import Linearisation, Model
+from model.linearisation import Linearisation
 from tests.support.random_systems import random_forces, random_input, random_state, random_system
 
 needs_compiler = pytest.mark.skipif(compiler.find_compiler() is None, reason="no C compiler on this machine")
@@ -47,19 +47,6 @@ def test_zero_order_hold_is_its_twin(n: int, filled: float, growth: float) -> No
     for one, other in ((found.A, expected.A), (found.B, expected.B), (found.f_d, expected.f_d)):
         assert one.shape == other.shape
         assert np.abs(one - other).max() <= within * max(1.0, float(np.abs(other).max()))
-
-
-@needs_kernels
-@pytest.mark.parametrize("N", [1, 2, 4, 7])
-@pytest.mark.parametrize("period_s", [0.0, 0.02, 0.1, 1.0])
-def test_zero_order_hold_of_a_team_is_its_twin(N: int, period_s: float) -> None:
-    """A team's expansion in factors, at a state far from hover, with a UAV whose motors are off."""
-    rng = np.random.default_rng(N)
-    model = Model(random_system(rng, N), off=[N - 1])
-    linear = model.linearise(random_state(rng, N), random_input(rng, N), forces=random_forces(rng, N))
-    found, expected = zero_order_hold(linear, period_s), _zero_order_hold(linear, period_s)
-    for one, other in ((found.A, expected.A), (found.B, expected.B), (found.f_d, expected.f_d)):
-        assert np.abs(one - other).max() <= 100.0 * ROUNDING * max(1.0, float(np.abs(other).max()))
 
 
 @needs_kernels

@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from mpc.qp import QP, RESIDUAL_TOLERANCE, Residuals, residuals
-from mpc.solvers import solve_clarabel
-from tests.support.programs import random_qp
+from mpc.qp import QP, Residuals, residuals
 
 # A few products of small numbers: rounding only.
 ROUNDING = 1e-15
@@ -62,23 +60,6 @@ def test_program_without_rows() -> None:
         row_upper=np.zeros(0),
     )
     assert residuals(bounded, np.array([1.0, 0.0]), np.array([2.0, 0.0]), np.zeros(0)).worst == 0.0
-
-
-@pytest.mark.parametrize("seed", range(12))
-def test_residuals_grow_with_the_error(seed: int) -> None:
-    """Residuals (28) of docs/equations.md are small at the optimum and grow in step with any error put in."""
-    qp = random_qp(seed)
-    answer = solve_clarabel(qp)
-    rng = np.random.default_rng(seed)
-    dz, dl = rng.standard_normal(len(qp.g)), rng.standard_normal(len(qp.g))
-    dr = rng.standard_normal(len(qp.A))
-    z, bound, row = answer.z, answer.bound_multipliers, answer.row_multipliers
-    moved = [residuals(qp, z + size * dz, bound, row).worst for size in (0.0, 1e-4, 1e-2)]
-    assert moved[0] < moved[1] < moved[2]
-    assert moved[1] > RESIDUAL_TOLERANCE
-    pushed = [residuals(qp, z, bound + size * dl, row + size * dr).worst for size in (0.0, 1e-4, 1e-2)]
-    assert pushed[0] < pushed[1] < pushed[2]
-    assert pushed[1] > RESIDUAL_TOLERANCE
 
 
 @pytest.mark.parametrize("field", ["stationarity", "primal", "complementarity"])

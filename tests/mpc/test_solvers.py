@@ -6,7 +6,6 @@ from typing import Any
 import daqp
 import numpy as np
 import pytest
-from scipy.optimize import LinearConstraint, minimize
 
 from model.arrays import Array
 from mpc import solvers
@@ -58,23 +57,6 @@ def test_two_solvers_agree_on_the_controllers_programs(minimum_m: float, within:
         agree(qp, within)
     pushed = [np.abs(solve_daqp(qp).row_multipliers).max() > 1e-3 for qp in programs]
     assert all(pushed), "programs without active rows would show little"
-
-
-@pytest.mark.parametrize("seed", range(12))
-def test_third_opinion(seed: int) -> None:
-    """A general nonlinear optimiser, knowing nothing of QPs, finds no lower objective and the same point nearly."""
-    qp = random_qp(seed)
-    found = solve(qp, "daqp")
-    equal, bounded = qp.row_lower == qp.row_upper, np.isfinite(qp.row_lower) | np.isfinite(qp.row_upper)
-    kinds = [kind for kind in (equal, bounded & ~equal) if kind.any()]
-    rows = [LinearConstraint(qp.A[kind], qp.row_lower[kind], qp.row_upper[kind]) for kind in kinds]
-    other = minimize(
-        qp.objective, np.clip(np.zeros(len(qp.g)), qp.lower, qp.upper), jac=lambda z: qp.H @ z + qp.g, method="SLSQP",
-        bounds=list(zip(qp.lower, qp.upper, strict=True)), constraints=rows,
-        options={"ftol": 1e-14, "maxiter": 500},
-    )  # fmt: skip
-    assert qp.objective(found.z) == pytest.approx(other.fun, rel=THIRD_OPINION, abs=THIRD_OPINION)
-    assert np.abs(found.z - other.x).max() <= np.sqrt(THIRD_OPINION) * max(1.0, float(np.abs(other.x).max()))
 
 
 @pytest.mark.parametrize("name", NAMES)

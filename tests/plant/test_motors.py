@@ -67,16 +67,6 @@ def test_limited_rotors() -> None:
     np.testing.assert_allclose(found, np.clip(thrusts, least, most), rtol=0.0, atol=1e-10)
 
 
-def test_at_the_largest_thrust_there_are_no_moments() -> None:
-    """A UAV at its largest thrust has no moments left, and a moment asked for there costs thrust."""
-    rotors = Rotors(ROTORS)
-    most = rotors.limited(np.array([[60.0, 1.0, -1.0, 0.1]]))[0]
-    assert most == pytest.approx([48.0, 0.0, 0.0, 0.0], abs=1e-10)
-    less = rotors.limited(np.array([[48.0, 1.0, 0.0, 0.0]]))[0]
-    assert less[0] < 48.0
-    assert 0.0 < less[1] < 1.0
-
-
 def test_steps_of_the_thrust() -> None:
     """Thrusts are the nearest multiples of the step, moments as commanded."""
     u = commands(5)[0]
