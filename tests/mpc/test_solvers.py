@@ -19,8 +19,6 @@ AGREEMENT = 1e-6
 # Half ranges of the inputs. A shared slack under many active rows leaves Clarabel, which stops at a duality gap of
 # 1e-9, sqrt(2 * 1e-9 / 0.005) away at most, 0.005 being the weakest curvature (of the yaw moments).
 AGREEMENT_WITH_SLACK = 6e-4
-# SLSQP stops on its own objective tolerance and knows no residuals; its objective is good to about this.
-THIRD_OPINION = 1e-6
 # Relative to the objective: quadratic around the optimum, so far below the answers' own agreement.
 OBJECTIVE_AGREEMENT = 1e-8
 
