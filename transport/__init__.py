@@ -10,20 +10,23 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from protocol.scenario.errors import ScenarioError
-    from protocol.wire.errors import TransportError
-    from transport.experiments.errors import ExperimentError
-    from transport.flight.harness import HarnessError
-    from transport.flight.run_error import RunError
-    from transport.interface.fly import fly, load
-    from transport.interface.margins import Margins, margins
-    from transport.interface.run import Run
-    from transport.interface.scenario import Scenario
-    from transport.interface.series import RunSeries
-    from transport.interface.settings import ArgumentError
-    from transport.interface.sweep import Sweep, sweep
-    from transport.log.run_log import LogError
-    from transport.viewer.server import ViewerError
+    from protocol.scenario.errors import ScenarioError as ScenarioError
+    from protocol.wire.errors import TransportError as TransportError
+    from transport.experiments.errors import ExperimentError as ExperimentError
+    from transport.flight.harness import HarnessError as HarnessError
+    from transport.flight.run_error import RunError as RunError
+    from transport.interface.fly import fly as fly
+    from transport.interface.fly import load as load
+    from transport.interface.margins import Margins as Margins
+    from transport.interface.margins import margins as margins
+    from transport.interface.run import Run as Run
+    from transport.interface.scenario import Scenario as Scenario
+    from transport.interface.series import RunSeries as RunSeries
+    from transport.interface.settings import ArgumentError as ArgumentError
+    from transport.interface.sweep import Sweep as Sweep
+    from transport.interface.sweep import sweep as sweep
+    from transport.log.run_log import LogError as LogError
+    from transport.viewer.server import ViewerError as ViewerError
 
 # Module of each name of the Python interface.
 _MODULES = {
@@ -46,25 +49,7 @@ _MODULES = {
     "ViewerError": "transport.viewer.server",
 }
 
-__all__ = [
-    "ArgumentError",
-    "ExperimentError",
-    "HarnessError",
-    "LogError",
-    "Margins",
-    "Run",
-    "RunError",
-    "RunSeries",
-    "Scenario",
-    "ScenarioError",
-    "Sweep",
-    "TransportError",
-    "ViewerError",
-    "fly",
-    "load",
-    "margins",
-    "sweep",
-]
+__all__ = list(_MODULES)  # a type checker reads the imports above
 
 _HERE = Path(__file__).resolve().parent.parent
 _PACKAGES = ("model", "mpc", "protocol", "agent", "plant", "coordinator", "deploy", "scenarios")

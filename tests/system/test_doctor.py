@@ -15,7 +15,7 @@ from transport.cli.main import app
 from transport.doctor import checks as doctor
 from transport.doctor import host as doctor_host
 from transport.doctor import run_checks
-from transport.doctor.finding import Finding
+from transport.doctor.host import Finding
 
 STAT = "cpu  {user} 0 0 {idle} 0 0 0 {stolen} 0 0\n"
 

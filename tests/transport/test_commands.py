@@ -1,6 +1,5 @@
 """The command line: commands are imported when they are called, and their help texts agree and can be followed."""
 
-import ast
 import json
 import re
 import shlex
@@ -96,18 +95,6 @@ def test_docs_list_every_command() -> None:
     rows = re.findall(r"^\| `transport ([a-z ]+)` \| (.+?) \|", document, re.MULTILINE)
     expected = [(" ".join(names), group_of(names[:-1]).table[names[-1]][1]) for names in COMMANDS]
     assert sorted(rows) == sorted(expected)
-
-
-def test_every_command_knows_whether_it_accepts_large_runs() -> None:
-    """Each reading of a scenario says whether the limits hold: by the option --allow-large, or for no size."""
-    folder = Path(__file__).resolve().parents[2] / "transport" / "cli"
-    calls = []
-    for path in folder.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Call) and getattr(node.func, "id", "") in ("read_setup", "read_scenario"):
-                calls.append((path.name, "allow_large" in [keyword.arg for keyword in node.keywords]))
-    assert len(calls) > 10
-    assert [name for name, says in calls if not says] == []
 
 
 @pytest.mark.parametrize("names", COMMANDS, ids=" ".join)

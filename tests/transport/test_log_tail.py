@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from tests.support import runs
 from tests.support.logs import record_run
 from transport.log import tail as log_tail
 from transport.log.channels import ENCODING, TOKENS, TOKENS_ENCODING
-from transport.log.parser import Place, content_of, records
+from transport.log.parser import records
 from transport.log.run_log import read_log
 from transport.log.tail import LogTail, Unread
 from transport.scene.history import KINDS, LATER, RunHistory
@@ -157,20 +156,3 @@ def chunk_of(data: bytes) -> bytes:
         uncompressed_size=len(data),
     ).write(builder)
     return bytes(builder.end())  # type: ignore[no-untyped-call]
-
-
-def test_each_chunk_is_read_once(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Messages of one chunk cost one read of the file, and only a limited number of chunks is cached."""
-    read: list[Place] = []
-
-    def unpacked(path: Path, place: Place) -> bytes:
-        read.append(place)
-        return content_of(path, place)
-
-    taken = [message for message in LogTail(log, KINDS, LATER).read() if isinstance(message, Unread)]
-    monkeypatch.setattr(log_tail, "chunk", lru_cache(maxsize=1)(unpacked))
-    for _ in range(2):
-        assert all(message.message() is not None for message in taken)
-    chunks = {message.chunk for message in taken}
-    assert len(chunks) > 1
-    assert len(read) == 2 * len(chunks)

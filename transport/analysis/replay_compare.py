@@ -10,7 +10,7 @@ from model.arrays import Array
 from model.state import INPUTS
 from protocol.wire.messages import Plan, StepReport
 from transport.analysis.replay import Answer, Step
-from transport.log.units import INPUT_NAMES, UAV_STATE_NAMES, split_unit
+from transport.log.tables import INPUT_NAMES, UAV_STATE_NAMES, split_unit
 
 # Fields that identify a message or depend on the wall clock.
 _NOT_COMPARED = ("sender", "incarnation", "sequence", "tick", "agent", "negotiation", "times_ms")

@@ -15,7 +15,7 @@ from transport.cli.options import FormatOption, LargeOption, SetOption
 from transport.cli.output import Format, show_json
 from transport.cli.scenario_setup import read_setup
 from transport.doctor.checks import checks
-from transport.doctor.finding import Finding
+from transport.doctor.host import Finding
 
 _COLOURS = {"ok": "green", "warn": "yellow", "fail": "bold red"}
 

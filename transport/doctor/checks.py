@@ -14,8 +14,7 @@ from packaging.version import Version
 from model import compiler, native
 from model.compiler import cache_folder
 from protocol.scenario.setup import Setup
-from transport.doctor.finding import Finding
-from transport.doctor.host import host_checks
+from transport.doctor.host import Finding, host_checks, judged
 
 _DISTRIBUTION = "payload-transport"
 _LEAST_PYTHON = (3, 11)
@@ -91,10 +90,9 @@ def blas() -> Finding:
     free = threadpoolctl.threadpool_info()
     libraries = ", ".join(f"{pool['internal_api']} {pool['version'] or ''}".strip() for pool in free) or "none found"
     unlimited = [pool["internal_api"] for pool in limited if pool["num_threads"] != 1]
-    if unlimited:
-        advice = "export OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 MKL_NUM_THREADS=1"
-        return Finding("warn", f"{', '.join(unlimited)} cannot be limited to one thread", advice)
-    return Finding("ok", f"{libraries}: one thread in every process of a run")
+    found = f"{', '.join(unlimited)} cannot be limited to" if unlimited else f"{libraries}:"
+    advice = "export OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 MKL_NUM_THREADS=1"
+    return judged(f"{found} one thread in every process of a run", bool(unlimited), advice)
 
 
 def kernels() -> Finding:
@@ -115,10 +113,8 @@ def kernels() -> Finding:
 def disk(folder: Path) -> Finding:
     """Check the free space for run folders."""
     free_mb = shutil.disk_usage(folder).free / 1e6
-    found = f"{free_mb / 1e3:.1f} GB free at {folder}"
-    if free_mb < _LEAST_DISK_MB:
-        return Finding("warn", found, "free some space, or use another folder: --out")
-    return Finding("ok", found)
+    advice = "free some space, or use another folder: --out"
+    return judged(f"{free_mb / 1e3:.1f} GB free at {folder}", free_mb < _LEAST_DISK_MB, advice)
 
 
 def _belongs(requirement: Requirement, extra: str = "") -> bool:

@@ -9,10 +9,10 @@ from collections.abc import Iterator
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
+from typing import Literal, NamedTuple
 
 from protocol.network.endpoints import process_names
 from protocol.scenario.setup import Setup
-from transport.doctor.finding import Finding
 
 _COARSE_S = 1e-6
 _LATE_MS = 2.0
@@ -23,18 +23,30 @@ _PRIORITY = 10  # as in docs/realtime.md
 _SLOW_SOURCES = ("hpet", "acpi_pm", "jiffies", "refined-jiffies")
 
 
+class Finding(NamedTuple):
+    """Result of a check: its status, the measured state, and advice if there is any."""
+
+    status: Literal["ok", "warn", "fail"]  # warn: a run works, with restrictions; fail: a run does not work
+    found: str
+    advice: str = ""
+
+
+def judged(found: str, is_bad: bool, advice: str) -> Finding:
+    """Return a finding with a warning and advice if the state is bad."""
+    return Finding("warn", found, advice) if is_bad else Finding("ok", found)
+
+
+_UNKNOWN = Finding("ok", "unknown")
+
+
 def host_checks(setup: Setup, root: Path = Path("/")) -> Iterator[tuple[str, Finding]]:
     """Yield every check of the host with its name; root is the folder of /proc and /sys."""
     yield "clock", clock(root)
     yield "wake-up", wake_up()
     yield "time of day", time_of_day()
     yield "cores", cores(setup)
-    yield "load", load(root)
-    yield "steal", steal(root)
-    yield "governor", governor(root)
-    yield "quota", quota(root)
-    yield "priority", priority(root)
-    yield "memory", memory(root)
+    for check in (load, steal, governor, quota, priority, memory):
+        yield check.__name__, check(root)
 
 
 def clock(root: Path) -> Finding:
@@ -49,10 +61,9 @@ def clock(root: Path) -> Finding:
     if min(steps) < 0 or not info.monotonic:
         advice = "a defect of the host or its hypervisor: use another host"
         return Finding("fail", f"{found}; it went backwards", advice)
-    if info.resolution > _COARSE_S or smallest_ns > 1e9 * _COARSE_S or source in _SLOW_SOURCES:
-        advice = "too coarse for real time: check whether the kernel offers tsc or kvm-clock as a clock source"
-        return Finding("warn", found, advice)
-    return Finding("ok", found)
+    is_coarse = info.resolution > _COARSE_S or smallest_ns > 1e9 * _COARSE_S or source in _SLOW_SOURCES
+    advice = "too coarse for real time: check whether the kernel offers tsc or kvm-clock as a clock source"
+    return judged(found, is_coarse, advice)
 
 
 def wake_up() -> Finding:
@@ -64,9 +75,7 @@ def wake_up() -> Finding:
         late_ms.append(1e3 * (time.monotonic() - begun) - 1.0)
     late_ms.sort()
     found = f"after 1 ms of sleep late by {late_ms[_NAPS // 2]:.2f} ms (longest of {_NAPS}: {late_ms[-1]:.2f} ms)"
-    if late_ms[-1] > _LATE_MS:
-        return Finding("warn", found, "the host is busy or saves power: see load, governor and priority")
-    return Finding("ok", found)
+    return judged(found, late_ms[-1] > _LATE_MS, "the host is busy or saves power: see load, governor and priority")
 
 
 def time_of_day() -> Finding:
@@ -76,11 +85,8 @@ def time_of_day() -> Finding:
         asked = ["timedatectl", "show", "--property=NTPSynchronized", "--value"]
         with suppress(OSError, subprocess.TimeoutExpired):
             answer = subprocess.run(asked, capture_output=True, text=True, timeout=3.0, check=False).stdout.strip()
-    if answer == "yes":
-        return Finding("ok", "synchronised")
-    if answer == "no":
-        return Finding("warn", "not synchronised", "only for logs of several hosts: timedatectl set-ntp true")
-    return Finding("ok", "unknown; no run depends on it")
+    found = {"yes": "synchronised", "no": "not synchronised"}.get(answer, "unknown; no run depends on it")
+    return judged(found, answer == "no", "only for logs of several hosts: timedatectl set-ntp true")
 
 
 def cores(setup: Setup) -> Finding:
@@ -88,22 +94,18 @@ def cores(setup: Setup) -> Finding:
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     wanted = len(process_names(setup.scenario)) + 1
     found = f"{usable} for {wanted} processes ({setup.scenario.name}), of {os.cpu_count()} in this machine"
-    if usable < wanted:
-        advice = "lockstep works, but slower; real time needs a core for each process: more cores, or fewer agents"
-        return Finding("warn", found, advice)
-    return Finding("ok", found)
+    advice = "lockstep works, but slower; real time needs a core for each process: more cores, or fewer agents"
+    return judged(found, usable < wanted, advice)
 
 
 def load(root: Path) -> Finding:
     """Check the load of the machine by other processes."""
     fields = _text(root / "proc/loadavg").split()
     if not fields:
-        return Finding("ok", "unknown")
+        return _UNKNOWN
     busy, all_cores = float(fields[0]), os.cpu_count() or 1
-    found = f"{busy:.2f} in the last minute, on {all_cores} cores"
-    if busy > all_cores:
-        return Finding("warn", found, "end other processes (top), or give the run a priority: chrt -f 10 transport run")
-    return Finding("ok", found)
+    advice = "end other processes (top), or give the run a priority: chrt -f 10 transport run"
+    return judged(f"{busy:.2f} in the last minute, on {all_cores} cores", busy > all_cores, advice)
 
 
 def steal(root: Path) -> Finding:
@@ -112,14 +114,12 @@ def steal(root: Path) -> Finding:
     time.sleep(_STEAL_S)
     after = _times(root)
     if before is None or after is None:
-        return Finding("ok", "unknown")
+        return _UNKNOWN
     total = after[0] - before[0]
     now = (after[1] - before[1]) / total if total > 0 else 0.0
     ever = after[1] / after[0] if after[0] else 0.0
-    found = f"{now:.1%} now, {ever:.1%} since boot"
-    if max(now, ever) > _STOLEN:
-        return Finding("warn", found, "used by other guests of the host: use a larger or dedicated machine or lockstep")
-    return Finding("ok", found)
+    advice = "used by other guests of the host: use a larger or dedicated machine or lockstep"
+    return judged(f"{now:.1%} now, {ever:.1%} since boot", max(now, ever) > _STOLEN, advice)
 
 
 def governor(root: Path) -> Finding:
@@ -128,9 +128,8 @@ def governor(root: Path) -> Finding:
     found = sorted({_text(file) for file in files} - {""})
     if not found:
         return Finding("ok", "set by the host (a virtual machine, or no frequency scaling)")
-    if found == ["performance"]:
-        return Finding("ok", "performance")
-    return Finding("warn", ", ".join(found), "for real time: sudo cpupower frequency-set -g performance")
+    advice = "for real time: sudo cpupower frequency-set -g performance"
+    return judged(", ".join(found), found != ["performance"], advice)
 
 
 def quota(root: Path) -> Finding:
@@ -146,7 +145,7 @@ def quota(root: Path) -> Finding:
 def priority(root: Path) -> Finding:
     """Check whether this user may give a run a real-time priority."""
     if not hasattr(resource, "RLIMIT_RTPRIO"):
-        return Finding("ok", "unknown")
+        return _UNKNOWN
     limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
     may = limit >= _PRIORITY or limit == resource.RLIM_INFINITY or os.geteuid() == 0
     runtime = _text(root / "proc/sys/kernel/sched_rt_runtime_us")
@@ -165,10 +164,10 @@ def memory(root: Path) -> Finding:
     limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
     memlock = "unlimited" if limit == resource.RLIM_INFINITY else f"{limit / 1024:g} kB"
     swaps = [line.split()[0] for line in _text(root / "proc/swaps").splitlines()[1:] if line.strip()]
-    if swaps:
-        found = f"swap on {', '.join(swaps)}; memlock {memlock}"
-        return Finding("warn", found, "for real time: swapoff -a, or MemorySwapMax=0 for the unit")
-    return Finding("ok", f"no swap; memlock {memlock}")
+    swap = f"swap on {', '.join(swaps)}" if swaps else "no swap"
+    return judged(
+        f"{swap}; memlock {memlock}", bool(swaps), "for real time: swapoff -a, or MemorySwapMax=0 for the unit"
+    )
 
 
 def _times(root: Path) -> tuple[int, int] | None:

@@ -16,7 +16,7 @@ from protocol.scenario.setup import Setup
 from protocol.wire.keys import WATCHER, Keys
 from protocol.wire.messages import Request
 from protocol.wire.names import RECORDER
-from transport.doctor.finding import Finding
+from transport.doctor.host import Finding, judged
 from transport.flight.harness import HarnessError, check_ports, free_ports
 
 _ROUND_TRIPS = 20
@@ -99,9 +99,7 @@ def network(setup: Setup) -> Finding:
         f"Zenoh {metadata.version('eclipse-zenoh')}: sessions open in {opened_s:.2f} s, meet after {met_s:.2f} s; "
         f"a round trip takes {median:.2f} ms (longest of {_ROUND_TRIPS}: {max(times_ms):.1f} ms)"
     )
-    if median > _LONGEST_MS:
-        return Finding("warn", found, "the host is busy: see load and cores below")
-    return Finding("ok", found)
+    return judged(found, median > _LONGEST_MS, "the host is busy: see load and cores below")
 
 
 def _bus(setup: Setup, name: str, endpoints: Endpoints, *, serves: bool) -> Bus:
@@ -127,7 +125,5 @@ def step(setup: Setup) -> Finding:
             times_ms.append(1e3 * (time.perf_counter() - begun))
     median, period_ms = statistics.median(times_ms[2:]), 1e3 * setup.settings.sampling_period_s
     found = f"a step of agent1 takes {median:.1f} ms, a sampling period is {period_ms:g} ms"
-    if median > period_ms / 2.0:
-        advice = "in real time plans will miss deadlines: a longer period, a shorter horizon, fewer UAVs per agent"
-        return Finding("warn", found, advice)
-    return Finding("ok", found)
+    advice = "in real time plans will miss deadlines: a longer period, a shorter horizon, fewer UAVs per agent"
+    return judged(found, median > period_ms / 2.0, advice)
