@@ -95,45 +95,46 @@ def fill(figure: Figure, name: str, setup: Setup, log: RunLog, series: Series) -
 
 def _draw_performance(figure: Figure, setup: Setup, log: RunLog, series: Series) -> None:
     """Draw position errors of UAVs and payload, payload attitude and cost over time."""
-    marks = marks_of(setup, log)
+    marks, t = marks_of(setup, log), series.times_s
     has_cost = bool((series.cost > 0.0).any())
     panels = column_panels(figure, [_HEIGHT_IN] * (3 + has_cost), marks)
-    _plot_performance(setup, series, panels)
-    swing_m = swing_of(setup, series).largest_m
-    swing = "" if swing_m is None else f", swing {swing_m:.2f} m"
-    if swing_m is not None:
-        last_s = float(series.times_s[-1])
-        for sign in (-1.0, 1.0):
-            span_s = [max(0.0, last_s - SWING_S), last_s]
-            panels[1].plot(span_s, [sign * swing_m] * 2, color=REFERENCE, linestyle="--", linewidth=0.8)
-    head(panels[0], "UAV position error (m)")
-    head(panels[1], f"payload error (m){swing}")
-    head(panels[2], "payload attitude (deg)")
-    if has_cost:
-        head(panels[3], "stage cost")
-    finish(figure, panels, setup, float(series.times_s[-1]) + setup.settings.sampling_period_s, marks)
-
-
-def _plot_performance(setup: Setup, series: Series, panels: list[Axes]) -> None:
-    """Plot errors, attitude and cost into four panels, or all but the cost into three, without labels."""
-    t = series.times_s
     errors_m = np.where(series.on_rods, np.linalg.norm(series.uav_errors_I, axis=2), np.nan)  # released ones have left
-    N = setup.system.N
-    for i in range(N):
-        panels[0].plot(t, errors_m[:, i], label=f"UAV{i + 1}", linewidth=line_width(i, N, 2.6), **uav_style(i))
+    _plot_uavs(panels[0], t, errors_m, widest=2.6)
     panels[0].set_ylim(0.0, max(panels[0].get_ylim()[1], _SMALLEST_M))
     for values, panel, names, smallest in (
         (series.payload_error_I, panels[1], ("x", "y", "z (down)"), _SMALLEST_M),
         (series.attitude_deg, panels[2], ("roll", "pitch", "yaw"), _SMALLEST_DEG),
     ):
-        for column, (name, colour) in enumerate(zip(names, COMPONENTS, strict=True)):
-            panel.plot(t, values[:, column], color=colour, label=name, linewidth=line_width(column, 3, 1.8))
+        _plot(panel, t, values, names, [{"color": colour} for colour in COMPONENTS])
         low, high = panel.get_ylim()
         panel.set_ylim(min(low, -smallest), max(high, smallest))
-
-    if len(panels) > 3:
+    swing_m = swing_of(setup, series).largest_m
+    if swing_m is not None:
+        span_s = [max(0.0, float(t[-1]) - SWING_S), float(t[-1])]
+        for sign in (-1.0, 1.0):
+            panels[1].plot(span_s, [sign * swing_m] * 2, color=REFERENCE, linestyle="--", linewidth=0.8)
+    if has_cost:
         panels[3].plot(t, np.where(series.cost > 0.0, series.cost, np.nan), color="#000000")
         scale_cost(panels[3], float(series.cost.max()), _COST_DECADES)
+    swing = "" if swing_m is None else f", swing {swing_m:.2f} m"
+    titles = ("UAV position error (m)", f"payload error (m){swing}", "payload attitude (deg)", "stage cost")
+    for panel, title in zip(panels, titles, strict=False):
+        head(panel, title)
+    finish(figure, panels, setup, float(t[-1]) + setup.settings.sampling_period_s, marks)
+
+
+def _plot(
+    panel: Axes, t: Array, values: Array, names: Sequence[str], styles: Sequence[dict[str, Any]], widest: float = 1.8
+) -> None:
+    """Plot values, (T, k), over time, so that curves that coincide stay visible."""
+    for i, (name, style) in enumerate(zip(names, styles, strict=True)):
+        panel.plot(t, values[:, i], label=name, linewidth=line_width(i, len(names), widest), **style)
+
+
+def _plot_uavs(panel: Axes, t: Array, values: Array, widest: float = 1.8) -> None:
+    """Plot a value of each UAV, (T, N), over time."""
+    uavs = range(values.shape[1])
+    _plot(panel, t, values, [f"UAV{i + 1}" for i in uavs], [uav_style(i) for i in uavs], widest)
 
 
 _INPUT_IN = 0.7
@@ -145,65 +146,53 @@ _NAMES = ("thrust (N)", "roll moment (N m)", "pitch moment (N m)", "yaw moment (
 def draw_inputs(figure: Figure, setup: Setup, log: RunLog, series: Series) -> None:
     """Draw inputs, separation and age of plans into an empty figure; panels without data are left out."""
     marks, t = marks_of(setup, log), series.times_s
-    until_s = float(t[-1]) + setup.settings.sampling_period_s
-    ages = _oldest_plans_s(setup, log)
-    separated = bool(np.isfinite(series.separation_m).any())
-    panels = column_panels(figure, [_INPUT_IN] * (INPUTS + separated + bool(ages)), marks)
-    bounds = setup.settings.limits
-    lower, upper = bounds.lower(1), bounds.upper(1)
-    N = setup.system.N
+    used_s, ages_s, agents = _oldest_plans_s(setup, log)
+    separation_m = np.where(np.isfinite(series.separation_m), series.separation_m, np.nan)
+    separated = bool(np.isfinite(separation_m).any())
+    panels = column_panels(figure, [_INPUT_IN] * (INPUTS + separated + bool(agents)), marks)
+    others = iter(panels[INPUTS:])
+    lower, upper = (bound(1) for bound in (setup.settings.limits.lower, setup.settings.limits.upper))
     for k, (panel, name) in enumerate(zip(panels, _NAMES, strict=False)):
-        for i in range(N):
-            width = line_width(i, N, 1.8)
-            panel.plot(t, series.u[:, INPUTS * i + k], label=f"UAV{i + 1}", linewidth=width, **uav_style(i))
+        _plot_uavs(panel, t, series.u[:, k::INPUTS])
         low, high = panel.get_ylim()
         panel.set_ylim(min(low, high - _LEAST), max(high, low + _LEAST))
         limits(panel, float(lower[k]), float(upper[k]))
-        if lower[k] == -upper[k]:
-            head(panel, f"{name}, limits ± {upper[k]:g}", legend=False)
-        else:
-            head(panel, f"{name}, limits {lower[k]:g}, {upper[k]:g}")
-    place = INPUTS
+        both = lower[k] == -upper[k]
+        text = f"± {upper[k]:g}" if both else f"{lower[k]:g}, {upper[k]:g}"
+        head(panel, f"{name}, limits {text}", legend=not both)
     if separated:
-        panels[place].plot(t, np.where(np.isfinite(series.separation_m), series.separation_m, np.nan), color="#000000")
-        text = "smallest distance between UAVs (m)"
+        panel, text = next(others), "smallest distance between UAVs (m)"
+        panel.plot(t, separation_m, color="#000000")
         if setup.settings.separation is not None:
             minimum_m = setup.settings.separation.minimum_m
-            limits(panels[place], minimum_m)
+            limits(panel, minimum_m)
             text += f", limit {minimum_m:g}"
-        head(panels[place], text)
-        place += 1
-    if ages:
-        for k, (agent, (times_s, values_s)) in enumerate(ages.items()):
-            style = uav_style(setup.owned[agent - 1][0])
-            panels[place].plot(
-                times_s,
-                values_s,
-                label=f"agent {agent}" if k == 0 else str(agent),
-                linewidth=line_width(k, len(ages), 1.8),
-                **style,
-            )
-        panels[place].set_ylim(0.0, 1.1 * max(float(np.nanmax(values_s)) for _, values_s in ages.values()) or 1.0)
-        head(panels[place], "oldest plan used (s)")
-    finish(figure, panels, setup, until_s, marks)
+        head(panel, text)
+    if agents:
+        panel = next(others)
+        names = [f"agent {agents[0]}", *map(str, agents[1:])]
+        _plot(panel, used_s, ages_s, names, [uav_style(setup.owned[agent - 1][0]) for agent in agents])
+        panel.set_ylim(0.0, 1.1 * float(np.nanmax(ages_s)) or 1.0)
+        head(panel, "oldest plan used (s)")
+    finish(figure, panels, setup, float(t[-1]) + setup.settings.sampling_period_s, marks)
 
 
-def _oldest_plans_s(setup: Setup, log: RunLog) -> dict[int, tuple[Array, Array]]:
-    """Return times, s, and the age of the oldest plan of another agent in use, s, by agent; empty without any."""
+def _oldest_plans_s(setup: Setup, log: RunLog) -> tuple[Array, Array, list[int]]:
+    """Return the age of the oldest plan of another agent in use, by the agents that used any.
+
+    Returns: Times, (T,), s; ages, (T, agents), s, NaN where an agent made no step; these agents.
+    """
+    used = {
+        (report.agent, report.tick): max(report.plan_ages)
+        for report in log.of(StepReport)
+        if report.agent in setup.agents and any(age >= 0 for age in report.plan_ages)
+    }
+    agents = sorted({agent for agent, _ in used})
+    recorded = [tick for _, tick in used] or [0]
+    ticks = np.arange(min(recorded), max(recorded) + 1)
+    ages = [[used.get((agent, int(tick)), np.nan) for agent in agents] for tick in ticks]
     period_s = setup.settings.sampling_period_s
-    rows: dict[int, dict[int, int]] = {agent: {} for agent in setup.agents}
-    for report in log.of(StepReport):
-        if report.agent in rows and any(age >= 0 for age in report.plan_ages):
-            rows[report.agent][report.tick] = max(report.plan_ages)
-    found: dict[int, tuple[Array, Array]] = {}
-    for agent, ages in rows.items():
-        if ages:
-            ticks = np.arange(min(ages), max(ages) + 1)
-            values: Array = np.array(
-                [ages.get(int(tick), np.nan) for tick in ticks]
-            )  # a gap while the agent made no step
-            found[agent] = np.asarray(ticks * period_s, dtype=float), values * period_s
-    return found
+    return np.asarray(ticks * period_s, dtype=float), np.array(ages, dtype=float) * period_s, agents
 
 
 _OVER_TIME_IN, _BAR_IN = 1.5, 0.14

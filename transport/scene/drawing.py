@@ -131,10 +131,10 @@ class Drawing:
         }
         for i in range(self._N):
             if i + 1 not in scene.released:
-                poses[uav_frame(i)] = scene.uavs_I[i], scene.R_uavs[i]
+                poses[f"uav{i + 1}"] = scene.uavs_I[i], scene.R_uavs[i]
                 rod_I = scene.uavs_I[i] - scene.attachments_I[i]
-                poses[_rod_frame(i)] = scene.attachments_I[i], rotation_from_up(rod_I)
-        poses.update({_contact_frame(k): (corner_I, level) for k, corner_I in enumerate(scene.contacts_I)})
+                poses[f"rod{i + 1}"] = scene.attachments_I[i], rotation_from_up(rod_I)
+        poses.update({f"contact{k + 1}": (corner_I, level) for k, corner_I in enumerate(scene.contacts_I)})
         return poses
 
     def moving(self, scene: Scene, *, flown: bool = True) -> Iterator[Lines]:
@@ -179,7 +179,7 @@ class Drawing:
         system = self._setup.system
         for name, path, width in (
             ("payload", self._payload_I, 1.5),
-            *((uav_frame(i), self._uavs_I[:, i], 1.0) for i in range(self._N)),
+            *((f"uav{i + 1}", self._uavs_I[:, i], 1.0) for i in range(self._N)),
         ):
             dashes = segments(path)[::2]
             colours = _colours([_REFERENCE] * len(dashes))
@@ -190,20 +190,20 @@ class Drawing:
         offsets = name_offsets(self._builder.start_I)
         for i, uav in enumerate(system.uavs):
             rod = np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, -uav.rod_length]]])
-            yield Lines(name="rod", frame=_rod_frame(i), layer="", segments=rod, colours=_colours([_ROD]), width=3.0)
+            yield Lines(name="rod", frame=f"rod{i + 1}", layer="", segments=rod, colours=_colours([_ROD]), width=3.0)
             yield from self._uav(i)
-            yield Label(name="name", frame=uav_frame(i), text=f"UAV{i + 1}", position=offsets[i], colour=uav_colour(i))
+            yield Label(name="name", frame=f"uav{i + 1}", text=f"UAV{i + 1}", position=offsets[i], colour=uav_colour(i))
         if self._ground_m is not None:
             middle, width = np.round((self.low + self.high)[:2] / 2.0), np.ceil(0.7 * self.size)
             below = self._ground_m + np.array([1.0, 2.0]) * _GROUND_M  # below the grid of the viewer
             ground = np.array([[*(middle + width * np.array(xy)), z] for xy in _SQUARE for z in below])
             yield _solid("ground", INERTIAL, ground, _GROUND)
             for k in range(len(payload_corners(system))):
-                yield _solid("contact", _contact_frame(k), _ball(_CONTACT_M), _CONTACT)
+                yield _solid("contact", f"contact{k + 1}", _ball(_CONTACT_M), _CONTACT)
 
     def _uav(self, i: int) -> Iterator[Mesh]:
         """Yield body, beams and rotors of a quadrotor; its front rotors are dark."""
-        frame, colour, s = uav_frame(i), uav_colour(i), self.span
+        frame, colour, s = f"uav{i + 1}", uav_colour(i), self.span
         yield _solid("hub", frame, s * _disc(2.0 * _BODY, _BODY), colour)
         for k, yaw in enumerate(np.radians([45.0, 135.0])):
             along, aside = np.array([np.cos(yaw), np.sin(yaw), 0.0]), np.array([-np.sin(yaw), np.cos(yaw), 0.0])
@@ -217,19 +217,6 @@ class Drawing:
 
 
 _SQUARE = ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0))
-
-
-def uav_frame(i: int) -> str:
-    """Return the frame of UAV i (0-based)."""
-    return f"uav{i + 1}"
-
-
-def _rod_frame(i: int) -> str:
-    return f"rod{i + 1}"
-
-
-def _contact_frame(k: int) -> str:
-    return f"contact{k + 1}"
 
 
 def payload_points(system: System, *, grounded: bool = False) -> Array:

@@ -17,8 +17,8 @@ _SHOWN_EVENTS = 5
 _BEHIND_S = 1.0
 # A sentence that the browser shows by itself once this table has not been replaced for 5 s.
 _STALE = (
-    "<style>@keyframes late {to {visibility: visible}}</style>"
-    f'<div style="{_ALARM};font-size:12px;margin:2px 12px;visibility:hidden;animation:late 0s 5s forwards">'
+    "<style>@keyframes late {to {max-height: 4em}}</style>"
+    f'<div style="{_ALARM};font-size:12px;margin:2px 12px;max-height:0;overflow:hidden;animation:late 0s 5s forwards">'
     "<b>no new frame for 5 s: run, viewer or browser is busy</b></div>"
 )
 

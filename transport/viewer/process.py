@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from protocol.network.parent import PARENT_PIPE, python
@@ -23,7 +24,7 @@ class ViewerBeside:
         wait_for_user: Waits until the user ends the viewer.
     """
 
-    wait_until_ready: Callable[[], None]
+    wait_until_ready: Callable[[], object]
     wait_for_user: Callable[[], None]
 
 
@@ -64,7 +65,7 @@ def viewer_beside(folder: Path, host: str, port: int, wait_s: float) -> Iterator
                 return
 
     try:
-        yield ViewerBeside(lambda: _wait(ready, wait_s / 2.0), wait_for_user)
+        yield ViewerBeside(partial(ready.wait, wait_s / 2.0), wait_for_user)
     finally:
         process.terminate()
         try:
@@ -90,7 +91,3 @@ def parent_ended() -> Callable[[], bool]:
 
     threading.Thread(target=watch, name="parent", daemon=True).start()
     return ended.is_set
-
-
-def _wait(event: threading.Event, timeout_s: float) -> None:
-    event.wait(timeout_s)
