@@ -13,9 +13,18 @@ from matplotlib.lines import Line2D
 
 from protocol.scenario.setup import Setup
 from transport.analysis.series import series_of
-from transport.experiments.comparison import CENTRALIZED, CLOSED_LOOP, PAPER, SECONDS, STEPS, Cell, Loads
+from transport.experiments.comparison import (
+    AGENT,
+    CENTRALIZED,
+    CLOSED_LOOP,
+    PAPER,
+    SECONDS,
+    STEPS,
+    TEAM,
+    Cell,
+    Loads,
+)
 from transport.experiments.cost_curves import COST, Curve
-from transport.experiments.processor_time import AGENT, TEAM
 from transport.experiments.simulation import run_in_memory
 from transport.report.column import column_panels, draw_legend, head, legend_height_in
 from transport.report.compare import Overlaid, fill_overlaid

@@ -13,11 +13,10 @@ from rich.table import Table
 from protocol.scenario.setup import Setup
 from transport.experiments import comparison
 from transport.experiments.cases import Case, Point, cases_of
-from transport.experiments.comparison import Cell, Loads
+from transport.experiments.comparison import AGENT, TEAM, Cell, Load, Loads
 from transport.experiments.comparison_figures import draw_costs, draw_maneuver
 from transport.experiments.comparison_verdict import SAME_RATE, Verdict, lines, statements, verdicts
 from transport.experiments.cost_curves import Curve, Node, cost_curves
-from transport.experiments.processor_time import AGENT, TEAM, Load
 from transport.experiments.results import Results
 from transport.experiments.simulation import NUMBERS
 from transport.experiments.statistics import Estimate
@@ -59,7 +58,7 @@ def compare(
     def notify(line: str) -> None:
         console.print(line, highlight=False, soft_wrap=True)
 
-    controller = comparison.reference_of(settings).settings
+    controller = comparison.setup_of(comparison.CENTRALIZED, settings).settings
     period_s, horizon = controller.sampling_period_s, controller.horizon
     reference = Cell(controller=comparison.CENTRALIZED, period_s=period_s, horizon=horizon)
     curves = comparison.curves_of(period_s, horizon, quick=quick)

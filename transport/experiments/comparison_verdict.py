@@ -4,9 +4,18 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from transport.experiments.comparison import CENTRALIZED, PAPER, STEPS, Cell, Loads
+from transport.experiments.comparison import (
+    AGENT,
+    CENTRALIZED,
+    PAPER,
+    STEPS,
+    TEAM,
+    Cell,
+    Loads,
+    PeriodRange,
+    equal_periods,
+)
 from transport.experiments.cost_curves import Curve
-from transport.experiments.processor_time import AGENT, TEAM, PeriodRange, equal_periods
 
 SAME_RATE = "same rate"
 BUDGETS = {

@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from transport.experiments.comparison import Cell, Curves
-from transport.experiments.processor_time import PeriodRange
+from transport.experiments.comparison import Cell, Curves, PeriodRange
 from transport.experiments.simulation import NUMBERS
 from transport.experiments.statistics import Estimate, estimate
 from transport.experiments.sweep import Swept

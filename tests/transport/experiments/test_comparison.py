@@ -14,18 +14,25 @@ from tests.support.results import here
 from tests.support.runs import ticks
 from transport.experiments import comparison, cost_curves
 from transport.experiments.cases import Case, cases_of
-from transport.experiments.comparison import CENTRALIZED, CLOSED_LOOP, GUSTS, PAPER, SECONDS, STEPS, STILL, Cell
-from transport.experiments.cost_curves import COST, Curve
-from transport.experiments.processor_time import (
+from transport.experiments.comparison import (
     AGENT,
+    CENTRALIZED,
+    CLOSED_LOOP,
+    GUSTS,
     MANEUVER,
+    PAPER,
+    SECONDS,
+    STEPS,
+    STILL,
     TEAM,
+    Cell,
     Load,
     PeriodRange,
     equal_periods,
     measure_in_turns,
     step_ms,
 )
+from transport.experiments.cost_curves import COST, Curve
 from transport.experiments.simulation import ERROR, NUMBERS, Result
 from transport.experiments.statistics import estimate
 from transport.experiments.sweep import Swept
@@ -91,7 +98,9 @@ def test_all_are_measured_in_turns() -> None:
         slow = 10.0 if len(order) in (3, 4) else 1.0  # the machine is busy for one pair
         return slow * (8.0 if setup is reference else 2.0)
 
-    found = measure_in_turns(reference, [(PAPER, printed), (CLOSED_LOOP, closed)], 2, finished.append, measure=measured)
+    cells = [Cell(controller=name, period_s=0.05, horizon=20) for name in (PAPER, CLOSED_LOOP)]
+    candidates = dict(zip(cells, (printed, closed), strict=True))
+    found = list(measure_in_turns(reference, candidates, 2, finished.append, measure=measured).values())
     assert order == [reference, printed, reference, closed] * 2
     assert finished == [1, 2]
     assert [entry.step_ms for entry in found] == [[2.0, 2.0], [20.0, 2.0]]
@@ -116,7 +125,7 @@ def test_grid() -> None:
         assert periods_s == sorted(periods_s, reverse=True)
         assert periods_s[0] == 0.1
         assert 0.05 in periods_s
-        assert all(cell.horizon == comparison.horizon_of(20, 0.05, cell.period_s, kept) for cell in cells)
+        assert all(cell.horizon == (20 if kept == STEPS else round(1.0 / cell.period_s)) for cell in cells)
     shortest_s = {curve: cells[-1].period_s for curve, cells in curves.items()}
     assert (shortest_s[PAPER, STEPS], shortest_s[PAPER, SECONDS], shortest_s[CENTRALIZED, SECONDS]) == (
         0.015,

@@ -4,7 +4,19 @@ import math
 
 import pytest
 
-from transport.experiments.comparison import CENTRALIZED, GUSTS, PAPER, SECONDS, STEPS, STILL, Cell
+from transport.experiments.comparison import (
+    AGENT,
+    CENTRALIZED,
+    GUSTS,
+    PAPER,
+    SECONDS,
+    STEPS,
+    STILL,
+    TEAM,
+    Cell,
+    Load,
+    PeriodRange,
+)
 from transport.experiments.comparison_verdict import (
     FAILS,
     GRADES,
@@ -19,7 +31,6 @@ from transport.experiments.comparison_verdict import (
     verdicts,
 )
 from transport.experiments.cost_curves import COST, Curve, Node
-from transport.experiments.processor_time import AGENT, TEAM, Load, PeriodRange
 from transport.experiments.statistics import estimate
 
 RATIOS = {
