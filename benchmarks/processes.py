@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import psutil
 import tomli_w
 
 from benchmarks.page import BenchmarkError
-from protocol.network.health import command_of
 from protocol.scenario.setup import Setup
 from protocol.wire.keys import RECORDER
 
@@ -62,18 +62,18 @@ def recorded(setup: Setup, folder: Path) -> Run:
 
 
 def processes_of(run: int) -> dict[str, str]:
-    """Return the process ids of `transport run` and its children by process name; none where there is no /proc."""
+    """Return the process ids of `transport run` and its children by process name; none if it has ended."""
     try:
-        children = Path(f"/proc/{run}/task/{run}/children").read_text(encoding="utf-8").split()
-    except OSError:
+        parent = psutil.Process(run)
+        lines = {process.pid: " ".join(process.cmdline()).split() for process in (parent, *parent.children())}
+    except psutil.Error:
         return {}
     found = {}
-    for pid in [str(run), *children]:
-        line = command_of(pid)
+    for pid, line in lines.items():
         if "transport" in line:
             role = line[line.index("transport") + 1]
             name = RECORDER if role == "run" else f"agent{line[line.index('--id') + 1]}" if role == "agent" else role
-            found[name] = pid
+            found[name] = str(pid)
     return found
 
 

@@ -94,12 +94,3 @@ def give_back_memory() -> None:
     """Return freed memory to the system; only glibc can."""
     with suppress(OSError, AttributeError):
         ctypes.CDLL(None).malloc_trim(0)
-
-
-def command_of(process: str) -> list[str]:
-    """Return the words of a process's command line, or of its title if it has set one; none when it has ended."""
-    try:
-        content = (Path("/proc") / process / "cmdline").read_bytes()
-    except OSError:
-        return []
-    return content.replace(b"\0", b" ").decode(errors="replace").split()

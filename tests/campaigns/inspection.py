@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 
-from protocol.network.health import command_of
+from tests.support.commands import command_of
 from transport.log.run_log import RunLog, read_log
 
 # Time for the processes of a killed command to end, s.

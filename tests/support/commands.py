@@ -9,8 +9,6 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 from pathlib import Path
 
-from protocol.network.health import command_of
-
 # A maneuver short enough for tests that start processes: 1.5 s, 30 ticks.
 SHORT = (
     "maneuver.phase=["
@@ -52,6 +50,15 @@ def start(*arguments: str | Path, cwd: Path) -> subprocess.Popen[str]:
 def settings(*changes: str) -> list[str]:
     """Return `--set` options for settings."""
     return [part for change in changes for part in ("--set", change)]
+
+
+def command_of(process: str) -> list[str]:
+    """Return the words of a process's command line, or of its title if it has set one; none when it has ended."""
+    try:
+        content = (Path("/proc") / process / "cmdline").read_bytes()
+    except OSError:
+        return []
+    return content.replace(b"\0", b" ").decode(errors="replace").split()
 
 
 def processes_of(run: str) -> dict[str, int]:

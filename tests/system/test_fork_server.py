@@ -13,8 +13,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from protocol.network.health import command_of
-from tests.support.commands import command, wait_for
+from tests.support.commands import command, command_of, wait_for
 from tests.support.trace_stop import trace_stopped
 from transport.flight import fork_server as fork_server_module
 from transport.flight import harness

@@ -11,9 +11,8 @@ from pathlib import Path
 import psutil
 import pytest
 
-from protocol.network.health import command_of
 from tests.support import runs
-from tests.support.commands import wait_for
+from tests.support.commands import command_of, wait_for
 from tests.support.logs import record_run
 from transport.cli import report_process
 from transport.cli.report_process import ReportProcess

@@ -12,14 +12,13 @@ from pathlib import Path
 import psutil
 import pytest
 
-from protocol.network.health import command_of
 from protocol.scenario.file import find_scenario, read_scenario
 from tests.campaigns import inspection, signals
 from tests.campaigns.inspection import COMMAND, TOOL, name_of, names_below, processes_below
 from tests.campaigns.signal_runs import KINDS, RESTART, RESUMED_S, TARGETS, Injection, SignalRun, random_run
 from tests.campaigns.signals import execute_run, waits_for_user
 from tests.support.commands import command as command_line
-from tests.support.commands import settings, wait_for
+from tests.support.commands import command_of, settings, wait_for
 
 ROOT = Path(__file__).parents[2]
 MANY = 1500

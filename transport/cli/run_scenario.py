@@ -53,12 +53,12 @@ def run_scenario(
                 ready = beside.wait_until_ready if beside is not None else lambda: None
                 with _interrupts_told(folder):
                     finished = simulate(setup, folder, Console(stderr=True), prepare, ready, external)
-            with _interrupts_told(finished.folder):
+            with _interrupts_told(folder):
                 run_report = load("transport.cli.run_report")
-                if finished.folder == folder and reporter.report():
+                if reporter.report():
                     run_report.show_written(folder, output)
                 else:
-                    run_report.report(finished.folder, output, figures=figures, setup=setup)
+                    run_report.report(folder, output, figures=figures, setup=setup)
         if beside is not None and finished.exit_code != EXIT_INTERRUPTED:
             beside.wait_for_user()
     if finished.exit_code != 0:

@@ -5,6 +5,7 @@ import os
 import signal
 import socket
 import sys
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
@@ -25,6 +26,7 @@ ORDERLY_ENDS = {0, EXIT_UNREACHABLE, EXIT_OVERRUN, EXIT_DIVERGED, EXIT_INTERRUPT
 
 # Time for processes to end before they are killed, and for killed ones, s.
 _GRACE_S = 5.0
+_POLL_S = 0.005
 
 
 class HarnessError(TransportError, RuntimeError):
@@ -40,11 +42,17 @@ class Child:
     stdin: IO[bytes]
     log: Path
     incarnation: int = 0
+    _code: int | None = None
 
     @property
     def code(self) -> int | None:
-        """Exit code, negative for a signal; None while the process runs."""
-        return self.wait(0.0)
+        """Exit code, negative for a signal; None while the process runs, or a tracer keeps it after its death."""
+        if self._code is None and isinstance(self.process, psutil.Popen):
+            self._code = self.process.poll()
+        elif self._code is None:  # psutil would wait for the tracer
+            pid, status = os.waitpid(self.process.pid, os.WNOHANG)
+            self._code = os.waitstatus_to_exitcode(status) if pid else None
+        return self._code
 
     @property
     def state(self) -> str:
@@ -52,12 +60,11 @@ class Child:
         return state_of(self.process)
 
     def wait(self, timeout_s: float) -> int | None:
-        """Wait for the end; return the exit code, None if the process still runs."""
-        try:
-            code: int = self.process.wait(timeout_s)
-        except psutil.TimeoutExpired:
-            return None
-        return code
+        """Wait for the end; return the exit code, None if the process still runs, or a tracer keeps it."""
+        until_s = time.monotonic() + timeout_s
+        while self.code is None and self.state != psutil.STATUS_ZOMBIE and time.monotonic() < until_s:
+            time.sleep(_POLL_S)
+        return self.code
 
     def signal(self, number: int) -> bool:
         """Send a signal; return whether the process is running."""
@@ -189,7 +196,8 @@ class Harness:
 
     def wait(self, timeout_s: float) -> bool:
         """Wait for all children to end; return whether they did."""
-        return not psutil.wait_procs([child.process for child in self.children], timeout_s)[1]
+        until_s = time.monotonic() + timeout_s
+        return all(child.wait(max(0.0, until_s - time.monotonic())) is not None for child in self.children)
 
     def end(self) -> None:
         """End all running children: SIGTERM, and SIGKILL after a grace period; note those that had to be killed."""

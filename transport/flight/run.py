@@ -4,7 +4,8 @@ import os
 import shutil
 import signal
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from protocol.network.endpoints import Endpoints, endpoints_of_all, process_name
 from protocol.network.process import Place
 from protocol.network.security import Security, SecurityError
 from protocol.network.session import BusError, check_usable
+from protocol.scenario.schema import Scenario
 from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import (
     EXIT_INTERRUPTED,
@@ -77,52 +79,20 @@ def simulate(
     refuse_existing(folder)
     scenario = setup.scenario
     names = process_names(scenario)
-    try:
+    with ExitStack() as stack:
+        stack.enter_context(_refusals())
         check_usable(_OPEN_FILES + _OPEN_FILES_EACH * len(names))
-    except BusError as error:
-        raise RunError(str(error), EXIT_UNREACHABLE) from error
-    engine = "external" if PLANT in external else tried_engine(setup)
-    compile_model(setup.system.N, console)
-    host, base_port = scenario.network.host, scenario.network.base_port
-    # The recorder has a port for requests to the parent of the processes.
-    with free_ports(host, 1 if base_port is not None else 1 + len(names)) as (own, *ports):
-        if base_port is not None:
-            ports = list(range(base_port, base_port + len(names)))
-            check_ports(host, ports)
-        try:
-            found = endpoints_of_all([*names, RECORDER], scenario, [*ports, own])
-        except SecurityError as error:
-            raise RunError(str(error), EXIT_SCENARIO) from error
-        recording = found.pop(RECORDER)
-        try:
-            return _simulate(setup, folder, console, found, recording, started, ready, engine, external)
-        except BusError as error:
-            raise RunError(str(error), EXIT_UNREACHABLE) from error
-
-
-def _simulate(
-    setup: Setup,
-    folder: Path,
-    console: Console,
-    places: Mapping[str, Endpoints],
-    recording: Endpoints,
-    started: Callable[[], None],
-    ready: Callable[[], None],
-    engine: str,
-    external: Collection[str],
-) -> Finished:
-    """Simulate a run with given endpoints of its processes and of its recorder."""
-    scenario, names = setup.scenario, list(places)
-    run = folder.name if Keys.allows(folder.name) else scenario.name
-    text = create(folder, setup)
-    header = run_header(setup, run, len(names), text, engine)
-    called = {name: [*place.listen, *place.connect][0] for name, place in [*places.items(), (RECORDER, recording)]}
-    started_here = {name: place for name, place in places.items() if name not in external}
-    with (
-        RunProgress(setup, console) as progress,
-        own_keys(scenario, folder, progress.say) as own,
-        Harness(run, folder / "scenario.toml", started_here, folder / "logs", own) as harness,
-    ):
+        engine = "external" if PLANT in external else tried_engine(setup)
+        compile_model(setup.system.N, console)
+        places = stack.enter_context(_reserved(scenario, names))
+        run = folder.name if Keys.allows(folder.name) else scenario.name
+        header = run_header(setup, run, len(names), create(folder, setup), engine)
+        called = {name: [*place.listen, *place.connect][0] for name, place in places.items()}
+        recording = places.pop(RECORDER)
+        started_here = {name: place for name, place in places.items() if name not in external}
+        progress = stack.enter_context(RunProgress(setup, console))
+        own = stack.enter_context(own_keys(scenario, folder, progress.say))
+        harness = stack.enter_context(Harness(run, folder / "scenario.toml", started_here, folder / "logs", own))
         if own is not None:
             recording = replace(recording, security=Security(own, ()))
         keys = "" if recording.security is None else str(recording.security.folder)
@@ -161,7 +131,29 @@ def _simulate(
             harness.end()
             for notice in harness.notices:
                 progress.say(notice)
-    return _finished(folder, writer, recorder)
+        return _finished(folder, writer, recorder)
+
+
+@contextmanager
+def _refusals() -> Iterator[None]:
+    """Turn errors of the network into those of the run."""
+    try:
+        yield
+    except SecurityError as error:
+        raise RunError(str(error), EXIT_SCENARIO) from error
+    except BusError as error:
+        raise RunError(str(error), EXIT_UNREACHABLE) from error
+
+
+@contextmanager
+def _reserved(scenario: Scenario, names: Sequence[str]) -> Iterator[dict[str, Endpoints]]:
+    """Keep the ports of a run's processes, and of its recorder for requests to their parent; yield all endpoints."""
+    host, base_port = scenario.network.host, scenario.network.base_port
+    with free_ports(host, 1 if base_port is not None else 1 + len(names)) as (own, *ports):
+        if base_port is not None:
+            ports = list(range(base_port, base_port + len(names)))
+            check_ports(host, ports)
+        yield dict(endpoints_of_all([*names, RECORDER], scenario, [*ports, own]))
 
 
 def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finished:
@@ -171,15 +163,15 @@ def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finis
     """
     names = process_names(setup.scenario)
     text = create(folder, setup)
-    with RunProgress(setup, console) as progress:
+    with RunProgress(setup, console) as progress, _refusals():
         header = run_header(setup, place.run, len(names), text, setup.scenario.plant.engine)
         writer = open_log(folder, setup, header, progress.say)
         try:
             recorder = Recorder(setup, place.run, writer, place.endpoints, place.join_timeout_s, place.incarnation)
-        except BusError as error:
+        except BusError:
             writer.close()
             shutil.rmtree(folder, ignore_errors=True)
-            raise RunError(str(error), EXIT_UNREACHABLE) from error
+            raise
         try:
             recorder.start(names)
             _watch(recorder, progress, None)
@@ -230,7 +222,8 @@ def _watch(recorder: Recorder, progress: RunProgress, local: _Local | None) -> N
             progress.show(recorder.plant_state, recorder.started_s)
             if local is not None:
                 local.faults.work()
-            _say(recorder, progress)
+            for notice in recorder.new_notices():
+                progress.say(notice)
             if len(signals) > interrupted:
                 interrupted = len(signals)
                 if interrupted > 1 or recorder.started_s is None:
@@ -258,10 +251,6 @@ def _watch(recorder: Recorder, progress: RunProgress, local: _Local | None) -> N
                 orderly = all(child.code in ORDERLY_ENDS for child in ended)
                 if not orderly or time.monotonic() - ended_s > _CATCH_UP_S:
                     raise _ended_early(ended)
-    _say(recorder, progress)
-
-
-def _say(recorder: Recorder, progress: RunProgress) -> None:
     for notice in recorder.new_notices():
         progress.say(notice)
 

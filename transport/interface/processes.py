@@ -31,7 +31,6 @@ def simulate(scenario: Scenario, setup: Setup, folder: Path | None, *, shown: bo
         raise
     finally:
         close_fork_server()
-    # The log goes on in another folder if this one is removed or full.
     write_report(finished.folder, setup=setup)
     if finished.exit_code == EXIT_INTERRUPTED:
         raise KeyboardInterrupt(f"interrupted; recorded in {finished.folder}")
