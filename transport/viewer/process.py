@@ -7,7 +7,6 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 from protocol.network.parent import PARENT_PIPE, python
@@ -24,7 +23,7 @@ class ViewerBeside:
         wait_for_user: Waits until the user ends the viewer.
     """
 
-    wait_until_ready: Callable[[], object]
+    wait_until_ready: Callable[[], None]
     wait_for_user: Callable[[], None]
 
 
@@ -56,6 +55,9 @@ def viewer_beside(folder: Path, host: str, port: int, wait_s: float) -> Iterator
 
     threading.Thread(target=pass_on, name="viewer", daemon=True).start()
 
+    def wait_until_ready() -> None:
+        ready.wait(wait_s / 2.0)
+
     def wait_for_user() -> None:
         if process.poll() is None:
             try:
@@ -65,7 +67,7 @@ def viewer_beside(folder: Path, host: str, port: int, wait_s: float) -> Iterator
                 return
 
     try:
-        yield ViewerBeside(partial(ready.wait, wait_s / 2.0), wait_for_user)
+        yield ViewerBeside(wait_until_ready, wait_for_user)
     finally:
         process.terminate()
         try:
