@@ -40,7 +40,6 @@ class Peers:
     Attributes:
         alive: Incarnations of the processes that are up, by name.
         left: Processes that were up, and are not any more.
-        on_announced: Called with name and incarnation of each process whose token has appeared.
     """
 
     def __init__(self, name: str, incarnation: int, digest: str, keys: Keys, gate: Gate) -> None:
@@ -48,7 +47,6 @@ class Peers:
         self.left: set[str] = set()
         self._name, self._incarnation, self._digest = name, incarnation, digest
         self._keys, self._gate = keys, gate
-        self.on_announced: Callable[[str, int], None] = lambda *_: None
 
     def check(self, key: str) -> None:
         """Check the token of another process while this one joins.
@@ -91,7 +89,6 @@ class Peers:
             self.alive[token.name] = token.incarnation
             self.left.discard(token.name)
             self._gate.announce(token.name, token.incarnation)
-            self.on_announced(token.name, token.incarnation)
             return None
         if self.alive.get(token.name) == token.incarnation:
             del self.alive[token.name]

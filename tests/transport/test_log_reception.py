@@ -60,10 +60,8 @@ def bundled(flight: Sequence[Message]) -> list[Entry]:
 
 
 def write(path: Path, entries: Sequence[Entry]) -> Path:
-    """Write the log of entries as they came, 1 ms apart, behind the tokens of all processes."""
+    """Write the log of entries as they came, 1 ms apart."""
     with LogWriter(path, with_scenario(HEADER, RUN), period_ns=RUN.period_ns) as writer:
-        for name in PROCESSES:
-            writer.announce(name, 0, 0)
         header = header_of(entries[0][1])
         for number, (key, data) in enumerate(entries):
             with suppress(MessageError):  # a garbled entry has the header of the one before
@@ -119,7 +117,7 @@ def test_bad_messages_change_nothing(tmp_path: Path, flight: list[Message], rela
 
 
 def test_a_damaged_chunk_costs_no_other(tmp_path: Path, flight: list[Message]) -> None:
-    """Messages behind a damaged chunk are read, although it had the tokens and many ticks."""
+    """Messages behind a damaged chunk are read, although it had many ticks."""
     path = write(tmp_path / "run.mcap", [entry(message) for message in flight])
     data = bytearray(path.read_bytes())
     with path.open("rb") as file:

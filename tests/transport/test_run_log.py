@@ -22,7 +22,7 @@ from protocol.wire.messages import FaultNote, Message, Plan, Tick
 from tests.support import runs
 from tests.support.messages import messages as any_message
 from tests.support.messages import sample
-from transport.log.channels import ENCODING, TOKENS
+from transport.log.channels import ENCODING
 from transport.log.parser import Parser
 from transport.log.run_log import LogError, RunLog, read_log
 from transport.log.writer import CHUNK_BYTES, CHUNK_S, LogWriter
@@ -116,7 +116,7 @@ def test_any_message_can_be_logged(
     with LogWriter(path, {}, period_ns=10**9) as writer:
         for message in messages:
             writer.write(message, received_ns)
-    found = [entry.data for entry in Parser(path).entries() if entry.channel.topic != TOKENS]
+    found = [entry.data for entry in Parser(path).entries()]
     assert found == bits(messages)
 
 
@@ -130,8 +130,8 @@ def test_other_programs_read_it(tmp_path: Path, flight: list[Message]) -> None:
         assert summary.statistics is not None
         per_agent = {f"/{kind}/{agent}" for kind in ("measurement", "plan", "report") for agent in runs.setup().agents}
         topics = {channel.topic for channel in summary.channels.values()}
-        assert topics == {"/tick", "/roster", "/control", "/plant_state", TOKENS} | per_agent
-        in_file = [entry for _, channel, entry in reader.iter_messages(log_time_order=False) if channel.topic != TOKENS]
+        assert topics == {"/tick", "/roster", "/control", "/plant_state"} | per_agent
+        in_file = [entry for _, channel, entry in reader.iter_messages(log_time_order=False)]
         assert [entry.data for entry in in_file] == bits(flight)
         assert [entry.sequence for entry in in_file] == [message.sequence for message in flight]
         assert [entry.log_time for entry in in_file] == [message.tick * 50_000_000 for message in flight]
@@ -351,7 +351,6 @@ def test_entries_of_another_version_are_announced(tmp_path: Path) -> None:
         writer.start()
         writer.add_metadata("run", {})
         for topic, encoding, data in (
-            ("/tokens", "json", b'{"announced": {"coordinator": 0}, "now": ["coordinator"]}'),
             ("/tick", "json", b'{"sender": "coordinator"}'),
             ("/gossip", "payload-transport/5", b""),
             ("/tick", ENCODING, encode(tick())),

@@ -1,7 +1,7 @@
 """The recorder: an observer on the network that writes every message to the run's log, in a separate thread.
 
 Messages of every tick are written as they came; only their headers are read. Readers of the log check them
-(`transport.log.log_reception`). Rare messages, which the recorder acts on, are checked here and written if accepted.
+(`transport.log.run_log`). Rare messages, which the recorder acts on, are checked here and written if accepted.
 """
 
 import queue
@@ -128,7 +128,6 @@ class Recorder:
             serves=True,
             gather_s=_GATHER_PACED_S if setup.scenario.clock.speed > 0.0 else _GATHER_S,
         )
-        self._bus.peers.on_announced = self._announce
         self._out = Outbox(RECORDER, incarnation)
         self._thread = threading.Thread(target=self._run, name=RECORDER, daemon=True)
         self._expected: Collection[str] = ()
@@ -294,11 +293,6 @@ class Recorder:
                 self._notices.append(f"roster: {reason}")
             case FaultNote():
                 self._notices.append(f"fault: {message.target} {message.what}")
-
-    def _announce(self, name: str, incarnation: int) -> None:
-        """Record the token of a process."""
-        with self._writing:
-            self._writer.announce(name, incarnation, time.time_ns())
 
     def _end(self, reason: str) -> None:
         """Write the end of a run whose coordinator cannot."""

@@ -1,4 +1,4 @@
-"""Channels of a log: one for each network key, one for what the recorder says itself, one for tokens."""
+"""Channels of a log: one for each network key, one for what the recorder says itself."""
 
 from mcap.records import Channel
 
@@ -12,16 +12,15 @@ METADATA = "run"
 ENCODING = f"payload-transport/{VERSION}"
 # Beginning of the channels of messages that the recorder made; no message from the network can be there.
 OWN = f"/{RECORDER}/"
-# Tokens that the recorder has seen: a JSON object with `announced`, incarnations by process, and `now`, the processes
-# whose token has appeared just now.
-TOKENS, TOKENS_ENCODING = "/tokens", "json"
+# Channel of logs before version 0.2 that is not read any more.
+TOKENS = "/tokens"
 
 KEYS = Keys("log")
 
 
 def is_known(channel: Channel) -> bool:
     """Return whether this version reads a channel."""
-    return channel.message_encoding == (TOKENS_ENCODING if channel.topic == TOKENS else ENCODING)
+    return channel.message_encoding == ENCODING
 
 
 def channel_of(message: Message) -> str:

@@ -10,9 +10,8 @@ from typing import Any
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Control, Measurement, Plan, PlantState, StepReport, Tick
 from transport.log.channels import kind_of, topic_of
-from transport.log.log_reception import setup_in
 from transport.log.run_folder import missing
-from transport.log.run_log import RunLog, read_log
+from transport.log.run_log import RunLog, read_log, setup_in
 
 # Kinds of messages sent at every tick.
 _REGULAR = (Tick.kind, PlantState.kind, Measurement.kind, Plan.kind, StepReport.kind)

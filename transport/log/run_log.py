@@ -1,19 +1,23 @@
 """The log of a run in memory, read from its file or its run folder (`transport.log.writer` describes the file)."""
 
-from collections.abc import Iterator
+import tomllib
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TypeVar, cast
 
 import msgspec
 
+from protocol.admission.gate import Gate
+from protocol.scenario.file import ScenarioError, validate
 from protocol.scenario.setup import Setup
+from protocol.wire.codec import decode
 from protocol.wire.errors import TransportError
+from protocol.wire.keys import RECORDER
 from protocol.wire.messages import Message, MessageError, Plan
-from transport.log.channels import METADATA, is_known
-from transport.log.log_reception import LogReception, Read, setup_in
+from transport.log.channels import KEYS, METADATA, OWN, TOKENS, is_known
 from transport.log.parser import Parser, UnreadableError
 
 M = TypeVar("M", bound=Message)
@@ -64,6 +68,56 @@ class RunLog:
         return times
 
 
+# A message, and its bytes if they are in the entry just read.
+Read = tuple[Message, bytes | None]
+
+
+class LogReception:
+    """Reading the entries of one log, in their order, as a receiver of the run would have read them when they came.
+
+    The log holds what came, also what was forged, repeated or garbled. Every message passes the gate of the run,
+    without checks of the moment. Refused ones are counted and reported in the name of the recorder.
+
+    Without the setup of the run, sizes, agents and plausibility are not checked.
+    """
+
+    def __init__(self, setup: Setup | None) -> None:
+        # The log of an in-memory run has no bundles.
+        shape = None if setup is None else replace(setup.shape, relayed=False)
+        self._gate = Gate(RECORDER, KEYS, shape)
+
+    def read(self, topic: str, data: bytes, at_ns: int) -> Iterator[Read]:
+        """Yield the messages of an entry that arrived at a time, ns.
+
+        Raises: MessageError: the recorder did not write this.
+        """
+        if topic.startswith(OWN):
+            yield decode(data), data
+        else:
+            for message in self._gate.accept(KEYS.prefix + topic, data):
+                if isinstance(message, Message):
+                    yield message, self._gate.data
+            for notice in self._gate.notices(at_ns, 0):
+                yield notice, None
+
+    def close(self) -> Iterator[Read]:
+        """Yield what is to be said at the end of the log."""
+        for notice in self._gate.last_notices(0):
+            yield notice, None
+
+
+def setup_in(header: Mapping[str, str], folder: Path) -> Setup | None:
+    """Return the run of a log from its header, None if the scenario is missing or of another version.
+
+    Files named in the scenario lie beside the log, in its run folder.
+    """
+    source = str(folder / "scenario.toml")
+    try:
+        return Setup.of(validate(tomllib.loads(header.get("scenario", "")), source), source)
+    except (ScenarioError, tomllib.TOMLDecodeError):
+        return None
+
+
 def read_log(path: Path, *, horizons: bool = True, setup: Setup | None = None) -> RunLog:
     """Read all that can be read of a log, each message checked as by a receiver of the run (`LogReception`).
 
@@ -92,6 +146,8 @@ def read_log(path: Path, *, horizons: bool = True, setup: Setup | None = None) -
     reception: LogReception | None = None
     with reading(path):
         for channel, data, received_ns, _ in parser.entries():
+            if channel.topic == TOKENS:
+                continue
             if not is_known(channel):
                 unknown.append(f"a channel {channel.topic!r} with encoding {channel.message_encoding!r}")
                 continue

@@ -10,9 +10,8 @@ from protocol.scenario.setup import Setup
 from protocol.wire.codec import decode
 from protocol.wire.messages import KINDS, Message, MessageError, Plan, StepReport
 from transport.log.channels import METADATA, is_known
-from transport.log.log_reception import LogReception, Read, setup_in
 from transport.log.parser import DAMAGE, Found, Parser, Place, content_of
-from transport.log.run_log import reading
+from transport.log.run_log import LogReception, Read, reading, setup_in
 
 # Decompressed chunks kept in memory: messages that are looked up together lie close together.
 chunk = lru_cache(maxsize=8)(content_of)

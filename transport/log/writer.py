@@ -11,13 +11,11 @@ from contextlib import contextmanager, suppress
 from errno import EIO, ENOENT
 from pathlib import Path
 
-import orjson
 from mcap.writer import CompressionType, IndexType, Writer
 
 from protocol.wire.codec import Header, encode
-from protocol.wire.keys import RECORDER
 from protocol.wire.messages import Control, FaultNote, Message
-from transport.log.channels import ENCODING, METADATA, TOKENS, TOKENS_ENCODING, channel_of
+from transport.log.channels import ENCODING, METADATA, channel_of
 from transport.log.run_log import LogError
 
 # A chunk ends at this size, before compression (about ten ticks of four agents), or at this age. A kill loses at most
@@ -58,7 +56,6 @@ class LogWriter:
     ) -> None:
         self.lost, self.is_up_to_date = "", True
         self._path, self._period_ns, self._say = path, period_ns, say
-        self._announced: dict[str, int] = {}  # newest incarnation of each process
         self._channels: dict[str, int] = {}
         self._begun_ns = self._bytes = 0  # of the unfinished chunk
         try:
@@ -89,8 +86,6 @@ class LogWriter:
 
         Raises: LogError: the file cannot be written, or is closed.
         """
-        if message.sender != RECORDER and message.incarnation > self._announced.get(message.sender, -1):
-            self.announce(message.sender, message.incarnation, received_ns)
         self.add(channel_of(message), encode(message), message, received_ns)
 
     def add(self, topic: str, data: bytes, header: Header | Message, received_ns: int) -> None:
@@ -98,30 +93,10 @@ class LogWriter:
 
         Raises: LogError: the file cannot be written, or is closed.
         """
-        self._append(topic, ENCODING, data, received_ns, header.tick, header.sequence)
-        # The end of the run and its faults must not wait for the closing of the log.
-        if header.kind in _URGENT:
-            self.flush()
-
-    def announce(self, name: str, incarnation: int, received_ns: int) -> None:
-        """Append that the token of a process has appeared.
-
-        Raises: LogError: the file cannot be written, or is closed.
-        """
-        self._announced[name] = max(incarnation, self._announced.get(name, -1))
-        self._append(TOKENS, TOKENS_ENCODING, self._tokens(name), received_ns)
-
-    def _tokens(self, *now: str) -> bytes:
-        return orjson.dumps({"announced": self._announced, "now": now})
-
-    def _append(
-        self, topic: str, encoding: str, data: bytes, received_ns: int, tick: int = 0, sequence: int = 0
-    ) -> None:
         if self._file.closed:
             if self._say is None:
                 raise LogError(f"{self._path}: the log is closed, got an entry of {topic}")
             return
-        log_ns = min(max(tick * self._period_ns, 0), LAST_TIME_NS)
         received_ns = min(max(received_ns, 0), LAST_TIME_NS)
         if received_ns - self._begun_ns > _CHUNK_NS:
             self.flush()
@@ -130,19 +105,16 @@ class LogWriter:
         with self._guarded():
             if self.is_up_to_date:
                 self._begun_ns = received_ns
-                if self._announced and topic != TOKENS:  # in every chunk, so that a damaged one costs no other
-                    self._put(TOKENS, TOKENS_ENCODING, self._tokens(), 0, received_ns, 0)
-            self._put(topic, encoding, data, log_ns, received_ns, sequence % SEQUENCES)
-        if self._bytes > CHUNK_BYTES:
+            channel = self._channels.get(topic)
+            if channel is None:
+                channel = self._channels[topic] = self._writer.register_channel(topic, ENCODING, 0)
+            log_ns = min(max(header.tick * self._period_ns, 0), LAST_TIME_NS)
+            self._writer.add_message(channel, log_ns, data, received_ns, header.sequence % SEQUENCES)
+            self._bytes += len(data)
+            self.is_up_to_date = False
+        # The end of the run and its faults must not wait for the closing of the log.
+        if header.kind in _URGENT or self._bytes > CHUNK_BYTES:
             self.flush()
-
-    def _put(self, topic: str, encoding: str, data: bytes, log_ns: int, received_ns: int, sequence: int) -> None:
-        channel = self._channels.get(topic)
-        if channel is None:
-            channel = self._channels[topic] = self._writer.register_channel(topic, encoding, 0)
-        self._writer.add_message(channel, log_ns, data, received_ns, sequence)
-        self._bytes += len(data)
-        self.is_up_to_date = False
 
     def flush(self) -> None:
         """Finish the chunk: all messages are in the file, for live readers and against kills.
