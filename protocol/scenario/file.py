@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from protocol.scenario.budget import check_budget
 from protocol.scenario.errors import ScenarioError, first_problem, key_of, option
-from protocol.scenario.files import TableError, from_here, path_problem, read_text, with_paths
+from protocol.scenario.files import TableError, anchored, path_problem, read_text, with_paths
 from protocol.scenario.relations import check_relations
 from protocol.scenario.schema import Scenario
 
@@ -105,7 +105,7 @@ def _apply(tree: dict[str, Any], setting: str, folder: Path) -> None:
     except (ValueError, RecursionError) as error:
         raise ScenarioError(option(setting), "", f"not valid TOML: {error}") from error
     *parents, last = key.split(".")
-    value = from_here(value, folder, last)
+    value = anchored(value, Path.cwd(), folder, last)
     node: Any = tree
     for part in parents:
         node = _child(node, part, setting)

@@ -52,19 +52,19 @@ def read_text(path: Path, *, regular: bool = True) -> str:
     return content.decode("utf-8").replace("\r\n", "\n")
 
 
-def from_here(value: Any, folder: Path, key: str = "") -> Any:
-    """Return the value of a setting with its files, which are relative to the current folder, as a scenario names them.
+def anchored(value: Any, here: Path, folder: Path | None = None, key: str = "") -> Any:
+    """Return part of a scenario's tree, whose files are relative to the folder `here`, for a scenario in `folder`.
 
-    Below the scenario's folder they are relative to that, elsewhere absolute.
+    Files below `folder` are named relative to it, others by their absolute paths, as are all without a folder.
     """
     if isinstance(value, list):
-        return [from_here(entry, folder, key) for entry in value]
+        return [anchored(entry, here, folder, key) for entry in value]
     if isinstance(value, dict):
-        return {name: from_here(entry, folder, name) for name, entry in value.items()}
+        return {name: anchored(entry, here, folder, name) for name, entry in value.items()}
     if key in ("samples", "file") and isinstance(value, str) and not path_problem(value):
         # Without following links: a name stays as the user knows it.
-        path, own = (Path(os.path.abspath(name)) for name in (value, folder))  # noqa: PTH100
-        return str(path.relative_to(own) if path.is_relative_to(own) else path)
+        path, own = Path(os.path.abspath(here / value)), Path(os.path.abspath(folder or here))  # noqa: PTH100
+        return str(path.relative_to(own) if folder and path.is_relative_to(own) else path)
     return value
 
 

@@ -1,10 +1,6 @@
 """Stage cost of a run at each tick, for the report, the figures and the displays of an active run."""
 
 from bisect import bisect_right
-from dataclasses import dataclass
-
-import numpy as np
-import numpy.typing as npt
 
 from model.arrays import Array
 from model.failure import failed_hover
@@ -13,14 +9,6 @@ from model.state import input_indices
 from mpc.cost import Cost
 from protocol.scenario.faults import uav_faults
 from protocol.scenario.setup import Setup
-
-
-@dataclass(frozen=True, slots=True)
-class _Team:
-    """The cost of a team after some of its failures, and the inputs of its released UAVs, which do not count."""
-
-    cost: Cost
-    uncounted: npt.NDArray[np.intp]
 
 
 class StageCost:
@@ -33,7 +21,7 @@ class StageCost:
     def __init__(self, setup: Setup) -> None:
         failures = uav_faults(setup.faults)
         self._begins = sorted({0, *(tick for tick, _, _ in failures)})
-        self._teams = []
+        self._teams = []  # cost after each failure, and the inputs of released UAVs, which do not count
         for begin in self._begins:
             off = {uav for tick, _, uav in failures if tick <= begin}
             released = {uav for tick, what, uav in failures if tick <= begin and what == "release"}
@@ -42,15 +30,15 @@ class StageCost:
             except ParameterError:
                 equilibrium = setup.hover  # the rest cannot hover; the control law keeps this one, too
             cost = Cost(setup.settings.weights, equilibrium, off, released)
-            self._teams.append(_Team(cost, input_indices(sorted(released))))
+            self._teams.append((cost, input_indices(sorted(released))))
 
     def at(self, tick: int, y: Array, y_ref: Array, u: Array) -> float:
         """Return the stage cost of a tick, docs/equations.md (21).
 
         Output y and its reference, (4 N + 9,); input u, (4 N,).
         """
-        team = self._teams[bisect_right(self._begins, tick) - 1]
-        if len(team.uncounted):
+        cost, uncounted = self._teams[bisect_right(self._begins, tick) - 1]
+        if len(uncounted):
             u = u.copy()
-            u[team.uncounted] = team.cost.u_target[team.uncounted]
-        return team.cost.stage(y, y_ref, u)
+            u[uncounted] = cost.u_target[uncounted]
+        return cost.stage(y, y_ref, u)

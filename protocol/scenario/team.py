@@ -10,6 +10,7 @@ from typing import Any
 
 from model.parameters import table_1
 from protocol.scenario.file import validate
+from protocol.scenario.files import anchored
 from protocol.scenario.schema import PayloadSection, Scenario, SystemSection, UavSection
 from protocol.wire.names import MAX_UAVS
 
@@ -77,28 +78,16 @@ def resized(
     if group is None:
         group = uavs if len(template.owned) == 1 else len(template.owned[0])
     ids = list(range(1, uavs + 1))
-    tree = given(template)
+    tree: dict[str, Any] = anchored(given(template), folder)
     tree["name"] = f"{template.name}-{uavs}" if name is None else name
     tree["system"] = ring(uavs, template.system.gravity_mps2).model_dump(mode="json")
     tree["agents"] = {"owned": [ids[i : i + group] for i in range(0, uavs, group)]}
-    _anchor(tree.get("links", {}), folder)
     return validate(tree, source)
 
 
 def given(scenario: Scenario) -> dict[str, Any]:
     """Return a scenario as plain data, with the given values only."""
     return scenario.model_dump(mode="json", by_alias=True, exclude_unset=True, exclude_none=True)
-
-
-def _anchor(node: Any, folder: Path) -> None:
-    """Make the paths of files of measured delays absolute, everywhere in the tree."""
-    if isinstance(node, dict):
-        if "samples" in node:
-            node["samples"] = str((folder / node["samples"]).resolve())
-        node = list(node.values())
-    if isinstance(node, list):
-        for child in node:
-            _anchor(child, folder)
 
 
 def _rounded(values: Iterable[float]) -> list[float]:
