@@ -19,6 +19,7 @@ from protocol.network.health import give_back_memory
 from protocol.network.session import BusError
 from protocol.scenario.links import told_change
 from protocol.scenario.setup import Setup
+from protocol.wire.codec import decode
 from protocol.wire.keys import RECORDER, Keys
 from protocol.wire.messages import (
     BUNDLES,
@@ -28,6 +29,7 @@ from protocol.wire.messages import (
     FaultOrigin,
     LinkChange,
     Message,
+    MessageError,
     PlantState,
     Presence,
     Record,
@@ -39,8 +41,6 @@ from protocol.wire.messages import (
 )
 from protocol.wire.names import COORDINATOR
 from protocol.wire.node import Outbox, lost
-from transport.flight.departures import Departures
-from transport.flight.newest_state import NewestState
 from transport.log.run_folder import END_NOT_RECORDED
 from transport.log.run_log import LogError
 from transport.log.writer import LogWriter
@@ -54,6 +54,8 @@ _UNREAD = {*KINDS, *BUNDLES} - _READ
 # Kinds among these that tell of the newest tick, and of the plant's state.
 _OF_TICKS, _OF_PLANT = (Tick.kind, Relay.kind), (PlantState.kind, Record.kind)
 
+# Messages of the plant kept to find its newest state in: not every record has one, and one may be garbled.
+_KEPT = 4
 # Wake-ups cost the run processor time, so messages are gathered in batches; in a paced run for less than a tick.
 _GATHER_S, _GATHER_PACED_S = 0.03, 0.01
 # The log file is flushed after a pause this long, less than the period of most runs.
@@ -113,7 +115,7 @@ class Recorder:
         self._keys = Keys(run)
         self._shape = setup.shape
         self.gate = Gate(RECORDER, self._keys, self._shape, self._check_moment, _UNREAD)
-        self._newest_state = NewestState(self._check)
+        self._newest = deque[bytes](maxlen=_KEPT)
         self._join_timeout_s = join_timeout_s
         self._has_ended = has_ended
         self.gone = f"{COORDINATOR} is gone"
@@ -135,8 +137,16 @@ class Recorder:
 
     @property
     def plant_state(self) -> PlantState | None:
-        """The newest state of the plant, or None; decoded when it is asked for."""
-        return self._newest_state.decoded()
+        """The newest state of the plant, or None; decoded when it is asked for, also on another thread."""
+        for data in reversed(self._newest.copy()):
+            with suppress(MessageError):  # garbled or forged
+                message = decode(data)
+                for part in message.parts if isinstance(message, Record) else (data,):
+                    state = decode(part)
+                    if isinstance(state, PlantState):
+                        self._check(state)
+                        return state
+        return None
 
     def new_notices(self) -> Iterator[str]:
         """Yield the notices since the last call: roster changes after the start, faults, processes not there yet."""
@@ -201,7 +211,7 @@ class Recorder:
             self._bus.close()  # the coordinator waits for this
 
     def _record(self) -> None:
-        departures = Departures(self._expected)
+        departures = _Departures(self._expected)
         deadline: float | None = None
         trail_ends: float | None = None
         while departures.present or self.control is None:
@@ -265,7 +275,7 @@ class Recorder:
         if header.kind in _OF_TICKS:
             self.tick = max(header.tick, self.tick)
         elif header.kind in _OF_PLANT:
-            self._newest_state.add(sample)
+            self._newest.append(sample.data)
             if self.started_s is None and (header.tick > 0 or header.kind == PlantState.kind):
                 self.started_s = time.monotonic()
 
@@ -298,3 +308,34 @@ class Recorder:
         """Write the end of a run whose coordinator cannot."""
         state = self.plant_state
         self._take(lost(self._out, state.tick if state else 0, reason))
+
+
+class _Departures:
+    """Processes of the run that may still send messages: they have not said that they have sent their last.
+
+    Attributes:
+        present: Their names.
+    """
+
+    def __init__(self, expected: Collection[str]) -> None:
+        self.present = set(expected)
+        self._expected = frozenset(expected)
+        self._gone: set[str] = set()  # those of them without a token
+        self._newest: dict[str, int] = {}  # incarnations
+
+    @property
+    def are_gone(self) -> bool:
+        """Whether the tokens of all that are present have disappeared."""
+        return self.present <= self._gone
+
+    def note(self, event: Presence) -> None:
+        """Take note of a token that has appeared or disappeared."""
+        newest = self._newest.get(event.name, 0)
+        if not event.alive:
+            if event.incarnation >= newest:
+                self._gone.add(event.name)
+            return
+        # Reconnected after a standstill of that process or of this one.
+        self._newest[event.name] = max(event.incarnation, newest)
+        self._gone.discard(event.name)
+        self.present.update({event.name} & self._expected)

@@ -64,7 +64,7 @@ def simulate(
     folder: Path,
     console: Console,
     started: Callable[[], None] = lambda: None,
-    ready: Callable[[], None] = lambda: None,
+    ready: Callable[[], object] = lambda: None,
     external: Collection[str] = (),
 ) -> Finished:
     """Start the processes of a run, record it in a new folder, and wait for its end.
