@@ -1,7 +1,7 @@
 """Steps of the site's build beside those of MkDocs.
 
-README.md and CHANGELOG.md become pages, files outside docs/ that a page links to are copied into the site, formulas
-become MathML and flowcharts SVG. A page that cannot be converted ends the build.
+README.md, CHANGELOG.md and SECURITY.md become pages, files outside docs/ that a page links to are copied into the site,
+formulas become MathML and flowcharts SVG. A page that cannot be converted ends the build.
 """
 
 import re
@@ -24,6 +24,7 @@ ROOT = FOLDER.parent.parent
 OUTSIDE = {
     "index.md": "README.md",
     "changelog.md": "CHANGELOG.md",
+    "security.md": "SECURITY.md",
     "python-reference.md": "docs/site/python-reference.md",
 }
 TO_FOLDER = re.compile(r"\[([^\]\n]*)\]\(([^)\s#]+)\)")

@@ -157,7 +157,7 @@ def test_the_build_needs_all_its_files(tmp_path: Path) -> None:
     """A link to a heading that does not exist ends the build: strict is in force."""
     copy = tmp_path / "copy"
     shutil.copytree(ROOT / "docs", copy / "docs", ignore=shutil.ignore_patterns("__pycache__"))
-    for name in ("mkdocs.yml", "README.md", "CHANGELOG.md", "CITATION.cff", "LICENSE"):
+    for name in ("mkdocs.yml", "README.md", "CHANGELOG.md", "SECURITY.md", "CITATION.cff", "LICENSE"):
         shutil.copy(ROOT / name, copy / name)
     for name in ("deploy", "transport/analysis"):
         shutil.copytree(ROOT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
