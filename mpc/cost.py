@@ -8,6 +8,7 @@ from model.arrays import Array
 from model.dynamics import Symbols
 from model.hover import Hover
 from model.linearisation import Model
+from model.parameters import System
 from mpc.expressions import Affine, Expressions, read_term
 from mpc.settings import CostTerm, SettingsError, Weights
 
@@ -17,6 +18,7 @@ class Cost:
 
     Args:
         weights: Of outputs and inputs.
+        system: The whole team, also after failures.
         hover: The equilibrium.
         off: UAVs without motors, 0-based; their yaw rates have no weight.
         released: UAVs no longer on their rods, 0-based; none of their outputs has a weight.
@@ -28,15 +30,20 @@ class Cost:
     """
 
     def __init__(
-        self, weights: Weights, hover: Hover, off: Collection[int] = (), released: Collection[int] = ()
+        self,
+        weights: Weights,
+        system: System,
+        hover: Hover,
+        off: Collection[int] = (),
+        released: Collection[int] = (),
     ) -> None:
-        N = len(hover.tensions)
+        N = system.N
         Q = weights.Q(N)
         for uav in released:
             Q[3 * uav : 3 * uav + 3] = 0.0
         for uav in off:
             Q[3 * N + 3 + uav] = 0.0
-        self.Q, self.R = Q, weights.R(N)
+        self.Q, self.R = Q, weights.R(system)
         self.u_target = hover.u if weights.penalised_input == "deviation" else np.zeros_like(hover.u)
 
     def stage(self, y: Array, y_ref: Array, u: Array) -> float:

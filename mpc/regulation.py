@@ -62,7 +62,8 @@ class Regulation:
     def __init__(self, model: Model, hover: Hover, settings: ControllerSettings, X_ref: Array | None = None) -> None:
         self._whole, self._whole_hover = model, hover
         self._lag_s = settings.motor_lag_s
-        self._settings, self.user_costs = settings, UserCosts(settings.cost, model)
+        terms = (*settings.cost, *settings.weights.terms(model.system.N))
+        self._settings, self.user_costs = settings, UserCosts(terms, model)
         self._fail_safe = FailSafe(model.system, hover.u)
         self._X_ref = X_ref if settings.preview else None
         # Values of the user's terms on the reference, (K, terms): no team changes them.
@@ -108,7 +109,7 @@ class Regulation:
             held = {uav: float(u[input_slice(uav)][0]) for uav in self._uncontrolled}
             self._model = failed_model(system, off, released)
             self.hover = failed_hover(system, off, released, held)
-        self.cost = Cost(self._settings.weights, self.hover, off, released)
+        self.cost = Cost(self._settings.weights, self._whole.system, self.hover, off, released)
         self._target = self._by_forces = None
         if self._settings.prediction == "closed_loop" or self._settings.terminal == "riccati":
             self._regulate()

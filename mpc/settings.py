@@ -14,6 +14,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict
 from pydantic_core import PydanticCustomError
 
 from model.arrays import Array
+from model.parameters import System
 
 SolverName = Literal["daqp", "clarabel"]
 PredictionName = Literal["open_loop", "closed_loop"]
@@ -109,6 +110,18 @@ class Weights(Section):
         1e-2,
     )
     """weight on each moment, per body axis"""
+    acceleration: Annotated[
+        Positive | None, Key(unit="s⁴/m²", within=_WEIGHTS, label="weight on acceleration by thrust")
+    ] = None
+    """weight on each thrust over the mass that the UAV lifts, its own and an equal share of the payload's; replaces
+    `thrust`, so that one value serves vehicles of any size"""
+    angular_acceleration: Annotated[
+        Positive | None, Key(unit="s⁴/rad²", within=_WEIGHTS, label="weight on angular acceleration by moments")
+    ] = None
+    """weight on each moment over the UAV's inertia about that axis; replaces `moments`, so that one value serves
+    vehicles of any size"""
+    tilt_rate: Annotated[NotNegative, Key(unit="s²/rad²", within=_WEIGHTS, label="weight on tilt rate")] = 0.0
+    """weight on each UAV's first and second body rate"""
     penalised_input: PenalisedInput = "deviation"
     """argument of R: the deviation of the input from hover, or the input itself (the paper)"""
 
@@ -117,9 +130,22 @@ class Weights(Section):
         weights = (self.position, self.attitude, self.yaw_rate, self.payload_position, self.payload_velocity)
         return np.repeat(weights, [3 * N, 3, N, 3, 3])
 
-    def R(self, N: int) -> Array:
-        """Return the diagonal of R for N UAVs, (4 N,)."""
-        return np.tile([self.thrust, *self.moments], N)
+    def R(self, system: System) -> Array:
+        """Return the diagonal of R, (4 N,). Source: docs/equations.md (21), (21a)."""
+        R = np.tile([self.thrust, *self.moments], (system.N, 1))
+        for row, uav in zip(R, system.uavs, strict=True):
+            if self.acceleration is not None:
+                row[0] = self.acceleration / (uav.mass + system.payload.mass / system.N) ** 2
+            if self.angular_acceleration is not None:
+                row[1:] = self.angular_acceleration / np.diag(uav.inertia) ** 2
+        return R.reshape(-1)
+
+    def terms(self, N: int) -> tuple["CostTerm", ...]:
+        """Return the weights of N UAVs that are not on outputs of the model, as terms of the cost."""
+        if not self.tilt_rate:
+            return ()
+        rates = [f"omega{uav}[{axis}]" for uav in range(1, N + 1) for axis in (0, 1)]
+        return tuple(CostTerm(expression=rate, weight=self.tilt_rate) for rate in rates)
 
 
 class Limits(Section):

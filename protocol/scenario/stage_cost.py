@@ -29,7 +29,7 @@ class StageCost:
                 equilibrium = failed_hover(setup.system, off, released) if off else setup.hover
             except ParameterError:
                 equilibrium = setup.hover  # the rest cannot hover; the control law keeps this one, too
-            cost = Cost(setup.settings.weights, equilibrium, off, released)
+            cost = Cost(setup.settings.weights, setup.system, equilibrium, off, released)
             self._teams.append((cost, input_indices(sorted(released))))
 
     def at(self, tick: int, y: Array, y_ref: Array, u: Array) -> float:

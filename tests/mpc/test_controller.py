@@ -36,7 +36,7 @@ def cost_by_simulation(
     dU = at.U - at.u
     dU[:, own] = v
     N = setup.system.N
-    Q, R = settings.weights.Q(N), settings.weights.R(N)[own]
+    Q, R = settings.weights.Q(N), settings.weights.R(setup.system)[own]
     target = setup.hover.u[own] if settings.weights.penalised_input == "deviation" else np.zeros(len(own))
     total = 0.0
     for k, dx in enumerate(naive.simulate(A, B, f_d, dU)):
@@ -86,7 +86,7 @@ def solve_as_printed(setup: Setup, settings: ControllerSettings, at: Situation, 
     C_bar = naive.stacked_output(linear.C, steps)
     Q = settings.weights.Q(setup.system.N)
     Q_bar = naive.stacked_weight(Q, settings.weights.terminal * Q, steps)
-    R_bar = np.diag(np.tile(settings.weights.R(setup.system.N), steps))
+    R_bar = np.diag(np.tile(settings.weights.R(setup.system), steps))
     L, U_0 = np.tile(linear.y, steps + 1), np.tile(at.u, steps)
     error = L + C_bar @ F - at.y_ref.reshape(-1)
     P = 2.0 * (H.T @ C_bar.T @ Q_bar @ C_bar @ H + R_bar)

@@ -35,7 +35,7 @@ GAIN_TOLERANCE = 1e-3
 def found(system: System, off: AbstractSet[int], released: AbstractSet[int]) -> Regulator:
     """Return the regulator of the remaining team."""
     at = failed_hover(system, off, released)
-    cost = Cost(Weights(), at, off, released)
+    cost = Cost(Weights(), system, at, off, released)
     return regulator(failed_model(system, off, released), at, cost, PERIOD_S, off=off, released=released)
 
 
@@ -60,7 +60,7 @@ def test_three_stabilise_the_payload_without_the_fourth() -> None:
     live = [i for i in range(4) if i != DEAD]
     three = System(payload=system.payload, uavs=[system.uavs[i] for i in live], gravity=system.gravity)
     at = failed_hover(three, set(), set())
-    cost = Cost(Weights(), at)
+    cost = Cost(Weights(), three, at)
     uncontrolled = regulator(failed_model(three, set(), set()), at, cost, PERIOD_S)
     K = found(system, {DEAD}, {DEAD}).K
     assert not K[state.input_slice(DEAD)].any()

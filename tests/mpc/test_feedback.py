@@ -32,7 +32,7 @@ OPTIMUM_TOLERANCE = 1e-6
 def gain() -> Array:
     """The paper system's gain."""
     setup = paper_setup()
-    return regulator(setup.model, setup.hover, Cost(Weights(), setup.hover), PERIOD_S).K
+    return regulator(setup.model, setup.hover, Cost(Weights(), setup.system, setup.hover), PERIOD_S).K
 
 
 def hover_model() -> tuple[Array, Array, Array]:
@@ -52,7 +52,7 @@ def test_gain_is_the_regulators() -> None:
         block = state.uav_slice(i).start
         # Vertical rods: e and Omega cannot change along z; a heading costs nothing and changes nothing.
         kept[[block + 2, block + 5, block + 8]] = False
-    cost = Cost(Weights(), setup.hover)
+    cost = Cost(Weights(), setup.system, setup.hover)
     a, b, c = A[np.ix_(kept, kept)], B[kept], C[:, kept]
     P = solve_discrete_are(a, b, c.T @ (cost.Q[:, None] * c), np.diag(cost.R))
     expected = -np.linalg.solve(np.diag(cost.R) + b.T @ P @ b, b.T @ P @ a)

@@ -8,7 +8,7 @@ from model.linearisation import Model
 from model.parameters import table_1
 from mpc.controller import Controller
 from mpc.margins import FARTHEST, GROWTH, Loop, Mismatch, margins
-from mpc.settings import ControllerSettings
+from mpc.settings import ControllerSettings, Limits, Weights
 
 SYSTEM = table_1()
 SHARED = ControllerSettings(prediction="closed_loop", terminal="riccati")
@@ -58,6 +58,23 @@ def test_a_delay_of_one_period_is_next_tick_without_its_prediction() -> None:
     loop = _loop(ControllerSettings(prediction="closed_loop", terminal="riccati", sampling_period_s=0.02))
     near = [loop.growth(Mismatch(delay_s=delay_s)) for delay_s in (0.02 - 1e-7, 0.02, 0.02 + 1e-7)]
     assert np.ptp(near) < 1e-3
+
+
+@pytest.mark.parametrize("size", [0.01, 20.0])
+def test_weights_on_accelerations_serve_vehicles_of_any_size(size: float) -> None:
+    """Masses and inertias times a factor leave the loop as it is, docs/equations.md (21a)."""
+    weights = Weights(acceleration=5e-3, angular_acceleration=1.7e-3, tilt_rate=0.15)
+    plant, growths = Mismatch(lag_s=0.1), []
+    for factor in (1.0, size):
+        scaled = Mismatch(uav_mass=factor, uav_inertia=factor, payload_mass=factor, payload_inertia=factor).system(
+            SYSTEM
+        )
+        at_rest, model = hover(scaled), Model(scaled)
+        settings = SHARED.model_copy(update={"weights": weights, "limits": Limits(thrust_N=(0.0, 1e4))})
+        team = [Controller(model, at_rest, settings, (uav,)) for uav in range(scaled.N)]
+        growths.append(Loop(team, next_tick=False).growth(plant))
+    assert growths[0] > GROWTH
+    assert growths[1] == pytest.approx(growths[0], rel=1e-6)
 
 
 def test_plans_of_the_paper_are_states_of_the_loop() -> None:

@@ -117,7 +117,7 @@ def test_lag_to_zero() -> None:
 def test_the_law_of_motors_stabilises_what_the_other_does_not() -> None:
     """With 100 ms of lag the gain without it has a growing mode, the gain that knows it has none, (33), (55)."""
     setup, lag_s = paper_setup(), 0.1
-    cost = Cost(Weights(), setup.hover)
+    cost = Cost(Weights(), setup.system, setup.hover)
     knows = regulator(setup.model, setup.hover, cost, PERIOD_S, motor_lag_s=lag_s)
     ignores = regulator(setup.model, setup.hover, cost, PERIOD_S)
     T, n = knows.T, setup.system.n

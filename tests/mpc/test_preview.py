@@ -62,7 +62,7 @@ def problem(profile: Profile, pulled: str, gone: tuple[int, ...] = (), weights: 
     """The paper's system on a short move, with a pull that passes, one that lasts, or none."""
     system = table_1()
     at = hover(system)
-    cost, model = Cost(weights, at), difference(system, at)
+    cost, model = Cost(weights, system, at), difference(system, at)
     uncontrolled = {uav: FailSafe(system, at.u).gain(uav) for uav in gone}
     K = np.zeros((len(at.u), len(at.x)))
     for uav, gain in uncontrolled.items():
@@ -180,7 +180,7 @@ def test_a_reference_at_rest_asks_for_nothing(rods: str) -> None:
         e = np.array([0.0, 0.0, 1.0]) - 0.8 * outwards  # the UAVs stand wider than their attachment points
         e /= np.linalg.norm(e, axis=1)[:, None]
     at = hover(system, e)
-    law = regulator(Model(system), at, Cost(PAYLOAD, at), PERIOD_S)
+    law = regulator(Model(system), at, Cost(PAYLOAD, system, at), PERIOD_S)
     X_ref = np.tile(at.x, (20, 1))
     X_ref[:, state.R0] += [3.0, -4.0, -10.0]
     found = preview(law, X_ref, np.zeros_like(X_ref))

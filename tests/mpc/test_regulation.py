@@ -231,7 +231,7 @@ def test_cost_to_go_is_the_sum_of_the_costs_to_come(gone: list[int], terms: tupl
     model = difference(system, at)
     regulation = Regulation(Model(system), at, changed(LQ, weights=PAYLOAD, cost=terms))
     regulation.form(gone, (), ())
-    law, cost = regulation.regulator, Cost(PAYLOAD, at)
+    law, cost = regulation.regulator, Cost(PAYLOAD, system, at)
     assert law is not None
     deviation = small_state(at, np.random.default_rng(2), 0.1)
     x, R = deviation, cost.R.copy()

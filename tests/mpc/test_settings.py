@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from model.parameters import table_1
 from mpc.settings import ControllerSettings, Limits, Section, Weights
 
 BAD: list[tuple[type[Section], dict[str, Any]]] = [
@@ -53,7 +54,7 @@ def test_the_paper_has_no_weight_on_the_payloads_way() -> None:
 
 def test_order_of_the_input_weights() -> None:
     """R follows u = [thrust and three moments of each UAV]."""
-    assert Weights(thrust=1.0, moments=(2.0, 3.0, 4.0)).R(3).tolist() == [1.0, 2.0, 3.0, 4.0] * 3
+    assert Weights(thrust=1.0, moments=(2.0, 3.0, 4.0)).R(table_1()).tolist() == [1.0, 2.0, 3.0, 4.0] * 4
 
 
 def test_limits_per_uav() -> None:

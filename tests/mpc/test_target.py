@@ -31,7 +31,7 @@ def setup_of(name: str) -> Setup:
 def found(name: str) -> Target:
     """The target of a system."""
     setup = setup_of(name)
-    return target(setup.model, setup.hover, Cost(WEIGHTS, setup.hover))
+    return target(setup.model, setup.hover, Cost(WEIGHTS, setup.system, setup.hover))
 
 
 def equations(setup: Setup) -> tuple[Array, Array, Array]:
@@ -71,7 +71,7 @@ def test_nothing_is_better(name: str) -> None:
     """No other steady state has less output error, and none with the same output error takes less input."""
     setup = setup_of(name)
     rest, _, C = equations(setup)
-    at, cost, n = found(name), Cost(WEIGHTS, setup.hover), setup.system.n
+    at, cost, n = found(name), Cost(WEIGHTS, setup.system, setup.hover), setup.system.n
     T = tangent(setup.hover.x)
     moves = null_space(np.hstack([rest[:, :n] @ T, rest[:, n:]]))
     dx, du = T @ moves[: T.shape[1]], moves[T.shape[1] :]

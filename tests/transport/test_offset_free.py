@@ -49,7 +49,7 @@ class Flown:
             np.array([plant_state.u for plant_state in plant_states]),
         )
         y, y_ref = np.array([self.run.model.outputs(row) for row in x]), self.run.reference.outputs(times_s)
-        cost = Cost(self.run.settings.weights, self.run.hover)
+        cost = Cost(self.run.settings.weights, self.run.system, self.run.hover)
         self.cost = float(np.mean([cost.stage(*at) for at in zip(y, y_ref, u, strict=True)]))
         self.payload_error_I = x[:, state.R0] - self.run.maneuver.path(times_s)[0]
         self.uav_errors_I = (y - y_ref)[:, :12].reshape(-1, 4, 3)
