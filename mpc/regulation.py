@@ -65,7 +65,7 @@ class Regulation:
         terms = (*settings.cost, *settings.weights.terms(model.system.N))
         self._settings, self.user_costs = settings, UserCosts(terms, model)
         self._fail_safe = FailSafe(model.system, hover.u)
-        self._X_ref = X_ref if settings.preview else None
+        self._X_ref, self._follows_from = X_ref if settings.preview else None, (hover, settings, X_ref)
         # Values of the user's terms on the reference, (K, terms): no team changes them.
         self._on_reference = (
             None if self._X_ref is None else np.array([self.user_costs.at(x).value for x in self._X_ref])
@@ -176,11 +176,11 @@ class Regulation:
         further = self.user_costs.about(self.hover.x)
         period_s = self._settings.sampling_period_s
         self.regulator = found = self._shared(
+            "regulator",
             lambda: regulator(
                 self._model, self.hover, self.cost, period_s, self._uncontrolled, further, self._off, self._released,
                 self._lag_s,
             ),
-            self._whole_hover, self._settings,
         )  # fmt: skip
         if self._X_ref is not None:
             # On the reference, the output error is zero; the user's terms are not.
@@ -188,15 +188,17 @@ class Regulation:
             pull = (np.sqrt(self.user_costs.weights) * self._on_reference) @ padded(further, states)
             # The actual inputs of the reference are those of hover: their deviation from the last ones is zero.
             X_ref = padded(self._X_ref, states)
-            self._preview = self._shared(
-                lambda: preview(found, X_ref, pull), self._whole_hover, self._settings, self._X_ref
-            )
+            self._preview = self._shared("preview", lambda: preview(found, X_ref, pull))
 
-    def _shared(self, compute: Callable[[], T], *follows_from: object) -> T:
-        """Return a result for this team, computed by the first controller that needs it."""
-        found, key = _FOUND.setdefault(self._whole, {}), (*map(id, follows_from), *self._team)
+    def _shared(self, what: str, compute: Callable[[], T]) -> T:
+        """Return a result for this team, computed by the first controller of the reference that needs it.
+
+        Not for others, such as a check of the scenario: the number of BLAS threads, which decides the order of sums,
+        may differ.
+        """
+        found, key = _FOUND.setdefault(self._whole, {}), (what, *map(id, self._follows_from), *self._team)
         if key not in found:
-            found[key] = compute(), follows_from
+            found[key] = compute(), self._follows_from
         result: T = found[key][0]
         return result
 
