@@ -28,6 +28,7 @@ OTHER_WORDS = {
     "received_plans": "held",
     "received_states": "as_received",
     "discretisation": "euler",
+    "linearisation": "along",
     "prediction": "closed_loop",
     "terminal": "riccati",
     "actuation": "immediate",
