@@ -5,7 +5,6 @@ An agent then has one message to send and two to receive in a tick, whatever the
 """
 
 from collections.abc import Callable
-from typing import Protocol
 
 from protocol.scenario.setup import Setup
 from protocol.wire.codec import encode
@@ -33,49 +32,35 @@ from protocol.wire.node import Outbox
 Put = Callable[[str, bytes], None]
 
 
-class Exchange(Protocol):
-    """Sends the messages of one process."""
+def exchange_of(setup: Setup, name: str, incarnation: int, keys: Keys, put: Put) -> "Exchange":
+    """Return the exchange of a process."""
+    if not setup.scenario.clock.relayed or name == RECORDER:
+        return Exchange(keys, put)
+    return {COORDINATOR: _Coordinator, PLANT: _Plant}.get(name, _Agent)(name, incarnation, keys, put)
+
+
+class Exchange:
+    """Sends the messages of one process; in real time, each alone and at once."""
+
+    def __init__(self, keys: Keys, put: Put) -> None:
+        self._keys, self._put = keys, put
 
     def received(self, event: Event, bundle: Bundle | None) -> None:
         """Note an event that the node has accepted, and the bundle it came in."""
 
     def send(self, message: Message) -> None:
         """Send a message, or keep it for a bundle."""
+        self._put(self._keys.of(message), encode(message))
 
     def flush(self) -> None:
         """Send the bundle of the messages kept, whatever it waits for: before a process ends."""
 
     def settle(self) -> None:
         """Send the bundle if it need not wait any longer: when all messages received together are handled."""
+        self.flush()
 
 
-def exchange_of(setup: Setup, name: str, incarnation: int, keys: Keys, put: Put) -> Exchange:
-    """Return the exchange of a process."""
-    if not setup.scenario.clock.relayed or name == RECORDER:
-        return Direct(keys, put)
-    return {COORDINATOR: _Coordinator, PLANT: _Plant}.get(name, _Agent)(name, incarnation, keys, put)
-
-
-class Direct:
-    """Exchange without bundles."""
-
-    def __init__(self, keys: Keys, put: Put) -> None:
-        self._keys, self._put = keys, put
-
-    def received(self, event: Event, bundle: Bundle | None) -> None:
-        """Do nothing."""
-
-    def send(self, message: Message) -> None:
-        """Send a message."""
-        self._put(self._keys.of(message), encode(message))
-
-    def flush(self) -> None:
-        """Do nothing: no message is kept."""
-
-    settle = flush
-
-
-class _Bundled(Direct):
+class _Bundled(Exchange):
     """Exchange of a process that sends bundles."""
 
     def __init__(self, name: str, incarnation: int, keys: Keys, put: Put) -> None:
@@ -110,13 +95,8 @@ class _Agent(_Bundled):
 
     def flush(self) -> None:
         if self._kept:
-            super().send(
-                self._out.stamp(
-                    Answer, tick=self._tick, agent=int(self._out.sender.removeprefix(AGENT)), **self._take()
-                )
-            )
-
-    settle = flush
+            agent = int(self._out.sender.removeprefix(AGENT))
+            super().send(self._out.stamp(Answer, tick=self._tick, agent=agent, **self._take()))
 
 
 class _Plant(_Bundled):
@@ -133,8 +113,6 @@ class _Plant(_Bundled):
     def flush(self) -> None:
         if self._kept:
             super().send(self._out.stamp(Record, tick=self._tick, **self._take()))
-
-    settle = flush
 
 
 class _Coordinator(_Bundled):

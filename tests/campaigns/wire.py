@@ -29,10 +29,10 @@ from protocol.network.session import fetch_answer
 from protocol.scenario.file import find_scenario, read_scenario
 from protocol.scenario.setup import Setup
 from protocol.wire.keys import RECORDER, Keys, matches
-from tests.support import attack
+from tests.support import attacker
+from tests.support.attacker import Deliveries, Mesh, bombard, intruding, proofs_of_connection, table
 from tests.support.commands import free_base, settings, start, wait_for
 from tests.support.garbage import Garbage
-from tests.support.intrusion import Deliveries, Mesh, bombard, intruding, proofs_of_connection, table
 from tests.support.keyrings import keyring
 from tests.support.logs import record_run
 from transport.report.report import write_report
@@ -112,11 +112,11 @@ def _attack(access: str, messages: int, rng: np.random.Generator, folder: Path, 
         endpoints = list(_endpoints(folder / name, names))
         for secure in _strangers(access) if endpoints else ():
             result.tried += 1
-            with suppress(zenoh.ZError), attack.session(endpoints[:1], secure, _REFUSED_S):
+            with suppress(zenoh.ZError), attacker.session(endpoints[:1], secure, _REFUSED_S):
                 result.connected += 1
                 result.findings.append(f"{name}: a session without keys has connected")
         if access != "secret" and endpoints:
-            secure = attack.tls(keyring("one"), "agent1") if access == "certificates" else None
+            secure = attacker.tls(keyring("one"), "agent1") if access == "certificates" else None
             max_bytes = run.shape.max_bytes
             source = Garbage("recorder", keys, run, max_bytes, rng, incarnation=0, delay=_DELAY, far=_TICKS)
             awaited, hears = proofs_of_connection(keys, run.agents, relayed=relayed), list[str]()
@@ -221,8 +221,8 @@ def _strangers(access: str) -> Iterator[dict[str, Any] | None]:
         for user in ("run", "root"):
             yield {"auth": {"usrpwd": {"user": user, "password": "0" * 48}}}
     elif access == "certificates":
-        yield attack.tls(None, "", keyring("one") / "ca.pem")
-        yield attack.tls(keyring("other"), "agent1", keyring("one") / "ca.pem")
+        yield attacker.tls(None, "", keyring("one") / "ca.pem")
+        yield attacker.tls(keyring("other"), "agent1", keyring("one") / "ca.pem")
 
 
 def _calm(folder: Path, flight: Sequence[str]) -> list[dict[str, str]]:

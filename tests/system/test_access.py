@@ -16,7 +16,7 @@ from protocol.network.security import Security, access_control
 from protocol.wire.codec import VERSION, encode
 from protocol.wire.keys import ACTING, OPERATOR, ROUTER, WATCHER, Keys
 from protocol.wire.messages import BUNDLES, KINDS, Answer, Message, Plan, agent_name
-from tests.support import attack, runs
+from tests.support import attacker, runs
 from tests.support.commands import free_base
 from tests.support.keyrings import keyring
 from tests.support.messages import sample
@@ -83,7 +83,7 @@ def guarded_plant() -> Iterator[Guarded]:
 @contextmanager
 def session_of(plant: Guarded, folder: Path, name: str) -> Iterator[zenoh.Session]:
     """Open a session with the certificate of a name."""
-    with attack.session([plant.at], attack.tls(folder, name)) as session:
+    with attacker.session([plant.at], attacker.tls(folder, name)) as session:
         yield session
 
 
@@ -91,7 +91,7 @@ def reaches(plant: Guarded, session: zenoh.Session, key: str) -> bool:
     """Return whether messages of a session under a key reach the plant."""
     before, deadline = plant.reached, time.monotonic() + PATIENCE_S
     while plant.reached == before and time.monotonic() < deadline:
-        attack.say(session, key, b"?")
+        attacker.say(session, key, b"?")
         plant.accepted(0.05)
     return plant.reached > before
 
@@ -100,14 +100,14 @@ def test_sessions_without_keys_are_refused(plant: Guarded) -> None:
     """A session without certificate, with one of another authority, or without TLS is refused."""
     one, other = keyring("one"), keyring("other")
     wrong = {
-        "none": (plant.at, attack.tls(None, "", one / "ca.pem")),
-        "another's": (plant.at, attack.tls(other, "agent1", one / "ca.pem")),
+        "none": (plant.at, attacker.tls(None, "", one / "ca.pem")),
+        "another's": (plant.at, attacker.tls(other, "agent1", one / "ca.pem")),
         "no TLS": (plant.at.replace("tls/", "tcp/"), None),
     }
     for case, (at, secure) in wrong.items():
-        with pytest.raises(zenoh.ZError), attack.session([at], secure, REFUSED_S):
+        with pytest.raises(zenoh.ZError), attacker.session([at], secure, REFUSED_S):
             pytest.fail(f"{case}: got in")
-    with attack.session([plant.at], attack.tls(one, "agent1"), PATIENCE_S) as session:
+    with attacker.session([plant.at], attacker.tls(one, "agent1"), PATIENCE_S) as session:
         assert reaches(plant, session, f"{KEYS.prefix}/plan/1")
 
 
@@ -128,7 +128,7 @@ def test_impostors_are_refused(plant: Guarded, impostor: str) -> None:
         ]
         for key, data in forged.items():
             for _ in range(SHOTS):
-                attack.say(session, key, data)
+                attacker.say(session, key, data)
             session.delete(key)
         if impostor == "agent1":  # all its earlier messages have arrived before this one
             assert reaches(plant, session, f"{KEYS.prefix}/plan/1")
@@ -157,7 +157,7 @@ def test_forged_bundles_are_dropped(impostor: str, own: str) -> None:
             before = coordinator.reached
             for key in forged:
                 for _ in range(SHOTS):
-                    attack.say(session, key, encode(answer))
+                    attacker.say(session, key, encode(answer))
             assert reaches(coordinator, session, f"{KEYS.prefix}/{own}")
             assert coordinator.accepted(0.3) == []
             assert {entry.sender for entry in coordinator.gate.rejections} == {own}
@@ -173,7 +173,7 @@ def test_the_same_messages_from_the_owner(plant: Guarded) -> None:
         assert reaches(plant, session, f"{KEYS.prefix}/tick")
         sent = [runs.tick(0), replace(runs.end(), sequence=10)]
         for message in sent:
-            attack.say(session, KEYS.of(message), encode(message))
+            attacker.say(session, KEYS.of(message), encode(message))
         assert plant.accepted(1.0) == sent
         token.undeclare()  # type: ignore[no-untyped-call]
 
@@ -184,7 +184,7 @@ def test_rights_to_request() -> None:
     coordinator = Guarded("coordinator", port)
 
     def answered(name: str, request: str) -> bool:
-        with attack.session([coordinator.at], attack.tls(keyring("one"), name)) as session:
+        with attacker.session([coordinator.at], attacker.tls(keyring("one"), name)) as session:
             deadline = time.monotonic() + (PATIENCE_S if request == "health" else 1.0)
             while time.monotonic() < deadline:
                 handler = session.get(KEYS.request("coordinator", request), payload="{}", timeout=1.0)

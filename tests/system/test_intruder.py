@@ -13,9 +13,9 @@ from protocol.scenario.file import find_scenario, read_scenario
 from protocol.scenario.setup import Setup
 from protocol.wire.keys import Keys
 from protocol.wire.messages import agent_name
+from tests.support.attacker import Deliveries, bombard, intruding, proofs_of_connection, table
 from tests.support.commands import PATIENCE_S, free_base, settings, start
 from tests.support.garbage import Garbage
-from tests.support.intrusion import Deliveries, bombard, intruding, proofs_of_connection, table
 from tests.support.logs import record_run
 from tests.system.test_processes import SCHEMA
 from transport.report.report import write_report

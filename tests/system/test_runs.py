@@ -18,7 +18,8 @@ from protocol.network.endpoints import process_names
 from protocol.scenario.file import find_scenario, read_scenario
 from protocol.scenario.setup import Setup
 from protocol.wire.keys import Keys
-from tests.support import attack
+from tests.support import attacker
+from tests.support.attacker import table
 from tests.support.commands import (
     PATIENCE_S,
     command,
@@ -29,7 +30,6 @@ from tests.support.commands import (
     transport,
     wait_for,
 )
-from tests.support.intrusion import table
 from tests.support.keyrings import NAMES, keyring
 from tests.support.logs import record_run
 from transport.cli.main import app
@@ -74,13 +74,13 @@ def test_a_run_under_attack(tmp_path: Path) -> None:
     endpoints = [f"tls/127.0.0.1:{base + i}" for i in range(count)]
     changes = settings(*FLIGHT, *secure)
     run = start("run", "paper", *changes, "--out", "out", "--no-figures", "--format", "json", cwd=tmp_path)
-    attacker = [sys.executable, "-m", "tests.support.attack", "out", "1", str(RATE_HZ), "replayed", str(keyring("one"))]
-    with subprocess.Popen([*attacker, *endpoints], stdout=subprocess.PIPE, text=True) as flood:
+    repeating = [sys.executable, "-m", "tests.support.attacker", "out", "1", str(RATE_HZ), str(keyring("one"))]
+    with subprocess.Popen([*repeating, *endpoints], stdout=subprocess.PIPE, text=True) as flood:
         assert wait_for(is_flying(tmp_path / "out", process_names(scenario)))
         refused: list[str] = []
         attempts = threading.Thread(target=_connect_without_keys, args=(endpoints[0], refused))
         attempts.start()
-        with attack.session(endpoints, attack.tls(keyring("one"), "agent1")) as forger:
+        with attacker.session(endpoints, attacker.tls(keyring("one"), "agent1")) as forger:
             # Asked within this process: on a busy host the run would end before a new process has started.
             status = ["status", "--format", "json", "--run", str(tmp_path / "out"), "--process"]
             asked, other = (CliRunner().invoke(app, [*status, name]) for name in ("agent2", "agent7"))
@@ -93,7 +93,7 @@ def test_a_run_under_attack(tmp_path: Path) -> None:
             assert wait_for(all_answer)
             for key in FORGED_KEYS:
                 for _ in range(FORGED):
-                    attack.say(forger, f"{keys.prefix}/{key}", b"?")
+                    attacker.say(forger, f"{keys.prefix}/{key}", b"?")
         printed, errors = run.communicate(timeout=PATIENCE_S)
         sent = int(flood.communicate(timeout=PATIENCE_S)[0])
         attempts.join()
@@ -125,12 +125,12 @@ def _connect_without_keys(endpoint: str, refused: list[str]) -> None:
     """Try to connect without the right keys, and list the attempts refused."""
     one, other = keyring("one"), keyring("other")
     for attempt, at, secure in (
-        ("no certificate", endpoint, attack.tls(None, "", one / "ca.pem")),
-        ("another authority", endpoint, attack.tls(other, "agent1", one / "ca.pem")),
+        ("no certificate", endpoint, attacker.tls(None, "", one / "ca.pem")),
+        ("another authority", endpoint, attacker.tls(other, "agent1", one / "ca.pem")),
         ("no TLS", endpoint.replace("tls/", "tcp/"), None),
     ):
         try:
-            with attack.session([at], secure, 0.7):
+            with attacker.session([at], secure, 0.7):
                 pass
         except zenoh.ZError:
             refused.append(attempt)

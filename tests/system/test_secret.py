@@ -11,7 +11,7 @@ import zenoh
 
 from protocol.network.security import SHARED, Security, SecurityError, new_secret
 from protocol.scenario.file import find_scenario, read_scenario
-from tests.support.attack import session
+from tests.support.attacker import session
 from tests.support.commands import settings, start, transport, wait_for
 from transport.flight.run_error import RunError
 from transport.flight.run_files import own_keys

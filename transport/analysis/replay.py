@@ -21,7 +21,6 @@ from protocol.wire.messages import (
     Message,
     MessageError,
     Plan,
-    Presence,
     Roster,
     StepReport,
     agent_name,
@@ -133,7 +132,6 @@ class Replay:
         measurements = self._measurements(process)
         before: Measurement | None = None
         answered = True
-        members: dict[int, int] = {}
         for message in _in_order_of_need(self._received(process), measurements):
             if isinstance(message, Measurement):
                 # An agent off the roster gets no measurements; the first one after that names another roster.
@@ -148,13 +146,6 @@ class Replay:
                 self.before_measurement(node, message)
                 before, answered = message, False
             answers = self._give(node, message, 0)
-            if isinstance(message, Roster):
-                now = dict(zip(message.agents, message.incarnations, strict=True))
-                # Messages of agents that left are fed by the tick that needs them: the node must not wait for more.
-                for agent, incarnation in members.items():
-                    if now.get(agent) != incarnation:
-                        answers += node.receive(Presence(agent_name(agent), incarnation, alive=False), 0)
-                members = now
             answered = answered or any(isinstance(answer, StepReport) for answer in answers)
             yield from answers
 
