@@ -108,7 +108,8 @@ class AgentNode:
         """
         now, window = self._newest_tick(), self._window
         match message:
-            case LinkChange():
+            case LinkChange():  # repeated for agents that join, so of any past tick
+                check_tick(message, 0, message.tick if now is None else now + 1 + window)
                 self._link_changes.check(message)
             case Control() | Roster() if now is not None:
                 check_tick(message, now - window, now + 1 + window)

@@ -121,7 +121,8 @@ class PlantNode:
         """
         now, window = self._measured_tick, self._window
         match message:
-            case LinkChange():
+            case LinkChange():  # repeated for agents that join, so of any past tick
+                check_tick(message, 0, now + 1 + window)
                 self._link_changes.check(message)
             case Control() | Roster():
                 check_tick(message, now - window, now + 1 + window)

@@ -49,10 +49,12 @@ def session(
         timeout_s: Timeout of the connections, s; None to go on trying in the background.
     Raises: zenoh.ZError: one of them refuses the connection.
     """
-    connect: dict[str, Any] = {"endpoints": list(endpoints), "timeout_ms": -1, "exit_on_failure": False}
-    connect["retry"] = {"period_init_ms": 50, "period_max_ms": 200, "period_increase_factor": 1.5}
+    connect: dict[str, Any] = {"endpoints": list(endpoints)}
     if timeout_s is not None:
         connect |= {"timeout_ms": round(1e3 * timeout_s), "exit_on_failure": True}
+    else:
+        retry = {"period_init_ms": 50, "period_max_ms": 200, "period_increase_factor": 1.5}
+        connect |= {"timeout_ms": -1, "retry": retry}
     configuration: dict[str, Any] = {
         "mode": "peer",
         "connect": connect,
