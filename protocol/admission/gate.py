@@ -71,10 +71,10 @@ class Gate:
             for key in filter(None, (route.key or kind, route.unshared_key))
             for agent, end in ([(agent, f"/{agent}") for agent in agents] if route.each else [(0, "")])
         }
-        self._incarnations: dict[str, int] = {}  # newest, by sender
-        # Incarnation, place and sequence number of the newest message, by kind and end of the key. Proposals of a
+        self._incarnations: dict[str, int] = {}  # newest announced, by sender
+        # Place and sequence number of the newest message, by kind, end of the key and incarnation. Proposals of a
         # negotiation have an order of their own: they come alone, and may overtake the plan of the tick before.
-        self._newest: dict[tuple[str, object, bool], tuple[int, tuple[int, int], int]] = {}
+        self._newest: dict[tuple[str, object, int, bool], tuple[tuple[int, int], int]] = {}
 
     def accept(self, key: str, data: bytes) -> Iterator[Message | Sample]:
         """Yield the messages in some bytes that pass all checks: none, one, or those of a bundle.
@@ -102,7 +102,7 @@ class Gate:
         self.bundle = None
 
     def announce(self, name: str, incarnation: int) -> None:
-        """Refuse messages of earlier incarnations of a process from now on: the token of this one has appeared."""
+        """Refuse messages of other incarnations of a process from now on: the token of this one has appeared."""
         self._incarnations[name] = max(incarnation, self._incarnations.get(name, 0))
 
     def refuse(self, sender: str, error: MessageError) -> None:
@@ -140,9 +140,11 @@ class Gate:
             self._check_sender(key, message)
             if isinstance(message, Bundle):
                 return message  # its messages have an order, and the same bundle may come with others
+            self._check_incarnation(message)
             end = getattr(message, message.route.each) if message.route.each else ""
-            stream = message.kind, end, isinstance(message, Plan) and message.negotiation > 0
-            self._check_order(message, self._newest.get(stream))
+            is_proposal = isinstance(message, Plan) and message.negotiation > 0
+            stream = message.kind, end, message.incarnation, is_proposal
+            _check_order(message, self._newest.get(stream))
             if self._shape is not None:
                 check_plausible(message, self._shape)
             if self._check_moment is not None:
@@ -151,7 +153,7 @@ class Gate:
             self.refuse(sender, error)
             return None
         self.data = data
-        self._newest[stream] = message.incarnation, message.place, message.sequence
+        self._newest[stream] = message.place, message.sequence
         if not isinstance(message, LinkChange):  # a repeated change is of the past
             self.tick = max(self.tick, message.tick)
         return message
@@ -167,17 +169,14 @@ class Gate:
             text = f"plan of {message.sender} alone, expected it in an answer"
             raise MessageError("wrong_sender", text)
 
-    def _check_order(self, message: Message, newest: tuple[int, tuple[int, int], int] | None) -> None:
-        # The token of an agent's next start may overtake its last plan on the way through the coordinator.
-        announced = self._incarnations.get(message.sender, 0) if self.bundle is None else 0
-        if message.incarnation < announced or (newest is not None and message.incarnation < newest[0]):
-            text = f"{message.kind} of incarnation {message.incarnation}, which has ended"
-            raise MessageError("wrong_incarnation", text)
-        if newest is None or message.incarnation > newest[0] or message.place > newest[1]:
+    def _check_incarnation(self, message: Message) -> None:
+        announced = self._incarnations.get(message.sender)
+        if announced is None or message.incarnation == announced:
             return
-        known = message.sequence <= newest[2]
-        text = f"{message.kind} {message.place[0]} (number {message.sequence}) after {newest[1][0]}"
-        raise MessageError("replayed" if known else "past", text)
+        # Relayed plans come another way than the token of their agent's start.
+        if self.bundle is None or not message.sender.startswith(AGENT):
+            text = f"{message.kind} of incarnation {message.incarnation}, expected {announced}"
+            raise MessageError("wrong_incarnation", text)
 
     def _is_mine(self, end: str) -> bool:
         """Return whether this process subscribes to a key, and another one publishes under it."""
@@ -187,3 +186,11 @@ class Gate:
             if len(self._is_for_me) < 4 * MAX_UAVS:
                 self._is_for_me[end] = found
         return found
+
+
+def _check_order(message: Message, newest: tuple[tuple[int, int], int] | None) -> None:
+    """Refuse a message that does not follow the newest one by its place."""
+    if newest is None or message.place > newest[0]:
+        return
+    text = f"{message.kind} {message.place[0]} (number {message.sequence}) after {newest[0][0]}"
+    raise MessageError("replayed" if message.sequence <= newest[1] else "past", text)

@@ -93,7 +93,7 @@ def test_each_check_has_its_reason(key: str, message: bytes, sender: str, reason
         (direct(5), {"sequence": 99, "shared": False}, "past"),  # under the other key
         (direct(5), {"sequence": 99, "incarnation": 0, "tick": 6, "start_tick": 7}, "wrong_incarnation"),
         (direct(5), {"tick": 6, "start_tick": 7}, ""),  # where ticks grow, numbers need not
-        (direct(5), {"incarnation": 2}, ""),
+        (direct(5), {"sequence": 99, "incarnation": 2, "tick": 6, "start_tick": 7}, "wrong_incarnation"),
         (runs.tick(5), {}, "replayed"),
         (runs.tick(5), {"sequence": 99, "tick": 6}, ""),
         (runs.roster(), {"sequence": 99}, "past"),
@@ -107,6 +107,7 @@ def test_each_check_has_its_reason(key: str, message: bytes, sender: str, reason
 def test_order(first: Message, again: dict[str, Any], reason: str) -> None:
     """Under each kind and sender, tick, version or number grows; what does not is refused."""
     receiver = Receiver("plant", *DIRECT)
+    receiver.gate.announce(first.sender, first.incarnation)
     assert receiver.hear(first)
     assert receiver.hear(first, **again) == (not reason)
     assert [found for _, found in receiver.reasons()] == [reason] * bool(reason)

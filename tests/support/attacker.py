@@ -93,7 +93,7 @@ def repeat(opened: zenoh.Session, keys: Keys, agent: int, rate_hz: float) -> int
         while not heard.empty():
             data = _plan_in(heard.get(), keys.end(plan)) or data
         due = int((time.monotonic() - begun_s) * rate_hz)
-        for _ in range(sent, due):
+        for _ in range(sent, due if data else sent):
             say(opened, plan, data)
         sent = due
         time.sleep(0.005)
