@@ -113,6 +113,10 @@ class Garbage:
         self._single = [sort for sort in self.sorts if sort != "oversized"]
         if setup.scenario.clock.relayed:
             self.sorts |= {"bad parts": self._bad_parts, "renumbered bundle": self._renumbered_bundle}
+        if name == "recorder":  # whose readers know neither tick nor tokens
+            for sort in ("future", "far future", "another incarnation"):
+                del self.sorts[sort]
+            self._single = [sort for sort in self._single if sort in self.sorts]
 
     def heard(self, key: str, data: bytes) -> None:
         """Note a message of the run before its delivery, but no notice of refusals: a changed one is a valid one."""
