@@ -184,8 +184,10 @@ class Loop:
         T, period_s, m, r = self._T[: self._system.n, : self._r], self.period_s, self._m, self._r
         F, G = T.T @ motion.A_c @ T, plant.gain * (T.T @ motion.B_c)
         if plant.lag_s > 0.0:
-            F = np.block([[F, G], [np.zeros((m, r)), -np.eye(m) / plant.lag_s]])
-            G = np.vstack([np.zeros((r, m)), np.eye(m) / plant.lag_s])
+            # Actual inputs in units of their effect: moments of small vehicles are tiny in N m.
+            unit = 1.0 / np.abs(G).max(axis=0)
+            F = np.block([[F, G * unit], [np.zeros((m, r)), -np.eye(m) / plant.lag_s]])
+            G = np.vstack([np.zeros((r, m)), np.diag(1.0 / (unit * plant.lag_s))])
         late, part_s = divmod(plant.delay_s, period_s)
         return self._step_matrix(_held(F, G, part_s), _held(F, G, period_s - part_s), round(late))
 
