@@ -108,6 +108,11 @@ def _controller(scenario: Scenario) -> Problems:
     if section.terminal == "riccati" and section.weights.penalised_input == "absolute":
         expected = "'deviation' with controller.terminal = 'riccati', whose optimum is hover"
         yield "controller.weights.penalised_input", expected, "'absolute'"
+    weights, default = section.weights, type(section.weights)()
+    for key, instead in (("thrust", "acceleration"), ("moments", "angular_acceleration")):
+        given = getattr(weights, key)
+        if getattr(weights, instead) is not None and given != getattr(default, key):
+            yield f"controller.weights.{key}", f"no such weight beside controller.weights.{instead}", given
     if section.linearisation == "along" and section.prediction == "open_loop":
         expected = "'present' with controller.prediction = 'open_loop', which has no shared control law"
         yield "controller.linearisation", expected, "'along'"

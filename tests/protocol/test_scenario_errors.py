@@ -486,6 +486,8 @@ def test_settings_that_contradict_the_cost_to_go() -> None:
     penalised_input = refusal(PAPER, "controller.terminal=riccati", "controller.weights.penalised_input=absolute")
     expected = "expected 'deviation' with controller.terminal = 'riccati', whose optimum is hover, got 'absolute'"
     assert penalised_input == f"--set controller.weights.penalised_input=absolute: {expected}"
+    beside = refusal(PAPER, "controller.weights.acceleration=5e-3", "controller.weights.thrust=1e-2")
+    assert "no such weight beside controller.weights.acceleration" in beside
     along = refusal(PAPER, "controller.linearisation=along")
     assert along.startswith("--set controller.linearisation=along: expected 'present' with controller.prediction")
     alone = refusal(PAPER, "controller.preview=true")
