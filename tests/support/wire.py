@@ -111,7 +111,7 @@ class SilentGate(Gate):
 
 
 class NodeReceiver:
-    """A node with admission, bus, exchange and loop of its process."""
+    """A node with gate, bus, exchange and loop of its process."""
 
     def __init__(self, node: Node, keys: Keys, setup: Setup) -> None:
         self.node = node

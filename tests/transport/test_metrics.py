@@ -11,9 +11,10 @@ from model.arrays import Array
 from model.failure import released_state
 from protocol.scenario.file import find_scenario, read_scenario
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import Control, Message, Outcome, Plan, Reason, Rejected, StepReport
+from protocol.wire.messages import ActualInputs, Control, Message, Outcome, Plan, Reason, Rejected, StepReport
 from tests.support import runs
 from tests.support.logs import SINGLE_UAV, log_of, plan, plant_state, report
+from transport.analysis.events import events
 from transport.analysis.metrics import rest_of_tick_ms, summarise
 from transport.analysis.series import series_of
 from transport.analysis.steps import steps_columns, steps_rows
@@ -335,6 +336,19 @@ def test_agents_that_left_receive_nothing() -> None:
 
 
 REALTIME = ("clock.mode=realtime", "clock.speed=1", "clock.actuation=next_tick")
+
+
+def test_events_are_in_the_order_of_their_ticks() -> None:
+    """On a busy host a roster may reach the recorder ticks before an earlier event of the plant: ticks decide."""
+    run = runs.setup(
+        HOVER, "plant.motors.lag_s=0.05", "faults.event=[{at_s=0.1,do='degrade',target='uav1',efficiency=0.9}]"
+    )
+    off = replace(runs.roster(k=4, version=2), off=(3,), reason="uav3 motors off at t = 0.20 s")
+    actual = ActualInputs(
+        sender="plant", incarnation=0, sequence=1, tick=2, uavs=runs.ALL, inputs=run.hover.u.reshape(4, 4)
+    )
+    log = log_of([runs.roster(), runs.tick(0), off, actual, control(9)])
+    assert [(event["tick"], event["processes"]) for event in events(run, log, None)] == [(2, ["uav1"]), (4, ["uav3"])]
 
 
 def test_real_time_delivers_no_more_than_was_sent() -> None:
