@@ -1,7 +1,7 @@
 """Campaigns search for defects by many random runs: `python -m tests.campaigns NAME`, `make campaigns` for all.
 
   scenarios  mutates scenarios, validates and simulates them
-  signals    kills, freezes, traces and interrupts every process of a run, also those of report, figures and viewer
+  signals    kills, freezes and interrupts every process of a run, also those of report, figures and viewer
   folders    removes, replaces, cuts and fills up the files of a run while it writes them
 
 `python -m tests.campaigns.wire` sends bad messages, and `python -m tests.campaigns.soak` watches resources for long.

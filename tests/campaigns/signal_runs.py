@@ -16,12 +16,11 @@ TARGETS = (
 # How often each of them is a target.
 _WEIGHTS = {COMMAND: 2, REPORT: 2, DRAWING: 2}
 
-# What is sent: a signal, or a trace stop of all threads of a process or of the first one, which leaves its network
-# alive. A stop ends after a time, or never.
-Kind = Literal["KILL", "STOP", "SEGV", "TERM", "INT", "HUP", "trace stop", "trace stop of first thread"]
-KINDS: tuple[Kind, ...] = ("KILL", "STOP", "SEGV", "TERM", "INT", "HUP", "trace stop", "trace stop of first thread")
-_STOPS = frozenset(kind for kind in KINDS if "stop" in kind.lower())
-# Times after which a stopped process goes on, s: within every timeout, near Zenoh's 10 s, beyond; None for never.
+# Signals that are sent. A stop ends after a time, or never.
+Kind = Literal["KILL", "STOP", "SEGV", "TERM", "INT", "HUP"]
+KINDS: tuple[Kind, ...] = ("KILL", "STOP", "SEGV", "TERM", "INT", "HUP")
+# Times after which a stopped process goes on, s: within every timeout, near Zenoh's 10 s, beyond; None for never, but
+# for processes that the command waits for without a look at their state.
 RESUMED_S: tuple[float | None, ...] = (None, 1.0, 7.0, 20.0)
 
 # Share of injections before the run, and latest time after the start of their process, s.
@@ -47,7 +46,7 @@ _IMPAIRED = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Injection:
-    """A signal or a trace stop of one process.
+    """A signal to one process.
 
     Attributes:
         target: One of `TARGETS`.
@@ -66,7 +65,7 @@ class Injection:
     @property
     def is_final_stop(self) -> bool:
         """Whether it stops the process for good."""
-        return self.kind in _STOPS and self.resumed_s is None
+        return self.kind == "STOP" and self.resumed_s is None
 
     @property
     def sent(self) -> str:
@@ -75,8 +74,8 @@ class Injection:
 
     @property
     def number(self) -> signal.Signals:
-        """The signal; SIGSTOP for a trace stop, which looks the same from outside."""
-        return signal.SIGSTOP if self.kind in _STOPS else signal.Signals[f"SIG{self.kind}"]
+        """The signal."""
+        return signal.Signals[f"SIG{self.kind}"]
 
     def __str__(self) -> str:
         return f"{self.sent} to {self.target} {self.after_s:.2f} s after the {self.since}"
@@ -132,7 +131,7 @@ def _random_injection(rng: random.Random) -> Injection:
         kind=kind,
         since=since,
         after_s=rng.uniform(0.0, latest_s) if target != DRAWING else rng.uniform(0.0, _DRAWN_S),
-        resumed_s=rng.choice(RESUMED_S) if kind == "STOP" else None,
+        resumed_s=rng.choice(RESUMED_S[target in (FORK_SERVER, REPORT, DRAWING) :]) if kind == "STOP" else None,
     )
 
 

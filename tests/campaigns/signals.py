@@ -10,8 +10,8 @@ import signal
 import subprocess
 import threading
 import time
-from contextlib import ExitStack, suppress
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 from protocol.network.parent import python
@@ -30,7 +30,6 @@ from tests.campaigns.inspection import (
     wait_given,
 )
 from tests.campaigns.signal_runs import Injection, SignalRun, random_run
-from tests.support.trace_stop import TraceError, trace_stopped
 from transport.log.run_log import RunLog
 
 # Time for a command to end after the last injection, s: 30, and what an undisturbed run takes.
@@ -53,7 +52,6 @@ class _Sending:
     sent: int = 0
     is_frozen: bool = False  # the command, for good
     is_unready: bool = False  # the command had no handler yet for the signal it got
-    traces: ExitStack = field(default_factory=ExitStack)
 
 
 def execute(seed: int, number: int, folder: Path, stop: threading.Event) -> Result:
@@ -105,7 +103,6 @@ def execute_run(run: SignalRun, folder: Path, stop: threading.Event) -> tuple[in
         finally:
             if command.poll() is None:
                 command.kill()
-            sending.traces.close()
             command.wait()
     problems: dict[str, str] = {}
     if hangs and not sending.is_frozen:
@@ -167,11 +164,6 @@ def _inject(
     if injection.target == COMMAND and not catches(pid, signal.SIGTERM):
         sending.is_unready = True
     sending.sent += 1
-    if injection.kind.startswith("trace stop"):
-        with suppress(TraceError):
-            tracing = trace_stopped(pid, first_thread=injection.kind != "trace stop")
-            sending.traces.enter_context(tracing)
-        return
     with suppress(ProcessLookupError):
         os.kill(pid, injection.number)
         if injection.resumed_s is not None:

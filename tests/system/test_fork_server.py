@@ -6,7 +6,6 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 
@@ -14,8 +13,6 @@ import psutil
 import pytest
 
 from tests.support.commands import command, command_of, wait_for
-from tests.support.trace_stop import trace_stopped
-from transport.flight import fork_server as fork_server_module
 from transport.flight import harness
 from transport.flight.fork_server import ForkServer
 from transport.flight.harness import Child, start_child
@@ -128,27 +125,23 @@ def test_server_ends_with_its_process(tmp_path: Path) -> None:
     assert wait_for(lambda: command_of(number) == [])
 
 
-@pytest.mark.parametrize("what", ["another system", "changed variables", "dead", "SIGSTOP", "trace stop"])
+@pytest.mark.parametrize("what", ["another system", "changed variables", "dead"])
 def test_without_server(what: str, begin: Begin, server: ForkServer, monkeypatch: pytest.MonkeyPatch) -> None:
     """Processes are started as programs where fork is impossible, and where the server does not answer."""
     assert server._process is not None
     pid = server._process.pid
-    with ExitStack() as stops:
-        if what == "another system":
-            with monkeypatch.context() as system:
-                system.setattr(sys, "platform", "darwin")
-                elsewhere = ForkServer()
-            monkeypatch.setattr(harness, "fork_server", lambda: elsewhere)
-        elif what == "changed variables":
-            monkeypatch.setenv("PAYLOAD_TRANSPORT_NATIVE", "0")
-        elif what == "trace stop":
-            stops.enter_context(trace_stopped(pid, first_thread=False))
-            monkeypatch.setattr(fork_server_module, "_KILLED_S", 0.2)
-        else:
-            os.kill(pid, signal.SIGSTOP if what == "SIGSTOP" else signal.SIGKILL)
-        child = begin("out.log", "--version")
-        assert not is_forked(child)
-        assert child.wait(60.0) == 0
+    if what == "another system":
+        with monkeypatch.context() as system:
+            system.setattr(sys, "platform", "darwin")
+            elsewhere = ForkServer()
+        monkeypatch.setattr(harness, "fork_server", lambda: elsewhere)
+    elif what == "changed variables":
+        monkeypatch.setenv("PAYLOAD_TRANSPORT_NATIVE", "0")
+    else:
+        os.kill(pid, signal.SIGKILL)
+    child = begin("out.log", "--version")
+    assert not is_forked(child)
+    assert child.wait(60.0) == 0
 
 
 def test_environment_and_folder_of_now(begin: Begin, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

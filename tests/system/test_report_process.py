@@ -3,18 +3,14 @@
 import signal
 import subprocess
 import sys
-import threading
 import time
-from contextlib import suppress
 from pathlib import Path
 
-import psutil
 import pytest
 
 from tests.support import runs
 from tests.support.commands import command_of, wait_for
 from tests.support.logs import record_run
-from transport.cli import report_process
 from transport.cli.report_process import ReportProcess
 from transport.report.report import write_report
 
@@ -22,8 +18,6 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are f
 
 # Time in which a process prepares on a busy machine, s; the test holds for any.
 _PREPARING_S = 3.0
-# How often a report is made until a process that draws is stopped in time.
-_ATTEMPTS = 5
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -66,37 +60,6 @@ def test_failures_are_noticed(tmp_path: Path) -> None:
     with ReportProcess(tmp_path) as reporter:
         reporter.prepare()
         assert not reporter.report()
-
-
-def test_a_stopped_process_that_draws(recorded: tuple[Path, dict[str, bytes]], monkeypatch: pytest.MonkeyPatch) -> None:
-    """A report that waits for a stopped process is given up; then neither of them can write any more."""
-    monkeypatch.setattr(report_process, "_LOOK_S", 0.3)
-    folder, _ = recorded
-    for _ in range(_ATTEMPTS):
-        stopped: list[psutil.Process] = []
-        with ReportProcess(folder) as reporter:
-            reporter.prepare()
-            assert reporter._child is not None
-            watch = threading.Thread(target=_stop_a_child, args=(reporter._child.process, stopped))
-            watch.start()
-            is_written = reporter.report()
-            watch.join()
-        if stopped:
-            break
-    assert stopped, "no process that draws was found"
-    assert not is_written
-    assert wait_for(lambda: not stopped[0].is_running() or stopped[0].status() == psutil.STATUS_ZOMBIE)
-
-
-def _stop_a_child(process: psutil.Process, stopped: list[psutil.Process]) -> None:
-    """Stop a child of a process as soon as there is one; list it if it was stopped."""
-    with suppress(psutil.Error):
-        while process.is_running() and not stopped:
-            for child in process.children():
-                child.suspend()
-                if child.status() == psutil.STATUS_STOPPED:
-                    stopped.append(child)
-            time.sleep(0.005)
 
 
 def test_ends_with_its_context(tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ FEW = 300
 HOVER = ("maneuver.phase=[{name='hover',duration_s=0.5,displacement_m=[0,0,0]}]",)
 REFUSED = ("controller.horizon=0",)
 # Its first four runs signal a process that draws, the viewer, an agent and its successor, and have no long stop.
-SEED = "371"
+SEED = "665"
 # Four runs, two at a time, on a slow machine: each may wait ten seconds until the network gives up a process.
 PATIENCE_S = 240.0
 

@@ -2,15 +2,9 @@
 
 import os
 import subprocess
-from dataclasses import asdict
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import Any
 
-import orjson
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from transport.flight import live
 from transport.flight.live import LiveError, LiveRun
@@ -46,40 +40,10 @@ def test_the_file_of_a_killed_run_is_ignored(tmp_path: Path) -> None:
     assert live.read(tmp_path) is None
 
 
-@pytest.mark.parametrize(
-    ("field", "value", "expected"),
-    [
-        ("run", 5, "run: expected text, got 5"),
-        ("run", "a/**", "expected the name of a run"),
-        ("endpoints", {}, "expected endpoints by process, with that of coordinator"),
-        ("endpoints", ["x"], "endpoints: "),
-        ("endpoints", {"coordinator": 1}, "endpoints.coordinator: expected text, got 1"),
-        ("pid", 0, "pid: expected a number > 0, got 0"),
-        ("pid", True, "pid: expected an integer, got True"),
-        ("pid", 2**40, f"pid: expected a number < {2**31}, got {2**40}"),
-        ("keys", None, "keys: expected text, got None"),
-        ("is_client", "no", "is_client: expected true or false, got 'no'"),
-        ("run", "x" * 500, "run: "),
-    ],
-)
-def test_other_values_are_refused(field: str, value: Any, expected: str, tmp_path: Path) -> None:
-    """One line names file, field, expected, got."""
-    path = tmp_path / "live.json"
-    path.write_bytes(orjson.dumps({**asdict(HERE), field: value}))
-    with pytest.raises(LiveError) as refused:
+@pytest.mark.parametrize("content", [b"", b"{", b"[]", b'{"run": 5}', b'{"run": "hover", "endpoints": {}, "pid": "x"}'])
+def test_other_content_is_refused(content: bytes, tmp_path: Path) -> None:
+    """One line names the file."""
+    (tmp_path / "live.json").write_bytes(content)
+    with pytest.raises(LiveError, match=r"live\.json: expected the description of an active run") as refused:
         live.read(tmp_path)
-    assert str(refused.value).startswith(f"{path}: {field}")
-    assert expected in str(refused.value)
-
-
-@settings(max_examples=50, deadline=None)
-@given(st.one_of(st.binary(max_size=200), st.recursive(st.none() | st.integers(-9, 9) | st.text(max_size=5), st.lists)))
-def test_any_content(content: Any) -> None:
-    """Other content is refused, whatever it is, in one line of bounded length."""
-    with TemporaryDirectory() as name:
-        folder = Path(name)
-        (folder / "live.json").write_bytes(content if isinstance(content, bytes) else orjson.dumps(content))
-        with pytest.raises(LiveError) as refused:
-            live.read(folder)
-        assert len(str(refused.value).splitlines()) == 1
-        assert len(str(refused.value)) < 300
+    assert len(str(refused.value).splitlines()) == 1

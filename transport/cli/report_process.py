@@ -7,13 +7,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Self
 
-import psutil
-
-from transport.flight.fork_server import STOPPED, state_of
 from transport.flight.harness import Child, start_child
 
-# A process is given up when it or one that draws for it is stopped at two looks in a row, or after the longest time.
-_LOOK_S, _LONGEST_S = 1.0, 120.0
+# A process that does not end is given up after this long, and killed, which takes at most the second time.
+_LONGEST_S, _KILLED_S = 120.0, 1.0
 
 
 class ReportProcess:
@@ -45,25 +42,14 @@ class ReportProcess:
         """
         if self._child is None or not self._child.go():
             return False
-        code, stopped = None, 0
-        for _ in range(round(_LONGEST_S / _LOOK_S)):
-            code = self._child.wait(_LOOK_S)
-            stopped = stopped + 1 if self._is_stopped(self._child.process) else 0
-            if code is not None or stopped > 1:
-                break
+        code = self._child.wait(_LONGEST_S)
         self._end()
         return code == 0
 
-    @staticmethod
-    def _is_stopped(process: psutil.Process) -> bool:
-        with suppress(psutil.Error):
-            return any(state_of(found) in STOPPED.values() for found in (process, *process.children()))
-        return False
-
     def _end(self) -> None:
-        """Kill the process and those that draw for it: one that is stopped does not end with its parent."""
+        """Kill the process and those that draw for it."""
         if self._child is not None:
             with suppress(ProcessLookupError):
                 os.killpg(self._child.process.pid, signal.SIGKILL)
-            self._child.wait(_LOOK_S)  # a tracer may keep it for longer
+            self._child.wait(_KILLED_S)
             self._child.close()

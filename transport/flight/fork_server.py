@@ -15,7 +15,6 @@ import subprocess
 import sys
 import threading
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import IO
 
@@ -26,9 +25,8 @@ from protocol.network.parent import ENVIRONMENT, PARENT_PIPE, python
 # First argument of the command that is the server.
 FORK_SERVER = "fork-server"
 REQUEST_BYTES = 128 * 1024
-# Time for an answer, s: the imports take 1 s. A server that is stopped is given up after one look.
-_ANSWER_S, _LOOK_S = 60.0, 2.0
-_KILLED_S = 5.0
+# Time for an answer, s: the imports take 1 s.
+_ANSWER_S = 20.0
 _PR_SET_CHILD_SUBREAPER = 36  # <sys/prctl.h>
 # Variables that affect imports: if they have changed since the start of the server, it is not used.
 _AT_IMPORT = ("PAYLOAD_TRANSPORT_", "PYTHON", "HOME", "XDG_", "PATH", "LD_", "OPENBLAS_", "OMP_", "MKL_")
@@ -92,7 +90,7 @@ class ForkServer:
             except OSError:
                 own.close()
                 return
-        own.settimeout(_LOOK_S)
+        own.settimeout(_ANSWER_S)
         self._socket = own
 
     def start(
@@ -105,7 +103,7 @@ class ForkServer:
                 request = {"arguments": list(arguments), "environment": environment, "folder": str(Path.cwd())}
                 try:
                     socket.send_fds(self._socket, [json.dumps(request).encode()], [stdin, output.fileno()])
-                    return psutil.Process(self._answer(self._socket, psutil.Process(self._process.pid)))
+                    return psutil.Process(int(self._socket.recv(64)))
                 except (OSError, ValueError, psutil.Error):
                     # The server only saves time. A process that it has forked but not announced ends with its input.
                     self.close()
@@ -114,19 +112,6 @@ class ForkServer:
             command, stdin=stdin, stdout=output, stderr=subprocess.STDOUT, env=environment, start_new_session=True
         )
 
-    @staticmethod
-    def _answer(own: socket.socket, server: psutil.Process) -> int:
-        """Return the process id that the server answers.
-
-        Raises: TimeoutError: it is stopped, or does not answer. ValueError: it has ended.
-        """
-        for _ in range(round(_ANSWER_S / _LOOK_S)):
-            with suppress(TimeoutError):
-                return int(own.recv(64))
-            if state_of(server) in STOPPED.values():
-                break
-        raise TimeoutError
-
     def close(self) -> None:
         """End the server process."""
         if self._socket is not None:
@@ -134,8 +119,7 @@ class ForkServer:
             self._socket = None
         if self._process is not None:
             self._process.kill()
-            with suppress(subprocess.TimeoutExpired):  # a tracer keeps it
-                self._process.wait(_KILLED_S)
+            self._process.wait()
 
 
 def _at_import() -> dict[str, str]:

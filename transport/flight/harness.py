@@ -46,10 +46,10 @@ class Child:
 
     @property
     def code(self) -> int | None:
-        """Exit code, negative for a signal; None while the process runs, or a tracer keeps it after its death."""
+        """Exit code, negative for a signal; None while the process runs."""
         if self._code is None and isinstance(self.process, psutil.Popen):
             self._code = self.process.poll()
-        elif self._code is None:  # psutil would wait for the tracer
+        elif self._code is None:
             pid, status = os.waitpid(self.process.pid, os.WNOHANG)
             self._code = os.waitstatus_to_exitcode(status) if pid else None
         return self._code
@@ -60,9 +60,9 @@ class Child:
         return state_of(self.process)
 
     def wait(self, timeout_s: float) -> int | None:
-        """Wait for the end; return the exit code, None if the process still runs, or a tracer keeps it."""
+        """Wait for the end; return the exit code, None if the process still runs."""
         until_s = time.monotonic() + timeout_s
-        while self.code is None and self.state != psutil.STATUS_ZOMBIE and time.monotonic() < until_s:
+        while self.code is None and time.monotonic() < until_s:
             time.sleep(_POLL_S)
         return self.code
 
@@ -206,18 +206,13 @@ class Harness:
         for child in self.alive():
             child.signal(signal.SIGTERM)
             child.signal(signal.SIGCONT)  # a stopped process ignores SIGTERM
-        for child in self._left():
+        self.wait(_GRACE_S)
+        for child in self.alive():
             self.notices.append(f"{child.name} did not end: {child.state}; it was killed")
             child.signal(signal.SIGKILL)
-        for child in self._left():
-            self.notices.append(f"{child.name} (process {child.process.pid}) does not end after SIGKILL")
+        self.wait(_GRACE_S)
         for child in self.children:
             child.close()
-
-    def _left(self) -> list[Child]:
-        """Wait for all children to end; return those that have not; one that a tracer keeps from being reaped has."""
-        self.wait(_GRACE_S)
-        return [child for child in self.alive() if child.state != psutil.STATUS_ZOMBIE]
 
     def _start(self, name: str, observers: Sequence[str], incarnation: int = 0, *, standby: bool = False) -> Child:
         arguments = self._arguments(name, observers, incarnation)

@@ -2,36 +2,16 @@
 
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated
 
-import orjson
+import msgspec
 import psutil
-from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
 
-from protocol.scenario.errors import first_problem
-from protocol.wire.keys import Keys
-from protocol.wire.names import COORDINATOR
 from transport.flight.fork_server import STOPPED, state_of
 
 _FILE = "live.json"
-
-
-def _named(run: str) -> str:
-    if not Keys.allows(run):
-        raise ValueError("expected the name of a run")
-    return run
-
-
-def _with_coordinator(endpoints: Mapping[str, str]) -> Mapping[str, str]:
-    if COORDINATOR not in endpoints:
-        raise ValueError(f"expected endpoints by process, with that of {COORDINATOR}")
-    return endpoints
-
-
-_Endpoint = Annotated[str, Field(pattern=r"^[a-z0-9-]+/\S+$")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,22 +26,22 @@ class LiveRun:
         is_client: Whether the endpoints belong to a router.
     """
 
-    run: Annotated[str, AfterValidator(_named)]
-    endpoints: Annotated[Mapping[str, _Endpoint], AfterValidator(_with_coordinator)]
-    pid: Annotated[int, Field(gt=0, lt=2**31)]
+    run: str
+    endpoints: Mapping[str, str]
+    pid: int
     keys: str = ""
     is_client: bool = False
 
 
 class LiveError(ValueError):
-    """A file that should describe an active run and does not; one line with file, field, expected, got."""
+    """A file that should describe an active run and does not; one line with file, expected and got."""
 
 
 def write(folder: Path, run: LiveRun) -> None:
     """Mark a run as active; a folder that cannot be written is left unmarked."""
     new = folder / f".{_FILE}"
     with suppress(OSError):
-        new.write_bytes(orjson.dumps(asdict(run)))
+        new.write_bytes(msgspec.json.encode(run))
         new.replace(folder / _FILE)
 
 
@@ -78,13 +58,11 @@ def read(folder: Path) -> LiveRun | None:
     """
     path = folder / _FILE
     try:
-        run = TypeAdapter(LiveRun).validate_json(path.read_bytes(), strict=True)
+        run = msgspec.json.decode(path.read_bytes(), type=LiveRun)
     except OSError:
         return None
-    except ValidationError as error:
-        if not error.errors()[0]["loc"]:
-            raise LiveError(f"{path}: expected a JSON object that describes an active run") from None
-        raise LiveError(str(first_problem(error, str(path)))) from None
+    except msgspec.MsgspecError as error:
+        raise LiveError(f"{path}: expected the description of an active run ({error})") from None
     return run if psutil.pid_exists(run.pid) else None
 
 

@@ -77,7 +77,6 @@ class Recorder:
     Attributes:
         started_s: Steady-clock time of the first plant state, or None.
         control: How the run ended, once it has.
-        gone: Reason of the end of a run whose coordinator has gone.
         error: Why recording ended early, or None.
         received: Number of messages in the log.
         tick: The newest open tick, -1 before the first.
@@ -118,7 +117,6 @@ class Recorder:
         self._newest = deque[bytes](maxlen=_KEPT)
         self._join_timeout_s = join_timeout_s
         self._has_ended = has_ended
-        self.gone = f"{COORDINATOR} is gone"
         self._bus = Bus(
             name=RECORDER,
             incarnation=incarnation,
@@ -241,7 +239,7 @@ class Recorder:
                 self._take(notice)
         if self.control is None:
             # The end of the run may have been sent during a standstill of this process.
-            self._end(END_NOT_RECORDED if self._has_ended() else self.gone)
+            self._end(END_NOT_RECORDED if self._has_ended() else f"{COORDINATOR} is gone")
 
     def _next(self, timeout_s: float | None) -> BusEvent | None:
         """Return the next event, or None after the timeout; flush the log in a pause."""

@@ -37,7 +37,6 @@ from transport.flight.recorder import Recorder
 from transport.flight.run_error import RunError
 from transport.flight.run_files import create, open_log, own_keys, refuse_existing
 from transport.flight.signals import collected_signals
-from transport.flight.watchdog import Watchdog
 from transport.log.latest import forget_latest
 from transport.log.writer import LogWriter
 
@@ -116,7 +115,7 @@ def simulate(
                 needs = f"; it needs --set '{keys_setting(keys)}'" if keys else ""
                 progress.say(f"waiting for {name} of run {run}, digest {scenario.digest()}; it {ends}{needs}")
             started()
-            _watch(recorder, progress, _Local(harness, FaultScript(setup, harness, recorder), Watchdog(setup, harness)))
+            _watch(recorder, progress, harness, FaultScript(setup, harness, recorder))
             if recorder.control is not None:
                 harness.wait(_LEAVE_S)
         except RunError as error:
@@ -174,7 +173,7 @@ def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finis
             raise
         try:
             recorder.start(names)
-            _watch(recorder, progress, None)
+            _watch(recorder, progress)
         finally:
             recorder.close()
             _discard_if_empty(folder, recorder)
@@ -203,60 +202,43 @@ def _finished(folder: Path, writer: LogWriter, recorder: Recorder) -> Finished:
     return Finished(folder, control.exit_code, control.reason)
 
 
-@dataclass(frozen=True, slots=True)
-class _Local:
-    """The parts of a run whose processes were started here."""
-
-    harness: Harness
-    faults: FaultScript
-    watchdog: Watchdog
-
-
-def _watch(recorder: Recorder, progress: RunProgress, local: _Local | None) -> None:
-    """Show progress until the run has ended; forward Ctrl-C; refuse processes that end too early or do not answer."""
+def _watch(
+    recorder: Recorder, progress: RunProgress, harness: Harness | None = None, faults: FaultScript | None = None
+) -> None:
+    """Show progress until the run has ended; forward Ctrl-C; refuse processes started here that end too early."""
     interrupted = 0
     ended_s: float | None = None
     with collected_signals() as signals:
         while recorder.running:
             recorder.join(_POLL_S)
             progress.show(recorder.plant_state, recorder.started_s)
-            if local is not None:
-                local.faults.work()
+            if faults is not None:
+                faults.work()
             for notice in recorder.new_notices():
                 progress.say(notice)
             if len(signals) > interrupted:
                 interrupted = len(signals)
                 if interrupted > 1 or recorder.started_s is None:
                     raise RunError(f"interrupted ({signals[-1]})", EXIT_INTERRUPTED)
-                if local is None:
+                if harness is None:
                     recorder.stop(signals[-1])
                     continue
                 progress.say(f"{signals[-1]}: ending the run; once more to end it at once")
-                local.harness.signal(COORDINATOR, signal.Signals[signals[-1]])
-            if local is None or recorder.control is not None:
+                harness.signal(COORDINATOR, signal.Signals[signals[-1]])
+            if harness is None or recorder.control is not None or recorder.started_s is not None:
                 continue
-            if recorder.started_s is not None:
-                silent = local.watchdog.end_silent_coordinator(recorder.received)
-                if silent:
-                    recorder.gone = silent
-                    progress.say(silent)
-                continue
-            absent = local.watchdog.find_absent()
-            if absent:
-                raise RunError(absent, EXIT_UNREACHABLE)
-            ended = local.harness.ended()
+            ended = harness.ended()
             if ended:
                 # A run may end within its first ticks: its messages can reach the recorder after a process has ended.
                 ended_s = time.monotonic() if ended_s is None else ended_s
                 orderly = all(child.code in ORDERLY_ENDS for child in ended)
                 if not orderly or time.monotonic() - ended_s > _CATCH_UP_S:
-                    raise _ended_early(ended)
+                    raise _ended_early(ended[0])
     for notice in recorder.new_notices():
         progress.say(notice)
 
 
-def _ended_early(ended: list[Child]) -> RunError:
-    child = ended[0]
+def _ended_early(child: Child) -> RunError:
     code = child.code or 0
     how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
     # A child refuses the same options and scenario as this command would; any other end is that of a peer.
