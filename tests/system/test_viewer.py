@@ -39,7 +39,7 @@ from transport.log.run_log import read_log
 from transport.log.tail import LogTail, Unread
 from transport.scene.history import RunHistory
 from transport.scene.scene import SceneBuilder
-from transport.viewer.playback import Playback
+from transport.viewer.panel import Playback
 from transport.viewer.viewer import Viewer, open_viewer
 
 M = TypeVar("M", bound=Message)

@@ -4,8 +4,6 @@ import csv
 import io
 import json
 import re
-import subprocess
-import sys
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, get_args
@@ -19,7 +17,6 @@ from tests.support import runs
 from tests.support.logs import SINGLE_UAV, record_run
 from transport.analysis.steps import WALL_CLOCK
 from transport.log.run_log import LogError
-from transport.report.beside import beside
 from transport.report.report import summary_table, write_report
 
 SCHEMA = json.loads(files("transport.analysis").joinpath("summary.schema.json").read_text(encoding="utf-8"))
@@ -232,26 +229,3 @@ def test_reasons_are_no_markup(flight: tuple[Path, list[Message]]) -> None:
     summary = write_report(flight[0], figures=False)
     text = printed(summary | {"outcome": "aborted", "reason": "agent2 [/bold] is gone"})
     assert "agent2 [/bold] is gone" in text
-
-
-@pytest.mark.parametrize("forks", [False, True])
-def test_failed_work_beside_is_raised(forks: bool) -> None:
-    """A failure of work beside a block is raised, forked or not; a fork changes nothing in this process."""
-    done: list[int] = []
-    with pytest.raises((ChildProcessError, ZeroDivisionError)), beside(lambda: 1 / 0, forks=forks):
-        done.append(1)
-    assert done == [1] * forks
-    with beside(lambda: done.append(2), forks=forks):
-        done.append(3)
-    assert done == ([1, 3] if forks else [2, 3])
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="a process ends with its parent on Linux alone")
-def test_a_forked_process_ends_with_its_parent() -> None:
-    """The end of an interrupted report ends what it has forked."""
-    work = "import os, signal, time; from transport.report.beside import beside\n"
-    work += "with beside(lambda: (print('began', flush=True), time.sleep(60.0)), forks=True):\n"
-    work += " time.sleep(1.0); os.kill(os.getpid(), signal.SIGKILL)"
-    # The forked process has the same standard output, which is at its end when both have ended.
-    found = subprocess.run([sys.executable, "-c", work], capture_output=True, text=True, timeout=30.0, check=False)
-    assert (found.returncode, found.stdout) == (-9, "began\n")

@@ -24,7 +24,7 @@ from transport.cli.recorded_run import RunArgument, run_folder
 from transport.flight.header import versions
 from transport.log.run_folder import RecordedRun, open_run
 from transport.log.run_log import LogError
-from transport.report.replay_figure import draw_replay
+from transport.report.figures import draw_replay
 
 # Smaller differences of inputs, N or N m, are rounding: other numbers on the way to the same decision.
 _ROUNDING = 1e-6

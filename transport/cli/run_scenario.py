@@ -22,7 +22,7 @@ from transport.flight.harness import HarnessError
 from transport.flight.run import simulate
 from transport.flight.run_error import RunError
 from transport.flight.run_files import new_folder
-from transport.viewer.process import ViewerBeside, viewer_beside
+from transport.viewer.process import ViewerBeside
 from transport.viewer.server import ViewerError, require_viser
 
 
@@ -45,7 +45,7 @@ def run_scenario(
     if viewer_address is not None:
         with exit_on(ViewerError, code=EXIT_USAGE):
             require_viser()
-        viewer = viewer_beside(folder, *viewer_address, setup.scenario.clock.join_timeout_s)
+        viewer = ViewerBeside(folder, *viewer_address, setup.scenario.clock.join_timeout_s)
     with viewer as beside:
         with ReportProcess(folder) as reporter:
             prepare = reporter.prepare if figures else lambda: None

@@ -1,7 +1,6 @@
 """Simulating a run, and loading a recorded one."""
 
 import time
-from importlib import import_module
 from os import PathLike
 from pathlib import Path
 from typing import Unpack
@@ -11,10 +10,12 @@ import tomli_w
 from plant.engines import checked_engine
 from protocol.scenario.file import ScenarioError
 from protocol.scenario.setup import Setup
+from protocol.wire.exit_codes import EXIT_INTERRUPTED
 from protocol.wire.messages import Message
 from transport.flight import memory
 from transport.flight.compiling import compile_model
 from transport.flight.header import run_header
+from transport.flight.run_error import RunError
 from transport.interface.boundary import public
 from transport.interface.progress import console, run_progress
 from transport.interface.run import Run
@@ -22,6 +23,9 @@ from transport.interface.scenario import Scenario
 from transport.interface.settings import ArgumentError, Settings, ShortSettings, file_name
 from transport.log.run_folder import open_run
 from transport.log.run_log import LogError, Recorded, RunLog
+from transport.report.report import write_report
+
+RUNS = Path("runs")
 
 
 @public
@@ -69,9 +73,7 @@ did you mean 'horizon'?
     if target is not None and target.exists():
         raise ArgumentError(f"folder: expected a folder that does not exist yet, got {target}")
     if processes:
-        # Imported when needed: a run in memory starts no process.
-        finished: Run = import_module("transport.interface.processes").simulate(flown, setup, target, shown=progress)
-        return finished
+        return _with_processes(flown, setup, target, shown=progress)
     if flown.clock.mode != "lockstep":
         expected = "expected lockstep in memory, where no time passes (processes=True runs in real time)"
         raise ScenarioError(str(flown.file), "clock.mode", f"{expected}, got {flown.clock.mode}")
@@ -113,6 +115,27 @@ def _in_memory(scenario: Scenario, setup: Setup, *, shown: bool) -> Run:
 
         memory.simulate(setup, record)
     return Run(scenario, setup, RunLog(header=header, messages=tuple(messages), cut=""))
+
+
+def _with_processes(scenario: Scenario, setup: Setup, folder: Path | None, *, shown: bool) -> Run:
+    # Imported when needed: a run in memory starts no process.
+    from transport.flight import run as processes_run
+    from transport.flight.fork_server import close_fork_server
+    from transport.flight.run_files import new_folder
+
+    target = new_folder(RUNS, setup.scenario.name) if folder is None else folder
+    try:
+        finished = processes_run.simulate(setup, target, console(shown=shown))
+    except RunError as error:
+        if error.exit_code == EXIT_INTERRUPTED:
+            raise KeyboardInterrupt(str(error)) from None
+        raise
+    finally:
+        close_fork_server()
+    write_report(finished.folder, setup=setup)
+    if finished.exit_code == EXIT_INTERRUPTED:
+        raise KeyboardInterrupt(f"interrupted; recorded in {finished.folder}")
+    return Run(scenario, setup, open_run(finished.folder, setup=setup).log, finished.folder)
 
 
 def _header(setup: Setup, began_ns: int) -> dict[str, str]:

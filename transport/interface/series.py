@@ -1,6 +1,6 @@
 """Time series of a run as named arrays whose names end in their units."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +19,7 @@ _XYZ, _ANGLES = ("x", "y", "z"), ("roll", "pitch", "yaw")
 _UAV, _AGENT = "uav", "agent"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Quantity:
     """One quantity of a run over time.
 
@@ -34,34 +34,30 @@ class Quantity:
     meaning: str
 
 
-def _quantity(unit: str, axes: Sequence[Any], meaning: str) -> Quantity:
-    return Quantity(unit=unit, axes=tuple(axes), meaning=meaning)
-
-
 # All series, in the order in which they are listed. Positions: inertial frame, z down.
 QUANTITIES: Mapping[str, Quantity] = {
-    "time_s": _quantity("s", [], "Time t_k of the sampling instant."),
-    "payload_position_m": _quantity("m", [_XYZ], "Payload position, inertial frame, z down."),
-    "payload_reference_m": _quantity("m", [_XYZ], "Reference position of the payload, inertial frame."),
-    "payload_error_m": _quantity("m", [_XYZ], "Payload position minus its reference, inertial frame."),
-    "payload_velocity_mps": _quantity("m/s", [_XYZ], "Payload velocity, inertial frame."),
-    "payload_attitude_deg": _quantity("deg", [_ANGLES], "Payload roll, pitch and yaw."),
-    "payload_rate_radps": _quantity("rad/s", [_XYZ], "Angular velocity of the payload, payload frame."),
-    "uav_position_m": _quantity("m", [_UAV, _XYZ], "UAV positions, inertial frame, z down; NaN after a release."),
-    "uav_reference_m": _quantity("m", [_UAV, _XYZ], "Reference positions of the UAVs, inertial frame."),
-    "uav_error_m": _quantity("m", [_UAV, _XYZ], "UAV positions minus references, inertial frame; NaN after a release."),
-    "uav_attitude_deg": _quantity("deg", [_UAV, _ANGLES], "UAV roll, pitch and yaw; NaN after a release."),
-    "thrust_N": _quantity("N", [_UAV], "Thrust applied from t_k on."),
-    "thrust_limits_N": _quantity("N", [("smallest", "largest")], "Limits of the thrust of each UAV."),
-    "moment_Nm": _quantity("N m", [_UAV, _XYZ], "Moments about the UAV's body axes, applied from t_k on."),
-    "moment_limit_Nm": _quantity("N m", [_XYZ], "Limit of the moments of each UAV, either sign."),
-    "separation_m": _quantity("m", [], "Smallest distance between two UAVs."),
-    "cost": _quantity("", [], "Stage cost, docs/equations.md (21)."),
-    "constraint_violation": _quantity("", [], "Largest violation as a share of the constraint's range; 0 if all hold."),
-    "plan_age_ticks": _quantity("ticks", [_AGENT], "Age of the oldest plan of another agent in use; NaN for none."),
-    "plans_lost": _quantity("", [_AGENT], "Plans of other agents lost at this tick; NaN without a step."),
-    "estimated_force_N": _quantity("N", [_AGENT, _XYZ], "Force on the payload that the agent estimates; NaN for none."),
-    "step_ms": _quantity("ms", [_AGENT], "Wall-clock time of the agent's step; NaN without a step."),
+    "time_s": Quantity("s", (), "Time t_k of the sampling instant."),
+    "payload_position_m": Quantity("m", (_XYZ,), "Payload position, inertial frame, z down."),
+    "payload_reference_m": Quantity("m", (_XYZ,), "Reference position of the payload, inertial frame."),
+    "payload_error_m": Quantity("m", (_XYZ,), "Payload position minus its reference, inertial frame."),
+    "payload_velocity_mps": Quantity("m/s", (_XYZ,), "Payload velocity, inertial frame."),
+    "payload_attitude_deg": Quantity("deg", (_ANGLES,), "Payload roll, pitch and yaw."),
+    "payload_rate_radps": Quantity("rad/s", (_XYZ,), "Angular velocity of the payload, payload frame."),
+    "uav_position_m": Quantity("m", (_UAV, _XYZ), "UAV positions, inertial frame, z down; NaN after a release."),
+    "uav_reference_m": Quantity("m", (_UAV, _XYZ), "Reference positions of the UAVs, inertial frame."),
+    "uav_error_m": Quantity("m", (_UAV, _XYZ), "UAV positions minus references, inertial frame; NaN after a release."),
+    "uav_attitude_deg": Quantity("deg", (_UAV, _ANGLES), "UAV roll, pitch and yaw; NaN after a release."),
+    "thrust_N": Quantity("N", (_UAV,), "Thrust applied from t_k on."),
+    "thrust_limits_N": Quantity("N", (("smallest", "largest"),), "Limits of the thrust of each UAV."),
+    "moment_Nm": Quantity("N m", (_UAV, _XYZ), "Moments about the UAV's body axes, applied from t_k on."),
+    "moment_limit_Nm": Quantity("N m", (_XYZ,), "Limit of the moments of each UAV, either sign."),
+    "separation_m": Quantity("m", (), "Smallest distance between two UAVs."),
+    "cost": Quantity("", (), "Stage cost, docs/equations.md (21)."),
+    "constraint_violation": Quantity("", (), "Largest violation as a share of the constraint's range; 0 if all hold."),
+    "plan_age_ticks": Quantity("ticks", (_AGENT,), "Age of the oldest plan of another agent in use; NaN for none."),
+    "plans_lost": Quantity("", (_AGENT,), "Plans of other agents lost at this tick; NaN without a step."),
+    "estimated_force_N": Quantity("N", (_AGENT, _XYZ), "Force on the payload that the agent estimates; NaN for none."),
+    "step_ms": Quantity("ms", (_AGENT,), "Wall-clock time of the agent's step; NaN without a step."),
 }
 
 

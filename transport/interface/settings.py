@@ -2,6 +2,8 @@
 
 import difflib
 from collections.abc import Mapping, Sequence
+from importlib import import_module
+from importlib.util import find_spec
 from os import PathLike
 from typing import Any, Literal, TypedDict
 
@@ -97,6 +99,16 @@ def file_name(path: "str | PathLike[str]", argument: str) -> str:
             raise ArgumentError(f"{argument}: expected the name of a file, got {str(path)!r:.60} ({problem})")
         return str(path)
     raise ArgumentError(f"{argument}: expected text or a path, got {type(path).__name__} {path!r:.60}")
+
+
+def require_pandas() -> Any:
+    """Return the module pandas.
+
+    Raises: ArgumentError: pandas is not installed.
+    """
+    if find_spec("pandas") is None:
+        raise ArgumentError("pandas is not installed: pip install 'payload-transport[pandas]'")
+    return import_module("pandas")
 
 
 def _toml(value: Any, name: str) -> str:

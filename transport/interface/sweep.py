@@ -26,10 +26,9 @@ from transport.experiments.workers import check_cluster, on_cluster, on_cores
 from transport.flight.compiling import compile_model
 from transport.interface.boundary import public
 from transport.interface.figure import RunFigure, drawn
-from transport.interface.optional import require_pandas
 from transport.interface.progress import console
 from transport.interface.scenario import Scenario
-from transport.interface.settings import ArgumentError, file_name, key_of
+from transport.interface.settings import ArgumentError, file_name, key_of, require_pandas
 
 if TYPE_CHECKING:
     import pandas as pd

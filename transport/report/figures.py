@@ -1,7 +1,7 @@
 """Figures of a run: performance over time (paper Fig. 3, 5), inputs with limits, trajectories (Fig. 4), timing."""
 
 from collections.abc import Mapping, Sequence
-from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +16,10 @@ from model.state import INPUTS
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import STAGES, StepReport
 from transport.analysis.metrics import rest_of_tick_ms
+from transport.analysis.replay_compare import Comparison
 from transport.analysis.series import Series, series_of
 from transport.analysis.swing import SWING_S, swing_of
 from transport.log.run_log import RunLog
-from transport.report.beside import beside
 from transport.report.column import column_panels, draw_legend, finish, head, legend_height_in, limits, marks_of
 from transport.report.figures_3d import draw_trajectories
 from transport.report.style import (
@@ -28,6 +28,7 @@ from transport.report.style import (
     REFERENCE,
     label_decades,
     line_width,
+    save,
     save_both,
     scale_cost,
     shade_phases,
@@ -51,9 +52,11 @@ _HEIGHT_IN = 0.95
 def draw(setup: Setup, log: RunLog, folder: Path, *, forks: bool = False, pdf: bool = False) -> list[Path]:
     """Draw `FIGURES` of a run as PNG and SVG, with `pdf` as PDF too, as far as its log goes.
 
-    With `forks` a forked process draws the first two, half of the work, beside the others (`transport.report.beside`).
+    With `forks` a forked process draws the first two, half of the work, beside the others. Only processes of one thread
+    may fork.
 
     Returns: The PNG files, without those that have no data.
+    Raises: ChildProcessError: the forked process failed; its traceback is on standard error.
     """
     series = series_of(setup, log)
     if not len(series.ticks):
@@ -63,8 +66,15 @@ def draw(setup: Setup, log: RunLog, folder: Path, *, forks: bool = False, pdf: b
     def write(names: Sequence[str]) -> list[Path]:
         return [path for name in names if (path := _write(name, setup, log, series, folder, pdf=pdf)) is not None]
 
-    with mpl.rc_context(RC), beside(partial(write, FIGURES[:_BESIDE]), forks=forks):
+    with mpl.rc_context(RC):
+        if not forks:
+            return write(FIGURES)
+        process = get_context("fork").Process(target=write, args=(FIGURES[:_BESIDE],), daemon=True)
+        process.start()
         others = write(FIGURES[_BESIDE:])
+        process.join()
+    if process.exitcode:
+        raise ChildProcessError(f"a forked process of the report failed (exit status {process.exitcode})")
     return [*(folder / f"{name}.png" for name in FIGURES[:_BESIDE]), *others]  # those have data at any tick
 
 
@@ -280,3 +290,30 @@ def _look(setup: Setup, agent: int) -> dict[str, Any]:
     """Return colour and marker of an agent, those of its first UAV."""
     uav = setup.owned[agent - 1][0]
     return {"color": uav_style(uav)["color"], "marker": _MARKERS[uav // len(UAV_COLOURS) % len(_MARKERS)]}
+
+
+_REPLAY_IN = 1.1
+
+
+def draw_replay(setup: Setup, comparison: Comparison, folder: Path) -> list[Path]:
+    """Draw replay.png and replay.svg: largest difference of thrust and of moments at each tick; return the files."""
+    ticks = np.array([row[0] for row in comparison.rows])
+    differences = np.array([row[1:5] for row in comparison.rows])
+    times_s = ticks * setup.settings.sampling_period_s
+    with mpl.rc_context(RC):
+        figure = Figure()
+        panels = column_panels(figure, [_REPLAY_IN] * 2)
+        for column, (panel, label) in enumerate(zip(panels, ("thrust (N)", "moment (N m)"), strict=True)):
+            for name, values, colour, width in (
+                ("largest of the horizon", differences[:, 2 + column], COMPONENTS[1], 1.8),
+                ("first step", differences[:, column], COMPONENTS[0], 0.9),
+            ):
+                panel.plot(times_s, np.where(values > 0.0, values, np.nan), label=name, color=colour, linewidth=width)
+            if (differences[:, [column, 2 + column]] > 0.0).any():
+                panel.set_yscale("log")
+                low, high = panel.get_ylim()
+                if high < 1e3 * low:
+                    label_decades(panel.yaxis)
+            head(panel, f"difference of {label}", legend=column == 0)
+        finish(figure, panels, setup, float(times_s[-1]) + setup.settings.sampling_period_s, [])
+        return [save(figure, folder / name) for name in ("replay.png", "replay.svg")]

@@ -6,7 +6,6 @@ import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -21,7 +20,6 @@ from transport.analysis.steps import steps_columns, steps_rows
 from transport.analysis.swing import SWING_S
 from transport.log.run_folder import RecordedRun, open_run
 from transport.log.run_log import RunLog
-from transport.report.beside import beside
 
 # Violations below this share of a constraint's range are within the solver's tolerance.
 HELD = 1e-6
@@ -48,18 +46,18 @@ def write_report(folder: Path, *, figures: bool = True, setup: Setup | None = No
 def report_run(run: RecordedRun, *, figures: bool = True, forks: bool = False, pdf: bool = False) -> dict[str, Any]:
     """Write or replace summary.json, steps.csv and the figures of a recorded run; return the summary.
 
-    Figures take most of the time; with `forks` on two cores half of it (`transport.report.beside`).
+    Figures take most of the time; with `forks` on two cores half of it.
     """
     folder, setup, log = run.folder, run.setup, counted(run.setup, run.log)
     summary = summarise(setup, log)
     write_whole(folder / "summary.json", orjson.dumps(summary, option=orjson.OPT_INDENT_2) + b"\n")
-    with beside(partial(_write_steps, folder / "steps.csv", setup, log), forks=forks):
-        if figures:
-            from transport.report.figures import draw  # loads matplotlib, 0.3 s that runs without figures save
+    _write_steps(folder / "steps.csv", setup, log)
+    if figures:
+        from transport.report.figures import draw  # loads matplotlib, 0.3 s that runs without figures save
 
-            for old in [file for kind in ("png", "svg", "pdf") for file in (folder / "figures").glob(f"*.{kind}")]:
-                old.unlink()  # figures of an older run
-            draw(setup, log, folder / "figures", forks=forks, pdf=pdf)
+        for old in [file for kind in ("png", "svg", "pdf") for file in (folder / "figures").glob(f"*.{kind}")]:
+            old.unlink()  # figures of an older run
+        draw(setup, log, folder / "figures", forks=forks, pdf=pdf)
     return summary
 
 
@@ -113,8 +111,10 @@ def _lines(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         ),
         ("cost", f"mean {_text(cost['mean'], '.3g')}, max {_text(cost['max'], '.3g')}"),
         ("payload attitude", _text(summary["attitude_max_deg"], ".2f", "max {} deg")),
-        ("UAV error", _error(uavs)),
-        ("payload error", _error(payload)),
+        *(
+            (f"{name} error", f"rms {_text(of['rms_m'], '.3f')} m, max {_text(of['max_m'], '.3f')} m")
+            for name, of in (("UAV", uavs), ("payload", payload))
+        ),
         ("payload swing", _swing(payload)),
         ("separation", _text(summary["separation_min_m"], ".3f", "min {} m")),
         ("limits", _constraints(summary["constraint_violation_max"])),
@@ -136,10 +136,6 @@ def _faults(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     shown = [(f"{fault['time_s']:6.2f} s", str(fault["what"])) for fault in faults[:_SHOWN_FAULTS]]
     more = len(faults) - _SHOWN_FAULTS
     return [*shown, (" " * 8, f"and {more} more in summary.json")] if more > 0 else shown
-
-
-def _error(tracking: Mapping[str, Any]) -> str:
-    return f"rms {_text(tracking['rms_m'], '.3f')} m, max {_text(tracking['max_m'], '.3f')} m"
 
 
 def _swing(payload: Mapping[str, Any]) -> str:

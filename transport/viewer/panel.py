@@ -15,9 +15,7 @@ from transport.flight.requests import RefusedError, UnansweredError, request
 from transport.scene.drawing import LAYERS
 from transport.scene.scene import Scene, SceneBuilder
 from transport.viewer import html
-from transport.viewer.playback import SPEEDS, Playback
 from transport.viewer.plots import Plots
-from transport.viewer.server import report_malformed
 
 if TYPE_CHECKING:
     import viser
@@ -30,6 +28,54 @@ _SLIDER_S = 20.0
 _REST_S = 0.3
 # Largest number of links in the drop-down; others are changed on the command line.
 _MOST_LINKS = 90
+# Playback speeds by label.
+SPEEDS: Mapping[str, float] = {"0.1 x": 0.1, "0.25 x": 0.25, "0.5 x": 0.5, "1 x": 1.0, "2 x": 2.0, "4 x": 4.0}
+
+
+class Playback:
+    """The tick to show; advanced by the drawing thread, changed by widgets on other threads."""
+
+    def __init__(self, period_s: float, *, follows: bool) -> None:
+        self._period_s = period_s
+        self._lock = threading.Lock()
+        self._tick, self._last = 0.0, 0
+        self._speed = 1.0
+        self.follows, self.playing = follows, False
+
+    def advance(self, elapsed_s: float, first: int, last: int) -> int:
+        """Return the tick to show now, of those that can be shown, given the wall time since the previous call, s."""
+        with self._lock:
+            self._last = last
+            if self.follows:
+                self._tick = float(last)
+            elif self.playing:
+                self._tick += elapsed_s * self._speed / self._period_s
+                self.playing = self._tick < last
+            self._tick = min(max(self._tick, float(first)), float(last))
+            return int(self._tick)
+
+    def seek(self, tick: int) -> None:
+        """Pause at a tick."""
+        with self._lock:
+            self._tick, self.playing, self.follows = float(tick), False, False
+
+    def toggle(self) -> None:
+        """Pause if playing or following; otherwise play, from the beginning if at the end."""
+        with self._lock:
+            self.playing = not (self.playing or self.follows)
+            self.follows = False
+            if self.playing and self._tick >= self._last:
+                self._tick = 0.0
+
+    def follow(self, wanted: bool) -> None:
+        """Follow the live run, or pause."""
+        with self._lock:
+            self.follows, self.playing = wanted, False
+
+    def set_speed(self, speed: float) -> None:
+        """Set the playback speed, in multiples of real time."""
+        with self._lock:
+            self._speed = speed
 
 
 class Commands:
@@ -218,24 +264,12 @@ class Panel:
 
 def _from_browser(act: Callable[[], None]) -> Callable[[Any], None]:
     """Return a callback for changes made in a browser; viser also reports those of this process."""
-    return _checked(lambda event: None if event.client_id is None else act())
+    return lambda event: None if event.client_id is None else act()
 
 
 def _with_value(act: Callable[[Any], None]) -> Callable[[Any], None]:
     """Return a callback that passes the new value of a widget."""
-    return _checked(lambda event: act(event.target.value))
-
-
-def _checked(act: Callable[[Any], None]) -> Callable[[Any], None]:
-    """Return a callback that reports a value no widget has in one line: a program may send any."""
-
-    def checked(event: Any) -> None:
-        try:
-            act(event)
-        except (KeyError, OverflowError, TypeError, ValueError) as error:
-            report_malformed(error)
-
-    return checked
+    return lambda event: act(event.target.value)
 
 
 def _set(widget: Any, value: float | bool) -> None:

@@ -4,80 +4,66 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
+from typing import Self
 
 from protocol.network.parent import PARENT_PIPE, python
 
 _EXIT_S = 5.0
 
 
-@dataclass(frozen=True, slots=True)
 class ViewerBeside:
-    """A viewer process beside a run.
+    """A viewer process that shows the run in a folder as soon as it is live, for at most `wait_s` seconds of waiting.
 
-    Attributes:
-        wait_until_ready: Waits until a browser can open the viewer, or it has ended, for a limited time.
-        wait_for_user: Waits until the user ends the viewer.
+    The folder need not exist yet. As a context it ends the process at its end.
     """
 
-    wait_until_ready: Callable[[], None]
-    wait_for_user: Callable[[], None]
+    def __init__(self, folder: Path, host: str, port: int, wait_s: float) -> None:
+        arguments = ["view", str(folder), "--host", host, "--port", str(port), "--wait", str(wait_s)]
+        self._wait_s, self._ready = wait_s, threading.Event()
+        self._process = subprocess.Popen(
+            [*python("transport"), *arguments],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            env={**os.environ, PARENT_PIPE: "1"},
+            start_new_session=True,  # Ctrl-C ends the run first
+        )
+        threading.Thread(target=self._pass_on, name="viewer", daemon=True).start()
 
-
-@contextmanager
-def viewer_beside(folder: Path, host: str, port: int, wait_s: float) -> Iterator[ViewerBeside]:
-    """Start a viewer process that shows the run in a folder as soon as it is live, and end it afterwards.
-
-    The folder need not exist yet: the viewer waits `wait_s` seconds for it.
-    """
-    arguments = ["view", str(folder), "--host", host, "--port", str(port), "--wait", str(wait_s)]
-    process = subprocess.Popen(
-        [*python("transport"), *arguments],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-        env={**os.environ, PARENT_PIPE: "1"},
-        start_new_session=True,  # Ctrl-C ends the run first
-    )
-
-    ready = threading.Event()
-
-    def pass_on() -> None:
+    def _pass_on(self) -> None:
         """Write the address, which is no result of the run, to standard error."""
-        for line in process.stdout or ():
+        for line in self._process.stdout or ():
             sys.stderr.write(line)
             sys.stderr.flush()
-            ready.set()
-        ready.set()  # it has ended
+            self._ready.set()
+        self._ready.set()  # it has ended
 
-    threading.Thread(target=pass_on, name="viewer", daemon=True).start()
+    def wait_until_ready(self) -> None:
+        """Wait until a browser can open the viewer, or it has ended, for a limited time."""
+        self._ready.wait(self._wait_s / 2.0)
 
-    def wait_until_ready() -> None:
-        ready.wait(wait_s / 2.0)
-
-    def wait_for_user() -> None:
-        if process.poll() is None:
+    def wait_for_user(self) -> None:
+        """Wait until the user ends the viewer."""
+        if self._process.poll() is None:
             try:
                 sys.stderr.write("the viewer stays open; Ctrl-C ends it\n")
-                process.wait()
+                self._process.wait()
             except KeyboardInterrupt:
                 return
 
-    try:
-        yield ViewerBeside(wait_until_ready, wait_for_user)
-    finally:
-        process.terminate()
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._process.terminate()
         try:
-            process.wait(_EXIT_S)
+            self._process.wait(_EXIT_S)
         except subprocess.TimeoutExpired:
-            process.kill()
-            with suppress(subprocess.TimeoutExpired):
-                process.wait(_EXIT_S)  # a tracer may keep it for longer
-        if process.stdin is not None:
-            process.stdin.close()
+            self._process.kill()
+        if self._process.stdin is not None:
+            self._process.stdin.close()
 
 
 def parent_ended() -> Callable[[], bool]:

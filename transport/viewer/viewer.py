@@ -22,8 +22,7 @@ from transport.scene.drawing import Drawing
 from transport.scene.history import KINDS, LATER, RunHistory
 from transport.scene.scene import Scene, SceneBuilder
 from transport.viewer import html
-from transport.viewer.panel import Commands, Panel
-from transport.viewer.playback import Playback
+from transport.viewer.panel import Commands, Panel, Playback
 from transport.viewer.server import Guard, start_server, told_port
 from transport.viewer.view3d import View3D
 
