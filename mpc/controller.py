@@ -138,7 +138,7 @@ class Controller:
 
     def _expansion(self, x0: Array, actual: Array, forces: Array | None) -> Linearisation:
         """Return the expansion about a state and actual inputs; along the control law with the derivatives at hover."""
-        if self.settings.linearisation == "present":
+        if self.settings.linearisation == "present" or self.settings.prediction == "open_loop":
             return self.model.linearise(x0, actual, forces=forces)
         if self._at_hover is None:
             at_rest = self.regulation.hover

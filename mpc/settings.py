@@ -235,7 +235,7 @@ class ControllerSettings(Section):
     """closed_loop predicts by the linearisation about the present state, or along the trajectory that the shared
     control law would take, deviations from it by the linearisation about hover
     ([equations.md](equations.md#prediction-along-the-control-law)). along is valid for long horizons and large
-    deviations; it requires `prediction` closed_loop"""
+    deviations; no effect with open_loop"""
     terminal: Literal["multiple", "riccati"] = "multiple"
     """cost at the end of the horizon: Q_f, or the cost-to-go of the team's linear-quadratic regulator,
     [equations.md](equations.md) (36d). riccati needs `controller.weights.penalised_input=deviation`"""

@@ -113,9 +113,6 @@ def _controller(scenario: Scenario) -> Problems:
         given = getattr(weights, key)
         if getattr(weights, instead) is not None and given != getattr(default, key):
             yield f"controller.weights.{key}", f"no such weight beside controller.weights.{instead}", given
-    if section.linearisation == "along" and section.prediction == "open_loop":
-        expected = "'present' with controller.prediction = 'open_loop', which has no shared control law"
-        yield "controller.linearisation", expected, "'along'"
     if section.preview and section.prediction == "open_loop" and section.terminal == "multiple":
         expected = "controller.prediction = 'closed_loop' or controller.terminal = 'riccati' with it"
         yield "controller.preview", expected, "neither"

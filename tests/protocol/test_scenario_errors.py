@@ -488,8 +488,6 @@ def test_settings_that_contradict_the_cost_to_go() -> None:
     assert penalised_input == f"--set controller.weights.penalised_input=absolute: {expected}"
     beside = refusal(PAPER, "controller.weights.acceleration=5e-3", "controller.weights.thrust=1e-2")
     assert "no such weight beside controller.weights.acceleration" in beside
-    along = refusal(PAPER, "controller.linearisation=along")
-    assert along.startswith("--set controller.linearisation=along: expected 'present' with controller.prediction")
     alone = refusal(PAPER, "controller.preview=true")
     assert alone.startswith("--set controller.preview=true: expected controller.prediction = 'closed_loop' or ")
 
