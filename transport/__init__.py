@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from protocol.wire.errors import TransportError as TransportError
     from transport.experiments.errors import ExperimentError as ExperimentError
     from transport.flight.harness import HarnessError as HarnessError
-    from transport.flight.run_error import RunError as RunError
+    from transport.flight.run_files import RunError as RunError
     from transport.interface.fly import fly as fly
     from transport.interface.fly import load as load
     from transport.interface.margins import Margins as Margins
@@ -42,7 +42,7 @@ _MODULES = {
     "TransportError": "protocol.wire.errors",
     "ArgumentError": "transport.interface.settings",
     "ScenarioError": "protocol.scenario.errors",
-    "RunError": "transport.flight.run_error",
+    "RunError": "transport.flight.run_files",
     "HarnessError": "transport.flight.harness",
     "ExperimentError": "transport.experiments.errors",
     "LogError": "transport.log.run_log",

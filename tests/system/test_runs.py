@@ -33,8 +33,7 @@ from tests.support.commands import (
 from tests.support.keyrings import NAMES, keyring
 from tests.support.logs import record_run
 from transport.cli.main import app
-from transport.cli.operate import process_endpoints
-from transport.monitor.health import Exporter
+from transport.cli.operate import Exporter, process_endpoints
 from transport.report.report import write_report
 
 # Paced to real time, so that attackers have time; 6 s.

@@ -13,8 +13,7 @@ from protocol.network.security import SHARED, Security, SecurityError, new_secre
 from protocol.scenario.file import find_scenario, read_scenario
 from tests.support.attacker import session
 from tests.support.commands import settings, start, transport, wait_for
-from transport.flight.run_error import RunError
-from transport.flight.run_files import own_keys
+from transport.flight.run_files import RunError, own_keys
 
 # Slower than real time, so that there is time to connect; ended by the test.
 FLIGHT = ("clock.speed=0.1",)

@@ -6,7 +6,7 @@ import pytest
 from rich.console import Console
 
 from model import compiler
-from transport.flight.compiling import compile_model
+from transport.flight.progress import compile_model
 
 
 @pytest.mark.skipif(compiler.find_compiler() is None or not compiler.enabled(), reason="needs a C compiler")

@@ -17,7 +17,7 @@ from tests.support import runs
 from transport.cli.main import app
 from transport.flight import memory, signals
 from transport.flight.run import Finished
-from transport.flight.run_error import RunError
+from transport.flight.run_files import RunError
 from transport.flight.signals import raise_interrupts
 
 # Stands in for the module with the commands; ends as if the interrupt came while it is imported or while it works.

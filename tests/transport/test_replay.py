@@ -12,8 +12,7 @@ from typer.testing import CliRunner, Result
 
 from protocol.wire.messages import FaultNote, Message, Plan, StepReport
 from tests.support import logs, runs
-from transport.analysis.replay import Replay
-from transport.analysis.replay_compare import Comparison, differences
+from transport.analysis.replay import Comparison, Replay, differences
 from transport.cli.main import app
 from transport.log.run_log import RunLog
 

@@ -1,4 +1,4 @@
-"""Replay of one agent: a node like the recorded one gets the recorded messages, and its answers are returned.
+"""Replay of one agent: a node like the recorded one gets the recorded messages; its answers are compared with theirs.
 
 A log has messages in the order of the recorder, which can differ from the order of the agent. In lockstep that does not
 matter: each message is delivered as soon as the agent's next measurement needs it, otherwise in the order of the log.
@@ -7,12 +7,16 @@ one sender keep their order: together they tell exactly which plans the agent ha
 """
 
 from bisect import bisect_left
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
+import numpy as np
 import threadpoolctl
 
 from agent.node import AgentNode
+from model.arrays import Array
+from model.state import INPUTS
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import (
     FaultNote,
@@ -27,68 +31,47 @@ from protocol.wire.messages import (
 )
 from protocol.wire.rejections import Rejections
 from transport.log.run_log import RunLog
+from transport.log.tables import INPUT_NAMES, UAV_STATE_NAMES, split_unit
 
 # Arrival time of plans in real time, ns: so early that no delay applies to a plan that is known to have been there.
 _LONG_AGO_NS = -(2**80)
+
+# Fields that identify a message or depend on the wall clock.
+_NOT_COMPARED = ("sender", "incarnation", "sequence", "tick", "agent", "negotiation", "times_ms")
 
 Answer = Plan | StepReport
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Step:
-    """One tick of the agent.
-
-    Attributes:
-        tick: k.
-        incarnation: Incarnation of the agent.
-        answers: Plans of the replayed node, the last one with negotiation 0, then its report.
-        recorded: The recorded message for each of them; None if the log has none.
-    """
+    """One tick of the agent."""
 
     tick: int
-    incarnation: int
-    answers: tuple[Answer, ...]
-    recorded: tuple[Answer | None, ...]
+    answers: tuple[Answer, ...]  # plans of the replayed node, the last one with negotiation 0, then its report
+    recorded: tuple[Answer | None, ...]  # the recorded message for each of them; None if the log has none
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Process:
-    """One process of the agent.
+    """One process of the agent."""
 
-    Attributes:
-        incarnation: Its first one; a process that is stopped and continued gets higher ones.
-        admitted: Roster that admits it.
-        replaced: Roster that admits the next process of the agent; None for the last process.
-        ticks: From the tick of `admitted` to the last one before that of `replaced`, or to the end of the run.
-    """
-
-    incarnation: int
-    admitted: Roster
-    replaced: Roster | None
-    ticks: range
+    incarnation: int  # its first one; a process that is stopped and continued gets higher ones
+    admitted: Roster  # that admits it
+    replaced: Roster | None  # that admits the next process of the agent; None for the last process
+    ticks: range  # from the tick of `admitted` to the last one before that of `replaced`, or to the end of the run
 
 
 @dataclass(slots=True)
 class Replay:
-    """Replay of one agent of a run.
+    """Replay of one agent of a run."""
 
-    Args:
-        setup: The run, or the same run with another controller.
-        log: Its log.
-        agent: The agent, 1-based.
-        before_measurement: Called with the node and each measurement before the node receives it.
-
-    Attributes:
-        notes: Sentences about what could not be replayed.
-        refused: Messages the node rejected: count, sender, reason and the first example.
-    """
-
-    setup: Setup
+    setup: Setup  # the run, or the same run with another controller
     log: RunLog
-    agent: int
+    agent: int  # 1-based
+    # Called with the node and each measurement before the node receives it.
     before_measurement: Callable[[AgentNode, Measurement], None] = lambda _node, _measurement: None
-    notes: list[str] = field(default_factory=list)
-    refused: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)  # sentences about what could not be replayed
+    refused: list[str] = field(default_factory=list)  # by the node: count, sender, reason and the first example
     _rejections: Rejections = field(init=False)
 
     def steps(self) -> Iterator[Step]:
@@ -107,12 +90,8 @@ class Replay:
                 self._rejections = Rejections(node.name)
                 feed = self._lockstep if self.setup.scenario.clock.mode == "lockstep" else self._realtime
                 for answers in _by_tick(feed(node, process)):
-                    yield Step(
-                        tick=answers[0].tick,
-                        incarnation=answers[0].incarnation,
-                        answers=answers,
-                        recorded=tuple(recorded.get(_identity(message)) for message in answers),
-                    )
+                    there = tuple(recorded.get(_identity(message)) for message in answers)
+                    yield Step(tick=answers[0].tick, answers=answers, recorded=there)
                 self.refused += [
                     f"{entry.count} of {entry.sender} ({entry.reason.replace('_', ' ')}: {entry.example})"
                     for entry in self._rejections
@@ -220,16 +199,11 @@ def _processes(setup: Setup, log: RunLog, agent: int) -> list[_Process]:
             if incarnation == last + 1 and _continued(setup, log, agent_name(agent), since.tick, roster.tick):
                 continue
         starts.append((incarnation, roster))
-    rosters: list[Roster | None] = [roster for _, roster in starts]
-    return [
-        _Process(
-            incarnation=incarnation,
-            admitted=roster,
-            replaced=replaced,
-            ticks=range(roster.tick, setup.ticks if replaced is None else replaced.tick),
-        )
-        for (incarnation, roster), replaced in zip(starts, [*rosters[1:], None], strict=False)
-    ]
+    found = []
+    for (incarnation, roster), replaced in zip(starts, [*(roster for _, roster in starts[1:]), None], strict=True):
+        ticks = range(roster.tick, setup.ticks if replaced is None else replaced.tick)
+        found.append(_Process(incarnation=incarnation, admitted=roster, replaced=replaced, ticks=ticks))
+    return found
 
 
 def _continued(setup: Setup, log: RunLog, name: str, since: int, until: int) -> bool:
@@ -277,3 +251,144 @@ def _identity(message: Answer) -> tuple[str, int, int, int]:
     """Return the fields that distinguish a message from the agent's others."""
     negotiation = message.negotiation if isinstance(message, Plan) else 0
     return message.kind, message.incarnation, message.tick, negotiation
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Difference:
+    """A field in which a message differs from the recorded one, at the entry that differs most."""
+
+    tick: int
+    kind: str  # of the message, plan or report
+    negotiation: int  # iterations of negotiation that follow the plan; 0 for a report
+    name: str  # of the field
+    where: str  # description of the entry; empty for a scalar field
+    got: str  # replayed value
+    expected: str  # recorded value
+    size: float | None  # absolute difference in the field's unit; None if the field is no number
+    unit: str  # SI, empty for none
+
+    @property
+    def field(self) -> str:
+        """The field with its kind of message, e.g. plan.inputs."""
+        return f"{self.kind}.{self.name}"
+
+
+@dataclass(slots=True)
+class Tally:
+    """The first and the largest difference of one field over a run, and the number of ticks with one."""
+
+    first: Difference
+    largest: Difference
+    ticks: int = 0
+
+
+@dataclass(slots=True)
+class Comparison:
+    """Comparison of a replay with its run."""
+
+    ticks: list[int] = field(default_factory=list)  # compared, in order
+    plans: int = 0  # number of plans compared
+    identical: int = 0  # number of plans that are equal bit for bit
+    unrecorded: list[int] = field(default_factory=list)  # ticks with an answer of the node but not in the log
+    tallies: dict[str, Tally] = field(default_factory=dict)  # by field, in the order they first differ
+    # For each tick compared: tick, largest difference of thrust (N) and moment (N m) of the plan's first step, then of
+    # all its steps, and whether any field of the plan differs.
+    rows: list[tuple[int, float, float, float, float, bool]] = field(default_factory=list)
+
+    @property
+    def first(self) -> Difference | None:
+        """The first difference in a plan; None if all plans are equal."""
+        plans = [tally.first for tally in self.tallies.values() if tally.first.kind == Plan.kind]
+        return min(plans, key=lambda d: (d.tick, -d.negotiation), default=None)
+
+    def first_beyond(self, size: float) -> int | None:
+        """Return the first tick at which an input of the plan differs by more than `size`, N or N m; None for none."""
+        return next((tick for tick, *apart, _ in self.rows if max(apart) > size), None)
+
+    def add(self, step: Step, *, ignored: Iterable[str] = ()) -> None:
+        """Compare the replayed and recorded messages of one tick, except for ignored fields, e.g. report.lost."""
+        if None in step.recorded:
+            self.unrecorded.append(step.tick)
+            return
+        self.ticks.append(step.tick)
+        seen: set[str] = set()
+        for answer, recorded in zip(step.answers, step.recorded, strict=True):
+            if recorded is None:
+                continue
+            found = [d for d in differences(answer, recorded) if d.field not in ignored]
+            if isinstance(answer, Plan):
+                self.plans += 1
+                self.identical += not found
+            for difference in found:
+                tally = self.tallies.setdefault(difference.field, Tally(difference, difference))
+                tally.largest = max(tally.largest, difference, key=lambda d: d.size or 0.0)
+                tally.ticks += difference.field not in seen
+                seen.add(difference.field)
+            if isinstance(answer, Plan) and isinstance(recorded, Plan) and answer.negotiation == 0:
+                self.rows.append((step.tick, *_inputs_apart(answer, recorded), bool(found)))
+
+
+def differences(answer: Answer, recorded: Answer) -> Iterator[Difference]:
+    """Yield the fields in which two messages of one kind differ by at least a bit."""
+    for name in (name for name in answer.__struct_fields__ if name not in _NOT_COMPARED):
+        got, expected = getattr(answer, name), getattr(recorded, name)
+        if _same(got, expected):
+            continue
+        where, unit, size, texts = "", "", None, (str(got), str(expected))
+        if isinstance(got, np.ndarray) and got.shape == expected.shape:
+            at = _worst(got, expected)
+            where, unit = _entry(answer, name, at)
+            size = float(abs(got[at] - expected[at]))
+            texts = repr(float(got[at])), repr(float(expected[at]))
+        elif isinstance(got, int | float) and not isinstance(got, bool):
+            size = float(abs(got - expected))
+        elif isinstance(got, tuple) and len(got) == len(expected):
+            size = float(np.abs(np.subtract(got, expected)).max())
+        elif isinstance(got, np.ndarray):
+            texts = f"{got.shape[0]} rows", f"{expected.shape[0]} rows"
+        yield Difference(
+            tick=answer.tick,
+            kind=answer.kind,
+            negotiation=answer.negotiation if isinstance(answer, Plan) else 0,
+            name=name,
+            where=where,
+            got=texts[0],
+            expected=texts[1],
+            size=size,
+            unit=unit,
+        )
+
+
+def _same(got: Any, expected: Any) -> bool:
+    """Return whether two values have the same bits; 0 and -0 differ."""
+    if isinstance(got, np.ndarray):
+        return bool(got.shape == expected.shape and got.tobytes() == expected.tobytes())
+    return str(got) == str(expected) if isinstance(got, float) else bool(got == expected)
+
+
+def _worst(got: Array, expected: Array) -> tuple[int, ...]:
+    """Return the index of the largest difference, or of the first 0 against -0 if there is no other."""
+    apart = np.abs(got - expected)
+    if not apart.any():
+        apart = (np.signbit(got) != np.signbit(expected)).astype(np.float64)
+    return tuple(int(i) for i in np.unravel_index(int(apart.argmax()), got.shape))
+
+
+def _entry(message: Answer, name: str, at: tuple[int, ...]) -> tuple[str, str]:
+    """Return a description of an array entry and its unit."""
+    if isinstance(message, Plan) and name in ("inputs", "corrections"):
+        quantity, unit = split_unit(INPUT_NAMES[at[1] % INPUTS])
+        uav = message.uavs[at[1] // INPUTS]
+        return f"[{at[0]}, {at[1]}], UAV{uav} {quantity}, step {at[0]} of the horizon", unit
+    if isinstance(message, Plan):
+        quantity, unit = split_unit(UAV_STATE_NAMES[at[1]])
+        return f"[{at[0]}, {at[1]}], UAV{message.uavs[at[0]]} {quantity}", unit
+    return f"[{', '.join(map(str, at))}]", "N" if isinstance(message, StepReport) and name == "force" else ""
+
+
+def _inputs_apart(plan: Plan, recorded: Plan) -> tuple[float, float, float, float]:
+    """Return the largest difference of thrust and moments, N and N m: at the first step, then over the horizon."""
+    steps = min(len(plan.inputs), len(recorded.inputs))
+    apart = np.abs(plan.inputs[:steps] - recorded.inputs[:steps]).reshape(steps, -1, INPUTS)
+    thrust, moments = apart[:, :, 0].max(axis=1), apart[:, :, 1:].max(axis=(1, 2))
+    return float(thrust[0]), float(moments[0]), float(thrust.max()), float(moments.max())

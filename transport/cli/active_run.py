@@ -12,7 +12,7 @@ from transport.cli.options import RUNS
 from transport.cli.output import exit_on, fail
 from transport.cli.recorded_run import newest_runs
 from transport.flight import live
-from transport.flight.requests import RefusedError, UnansweredError, request
+from transport.flight.live import RefusedError, UnansweredError, request
 
 RunOption = Annotated[
     str | None,

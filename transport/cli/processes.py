@@ -169,8 +169,7 @@ def record(
 
     from transport.cli.run_report import report
     from transport.flight.run import observe
-    from transport.flight.run_error import RunError
-    from transport.flight.run_files import new_folder
+    from transport.flight.run_files import RunError, new_folder
 
     options = ProcessOptions(
         scenario=scenario,

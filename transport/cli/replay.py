@@ -1,7 +1,7 @@
 """The command `transport replay`: one agent of a recorded run again, as recorded or with other settings."""
 
 import csv
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,8 +16,7 @@ from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
 from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import EXIT_DIFFERENT, EXIT_SCENARIO, EXIT_USAGE
 from protocol.wire.messages import Measurement
-from transport.analysis.replay import Replay
-from transport.analysis.replay_compare import Comparison, Difference, Tally
+from transport.analysis.replay import Comparison, Difference, Replay, Tally
 from transport.cli.options import FormatOption
 from transport.cli.output import Format, exit_on, fail, show_json
 from transport.cli.recorded_run import RunArgument, run_folder
@@ -107,11 +106,12 @@ def replay(
         why = "; ".join(again.notes) or f"the log has no plan of agent {agent} between those ticks"
         fail(f"{run.folder}: nothing to compare: {why}", EXIT_USAGE)
     files = [] if out is None else _write(run, comparison, out)
-    report = ReplayReport(run, agent, again, comparison, is_changed=bool(settings or against))
+    is_changed = bool(settings or against)
+    notes = _notes(run, again, comparison, is_changed=is_changed)
     if output is Format.json:
-        show_json(report.content())
+        show_json(_content(run, agent, comparison, notes))
     else:
-        report.show()
+        _show(run, agent, comparison, notes, is_changed=is_changed)
         for file in files:
             typer.echo(f" {file}")
     raise typer.Exit(0 if comparison.first is None else EXIT_DIFFERENT)
@@ -162,83 +162,70 @@ def _write(run: RecordedRun, comparison: Comparison, out: Path) -> list[Path]:
     return [table] if comparison.first is None else [table, *draw_replay(run.setup, comparison, out)]
 
 
-@dataclass(frozen=True, slots=True)
-class ReplayReport:
-    """Comparison of an agent's plans with the recorded ones, of a replay with or without changed settings."""
+def _show(run: RecordedRun, agent: int, comparison: Comparison, notes: list[str], *, is_changed: bool) -> None:
+    """Print the verdict, the largest differences by field, and notes."""
+    console, period_s = Console(), run.setup.settings.sampling_period_s
+    span = f"ticks {comparison.ticks[0]} to {comparison.ticks[-1]}"
+    first = comparison.first
+    if first is None:
+        verdict = Text("identical, bit for bit", "bold green")
+        console.print(Text.assemble(f"agent{agent}: all {comparison.plans} plans of {span} are ", verdict))
+    else:
+        differ = f"agent{agent}: {comparison.plans - comparison.identical} of {comparison.plans} plans of {span} "
+        verdict = Text(f"differ from tick {first.tick} on", "bold yellow" if is_changed else "bold red")
+        console.print(Text.assemble(differ, verdict, f" (t = {first.tick * period_s:.2f} s)"))
+        typer.echo(f"  {_sentence(first)}")
+        tick = comparison.first_beyond(_ROUNDING)
+        when = "at no tick" if tick is None else f"from tick {tick} on (t = {tick * period_s:.2f} s)"
+        typer.echo(f"  by more than {_ROUNDING:g} N or N m: {when}")
+    if comparison.tallies:
+        console.print(_table(comparison.tallies))
+    for note in notes:
+        typer.echo(f"note: {note}", err=True)
 
-    run: RecordedRun
-    agent: int
-    again: Replay
-    comparison: Comparison
-    is_changed: bool
 
-    def show(self) -> None:
-        """Print the verdict, the largest differences by field, and notes."""
-        console = Console()
-        comparison, period_s = self.comparison, self.run.setup.settings.sampling_period_s
-        span = f"ticks {comparison.ticks[0]} to {comparison.ticks[-1]}"
-        first = comparison.first
-        if first is None:
-            verdict = Text("identical, bit for bit", "bold green")
-            console.print(Text.assemble(f"agent{self.agent}: all {comparison.plans} plans of {span} are ", verdict))
-        else:
-            differ = (
-                f"agent{self.agent}: {comparison.plans - comparison.identical} of {comparison.plans} plans of {span} "
-            )
-            verdict = Text(f"differ from tick {first.tick} on", "bold yellow" if self.is_changed else "bold red")
-            console.print(Text.assemble(differ, verdict, f" (t = {first.tick * period_s:.2f} s)"))
-            typer.echo(f"  {_sentence(first)}")
-            tick = comparison.first_beyond(_ROUNDING)
-            when = "at no tick" if tick is None else f"from tick {tick} on (t = {tick * period_s:.2f} s)"
-            typer.echo(f"  by more than {_ROUNDING:g} N or N m: {when}")
-        if comparison.tallies:
-            console.print(_table(comparison.tallies))
-        for note in self._notes():
-            typer.echo(f"note: {note}", err=True)
+def _content(run: RecordedRun, agent: int, comparison: Comparison, notes: list[str]) -> dict[str, Any]:
+    """Return the comparison as plain data."""
+    return {
+        "run": str(run.folder),
+        "agent": agent,
+        "ticks": [comparison.ticks[0], comparison.ticks[-1]],
+        "plans": comparison.plans,
+        "identical": comparison.identical,
+        "first": None if comparison.first is None else asdict(comparison.first),
+        "first_tick_beyond_rounding": comparison.first_beyond(_ROUNDING),
+        "fields": {
+            name: {"ticks": tally.ticks, "first_tick": tally.first.tick, "largest": asdict(tally.largest)}
+            for name, tally in comparison.tallies.items()
+        },
+        "not_compared": comparison.unrecorded,
+        "notes": notes,
+    }
 
-    def content(self) -> dict[str, Any]:
-        """Return the comparison as plain data."""
-        comparison = self.comparison
-        return {
-            "run": str(self.run.folder),
-            "agent": self.agent,
-            "ticks": [comparison.ticks[0], comparison.ticks[-1]],
-            "plans": comparison.plans,
-            "identical": comparison.identical,
-            "first": None if comparison.first is None else asdict(comparison.first),
-            "first_tick_beyond_rounding": comparison.first_beyond(_ROUNDING),
-            "fields": {
-                name: {"ticks": tally.ticks, "first_tick": tally.first.tick, "largest": asdict(tally.largest)}
-                for name, tally in comparison.tallies.items()
-            },
-            "not_compared": comparison.unrecorded,
-            "notes": self._notes(),
-        }
 
-    def _notes(self) -> list[str]:
-        """Return the limits of the comparison, one sentence each."""
-        found = list(self.again.notes)
-        header, missing = self.run.log.header, self.comparison.unrecorded
-        if missing:
-            ticks = ", ".join(map(str, missing[:8])) + (", ..." if len(missing) > 8 else "")
-            found.append(f"not compared, as the log has no answer of the agent (down, or at its end): tick {ticks}")
-        if self.run.log.cut:
-            found.append(f"log: {self.run.log.cut}")
-        if self.run.setup.scenario.clock.mode == "realtime":
-            found.append(
-                "real time: the plans that the agent had at each step are taken from its step reports. That is exact "
-                "unless links have jitter, reordering or duplicates, or measurements are delayed; then the log does "
-                "not tell all of them"
-            )
-        if self.again.refused and self.is_changed:
-            found.append(f"refused by the changed agent: {'; '.join(self.again.refused)}")
-        if self.comparison.first is not None and not self.is_changed:
-            recorded, here = header.get("versions", ""), versions()
-            if recorded != here:
-                found.append(f"recorded with {recorded}; here {here}: last digits may differ between versions")
-            machine = header.get("machine", "") or "an unknown machine"
-            found.append(f"recorded on {machine}: last digits may differ between processors")
-        return found
+def _notes(run: RecordedRun, again: Replay, comparison: Comparison, *, is_changed: bool) -> list[str]:
+    """Return the limits of the comparison, one sentence each."""
+    found, header, missing = list(again.notes), run.log.header, comparison.unrecorded
+    if missing:
+        ticks = ", ".join(map(str, missing[:8])) + (", ..." if len(missing) > 8 else "")
+        found.append(f"not compared, as the log has no answer of the agent (down, or at its end): tick {ticks}")
+    if run.log.cut:
+        found.append(f"log: {run.log.cut}")
+    if run.setup.scenario.clock.mode == "realtime":
+        found.append(
+            "real time: the plans that the agent had at each step are taken from its step reports. That is exact "
+            "unless links have jitter, reordering or duplicates, or measurements are delayed; then the log does "
+            "not tell all of them"
+        )
+    if again.refused and is_changed:
+        found.append(f"refused by the changed agent: {'; '.join(again.refused)}")
+    if comparison.first is not None and not is_changed:
+        recorded, here = header.get("versions", ""), versions()
+        if recorded != here:
+            found.append(f"recorded with {recorded}; here {here}: last digits may differ between versions")
+        machine = header.get("machine", "") or "an unknown machine"
+        found.append(f"recorded on {machine}: last digits may differ between processors")
+    return found
 
 
 def _table(tallies: dict[str, Tally]) -> Table:

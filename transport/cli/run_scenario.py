@@ -20,8 +20,7 @@ from transport.cli.report_process import ReportProcess
 from transport.cli.scenario_setup import read_setup, scenario_errors
 from transport.flight.harness import HarnessError
 from transport.flight.run import simulate
-from transport.flight.run_error import RunError
-from transport.flight.run_files import new_folder
+from transport.flight.run_files import RunError, new_folder
 from transport.viewer.process import ViewerBeside
 from transport.viewer.server import ViewerError, require_viser
 

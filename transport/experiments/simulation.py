@@ -22,7 +22,7 @@ from protocol.wire.messages import STAGES, Control, Plan, StepReport, Tick
 from transport.analysis.metrics import summarise
 from transport.experiments.cases import Case, key_of
 from transport.flight import memory, run
-from transport.flight.run_error import RunError
+from transport.flight.run_files import RunError
 from transport.log.run_log import Recorded, RunLog, read_log
 from transport.report.report import write_report
 

@@ -1,17 +1,26 @@
-"""Active runs on this machine: a file in the run folder that exists while the run is active, and its processes."""
+"""Active runs on this machine: a file in the run folder that exists while the run is active, and its processes.
 
-from collections.abc import Mapping
+Requests to processes come from the command line or the viewer.
+"""
+
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import psutil
 
+from protocol.network.security import Security
+from protocol.network.session import BusError, ask
+from protocol.wire.keys import ROUTER
 from transport.flight.fork_server import STOPPED, state_of
 
 _FILE = "live.json"
+# Faults of processes that `transport run` causes on request.
+FAULTS = ("kill", "stop", "continue", "restart")
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,3 +117,35 @@ def _pairs(process: psutil.Process) -> set[tuple[str, str]]:
     with suppress(psutil.Error):
         return set(pairwise(" ".join(process.cmdline()).split()))
     return set()
+
+
+class RefusedError(ValueError):
+    """The run refuses the request; the text says what was expected."""
+
+
+class UnansweredError(RuntimeError):
+    """The process does not exist or does not answer."""
+
+
+def request(
+    run: str, endpoints: Sequence[str], name: str, what: str, given: Mapping[str, Any], keys: Path | None = None
+) -> dict[str, Any]:
+    """Send a request to a process of a run and return the answer.
+
+    Args:
+        run: Name of the run.
+        endpoints: Endpoints of its processes; that of the receiver is enough.
+        name: Receiver: "coordinator" for links and status, "recorder" for faults, any for health.
+        what: Request; see docs/protocol.md.
+        given: Its arguments.
+        keys: Folder of keys, if the run has any.
+    Raises: RefusedError, UnansweredError.
+    """
+    security = None if keys is None else Security(keys.resolve(), (name, ROUTER))
+    try:
+        answer = dict(ask(run, endpoints, name, what, given, security=security))
+    except BusError as error:
+        raise UnansweredError(str(error)) from error
+    if "error" in answer:
+        raise RefusedError(str(answer["error"]))
+    return answer

@@ -1,4 +1,4 @@
-"""Progress of a run on the console: simulated time, real-time factor, cost, attitude."""
+"""Progress on the console: compilation before a run; simulated time, real-time factor, cost, attitude."""
 
 import itertools
 import time
@@ -9,6 +9,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
 
+from model.compiled import compile_functions, needs_compilation
 from model.state import StateView
 from protocol.scenario.setup import Setup
 from protocol.scenario.stage_cost import StageCost
@@ -19,6 +20,19 @@ _LINE_EVERY_S = 10.0
 # Widths on a terminal, characters: the bar, and the remaining time with the gaps between the columns.
 _BAR, _REMAINING = 20, 10
 _GAP = "   "
+_COMPILING = "compiling the model for this processor, once"
+
+
+def compile_model(uavs: int, console: Console) -> None:
+    """Compile the model of a team of that many UAVs, and say so, if that has not been done on this processor."""
+    if not needs_compilation(uavs):
+        return
+    if console.is_terminal:
+        with console.status(_COMPILING):
+            compile_functions(uavs)
+    else:
+        console.print(_COMPILING, highlight=False, soft_wrap=True)
+        compile_functions(uavs)
 
 
 class ConsoleProgress:

@@ -28,16 +28,14 @@ from protocol.wire.exit_codes import (
 from protocol.wire.keys import RECORDER, Keys
 from protocol.wire.names import COORDINATOR, PLANT
 from transport.flight import live
-from transport.flight.compiling import compile_model
 from transport.flight.fault_script import FaultScript
 from transport.flight.harness import ORDERLY_ENDS, Child, Harness, check_ports, free_ports, keys_setting
 from transport.flight.header import run_header
-from transport.flight.progress import RunProgress
+from transport.flight.progress import RunProgress, compile_model
 from transport.flight.recorder import Recorder
-from transport.flight.run_error import RunError
-from transport.flight.run_files import create, open_log, own_keys, refuse_existing
+from transport.flight.run_files import RunError, create, open_log, own_keys, refuse_existing
 from transport.flight.signals import collected_signals
-from transport.log.latest import forget_latest
+from transport.log.run_folder import forget_latest
 from transport.log.writer import LogWriter
 
 # Time for the processes to end after the run before they are killed.

@@ -1,4 +1,4 @@
-"""Folders of runs: their names, and what is in them before the run begins."""
+"""Folders of runs: their names, what is in them before the run begins, and the error of a run that cannot begin."""
 
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
@@ -12,14 +12,22 @@ from protocol.network.security import SecurityError, new_secret
 from protocol.scenario.files import path_problem
 from protocol.scenario.schema import Scenario
 from protocol.scenario.setup import Setup
+from protocol.wire.errors import TransportError
 from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
-from transport.flight.run_error import RunError
-from transport.log.latest import point_latest
+from transport.log.run_folder import point_latest
 from transport.log.run_log import LogError
 from transport.log.writer import LogWriter
 
 _LOG = "run.mcap"
 _OPEN = "--set network.secret=false runs without, open to every local process"
+
+
+class RunError(TransportError, RuntimeError):
+    """A run that could not be started or recorded: one line for the user, and the exit code of the command."""
+
+    def __init__(self, text: str, exit_code: int) -> None:
+        super().__init__(text)
+        self.exit_code = exit_code
 
 
 def new_folder(parent: Path, name: str) -> Path:

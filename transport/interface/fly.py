@@ -13,9 +13,9 @@ from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import EXIT_INTERRUPTED
 from protocol.wire.messages import Message
 from transport.flight import memory
-from transport.flight.compiling import compile_model
 from transport.flight.header import run_header
-from transport.flight.run_error import RunError
+from transport.flight.progress import compile_model
+from transport.flight.run_files import RunError
 from transport.interface.boundary import public
 from transport.interface.progress import console, run_progress
 from transport.interface.run import Run

@@ -23,7 +23,7 @@ from transport.experiments.simulation import Result
 from transport.experiments.statistics import PointStatistics
 from transport.experiments.table import WIDTH, means_in_words, table_of
 from transport.experiments.workers import check_cluster, on_cluster, on_cores
-from transport.flight.compiling import compile_model
+from transport.flight.progress import compile_model
 from transport.interface.boundary import public
 from transport.interface.figure import RunFigure, drawn
 from transport.interface.progress import console

@@ -1,9 +1,11 @@
-"""Reading a run folder: its scenario, its log, and what is known to be missing from it.
+"""A run folder: its scenario, its log and what is known to be missing from it; the link to the newest folder.
 
 Missing messages are found by gaps in the sequence numbers of each sender.
 """
 
+import os
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -15,6 +17,8 @@ from protocol.wire.messages import Control, Measurement, Message, Plan, PlantSta
 from protocol.wire.names import COORDINATOR
 from transport.log.run_log import RunLog, read_log
 
+# Folder whose runs have a link to the most recent one, and the name of the link.
+_RUNS, LATEST = "runs", "latest"
 # Reason of a run whose end was not recorded.
 END_NOT_RECORDED = "the outcome of the run did not reach the recorder"
 
@@ -116,3 +120,30 @@ def _simulated(message: Message) -> int:
         case Control(outcome="completed") if message.sender == COORDINATOR:
             return message.tick
     return -1
+
+
+def point_latest(folder: Path) -> None:
+    """Point `latest` beside a run folder at it, if both are in a folder named `runs`.
+
+    The link is replaced atomically. Nothing happens where the system has no symbolic links, or something else has that
+    name.
+    """
+    link = folder.parent / LATEST
+    if folder.resolve().parent.name != _RUNS or folder.name == LATEST:
+        return
+    new = link.with_name(f".{LATEST}.{os.getpid()}")
+    with suppress(OSError, NotImplementedError):
+        new.symlink_to(folder.name, target_is_directory=True)
+        try:
+            if link.is_symlink() or not link.exists():
+                os.replace(new, link)
+        finally:
+            new.unlink(missing_ok=True)
+
+
+def forget_latest(folder: Path) -> None:
+    """Remove `latest` if it names a run folder that is removed."""
+    link = folder.parent / LATEST
+    with suppress(OSError):
+        if link.is_symlink() and link.readlink() == Path(folder.name):
+            link.unlink()

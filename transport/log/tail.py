@@ -80,7 +80,7 @@ class LogTail:
 
         Damage is skipped silently: `read_log` reports it.
 
-        Raises: LogError: the file cannot be read, or would become too large.
+        Raises: LogError: the file cannot be read.
         """
         found: list[Message | Unread] = []
         if self.ended:

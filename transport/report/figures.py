@@ -16,7 +16,7 @@ from model.state import INPUTS
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import STAGES, StepReport
 from transport.analysis.metrics import rest_of_tick_ms
-from transport.analysis.replay_compare import Comparison
+from transport.analysis.replay import Comparison
 from transport.analysis.series import Series, series_of
 from transport.analysis.swing import SWING_S, swing_of
 from transport.log.run_log import RunLog

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 from protocol.scenario.link_words import PERFECT
 from protocol.wire.messages import agent_name
 from protocol.wire.names import COORDINATOR, PLANT, RECORDER
-from transport.flight.live import LiveRun
-from transport.flight.requests import RefusedError, UnansweredError, request
+from transport.flight.live import LiveRun, RefusedError, UnansweredError, request
 from transport.scene.drawing import LAYERS
 from transport.scene.scene import Scene, SceneBuilder
 from transport.viewer import html
