@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 SCENARIO ?= paper
-# Each worker takes the next file of tests, in the order of tests/support/workers.py.
+# Each worker takes the next file of tests, in the order of tests/conftest.py.
 WORKERS := --numprocesses 3 --dist loadfile --no-loadscope-reorder
 # Empty means unset: each process of a run would otherwise compile all sources again.
 export PYTHONDONTWRITEBYTECODE :=
