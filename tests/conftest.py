@@ -28,7 +28,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     slow = {item.path for item in items if item.get_closest_marker("slow")}
 
     def rank(item: pytest.Item) -> int:
-        return 0 if item.path.stem == "test_soak" else 1 if "system" in item.path.parts else 2 if item.path in slow else 3
+        if "system" in item.path.parts:  # tests that start processes wait much: several at once use the processors
+            return 0 if item.path.stem == "test_soak" else 1
+        return 2 if item.path in slow else 3
 
     items.sort(key=rank)
 
