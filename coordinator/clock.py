@@ -1,6 +1,5 @@
 """Sampling clocks: when a tick opens, and which answers to it are late."""
 
-from abc import ABC, abstractmethod
 from collections.abc import Collection
 
 from protocol.scenario.setup import Setup
@@ -10,27 +9,25 @@ from protocol.wire.messages import Plan, agent_name
 _AWAY_NS = 200_000_000
 
 
-def clock_of(setup: Setup) -> "Clock":
-    """Return the clock of a run."""
-    return _LockstepClock(setup) if setup.scenario.clock.mode == "lockstep" else _RealTimeClock(setup)
-
-
-class Clock(ABC):
+class Clock:
     """Sampling clock of a run. Ticks are due relative to the first one, so that delays do not add up.
+
+    In lockstep it waits for the answers of all agents; a speed above 0 holds the next tick until it is due. In real
+    time it opens ticks at their deadlines; `clock.on_overrun` says what happens when plans miss them.
 
     All times are ns on a clock that only goes forward. `missing` are the agents on the roster that have not answered
     the open tick; `awaits_plant` says that only the plant's last state is outstanding.
 
     Attributes:
-        counts_late_plans: Whether a plan of an earlier tick than the open one shows that its agent is alive.
+        counts_late_plans: Whether a plan of an earlier tick than the open one shows that its agent is alive: in real
+            time.
         waiting_since_ns: Start of the barrier timeout.
     """
-
-    counts_late_plans: bool
 
     def __init__(self, setup: Setup) -> None:
         self.waiting_since_ns = 0
         self._settings, self._period_ns = setup.scenario.clock, setup.period_ns
+        self.counts_late_plans = self._settings.mode == "realtime"
         self._barrier_ns = round(self._settings.barrier_timeout_s * 1e9)
         self._start_ns = self._plant_ns = 0
         self._owed_since_ns: dict[int, int] = {}  # by agent: since when it owes an answer
@@ -81,80 +78,41 @@ class Clock(ABC):
         """Note that the plant has answered, or that it has only now been asked for the next interval."""
         self._plant_ns = now_ns
 
-    @abstractmethod
     def lateness_ns(self, tick: int, now_ns: int) -> tuple[int, int]:
-        """Return how late a tick opens, and by how much the latest plan since the tick before missed its deadline."""
+        """Return how late a tick opens, and by how much the latest plan since the tick before missed its deadline.
 
-    @abstractmethod
-    def silent(self, members: set[int], missing: set[int], now_ns: int) -> set[int]:
-        """Return the agents that have owed an answer for the barrier timeout."""
-
-    @abstractmethod
-    def plant_is_silent(self, now_ns: int) -> bool:
-        """Return whether the plant has owed an answer for the barrier timeout while agents still answer."""
-
-    @abstractmethod
-    def may_close(self, tick: int, missing: set[int], now_ns: int, *, last: bool) -> bool:
-        """Return whether the open tick may be closed."""
-
-    @abstractmethod
-    def overrun(self, tick: int, missing: set[int], now_ns: int) -> str:
-        """Count the deadlines missed in a tick that is closed; return why they end the run, or an empty text."""
-
-    @abstractmethod
-    def wake_ns(self, tick: int, missing: set[int], *, awaits_plant: bool) -> int:
-        """Return when the open tick may be closed at the earliest, or else when the barrier timeout ends."""
-
-
-class _LockstepClock(Clock):
-    """Clock that waits for the answers of all agents; a speed above 0 holds the next tick until it is due."""
-
-    counts_late_plans = False
-
-    def lateness_ns(self, tick: int, now_ns: int) -> tuple[int, int]:  # noqa: ARG002
-        return 0, 0  # messages do not depend on wall-clock time
-
-    def silent(self, members: set[int], missing: set[int], now_ns: int) -> set[int]:  # noqa: ARG002
-        return missing if self.has_expired(now_ns) else set()
-
-    def plant_is_silent(self, now_ns: int) -> bool:  # noqa: ARG002
-        return False  # agents without measurements do not answer either
-
-    def may_close(self, tick: int, missing: set[int], now_ns: int, *, last: bool) -> bool:
-        return not missing and (last or now_ns >= self.due_ns(tick + 1))
-
-    def overrun(self, tick: int, missing: set[int], now_ns: int) -> str:  # noqa: ARG002
-        return ""
-
-    def wake_ns(self, tick: int, missing: set[int], *, awaits_plant: bool) -> int:
-        waits = missing or awaits_plant
-        return self.waiting_since_ns + self._barrier_ns if waits else self.due_ns(tick + 1)
-
-
-class _RealTimeClock(Clock):
-    """Clock that opens ticks at their deadlines; `clock.on_overrun` says what happens when plans miss them."""
-
-    counts_late_plans = True
-
-    def lateness_ns(self, tick: int, now_ns: int) -> tuple[int, int]:
+        Both are 0 in lockstep, where messages do not depend on wall-clock time.
+        """
+        if not self.counts_late_plans:
+            return 0, 0
         late_ns = max(0, now_ns - self.due_ns(tick)) if tick > 0 else 0
         if self._settings.on_overrun == "hold":
             self._start_ns += late_ns  # all later deadlines move by the wait
         return late_ns, self._overrun_ns
 
-    def silent(self, members: set[int], missing: set[int], now_ns: int) -> set[int]:  # noqa: ARG002
+    def silent(self, members: set[int], missing: set[int], now_ns: int) -> set[int]:
+        """Return the agents that have owed an answer for the barrier timeout."""
+        if not self.counts_late_plans:
+            return missing if self.has_expired(now_ns) else set()
         return {a for a in members if now_ns >= self._owed_since_ns.get(a, now_ns) + self._barrier_ns}
 
     def plant_is_silent(self, now_ns: int) -> bool:
-        return now_ns >= self._plant_ns + self._barrier_ns
+        """Return whether the plant has owed an answer for the barrier timeout while agents still answer.
 
-    def may_close(self, tick: int, missing: set[int], now_ns: int, *, last: bool) -> bool:  # noqa: ARG002
-        return now_ns >= self.due_ns(tick + 1) and not self._holds(missing)
+        In lockstep agents without measurements do not answer either.
+        """
+        return self.counts_late_plans and now_ns >= self._plant_ns + self._barrier_ns
+
+    def may_close(self, tick: int, missing: set[int], now_ns: int, *, last: bool) -> bool:
+        """Return whether the open tick may be closed; in lockstep the last one closes with its last answer."""
+        is_due = now_ns >= self.due_ns(tick + 1) or (last and not self.counts_late_plans)
+        return is_due and not self._waits_for(missing)
 
     def overrun(self, tick: int, missing: set[int], now_ns: int) -> str:
+        """Count the deadlines missed in a tick that is closed; return why they end the run, or an empty text."""
         self._overruns += len(missing)
         settings = self._settings
-        if settings.on_overrun != "abort":
+        if settings.on_overrun != "abort" or not self.counts_late_plans:
             return ""
         if self._overruns > settings.overrun_limit:
             names = ", ".join(agent_name(agent) for agent in sorted(missing))
@@ -169,8 +127,9 @@ class _RealTimeClock(Clock):
         return ""
 
     def wake_ns(self, tick: int, missing: set[int], *, awaits_plant: bool) -> int:
-        waits = awaits_plant or self._holds(missing)
+        """Return when the open tick may be closed at the earliest, or else when the barrier timeout ends."""
+        waits = awaits_plant or self._waits_for(missing)
         return self.waiting_since_ns + self._barrier_ns if waits else self.due_ns(tick + 1)
 
-    def _holds(self, missing: set[int]) -> bool:
-        return bool(missing) and self._settings.on_overrun == "hold"
+    def _waits_for(self, missing: set[int]) -> bool:
+        return bool(missing) and (not self.counts_late_plans or self._settings.on_overrun == "hold")

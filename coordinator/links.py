@@ -10,17 +10,9 @@ from protocol.wire.messages import LinkChange, agent_name
 from protocol.wire.names import PLANT
 from protocol.wire.node import Outbox
 
-# Most changes per tick and per run: every process applies each of them, and an agent that joins receives all again.
-# "Clear all links" is three.
-MOST_PER_TICK = 16
-MOST_PER_RUN = 1_000
-
 
 class RequestedLinkChanges:
-    """The link changes of a run so far: checked, counted, numbered, and repeated for agents that join.
-
-    The limits count ticks, not seconds, so they do not depend on the speed of the host.
-    """
+    """The link changes of a run so far: checked, numbered, and repeated for agents that join."""
 
     def __init__(self, setup: Setup, out: Outbox) -> None:
         self._out, self._samples = out, sorted(setup.samples_s)
@@ -34,12 +26,6 @@ class RequestedLinkChanges:
 
         Raises: LinkError, MessageError: the request is refused.
         """
-        if len(self._changes) >= MOST_PER_RUN:
-            raise LinkError(f"expected at most {MOST_PER_RUN} changes of links per run, got one more")
-        if sum(change.tick == tick for change in self._changes[-MOST_PER_TICK:]) >= MOST_PER_TICK:
-            raise LinkError(
-                f"expected at most {MOST_PER_TICK} changes of links per tick, got one more; try again later"
-            )
         source, target = (str(given.get(end, "")) for end in ("from", "to"))
         for end, name in (("from", source), ("to", target)):
             if name and name not in self._names:

@@ -7,13 +7,12 @@ it again when a tick is opened.
 
 from collections.abc import Collection, Sequence
 
-from coordinator.clock import clock_of
+from coordinator.clock import Clock
 from coordinator.links import RequestedLinkChanges
 from coordinator.roster import TeamRoster, names
 from coordinator.state import ENDS, TRANSITIONS, State, Trigger
 from protocol.admission.plausibility import check_tick
-from protocol.scenario.link_words import words_of
-from protocol.scenario.links import LinkError
+from protocol.scenario.links import LinkError, words_of
 from protocol.scenario.setup import Setup
 from protocol.wire.message import Message, MessageError
 from protocol.wire.messages import Control, Event, Plan, PlantState, Presence, Request, Tick
@@ -41,7 +40,7 @@ class CoordinatorNode:
         self._ticks, self._period_ns, self._settings = setup.ticks, setup.period_ns, setup.scenario.clock
         self._negotiation_iterations = setup.scenario.controller.negotiation_iterations
         self._out = Outbox(self.name, incarnation)
-        self._clock = clock_of(setup)
+        self._clock = Clock(setup)
         self._roster = TeamRoster(setup, self._out)
         self._link_changes = RequestedLinkChanges(setup, self._out)
         self._awaited = {PLANT, *self._roster.agents, *observers}

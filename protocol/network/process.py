@@ -1,12 +1,14 @@
-"""A node as a process: network, signals, event loop, exit code."""
+"""A node as a process: network, signals, event loop, log lines, exit code."""
 
 import gc
+import json
 import os
 import signal
 import sys
 import threading
 import time
 from collections.abc import Callable, Collection, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from types import FrameType
 from typing import Any
@@ -17,7 +19,6 @@ from protocol.admission.gate import Gate, Sample
 from protocol.network.bus import Bus, Interrupted, Left
 from protocol.network.endpoints import Endpoints
 from protocol.network.exchange import Exchange, exchange_of
-from protocol.network.journal import Journal
 from protocol.network.parent import PARENT_PIPE, ending_signals
 from protocol.network.security import exposed
 from protocol.scenario.faults import Fault, due
@@ -45,6 +46,25 @@ class Place:
     incarnation: int  # which start of this process
     endpoints: Endpoints
     join_timeout_s: float  # how long it waits for the other processes
+
+
+class Journal:
+    """Log events with run, role and key-value context on standard error: JSON lines, or plain text on a terminal."""
+
+    def __init__(self, run: str, role: str) -> None:
+        self._run, self._role = run, role
+
+    def log(self, event: str, **keys: object) -> None:
+        """Write one event."""
+        if sys.stderr.isatty():
+            shown = "  ".join(f"{key}={value}" for key, value in keys.items() if value != "")
+            line = f"{time.strftime('%H:%M:%S')}  {self._role:<12}{event:<12}{shown}"
+        else:
+            entry = {"time": time.time(), "run_id": self._run, "role": self._role, "event": event, **keys}
+            line = json.dumps(entry, default=str)
+        with suppress(OSError):  # the disk is full: the process works without its log lines
+            sys.stderr.write(line + "\n")
+            sys.stderr.flush()
 
 
 def run_node(

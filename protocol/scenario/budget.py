@@ -108,8 +108,9 @@ def estimate(scenario: Scenario) -> Budget:
 
 
 def ticks_of(scenario: Scenario) -> int:
-    """Return the number of sampling instants of a run, as `Setup.ticks`."""
+    """Return the number of sampling instants of a run: t_k < duration of the maneuver."""
     periods = sum(phase.duration_s for phase in scenario.maneuver.phase) / scenario.controller.sampling_period_s
+    # A duration of a whole number of periods must not gain one by rounding.
     return max(1, math.ceil(periods - 1e-9 * periods))
 
 

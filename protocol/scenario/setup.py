@@ -20,6 +20,7 @@ from mpc.cost import UserCosts
 from mpc.regulation import Regulation
 from mpc.rows import compile_constraints
 from mpc.settings import ControllerSettings
+from protocol.scenario.budget import ticks_of
 from protocol.scenario.errors import ScenarioError, building
 from protocol.scenario.faults import Fault, scripted
 from protocol.scenario.files import TableError, delays_of
@@ -111,9 +112,7 @@ class Setup:
     @property
     def ticks(self) -> int:
         """Return the number of sampling instants of the run: t_k < duration of the maneuver."""
-        periods = self.maneuver.duration_s / self.settings.sampling_period_s
-        # A duration of a whole number of periods must not gain one by rounding.
-        return max(1, math.ceil(periods - 1e-9 * periods))
+        return ticks_of(self.scenario)
 
     @property
     def period_ns(self) -> int:

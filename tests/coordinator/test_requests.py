@@ -6,8 +6,6 @@ from typing import Any
 
 import pytest
 
-from coordinator import links
-from coordinator.links import MOST_PER_TICK
 from protocol.wire.messages import LinkChange, Message, Request, Roster
 from tests.support.coordinator_clock import (
     CONTINUE,
@@ -123,26 +121,3 @@ def test_an_unknown_request() -> None:
     reply, sent = answer_to(started(coordinator()), "land")
     assert reply == {"error": "what: expected status or link, got 'land'"}
     assert sent == []
-
-
-def test_changes_in_bulk_are_refused_by_tick() -> None:
-    """A tick takes a few changes, the next one as many again; an answer says so, and nothing is sent for the others."""
-    node = started(coordinator())
-    for tick in (0, 1):
-        for _ in range(MOST_PER_TICK):
-            assert change(node, loss=0.1)[0]["tick"] == tick + 1
-        for _ in range(100):
-            reply, sent = change(node, loss=0.2)
-            assert f"at most {MOST_PER_TICK} changes of links per tick" in reply["error"]
-            assert sent == []
-        if tick == 0:
-            assert kinds(tell(node, answers(0))) == ["tick 1"]
-
-
-def test_changes_of_a_run_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A run takes so many changes in all, as every agent that joins receives all of them again."""
-    monkeypatch.setattr(links, "MOST_PER_RUN", 3)
-    node = started(coordinator())
-    for _ in range(3):
-        assert change(node, loss=0.1)[1]
-    assert change(node, loss=0.1) == ({"error": "expected at most 3 changes of links per run, got one more"}, [])

@@ -6,8 +6,7 @@ from typing import Any
 import pytest
 
 from protocol.scenario.link_sections import LinkSection
-from protocol.scenario.link_words import PERFECT, change_in_words
-from protocol.scenario.links import link_change
+from protocol.scenario.links import PERFECT, change_in_words, link_change
 
 # A value of each key of a link, and its words.
 EXAMPLES: dict[str, tuple[Any, str]] = {

@@ -10,8 +10,7 @@ from typer import Option
 
 from protocol.scenario.keys import key_of, meanings, unit_of
 from protocol.scenario.link_sections import LinkSection
-from protocol.scenario.link_words import PERFECT
-from protocol.scenario.links import LinkError, link_change
+from protocol.scenario.links import PERFECT, LinkError, link_change
 from protocol.wire.exit_codes import EXIT_USAGE
 from protocol.wire.names import COORDINATOR, PLANT
 from transport.cli.active_run import ActiveRun

@@ -205,7 +205,7 @@ def router(
 
     Example: transport router --listen tcp/127.0.0.1:7400
     """
-    from protocol.network.journal import Journal
+    from protocol.network.process import Journal
     from protocol.network.session import route
 
     setup = read_setup(scenario, settings, allow_large=True)

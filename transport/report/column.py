@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.textpath import text_to_path
 from matplotlib.transforms import ScaledTranslation
 
-from protocol.scenario.link_words import change_in_words, words_of
+from protocol.scenario.links import change_in_words, words_of
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import FaultNote, LinkChange, Roster
 from transport.log.run_log import RunLog

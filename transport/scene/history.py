@@ -5,8 +5,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
-from protocol.scenario.link_words import words_of
-from protocol.scenario.links import LinkChanges
+from protocol.scenario.links import LinkChanges, words_of
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import (
     Control,

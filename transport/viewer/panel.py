@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from protocol.scenario.link_words import PERFECT
+from protocol.scenario.links import PERFECT
 from protocol.wire.messages import agent_name
 from protocol.wire.names import COORDINATOR, PLANT, RECORDER
 from transport.flight.live import LiveRun, RefusedError, UnansweredError, request
