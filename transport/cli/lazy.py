@@ -26,12 +26,6 @@ Table = Mapping[str, tuple[str, str]]
 Sections = Mapping[str, Sequence[str]]
 
 
-def import_function(target: str) -> Any:
-    """Return the function of a text "module:function", importing the module."""
-    module, _, function = target.partition(":")
-    return getattr(load(module), function)
-
-
 def load(module: str) -> Any:
     """Import a module without garbage collections: they find nothing, and take a tenth of the time."""
     gc.disable()
@@ -134,8 +128,9 @@ class LazyGroup(TyperGroup):
 
     def load(self, name: str) -> Any:
         """Import the command of a name in the table."""
+        module, _, function = self.table[name][0].partition(":")
         single = typer.Typer(**_PLAIN)
-        single.command(name, cls=Command)(import_function(self.table[name][0]))
+        single.command(name, cls=Command)(getattr(load(module), function))
         return typer.main.get_command(single)
 
     def list_commands(self, ctx: Any) -> list[str]:

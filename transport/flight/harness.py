@@ -221,10 +221,7 @@ class Harness:
             self.logs.mkdir(parents=True, exist_ok=True)
             return start_child(name, arguments, log, incarnation, standby=standby)
         except OSError as error:
-            if incarnation == 0:
-                raise HarnessError(f"{log}: cannot write the output of {name} ({error.strerror})") from error
-        # A process that is started again must not wait for the folder.
-        return start_child(name, arguments, Path(os.devnull), incarnation, standby=standby)
+            raise HarnessError(f"{log}: cannot write the output of {name} ({error.strerror})") from error
 
     def _arguments(self, name: str, observers: Sequence[str], incarnation: int) -> list[str]:
         endpoints = self.mesh[name]
