@@ -40,7 +40,6 @@ class Gate:
     Attributes:
         rejections: Counts of refused messages.
         bundle: Bundle that the last accepted message came in, or None.
-        data: Bytes of that message.
         tick: Newest tick of an accepted message.
         max_bytes: Upper bound of the size of a message.
     """
@@ -55,7 +54,6 @@ class Gate:
     ) -> None:
         self.rejections = Rejections(name)
         self.bundle: Bundle | None = None
-        self.data = b""
         self.tick = 0
         self.max_bytes = MAX_BYTES if shape is None else shape.max_bytes
         self._name, self._keys, self._shape, self._check_moment = name, keys, shape, check_moment
@@ -152,7 +150,6 @@ class Gate:
         except MessageError as error:
             self.refuse(sender, error)
             return None
-        self.data = data
         self._newest[stream] = message.place, message.sequence
         if not isinstance(message, LinkChange):  # a repeated change is of the past
             self.tick = max(self.tick, message.tick)

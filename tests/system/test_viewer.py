@@ -36,7 +36,7 @@ from transport.flight.memory import simulate
 from transport.flight.run import simulate as run_processes
 from transport.log.run_folder import setup_of
 from transport.log.run_log import read_log
-from transport.log.tail import LogTail, Unread
+from transport.log.tail import LogTail
 from transport.scene.history import RunHistory
 from transport.scene.scene import SceneBuilder
 from transport.viewer.panel import Playback
@@ -291,7 +291,7 @@ class Growing(LogTail):
 
     def of(self, kind: type[M]) -> list[M]:
         """Return the messages of one kind so far."""
-        self._all += [message for message in self.read() if not isinstance(message, Unread)]
+        self._all += self.read()
         return [message for message in self._all if isinstance(message, kind)]
 
     def notes(self, target: str, what: str) -> bool:

@@ -1,7 +1,6 @@
 """A log read while it is written, piece by piece, damaged or replaced."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 
@@ -15,12 +14,11 @@ from protocol.wire import messages as protocol
 from protocol.wire.codec import encode
 from tests.support import runs
 from tests.support.logs import record_run
-from transport.log import tail as log_tail
 from transport.log.channels import ENCODING
 from transport.log.parser import records
 from transport.log.run_log import read_log
-from transport.log.tail import LogTail, Unread
-from transport.scene.history import KINDS, LATER, RunHistory
+from transport.log.tail import LogTail
+from transport.scene.history import KINDS, RunHistory
 
 TICKS = 40
 RUN = runs.setup(runs.ticks(TICKS))
@@ -34,7 +32,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "run.mcap"
 
 
-def same(messages: Sequence[protocol.Message | Unread], log: Path) -> bool:
+def same(messages: Sequence[protocol.Message], log: Path) -> bool:
     """Return whether these are the messages of a log, bit for bit."""
     return list(map(repr, messages)) == [repr(entry.message) for entry in read_log(log).messages]
 
@@ -69,12 +67,11 @@ def test_damage_costs_what_is_damaged(log: Path, tmp_path: Path) -> None:
     assert 0 < at < len(found) < len(expected)
 
 
-def test_unread_messages_give_the_same_record(log: Path) -> None:
-    """A viewer's record is the same with all messages as with those of its kinds, most of them unread."""
-    taken = LogTail(log, KINDS, LATER).read()
+def test_the_kinds_of_a_viewer_give_the_same_record(log: Path) -> None:
+    """A viewer's record is the same with all messages as with those of its kinds."""
+    taken = LogTail(log, KINDS).read()
     everything = [entry.message for entry in read_log(log).messages]
     assert {message.kind for message in everything} - {message.kind for message in taken} == {"tick", "measurement"}
-    assert {message.kind for message in taken if isinstance(message, Unread)} == {"plan", "report"}
     records = [RunHistory(RUN) for _ in range(2)]
     records[0].add(taken)
     records[1].add(everything)
@@ -90,35 +87,6 @@ def test_unread_messages_give_the_same_record(log: Path) -> None:
     assert contents[0] == contents[1]
     assert len(set(contents[0])) == 1 + 4 * TICKS * 2  # four agents; None for a fifth and a later tick
     assert repr(records[0].plant_states) == repr(records[1].plant_states)
-
-
-@pytest.mark.parametrize(("kind", "other"), [("plan", "report"), ("report", "plan")])
-def test_unreadable_messages_are_missing(log: Path, tmp_path: Path, kind: str, other: str) -> None:
-    """A record lacks a message that became unreadable: damaged, cut, deleted, or replaced by another."""
-    path, whole = tmp_path / "run.mcap", log.read_bytes()
-    taken = [message for message in LogTail(log, KINDS, LATER).read() if isinstance(message, Unread)]
-    one = next(message for message in taken if message.kind == kind)
-    assert tick_found(one) == one.tick
-    at, size, _ = one.chunk
-    flipped = bytearray(whole)
-    flipped[at + size // 2] ^= 0xFF
-    for damaged in (whole[: at + size // 2], flipped):
-        path.write_bytes(damaged)
-        log_tail.chunk.cache_clear()
-        assert tick_found(replace(one, path=path)) is None
-    assert tick_found(replace(one, path=tmp_path / "none.mcap")) is None
-    not_it = next(message for message in taken if message.kind == other and message.chunk == one.chunk)
-    later = next(message for message in taken if message.kind == kind and message.tick > one.tick)
-    assert tick_found(replace(one, span=not_it.span)) is None
-    assert tick_found(replace(one, chunk=later.chunk, span=later.span)) is None
-
-
-def tick_found(message: Unread) -> int | None:
-    """Return the tick of the plan or report in a history of that message alone; None if it is missing."""
-    record = RunHistory(RUN)
-    record.add([message])
-    found = (record.plan if message.kind == "plan" else record.report)(message.agent, message.tick)
-    return None if found is None else found.tick
 
 
 def test_one_bad_message_costs_itself(log: Path, tmp_path: Path) -> None:

@@ -30,21 +30,12 @@ class UnreadableError(Exception):
     """A file that is no MCAP file; the text has the reason."""
 
 
-class Place(NamedTuple):
-    """Place of a message: offset and size of its chunk in the file, and where its data begins in the content, bytes."""
-
-    chunk: int
-    size: int
-    begin: int
-
-
 class Found(NamedTuple):
-    """An entry of a file: its channel, data, the time at which it was received, ns, and its place if in a chunk."""
+    """An entry of a file: its channel, data, and the time at which it was received, ns."""
 
     channel: Channel
     data: bytes
     received_ns: int
-    place: Place | None
 
 
 class Parser:
@@ -81,7 +72,7 @@ class Parser:
                     return
                 self._offset, self.ended = offset + len(body), opcode == Opcode.DATA_END
                 try:
-                    yield from self._read(opcode, offset, body)
+                    yield from self._read(opcode, body)
                 except DAMAGE:
                     self.damaged += 1
 
@@ -100,18 +91,19 @@ class Parser:
                 except DAMAGE:
                     continue
 
-    def _read(self, opcode: int, offset: int, body: bytes) -> Iterator[Found]:
+    def _read(self, opcode: int, body: bytes) -> Iterator[Found]:
         """Yield the entries of a record of the file.
 
         Raises: one of `DAMAGE`: it cannot be decoded.
         """
         if opcode == Opcode.CHUNK:
-            for code, begin, inner in _records_in(_content(body)):
-                yield from self._read_small(code, inner, Place(offset, len(body), begin))
+            stream, size = get_chunk_data_stream(Chunk.read(_stream(body)), validate_crc=True)
+            for code, inner in _records_in(stream.read(size)):
+                yield from self._read_small(code, inner)
         else:
-            yield from self._read_small(opcode, body, None)
+            yield from self._read_small(opcode, body)
 
-    def _read_small(self, opcode: int, body: bytes, place: Place | None) -> Iterator[Found]:
+    def _read_small(self, opcode: int, body: bytes) -> Iterator[Found]:
         """Yield the entry in a record, if it is a message; take note of channels and metadata."""
         if opcode == Opcode.METADATA:
             metadata = Metadata.read(_stream(body))
@@ -124,18 +116,7 @@ class Parser:
             if channel is None:
                 self.damaged += 1
                 return
-            at = None if place is None else place._replace(begin=place.begin + _MESSAGE.size)
-            yield Found(channel, body[_MESSAGE.size :], received_ns, at)
-
-
-def content_of(path: Path, place: Place) -> bytes:
-    """Return the decompressed chunk at a place.
-
-    Raises: OSError, or one of `DAMAGE`: it cannot be read any more.
-    """
-    with path.open("rb") as file:
-        file.seek(place.chunk)
-        return _content(file.read(place.size))
+            yield Found(channel, body[_MESSAGE.size :], received_ns)
 
 
 def records(file: BinaryIO, offset: int) -> Iterator[tuple[int, int, bytes]]:
@@ -154,8 +135,8 @@ def records(file: BinaryIO, offset: int) -> Iterator[tuple[int, int, bytes]]:
         offset += length
 
 
-def _records_in(content: bytes) -> Iterator[tuple[int, int, bytes]]:
-    """Yield opcode, begin of the body and body of the records in a chunk.
+def _records_in(content: bytes) -> Iterator[tuple[int, bytes]]:
+    """Yield opcode and body of the records in a chunk.
 
     The mcap package calls a function for every number of a record, which takes longer.
 
@@ -168,16 +149,7 @@ def _records_in(content: bytes) -> Iterator[tuple[int, int, bytes]]:
         end = begin + length
         if end > len(content):
             raise ValueError(f"record in a chunk: expected at most {len(content) - begin} bytes, got {length}")
-        yield code, begin, content[begin:end]
-
-
-def _content(body: bytes) -> bytes:
-    """Return the decompressed content of the body of a chunk.
-
-    Raises: one of `DAMAGE`: it cannot be decompressed, or its checksum is wrong.
-    """
-    stream, size = get_chunk_data_stream(Chunk.read(_stream(body)), validate_crc=True)
-    return stream.read(size)
+        yield code, content[begin:end]
 
 
 def _read_channel(body: bytes, channels: dict[int, Channel]) -> None:

@@ -68,10 +68,6 @@ class RunLog:
         return times
 
 
-# A message, and its bytes if they are in the entry just read.
-Read = tuple[Message, bytes | None]
-
-
 class LogReception:
     """Reading the entries of one log, in their order, as a receiver of the run would have read them when they came.
 
@@ -86,24 +82,22 @@ class LogReception:
         shape = None if setup is None else replace(setup.shape, relayed=False)
         self._gate = Gate(RECORDER, KEYS, shape)
 
-    def read(self, topic: str, data: bytes, at_ns: int) -> Iterator[Read]:
+    def read(self, topic: str, data: bytes, at_ns: int) -> Iterator[Message]:
         """Yield the messages of an entry that arrived at a time, ns.
 
         Raises: MessageError: the recorder did not write this.
         """
         if topic.startswith(OWN):
-            yield decode(data), data
+            yield decode(data)
         else:
             for message in self._gate.accept(KEYS.prefix + topic, data):
                 if isinstance(message, Message):
-                    yield message, self._gate.data
-            for notice in self._gate.notices(at_ns, 0):
-                yield notice, None
+                    yield message
+            yield from self._gate.notices(at_ns, 0)
 
-    def close(self) -> Iterator[Read]:
+    def close(self) -> Iterator[Message]:
         """Yield what is to be said at the end of the log."""
-        for notice in self._gate.last_notices(0):
-            yield notice, None
+        yield from self._gate.last_notices(0)
 
 
 def setup_in(header: Mapping[str, str], folder: Path) -> Setup | None:
@@ -135,8 +129,8 @@ def read_log(path: Path, *, horizons: bool = True, setup: Setup | None = None) -
     unknown: list[str] = []  # descriptions
     parser = Parser(path)
 
-    def keep(read: Iterator[Read], received_ns: int) -> None:
-        for message, _ in read:
+    def keep(read: Iterator[Message], received_ns: int) -> None:
+        for message in read:
             if not horizons and isinstance(message, Plan):
                 message = msgspec.structs.replace(
                     message, inputs=message.inputs[:1].copy(), corrections=message.corrections[:0]
@@ -145,7 +139,7 @@ def read_log(path: Path, *, horizons: bool = True, setup: Setup | None = None) -
 
     reception: LogReception | None = None
     with reading(path):
-        for channel, data, received_ns, _ in parser.entries():
+        for channel, data, received_ns in parser.entries():
             if channel.topic == TOKENS:
                 continue
             if not is_known(channel):

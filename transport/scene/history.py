@@ -3,7 +3,6 @@
 from bisect import bisect_right
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
 
 from protocol.scenario.links import LinkChanges, words_of
 from protocol.scenario.setup import Setup
@@ -19,14 +18,9 @@ from protocol.wire.messages import (
     StepReport,
     agent_name,
 )
-from transport.log.tail import Unread
-
-M = TypeVar("M", Plan, StepReport)
 
 # Kinds of messages that a history keeps.
 KINDS = frozenset(kind.kind for kind in (PlantState, Plan, StepReport, LinkChange, Roster, FaultNote, Control))
-# Those that make up most of a log and are shown for few ticks: a tail may leave them unread.
-LATER = frozenset(kind.kind for kind in (Plan, StepReport))
 # Time before the shown tick over which losses are counted, s.
 LOSS_WINDOW_S = 1.0
 
@@ -50,11 +44,11 @@ class RunHistory:
         self.changes: list[LinkChange] = []
         self.control: Control | None = None
         self.events: list[tuple[int, str]] = []
-        self._reports: dict[tuple[int, int], StepReport | Unread] = {}
-        self._plans: dict[tuple[int, int], Plan | Unread] = {}
+        self._reports: dict[tuple[int, int], StepReport] = {}
+        self._plans: dict[tuple[int, int], Plan] = {}
         self._rosters: list[tuple[int, Roster]] = []
 
-    def add(self, messages: Iterable[Message | Unread]) -> None:
+    def add(self, messages: Iterable[Message]) -> None:
         """Add messages; skip those that do not fit the run."""
         for message in messages:
             match message:
@@ -62,10 +56,9 @@ class RunHistory:
                     self.first = min(self.first, message.tick) if self.plant_states else message.tick
                     self.last = max(self.last, message.tick)
                     self.plant_states[message.tick] = message
-                case Plan() | Unread(kind=Plan.kind):
-                    if message.negotiation == 0:
-                        self._plans[message.agent, message.tick] = message
-                case StepReport() | Unread(kind=StepReport.kind):
+                case Plan(negotiation=0):
+                    self._plans[message.agent, message.tick] = message
+                case StepReport():
                     self._reports[message.agent, message.tick] = message
                 case LinkChange() if message.number == len(self.changes) + 1:
                     self.changes.append(message)
@@ -81,11 +74,11 @@ class RunHistory:
 
     def plan(self, agent: int, tick: int) -> Plan | None:
         """Return the plan an agent made at a tick, if there is one."""
-        return _read(self._plans, (agent, tick), Plan)
+        return self._plans.get((agent, tick))
 
     def report(self, agent: int, tick: int) -> StepReport | None:
         """Return an agent's report of a tick, if there is one."""
-        return _read(self._reports, (agent, tick), StepReport)
+        return self._reports.get((agent, tick))
 
     def nearest(self, tick: int) -> int:
         """Return the newest recorded tick up to `tick`, or the first one; at least one must be recorded."""
@@ -112,17 +105,6 @@ class RunHistory:
     def _roster(self, tick: int) -> Roster | None:
         known = [roster for since, roster in self._rosters if since <= tick]
         return max(known, key=lambda roster: roster.version, default=None)
-
-
-def _read(found: dict[tuple[int, int], M | Unread], key: tuple[int, int], kind: type[M]) -> M | None:
-    """Return the message of a key, read from the file the first time; None if there is none, or it is damaged."""
-    message = found.get(key)
-    if isinstance(message, Unread):
-        read = message.message()
-        if not isinstance(read, kind):
-            return None
-        message = found[key] = read
-    return message
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -19,7 +19,7 @@ from transport.flight.live import read as read_live_run
 from transport.log.run_folder import open_run, setup_of
 from transport.log.tail import LogTail
 from transport.scene.drawing import Drawing
-from transport.scene.history import KINDS, LATER, RunHistory
+from transport.scene.history import KINDS, RunHistory
 from transport.scene.scene import Scene, SceneBuilder
 from transport.viewer import html
 from transport.viewer.panel import Commands, Panel, Playback
@@ -212,7 +212,7 @@ def open_viewer(folder: Path, host: str, port: int) -> Viewer:
     if running is not None:
         _lower_priority()
         setup = setup_of(folder)
-        tail = LogTail(folder / LOG, KINDS, LATER, setup)
+        tail = LogTail(folder / LOG, KINDS, setup)
         return Viewer(SceneBuilder(setup, RunHistory(setup)), host=host, port=port, tail=tail, live=running)
     run = open_run(folder)
     builder = SceneBuilder.of(run.setup, run.log)
