@@ -4,6 +4,7 @@ import shutil
 import struct
 from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
 import pytest
 from PIL import Image
@@ -70,10 +71,12 @@ def test_a_run_takes_six_seconds(recorded: Path) -> None:
 
 @pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="no ffmpeg")
 def test_an_mp4_is_written(recorded: Path) -> None:
-    """The file begins with the header of an MP4."""
+    """The file begins with the header of an MP4, and no setting of matplotlib is left changed."""
+    before = dict(mpl.rcParams)
     size, kind = struct.unpack(">I4s", drawn(recorded, "a.mp4").read_bytes()[:8])
     assert kind == b"ftyp"
     assert size < 100
+    assert dict(mpl.rcParams) == before
 
 
 def test_unsupported_files_are_refused(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

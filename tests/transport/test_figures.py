@@ -40,59 +40,36 @@ def assert_drawn(paths: Sequence[Path], names: Sequence[str] = NAMES) -> None:
         assert ElementTree.parse(path.with_suffix(".svg")).getroot().tag.endswith("svg")  # noqa: S314  # our own
 
 
-def logged(folder: Path, *settings: str) -> tuple[Setup, RunLog]:
-    """Return a short run and its log."""
-    run = runs.setup(runs.SHORT, *settings)
-    record_run(run, folder)
-    return run, read_log(folder / "run.mcap")
-
-
-@pytest.mark.slow
-def test_figures_are_drawn_with_the_report(tmp_path: Path) -> None:
-    """The report of a run writes the figures to figures/, and drawing again replaces them."""
-    run, log = logged(tmp_path)
+@pytest.mark.parametrize(
+    ("settings", "share"),
+    [
+        pytest.param(SINGLE_UAV, 1.0, marks=pytest.mark.slow),
+        (["plant.max_error_m=0.05"], 1.0),  # diverged in its second phase
+        ([], 0.5),
+    ],
+    ids=["one-uav", "diverged", "cut"],
+)
+def test_runs_are_drawn(tmp_path: Path, settings: Sequence[str], share: float) -> None:
+    """A single UAV, a run that diverged, and a cut log are drawn as far as the log goes; drawing again replaces."""
+    record_run(runs.setup(runs.SHORT, *settings), tmp_path)
+    log = tmp_path / "run.mcap"
+    data = log.read_bytes()
+    log.write_bytes(data[: round(share * len(data))])
+    assert bool(read_log(log).cut) == (share < 1.0)
     write_report(tmp_path)
     paths = [tmp_path / "figures" / name for name in NAMES]
     assert_drawn(paths)
-    assert draw(run, log, tmp_path / "figures") == paths
+    assert sorted((tmp_path / "figures").glob("*.png")) == sorted(paths)
 
 
-@pytest.mark.slow
-def test_one_uav_is_drawn(tmp_path: Path) -> None:
-    """A team of one UAV has all figures."""
-    run, log = logged(tmp_path, *SINGLE_UAV)
-    assert_drawn(draw(run, log, tmp_path))
-
-
-def test_a_diverged_run_is_drawn(tmp_path: Path) -> None:
-    """A run that ended in its second phase is drawn up to its end."""
-    run, log = logged(tmp_path, "plant.max_error_m=0.05")
-    assert len(log.messages) > 1
-    assert_drawn(draw(run, log, tmp_path))
-
-
-def test_a_cut_log_is_drawn(tmp_path: Path) -> None:
-    """A log cut in the middle is drawn up to the cut."""
-    run, _ = logged(tmp_path)
-    data = (tmp_path / "run.mcap").read_bytes()
-    (tmp_path / "run.mcap").write_bytes(data[: len(data) // 2])
-    log = read_log(tmp_path / "run.mcap")
-    assert log.cut
-    assert_drawn(draw(run, log, tmp_path))
-
-
-@pytest.mark.parametrize("ticks", [[0], [7], [0, 1, 9]])
+@pytest.mark.parametrize("ticks", [[7], [0, 1, 9]])
 def test_single_ticks_are_drawn(tmp_path: Path, ticks: list[int]) -> None:
-    """One tick, one that is not the first, and ticks with gaps are drawn; without steps there is no timing figure."""
+    """One tick that is not the first, and ticks with gaps are drawn; without steps there is no timing figure."""
     run = runs.setup(runs.SHORT)
     messages: list[Message] = [plant_state(run, k) for k in ticks]
     assert_drawn(draw(run, log_of(messages), tmp_path), NAMES[:3])
-
-
-def test_nothing_recorded_draws_nothing(tmp_path: Path) -> None:
-    """A log without a plant state gives no figures and no folder."""
-    assert draw(runs.setup(runs.SHORT), log_of([]), tmp_path / "figures") == []
-    assert not (tmp_path / "figures").exists()
+    assert draw(run, log_of([]), tmp_path / "empty") == []
+    assert not (tmp_path / "empty").exists()
 
 
 @pytest.mark.slow

@@ -59,6 +59,8 @@ def test_the_schema_is_complete() -> None:
     assert closed(SCHEMA)
     assert set(SCHEMA["required"]) == set(SCHEMA["properties"])
     assert all("description" in field for field in SCHEMA["properties"].values())
+    reason = SCHEMA["properties"]["rejections"]["items"]["properties"]["reason"]
+    assert reason["enum"] == list(get_args(Reason))
 
 
 def test_a_run_is_summarised(flight: tuple[Path, list[Message]]) -> None:
@@ -99,7 +101,7 @@ def test_other_runs_keep_the_schema(tmp_path: Path, settings: tuple[str, ...], o
     assert len(printed(summary).splitlines()) <= MOST_LINES
 
 
-@pytest.mark.parametrize("share", [0.0, 0.02, 0.3, 0.9, 0.999])
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.999])
 def test_a_cut_log_is_reported(tmp_path: Path, flight: tuple[Path, list[Message]], share: float) -> None:
     """A log cut anywhere, even at its begin, gives a valid summary that names the cut, and a table."""
     whole = (flight[0] / "run.mcap").read_bytes()
@@ -132,16 +134,6 @@ def test_equal_runs_have_equal_tables(tmp_path: Path) -> None:
     assert repr(float(cost)) == cost
 
 
-def test_reports_replace_each_other(flight: tuple[Path, list[Message]]) -> None:
-    """A second report of a folder writes the same bytes and leaves no partial file."""
-    folder, _ = flight
-    write_report(folder, figures=False)
-    first = (folder / "summary.json").read_bytes(), (folder / "steps.csv").read_bytes()
-    write_report(folder, figures=False)
-    assert ((folder / "summary.json").read_bytes(), (folder / "steps.csv").read_bytes()) == first
-    assert not list(folder.glob("*.partial"))
-
-
 def test_a_folder_without_a_log_is_refused(tmp_path: Path) -> None:
     """A folder that holds no log raises a LogError that names it."""
     with pytest.raises(LogError, match=r"run\.mcap"):
@@ -149,32 +141,16 @@ def test_a_folder_without_a_log_is_refused(tmp_path: Path) -> None:
 
 
 def test_the_table_has_the_main_results(flight: tuple[Path, list[Message]]) -> None:
-    """The table holds outcome, speed, cost, attitude, errors, swing, times, losses and solver."""
-    text = printed(write_report(flight[0], figures=False))
+    """The table holds outcome, speed, cost, attitude, errors, times, losses, solver, and how the swing ends."""
+    summary = write_report(flight[0], figures=False)
+    text = printed(summary)
     for word in ("completed", "real time", "cost", "attitude", "agent step", "rest of tick", "lost", "solver"):
         assert word in text
-    for name in ("UAV error", "payload error", "payload swing"):
-        assert name in text
+    assert "UAV error" in text
+    assert "payload error" in text
     assert len(text.splitlines()) <= MOST_LINES
-
-
-@pytest.mark.parametrize(
-    ("swing_m", "decays", "shown"),
-    [
-        (0.5538, False, "max 0.554 m in the last 4 s, does not decay"),
-        (0.12, True, "max 0.120 m in the last 4 s, decays"),
-        (0.12, None, "max 0.120 m in the last 4 s"),
-        (None, None, "-"),
-    ],
-)
-def test_the_table_shows_the_payload_swing(
-    flight: tuple[Path, list[Message]], swing_m: float | None, decays: bool | None, shown: str
-) -> None:
-    """The table shows the size of the swing at the end and, if known, whether it decays."""
-    summary = write_report(flight[0], figures=False)
-    payload = summary["payload_tracking"] | {"swing_m": swing_m, "decays": decays}
-    lines = [" ".join(line.split()) for line in printed(summary | {"payload_tracking": payload}).splitlines()]
-    assert [line for line in lines if line.startswith("payload swing")] == [f"payload swing {shown}"]
+    payload = summary["payload_tracking"] | {"swing_m": 0.5538, "decays": False}
+    assert "max 0.554 m in the last 4 s, does not decay" in printed(summary | {"payload_tracking": payload})
 
 
 def test_the_table_shows_unshared_plans(flight: tuple[Path, list[Message]]) -> None:
@@ -216,12 +192,6 @@ def test_the_table_fits_a_terminal(flight: tuple[Path, list[Message]]) -> None:
     assert lines[begin][:column].endswith(" 8.20 s  ")
     assert all(not line[:column].strip() for line in lines[begin + 1 :])
     assert " ".join(line[column:] for line in lines[begin:]) == what
-
-
-def test_the_schema_has_every_reason() -> None:
-    """The reasons in the schema are those of the protocol."""
-    reason = SCHEMA["properties"]["rejections"]["items"]["properties"]["reason"]
-    assert reason["enum"] == list(get_args(Reason))
 
 
 def test_reasons_are_no_markup(flight: tuple[Path, list[Message]]) -> None:

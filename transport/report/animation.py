@@ -8,7 +8,6 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.animation import FFMpegWriter
-from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
@@ -76,13 +75,14 @@ def animate(builder: SceneBuilder, series: Series, out: Path, *, speed: float | 
     shown = list(dict.fromkeys(builder.history.nearest(round(tick)) for tick in ticks))
 
     def frames() -> Iterator[Figure]:
-        with mpl.rc_context(RC):
-            page = AnimationPage(builder, series)
-            for tick in track(shown, "animation", console=Console(stderr=True), transient=True):
-                page.show(builder.at(tick))
-                yield page.figure
+        page = AnimationPage(builder, series)
+        for tick in track(shown, "animation", console=Console(stderr=True), transient=True):
+            page.show(builder.at(tick))
+            yield page.figure
 
-    (_write_gif if out.suffix == ".gif" else _write_mp4)(frames(), out)
+    # Not within `frames`: a context that ends inside that of a writer would leave its settings to all later figures.
+    with mpl.rc_context(RC):
+        (_write_gif if out.suffix == ".gif" else _write_mp4)(frames(), out)
     return out
 
 
@@ -111,14 +111,18 @@ class AnimationPage:
             above = axes is self._above
             hidden = ("reference", *(("actual paths", "thrust") if above else ("links",)))
             shown = [part for part in parts if part.layer not in hidden]
-            self._keep(*draw_parts(axes, shown, poses, above=above, width=0.45))
+            self._moving += draw_parts(axes, shown, poses, above=above, width=0.45)
         centre = scene.uavs_I[:, :2].mean(axis=0)
         # z points away from the viewer, so y points down.
         self._above.set_xlim(centre[0] - self._reach_m * 1.9, centre[0] + self._reach_m * 1.9)
         self._above.set_ylim(centre[1] + self._reach_m, centre[1] - self._reach_m)
-        self._draw_curves(row)
+        series, until = self._series, slice(0, row + 1)
+        t = series.times_s[until]
+        self._moving += self._cost.plot(t, _shown_cost(series)[until], color="#000000", linewidth=1.2)
+        for column, colour in enumerate(COMPONENTS):
+            self._moving += self._attitude.plot(t, series.attitude_deg[until, column], color=colour, linewidth=1.2)
         text = f"{scene.time_s:5.2f} s   {scene.phase}"
-        self._keep(self.figure.text(0.03, 0.94, text, fontsize=10.0, family="monospace", weight="bold"))
+        self._moving.append(self.figure.text(0.03, 0.94, text, fontsize=10.0, family="monospace", weight="bold"))
 
     def _draw_fixed_parts(self) -> None:
         setup, series, space = self._setup, self._series, self._space
@@ -139,8 +143,9 @@ class AnimationPage:
         above.set_yticks([])
         for name in ("top", "right"):
             above.spines[name].set_visible(True)
-        self._time_axes(self._cost, "cost")
-        self._time_axes(self._attitude, "attitude\n(deg)")
+        for axes, label in ((self._cost, "cost"), (self._attitude, "attitude\n(deg)")):
+            axes.tick_params(labelsize=7.0)
+            axes.set_ylabel(label, fontsize=7.5)
         self._cost.tick_params(labelbottom=False)
         scale_cost(self._cost, float(series.cost.max()), _DECADES)
         largest = 1.05 * max(0.05, float(series.attitude_max_deg.max()))
@@ -150,42 +155,32 @@ class AnimationPage:
             self._attitude.text(*at, name, color=colour, fontsize=7.0, va="top", transform=self._attitude.transAxes)
         self._attitude.set_xlabel("time (s)", fontsize=7.5, labelpad=1.0)
         shade_phases(setup, [self._cost, self._attitude], float(series.times_s[-1]) + 1e-9, named=False)
-        self._cost.plot(series.times_s, np.where(series.cost > 0.0, series.cost, np.nan), color=_FADED, linewidth=0.8)
+        self._cost.plot(series.times_s, _shown_cost(series), color=_FADED, linewidth=0.8)
         self._attitude.plot(series.times_s, series.attitude_deg, color=_FADED, linewidth=0.8)
 
-    def _time_axes(self, axes: Axes, label: str) -> None:
-        axes.tick_params(labelsize=7.0)
-        axes.set_ylabel(label, fontsize=7.5)
 
-    def _draw_curves(self, row: int) -> None:
-        series, until = self._series, slice(0, row + 1)
-        cost = np.where(series.cost > 0.0, series.cost, np.nan)
-        self._keep(*self._cost.plot(series.times_s[until], cost[until], color="#000000", linewidth=1.2))
-        for column, colour in enumerate(COMPONENTS):
-            values = series.attitude_deg[until, column]
-            self._keep(*self._attitude.plot(series.times_s[until], values, color=colour, linewidth=1.2))
-
-    def _keep(self, *artists: Any) -> None:
-        self._moving.extend(artists)
+def _shown_cost(series: Series) -> Array:
+    """Return the cost without zeros, which a logarithmic axis does not have."""
+    return np.where(series.cost > 0.0, series.cost, np.nan)
 
 
 def _write_gif(frames: Iterator[Figure], out: Path) -> None:
     # With one palette for all frames, pixels that do not change take no bytes.
     palette = Image.new("P", (1, 1))
-    palette.putpalette(_palette().astype(int).reshape(-1).tolist())
-    images = [Image.fromarray(_pixels(f)).quantize(palette=palette, dither=Image.Dither.NONE) for f in frames]
+    ages = [np.divide(age_colour(age_s, 0.0), 255.0) for age_s in (0.0, 0.05, 0.1, 0.2, 0.3, 0.5)]
+    inks = [*(to_rgb(ink) for ink in _INKS), *ages]
+    faded = [1.0 - share * (1.0 - np.asarray(ink)) for ink in inks for share in _SHADES]
+    colours = np.round(255.0 * np.vstack([*(np.full(3, grey) for grey in _GREYS), *faded]))
+    palette.putpalette(colours.astype(int).reshape(-1).tolist())
+    images = []
+    for figure in frames:
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()  # type: ignore[no-untyped-call]
+        pixels = np.asarray(canvas.buffer_rgba())[..., :3].copy()  # type: ignore[no-untyped-call]
+        images.append(Image.fromarray(pixels).quantize(palette=palette, dither=Image.Dither.NONE))
     images[0].save(
         out, save_all=True, append_images=images[1:], duration=round(1e3 / FPS), loop=0, optimize=True, disposal=1
     )
-
-
-def _palette() -> Array:
-    """Return the palette of a GIF, (k, 3), 0..255, at most 256 colours."""
-    inks = [to_rgb(ink) for ink in _INKS] + [
-        np.divide(age_colour(age_s, 0.0), 255.0) for age_s in (0.0, 0.05, 0.1, 0.2, 0.3, 0.5)
-    ]
-    faded = [1.0 - share * (1.0 - np.asarray(ink)) for ink in inks for share in _SHADES]
-    return np.round(255.0 * np.vstack([*(np.full(3, grey) for grey in _GREYS), *faded]))
 
 
 def _write_mp4(frames: Iterator[Figure], out: Path) -> None:
@@ -195,10 +190,3 @@ def _write_mp4(frames: Iterator[Figure], out: Path) -> None:
         writer.grab_frame()
         for _ in frames:
             writer.grab_frame()
-
-
-def _pixels(figure: Figure) -> Any:
-    """Return the pixels of a figure, (height, width, 3), 0..255."""
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()  # type: ignore[no-untyped-call]
-    return np.asarray(canvas.buffer_rgba())[..., :3].copy()  # type: ignore[no-untyped-call]
