@@ -336,23 +336,14 @@ def test_the_command_listens_here_alone_until_ctrl_c(recorded: Path) -> None:
         with socket.socket() as elsewhere:
             assert elsewhere.connect_ex((OTHER_LOOPBACK, port)) != 0
         with open_viewer(recorded, "127.0.0.1", port) as second:
-            assert port < int(second.address.rpartition(":")[2]) < port + 100
+            got = int(second.address.rpartition(":")[2])
+            assert got > port
+            assert second.other_port == f"port {port} is taken; the viewer listens on port {got}"
     finally:
         process.send_signal(signal.SIGINT)
         output, errors = process.communicate(timeout=PATIENCE_S)
     assert (process.returncode, output) == (0, ""), errors
     assert "Traceback" not in errors
-
-
-def test_another_port_than_the_requested_one_is_told(recorded: Path) -> None:
-    """A viewer whose port is taken takes the next and says so; one that was to take any port says nothing."""
-    with open_viewer(recorded, "127.0.0.1", 0) as first:
-        taken = int(first.address.rpartition(":")[2])
-        with open_viewer(recorded, "127.0.0.1", taken) as second:
-            got = int(second.address.rpartition(":")[2])
-            assert got != taken
-            assert second.other_port == f"port {taken} is taken; the viewer listens on port {got}"
-        assert first.other_port == ""
 
 
 def test_playback_pauses_plays_and_follows() -> None:

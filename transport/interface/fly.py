@@ -16,11 +16,10 @@ from transport.flight import memory
 from transport.flight.header import run_header
 from transport.flight.progress import compile_model
 from transport.flight.run_files import RunError
-from transport.interface.boundary import public
 from transport.interface.progress import console, run_progress
 from transport.interface.run import Run
 from transport.interface.scenario import Scenario
-from transport.interface.settings import ArgumentError, Settings, ShortSettings, file_name
+from transport.interface.settings import ArgumentError, Settings, ShortSettings, file_name, public
 from transport.log.run_folder import open_run
 from transport.log.run_log import LogError, Recorded, RunLog
 from transport.report.report import write_report
@@ -105,7 +104,9 @@ def load(folder: "str | PathLike[str]") -> Run:
 def _in_memory(scenario: Scenario, setup: Setup, *, shown: bool) -> Run:
     began_ns = time.time_ns()
     compile_model(setup.system.N, console(shown=shown))
-    header = _header(setup, began_ns)
+    text = tomli_w.dumps(setup.scenario.tree())
+    header = run_header(setup, setup.scenario.name, 1, text, checked_engine(setup))
+    header = {**header, "command_started_ns": str(began_ns)}
     messages: list[Recorded] = []
     with run_progress(setup, shown=shown) as show:
 
@@ -136,10 +137,3 @@ def _with_processes(scenario: Scenario, setup: Setup, folder: Path | None, *, sh
     if finished.exit_code == EXIT_INTERRUPTED:
         raise KeyboardInterrupt(f"interrupted; recorded in {finished.folder}")
     return Run(scenario, setup, open_run(finished.folder, setup=setup).log, finished.folder)
-
-
-def _header(setup: Setup, began_ns: int) -> dict[str, str]:
-    """Return the metadata of a run in this process, which began at a time, ns since 1970."""
-    text = tomli_w.dumps(setup.scenario.tree())
-    header = run_header(setup, setup.scenario.name, 1, text, checked_engine(setup))
-    return {**header, "command_started_ns": str(began_ns)}

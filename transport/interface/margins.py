@@ -5,10 +5,9 @@ from os import PathLike
 from typing import Any, Unpack
 
 from protocol.scenario.setup import Setup
-from transport.interface.boundary import public
 from transport.interface.figure import RunFigure, drawn
 from transport.interface.scenario import Scenario
-from transport.interface.settings import Settings, ShortSettings
+from transport.interface.settings import Settings, ShortSettings, public
 from transport.report.margins import HoverMargins, draw, hover_margins, notes, rows
 
 

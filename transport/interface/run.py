@@ -12,10 +12,9 @@ from protocol.scenario.setup import Setup
 from transport.analysis.counted import counted
 from transport.analysis.metrics import summarise
 from transport.analysis.steps import steps_rows
-from transport.interface.boundary import public
 from transport.interface.scenario import Scenario
 from transport.interface.series import RunSeries
-from transport.interface.settings import ArgumentError, file_name, require_pandas
+from transport.interface.settings import ArgumentError, file_name, public, require_pandas
 from transport.log.run_log import RunLog
 from transport.log.writer import LogWriter
 from transport.report.report import summary_table, write_report

@@ -14,13 +14,13 @@ from protocol.scenario.keys import names_of
 from protocol.scenario.schema import Scenario as ScenarioTree
 from protocol.scenario.setup import Setup
 from protocol.scenario.team import FEWEST, MOST, given, resized
-from transport.interface.boundary import public
 from transport.interface.settings import (
     ArgumentError,
     Settings,
     ShortSettings,
     file_name,
     key_of,
+    public,
     setting,
     settings_of,
 )

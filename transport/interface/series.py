@@ -11,8 +11,7 @@ from model.arrays import Array
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import StepReport
 from transport.analysis.series import Series, series_of
-from transport.interface.boundary import public
-from transport.interface.settings import ArgumentError
+from transport.interface.settings import ArgumentError, public
 from transport.log.run_log import RunLog
 
 _XYZ, _ANGLES = ("x", "y", "z"), ("roll", "pitch", "yaw")

@@ -1,11 +1,12 @@
-"""Settings of a scenario as Python values: by dotted key, and by short names of frequent keys."""
+"""Arguments of the Python interface: settings by dotted key or short name, file names, and errors about them."""
 
 import difflib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import wraps
 from importlib import import_module
 from importlib.util import find_spec
 from os import PathLike
-from typing import Any, Literal, TypedDict
+from typing import Any, Literal, TypedDict, TypeVar, cast
 
 import numpy as np
 import tomli_w
@@ -16,10 +17,33 @@ from protocol.scenario.keys import short_names
 from protocol.wire.errors import TransportError
 
 Settings = Mapping[str, Any]
+F = TypeVar("F", bound=Callable[..., Any])
 
 
 class ArgumentError(TransportError, TypeError):
     """An argument of the Python interface that is refused: its text is one line with argument, expected and got."""
+
+
+def public(function: F) -> F:
+    """Return a public function whose `TransportError`s show the user's own frames and that of the function, no others.
+
+    The errors of libraries that they came from are left out: the text of a `TransportError` says all of it. Other
+    exceptions are bugs and keep their whole traceback.
+    """
+
+    @wraps(function)
+    def with_short_traceback(*arguments: Any, **named: Any) -> Any:
+        try:
+            return function(*arguments, **named)
+        except TransportError as error:
+            error.__cause__, error.__suppress_context__ = None, True
+            own = error.__traceback__ and error.__traceback__.tb_next  # the first is the frame of this function
+            if own is not None:
+                own.tb_next = None
+                error.__traceback__ = own
+            raise
+
+    return cast("F", with_short_traceback)
 
 
 class ShortSettings(TypedDict, total=False):

@@ -24,11 +24,10 @@ from transport.experiments.statistics import PointStatistics
 from transport.experiments.table import WIDTH, means_in_words, table_of
 from transport.experiments.workers import check_cluster, on_cluster, on_cores
 from transport.flight.progress import compile_model
-from transport.interface.boundary import public
 from transport.interface.figure import RunFigure, drawn
 from transport.interface.progress import console
 from transport.interface.scenario import Scenario
-from transport.interface.settings import ArgumentError, file_name, key_of, require_pandas
+from transport.interface.settings import ArgumentError, file_name, key_of, public, require_pandas
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -3,7 +3,6 @@
 import html
 import sys
 import threading
-from typing import Self
 
 from protocol.scenario.setup import Setup
 from transport.log.run_log import RunLog
@@ -14,27 +13,16 @@ from transport.viewer.viewer import Viewer
 _HEIGHT = 600
 
 
-class RunViewer:
-    """Viewer of a run in this process; a context that closes it, or `close()` does.
-
-    Attributes:
-        address: URL for browsers.
-    """
+class RunViewer(Viewer):
+    """Viewer of a run in this process, at `address`; a context that closes it, or `close()` does."""
 
     def __init__(self, setup: Setup, log: RunLog, host: str, port: int) -> None:
-        self._viewer = Viewer(SceneBuilder.of(setup, log), host=host, port=port, notice=log.cut)
-        self.address = self._viewer.address
-        if self._viewer.other_port:
-            sys.stderr.write(f"{self._viewer.other_port}\n")
+        super().__init__(SceneBuilder.of(setup, log), host=host, port=port, notice=log.cut)
+        if self.other_port:
+            sys.stderr.write(f"{self.other_port}\n")
         self._closed = threading.Event()
-        self._thread = threading.Thread(target=self._show, name="viewer", daemon=True)
+        self._thread = threading.Thread(target=self.show_until, args=(self._closed.is_set,), name="viewer", daemon=True)
         self._thread.start()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def __repr__(self) -> str:
         return f"RunViewer({self.address}{', closed' if self._closed.is_set() else ''})"
@@ -58,7 +46,4 @@ class RunViewer:
         if not self._closed.is_set():
             self._closed.set()
             self._thread.join()
-            self._viewer.close()
-
-    def _show(self) -> None:
-        self._viewer.show_until(self._closed.is_set)
+            super().close()

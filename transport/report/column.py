@@ -125,16 +125,12 @@ def draw_legend(figure: Figure, rows: Rows, *, top_in: float = 0.02) -> None:
 
 
 def _draw_entry(figure: Figure, handle: Line2D, left_in: float, y_in: float) -> None:
-    """Draw a handle and its label from a place in inches on."""
+    """Draw a handle, with its marker in the middle, and its label from a place in inches on."""
     width_in, height_in = figure.get_size_inches()
     em_in, y = SMALL / 72.0, y_in / height_in
-    ends = [left_in / width_in, (left_in + _HANDLE * em_in) / width_in]
-    style: dict[str, Any] = {name: getattr(handle, f"get_{name}")() for name in ("color", "linewidth")}
-    style |= {"marker": handle.get_marker(), "markersize": handle.get_markersize()}
-    style |= {"markerfacecolor": handle.get_markerfacecolor(), "markeredgewidth": handle.get_markeredgewidth()}
-    if handle.get_linestyle() not in ("None", "none", ""):
-        figure.add_artist(Line2D(ends, [y, y], **style | {"marker": "", "linestyle": handle.get_linestyle()}))
-    figure.add_artist(Line2D([sum(ends) / 2.0], [y], **style | {"linestyle": "none"}))
+    handle.set_data([(left_in + share * _HANDLE * em_in) / width_in for share in (0.0, 0.5, 1.0)], [y, y, y])
+    handle.set_markevery([1])
+    figure.add_artist(handle)
     label_in = left_in + (_HANDLE + _PAD) * em_in
     figure.text(label_in / width_in, y, str(handle.get_label()), fontsize=SMALL, va="center_baseline")
 

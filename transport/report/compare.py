@@ -2,6 +2,8 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import reduce
+from operator import getitem
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -69,18 +71,6 @@ class Row:
     percent: tuple[float | None, ...]
 
 
-def _at(*keys: str, factor: float | None = None) -> Callable[[Summary], Any]:
-    """Return a function that reads a value of a summary, scaled by a factor."""
-
-    def value(summary: Summary) -> Any:
-        found: Any = summary
-        for key in keys:
-            found = found[key]
-        return found if factor is None or found is None else factor * found
-
-    return value
-
-
 def _lost_percent(summary: Summary) -> float | None:
     messages = summary["messages"]
     return 100.0 * messages["lost"] / messages["sent"] if messages["sent"] else None
@@ -96,43 +86,52 @@ def _decays(summary: Summary) -> str | None:
     return None if decays is None else "yes" if decays else "no"
 
 
-# Compared quantities: name, unit, value in a summary (docs/summary.md).
-_QUANTITIES: tuple[tuple[str, str, Callable[[Summary], Any]], ...] = (
-    ("scenario", "", _at("scenario")),
-    ("outcome", "", _at("outcome")),
-    ("simulated time", "s", _at("sim_time_s")),
-    ("cost, mean", "", _at("cost", "mean")),
-    ("cost, max", "", _at("cost", "max")),
-    ("cost, max after hover", "", _at("cost", "max_after_hover")),
-    ("payload attitude, max", "deg", _at("attitude_max_deg")),
-    ("UAV error, rms", "m", _at("uav_tracking", "rms_m")),
-    ("UAV error, max", "m", _at("uav_tracking", "max_m")),
-    ("payload error, rms", "m", _at("payload_tracking", "rms_m")),
-    ("payload error, max", "m", _at("payload_tracking", "max_m")),
-    (f"payload error, max of last {SWING_S:g} s", "m", _at("payload_tracking", "swing_m")),
+def _missed_percent(summary: Summary) -> float | None:
+    share = summary["deadline"]["share"]
+    return None if share is None else 100.0 * share
+
+
+# Compared quantities: name, unit, dotted key or function of a summary (docs/summary.md).
+_QUANTITIES: tuple[tuple[str, str, str | Callable[[Summary], Any]], ...] = (
+    ("scenario", "", "scenario"),
+    ("outcome", "", "outcome"),
+    ("simulated time", "s", "sim_time_s"),
+    ("cost, mean", "", "cost.mean"),
+    ("cost, max", "", "cost.max"),
+    ("cost, max after hover", "", "cost.max_after_hover"),
+    ("payload attitude, max", "deg", "attitude_max_deg"),
+    ("UAV error, rms", "m", "uav_tracking.rms_m"),
+    ("UAV error, max", "m", "uav_tracking.max_m"),
+    ("payload error, rms", "m", "payload_tracking.rms_m"),
+    ("payload error, max", "m", "payload_tracking.max_m"),
+    (f"payload error, max of last {SWING_S:g} s", "m", "payload_tracking.swing_m"),
     ("payload swing decays", "", _decays),
-    ("separation, min", "m", _at("separation_min_m")),
+    ("separation, min", "m", "separation_min_m"),
     ("limits exceeded, max", "%", _exceeded_percent),
-    ("agent step, median", "ms", _at("agent_step_ms", "p50")),
-    ("agent step, p99", "ms", _at("agent_step_ms", "p99")),
-    ("rest of tick, median", "ms", _at("rest_of_tick_ms", "p50")),
-    ("real-time factor", "", _at("real_time_factor")),
-    ("deadlines missed", "%", _at("deadline", "share", factor=100.0)),
-    ("plan age, mean", "ticks", _at("plan_age_ticks", "mean")),
-    ("plan age, max", "ticks", _at("plan_age_ticks", "max")),
+    ("agent step, median", "ms", "agent_step_ms.p50"),
+    ("agent step, p99", "ms", "agent_step_ms.p99"),
+    ("rest of tick, median", "ms", "rest_of_tick_ms.p50"),
+    ("real-time factor", "", "real_time_factor"),
+    ("deadlines missed", "%", _missed_percent),
+    ("plan age, mean", "ticks", "plan_age_ticks.mean"),
+    ("plan age, max", "ticks", "plan_age_ticks.max"),
     ("plans lost", "%", _lost_percent),
-    ("messages rejected", "", _at("messages", "rejected")),
-    ("solver fallbacks", "", _at("solver", "fallbacks")),
-    ("solver failures", "", _at("solver", "failures")),
+    ("messages rejected", "", "messages.rejected"),
+    ("solver fallbacks", "", "solver.fallbacks"),
+    ("solver failures", "", "solver.failures"),
     ("faults and changes", "", lambda summary: len(summary["faults"])),
 )
+
+
+def _value(summary: Summary, value_of: str | Callable[[Summary], Any]) -> Any:
+    return reduce(getitem, value_of.split("."), summary) if isinstance(value_of, str) else value_of(summary)
 
 
 def rows(runs: Sequence[Compared]) -> list[Row]:
     """Return a row for each quantity that any of the runs has; at least one run."""
     table = []
     for name, unit, value_of in _QUANTITIES:
-        values = tuple(value_of(compared.summary) for compared in runs)
+        values = tuple(_value(one.summary, value_of) for one in runs)
         if any(value is not None for value in values):
             percent = tuple(_difference_percent(value, values[0]) for value in values)
             table.append(Row(name=name, unit=unit, values=values, percent=percent))
@@ -169,11 +168,6 @@ def doubts(runs: Sequence[Compared]) -> Iterator[str]:
             yield f"{compared.label}: {compared.run.log.cut}"
 
 
-def same_maneuver(runs: Sequence[Compared]) -> bool:
-    """Return whether all runs have the same maneuver."""
-    return all(compared.run.setup.scenario.maneuver == runs[0].run.setup.scenario.maneuver for compared in runs)
-
-
 def _difference_percent(value: Any, first: Any) -> float | None:
     """Return the difference from the first value, %; None for texts, missing values and a first value of 0."""
     if isinstance(value, str) or isinstance(first, str) or value is None or not first:
@@ -195,7 +189,9 @@ def draw_compared(runs: Sequence[Compared], folder: Path) -> list[Path]:
     with mpl.rc_context(RC):
         figure = Figure()
         overlaid = [Overlaid(compared.label, compared.run.setup, compared.series) for compared in shown]
-        fill_overlaid(figure, overlaid, shaded=same_maneuver(shown))
+        maneuver = shown[0].run.setup.scenario.maneuver
+        same = all(compared.run.setup.scenario.maneuver == maneuver for compared in shown)
+        fill_overlaid(figure, overlaid, shaded=same)
         return [save(figure, folder / f"compare.{ending}") for ending in ("png", "svg")]
 
 

@@ -18,24 +18,16 @@ COLUMN_IN = 3.35
 TEXT, SMALL = 7.0, 6.0
 DPI = 240
 
+_TICKS = {
+    "labelsize": SMALL, "major.pad": 1.5, "major.size": 2.0, "major.width": 0.6, "minor.size": 1.2, "minor.width": 0.4
+}  # fmt: skip
 RC: Any = {  # the type depends on the version of matplotlib
     "font.size": TEXT,
     "axes.labelsize": TEXT,
     "axes.titlesize": TEXT,
     "axes.labelpad": 1.5,
     "axes.linewidth": 0.6,
-    "xtick.labelsize": SMALL,
-    "ytick.labelsize": SMALL,
-    "xtick.major.size": 2.0,
-    "ytick.major.size": 2.0,
-    "xtick.minor.size": 1.2,
-    "ytick.minor.size": 1.2,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "xtick.minor.width": 0.4,
-    "ytick.minor.width": 0.4,
-    "xtick.major.pad": 1.5,
-    "ytick.major.pad": 1.5,
+    **{f"{axis}tick.{name}": value for axis in "xy" for name, value in _TICKS.items()},
     "legend.fontsize": SMALL,
     "legend.frameon": False,
     "axes.spines.top": False,

@@ -12,7 +12,6 @@ from model.compiled import Compiled, functions
 from mpc.feedback import FeedbackError
 from mpc.regulation import Regulation
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import Plan, StepReport
 from transport.scene.history import RunHistory
 
 # Longest integration step, s; at order 5 its error is far below the width of a line.
@@ -48,8 +47,11 @@ class Predictor:
         announced = AnnouncedInputs(
             setup.owned, setup.hover.u, alignment=setup.scenario.controller.received_plans, own=agent
         )
-        for plan in [own, *_used(history, report, tick)]:
-            announced.add(plan)
+        announced.add(own)
+        for peer, age in () if report is None else zip(report.peers, report.plan_ages, strict=True):
+            used = history.plan(peer, tick - age) if age >= 0 else None
+            if used is not None:
+                announced.add(used)
         # Inputs before the start of the plan are already fixed.
         first = min(max(own.start_tick - tick, 0), self._steps)
         U = np.tile(plant_state.u, (self._steps, 1))
@@ -79,15 +81,6 @@ class Predictor:
             if before is not None:
                 a = before.u + left * (a - before.u)
         return a
-
-
-def _used(history: RunHistory, report: StepReport | None, tick: int) -> list[Plan]:
-    """Return the plans of other agents that an agent used, according to its report."""
-    if report is None:
-        return []
-    ages = zip(report.peers, report.plan_ages, strict=True)
-    found = [history.plan(peer, tick - age) for peer, age in ages if age >= 0]
-    return [plan for plan in found if plan is not None]
 
 
 def _regulation(setup: Setup) -> Regulation | None:

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
     from websockets.http11 import Request, Response
 
-# Number of ports to try, from the requested one.
-_PORTS = 100
 # errno of a port in use on Linux, macOS.
 _IN_USE = (98, 48)
 _LOOPBACK = frozenset(("localhost", "127.0.0.1", "::1"))
@@ -59,7 +57,7 @@ def start_server(host: str, port: int, *, secret: bool) -> tuple["viser.ViserSer
     require_viser()
     import viser
 
-    _check_port(host, port)
+    _check_address(host, port)
     guard = Guard(host, secrets.token_urlsafe(24) if secret else "")
     with guard.installed(), redirect_stdout(io.StringIO()):  # viser prints its address to stdout, which is for results
         server = viser.ViserServer(host=host, port=port, verbose=False)
@@ -68,11 +66,6 @@ def start_server(host: str, port: int, *, secret: bool) -> tuple["viser.ViserSer
         raise ViewerError(f"the viewer cannot check connections with viser {viser.__version__}; install viser 1.1")
     name = f"[{host}]" if ":" in host else host
     return server, guard, f"http://{name}:{server.get_port()}{guard.path}"
-
-
-def told_port(requested: int, got: int) -> str:
-    """Return a sentence that the server listens on another port than the requested one; empty if it does not."""
-    return "" if requested in (0, got) else f"port {requested} is taken; the viewer listens on port {got}"
 
 
 class Guard:
@@ -165,16 +158,12 @@ def _is_address(name: str) -> bool:
     return True
 
 
-def _check_port(host: str, port: int) -> None:
+def _check_address(host: str, port: int) -> None:
     """Raise ViewerError for an address that cannot be used: viser would wait for it forever."""
-    for candidate in range(port, port + _PORTS) if port else (0,):
-        with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_STREAM) as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            try:
-                probe.bind((host, candidate))
-            except (OSError, OverflowError) as error:
-                if getattr(error, "errno", None) in _IN_USE:
-                    continue
-                raise ViewerError(f"--host, --port: cannot listen on {host}:{candidate} ({error})") from error
-        return
-    raise ViewerError(f"--port: expected a free port from {port} on, got none in {_PORTS}")
+    with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_STREAM) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except (OSError, OverflowError) as error:
+            if getattr(error, "errno", None) not in _IN_USE:  # viser takes the next free one
+                raise ViewerError(f"--host, --port: cannot listen on {host}:{port} ({error})") from error

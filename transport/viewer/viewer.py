@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 from contextlib import redirect_stdout, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from transport.flight.live import LiveRun
 from transport.flight.live import read as read_live_run
@@ -23,7 +23,7 @@ from transport.scene.history import KINDS, RunHistory
 from transport.scene.scene import Scene, SceneBuilder
 from transport.viewer import html
 from transport.viewer.panel import Commands, Panel, Playback
-from transport.viewer.server import Guard, start_server, told_port
+from transport.viewer.server import Guard, start_server
 from transport.viewer.view3d import View3D
 
 LOG = "run.mcap"
@@ -72,7 +72,8 @@ class Viewer:
         self._server, self._guard, self.address = start_server(host, port, secret=live is not None)
         self._pages: dict[int, _Page] = {}
         self._frame = 0
-        self.other_port = told_port(port, self._server.get_port())
+        got = self._server.get_port()
+        self.other_port = "" if port in (0, got) else f"port {port} is taken; the viewer listens on port {got}"
         self.playback = Playback(builder.setup.settings.sampling_period_s, follows=live is not None)
         self.view3d = View3D(self._server, Drawing(builder))
         commands = None if live is None else Commands(live, self._show_result)
@@ -87,7 +88,7 @@ class Viewer:
         self._server.on_client_disconnect(self._remove_page)
         self._updated_s = time.monotonic()
 
-    def __enter__(self) -> "Viewer":
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -7,6 +7,7 @@ import signal
 import threading
 import weakref
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
@@ -127,18 +128,13 @@ def test_tables(run: transport.Run) -> None:
         run.to_pandas("plans")  # type: ignore[arg-type]
 
 
-def test_figures_are_shown_by_notebooks(run: transport.Run) -> None:
-    """A figure has a picture for notebooks, and leaves no window or open figure behind."""
+def test_a_run_is_shown_by_notebooks(run: transport.Run) -> None:
+    """A figure has a picture for notebooks; `print(run)` is the table of `transport run`, its representation a line."""
     figure = run.plot()
-    picture = figure._repr_png_()
-    assert picture.startswith(b"\x89PNG")
+    assert figure._repr_png_().startswith(b"\x89PNG")
     assert len(figure.axes) == 4
     with pytest.raises(transport.ArgumentError, match="expected one of performance, inputs, trajectories, timing"):
         run.plot("cost")  # type: ignore[arg-type]
-
-
-def test_the_printed_run(run: transport.Run) -> None:
-    """`print(run)` is the table of `transport run`, its representation one line."""
     assert str(run).splitlines()[0] == "resilient completed"
     assert "payload attitude" in str(run)
     assert repr(run).startswith("Run('resilient': completed, 1.50 s, mean cost ")
@@ -167,12 +163,6 @@ def test_real_time_needs_processes() -> None:
         short("paper", {"clock.mode": "realtime", "clock.speed": 1.0})
 
 
-def test_an_existing_folder_is_refused_before_the_run(tmp_path: Path) -> None:
-    """The run is not simulated in vain."""
-    with pytest.raises(transport.ArgumentError, match="folder: expected a folder that does not exist yet"):
-        transport.fly("paper", folder=tmp_path)
-
-
 def digest(run: transport.Run) -> list[bytes]:
     """Return the bits of all plans and states."""
     messages: list[Message] = [entry.message for entry in run.log.messages]
@@ -180,24 +170,14 @@ def digest(run: transport.Run) -> list[bytes]:
     return plans + [m.x.tobytes() for m in messages if isinstance(m, PlantState)]
 
 
-def in_threads(count: int, do: Callable[[], Any]) -> list[Any]:
-    """Return the results of a function that several threads call at once."""
-    found: list[Any] = []
-    threads = [threading.Thread(target=lambda: found.append(do())) for _ in range(count)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    return found
-
-
 def test_threads() -> None:
     """Runs in several threads at once, of one scenario object, have the same bits as one alone."""
     scenario = transport.Scenario("resilient", phases=PHASES)
     alone = digest(transport.fly(scenario, progress=False))
     before = threadpoolctl.threadpool_info()
-    found = in_threads(3, lambda: digest(transport.fly(scenario, progress=False)))
-    assert found == [alone] * 3
+    with ThreadPoolExecutor(3) as threads:
+        found = threads.map(lambda _: digest(transport.fly(scenario, progress=False)), range(3))
+    assert list(found) == [alone] * 3
     assert threadpoolctl.threadpool_info() == before
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 

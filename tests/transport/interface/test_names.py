@@ -31,24 +31,15 @@ def test_type_checkers_see_what_there_is() -> None:
     assert set(transport.__all__) <= set(dir(transport))
 
 
-def test_an_unknown_name() -> None:
-    """A name that is not there is an AttributeError, as in any module."""
-    with pytest.raises(AttributeError, match="module 'transport' has no attribute 'flyy'"):
-        _ = transport.flyy
-
-
-def test_importing_the_package_imports_nothing_else() -> None:
-    """`import transport`, as the command line does first, loads neither numpy nor pydantic nor the interface."""
-    program = "import sys, transport; print(sorted({'numpy', 'pydantic', 'transport.interface'} & set(sys.modules)))"
+@pytest.mark.parametrize(
+    ("use", "unused"),
+    [("transport", "{'numpy', 'pydantic', 'transport.interface'}"), ("transport.fly", "{'matplotlib'}")],
+)
+def test_imports_wait_for_their_use(use: str, unused: set[str]) -> None:
+    """`import transport`, as the command line does first, loads no library of the interface; a run loads no figures."""
+    program = f"import sys, transport; {use}; print(sorted({unused} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
-
-
-def test_a_run_does_not_import_matplotlib() -> None:
-    """Simulating a run loads no figures."""
-    program = "import sys, transport; transport.fly; print('matplotlib' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "False"
 
 
 def test_short_names_are_typed() -> None:

@@ -39,21 +39,10 @@ REFUSED: dict[str, Callable[[transport.Run, Path], Any]] = {
     "fly, in memory": lambda run, folder: transport.fly("paper", {"clock.mode": "realtime", "clock.speed": 1.0}),
     "load": lambda run, folder: transport.load(folder),
     "sweep": lambda run, folder: transport.sweep("paper", {"loss": [0.1, 2.0]}, workers=1, progress=False),
-    "sweep, workers": lambda run, folder: transport.sweep("paper", {"loss": [0.1]}, workers=0),
     "__init__": lambda run, folder: transport.Scenario("paper", horizon=0),
-    "__init__, file": lambda run, folder: transport.Scenario(folder / "none.toml"),
-    "set": lambda run, folder: scenario().set(loss="much"),
-    "__setattr__": lambda run, folder: setattr(scenario(), "seed", "one"),
     "__setattr__, section": lambda run, folder: changed("delay_s", -1.0),
     "__getitem__": lambda run, folder: scenario()["links.los"],
-    "__setitem__": lambda run, folder: scenario().__setitem__("links.loss", object()),
-    "__delitem__": lambda run, folder: scenario().__delitem__("links.los"),
-    "copy": lambda run, folder: scenario().copy(horizn=3),
-    "resized": lambda run, folder: scenario().resized(1),
-    "save, scenario": lambda run, folder: scenario().save(folder),
     "save": lambda run, folder: run.save(folder),
-    "plot": lambda run, folder: run.plot("flight"),  # type: ignore[arg-type]
-    "to_pandas": lambda run, folder: run.to_pandas("all"),  # type: ignore[arg-type]
     "view": lambda run, folder: run.view("no address"),
     "unit": lambda run, folder: run.series.unit("cots"),
 }
