@@ -3,13 +3,11 @@
 Past inputs of the others: the first step of a plan as announced, then the shared control law with its corrections.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from agent.announced import KEPT_PLANS, Alignment, AnnouncedInputs, Law
+from agent.announced import Alignment, AnnouncedInputs, Law
 from model.arrays import Array
 from model.state import input_indices
 from mpc.settings import Limits
@@ -112,15 +110,6 @@ def test_of_an_agent_that_is_gone_the_age_counts(alignment: Alignment) -> None:
     np.testing.assert_array_equal(U, np.vstack([plan.inputs[3:], np.tile(U_HOVER[COLUMNS[1]], (3, 1))]))
 
 
-@pytest.mark.parametrize("length", [1, 3, STEPS + 4])
-def test_other_lengths(length: int) -> None:
-    """Shorter plans are held, longer ones cut to the horizon."""
-    plan = labelled(1, 0, steps=length)
-    U = announced(plan).sequence(2, STEPS, before=2)
-    assert U.shape == (STEPS, len(U_HOVER))
-    np.testing.assert_array_equal(rows(1, U), [plan.inputs[min(2 + step, length - 1)] for step in range(STEPS)])
-
-
 @pytest.mark.parametrize("age", range(STEPS + 3))
 @pytest.mark.parametrize("delay", [0, 1])
 def test_corrections_end(age: int, delay: int) -> None:
@@ -131,12 +120,6 @@ def test_corrections_end(age: int, delay: int) -> None:
     np.testing.assert_array_equal(rows(2, c), np.zeros((STEPS, 4)))
     left = plan.corrections[age:]
     np.testing.assert_array_equal(rows(1, c), np.vstack([left, np.zeros((STEPS - len(left), 8))]))
-
-
-def test_plans_without_corrections() -> None:
-    """With open-loop prediction plans have no corrections, and none are assumed."""
-    plan = replace(labelled(1, 0), corrections=np.zeros((0, 8)))
-    assert not announced(plan).corrections(1, STEPS, before=1).any()
 
 
 def test_early_plans_wait() -> None:
@@ -175,30 +158,6 @@ def test_in_force_is_the_newest_that_had_started() -> None:
     expected += [plans[1].inputs[min(step, STEPS - 1)] for step in range(STEPS + 2)]
     for k, u in enumerate(expected):
         np.testing.assert_array_equal(rows(1, inputs.at(k, before=100)), u)
-
-
-def test_in_force_with_next_tick() -> None:
-    """A plan of tick k for k + 1 on does not act over [t_k, t_{k+1})."""
-    plans = [labelled(1, 0, delay=1), labelled(1, 1, delay=1)]
-    inputs = announced(*plans)
-    np.testing.assert_array_equal(rows(1, inputs.at(0, before=100)), U_HOVER[COLUMNS[1]])
-    np.testing.assert_array_equal(rows(1, inputs.at(1, before=100)), plans[0].inputs[0])
-    np.testing.assert_array_equal(rows(1, inputs.at(2, before=100)), plans[1].inputs[0])
-
-
-def kept(inputs: AnnouncedInputs, agent: int, ticks: Sequence[int]) -> list[int]:
-    """Return the ticks whose plan of an agent is kept."""
-    newest = {k: inputs.newest(agent, before=k + 1) for k in ticks}
-    return [k for k, plan in newest.items() if plan is not None and plan.tick == k]
-
-
-def test_the_oldest_are_forgotten() -> None:
-    """A fixed number of newest plans is kept, for any order of arrival; older ones change nothing."""
-    ticks = range(KEPT_PLANS + 10)
-    inputs = announced(*[labelled(1, k) for k in ticks], labelled(1, 2))
-    assert kept(inputs, 1, ticks) == list(ticks)[10:]
-    backwards = announced(*[labelled(1, k) for k in reversed(ticks)])
-    assert kept(backwards, 1, ticks) == list(ticks)[10:]
 
 
 X = np.linspace(-1.0, 1.0, 48)
@@ -275,15 +234,6 @@ def test_who_follows_another_law() -> None:
     assert inputs.under_previous_law(before=8) == [1]
     inputs.forget(1)
     assert inputs.under_previous_law(before=8) == []
-
-
-def test_without_a_state_there_is_no_law() -> None:
-    """Without a state or a shared control law (open-loop prediction), plans are continued and held."""
-    plan = labelled(1, 7)
-    expected = [plan.inputs[min(age, STEPS - 1)] for age in range(STEPS + 2)]
-    for inputs, x in ((under_law(plan), None), (under_law(plan, law=lambda _tick, _x: None), X)):
-        found = [rows(1, inputs.at(7 + age, before=20, x=x)) for age in range(STEPS + 2)]
-        np.testing.assert_array_equal(found, expected)
 
 
 def test_inputs_taken_to_be_in_force_are_within_limits() -> None:

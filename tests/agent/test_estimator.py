@@ -9,7 +9,7 @@ import pytest
 from msgspec.structs import replace
 
 from agent.announced import AnnouncedInputs, Law
-from agent.estimator import WINDOW, StateEstimator
+from agent.estimator import StateEstimator
 from model import motors, state
 from model.arrays import Array
 from mpc.regulation import Regulation
@@ -154,15 +154,6 @@ def test_motors_that_lag(delay: int) -> None:
     assert left < 1e-9
 
 
-def test_own_measurement_is_taken_as_it_is() -> None:
-    """Payload and owned UAVs are estimated exactly as measured, independent of the others."""
-    plant_state = flight(PAIRS)
-    for found in (estimates(plant_state, {}), estimates(plant_state, arriving(plant_state, lambda k: k + 3))):
-        for k, x in found.items():
-            measured = 12 + 2 * 12
-            np.testing.assert_array_equal(x[:measured], plant_state.X[k, :measured])
-
-
 def test_wrong_first_guess() -> None:
     """Wrong initial states of the others are corrected by the first plans received."""
     plant_state = flight(FOUR, 0.05)
@@ -177,15 +168,6 @@ def test_delay_without_disturbance(delay: int) -> None:
     plant_state = flight(FOUR)
     found = estimates(plant_state, arriving(plant_state, lambda k: k + delay, steps=delay))
     assert_close(found, plant_state, range(delay, TICKS + 1), TEN_PERIODS)
-
-
-def test_loss_without_disturbance() -> None:
-    """The same with two of three plans lost."""
-    plant_state = flight(FOUR)
-    arrivals = {
-        k: [p for p in ps if p.tick % 3 == 0] for k, ps in arriving(plant_state, lambda k: k + 1, steps=5).items()
-    }
-    assert_close(estimates(plant_state, arrivals), plant_state, range(TICKS + 1), TEN_PERIODS)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -215,41 +197,6 @@ def test_missed_measurements() -> None:
     found = estimates(plant_state, arriving(plant_state, lambda k: k + 1, steps=10), missed)
     assert not set(missed) & set(found)
     assert_close(found, plant_state, sorted(found), TEN_PERIODS)
-
-
-@pytest.mark.parametrize(("age", "known"), [(1, True), (WINDOW, True), (WINDOW + 1, False)])
-def test_window(age: int, known: bool) -> None:
-    """A state is used up to WINDOW ticks back; an older one changes nothing, bit for bit."""
-    run = setup(FOUR)
-    last = 2 * WINDOW
-    x = run.initial_state()
-    x[state.uav_slice(1)][state.THETA] = [0.0, 0.1, 0.0]
-    found = []
-    for news in ([], [plan(run, 2, last - age, x=x)]):
-        estimator = StateEstimator(run.model, lambda k: run.initial_state(), PERIOD_S)
-        announced = AnnouncedInputs(run.owned, run.hover.u)
-        for k in range(last):
-            estimated(estimator, measurement(run, 1, k), announced)
-        for message in news:
-            estimator.take(message)
-        found.append(estimated(estimator, measurement(run, 1, last), announced))
-    assert np.array_equal(found[0], found[1]) is not known
-
-
-def test_age() -> None:
-    """The age of a state counts from the newest one received, in any order; -1 before the first."""
-    run = setup(FOUR)
-    estimator = StateEstimator(run.model, lambda k: run.initial_state(), PERIOD_S)
-    announced = AnnouncedInputs(run.owned, run.hover.u)
-    for k in range(6):
-        estimated(estimator, measurement(run, 1, k), announced)
-    assert estimator.age(2, 6) == -1
-    estimator.take(plan(run, 2, 4))
-    assert estimator.age(2, 6) == 2
-    estimator.take(plan(run, 2, 3))
-    assert estimator.age(2, 6) == 2
-    estimator.take(plan(run, 2, 5))
-    assert (estimator.age(2, 6), estimator.age(2, 9), estimator.age(3, 6)) == (1, 4, -1)
 
 
 def test_joining_late() -> None:

@@ -4,7 +4,7 @@ import pytest
 
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import LinkChange, StepReport
-from tests.support.nodes import AgentNode, PlantNode
+from tests.support.nodes import AgentNode
 from tests.support.runs import measurement, plan, roster, setup
 
 OTHERS = (2, 3, 4)
@@ -44,14 +44,6 @@ def test_loss_of_all() -> None:
         assert (report.delivered, report.late, report.lost) == (0, 0, 3 * (report.tick > 0))
 
 
-def test_one_link() -> None:
-    """An override concerns the links it names and no others."""
-    run = setup("controller.horizon=5", "links.override=[{from='agent3',to='agent1',delay_s=0.12}]")
-    assert reports(run)[-1].plan_ages == (1, 3, 1)
-    run = setup("controller.horizon=5", "links.override=[{from='agent1',to='agent3',delay_s=0.12}]")
-    assert reports(run)[-1].plan_ages == (1, 1, 1)
-
-
 def test_partition() -> None:
     """Plans sent across a partition while it lasts are lost, those before and after are not."""
     run = setup("controller.horizon=5", "links.partition=[{between=['agent4'],start_s=0.1,end_s=0.2}]")
@@ -89,22 +81,3 @@ def test_a_change_in_flight() -> None:
         ages += [report.plan_ages[0] for report in sent if isinstance(report, StepReport)]
     assert ages == [-1, 1, 1, 1, 1, 2, 2]
     assert node.rejected.total == 0
-
-
-@pytest.mark.parametrize("settings", ["", "[]", '{"los": 1}', '{"loss": 7}', '{"distribution": "empirical"}'])
-def test_an_invalid_change_is_counted(settings: str) -> None:
-    """An invalid change is refused and counted, and leaves the links unchanged."""
-    for node in (AgentNode(setup("controller.horizon=5"), 1), PlantNode(setup("controller.horizon=5"))):
-        assert list(node.receive(roster(), 0)) == []
-        assert list(node.receive(change(1, 0, settings), 0)) == []
-        (refused,) = node.rejected
-        assert (refused.sender, refused.reason, refused.count) == ("coordinator", "out_of_range", 1)
-        assert list(node.receive(change(1, 0, '{"loss": 0.5}'), 0)) == []
-        assert node.rejected.total == 1
-
-
-def test_duplicates() -> None:
-    """A duplicated plan is delivered twice and used like one."""
-    found = reports(setup("controller.horizon=5", "links.duplicate=1"))
-    assert [report.delivered for report in found] == [0] + [6] * (TICKS - 1)
-    assert found[-1].plan_ages == (1, 1, 1)

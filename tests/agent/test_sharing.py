@@ -35,12 +35,6 @@ def corrections(*thrusts: float) -> np.ndarray:
     return c
 
 
-def test_always() -> None:
-    """By default every plan is shared."""
-    sharing = rule(share="always", threshold=1e6)
-    assert all(sharing.decide(k, k, corrections(), 1) for k in range(5))
-
-
 def test_expected_corrections_are_not_shared() -> None:
     """Equation (49): corrections equal to the shared ones, shifted to now and zero after their end, are not shared."""
     sharing = rule(threshold=0.0)

@@ -124,14 +124,6 @@ def test_missed_deadlines_are_counted() -> None:
     assert only_tick(node.poll(due(3))).overrun_ns == 0  # reported once
 
 
-def test_a_late_plan_does_not_answer_the_open_tick() -> None:
-    """A plan of an earlier tick does not answer the open one."""
-    run, node = realtime()
-    node.poll(due(1))
-    tell(node, answers(run, 0), due(1) + MS)
-    assert only_tick(node.poll(due(2))).answered == ()
-
-
 def test_hold() -> None:
     """With "hold" a tick waits for all agents, and all later deadlines move by the wait."""
     run, node = realtime(HOLD)
@@ -247,14 +239,6 @@ def test_a_frozen_plant_ends_the_run() -> None:
     assert (end.outcome, end.exit_code) == ("aborted", 4)
     assert end.reason == "plant has not answered since tick 0"
     assert due(1) + BARRIER_NS <= now_ns <= due(2) + BARRIER_NS
-
-
-def test_a_dead_plant_ends_the_run() -> None:
-    """The end of the plant's token ends the run at once."""
-    _, node = realtime(CONTINUE)
-    (end,) = tell(node, [gone("plant")])
-    assert isinstance(end, Control)
-    assert (end.outcome, end.exit_code, end.reason) == ("aborted", 4, "plant is gone")
 
 
 def test_a_dead_agent_comes_back() -> None:

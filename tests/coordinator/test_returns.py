@@ -73,18 +73,6 @@ def test_an_agent_that_leaves_before_it_joined() -> None:
     assert kinds(tell(node, [ready("agent2", 3)])) == ["roster 3", "tick 3"]
 
 
-def test_an_end_while_a_tick_is_held() -> None:
-    """While a tick is held, other agents can be lost and the run can be interrupted."""
-    node = held()
-    (roster,) = tell(node, [gone("agent4")])
-    assert isinstance(roster, Roster)
-    assert roster.agents == (1, 3)
-    (end,) = node.interrupt("Ctrl-C")
-    assert isinstance(end, Control)
-    assert end.exit_code == 130
-    assert node.wake_ns is None
-
-
 def test_a_restart_without_a_script_holds_nothing() -> None:
     """An agent restarted by hand joins at the next tick once it is ready; no tick is held for it."""
     node = started(CoordinatorNode(setup(SIX, CONTINUE)))
@@ -92,15 +80,6 @@ def test_a_restart_without_a_script_holds_nothing() -> None:
     assert kinds(tell(node, answers(1, LEFT))) == ["tick 2"]
     assert tell(node, [ready("agent2", 7)]) == []
     assert kinds(tell(node, answers(2, LEFT))) == ["roster 3", "tick 3"]
-
-
-def test_with_policy_abort_a_new_incarnation_ends_the_run() -> None:
-    """A new incarnation of an agent on the roster means that the old one is gone: with "abort" the run ends."""
-    node = started(CoordinatorNode(setup(SIX)))
-    (end,) = tell(node, [ready("agent2", 2)])
-    assert isinstance(end, Control)
-    assert (end.outcome, end.exit_code) == ("aborted", 4)
-    assert end.reason == "agent2 is gone at t = 0.00 s"
 
 
 def proposals(agents: Sequence[int], negotiation: int) -> list[Message]:

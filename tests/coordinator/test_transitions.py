@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from coordinator.state import TRANSITIONS, State, Trigger
 from protocol.wire.messages import Message, Presence
 from tests.support.coordinator_clock import (
     CONTINUE,
@@ -104,12 +103,11 @@ def tilted(*settings: str) -> CoordinatorNode:
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """One line of the table: in this state, after this event, these messages, transitions and outcome."""
+    """One line of the table: in this state, after this event, these messages and outcome."""
 
     state: Callable[..., CoordinatorNode]
     event: Message | Presence | str
     sent: list[str] = field(default_factory=list)
-    triggers: tuple[Trigger, ...] = ()
     outcome: tuple[str, int] | None = None
     reason: str = ""
     settings: tuple[str, ...] = ()
@@ -121,7 +119,7 @@ LOST, TILTED = plant_state(setup(), 0, REASON), f"{REASON} at t = 0.00 s"
 LATE = "agent4 did not answer tick 0 in time at t = 0.00 s"
 
 TABLE = [
-    Case(state=waiting, event=ready("agent4"), sent=["roster 0", "tick 0"], triggers=(Trigger.TICK_OPENED,)),
+    Case(state=waiting, event=ready("agent4"), sent=["roster 0", "tick 0"]),
     Case(state=waiting, event=ready("agent3")),
     Case(state=waiting, event=ready("recorder")),
     Case(state=waiting, event=answers(0)[0]),
@@ -130,135 +128,42 @@ TABLE = [
     Case(state=waiting, event=gone("agent4", 7)),
     Case(state=waiting, event=gone("recorder")),
     Case(
-        state=waiting,
-        event=gone("agent3"),
-        sent=["control 0"],
-        outcome=ABORTED,
-        reason="agent3 is gone at t = 0.00 s",
-        triggers=(Trigger.UNREACHABLE,),
+        state=waiting, event=gone("agent3"), sent=["control 0"], outcome=ABORTED, reason="agent3 is gone at t = 0.00 s"
     ),
-    Case(
-        state=waiting,
-        event=gone("agent3"),
-        sent=["control 0"],
-        outcome=ABORTED,
-        settings=(CONTINUE,),
-        triggers=(Trigger.UNREACHABLE,),
-    ),
-    Case(
-        state=waiting,
-        event=gone("plant"),
-        sent=["control 0"],
-        outcome=ABORTED,
-        reason="plant is gone",
-        triggers=(Trigger.UNREACHABLE,),
-    ),
-    Case(
-        state=waiting,
-        event="interrupt",
-        sent=["control 0"],
-        outcome=INTERRUPTED,
-        reason="Ctrl-C",
-        triggers=(Trigger.INTERRUPTED,),
-    ),
+    Case(state=waiting, event=gone("agent3"), sent=["control 0"], outcome=ABORTED, settings=(CONTINUE,)),
+    Case(state=waiting, event=gone("plant"), sent=["control 0"], outcome=ABORTED, reason="plant is gone"),
+    Case(state=waiting, event="interrupt", sent=["control 0"], outcome=INTERRUPTED, reason="Ctrl-C"),
     #
-    Case(state=opened, event=answers(0)[3], sent=["tick 1"], triggers=(Trigger.TICK_OPENED,)),
+    Case(state=opened, event=answers(0)[3], sent=["tick 1"]),
     Case(state=opened, event=answers(0)[0]),
     Case(state=opened, event=answers(1)[3]),
     Case(state=opened, event=plant_state(setup(), 0)),
     Case(state=opened, event=ready("agent4")),
     Case(state=opened, event="time passes"),
+    Case(state=opened, event="timeout", sent=["control 0"], outcome=ABORTED, reason=LATE),
+    Case(state=opened, event="timeout", sent=["roster 0", "tick 1"], settings=(CONTINUE,)),
     Case(
-        state=opened, event="timeout", sent=["control 0"], outcome=ABORTED, reason=LATE, triggers=(Trigger.UNREACHABLE,)
+        state=opened, event=gone("agent4"), sent=["control 0"], outcome=ABORTED, reason="agent4 is gone at t = 0.00 s"
     ),
-    Case(
-        state=opened,
-        event="timeout",
-        sent=["roster 0", "tick 1"],
-        settings=(CONTINUE,),
-        triggers=(Trigger.TICK_OPENED,),
-    ),
-    Case(
-        state=opened,
-        event=gone("agent4"),
-        sent=["control 0"],
-        outcome=ABORTED,
-        reason="agent4 is gone at t = 0.00 s",
-        triggers=(Trigger.UNREACHABLE,),
-    ),
-    Case(
-        state=opened,
-        event=gone("agent4"),
-        sent=["roster 0", "tick 1"],
-        settings=(CONTINUE,),
-        triggers=(Trigger.TICK_OPENED,),
-    ),
+    Case(state=opened, event=gone("agent4"), sent=["roster 0", "tick 1"], settings=(CONTINUE,)),
     Case(state=opened, event=gone("agent1"), sent=["roster 0"], settings=(CONTINUE,)),
     Case(state=opened, event=gone("agent4", 0)),
     Case(state=opened, event=gone("agent5")),
     Case(state=opened, event=gone("recorder")),
-    Case(
-        state=opened,
-        event=gone("plant"),
-        sent=["control 0"],
-        outcome=ABORTED,
-        reason="plant is gone",
-        triggers=(Trigger.UNREACHABLE,),
-    ),
-    Case(
-        state=opened,
-        event=gone("plant"),
-        sent=["control 0"],
-        outcome=ABORTED,
-        settings=(CONTINUE,),
-        triggers=(Trigger.UNREACHABLE,),
-    ),
-    Case(state=opened, event=LOST, triggers=(Trigger.DIVERGENCE_REPORTED,)),
-    Case(
-        state=tilted,
-        event=answers(0)[3],
-        sent=["tick 1", "control 1"],
-        outcome=DIVERGED,
-        reason=TILTED,
-        triggers=(
-            Trigger.TICK_OPENED,
-            Trigger.DIVERGENCE_RECORDED,
-        ),
-    ),
-    Case(
-        state=tilted,
-        event="timeout",
-        sent=["control 0"],
-        outcome=DIVERGED,
-        reason=TILTED,
-        triggers=(Trigger.DIVERGENCE_RECORDED,),
-    ),
-    Case(
-        state=opened,
-        event="interrupt",
-        sent=["control 0"],
-        outcome=INTERRUPTED,
-        reason="Ctrl-C",
-        triggers=(Trigger.INTERRUPTED,),
-    ),
+    Case(state=opened, event=gone("plant"), sent=["control 0"], outcome=ABORTED, reason="plant is gone"),
+    Case(state=opened, event=gone("plant"), sent=["control 0"], outcome=ABORTED, settings=(CONTINUE,)),
+    Case(state=opened, event=LOST),
+    Case(state=tilted, event=answers(0)[3], sent=["tick 1", "control 1"], outcome=DIVERGED, reason=TILTED),
+    Case(state=tilted, event="timeout", sent=["control 0"], outcome=DIVERGED, reason=TILTED),
+    Case(state=opened, event="interrupt", sent=["control 0"], outcome=INTERRUPTED, reason="Ctrl-C"),
     #
-    Case(
-        state=at_the_end,
-        event=plant_state(setup(), 2),
-        sent=["control 2"],
-        outcome=COMPLETED,
-        triggers=(Trigger.COMPLETED,),
-    ),
+    Case(state=at_the_end, event=plant_state(setup(), 2), sent=["control 2"], outcome=COMPLETED),
     Case(
         state=at_the_end,
         event=plant_state(setup(), 2, "no rods"),
         sent=["control 2"],
         outcome=DIVERGED,
         reason="no rods at t = 0.10 s",
-        triggers=(
-            Trigger.DIVERGENCE_REPORTED,
-            Trigger.DIVERGENCE_RECORDED,
-        ),
     ),
     Case(state=at_the_end, event=plant_state(setup(), 1)),
     Case(state=at_the_end, event="time passes"),
@@ -268,88 +173,30 @@ TABLE = [
         sent=["control 2"],
         outcome=ABORTED,
         reason="plant did not answer tick 2 in time",
-        triggers=(Trigger.UNREACHABLE,),
     ),
-    Case(state=recorded, event=answers(2)[3], sent=["control 2"], outcome=COMPLETED, triggers=(Trigger.COMPLETED,)),
+    Case(state=recorded, event=answers(2)[3], sent=["control 2"], outcome=COMPLETED),
     Case(state=recorded, event=answers(1)[3]),
-    Case(
-        state=recorded,
-        event=gone("agent4"),
-        sent=["roster 2", "control 2"],
-        outcome=COMPLETED,
-        settings=(CONTINUE,),
-        triggers=(Trigger.COMPLETED,),
-    ),
-    Case(
-        state=recorded,
-        event="timeout",
-        sent=["roster 2", "control 2"],
-        outcome=COMPLETED,
-        settings=(CONTINUE,),
-        triggers=(Trigger.COMPLETED,),
-    ),
-    Case(state=recorded, event="interrupt", sent=["control 2"], triggers=(Trigger.INTERRUPTED,), outcome=INTERRUPTED),
+    Case(state=recorded, event=gone("agent4"), sent=["roster 2", "control 2"], outcome=COMPLETED, settings=(CONTINUE,)),
+    Case(state=recorded, event="timeout", sent=["roster 2", "control 2"], outcome=COMPLETED, settings=(CONTINUE,)),
+    Case(state=recorded, event="interrupt", sent=["control 2"], outcome=INTERRUPTED),
     #
-    Case(
-        state=waiting,
-        event=ready("agent4"),
-        sent=["roster 0", "tick 0"],
-        triggers=(Trigger.LAST_TICK_OPENED,),
-        settings=(ticks(1),),
-    ),
-    Case(
-        state=opened, event=answers(0)[3], sent=["tick 1"], triggers=(Trigger.LAST_TICK_OPENED,), settings=(ticks(2),)
-    ),
-    Case(state=opened_in_real_time, event="deadline", sent=["control 0"], triggers=(Trigger.OVERRUN,), outcome=OVERRUN),
-    Case(
-        state=opened_in_real_time,
-        event="deadline",
-        sent=["control 0"],
-        triggers=(Trigger.OVERRUN,),
-        outcome=OVERRUN,
-        settings=(ticks(1),),
-    ),
-    Case(
-        state=diverged_in_real_time, event="deadline", sent=["control 0"], triggers=(Trigger.OVERRUN,), outcome=OVERRUN
-    ),
-    Case(
-        state=tilted,
-        event=answers(0)[3],
-        sent=["tick 1", "control 1"],
-        triggers=(Trigger.LAST_TICK_OPENED, Trigger.DIVERGENCE_RECORDED),
-        outcome=DIVERGED,
-        settings=(ticks(2),),
-    ),
-    Case(state=tilted, event=gone("plant"), sent=["control 0"], triggers=(Trigger.UNREACHABLE,), outcome=ABORTED),
-    Case(state=tilted, event="interrupt", sent=["control 0"], triggers=(Trigger.INTERRUPTED,), outcome=INTERRUPTED),
+    Case(state=waiting, event=ready("agent4"), sent=["roster 0", "tick 0"], settings=(ticks(1),)),
+    Case(state=opened, event=answers(0)[3], sent=["tick 1"], settings=(ticks(2),)),
+    Case(state=opened_in_real_time, event="deadline", sent=["control 0"], outcome=OVERRUN),
+    Case(state=opened_in_real_time, event="deadline", sent=["control 0"], outcome=OVERRUN, settings=(ticks(1),)),
+    Case(state=diverged_in_real_time, event="deadline", sent=["control 0"], outcome=OVERRUN),
+    Case(state=tilted, event=answers(0)[3], sent=["tick 1", "control 1"], outcome=DIVERGED, settings=(ticks(2),)),
+    Case(state=tilted, event=gone("plant"), sent=["control 0"], outcome=ABORTED),
+    Case(state=tilted, event="interrupt", sent=["control 0"], outcome=INTERRUPTED),
     #
-    Case(state=before_held, event=answers(1, (4,))[0], triggers=(Trigger.TICK_HELD,)),
-    Case(state=held, event=ready("agent2", 2), sent=["roster 2", "tick 2"], triggers=(Trigger.LAST_TICK_OPENED,)),
-    Case(
-        state=held,
-        event=ready("agent2", 2),
-        sent=["roster 2", "tick 2"],
-        triggers=(Trigger.TICK_OPENED,),
-        settings=(ticks(4),),
-    ),
+    Case(state=before_held, event=answers(1, (4,))[0]),
+    Case(state=held, event=ready("agent2", 2), sent=["roster 2", "tick 2"]),
+    Case(state=held, event=ready("agent2", 2), sent=["roster 2", "tick 2"], settings=(ticks(4),)),
     Case(state=held, event="timeout"),
     Case(state=held, event=gone("agent4"), sent=["roster 1"]),
-    Case(
-        state=held,
-        event=gone("plant"),
-        sent=["control 1"],
-        triggers=(Trigger.UNREACHABLE,),
-        outcome=ABORTED,
-        reason="plant is gone",
-    ),
-    Case(state=held, event="interrupt", sent=["control 1"], triggers=(Trigger.INTERRUPTED,), outcome=INTERRUPTED),
-    Case(
-        state=held,
-        event=plant_state(setup(), 1, REASON),
-        sent=["tick 2", "control 2"],
-        triggers=(Trigger.DIVERGENCE_REPORTED, Trigger.LAST_TICK_OPENED, Trigger.DIVERGENCE_RECORDED),
-        outcome=DIVERGED,
-    ),
+    Case(state=held, event=gone("plant"), sent=["control 1"], outcome=ABORTED, reason="plant is gone"),
+    Case(state=held, event="interrupt", sent=["control 1"], outcome=INTERRUPTED),
+    Case(state=held, event=plant_state(setup(), 1, REASON), sent=["tick 2", "control 2"], outcome=DIVERGED),
     #
     *[
         Case(state=over, event=event, outcome=INTERRUPTED, reason="Ctrl-C")
@@ -385,41 +232,14 @@ def happen(node: CoordinatorNode, event: Message | Presence | str) -> list[Messa
     return tell(node, [event])
 
 
-@pytest.fixture
-def taken(monkeypatch: pytest.MonkeyPatch) -> list[tuple[State, Trigger]]:
-    """State and trigger of each transition the coordinator makes."""
-    pairs: list[tuple[State, Trigger]] = []
-    move = CoordinatorNode._move
-
-    def noted(node: CoordinatorNode, trigger: Trigger) -> None:
-        pairs.append((node.state, trigger))
-        move(node, trigger)
-
-    monkeypatch.setattr(CoordinatorNode, "_move", noted)
-    return pairs
-
-
 @pytest.mark.parametrize("case", TABLE, ids=lambda case: f"{case.state.__name__}-{str(case.event)[:45]}")
-def test_transition(case: Case, taken: list[tuple[State, Trigger]]) -> None:
-    """In each state each event causes the messages and transitions of the table, and the outcome is the table's."""
+def test_transition(case: Case) -> None:
+    """In each state each event causes the messages of the table, and the outcome is the table's."""
     node = case.state(*case.settings)
-    taken.clear()
-    state = node.state
     assert kinds(happen(node, case.event)) == case.sent
-    assert tuple(trigger for _, trigger in taken) == case.triggers
-    for trigger in case.triggers:
-        state = TRANSITIONS[state][trigger]
-    assert node.state is state
-    assert (node.finished is not None) == (state is State.STOPPED)
-    if node.finished is None:
-        assert case.outcome is None
+    if case.outcome is None:
+        assert node.finished is None
         return
+    assert node.finished is not None
     assert (node.finished.outcome, node.finished.exit_code) == case.outcome
     assert case.reason in node.finished.reason
-
-
-def test_every_transition_of_the_code_has_a_case(taken: list[tuple[State, Trigger]]) -> None:
-    """The cases take each transition of the coordinator's table: it holds none that cannot happen."""
-    for case in TABLE:
-        happen(case.state(*case.settings), case.event)
-    assert set(taken) == {(state, trigger) for state, row in TRANSITIONS.items() for trigger in row}

@@ -8,9 +8,7 @@ from model.arrays import Array
 from model.state import StateView
 from plant.environment import Environment
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import Measurement, Message
-from tests.support.nodes import PlantNode
-from tests.support.runs import ALL, plan, roster, setup, tick
+from tests.support.runs import setup
 
 MEAN = "plant.wind.speed_mps=[3.0,-1.0,0.5]"
 GUSTS = "plant.wind.gust_mps=[2.0,1.0,0.5]"
@@ -36,17 +34,6 @@ def state_in_motion(run: Setup) -> Array:
     view.e_P[:] /= np.linalg.norm(view.e_P, axis=1, keepdims=True)
     view.Omega_P[:] -= view.e_P * (view.e_P * view.Omega_P).sum(axis=1, keepdims=True)
     return x
-
-
-def flown(run: Setup, ticks: int) -> list[Message]:
-    """Return the plant's messages while all agents plan hover."""
-    node = PlantNode(run)
-    messages = list(node.receive(roster(), 0))
-    for k in range(ticks):
-        messages += node.receive(tick(k), 0)
-        for agent in ALL:
-            messages += node.receive(plan(run, agent, k), 0)
-    return [*messages, *node.receive(tick(ticks), 0)]
 
 
 def test_by_default_the_truth_is_what_the_controller_knows() -> None:
@@ -172,15 +159,3 @@ def test_noise_is_of_seed_agent_and_tick() -> None:
     np.testing.assert_array_equal(first, late.measured(4, 1, x))
     others = [late.measured(5, 1, x), late.measured(4, 2, x), Environment(setup(*NOISE, "seed=1")).measured(4, 1, x)]
     assert all(np.abs(first - other)[: state.PAYLOAD].min() > 0.0 for other in others)
-
-
-def test_the_plant_lives_in_it() -> None:
-    """A payload 10 % too heavy under hover thrusts falls as expected, and is measured with noise."""
-    run = setup("plant.payload_mass_factor=1.1", "plant.noise.position_m=0.01")
-    seen = [m for m in flown(run, 4) if isinstance(m, Measurement)]
-    last = [m for m in seen if m.tick == 4]
-    # 0.3 kg too much for 9.3 kg: 0.316 m/s^2 for 0.2 s.
-    assert last[0].payload[state.V0][2] == pytest.approx(0.3 * 9.81 / 9.3 * 0.2, rel=1e-6)
-    heights = [m.payload[2] for m in last]
-    assert len(set(heights)) == 4
-    assert np.abs(np.array(heights) + 10.0 - 0.5 * 0.316 * 0.2**2).max() < 0.05

@@ -6,7 +6,7 @@ import pytest
 from model import state
 from plant.schedule import MOTOR_OFF
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import Measurement, Message, PlantState, Roster
+from protocol.wire.messages import Measurement, Message, PlantState
 from tests.support.nodes import PlantNode
 from tests.support.runs import ALL, plan, roster, setup, tick
 
@@ -74,16 +74,3 @@ def test_no_wind_blows_on_what_is_gone() -> None:
     forces = node.environment.forces(0, run.initial_state())
     assert forces is not None
     np.testing.assert_array_equal(forces.reshape(-1, 3).any(axis=1), [True, True, True, False, True])
-
-
-def test_the_roster_is_no_source_of_the_plants() -> None:
-    """Motors stop by the scenario, not by a roster."""
-    node = PlantNode(setup())
-    said = roster()
-    claim = {field: getattr(said, field) for field in ("sender", "incarnation", "sequence", "tick", "version")}
-    lying = Roster(agents=said.agents, incarnations=said.incarnations, off=(3,), released=(3,), reason="", **claim)
-    messages = list(node.receive(lying, 0))
-    messages += node.receive(tick(0), 0)
-    for agent in ALL:
-        messages += node.receive(plan(setup(), agent, 0), 0)
-    assert plant_states(messages)[0].u[state.input_slice(UAV)].any()

@@ -170,20 +170,6 @@ def test_truth_is_the_integrated_state() -> None:
         np.testing.assert_array_equal(message.inputs, u[None, 4 * agent - 4 : 4 * agent])
 
 
-@pytest.mark.parametrize(("step_s", "steps"), [(0.005, 10), (0.05, 1), (0.02, 3), (0.0125, 4)])
-def test_integration_steps(step_s: float, steps: int) -> None:
-    """The integration takes the fewest equal steps that are no longer than the scenario's."""
-    run = setup(f"plant.step_s={step_s}", "plant.tolerance=1.0")
-    node = ready(run)
-    tell(node, tick(0))
-    shove = np.tile([25.0, 0.1, 0.2, 0.1], (20, 1))
-    tell(node, *[plan(run, agent, 0, inputs=shove) for agent in ALL])
-    ahead, _ = run.model.integrate(run.initial_state(), np.tile(shove[0], 4), 0.05, steps)
-    first = tell(node, tick(1))[0]
-    assert isinstance(first, Measurement)
-    np.testing.assert_array_equal(first.payload, ahead[:12])
-
-
 def test_lost_agents_uav_plays_on() -> None:
     """The UAV of an agent that left follows its last plan to the end, then the fail-safe."""
     run = setup(IMMEDIATE, "controller.horizon=3")
@@ -227,18 +213,6 @@ def test_refused_plans(actuation: str, changes: dict[str, object], reason: str) 
     assert kinds(tell(node, tick(1))) == measured(1) * delay
     found = tell(node, plan(run, 2, 0, delay=delay))
     assert kinds(found)[0] == f"plant_state {delay}"
-
-
-def test_limits_themselves_are_played() -> None:
-    """Inputs at the limits are applied unchanged."""
-    run = setup()
-    node = ready(run)
-    tell(node, tick(0))
-    at = np.array([[45.0, 1.0, -1.0, 0.5]])
-    (record,) = tell(node, plan(run, 1, 0, inputs=at), *[plan(run, agent, 0) for agent in (2, 3, 4)])
-    assert isinstance(record, PlantState)
-    np.testing.assert_array_equal(record.u[:4], at[0])
-    assert refused(node) == []
 
 
 def test_end_of_the_run() -> None:

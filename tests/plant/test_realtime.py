@@ -77,10 +77,3 @@ def test_a_delayed_plan_is_held_back(speed: float, held_ms: int) -> None:
     tell(node, [plan(run, agent, 0, delay=1) for agent in ALL], arrived_ns)
     assert flown(node, 1, arrived_ns + held_ms * MS - 1).plan_ticks == (-1,) * 4
     assert flown(node, 2, arrived_ns + held_ms * MS).plan_ticks == (0,) * 4
-
-
-def test_ticks_that_come_in_a_burst() -> None:
-    """A coordinator that catches up opens several ticks at once: each is integrated, in order."""
-    _, node = realtime()
-    plant_states = [flown(node, k, START_NS) for k in range(20)]
-    assert [plant_state.tick for plant_state in plant_states] == list(range(20))

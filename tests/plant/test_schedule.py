@@ -165,17 +165,3 @@ def test_fail_safe_keeps_the_limits(seed: int) -> None:
         assert (u <= high).all()
         assert (np.abs(u - before) <= step + RATE_SLACK).all()
         before = u
-
-
-def test_fail_safe_goes_over_at_the_actuators_rate() -> None:
-    """From the inputs a plan ended with, the fail-safe changes to its own at the largest rate, and stays there."""
-    plans = schedule(labelled(2, 0))
-    before = U_HOVER + np.tile([12.0, 0.9, 0.0, 0.0], N)
-    thrusts, moments = [], []
-    for k in range(4):
-        before, _ = plans.inputs(STEPS + k, X, before)
-        thrusts.append(before[4])
-        moments.append(before[5])
-    # 100 N/s and 10 N m/s: 5 N and 0.5 N m in 50 ms.
-    assert thrusts == pytest.approx([28.0, 23.0, 21.0, 21.0], abs=RATE_SLACK)
-    assert moments == pytest.approx([0.4, 0.0, 0.0, 0.0], abs=RATE_SLACK)

@@ -166,18 +166,6 @@ def test_the_plants_record() -> None:
     assert line.sent() == []
 
 
-def test_a_record_has_the_bytes_of_the_measurements() -> None:
-    """The record carries the very bytes that the agents receive."""
-    line = Line("plant")
-    line.send(*measurements(3))
-    alone = [data for _, data in line.taken()]
-    line.exchange.flush()
-    ((_, data),) = line.taken()
-    record = decode(data)
-    assert isinstance(record, Bundle)
-    assert list(record.parts) == alone == [encode(message) for message in measurements(3)]
-
-
 @pytest.mark.parametrize("order", [(1, 2, 3, 4), (4, 2, 1, 3)])
 def test_answers_leave_with_the_next_tick(order: Sequence[int]) -> None:
     """The coordinator sends the answers of tick k unchanged with tick k + 1, by agent in whatever order they came."""
@@ -297,25 +285,6 @@ def test_only_accepted_plans_are_relayed() -> None:
     assert [(entry.sender, entry.reason, entry.count) for entry in node.gate.rejections] == [
         ("agent2", "outside_limits", 1),
     ]
-
-
-@pytest.mark.usefixtures("no_network")
-def test_a_paced_coordinator_relays_before_the_tick_is_due() -> None:
-    """In a paced run the answers are relayed when all are here, and the tick alone when it is due."""
-    node = coordinator("clock.speed=0.001")
-    assert hears(node, *[answer(agent, 0) for agent in (1, 2, 3)]) == []
-    expected = " ".join(f"plan/{agent} report/{agent}" for agent in ALL)
-    assert hears(node, answer(4, 0)) == [f"relay 0 #1: {expected}"]
-
-
-@pytest.mark.usefixtures("no_network")
-def test_a_lost_agent_releases_the_answers() -> None:
-    """When the last missing agent is gone, roster, answers and tick are sent without it."""
-    node = coordinator("clock.on_agent_loss=continue")
-    hears(node, *[answer(agent, 0) for agent in (1, 3, 4)])
-    expected = " ".join(f"plan/{agent} report/{agent}" for agent in (1, 3, 4))
-    found = node.meet(Presence("agent2", INCARNATION, alive=False))
-    assert [said(KEYS.end(key), data) for key, data in found] == ["roster", f"relay 1 #1: {expected} tick"]
 
 
 @pytest.mark.usefixtures("no_network")

@@ -14,12 +14,6 @@ def scripted(*events: str) -> list[tuple[int, str, str]]:
     return [(fault.tick, fault.do, fault.target) for fault in setup(f"faults.event=[{listed}]").faults]
 
 
-def test_no_faults() -> None:
-    """Without a script there are no faults."""
-    assert setup().faults == ()
-    assert due((), "plant", tick(3)) is None
-
-
 @pytest.mark.parametrize(("at_s", "k"), [("0", 0), ("0.05", 1), ("0.051", 2), ("0.1", 2), ("0.15", 3), ("7.35", 147)])
 def test_at_the_first_tick_from_its_instant_on(at_s: str, k: int) -> None:
     """A fault happens at the first tick at or after its instant; a whole number of periods is not rounded up."""
@@ -49,17 +43,6 @@ def test_in_the_order_of_time() -> None:
         (40, "start", "agent1"),
     ]
     assert scripted(*reversed(written)) == scripted(*written)
-
-
-def test_again_and_again() -> None:
-    """One process may fail more than once: each return ends the fault before it."""
-    assert scripted("0.5 restart agent1", "1.0 restart agent1", "1.5 kill agent1") == [
-        (10, "kill", "agent1"),
-        (11, "start", "agent1"),
-        (20, "kill", "agent1"),
-        (21, "start", "agent1"),
-        (30, "kill", "agent1"),
-    ]
 
 
 FAULTS = (Fault(3, "kill", "agent1"), Fault(3, "stop", "plant"), Fault(4, "start", "agent1"))

@@ -79,40 +79,12 @@ def test_told_again() -> None:
     assert [losses(twice, tick)[0] for tick in (4, 5, 6, 100)] == [0.0, 0.5, 0.7, 0.7]
 
 
-def test_a_newcomer_knows_as_much() -> None:
-    """A receiver that gets all changes at once, and late, treats every message like one that got each in time."""
-    changes = [change(i, 10 * i, loss=0.1 * i, delay_s=0.01 * i) for i in range(1, 9)]
-    early, late = links("links={loss=0.3}"), links("links={loss=0.3}")
-    heard = LinkChanges(early.values(), SAMPLES)
-    link_history = []
-    for tick in range(120):
-        for message in changes:
-            if message.tick == tick:
-                heard.apply(message)
-        link_history.append(early["agent2"].delays(tick))
-    told(late, *changes)
-    assert [late["agent2"].delays(tick) for tick in range(120)] == link_history
-
-
 def test_scripted_changes_stay_where_they_are() -> None:
     """A change by hand neither advances nor undoes the later changes of the scenario."""
     found = told(links("links.change=[{at_s=2.0,delay_s=0.5}]"), change(1, 10, loss=0.3))
     models = [found["agent2"].impairments(tick) for tick in (9, 10, 39, 40, 100)]
     assert [model.loss for model in models] == [0.0, 0.3, 0.3, 0.3, 0.3]
     assert [model.delay_s for model in models] == [0.0, 0.0, 0.0, 0.5, 0.5]
-
-
-def test_a_change_by_hand_ends_with_the_next_scripted_one() -> None:
-    """Among changes of one key the one of the latest tick is in force."""
-    found = told(links("links.change=[{at_s=2.0,delay_s=0.5}]"), change(1, 10, delay_s=0.2), change(2, 50, delay_s=0.1))
-    assert [found["agent2"].impairments(tick).delay_s for tick in (9, 10, 39, 40, 49, 50)] == [
-        0.0,
-        0.2,
-        0.2,
-        0.5,
-        0.5,
-        0.1,
-    ]
 
 
 def test_partial_keys() -> None:

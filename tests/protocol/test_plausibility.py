@@ -7,7 +7,7 @@ import pytest
 from msgspec.structs import replace
 
 from model import state
-from protocol.admission.plausibility import check_plausible, check_tick
+from protocol.admission.plausibility import check_plausible
 from protocol.wire.messages import Message, MessageError
 from protocol.wire.run_shape import RunShape
 from tests.support import runs
@@ -111,22 +111,3 @@ def test_start_of_plans() -> None:
     shape = setup("clock.actuation=next_tick").shape
     assert refusal(replace(PLAN, start_tick=4), shape) == ("", "")
     assert refusal(PLAN, shape)[0] == "past"
-
-
-@pytest.mark.parametrize(("tick", "reason"), [(4, "past"), (5, ""), (7, ""), (8, "future")])
-def test_tick(tick: int, reason: str) -> None:
-    """Messages of the first to the last possible tick are accepted, no others."""
-    try:
-        check_tick(runs.tick(tick), 5, 7)
-        found = ""
-    except MessageError as error:
-        found = error.reason
-    assert found == reason
-
-
-def test_window() -> None:
-    """The window is one tick in lockstep; in real time it is twice the barrier timeout."""
-    assert setup().shape.window == 1
-    realtime = ("clock.mode=realtime", "clock.barrier_timeout_s=2.0")
-    assert setup(*realtime, "clock.speed=1.0").shape.window == 80
-    assert setup(*realtime, "clock.speed=0.5").shape.window == 40

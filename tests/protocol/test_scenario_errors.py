@@ -27,7 +27,6 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
     # Keys.
     ("controller.horizn=20", "controller.horizn", "unknown key; did you mean 'horizon'?"),
     ("system.uav.2.mas_kg=1", "system.uav.2.mas_kg", "unknown key; did you mean 'mass_kg'?"),
-    ("maneuver.phase.1.duration=1", "maneuver.phase.1.duration", "unknown key; did you mean 'duration_s'?"),
     ("sytem.payload.mass_kg=1", "sytem", "unknown key; did you mean 'system'?"),
     ("controller.separation.zzz=1", "controller.separation.zzz", "unknown key; known: minimum_m, penalty"),
     ("shema=1", "shema", "unknown key; did you mean 'schema'?"),
@@ -41,7 +40,6 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
     # Types.
     ("controller.weights=3", "controller.weights", "expected a section, got 3"),
     ("system.uav=3", "system.uav", "expected a list, got 3"),
-    ("system.uav.1=3", "system.uav.1", "expected a section, got 3"),
     ("controller.horizon=2.5", "controller.horizon", "expected an integer, got 2.5"),
     ("controller.horizon=true", "controller.horizon", "expected an integer, got True"),
     ("controller.sampling_period_s=0.05s", "controller.sampling_period_s", "expected a number, got '0.05s'"),
@@ -55,7 +53,6 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
     ),
     # Shapes.
     ("maneuver.start_m=[0,0]", "maneuver.start_m", "expected 3 numbers, got [0, 0]"),
-    ("system.uav.3.rho_m=[1,2,3,4]", "system.uav.3.rho_m", "expected 3 numbers, got [1, 2, 3, 4]"),
     ("controller.limits.thrust_N=[1]", "controller.limits.thrust_N", "expected at least 2 list entries, got [1]"),
     (
         "controller.limits.thrust_N=[1,2,3]",
@@ -74,82 +71,40 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
         "expected 3 principal moments or 3 rows",
     ),
     ("system.payload.inertia_kgm2=x", "system.payload.inertia_kgm2", "expected a list, got 'x'"),
-    ("system.payload.inertia_kgm2=[1,1,'a']", "system.payload.inertia_kgm2.3", "expected a number, got 'a'"),
     # Ranges.
     ("system.payload.mass_kg=-1", "system.payload.mass_kg", "expected a number > 0.0, got -1"),
-    ("system.uav.2.mass_kg=0", "system.uav.2.mass_kg", "expected a number > 0.0, got 0"),
-    ("system.gravity_mps2=0", "system.gravity_mps2", "expected a number > 0.0, got 0"),
     ("controller.horizon=0", "controller.horizon", "expected a number >= 1, got 0"),
     ("controller.relaxation=0", "controller.relaxation", "expected a number in (0, 1] or 'auto', got 0"),
-    ("controller.relaxation=1.5", "controller.relaxation", "expected a number in (0, 1] or 'auto', got 1.5"),
-    ("controller.relaxation=x", "controller.relaxation", "expected a number in (0, 1] or 'auto', got 'x'"),
     ("controller.weights.moments=[1,1,-1]", "controller.weights.moments.3", "expected a number > 0.0, got -1"),
-    ("maneuver.phase.1.duration_s=0", "maneuver.phase.1.duration_s", "expected a number > 0.0, got 0"),
     ("clock.speed=-1", "clock.speed", "expected a number >= 0.0, got -1"),
     ("plant.max_attitude_deg=90", "plant.max_attitude_deg", "expected a number < 90.0, got 90"),
     ("network.base_port=80", "network.base_port", "expected a number >= 1024, got 80"),
-    ("seed=-1", "seed", "expected a number >= 0, got -1"),
     # Choices.
     ("maneuver.profile=zigzag", "maneuver.profile", "expected 'ramp', 'min_jerk' or 'step', got 'zigzag'"),
     ("controller.solver=osqp", "controller.solver", "expected 'daqp' or 'clarabel', got 'osqp'"),
-    ("clock.mode=sloppy", "clock.mode", "got 'sloppy'"),
     ("schema=2", "schema", "expected 1, got 2"),
     ("name='a b'", "name", "expected text matching ^[A-Za-z0-9_-]{1,40}$, got 'a b'"),
     # Relations.
     ("agents.owned=[[1],[1],[2,3],[4]]", "agents.owned.2", "expected each UAV once, got UAV1, owned by agent 1"),
-    ("agents.owned=[[1,1],[2],[3],[4]]", "agents.owned.1", "expected each UAV once, got UAV1, owned by agent 1"),
     ("agents.owned=[[1,2],[3]]", "agents.owned", "expected each UAV once, got none for UAV4"),
     ("agents.owned=[[1,5],[2,3,4]]", "agents.owned.1", "expected ids of UAVs 1..4, got 5"),
     ("agents.owned=[[1,2,3,4],[]]", "agents.owned.2", "expected at least 1 list entries, got []"),
-    ("agents.owned=[]", "agents.owned", "expected at least 1 list entries, got []"),
     ("system.uav.1.id=2", "system.uav.id", "expected 1, 2, ... 4 in order, got [2, 2, 3, 4]"),
     ("plant.step_s=0.1", "plant.step_s", "expected at most the sampling period 0.05, got 0.1"),
     ("controller.limits.thrust_N=[5,1]", "controller.limits.thrust_N", "expected smallest < largest, got [5, 1]"),
-    ("links.loss=1.5", "links.loss", "expected a number <= 1.0, got 1.5"),
     # Links.
     ("links.delay_s=-0.1", "links.delay_s", "expected a number >= 0.0, got -0.1"),
-    ("links.jitter_s=-1", "links.jitter_s", "expected a number >= 0.0, got -1"),
-    ("links.loss=-0.5", "links.loss", "expected a number >= 0.0, got -0.5"),
-    ("links.duplicate=1.01", "links.duplicate", "expected a number <= 1.0, got 1.01"),
-    ("links.reorder=2", "links.reorder", "expected a number <= 1.0, got 2"),
-    ("links.reorder_s=-1", "links.reorder_s", "expected a number >= 0.0, got -1"),
-    ("links.rate_hz=0", "links.rate_hz", "expected a number > 0.0, got 0"),
     ("links.delay=0.1", "links.delay", "unknown key; did you mean 'delay_s'?"),
     ("links.distribution=gauss", "links.distribution", "expected 'uniform', 'normal', 'exponential', 'lognormal' or"),
     ("links.distribution=empirical", "links.samples", "expected a file of measured delays, got nothing"),
-    ("links.measurement.loss=1.5", "links.measurement.loss", "expected a number <= 1.0, got 1.5"),
-    ("links.measurement.distribution=empirical", "links.measurement.samples", "expected a file of measured delays"),
-    ("links.actuation.delay_s=-1", "links.actuation.delay_s", "expected a number >= 0.0, got -1"),
     ("links.actuation.from=plant", "links.actuation.from", "unknown key; known: delay_s"),
     ("links.gilbert_elliott={enter=0.1}", "links.gilbert_elliott.leave", "expected a value, got nothing"),
-    ("links.gilbert_elliott={enter=2,leave=1}", "links.gilbert_elliott.enter", "expected a number <= 1.0, got 2"),
-    (
-        "links.gilbert_elliott={enter=0.1,leave=0.1,loss=-1}",
-        "links.gilbert_elliott.loss",
-        "expected a number >= 0.0, got -1",
-    ),
     ("links.override=[{to='agent5'}]", "links.override.1.to", f"{ENDS}'agent5'"),
-    ("links.override=[{from='coordinator'}]", "links.override.1.from", f"{ENDS}'coordinator'"),
-    ("links.override=[{},{from='recorder'}]", "links.override.2.from", f"{ENDS}'recorder'"),
     ("links.override=[{distribution='empirical'}]", "links.override.1.samples", "expected a file of measured delays"),
-    ("links.partition=[{between=['agent1'],start_s=2,end_s=1}]", "links.partition.1.end_s", "expected more than start"),
     ("links.partition=[{between=['agent1'],start_s=2,end_s=2}]", "links.partition.1.end_s", "start_s 2.0, got 2.0"),
-    ("links.partition=[{between=['agent1'],start_s=-1,end_s=2}]", "links.partition.1.start_s", ">= 0.0, got -1"),
     ("links.partition=[{between=['x'],start_s=1,end_s=2}]", "links.partition.1.between", f"{ENDS}'x'"),
-    (
-        "links.partition=[{between=[],start_s=1,end_s=2}]",
-        "links.partition.1.between",
-        "expected at least 1 list entries",
-    ),
     ("links.change=[{loss=0.1}]", "links.change.1.at_s", "expected a value, got nothing"),
-    ("links.change=[{at_s=-1,loss=0.1}]", "links.change.1.at_s", "expected a number >= 0.0, got -1"),
-    ("links.change=[{at_s=1,loss=7}]", "links.change.1.loss", "expected a number <= 1.0, got 7"),
     ("links.change=[{at_s=1,from='agent0'}]", "links.change.1.from", f"{ENDS}'agent0'"),
-    (
-        "links.change=[{at_s=1,distribution='empirical'}]",
-        "links.change.1.samples",
-        "expected a file of measured delays",
-    ),
     # Clock.
     ((REALTIME,), "clock.speed", "expected a number > 0 with mode realtime, such as 1, got 0"),
     (("clock.speed=0", REALTIME), "clock.speed", "expected a number > 0 with mode realtime, such as 1, got 0"),
@@ -164,9 +119,6 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
         "expected 1 with mode realtime, where agents do not wait for each other, got 2",
     ),
     # Sharing.
-    ("controller.share=never", "controller.share", "expected 'always' or 'on_change', got 'never'"),
-    ("controller.share_threshold=-0.1", "controller.share_threshold", "expected a number >= 0.0, got -0.1"),
-    ("controller.share_heartbeat_s=0", "controller.share_heartbeat_s", "expected a number > 0.0, got 0"),
     (
         ("controller.share=on_change",),
         "controller.prediction",
@@ -189,32 +141,19 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
         "controller.negotiation_iterations",
         "expected 1 with controller.share 'on_change', as each iteration exchanges every plan, got 2",
     ),
-    ("controller.negotiation_iterations=0", "controller.negotiation_iterations", "expected a number >= 1, got 0"),
     ("controller.negotiation_iterations=21", "controller.negotiation_iterations", "expected a number <= 20, got 21"),
-    ("clock.on_overrun=panic", "clock.on_overrun", "expected 'continue', 'hold' or 'abort', got 'panic'"),
-    ("clock.overrun_limit=-1", "clock.overrun_limit", "expected a number >= 0, got -1"),
-    ("clock.overrun_limit=1.5", "clock.overrun_limit", "expected an integer, got 1.5"),
-    ("clock.overrun_limit_s=0", "clock.overrun_limit_s", "expected a number > 0.0, got 0"),
-    ("clock.barrier_timeout_s=0", "clock.barrier_timeout_s", "expected a number > 0.0, got 0"),
     # Faults.
     ("faults.event=[{at_s=1,do='kill'}]", "faults.event.1.target", "expected a value, got nothing"),
-    ("faults.event=[{at_s=-1,do='kill',target='plant'}]", "faults.event.1.at_s", "expected a number >= 0.0, got -1"),
     ("faults.event=[{at_s=1,do='stab',target='plant'}]", "faults.event.1.do", "'release' or 'degrade', got 'stab'"),
     (
         "faults.event=[{at_s=1,do='kill',target='agent5'}]",
         "faults.event.1.target",
         "expected one of coordinator, plant, agent1, agent2, agent3, agent4, got 'agent5'",
     ),
-    ("faults.event=[{at_s=1,do='kill',target='recorder'}]", "faults.event.1.target", "expected one of coordinator, "),
     (
         "faults.event=[{at_s=1,do='restart',target='plant'}]",
         "faults.event.1.do",
         "expected an agent to restart, as a run ends with its plant, got 'restart'",
-    ),
-    (
-        "faults.event=[{at_s=1,do='restart',target='coordinator'}]",
-        "faults.event.1.do",
-        "expected an agent to restart, as a run ends with its coordinator, got 'restart'",
     ),
     (
         "faults.event=[{at_s=1,do='continue',target='agent1'}]",
@@ -222,19 +161,9 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
         "expected an action possible for agent1, which is running by then, got 'continue'",
     ),
     (
-        "faults.event=[{at_s=1,do='kill',target='agent1'},{at_s=2,do='kill',target='agent1'}]",
-        "faults.event.2.do",
-        "expected an action possible for agent1, which is killed by then, got 'kill'",
-    ),
-    (
         "faults.event=[{at_s=2,do='continue',target='agent1'},{at_s=1,do='kill',target='agent1'}]",
         "faults.event.1.do",
         "expected an action possible for agent1, which is killed by then, got 'continue'",
-    ),
-    (
-        "faults.event=[{at_s=1,do='stop',target='agent1'},{at_s=2,do='stop',target='agent1'}]",
-        "faults.event.2.do",
-        "expected an action possible for agent1, which is stopped by then, got 'stop'",
     ),
     (
         "faults.event=[{at_s=1,do='motor_off',target='agent3'}]",
@@ -246,11 +175,6 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
         "faults.event=[{at_s=1,do='release',target='uav3'},{at_s=2,do='motor_off',target='uav3'}]",
         "faults.event.2.do",
         "expected an action possible for uav3, which is released by then, got 'motor_off'",
-    ),
-    (
-        "faults.event=[{at_s=1,do='motor_off',target='uav3'},{at_s=2,do='motor_off',target='uav3'}]",
-        "faults.event.2.do",
-        "expected an action possible for uav3, which is off by then, got 'motor_off'",
     ),
     (
         "faults.event=[{at_s=1,do='release',target='uav1'},{at_s=1,do='release',target='uav2'},"
@@ -301,22 +225,6 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
         "expected no efficiency without 'degrade', got 0.5",
     ),
     (
-        "faults.event=[{at_s=1,do='degrade',target='uav3',efficiency=1.5}]",
-        "faults.event.1.efficiency",
-        "expected a number <= 1.0, got 1.5",
-    ),
-    (
-        "faults.event=[{at_s=1,do='degrade',target='agent3',efficiency=0.5}]",
-        "faults.event.1.target",
-        "expected one of uav1, uav2, uav3, uav4, got 'agent3'",
-    ),
-    (
-        "faults.event=[{at_s=1,do='motor_off',target='uav3'},{at_s=2,do='degrade',target='uav3',efficiency=0.5}]",
-        "faults.event.2.do",
-        "expected an action possible for uav3, which is off by then, got 'degrade'",
-    ),
-    ("plant.motors.lag_s=-1", "plant.motors.lag_s", "expected a number >= 0.0, got -1"),
-    (
         "plant.motors.lag_s=1e-4",
         "plant.motors.lag_s",
         "expected 0 or at least a hundredth of the sampling period, 0.0005, got 0.0001",
@@ -326,7 +234,6 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
         "controller.motor_lag_s",
         "expected 0 or at least a hundredth of the sampling period, 0.0005, got 0.0001",
     ),
-    ("plant.motors.thrust_step_N=-1", "plant.motors.thrust_step_N", "expected a number >= 0.0, got -1"),
     (
         "plant.motors.rotors={arm_m=0.2,drag_to_thrust_m=0.02,thrust_N=[5.0,5.0]}",
         "plant.motors.rotors.thrust_N",
@@ -338,10 +245,7 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
         "expected a range that contains a quarter of the hover thrust of UAV1, 5.52 N, got [0.0, 5.0]",
     ),
     # The truth, and what is to be estimated of it.
-    ("plant.payload_mass_factor=0", "plant.payload_mass_factor", "expected a number > 0.0, got 0"),
     ("plant.uav_mass_factor=1000", "plant.uav_mass_factor", "expected a number <= 100.0, got 1000"),
-    ("plant.wind.speed_mps=[1,2]", "plant.wind.speed_mps", "expected 3 numbers, got [1, 2]"),
-    ("plant.wind.gust_mps=[1,-1,1]", "plant.wind.gust_mps.2", "expected a number >= 0.0, got -1"),
     (
         ("plant.wind.drag_uav_kgps=31", "plant.wind.gust_mps=[1,1,1]"),
         "plant.wind.drag_uav_kgps",
@@ -352,20 +256,11 @@ WRONG: list[tuple[str | tuple[str, ...], str, str]] = [
         "plant.wind.drag_payload_kgps",
         "expected at most mass over sampling period 60",
     ),
-    ("plant.noise.position_m=-0.1", "plant.noise.position_m", "expected a number >= 0.0, got -0.1"),
-    ("plant.noise.atitude_rad=1", "plant.noise.atitude_rad", "unknown key; did you mean 'attitude_rad'?"),
-    ("controller.disturbance.estimate=1", "controller.disturbance.estimate", "expected true or false, got 1"),
-    ("controller.disturbance.time_constant_s=0", "controller.disturbance.time_constant_s", "expected a number > 0.0"),
     # Physics.
     (
         "controller.limits.thrust_N=[0,20]",
         "controller.limits.thrust_N",
         "expected a range that contains the hover thrust 22.07 N of UAV1, got [0.0, 20.0]",
-    ),
-    (
-        "controller.limits.thrust_N=[23,40]",
-        "controller.limits.thrust_N",
-        "expected a range that contains the hover thrust 22.07 N of UAV1, got [23.0, 40.0]",
     ),
     (
         "controller.separation.minimum_m=0.6",

@@ -122,20 +122,6 @@ def test_ownership(template: str, uavs: int, group: int | None, owned: list[list
     assert [list(ids) for ids in scenario.owned] == owned
 
 
-def test_pairs_stay_pairs(tmp_path: Path) -> None:
-    """A template whose agents own pairs makes a team whose agents do."""
-    path = tmp_path / "pairs.toml"
-    path.write_text(PAPER.read_text().replace("[[1], [2], [3], [4]]", "[[1, 2], [3, 4]]"))
-    assert scenario_of(6, path).owned == ((1, 2), (3, 4), (5, 6))
-
-
-def test_gravity_is_the_templates(tmp_path: Path) -> None:
-    """A template on the Moon makes a team on the Moon."""
-    path = tmp_path / "moon.toml"
-    path.write_text(PAPER.read_text().replace("9.81", "1.62"))
-    assert scenario_of(3, path).system.gravity_mps2 == 1.62
-
-
 def test_files_of_delays_are_still_found(tmp_path: Path) -> None:
     """Measured delays, named relative to the template's folder, are found from wherever the new scenario is."""
     (tmp_path / "delays.txt").write_text("0.01, 0.02")

@@ -34,12 +34,6 @@ def test_devices_and_pipes_are_refused(tmp_path: Path) -> None:
         assert refusal(tmp_path, name).count("expected a regular file") == 2
 
 
-def test_null_characters_are_refused(tmp_path: Path) -> None:
-    """A path with a null character, which no system call takes, is refused like any other bad path."""
-    with pytest.raises(OSError, match="without null character"):
-        read_text(tmp_path / "a\0b")
-
-
 def test_size_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A file of the largest size is read, a larger one refused; so is a scenario, and an endless one."""
     monkeypatch.setattr(files, "MOST_BYTES", 1000)
