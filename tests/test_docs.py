@@ -170,11 +170,6 @@ def test_command_lines_parse(document: str, arguments: list[str]) -> None:
         Setup.of(read_scenario(find_scenario(scenario), settings or []), scenario)
 
 
-def test_readme_has_command_lines() -> None:
-    """The search for command lines finds those of the README."""
-    assert sum(document == "README.md" for document, _ in WRITTEN) > 10
-
-
 def options_of(*some: Command) -> set[str]:
     """Options of some commands."""
     parameters = [parameter for command in some for parameter in command.params]

@@ -1,7 +1,7 @@
 """Steps of the site's build beside those of MkDocs.
 
 README.md, CHANGELOG.md and SECURITY.md become pages, files outside docs/ that a page links to are copied into the site,
-formulas become MathML and flowcharts SVG. A page that cannot be converted ends the build.
+formulas become MathML. A page that cannot be converted ends the build.
 """
 
 import re
@@ -16,7 +16,6 @@ from mkdocs.structure.pages import Page
 FOLDER = Path(__file__).resolve().parent
 sys.path.insert(0, str(FOLDER))  # a hook is loaded by its path, without its package
 
-from diagrams import DiagramError, drawn  # noqa: E402
 from mathml import FormulaError, with_mathml  # noqa: E402
 
 ROOT = FOLDER.parent.parent
@@ -32,7 +31,6 @@ LINK = re.compile(r"(\]\()([^)\s#]+)((?:#[^)\s]*)?\))")
 # A link whose text is the name of a page.
 NAMED = re.compile(r"\[(?:docs/)?[\w-]+\.md\](\((?:docs/)?([\w-]+\.md)(?:#[^)\s]*)?\))")
 TITLE = re.compile(r"^# (.+)$", re.MULTILINE)
-CHART = re.compile(r"^```mermaid\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 FENCE = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
 
 
@@ -53,7 +51,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
-    """Point links at the files of the site, name pages by their titles, and draw flowcharts."""
+    """Point links at the files of the site, and name pages by their titles."""
     base = PurePosixPath("." if page.file.src_uri in OUTSIDE else "docs")
     if page.file.src_uri == "keys.md":
         page.meta["search"] = {"boost": 4}  # the definition of a key comes before pages that mention it
@@ -70,13 +68,7 @@ def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
     def pointed(found: re.Match[str]) -> str:
         return f"{found[1]}{_target(base, found[2])}{found[3]}"
 
-    def chart(found: re.Match[str]) -> str:
-        try:
-            return f'<div class="diagram">{drawn(found[1])}</div>'
-        except DiagramError as error:
-            raise PluginError(f"{page.file.src_uri}: {error}") from error
-
-    return CHART.sub(chart, LINK.sub(pointed, NAMED.sub(titled, TO_FOLDER.sub(without_folder, markdown))))
+    return LINK.sub(pointed, NAMED.sub(titled, TO_FOLDER.sub(without_folder, markdown)))
 
 
 def on_page_content(html: str, page: Page, **_: object) -> str:

@@ -8,7 +8,7 @@ from model.hover import hover
 from model.linearisation import Model
 from model.parameters import ParameterError, Payload, System, Uav, table_1
 from model.state import INPUTS, StateView
-from tests.support.paper_form import K, attitude
+from tests.support.paper_form import K
 from tests.support.random_systems import random_inertia
 
 # Accelerations left by the rounding of least squares and of forces of up to 100 N, rad/s^2 and m/s^2.
@@ -97,19 +97,6 @@ def test_one_vehicle_hovers_above_the_centre_of_mass() -> None:
     assert hover(system).u[0] == pytest.approx(3.0 * system.gravity, rel=FORCE_RATIO_TOLERANCE)
 
 
-def test_tilted_vehicles_lift_along_their_rods() -> None:
-    """-b3 of each UAV points along f_i = -(m_i g k + T_i e_i), the rest case of Newton's law of a UAV."""
-    rng = np.random.default_rng(2200)
-    system = ring_system(rng, 5)
-    at = hover(system, spread_rods(system, 1.0))
-    view = StateView(at.x)
-    for uav, Theta, thrust, e, tension in zip(
-        system.uavs, view.Theta, at.u[::INPUTS], view.e_P, at.tensions, strict=True
-    ):
-        force_I = -(uav.mass * system.gravity * K + tension * e)
-        assert -thrust * attitude(Theta)[:, 2] == pytest.approx(force_I, abs=FORCE_TOLERANCE_N)
-
-
 def test_without_gravity_nothing_is_held() -> None:
     """g = 0 is a legitimate system: no thrust, no tension, at rest."""
     ring = ring_system(np.random.default_rng(2300), 4)
@@ -140,14 +127,6 @@ def test_payload_beside_its_attachments_is_refused() -> None:
     system = System(payload=Payload(mass=3.0, inertia=[0.5, 0.5, 0.5]), uavs=uavs)
     with pytest.raises(ParameterError, match="centre of mass must hang between the attachment points"):
         hover(system)
-
-
-def test_rods_that_turn_the_payload_are_refused() -> None:
-    """Rods all leaning the same way around balance every force, but their moment about z has no counterpart."""
-    system = table_1()
-    rods = np.array([K + 0.2 * np.cross(K, uav.rho) for uav in system.uavs])
-    with pytest.raises(ParameterError, match="no hover equilibrium"):
-        hover(system, rods / np.linalg.norm(rods, axis=1, keepdims=True))
 
 
 def test_vehicle_that_would_push_down_is_refused() -> None:

@@ -7,10 +7,9 @@ import pytest
 
 from model import state
 from model.arrays import Array, ShapeError
-from model.hover import hover
 from model.linearisation import Model
-from model.parameters import System, table_1
-from model.state import INPUTS, OMEGA0, V0, StateView
+from model.parameters import System
+from model.state import StateView
 from tests.support.invariants import vehicle_motion
 from tests.support.paper_form import attitude
 from tests.support.random_systems import random_forces, random_input, random_state, random_system
@@ -104,16 +103,6 @@ def test_jacobians_under_external_forces(N: int) -> None:
     assert deviation(model.force_effect(x, u), effect) < JACOBIAN_TOLERANCE
 
 
-def test_force_on_the_payload_at_hover() -> None:
-    """Sideways it accelerates the payload alone, along the rods the whole team, and it turns nothing, (38)."""
-    system = table_1()
-    at = hover(system)
-    effect = Model(system).force_effect(at.x, at.u)[:, :3]
-    m0, m_T = system.payload.mass, system.total_mass
-    assert deviation(effect[V0], np.diag([1.0 / m0, 1.0 / m0, 1.0 / m_T])) < OUTPUT_TOLERANCE
-    assert not effect[OMEGA0].any()
-
-
 @pytest.mark.parametrize("N", [1, 4, 8])
 def test_velocities_are_those_of_the_centres_of_mass(N: int) -> None:
     """(39): R0 v0 of the payload, and of the UAVs paper (4) summed by hand."""
@@ -142,20 +131,6 @@ def test_outputs_by_hand(N: int) -> None:
     payload = [view.r0_I, attitude(view.Theta0) @ view.v0_P]
     expected = np.concatenate([positions.reshape(-1), view.Theta0, view.omega_B[:, 2], *payload])
     assert deviation(model.outputs(x), expected) < OUTPUT_TOLERANCE
-
-
-def test_thrust_and_moments_reach_where_they_should() -> None:
-    """Moments move only their own UAV's rates, paper (10); thrust moves payload and rods but no UAV's rates."""
-    _, model, x, u = drawn(4)
-    B_c = model.linearise(x, u).B_c
-    for i in range(4):
-        moments = B_c[:, INPUTS * i + 1 : INPUTS * (i + 1)].copy()
-        thrust = B_c[:, INPUTS * i].copy()
-        assert not StateView(thrust).omega_B.any()
-        assert StateView(thrust).v0_P.all()
-        assert StateView(thrust).Omega_P.any(axis=-1).all()
-        StateView(moments.T).omega_B[:, i] = 0.0
-        assert not moments.any()
 
 
 def test_arguments_of_the_wrong_length_are_refused() -> None:

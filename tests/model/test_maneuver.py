@@ -18,9 +18,6 @@ PATH_TOLERANCE_M = 1e-13
 # Central differences: step^2 / 6 times the third derivative of the path, up to 3 m/s^3, plus rounding / step.
 DIFFERENCE_STEP_S = 1e-4
 SPEED_TOLERANCE = 1e-7
-# Second differences at the end of a phase see the cubic growth beyond it, 10 m (h / T)^3 / h^2 = 1e-4 m/s^2;
-# a profile that starts with an acceleration shows 1 m/s^2 and one that starts with a speed 1e4.
-ACCELERATION_TOLERANCE = 1e-3
 # Before the end of a phase, where a step has not yet made its next jump, and how far 1 m/s gets in that time.
 JUST_BEFORE_S = 1e-12
 JUST_BEFORE_M = 2e-12
@@ -84,19 +81,6 @@ def test_velocity_is_the_derivative_of_the_path(profile: Profile) -> None:
     ahead, behind = maneuver.path(t + DIFFERENCE_STEP_S)[0], maneuver.path(t - DIFFERENCE_STEP_S)[0]
     assert v == pytest.approx((ahead - behind) / (2.0 * DIFFERENCE_STEP_S), abs=SPEED_TOLERANCE)
     assert v.any() == (profile != "step")
-
-
-def test_min_jerk_starts_and_ends_at_rest() -> None:
-    """Velocity and acceleration vanish at both ends of every phase, and half the way is done at half the time."""
-    maneuver = two_legs("min_jerk")
-    h = DIFFERENCE_STEP_S
-    ends = np.array([0.0, 2.0, 5.0])
-    _, v = maneuver.path(ends)
-    assert np.abs(v).max() < PATH_TOLERANCE_M
-    before, at, after = (maneuver.path(ends + shift)[0] for shift in (-h, 0.0, h))
-    assert np.abs(before - 2.0 * at + after).max() / h**2 < ACCELERATION_TOLERANCE
-    halfway, _ = maneuver.path(np.array([1.0]))
-    assert halfway[0] == pytest.approx([1.5, 1.75, -2.875], abs=PATH_TOLERANCE_M)
 
 
 def test_min_jerk_is_the_fifth_order_polynomial() -> None:

@@ -119,15 +119,6 @@ def test_several_constraints_keep_their_order() -> None:
     assert np.isnan(on_input.penalty).all(), "limits of the controller's own inputs are never softened"
 
 
-def test_no_constraints() -> None:
-    """Without texts there are no values and no slopes, in the shapes the rest counts on."""
-    x, u = at_a_point()
-    on_state, on_input = compile_constraints((), paper_setup().system)
-    assert on_state.expressions.at(x).slope.shape == (0, len(x))
-    assert on_input.expressions.at(u).slope.shape == (0, len(u))
-    assert on_state.expressions.at(x).value.shape == (0,)
-
-
 BAD = {
     "r0[2] <=": "cannot be read",
     "": "cannot be read",

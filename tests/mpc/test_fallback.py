@@ -36,16 +36,6 @@ def test_no_solution_keeps_the_shifted_plan(name: str, owned: tuple[int, ...], s
     assert np.array_equal(optimum.U, at.U[:, one.own])
 
 
-def test_kept_plan_belongs_to_the_controller() -> None:
-    """The plan after a failure is a copy: writing into it leaves the caller's announced inputs alone."""
-    setup = paper_setup()
-    settings = ControllerSettings(horizon=HORIZON, constraint=WITHOUT_SOLUTION["two thrusts at once"])
-    at = situation(setup, settings, seed=1)
-    before = at.U.copy()
-    step(controller(setup, settings, (0,)), at).U[:] = 0.0
-    assert np.array_equal(at.U, before)
-
-
 def test_softened_constraint_never_fails() -> None:
     """The same demand on the payload, softened, costs a penalty and has a solution; docs/equations.md (29)-(30)."""
     setup = paper_setup()

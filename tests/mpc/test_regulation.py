@@ -161,37 +161,6 @@ def test_another_cost_has_corrections(change: dict[str, object]) -> None:
     assert min(corrections(Case(), changed(LQ, **change), [15])) > A_CORRECTION
 
 
-def test_others_effort_is_part_of_the_program() -> None:
-    """Without a weight on the others' inputs an agent would leave the control law and the work to them, (36e)."""
-    case = Case()
-    at = hover(case.system)
-    X_ref = reference_states(case.system, at, "ramp", INSTANTS)
-    found = []
-    for answering in (True, False):
-        one = Controller(LinearModel(case.system, at), at, LQ, case.owned, X_ref)
-        if not answering:
-            one._program._responding = np.zeros(0, dtype=np.intp)
-            one._program._Q_with_others = one._program._Q
-        x = X_ref[15] + small_state(at, np.random.default_rng(1), 0.05)
-        found.append(np.abs(optimum(one, X_ref, 15, x, at.u, None).c).max())
-    assert found[0] < NO_CORRECTION
-    assert found[1] > A_CORRECTION
-
-
-@pytest.mark.parametrize("owned", [(0,), (1, 2), (0, 1, 2, 3)])
-def test_at_hover_the_model_itself_gives_no_corrections(owned: tuple[int, ...]) -> None:
-    """At the hover state the expansion is the one about hover: no correction on the way to a reference that moves."""
-    system = table_1()
-    at, model = hover(system), Model(system)
-    X_ref = reference_states(system, at, "ramp", INSTANTS)
-    one = Controller(model, at, LQ, owned, X_ref)
-    for k in (0, 15, 23):
-        found = optimum(one, X_ref, k, X_ref[0], at.u, None)
-        deviation = np.abs(found.U - at.u[one.own]).max()
-        assert deviation > 0.1
-        assert np.abs(found.c).max() < NO_CORRECTION * deviation
-
-
 def test_without_preview_nothing_is_missing_at_rest() -> None:
     """With a reference at rest the control law needs no preview, (36c)."""
     assert max(corrections(Case(), changed(LQ, preview=False), [INSTANTS])) < NO_CORRECTION

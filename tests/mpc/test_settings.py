@@ -3,7 +3,6 @@
 from math import nan
 from typing import Any
 
-import numpy as np
 import pytest
 
 from model.parameters import table_1
@@ -65,10 +64,3 @@ def test_limits_per_uav() -> None:
     assert limits.lower(2).tolist() == [2.0, -1.0, -2.0, -3.0] * 2
     assert limits.upper(2).tolist() == [30.0, 1.0, 2.0, 3.0] * 2
     assert limits.step(2, 0.25).tolist() == [20.0, 1.0, 2.0, 4.0] * 2
-
-
-def test_settings_are_frozen() -> None:
-    """Settings are data that several processes must agree on: they are immutable."""
-    with pytest.raises(ValueError, match="frozen"):
-        ControllerSettings().horizon = 3  # the point of the test
-    assert not np.shares_memory(Weights().Q(4), Weights().Q(4))

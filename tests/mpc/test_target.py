@@ -53,19 +53,6 @@ def test_target_is_a_steady_state(name: str) -> None:
     assert np.abs(state.StateView(at.M_x.T).e_P[..., 2]).max() < ROUNDING
 
 
-def test_true_motion_rests_there_but_for_squares() -> None:
-    """The nonlinear acceleration at the target falls with the square of the forces, which are in every direction."""
-    setup = paper_setup()
-    at, F = found("paper"), np.random.default_rng(5).normal(0.0, 1.0, 15)
-    left = [
-        np.abs(setup.model.derivative(setup.x + at.M_x @ f, setup.hover.u + at.M_u @ f, forces=f)).max()
-        for f in (F, F / 2.0, F / 4.0)
-    ]
-    orders = np.log2(np.array(left[:-1]) / left[1:])
-    assert np.abs(orders - 2.0).max() < 0.3
-    assert left[0] < 0.1 * np.abs(setup.model.derivative(setup.x, setup.hover.u, forces=F)).max()
-
-
 @pytest.mark.parametrize("name", ["paper", "1", "2", "3", "6"])
 def test_nothing_is_better(name: str) -> None:
     """No other steady state has less output error, and none with the same output error takes less input."""
@@ -111,13 +98,6 @@ def test_the_controller_rests_at_the_target(prediction: PredictionName, owned: t
     assert np.abs(optimum.c).max(initial=0.0) < PLAN_AGREEMENT
     ignorant = one.step(x, u, U, y_ref, one.law(x, np.tile(setup.x, (settings.horizon, 1)), np.zeros_like(U)))
     assert np.abs(ignorant.U - u[one.own]).max() > 0.1
-
-
-def test_absolutely_penalised_inputs_stay_so() -> None:
-    """With the input itself penalised, a force changes the prediction but not the input without cost."""
-    setup = paper_setup()
-    one = controller(setup, ControllerSettings(weights=Weights(penalised_input="absolute")), (0,))
-    assert not one.linearise(setup.x, setup.hover.u, np.full(15, 3.0)).u_target.any()
 
 
 def test_a_uav_on_its_own_is_no_means() -> None:

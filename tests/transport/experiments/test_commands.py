@@ -55,16 +55,6 @@ def test_what_cannot_be_is_refused(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_folder_of_another_experiment_is_refused(tmp_path: Path) -> None:
-    """`--out` with another experiment's folder: expected and got, and the folder stays as it is."""
-    (tmp_path / "experiment.json").write_text('{"experiment": "loss"}')
-    result = here("experiment", "latency", "--out", tmp_path)
-    assert result.exit_code == USAGE
-    expected = f"--out: expected a new folder, or one of experiment latency, got {tmp_path}"
-    assert f"{expected}, which belongs to loss" in result.stderr
-    assert [path.name for path in tmp_path.iterdir()] == ["experiment.json"]
-
-
 def test_a_missing_scheduler_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An address without a scheduler gives exit code 4; earlier results are kept."""
     monkeypatch.setattr("transport.experiments.workers._ANSWER_S", 0.5)

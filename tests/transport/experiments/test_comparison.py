@@ -21,7 +21,6 @@ from transport.experiments.comparison import (
     GUSTS,
     MANEUVER,
     PAPER,
-    SECONDS,
     STEPS,
     STILL,
     TEAM,
@@ -114,26 +113,6 @@ def test_a_step_takes_time() -> None:
     assert step_ms(comparison.setup_of(PAPER, [MANEUVER])) > 0.0
     with pytest.raises(ValueError, match="expected a run of more than 3 ticks"):
         step_ms(comparison.setup_of(PAPER, [ticks(2)]))
-
-
-def test_grid() -> None:
-    """Both controllers have curves around the reference's period, which belongs to each of them, longest first."""
-    curves = comparison.curves_of(0.05, 20)
-    assert set(curves) == set(comparison.CURVES)
-    for (_, kept), cells in curves.items():
-        periods_s = [cell.period_s for cell in cells]
-        assert periods_s == sorted(periods_s, reverse=True)
-        assert periods_s[0] == 0.1
-        assert 0.05 in periods_s
-        assert all(cell.horizon == (20 if kept == STEPS else round(1.0 / cell.period_s)) for cell in cells)
-    shortest_s = {curve: cells[-1].period_s for curve, cells in curves.items()}
-    assert (shortest_s[PAPER, STEPS], shortest_s[PAPER, SECONDS], shortest_s[CENTRALIZED, SECONDS]) == (
-        0.015,
-        0.02,
-        0.025,
-    )
-    cells = comparison.cells_of(curves)
-    assert len(set(cells)) == len(cells) == sum(map(len, curves.values())) - 2
 
 
 @pytest.mark.slow
