@@ -26,7 +26,52 @@ from transport.interface.settings import (
 )
 
 
-class Scenario:
+class Section:
+    """A section of a scenario; reading an attribute reads the value, setting one changes the scenario."""
+
+    _owner: "Scenario"
+    _key: str
+    _data: BaseModel
+
+    def __init__(self, owner: "Scenario", key: str, data: BaseModel) -> None:
+        self._owner, self._key, self._data = owner, key, data
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        if (found := _part(self._data, name)) is None:
+            raise AttributeError(f"{self._key or 'scenario'}: unknown key {name!r}; {_hint(self._data, name)}")
+        return self._owner._shown(self._key_of(name), *found)
+
+    @public
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name.startswith("_"):
+            object.__setattr__(self, name, value)
+            return
+        self._owner[self._key_of(name)] = value
+        found: Any = self._owner.validated
+        for part in filter(None, self._key.split(".")):
+            found = next(iter(_part(found, part) or ()))
+        self._data = found
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *type(self._data).model_fields]
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Section) and self._data == other._data
+
+    __hash__ = None  # type: ignore[assignment]  # it changes
+
+    def __repr__(self) -> str:
+        return repr(self._data)
+
+    def _key_of(self, name: str) -> str:
+        """Return the dotted key of a field."""
+        field = type(self._data).model_fields.get(name)
+        return f"{self._key}.{(field and field.alias) or name}".lstrip(".")
+
+
+class Scenario(Section):
     """A scenario that can be changed and is valid at any time.
 
     A change that would make an impossible scenario raises `ScenarioError` and leaves the scenario as it was. Sections
@@ -120,27 +165,6 @@ class Scenario:
             node.pop(last, None)
         self._replace(tree, [])
 
-    def __getattr__(self, name: str) -> Any:
-        """Return a section, or a value of the top level."""
-        if name.startswith("_"):
-            raise AttributeError(name)
-        return getattr(Section(self, "", self._data), name)
-
-    @public
-    def __setattr__(self, name: str, value: Any) -> None:
-        if name.startswith("_"):
-            super().__setattr__(name, value)
-        else:
-            setattr(Section(self, "", self._data), name, value)
-
-    def __dir__(self) -> list[str]:
-        return [*super().__dir__(), *type(self._data).model_fields]
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Scenario) and self._data == other._data
-
-    __hash__ = None  # type: ignore[assignment]  # it changes
-
     def __repr__(self) -> str:
         setup = self._setup
         sizes = [f"{setup.system.N} UAV{'s' * (setup.system.N > 1)}", f"{len(setup.agents)} agent"]
@@ -227,7 +251,8 @@ class Scenario:
         self._take(self._path, data, _setup_of(data, self._path, changes))
 
     def _take(self, path: Path, data: ScenarioTree, setup: Setup) -> None:
-        self._path, self._data, self._setup = path, data, setup
+        super().__init__(self, "", data)
+        self._path, self._setup = path, setup
 
 
 def _setup_of(data: ScenarioTree, path: Path, changes: list[str]) -> Setup:
@@ -236,47 +261,6 @@ def _setup_of(data: ScenarioTree, path: Path, changes: list[str]) -> Setup:
         return Setup.of(data, str(path))
     except ScenarioError as error:
         raise error.blaming(changes) from error.__cause__
-
-
-class Section:
-    """A section of a scenario; reading an attribute reads the value, setting one changes the scenario."""
-
-    _owner: Scenario
-    _key: str
-    _data: BaseModel
-
-    def __init__(self, owner: Scenario, key: str, data: BaseModel) -> None:
-        for name, value in (("_owner", owner), ("_key", key), ("_data", data)):
-            object.__setattr__(self, name, value)
-
-    def __getattr__(self, name: str) -> Any:
-        if (found := _part(self._data, name)) is None:
-            raise AttributeError(f"{self._key or 'scenario'}: unknown key {name!r}; {_hint(self._data, name)}")
-        return self._owner._shown(self._key_of(name), *found)
-
-    @public
-    def __setattr__(self, name: str, value: Any) -> None:
-        self._owner[self._key_of(name)] = value
-        found: Any = self._owner.validated
-        for part in filter(None, self._key.split(".")):
-            found = next(iter(_part(found, part) or ()))
-        object.__setattr__(self, "_data", found)
-
-    def __dir__(self) -> list[str]:
-        return [*super().__dir__(), *type(self._data).model_fields]
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Section) and self._data == other._data
-
-    __hash__ = None  # type: ignore[assignment]  # it changes
-
-    def __repr__(self) -> str:
-        return repr(self._data)
-
-    def _key_of(self, name: str) -> str:
-        """Return the dotted key of a field."""
-        field = type(self._data).model_fields.get(name)
-        return f"{self._key}.{(field and field.alias) or name}".lstrip(".")
 
 
 def _part(found: Any, name: str) -> tuple[Any] | None:
