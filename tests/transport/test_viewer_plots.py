@@ -45,24 +45,23 @@ def builder(recorded: Path) -> SceneBuilder:
     return SceneBuilder(setup, history)
 
 
-class Panel:
-    """Panel that keeps its plots."""
+def plots(builder: SceneBuilder, tick: int, *, is_live: bool) -> list[Any]:
+    """Return the plots at a tick."""
+    found: list[Any] = []
 
-    def __init__(self) -> None:
-        self.plots: list[Any] = []
+    def add_uplot(data: Any, series: Any, **options: Any) -> Any:
+        found.append(SimpleNamespace(data=data, series=series, **options))
+        return found[-1]
 
-    def add_uplot(self, data: Any, series: Any, **options: Any) -> Any:
-        """Keep a plot."""
-        self.plots.append(SimpleNamespace(data=data, series=series, **options))
-        return self.plots[-1]
+    gui: Any = SimpleNamespace(add_uplot=add_uplot)
+    Plots(gui, builder, is_live=is_live).show(tick)
+    return found
 
 
 @pytest.mark.parametrize("tick", [0, 12, LAST])
 def test_plots_of_a_recorded_run_show_all_of_it(builder: SceneBuilder, tick: int) -> None:
     """At any instant the faded curves cover the whole run, the strong ones the past, within fixed axes."""
-    panel: Any = Panel()
-    Plots(panel, builder, is_live=False).show(tick)
-    for plot in panel.plots:
+    for plot in plots(builder, tick, is_live=False):
         times_s, *curves = plot.data
         faded, strong = np.split(np.array(curves), 2)
         np.testing.assert_allclose(times_s, PERIOD_S * np.arange(LAST + 1))
@@ -77,9 +76,7 @@ def test_plots_of_a_recorded_run_show_all_of_it(builder: SceneBuilder, tick: int
 @pytest.mark.parametrize("tick", [0, LAST])
 def test_plots_of_a_live_run_end_now(builder: SceneBuilder, tick: int) -> None:
     """The time axis is fixed and ends at the shown tick, and no axis depends on a single value."""
-    panel: Any = Panel()
-    Plots(panel, builder, is_live=True).show(tick)
-    for plot in panel.plots:
+    for plot in plots(builder, tick, is_live=True):
         assert plot.scales["x"] == {"time": False, "auto": False, "range": [-30.0, 0.0]}
         assert plot.data[0][-1] == 0.0
         assert plot.data[0][0] == pytest.approx(-tick * PERIOD_S)
