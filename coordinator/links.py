@@ -15,7 +15,7 @@ class RequestedLinkChanges:
     """The link changes of a run so far: checked, numbered, and repeated for agents that join."""
 
     def __init__(self, setup: Setup, out: Outbox) -> None:
-        self._out, self._samples = out, sorted(setup.samples_s)
+        self._out, self._samples = out, setup.samples_s
         self._names = [PLANT, *map(agent_name, setup.agents)]
         self._changes: list[LinkChange] = []
 
@@ -24,19 +24,16 @@ class RequestedLinkChanges:
 
         The request has a sender "from", a receiver "to", each omitted for any agent, and the "settings" to change.
 
-        Raises: LinkError, MessageError: the request is refused.
+        Raises: LinkError: the request is refused.
         """
         source, target = (str(given.get(end, "")) for end in ("from", "to"))
         for end, name in (("from", source), ("to", target)):
             if name and name not in self._names:
                 raise LinkError(f"{end}: expected one of {', '.join(self._names)}, got {name!r}")
         settings = json.dumps(given.get("settings"))
-        change = link_change(source, target, settings)
+        change = link_change(source, target, settings, self._samples)
         if not change.settings():
             raise LinkError("expected at least one key of a link, got none")
-        if change.distribution == "empirical" and change.samples not in self._samples:
-            known = ", ".join(self._samples) or "none"
-            raise LinkError(f"samples: expected a file the scenario names ({known}), got {change.samples!r}")
         number = len(self._changes) + 1
         message = self._out.stamp(LinkChange, tick=tick, number=number, source=source, target=target, settings=settings)
         self._changes.append(message)

@@ -1,23 +1,54 @@
 """The coordinator as a state machine: opens tick k + 1 when all agents have answered tick k, or at its deadline.
 
-`coordinator.state` has the states and transitions, `coordinator.clock` the difference between lockstep and real time.
+`coordinator.clock` has the difference between lockstep and real time.
 Agents that are gone or do not answer are taken off the roster; those that return with a higher incarnation are put on
 it again when a tick is opened.
 """
 
 from collections.abc import Collection, Sequence
+from enum import Enum
 
 from coordinator.clock import Clock
 from coordinator.links import RequestedLinkChanges
 from coordinator.roster import TeamRoster, names
-from coordinator.state import ENDS, TRANSITIONS, State, Trigger
 from protocol.admission.plausibility import check_tick
 from protocol.scenario.links import LinkError, words_of
 from protocol.scenario.setup import Setup
+from protocol.wire.exit_codes import EXIT_DIVERGED, EXIT_INTERRUPTED, EXIT_OVERRUN, EXIT_UNREACHABLE
 from protocol.wire.message import Message, MessageError
-from protocol.wire.messages import Control, Event, Plan, PlantState, Presence, Request, Tick
+from protocol.wire.messages import Control, Event, Outcome, Plan, PlantState, Presence, Request, Tick
 from protocol.wire.names import COORDINATOR, PLANT
 from protocol.wire.node import Outbox
+
+
+class State(Enum):
+    """State of a run."""
+
+    WAITING = "the processes are joining"
+    OPEN = "a tick is open"
+    HELD = "the next tick waits for agents that the scenario's faults bring back"
+    DIVERGED = "the plant has diverged; the run ends when the next tick is open"
+    STOPPED = "the run has ended"
+
+
+class End(Enum):
+    """Cause of the end of a run."""
+
+    COMPLETED = "the last tick is answered and recorded"
+    DIVERGED = "the record of the divergence is complete"
+    UNREACHABLE = "the plant or too many agents are gone or silent"
+    OVERRUN = "more deadlines were missed than allowed"
+    INTERRUPTED = "a signal ended the run"
+
+
+# Outcome and exit code of each end.
+_ENDS: dict[End, tuple[Outcome, int]] = {
+    End.COMPLETED: ("completed", 0),
+    End.DIVERGED: ("diverged", EXIT_DIVERGED),
+    End.UNREACHABLE: ("aborted", EXIT_UNREACHABLE),
+    End.OVERRUN: ("aborted", EXIT_OVERRUN),
+    End.INTERRUPTED: ("aborted", EXIT_INTERRUPTED),
+}
 
 
 class CoordinatorNode:
@@ -88,19 +119,19 @@ class CoordinatorNode:
             return [self._roster.give_up(self.tick + 1), *self._advance(now_ns)]
         expired = self._clock.has_expired(now_ns)
         if expired and self.state is State.DIVERGED:
-            return self._stop(Trigger.DIVERGENCE_RECORDED, self._divergence)
+            return self._stop(End.DIVERGED, self._divergence)
         if self._clock.plant_is_silent(now_ns):
-            return self._stop(Trigger.UNREACHABLE, f"plant has not answered since tick {self._plant_tick}")
+            return self._stop(End.UNREACHABLE, f"plant has not answered since tick {self._plant_tick}")
         silent = self._clock.silent(self._roster.members, self._missing, now_ns)
         if silent:
             return self._drop_silent(silent, now_ns)
         if expired and self._awaits_plant:
-            return self._stop(Trigger.UNREACHABLE, f"plant did not answer tick {self.tick} in time")
+            return self._stop(End.UNREACHABLE, f"plant did not answer tick {self.tick} in time")
         return self._advance(now_ns)
 
     def interrupt(self, reason: str) -> Sequence[Message]:
         """End the run because of a signal."""
-        return () if self.state is State.STOPPED else self._stop(Trigger.INTERRUPTED, reason)
+        return () if self.state is State.STOPPED else self._stop(End.INTERRUPTED, reason)
 
     @property
     def _is_last(self) -> bool:
@@ -128,7 +159,7 @@ class CoordinatorNode:
                 self._clock.plant_answer(now_ns)
                 if message.diverged and not self._divergence:
                     self._divergence = f"{message.diverged} at {self._roster.time(message.tick)}"
-                    self._move(Trigger.DIVERGENCE_REPORTED)
+                    self.state = State.DIVERGED
             case Plan(negotiation=left) if left > 0:
                 self._negotiating[message.agent] = left
             case Plan():
@@ -181,7 +212,7 @@ class CoordinatorNode:
             return ()
         self._observers.discard(event.name)
         if event.name == PLANT:
-            return self._stop(Trigger.UNREACHABLE, "plant is gone")
+            return self._stop(End.UNREACHABLE, "plant is gone")
         return self._lose([agent], f"{event.name} is gone", now_ns) if agent in self._roster.members else ()
 
     def _answer_request(self, request: Request) -> Sequence[Message]:
@@ -196,7 +227,7 @@ class CoordinatorNode:
             if self.state is State.WAITING or self._is_last:
                 raise LinkError("expected a running simulation")
             change = self._link_changes.change(request.given, self.tick + 1)
-        except (LinkError, MessageError) as error:
+        except LinkError as error:
             request.reply({"error": str(error)})
             return ()
         request.reply({"tick": change.tick, "t_s": change.tick * self._period_ns / 1e9})
@@ -215,17 +246,17 @@ class CoordinatorNode:
         if len(silent) > 1 and silent == members and self._answered.isdisjoint(members):
             # All at once: more likely the plant, on which all depend.
             reason = f"no agent answered tick {self.tick} in time: is the plant alive?"
-            return self._stop(Trigger.UNREACHABLE, reason)
+            return self._stop(End.UNREACHABLE, reason)
         return self._lose(silent, f"{names(silent)} did not answer tick {self.tick} in time", now_ns)
 
     def _lose(self, agents: Collection[int], reason: str, now_ns: int) -> Sequence[Message]:
         """Take agents off the roster, and continue or end the run by `clock.on_agent_loss`."""
         reason = f"{reason} at {self._roster.time(max(self.tick, 0))}"
         if self._settings.on_agent_loss == "abort" or self.state is State.WAITING:
-            return self._stop(Trigger.UNREACHABLE, reason)
+            return self._stop(End.UNREACHABLE, reason)
         self._roster.members.difference_update(agents)
         if not self._roster.members:
-            return self._stop(Trigger.UNREACHABLE, f"{reason}; no agent is left")
+            return self._stop(End.UNREACHABLE, f"{reason}; no agent is left")
         return [self._roster.message(reason, self.tick), *self._advance(now_ns)]
 
     def _advance(self, now_ns: int) -> Sequence[Message]:
@@ -234,16 +265,16 @@ class CoordinatorNode:
             return ()
         if self.state is State.DIVERGED and self.tick > self._plant_tick:
             # The tick after the last interval is always opened before the end, whichever message came first.
-            return self._stop(Trigger.DIVERGENCE_RECORDED, self._divergence)
+            return self._stop(End.DIVERGED, self._divergence)
         if not self._clock.may_close(self.tick, self._missing, now_ns, last=self._is_last) or self._awaits_plant:
             return ()
         if self._is_held(now_ns):
             return ()
         overrun = self._clock.overrun(self.tick, self._missing, now_ns)
         if overrun:
-            return self._stop(Trigger.OVERRUN, overrun)
+            return self._stop(End.OVERRUN, overrun)
         if self._is_last:
-            end = Trigger.DIVERGENCE_RECORDED if self.state is State.DIVERGED else Trigger.COMPLETED
+            end = End.DIVERGED if self.state is State.DIVERGED else End.COMPLETED
             return self._stop(end, self._divergence)
         opened = self._open(now_ns)
         return [*opened, *self._advance(now_ns)] if self.state is State.DIVERGED else opened
@@ -253,7 +284,7 @@ class CoordinatorNode:
         if self._is_last or self.state is State.DIVERGED or not self._roster.awaited(self.tick + 1):
             return False
         if self.state is not State.HELD:
-            self._move(Trigger.TICK_HELD)
+            self.state = State.HELD
             self._clock.waiting_since_ns = now_ns
         return True
 
@@ -275,19 +306,16 @@ class CoordinatorNode:
             overrun_ns=overrun_ns,
         )
         self.tick = tick
-        self._move(Trigger.LAST_TICK_OPENED if self._is_last else Trigger.TICK_OPENED)
+        self.state = State.DIVERGED if self.state is State.DIVERGED else State.OPEN
         self._answered, self._shared, self._negotiating = set(), set(), {}
         self._clock.open(tick, self._roster.members, joined, now_ns)
         if self._plant_tick + 1 == tick:
             self._clock.plant_answer(now_ns)  # it owes no earlier interval
         return [*messages, opened]
 
-    def _move(self, trigger: Trigger) -> None:
-        self.state = TRANSITIONS[self.state][trigger]
-
-    def _stop(self, trigger: Trigger, reason: str) -> Sequence[Message]:
-        self._move(trigger)
-        outcome, exit_code = ENDS[trigger]
+    def _stop(self, end: End, reason: str) -> Sequence[Message]:
+        self.state = State.STOPPED
+        outcome, exit_code = _ENDS[end]
         self.finished = self._out.stamp(
             Control, tick=max(self.tick, 0), outcome=outcome, reason=reason, exit_code=exit_code
         )

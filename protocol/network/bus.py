@@ -22,7 +22,7 @@ from protocol.network.session import BusError, fetch_answer, in_bounded_time, lo
 from protocol.wire.codec import VERSION, encode
 from protocol.wire.keys import RECORDER, WATCHER, Keys
 from protocol.wire.messages import Event, Message, MessageError, Request
-from protocol.wire.names import COORDINATOR, is_name
+from protocol.wire.names import COORDINATOR
 
 # How long a process waits at the end of the run for those that leave before it: a busy host may take seconds to read.
 LINGER_S = 10.0
@@ -296,11 +296,7 @@ class Bus:
         if self._keys.is_token(key):
             return self.peers.note(key, here=item.kind == zenoh.SampleKind.PUT)
         name = key.removeprefix(self._keys.left(""))
-        if name == key:
-            self._accepted = self.gate.accept(key, item.payload.to_bytes())
-        elif is_name(name) and not len(item.payload):
+        if name != key:
             return Left(name)
-        else:
-            error = MessageError("malformed", "expected no content under the key of a process")
-            self.gate.refuse(self._keys.end(key), error)
+        self._accepted = self.gate.accept(key, item.payload.to_bytes())
         return None

@@ -8,7 +8,7 @@ order anything arrives.
 import json
 import math
 from bisect import bisect_right
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from operator import itemgetter
 from typing import Any
 
@@ -38,8 +38,11 @@ _SLACK = 1e-9
 PERFECT: Mapping[str, Any] = {key: field.default for key, field in LinkSection.model_fields.items()}
 
 
-class LinkError(ValueError):
+class LinkError(MessageError):
     """An invalid change of links; the text names the key, what was expected and what came."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__("out_of_range", text)
 
 
 class Link:
@@ -209,26 +212,22 @@ class LinkChanges:
 def told_change(message: LinkChange, samples_s: Mapping[str, tuple[float, ...]]) -> LinkOverrideSection:
     """Return the change of links in a message of the coordinator; measured delays are given by file name.
 
-    Raises: MessageError: it cannot be applied.
+    Raises: LinkError: it cannot be applied.
     """
-    try:
-        change = link_change(message.source, message.target, message.settings)
-    except LinkError as error:
-        raise MessageError("out_of_range", str(error)) from error
-    if change.samples is not None and change.samples not in samples_s:
-        raise MessageError("out_of_range", f"samples: expected a file that the scenario names, got {change.samples!r}")
-    return change
+    return link_change(message.source, message.target, message.settings, samples_s)
 
 
-def link_change(source: str, target: str, settings: str) -> LinkOverrideSection:
+def link_change(source: str, target: str, settings: str, samples: Collection[str] | None = None) -> LinkOverrideSection:
     """Return a change of links: both ends, empty for any agent, and a JSON object of a link's keys and new values.
+
+    Files of measured delays must be among `samples`, unless that is None.
 
     Raises: LinkError: it is invalid.
     """
     try:
         given = json.loads(settings)
-    except (ValueError, RecursionError) as error:
-        raise LinkError(f"expected a JSON object of a link's keys, got {settings[:60]!r}") from error
+    except (ValueError, RecursionError):
+        given = None
     if not isinstance(given, dict):
         raise LinkError(f"expected a JSON object of a link's keys, got {settings[:60]!r}")
     ends = {key: name for key, name in (("from", source), ("to", target)) if name}
@@ -242,6 +241,9 @@ def link_change(source: str, target: str, settings: str) -> LinkOverrideSection:
         raise LinkError(
             f"samples: expected a file with distribution empirical and with no other, got {change.samples!r}"
         )
+    if change.samples is not None and samples is not None and change.samples not in samples:
+        known = ", ".join(sorted(samples)) or "none"
+        raise LinkError(f"samples: expected a file that the scenario names ({known}), got {change.samples!r}")
     return change
 
 

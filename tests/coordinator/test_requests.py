@@ -92,7 +92,7 @@ def test_all_changes_are_repeated_for_joining_agents() -> None:
         ({"from": 3, "settings": {"loss": 0.1}}, "from: expected one of plant, agent1, agent2"),
         (
             {"settings": {"distribution": "empirical", "samples": "x.csv"}},
-            "samples: expected a file the scenario names",
+            "samples: expected a file that the scenario names",
         ),
         ({"settings": {"samples": "x.csv"}}, "samples: expected a file with distribution empirical"),
         ({"settings": {"distribution": "x" * 5000}}, "distribution"),

@@ -152,7 +152,9 @@ def test_unknown_measured_delays() -> None:
     """Measured delays come with the scenario: a change with a file that it does not name is refused."""
     found = links()
     changes = LinkChanges(found.values(), SAMPLES)
-    with pytest.raises(MessageError, match=r"samples: expected a file that the scenario names, got 'c.csv'"):
+    with pytest.raises(
+        MessageError, match=r"samples: expected a file that the scenario names \(a.csv, b.csv\), got 'c.csv'"
+    ):
         changes.check(change(1, 0, distribution="empirical", samples="c.csv"))
     assert found["agent2"].impairments(0).perfect
 
