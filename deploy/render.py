@@ -4,7 +4,7 @@ import importlib.resources
 import json
 import shlex
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from string import Template
@@ -19,6 +19,7 @@ from protocol.network.parent import ENVIRONMENT
 from protocol.network.process import PATIENCE_S
 from protocol.network.security import AUTHORITY, Security
 from protocol.network.session import configuration
+from protocol.scenario.files import write_delays
 from protocol.scenario.setup import Setup
 from protocol.wire.keys import OPERATOR, RECORDER, ROUTER, WATCHER, Keys
 from protocol.wire.names import COORDINATOR
@@ -114,7 +115,7 @@ def _host(
     network |= {"router": router} if router else {}
     network |= {"keys": str(etc / "keys")} if keys else {"insecure": True}
     (folder / "scenario.toml").write_text(tomli_w.dumps({**tree, "network": network}), encoding="utf-8")
-    _write_samples(setup.samples_s, folder)
+    write_delays(setup.samples_s, folder)
     running = [placement.process for placement in own]
     for placement in own:
         # Started last, the coordinator is stopped first, so that all processes on its host receive the end of the run.
@@ -151,14 +152,6 @@ def _write_configurations(
         file = folder / "zenoh" / f"{name}.json5"
         file.touch(mode=0o600)  # it may contain a password
         file.write_text(f"{text}\n", encoding="utf-8")
-
-
-def _write_samples(samples_s: Mapping[str, Sequence[float]], folder: Path) -> None:
-    """Write the files of measured delays that the scenario names."""
-    for name, delays_s in samples_s.items():
-        if not Path(name).is_absolute():
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            (folder / name).write_text("\n".join(map(repr, delays_s)) + "\n", encoding="utf-8")
 
 
 def _keys(keys: Path | None, host: Host, placed: Sequence[Placement]) -> list[Path]:

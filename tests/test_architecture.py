@@ -18,7 +18,7 @@ LAYERS = {"model": 0, "mpc": 1, "protocol": 2, "agent": 3, "plant": 3, "coordina
 ROOMS = {
     "protocol": ({"wire"}, {"scenario"}, {"admission"}, {"network"}),
     "transport": (
-        {"log", "monitor"},
+        {"log"},
         {"flight", "analysis", "scene"},
         {"report", "viewer", "doctor"},
         {"experiments"},

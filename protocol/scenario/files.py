@@ -8,6 +8,7 @@ import errno
 import math
 import os
 import stat
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -150,3 +151,16 @@ def _row(path: Path, number: int, line: str) -> list[float]:
     if len(values) != len(COLUMNS.split(",")) or not all(map(math.isfinite, values)):
         raise TableError(f"{path}: row {number}: expected 4 finite numbers {COLUMNS}, got {line[:60]!r}")
     return values
+
+
+def write_delays(samples_s: Mapping[str, Sequence[float]], folder: Path) -> None:
+    """Write the files of measured delays that a scenario in a folder names, unless their paths are absolute.
+
+    Args:
+        samples_s: Delays by file, s.
+        folder: Folder of the scenario.
+    """
+    for name, delays_s in samples_s.items():
+        if not Path(name).is_absolute():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_text("\n".join(map(repr, delays_s)) + "\n", encoding="utf-8")

@@ -14,8 +14,8 @@ from protocol.wire.messages import Message, Rejected
 from tests.support import logs, runs
 from tests.support.commands import PATIENCE_S, is_flying, settings, start, transport, wait_for
 from transport.cli.main import app
+from transport.cli.top import Watch
 from transport.log.run_log import read_log
-from transport.monitor.watch import Watch
 
 MILLISECOND_NS = 1_000_000
 # Long enough on any machine; ended by the test.

@@ -14,11 +14,10 @@ from protocol.scenario.setup import Setup
 from protocol.wire.messages import ActualInputs, Control, Message, Outcome, Plan, Reason, Rejected, StepReport
 from tests.support import runs
 from tests.support.logs import SINGLE_UAV, log_of, plan, plant_state, report
-from transport.analysis.events import events
-from transport.analysis.metrics import rest_of_tick_ms, summarise
+from transport.analysis.metrics import events, rest_of_tick_ms, summarise
 from transport.analysis.series import series_of
 from transport.analysis.steps import steps_columns, steps_rows
-from transport.monitor.watch import Watch
+from transport.cli.top import Watch
 from transport.report.report import warnings
 
 # A few roundings of numbers of order one to a hundred.

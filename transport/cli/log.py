@@ -2,6 +2,10 @@
 
 import csv
 import io
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,14 +15,15 @@ from rich.table import Table
 from rich.text import Text
 from typer import Argument, Option
 
+from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import EXIT_USAGE
-from protocol.wire.messages import KINDS
+from protocol.wire.messages import KINDS, Control, Measurement, Plan, PlantState, StepReport, Tick
 from transport.cli.options import FormatOption
 from transport.cli.output import Format, exit_on, fail, show_json
 from transport.cli.recorded_run import complete_run, run_folder
-from transport.log.info import LogFile, describe, lost, open_log
-from transport.log.run_folder import ranges
-from transport.log.run_log import LogError
+from transport.log.channels import kind_of, topic_of
+from transport.log.run_folder import missing, ranges
+from transport.log.run_log import LogError, RunLog, read_log, setup_in
 from transport.log.tables import Row, columns, tables
 
 LogArgument = Annotated[
@@ -31,11 +36,26 @@ LogArgument = Annotated[
 ]
 
 
+# Kinds of messages sent at every tick.
+_REGULAR = (Tick.kind, PlantState.kind, Measurement.kind, Plan.kind, StepReport.kind)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LogFile:
+    """Readable content of a log file, and the run, None if the scenario in the log is missing or of another version."""
+
+    path: Path
+    log: RunLog
+    setup: Setup | None
+
+
 def open_or_fail(given: Path | None) -> LogFile:
     """Open a log, by default that of the most recent run, or end the command if it cannot be read."""
     path = run_folder(given)
     with exit_on(LogError, code=EXIT_USAGE):
-        return open_log(path)
+        file = path / "run.mcap" if path.is_dir() else path
+        log = read_log(file)
+    return LogFile(path=file, log=log, setup=setup_in(log.header, file.parent))
 
 
 def info(path: LogArgument = None, output: FormatOption = Format.text) -> None:
@@ -53,6 +73,90 @@ def info(path: LogArgument = None, output: FormatOption = Format.text) -> None:
     console.print(_summary(content))
     if content["channels"]:
         console.print(_channels(content["channels"]))
+
+
+def describe(file: LogFile) -> dict[str, Any]:
+    """Return a description of a log as JSON data."""
+    log, setup = file.log, file.setup
+    ticks = [entry.message.tick for entry in log.messages]
+    received = [entry.received_ns for entry in log.messages]
+    control = next(log.of(Control), None)
+    return {
+        "file": str(file.path),
+        "bytes": file.path.stat().st_size,
+        "run_id": log.header.get("run_id"),
+        "scenario": None if setup is None else setup.scenario.name,
+        "versions": log.header.get("versions"),
+        "machine": log.header.get("machine"),
+        "messages": len(log.messages),
+        "kinds": dict(Counter(entry.message.kind for entry in log.messages)),
+        "first_tick": min(ticks, default=None),
+        "last_tick": max(ticks, default=None),
+        "ticks_of_the_run": None if setup is None else setup.ticks,
+        "ticks_flown": len({plant_state.tick for plant_state in log.of(PlantState)}),
+        "sampling_period_s": None if setup is None else setup.settings.sampling_period_s,
+        "wall_time_s": (max(received) - min(received)) / 1e9 if received else None,
+        "outcome": "unknown" if control is None else control.outcome,
+        "reason": "" if control is None else control.reason,
+        "complete": not log.cut and not missing(log),
+        "cut": log.cut or None,
+        "lost": lost(file),
+        "channels": _channels_in(log),
+    }
+
+
+def lost(file: LogFile) -> list[str]:
+    """Return what is missing from the log, a sentence each; empty if it is whole."""
+    log, setup = file.log, file.setup
+    found = []
+    if log.cut:
+        if not log.header:
+            found.append("the metadata of the run: its name, scenario, versions, machine")
+        if log.messages and next(log.of(Control), None) is None:
+            last = max(entry.message.tick for entry in log.messages)
+            rest = "everything after it, and the outcome of the run"
+            if setup is not None and last + 1 < setup.ticks:
+                period_s = setup.settings.sampling_period_s
+                gone = setup.ticks - last - 1
+                rest = (
+                    f"ticks {last + 1} to {setup.ticks - 1} as far as they were simulated (up to {gone} of "
+                    f"{setup.ticks}, {gone * period_s:.2f} s of {setup.ticks * period_s:.2f} s), "
+                    "and the outcome of the run"
+                )
+            found.append(f"possibly some messages of tick {last}; {rest}")
+    gaps = missing(log)
+    if gaps:
+        found.append(gaps)
+    return found
+
+
+def _channels_in(log: RunLog) -> list[dict[str, Any]]:
+    """Return the channels, sorted by name, each with the spans of ticks in between that have no message."""
+    ticks: dict[str, list[int]] = {}
+    for entry in log.messages:
+        ticks.setdefault(topic_of(entry.message), []).append(entry.message.tick)
+    return [
+        {
+            "topic": topic,
+            "messages": len(found),
+            "first_tick": min(found),
+            "last_tick": max(found),
+            # Only channels with a message at every tick can have gaps.
+            "ticks_without": _gaps(found) if kind_of(topic) in _REGULAR else [],
+        }
+        for topic, found in sorted(ticks.items(), key=lambda item: _natural(item[0]))
+    ]
+
+
+def _gaps(ticks: Iterable[int]) -> list[list[int]]:
+    """Return the spans missing between the smallest and the largest tick."""
+    return [[a + 1, b - 1] for a, b in pairwise(sorted(set(ticks))) if b > a + 1]
+
+
+def _natural(topic: str) -> tuple[str, int]:
+    """Return the sorting key of a channel: agent 10 after agent 9."""
+    head, _, last = topic.rpartition("/")
+    return (head, int(last)) if last.isdecimal() else (topic, 0)
 
 
 def _summary(content: dict[str, Any]) -> Table:

@@ -9,7 +9,7 @@ from pathlib import Path
 import tomli_w
 
 from protocol.network.security import SecurityError, new_secret
-from protocol.scenario.files import path_problem
+from protocol.scenario.files import path_problem, write_delays
 from protocol.scenario.schema import Scenario
 from protocol.scenario.setup import Setup
 from protocol.wire.errors import TransportError
@@ -58,7 +58,8 @@ def create(folder: Path, setup: Setup) -> str:
     text = tomli_w.dumps(setup.scenario.tree())
     try:
         folder.mkdir(parents=True)
-        _write_scenario(folder, setup, text)
+        (folder / "scenario.toml").write_text(text, encoding="utf-8")
+        write_delays(setup.samples_s, folder)
     except OSError as error:
         raise RunError(f"--out: cannot create {folder} ({error.strerror})", EXIT_USAGE) from error
     point_latest(folder)
@@ -102,12 +103,3 @@ def open_log(folder: Path, setup: Setup, header: Mapping[str, str], say: Callabl
         return LogWriter(folder / _LOG, header, period_ns=setup.period_ns, say=say)
     except LogError as error:
         raise RunError(str(error), EXIT_USAGE) from error
-
-
-def _write_scenario(folder: Path, setup: Setup, text: str) -> None:
-    """Write the scenario and the delays it names, so that the run folder is self-contained."""
-    (folder / "scenario.toml").write_text(text, encoding="utf-8")
-    for name, delays_s in setup.samples_s.items():
-        if not Path(name).is_absolute():
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            (folder / name).write_text("\n".join(map(repr, delays_s)) + "\n", encoding="utf-8")
