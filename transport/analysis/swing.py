@@ -27,15 +27,10 @@ _ROUNDING = 1e-6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Swing:
-    """Payload swing at the end of a run.
+    """Payload swing at the end of a run."""
 
-    Attributes:
-        largest_m: Largest payload position error in the last `SWING_S`, m; None without a recorded tick.
-        decays: Whether the swing dies out or is at rest; None where the run does not tell.
-    """
-
-    largest_m: float | None
-    decays: bool | None
+    largest_m: float | None  # largest payload position error in the last `SWING_S`, m; None without a recorded tick
+    decays: bool | None  # whether the swing dies out or is at rest; None where the run does not tell
 
 
 def swing_of(setup: Setup, series: Series) -> Swing:

@@ -31,23 +31,14 @@ _HIDDEN = ("asked_ns", "answered_ns")
 
 
 class Fact(NamedTuple):
-    """A number in the answer of a process to `health` (docs/protocol.md).
+    """A number in the answer of a process to `health` (docs/protocol.md)."""
 
-    Attributes:
-        metric: Its name in Prometheus, without the prefix.
-        text: Its description there.
-        label: Its name in the table of `transport status`.
-        scale: Factor for the table; None for a value as it is.
-        unit: Unit behind the scaled value.
-        counts: Whether it only grows.
-    """
-
-    metric: str
-    text: str
-    label: str
-    scale: float | None = None
-    unit: str = ""
-    counts: bool = False
+    metric: str  # its name in Prometheus, without the prefix
+    text: str  # its description there
+    label: str  # its name in the table of `transport status`
+    scale: float | None = None  # factor for the table; None for a value as it is
+    unit: str = ""  # unit behind the scaled value
+    counts: bool = False  # whether it only grows
 
 
 FACTS = {

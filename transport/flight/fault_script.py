@@ -7,14 +7,11 @@ import signal
 import time
 from collections.abc import Callable, Mapping
 
-from protocol.scenario.faults import OF_UAVS, Fault
+from protocol.scenario.faults import OF_UAVS
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import FaultOrigin, Request
-from transport.flight.harness import Child, Harness
+from transport.flight.harness import Harness
 from transport.flight.recorder import Recorder
-
-# Largest delay of the recorder in an unpaced run, s.
-_BEHIND_S = 1.0
 
 
 class FaultScript:
@@ -25,7 +22,6 @@ class FaultScript:
         # The plant applies the failures of UAVs.
         self._faults = [fault for fault in setup.faults if fault.do not in OF_UAVS]
         self._dead: set[int] = set()  # children whose end has been noted
-        self._seen_dead_s: dict[int, float] = {}  # when the end of others was first seen
         for target in {fault.target for fault in self._faults if fault.do == "start"}:
             harness.prepare(target)
         self._actions: Mapping[str, Callable[[str], bool]] = {
@@ -49,29 +45,14 @@ class FaultScript:
             code = child.code or 0
             if child.process.pid in self._dead or code >= 0:
                 continue
-            kill = self._kill_of(child.name) if code == -signal.SIGKILL else None
-            if kill is None and self._may_be_behind(child):
-                continue
+            expected = (fault for fault in self._faults if (fault.do, fault.target) == ("kill", child.name))
+            kill = next(expected, None) if code == -signal.SIGKILL else None
             self._dead.add(child.process.pid)
             if kill is None:
                 self._recorder.note(child.name, f"ended by {signal.Signals(-code).name}", "unknown")
             else:
                 self._faults.remove(kill)
                 self._note(child.name, "kill", "script", kill.tick)
-
-    def _kill_of(self, name: str) -> Fault | None:
-        """Return the scripted kill of a process whose last tick may not have reached the recorder yet.
-
-        The coordinator's never has: it ends on the message it was about to send.
-        """
-        expected = [fault for fault in self._faults if (fault.do, fault.target) == ("kill", name)]
-        return next((fault for fault in expected if fault.tick <= self._recorder.tick + 1), None)
-
-    def _may_be_behind(self, child: Child) -> bool:
-        """Return whether the recorder may yet receive the tick of a scripted kill of this process."""
-        pid, now_s = child.process.pid, time.monotonic()
-        awaited = any((fault.do, fault.target) == ("kill", child.name) for fault in self._faults)
-        return awaited and self._recorder.running and now_s < self._seen_dead_s.setdefault(pid, now_s) + _BEHIND_S
 
     def _is_due(self, tick: int) -> bool:
         if self._recorder.tick >= tick:

@@ -121,26 +121,15 @@ class Harness:
     """Processes of one run on this machine; leaving the context ends them.
 
     Every child watches a pipe from this process and ends if this process is killed.
-
-    Args:
-        run: Name of the run.
-        scenario: Resolved scenario file.
-        mesh: Endpoints by process name.
-        logs: Folder for their output.
-        keys: Folder of keys in place of the scenario's.
-
-    Attributes:
-        children: Processes in the order of their starts.
-        notices: Sentences about processes that did not end by themselves.
     """
 
-    run: str
-    scenario: Path
-    mesh: Mapping[str, Endpoints]
-    logs: Path
-    keys: Path | None = None
-    children: list[Child] = field(default_factory=list)
-    notices: list[str] = field(default_factory=list)
+    run: str  # name of the run
+    scenario: Path  # resolved scenario file
+    mesh: Mapping[str, Endpoints]  # endpoints by process name
+    logs: Path  # folder for their output
+    keys: Path | None = None  # folder of keys in place of the scenario's
+    children: list[Child] = field(default_factory=list)  # processes in the order of their starts
+    notices: list[str] = field(default_factory=list)  # sentences about processes that did not end by themselves
     _spares: dict[str, Child] = field(default_factory=dict)  # standby processes by name
 
     def __enter__(self) -> "Harness":

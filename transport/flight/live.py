@@ -25,21 +25,13 @@ FAULTS = ("kill", "stop", "continue", "restart")
 
 @dataclass(frozen=True, slots=True)
 class LiveRun:
-    """An active run.
+    """An active run."""
 
-    Attributes:
-        run: Its name.
-        endpoints: Endpoints of its processes, by name.
-        pid: Process id of their parent.
-        keys: Folder of their keys; empty without keys.
-        is_client: Whether the endpoints belong to a router.
-    """
-
-    run: str
-    endpoints: Mapping[str, str]
-    pid: int
-    keys: str = ""
-    is_client: bool = False
+    run: str  # its name
+    endpoints: Mapping[str, str]  # endpoints of its processes, by name
+    pid: int  # process id of their parent
+    keys: str = ""  # folder of their keys; empty without keys
+    is_client: bool = False  # whether the endpoints belong to a router
 
 
 class LiveError(ValueError):

@@ -25,17 +25,11 @@ END_NOT_RECORDED = "the outcome of the run did not reach the recorder"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordedRun:
-    """A recorded run.
+    """A recorded run."""
 
-    Attributes:
-        folder: The run folder.
-        setup: The run.
-        log: Its messages; `cut` names what the file lacks and what did not reach the recorder.
-    """
-
-    folder: Path
-    setup: Setup
-    log: RunLog
+    folder: Path  # the run folder
+    setup: Setup  # the run
+    log: RunLog  # its messages; `cut` names what the file lacks and what did not reach the recorder
 
     @property
     def scenario_file(self) -> Path:

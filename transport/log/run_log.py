@@ -37,17 +37,11 @@ class Recorded:
 
 @dataclass(frozen=True, kw_only=True)
 class RunLog:
-    """Content of a log.
+    """Content of a log."""
 
-    Attributes:
-        header: Metadata of the run: run_id, scenario (TOML), versions, machine, ...
-        messages: In the order they were received.
-        cut: Sentence about what is missing; empty for a complete log.
-    """
-
-    header: dict[str, str]
-    messages: tuple[Recorded, ...]
-    cut: str
+    header: dict[str, str]  # metadata of the run: run_id, scenario (TOML), versions, machine, ...
+    messages: tuple[Recorded, ...]  # in the order they were received
+    cut: str  # sentence about what is missing; empty for a complete log
 
     @cached_property
     def _by_kind(self) -> dict[type[Message], list[Recorded]]:
