@@ -12,26 +12,13 @@ from typer.testing import CliRunner
 
 from tests.support import runs
 from tests.support.logs import record_run
-from transport.analysis.series import series_of
 from transport.cli.main import app
-from transport.log.run_log import read_log
-from transport.report.animation import FPS, LENGTH_S, animate
-from transport.scene.history import RunHistory
-from transport.scene.scene import SceneBuilder
+from transport.report.animation import FPS, LENGTH_S, animate_run
 
 # Largest size of a frame with moving lines.
 LARGEST_FRAME_BYTES = 40_000
 MOVED = 0.001  # share of pixels that differ at the end
 SPEED = 4.0
-
-
-def drawn(folder: Path, name: str) -> Path:
-    """Animate a short run in a few frames."""
-    run = runs.setup(runs.SHORT)
-    log = read_log(folder / "run.mcap")
-    history = RunHistory(run)
-    history.add(entry.message for entry in log.messages)
-    return animate(SceneBuilder(run, history), series_of(run, log), folder / name, speed=SPEED)
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +31,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_gif_moves(recorded: Path) -> None:
     """The number of frames follows from duration and speed, the last differs from the first, frames are small."""
-    path = drawn(recorded, "a.gif")
+    path = animate_run(recorded, recorded / "a.gif", speed=SPEED)
     with Image.open(path) as image:
         count = int(getattr(image, "n_frames", 0))
         first = np.asarray(image.convert("RGB"))
@@ -54,15 +41,13 @@ def test_a_gif_moves(recorded: Path) -> None:
     assert count == pytest.approx(duration_s / SPEED * FPS, abs=1.0)
     assert (first != last).any(axis=2).mean() > MOVED
     assert path.stat().st_size < LARGEST_FRAME_BYTES * count
-    assert drawn(recorded, "b.gif").read_bytes() == path.read_bytes()
+    assert animate_run(recorded, recorded / "b.gif", speed=SPEED).read_bytes() == path.read_bytes()
 
 
 @pytest.mark.slow
 def test_a_run_takes_six_seconds(recorded: Path) -> None:
     """Without a speed a short run is shown in real time; a run of 25 s takes 6 s."""
-    run = runs.setup(runs.SHORT)
-    log = read_log(recorded / "run.mcap")
-    with Image.open(animate(SceneBuilder.of(run, log), series_of(run, log), recorded / "c.gif")) as image:
+    with Image.open(animate_run(recorded, recorded / "c.gif")) as image:
         count = int(getattr(image, "n_frames", 0))
         assert image.info["duration"] * FPS == pytest.approx(1e3)
     assert count == pytest.approx(29 * 0.05 * FPS, abs=1.0)
@@ -73,7 +58,7 @@ def test_a_run_takes_six_seconds(recorded: Path) -> None:
 def test_an_mp4_is_written(recorded: Path) -> None:
     """The file begins with the header of an MP4, and no setting of matplotlib is left changed."""
     before = dict(mpl.rcParams)
-    size, kind = struct.unpack(">I4s", drawn(recorded, "a.mp4").read_bytes()[:8])
+    size, kind = struct.unpack(">I4s", animate_run(recorded, recorded / "a.mp4", speed=SPEED).read_bytes()[:8])
     assert kind == b"ftyp"
     assert size < 100
     assert dict(mpl.rcParams) == before

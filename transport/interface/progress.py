@@ -29,12 +29,11 @@ def run_progress(setup: Setup, *, shown: bool) -> Iterator[Callable[[Message], N
     """Show the progress of a run; yield the function that takes each of its messages."""
     if not shown:
         yield lambda _: None
-        return
-    if _in_notebook():
+    elif _in_notebook():
         yield from _in_cell(setup)
-        return
-    with RunProgress(setup, console(shown=True), waiting="in memory") as bar:
-        yield _throttled(bar.show)
+    else:
+        with RunProgress(setup, console(shown=True), waiting="in memory") as bar:
+            yield _throttled(bar.show)
 
 
 def _in_cell(setup: Setup) -> Iterator[Callable[[Message], None]]:

@@ -51,23 +51,17 @@ def check_animation(out: Path | None) -> None:
         raise AnimationError("an MP4 needs ffmpeg, which is not installed; a .gif does not")
 
 
-def animate_run(folder: Path, out: Path) -> Path:
-    """Animate the run in a folder as a .gif or .mp4 file, with a progress bar on a terminal; return the file.
-
-    Raises: AnimationError: another kind of file, an MP4 without ffmpeg; LogError: no state to draw.
-    """
-    run = open_run(folder)
-    return animate(SceneBuilder.of(run.setup, run.log), series_of(run.setup, run.log), out)
-
-
-def animate(builder: SceneBuilder, series: Series, out: Path, *, speed: float | None = None) -> Path:
-    """Animate a run of at least one tick as far as its log goes; return the file.
+def animate_run(folder: Path, out: Path, *, speed: float | None = None) -> Path:
+    """Animate the run in a folder as a .gif or .mp4 file, as far as its log goes, with a progress bar on a terminal.
 
     It takes `LENGTH_S`, or as given a multiple of real time.
 
-    Raises: AnimationError: another kind of file, or an MP4 without ffmpeg.
+    Returns: The file.
+    Raises: AnimationError: another kind of file, an MP4 without ffmpeg; LogError: no state to draw.
     """
     check_animation(out)
+    run = open_run(folder)
+    builder, series = SceneBuilder.of(run.setup, run.log), series_of(run.setup, run.log)
     out.parent.mkdir(parents=True, exist_ok=True)
     period_s = builder.setup.settings.sampling_period_s
     speed = speed or max(1.0, len(series.ticks) * period_s / LENGTH_S)

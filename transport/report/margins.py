@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 import threadpoolctl
@@ -43,17 +43,8 @@ class HoverMargins:
 
     def tree(self) -> dict[str, object]:
         """Return the result as plain values; None stands for beyond the searched range."""
-        return {
-            "scenario": self.scenario,
-            "growth_per_s": self.growth,
-            "margins": {
-                actuation: {
-                    name: {"nominal": one.nominal, "lower": one.lower, "upper": one.upper}
-                    for name, one in found.items()
-                }
-                for actuation, found in self.margins.items()
-            },
-        }
+        plain = asdict(self)
+        return {"scenario": self.scenario, "growth_per_s": self.growth, "margins": plain["margins"]}
 
 
 def hover_margins(setup: Setup) -> HoverMargins:

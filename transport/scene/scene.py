@@ -134,7 +134,6 @@ class SceneBuilder:
         time_s = tick * setup.settings.sampling_period_s
         view, N = StateView(plant_state.x), setup.system.N
         R_payload, R_uavs = rotation(view.Theta0), np.array([rotation(Theta) for Theta in view.Theta])
-        y, y_ref = setup.model.outputs(plant_state.x), setup.reference.outputs(np.array([time_s]))[0]
         thrusts = plant_state.u.reshape(N, INPUTS)[:, 0]
         reports = [self.history.report(agent, tick) for agent in setup.agents]
         members = self.history.members(tick)
@@ -145,7 +144,7 @@ class SceneBuilder:
             payload_I=view.r0_I.copy(),
             payload_reference_I=setup.maneuver.path(np.array([time_s]))[0][0],
             R_payload=R_payload,
-            uavs_I=y[: 3 * N].reshape(N, 3),
+            uavs_I=setup.model.outputs(plant_state.x)[: 3 * N].reshape(N, 3),
             R_uavs=R_uavs,
             attachments_I=np.array([view.r0_I + R_payload @ uav.rho for uav in setup.system.uavs]),
             thrusts_I=-thrusts[:, None] * R_uavs[:, :, 2],
@@ -156,7 +155,7 @@ class SceneBuilder:
                 AgentState(agent=agent, takes_part=agent in members, report=report)
                 for agent, report in zip(setup.agents, reports, strict=True)
             ),
-            cost=self._cost.at(tick, y, y_ref, plant_state.u),
+            cost=self.error_and_cost(tick)[1],
             attitude_deg=np.degrees(view.Theta0),
             fail_safe=tuple(i + 1 for i, source in enumerate(plant_state.plan_ticks) if source == FAIL_SAFE),
             released=self.history.released(tick),
