@@ -12,6 +12,8 @@ GRAVITY = 9.81  # m/s^2; the paper gives none
 
 # Relative slack of the triangle inequality of the principal moments: exact flat bodies are allowed.
 _INERTIA_SLACK = 1e-9
+# Least half length of each edge of the payload's box, m.
+_LEAST_HALF_M = 0.05
 
 
 class ParameterError(ValueError):
@@ -149,3 +151,24 @@ def _inertia(name: str, value: ArrayLike) -> Array:
 
 def _upper(J: Array) -> Array:
     return J[np.triu_indices(3)]
+
+
+def payload_half_size(system: System) -> Array:
+    """Return half the edges of the payload's box, (3,), m: about its centre of mass, as far as its attachment points.
+
+    The payload is taken for this box where it touches the ground; the equations of motion know no shape. Edges are
+    parallel to the axes of the payload frame.
+    """
+    rho = np.array([uav.rho for uav in system.uavs])
+    return np.asarray(np.maximum(np.abs(rho).max(axis=0), _LEAST_HALF_M))
+
+
+def payload_corners(system: System) -> Array:
+    """Return the corners of the payload's box, (8, 3), payload frame, m."""
+    signs = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+    return signs * payload_half_size(system)
+
+
+def resting_height(system: System, ground_m: float) -> float:
+    """Return z of the centre of mass of a level payload on the ground, inertial frame (z down), m."""
+    return ground_m - float(payload_half_size(system)[2])

@@ -3,6 +3,12 @@
 Every agent computes the same gain and cost-to-go, decides its own corrections c to the shared control law
 u = u_rest + K (x - x_ref) + feedforward + c, and takes the others' corrections as announced. Near the unconstrained
 optimum the corrections are small, so little depends on the network.
+
+The regulator is the optimum for a reference at rest without external forces. A moving reference is a known
+disturbance of the deviation from it: one backward recursion along the maneuver gives the preview, the optimum under it
+(Anderson and Moore 1990, chapter 4; Tomizuka 1975), once per maneuver and team. Under constant forces, steering towards
+hover leaves an offset; steering towards the target, the steady state that balances them, does not (offset-free MPC:
+Pannocchia, Rawlings 2003; Maeder, Borrelli, Morari 2009).
 """
 
 import math
@@ -37,6 +43,8 @@ _GROWTH = 0.02
 _GAIN = 100.0
 # Directions whose cost is below this share of the largest count as free (headings).
 _RANK = 1e-12
+# Directions that change a quantity of the target by less than this share of the largest change have no effect on it.
+_EFFECT = 1e-9
 
 
 class FeedbackError(ValueError):
@@ -222,3 +230,118 @@ def with_motors(T: Array, off: Collection[int]) -> Array:
     basis[:n, : T.shape[1]] = T
     basis[n + kept, T.shape[1] + np.arange(len(kept))] = 1.0
     return basis
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Preview:
+    """Effect of the reference on the optimum at instants 0..K-1 of a maneuver; the last one holds from then on.
+
+    Attributes:
+        feedforward: Added to the shared control law, (K, m).
+        slope: Half the gradient of the cost-to-go where the deviation from the reference is zero, (K, n).
+    """
+
+    feedforward: Array
+    slope: Array
+
+
+def preview(regulator: Regulator, X_ref: Array, pull: Array) -> Preview:
+    """Solve the tracking problem backwards from the reference at rest after the last instant.
+
+    With xi the deviation from the reference, the regulator's problem becomes
+
+        xi(k+1) = A xi(k) + B du(k) + d(k),    d(k) = A xi_ref(k) - xi_ref(k+1),
+        stage cost xi' Q xi + 2 pull(k)' xi + du' R du,    cost-to-go xi' P xi + 2 p(k)' xi + constant,
+        p(k) = A_closed' (p(k+1) + P d(k)) + pull(k),    du(k) = K xi(k) - (R + B' P B)^-1 B' (p(k+1) + P d(k)).
+
+    Args:
+        regulator: Of the team.
+        X_ref: Reference states at the instants of the maneuver, (K, n); held after the last one.
+        pull: Half the gradient of the stage cost where the deviation is zero, (K, n).
+    Source: docs/equations.md (36b), (36c).
+    """
+    T, P, A_closed = regulator.T, regulator.P, regulator.A_closed
+    # Relative to the last instant, which is at rest, so that the attitudes at hover are no deviation.
+    reference, pulled = (X_ref - X_ref[-1]) @ T, pull @ T
+    drift = np.zeros_like(reference)
+    drift[:-1] = reference[:-1] @ regulator.A.T - reference[1:]
+    pushed = drift @ P  # P is symmetric
+    slope = np.zeros_like(reference)
+    feedforward = np.zeros((len(X_ref), len(regulator.K)))
+    p: Array = at_rest(regulator, pulled[-1])
+    # Before an end at rest without pull all is zero: a long hover takes no time when the team changes.
+    last = len(X_ref) - 1 if p.any() else int(np.flatnonzero(drift.any(axis=1) | pulled.any(axis=1)).max(initial=-1))
+    for k in range(last, -1, -1):
+        h = p + pushed[k]
+        feedforward[k, regulator.controlled] = regulator.preview_gain @ h
+        slope[k] = h @ A_closed + pulled[k]
+        p = slope[k]
+    slope = slope @ T.T
+    frozen(feedforward, slope)
+    return Preview(feedforward=feedforward, slope=slope)
+
+
+def at_rest(regulator: Regulator, pulled: Array) -> Array:
+    """Return the slope of the cost-to-go under a constant pull: the solution of p = A_closed' p + pulled.
+
+    Directions without cost (headings) are neither pulled nor damped; the slope has no part along them. A_closed' maps
+    the other directions into themselves, and there the solution is unique: the sum of all future pulls.
+
+    Pull, half the gradient of the stage cost, and slope are in the regulator's coordinates, (r,) or (r, columns).
+    """
+    costly = np.linalg.svd(regulator.root @ regulator.T, full_matrices=False)[2]  # orthonormal basis, (rank, r)
+    within = np.eye(len(costly)) - costly @ regulator.A_closed.T @ costly.T
+    solution: Array = costly.T @ np.linalg.solve(within, costly @ pulled)
+    return solution
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Target:
+    """The deviation from hover of the steady state under external forces, linear in them.
+
+    Attributes:
+        M_x: State per newton, (n, 3 + 3 N), SI.
+        M_u: Input per newton, (m, 3 + 3 N), SI.
+    """
+
+    M_x: Array
+    M_u: Array
+
+
+def target(
+    model: Model,
+    hover: Hover,
+    cost: Cost,
+    uncontrolled: Mapping[int, Array] | None = None,
+    off: Collection[int] = (),
+    released: Collection[int] = (),
+) -> Target:
+    """Return the steady state of the linearisation about hover with least output error, then least input effort.
+
+    Remaining free directions, such as the headings of the UAVs, stay as at hover. A steady state exists for any forces:
+    rods lean in parallel or pull in proportion, a remaining moment tilts the payload, and thrusts balance their rods.
+
+    Attitudes of UAVs without motors and all states of released UAVs are not part of the target. Arguments as those of
+    `regulator`. Source: docs/equations.md (40).
+    """
+    linear = model.linearise(hover.x, hover.u)
+    E = model.force_effect(hover.x, hover.u)
+    T = tangent(hover.x, off, released)
+    states, inputs = T.shape[1], len(hover.u)
+    at_rest = [(T.T @ np.hstack([linear.A_c @ T, linear.B_c]), -T.T @ E)]
+    for uav, K in (uncontrolled or {}).items():
+        own_law = np.hstack([-K @ T[state.uav_slice(uav)], np.eye(inputs)[state.input_slice(uav)]])
+        at_rest.append((own_law, np.zeros((len(K), E.shape[1]))))
+    rest, pushed = (np.vstack(rows) for rows in zip(*at_rest, strict=True))
+    error = np.hstack([np.sqrt(cost.Q)[:, None] * (linear.C @ T), np.zeros((len(cost.Q), inputs))])
+    effort = np.hstack([np.zeros((inputs, states)), np.diag(np.sqrt(cost.R))])
+    z = np.zeros((states + inputs, E.shape[1]))
+    free = np.eye(states + inputs)  # directions in which z may still move
+    for G, h in ((rest, pushed), (error, 0.0), (effort, 0.0)):
+        U, s, Vt = np.linalg.svd(G @ free)
+        rank = int((s > _EFFECT * np.linalg.norm(G)).sum())
+        z += free @ Vt[:rank].T @ ((U[:, :rank].T @ (h - G @ z)) / s[:rank, None])
+        free = free @ Vt[rank:].T
+    M_x, M_u = T @ z[:states], z[states:]
+    frozen(M_x, M_u)
+    return Target(M_x=M_x, M_u=M_u)

@@ -17,10 +17,18 @@ from model.parameters import ParameterError
 from model.state import input_slice
 from mpc.cost import Cost, UserCosts
 from mpc.fail_safe import FailSafe
-from mpc.feedback import FeedbackError, FeedbackLaw, Regulator, regulator
-from mpc.preview import Preview, at_rest, preview
+from mpc.feedback import (
+    FeedbackError,
+    FeedbackLaw,
+    Preview,
+    Regulator,
+    Target,
+    at_rest,
+    preview,
+    regulator,
+    target,
+)
 from mpc.settings import ControllerSettings
-from mpc.target import Target, target
 
 T = TypeVar("T")
 

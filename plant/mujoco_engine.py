@@ -10,9 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from model.arrays import Array
 from model.failure import RELEASED_MASS_KG
-from model.parameters import System
+from model.parameters import System, payload_half_size
 from model.rotations import euler_angles, rotation
-from model.shape import payload_half_size
 from model.state import StateView
 from protocol.scenario.plant_sections import PlantSection
 

@@ -13,8 +13,7 @@ from model.arrays import Array
 from model.hover import Hover, hover
 from model.linearisation import Model
 from model.maneuver import Maneuver, Phase, Reference
-from model.parameters import Payload, System, Uav
-from model.shape import resting_height
+from model.parameters import Payload, System, Uav, resting_height
 from model.state import INPUTS, PAYLOAD, PER_UAV
 from mpc.cost import UserCosts
 from mpc.regulation import Regulation

@@ -16,8 +16,7 @@ from model.parameters import System, table_1
 from model.state import input_indices
 from mpc.cost import Cost
 from mpc.fail_safe import FailSafe
-from mpc.feedback import Regulator, regulator
-from mpc.preview import preview
+from mpc.feedback import Regulator, preview, regulator
 from mpc.regulation import Regulation
 from mpc.settings import ControllerSettings, CostTerm, Weights
 from tests.support import naive

@@ -10,9 +10,8 @@ from model import state
 from model.arrays import Array
 from mpc.cost import Cost
 from mpc.fail_safe import FailSafe
-from mpc.feedback import tangent
+from mpc.feedback import Target, tangent, target
 from mpc.settings import ControllerSettings, PredictionName, Weights
-from mpc.target import Target, target
 from tests.support.systems import Setup, controller, paper_setup, ring_setup
 
 # Sums of a few dozen terms through a singular value decomposition of matrices with entries of up to 35.

@@ -9,8 +9,7 @@ import pytest
 from model import state
 from model.arrays import Array
 from model.linearisation import Model
-from model.parameters import System, table_1
-from model.shape import payload_half_size, resting_height
+from model.parameters import System, payload_half_size, resting_height, table_1
 from model.state import StateView
 from plant.mujoco_engine import MujocoEngine
 from plant.rods import Rods

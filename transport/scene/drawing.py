@@ -14,8 +14,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from model.arrays import Array
-from model.parameters import System
-from model.shape import payload_corners, payload_half_size
+from model.parameters import System, payload_corners, payload_half_size
 from transport.scene.colours import Colour, age_colour, uav_colour
 from transport.scene.history import LinkState
 from transport.scene.scene import Scene, SceneBuilder

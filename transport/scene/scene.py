@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from model.arrays import Array
+from model.parameters import payload_corners
 from model.rotations import rotation
-from model.shape import payload_corners
 from model.state import INPUTS, StateView
 from plant.schedule import FAIL_SAFE
 from protocol.scenario.setup import Setup
