@@ -202,15 +202,6 @@ def test_own_inputs_are_known() -> None:
             assert rows(2, u)[0] == by_law(7 + age, X)[4] + (labelled(2, 7).corrections[age][0] if age < STEPS else 0.0)
 
 
-def test_the_gone_follow_no_law() -> None:
-    """The last plan of an agent off the roster counts as announced, without the control law, (32a)."""
-    plan = labelled(1, 7)
-    inputs = under_law(plan)
-    inputs.off_roster = {1}
-    for age in range(STEPS):
-        np.testing.assert_array_equal(rows(1, inputs.at(7 + age, before=20, x=X)), plan.inputs[age])
-
-
 def test_plans_under_another_law_are_played_as_announced() -> None:
     """Corrections belong to the control law of their time: older plans count by their inputs, (46)."""
     older, newer = labelled(1, 7), labelled(2, 9)

@@ -54,16 +54,6 @@ def test_does_not_wait() -> None:
     assert (report.plan_ages, report.measurement_age) == ((1, -1, -1), 0)
 
 
-def test_the_newest_measurement_wins() -> None:
-    """Only the newest of several measurements received while it was busy is answered."""
-    run, node = realtime()
-    tell(node, [measurement(run, 1, 0)], START_NS)
-    answer(node, START_NS)
-    tell(node, [measurement(run, 1, k) for k in (1, 2, 3)], START_NS + 150 * MS)
-    made, report = answer(node, START_NS + 150 * MS)
-    assert (made.tick, report.measurement_age) == (3, 0)
-
-
 def test_everything_that_is_here_counts() -> None:
     """A plan received after the measurement but before the agent is free is used."""
     run, node = realtime()

@@ -103,15 +103,6 @@ def test_pacing_does_not_drift() -> None:
     assert kinds(node.poll(START_NS + 100 * MS)) == ["tick 2"]
 
 
-def test_pacing_outlasts_the_barrier() -> None:
-    """A tick that all have answered does not time out while the next one is not due."""
-    node = started(coordinator("clock.speed=0.001"))  # 50 s per tick, ten timeouts
-    tell(node, answers(0))
-    assert list(node.poll(START_NS + 2 * BARRIER_NS)) == []
-    assert node.finished is None
-    assert kinds(node.poll(START_NS + 50 * S)) == ["tick 1"]
-
-
 def test_wake() -> None:
     """`wake_ns` is the barrier's end, the next tick's time once all have answered, and None outside a run."""
     node = coordinator(PACED)
@@ -180,13 +171,3 @@ def test_a_restarted_agent_joins_at_the_next_tick() -> None:
     assert (tick.tick, tick.members, tick.answered, tick.roster) == (1, ALL, (1, 3, 4), 3)
     assert tell(node, [gone("agent2", 1)]) == []
     assert node.finished is None
-
-
-@pytest.mark.parametrize("name", ["agent", "agentx", "agent 1", "agent-1", "agent99", "observer", ""])
-def test_strangers(name: str) -> None:
-    """Tokens of names that are not of this run change nothing."""
-    for node in (coordinator(), started(coordinator())):
-        before = node.tick
-        assert tell(node, [ready(name), gone(name)]) == []
-        assert node.tick == before
-        assert node.finished is None

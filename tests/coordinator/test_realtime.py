@@ -267,16 +267,3 @@ def test_the_end() -> None:
     (end,) = tell(node, [plant_state(run, 2)], due(3) + MS)
     assert isinstance(end, Control)
     assert (end.outcome, end.tick, end.exit_code) == ("completed", 2, 0)
-
-
-def test_the_last_plant_state_never_comes() -> None:
-    """At the last tick the coordinator waits for the plant no longer than the barrier timeout."""
-    run, node = realtime(length=2)
-    tell(node, [*answers(run, 0), plant_state(run, 0)])
-    node.poll(due(1))
-    tell(node, answers(run, 1), due(1) + MS)
-    wake_ns = node.wake_ns
-    assert wake_ns == due(1) + BARRIER_NS
-    (end,) = node.poll(wake_ns)
-    assert isinstance(end, Control)
-    assert (end.outcome, end.exit_code) == ("aborted", 4)

@@ -84,20 +84,15 @@ def test_all_changes_are_repeated_for_joining_agents() -> None:
     [
         ({"settings": {}}, "expected at least one key of a link, got none"),
         ({}, "expected a JSON object of a link's keys"),
-        ({"settings": [1]}, "expected a JSON object of a link's keys"),
-        ({"settings": {"loss": 2.0}}, "loss"),
         ({"settings": {"lag": 2.0}}, "lag"),
         ({"from": "agent9", "settings": {"loss": 0.1}}, "from: expected one of plant, agent1, agent2"),
         ({"to": "coordinator", "settings": {"loss": 0.1}}, "to: expected one of plant, agent1, agent2"),
-        ({"from": 3, "settings": {"loss": 0.1}}, "from: expected one of plant, agent1, agent2"),
         (
             {"settings": {"distribution": "empirical", "samples": "x.csv"}},
             "samples: expected a file that the scenario names",
         ),
         ({"settings": {"samples": "x.csv"}}, "samples: expected a file with distribution empirical"),
-        ({"settings": {"distribution": "x" * 5000}}, "distribution"),
         ({"settings": {"delay_s": 1e308}}, "delay_s: expected a magnitude of at most 1e+09, got 1e+308"),
-        ({"settings": {"rate_hz": 1e-300}}, "rate_hz: expected a magnitude of at least 1e-09"),
         ({"settings": {"loss": 2.0}}, "loss: expected a number <= 1.0, got 2.0"),
     ],
 )

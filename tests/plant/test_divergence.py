@@ -49,13 +49,6 @@ def test_yaw_is_free() -> None:
     assert found.diverged == ""
 
 
-def test_payload_attitude() -> None:
-    """A payload that tilts beyond the limit is named: UAVs 1 and 2 lift its front."""
-    more = HOVER + np.array([8.0, 0.0, 0.0, 0.0])
-    found = last_state(("plant.max_attitude_deg=0.2",), {1: more, 2: more}, ticks=2)
-    assert found.diverged.startswith("payload pitch of 0 deg exceeds 0.2 deg")
-
-
 def test_position() -> None:
     """A payload too far from its reference ends the flight; the reason has the distance."""
     more = HOVER + np.array([10.0, 0.0, 0.0, 0.0])

@@ -57,17 +57,6 @@ def test_late_plans() -> None:
     assert second.u[0] == second.u[8] == run.hover.u[0] + 1.0
 
 
-def test_fail_safe_after_the_end_of_a_plan() -> None:
-    """Without a newer plan a plan is followed to its end, then the fail-safe, until the next plan."""
-    run, node = realtime()
-    flown(node, 0, START_NS)
-    tell(node, [plan(run, 1, 0, delay=1)], START_NS)
-    followed = [flown(node, k, START_NS).plan_ticks[0] for k in range(1, 9)]
-    assert followed == [0] * 5 + [-2] * 3
-    tell(node, [plan(run, 1, 8, delay=1)], START_NS)
-    assert flown(node, 9, START_NS).plan_ticks[0] == 8
-
-
 @pytest.mark.parametrize(("speed", "held_ms"), [(1.0, 120), (2.0, 60)])
 def test_a_delayed_plan_is_held_back(speed: float, held_ms: int) -> None:
     """Over an actuation link with delay d a plan can act d / speed seconds after its arrival, not before."""

@@ -187,17 +187,11 @@ def test_a_relay_beyond_the_largest_message_is_refused_in_any_case() -> None:
     ("setting", "text"),
     [
         ("plant.noise.position_m=1e308", "expected a magnitude of at most 10000, got 1e+308"),
-        ("links.delay_s=1e308", "expected a magnitude of at most 1e+09, got 1e+308"),
         ("links.override=[{delay_s=1e300}]", "links.override.1.delay_s: expected a magnitude of at most 1e+09"),
         ("plant.step_s=1e-11", "expected a magnitude of at least 1e-09, got 1e-11"),
-        ("maneuver.phase.1.duration_s=5e11", "expected a magnitude of at most 1e+09, got 5e+11"),
-        ("controller.weights.thrust=1e300", "expected a magnitude of at most 1e+08, got 1e+300"),
         ("controller.weights.moments=[1e-2,1e-300,1e-2]", "weights.moments.2: expected a magnitude of at least 1e-12"),
-        ("system.uav.2.rho_m=[1e200,0,0]", "system.uav.2.rho_m.1: expected a magnitude of at most 10000"),
         ("system.payload.inertia_kgm2=[[1e99,0,0],[0,1,0],[0,0,1]]", "inertia_kgm2.1.1: expected a magnitude"),
-        ("clock.join_timeout_s=1e300", "expected a magnitude of at most 1e+06"),
         ("controller.sampling_period_s=1e-7", "expected a magnitude of at least 1e-05"),
-        ("plant.wind.speed_mps=[0,0,-1e300]", "plant.wind.speed_mps.3: expected a magnitude of at most 10000"),
     ],
 )
 def test_magnitudes_that_no_float_survives_are_refused_by_name(setting: str, text: str) -> None:

@@ -118,14 +118,6 @@ def test_an_agents_answer() -> None:
         assert line.sent() == []
 
 
-def test_an_unshared_plan_keeps_its_key() -> None:
-    """A plan that the other agents do not receive has the key of such plans in the answer, too."""
-    line = Line("agent2", incarnation=INCARNATION)
-    line.send(plan(2, 4, shared=False), report(2, 4))
-    line.exchange.settle()
-    assert line.sent() == ["answer/2 4 #0: unshared/2 report/2"]
-
-
 def test_proposals_go_to_all_at_once() -> None:
     """The proposals of a negotiation are sent alone and at once: the agents wait for each other within the tick."""
     line = Line("agent2", incarnation=INCARNATION)

@@ -214,16 +214,10 @@ def test_wrong_run_names(run: str) -> None:
         ("a/b", "a/b", True),
         ("a/b", "a/c", False),
         ("a/b", "a/b/c", False),
-        ("a/b", "a", False),
         ("a/*", "a/b", True),
-        ("a/*", "a/12", True),
         ("a/*", "a/b/c", False),
-        ("a/*", "a/", False),
         ("a/*", "a", False),
-        ("a/*", "ab/c", False),
-        ("a/*", "b/a/c", False),
         ("a/b/*", "a/b/c", True),
-        ("a/b/*", "a/c/b", False),
     ],
 )
 def test_matches(expression: str, key: str, expected: bool) -> None:

@@ -108,14 +108,9 @@ def test_another_path_is_another_scenario(tmp_path: Path) -> None:
 GARBAGE = [
     ("", "expected the heading t_s,x_m,y_m,z_m, got ''"),
     ("0,0,0,0\n1,0,0,0\n", "expected the heading t_s,x_m,y_m,z_m, got '0,0,0,0'"),
-    (HEADING, "expected 2 to 100000 rows, got 0"),
     (HEADING + "0,0,0,0\n", "expected 2 to 100000 rows, got 1"),
-    (HEADING + "0,0,0,0\n1,0,0\n", "row 2: expected 4 finite numbers t_s,x_m,y_m,z_m, got '1,0,0'"),
-    (HEADING + "0,0,0,0\n1,0,0,0,9\n", "row 2: expected 4 finite numbers"),
     (HEADING + "0,0,0,0\n1,2,x,3\n", "row 2: expected 4 finite numbers t_s,x_m,y_m,z_m, got '1,2,x,3'"),
     (HEADING + "0,0,0,nan\n1,2,3,4\n", "row 1: expected 4 finite numbers"),
-    (HEADING + "0,0,0,0\n1,inf,3,4\n", "row 2: expected 4 finite numbers"),
-    (HEADING + "0,0,0,0\n2,1,1,1\n1,0,0,0\n", "row 3: expected a time > 2 s, got 1"),
     (HEADING + "0,0,0,0\n\n1,1,1,1\n1,0,0,0\n", "row 3: expected a time > 1 s, got 1"),
 ]
 

@@ -8,11 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from model import state
 from model.arrays import Array
-from model.hover import hover
-from model.linearisation import Model
-from model.parameters import Payload, System, Uav
 from protocol.scenario.file import ScenarioError, read_scenario
 from protocol.scenario.schema import Scenario
 from protocol.scenario.setup import Setup
@@ -53,17 +49,6 @@ def test_neighbours_are_as_far_apart_as_the_papers(uavs: int) -> None:
     )
     assert distances[~np.eye(uavs, dtype=bool)].min() > NEIGHBOURS_M - DISTANCE_ROUNDING
     assert len(set(rho[:, 2])) == 1
-
-
-@pytest.mark.parametrize("uavs", SIZES)
-def test_the_ring_is_symmetric(uavs: int) -> None:
-    """Turned by one place, and mirrored about the x axis, the ring is the same: all UAVs are equals."""
-    rho = points(uavs)
-    turn = -2.0 * math.pi / uavs
-    R = np.array([[math.cos(turn), -math.sin(turn), 0.0], [math.sin(turn), math.cos(turn), 0.0], [0.0, 0.0, 1.0]])
-    np.testing.assert_allclose(rho @ R.T, np.roll(rho, -1, axis=0), atol=DISTANCE_ROUNDING)
-    mirrored = rho * [1.0, -1.0, 1.0]
-    np.testing.assert_array_equal(mirrored, rho[[(1 - i) % uavs for i in range(uavs)]])
 
 
 @pytest.mark.parametrize("uavs", SIZES)
@@ -156,20 +141,6 @@ def test_the_largest_team_is_the_largest_scenario() -> None:
     assert len(scenario_of(MOST).owned) == MOST
     with pytest.raises(ValueError, match="256"):
         scenario_of(MOST + 1)
-
-
-def test_one_uav_cannot_turn_the_payload() -> None:
-    """There is no team of one: no input of a UAV above the centre of mass changes the payload's yaw rate."""
-    uav, payload = ring(4, GRAVITY).uav[0], ring(4, GRAVITY).payload
-    alone = Uav(mass=uav.mass_kg, inertia=uav.inertia_kgm2, rho=[0.0, 0.0, -0.125], rod_length=uav.rod_length_m)
-    system = System(payload=Payload(mass=payload.mass_kg, inertia=payload.inertia_kgm2), uavs=[alone])
-    model, x = Model(system), hover(system).x
-    rng = np.random.default_rng(1)
-    for _ in range(20):
-        u = hover(system).u + rng.uniform(-1.0, 1.0, 4) * [10.0, 0.2, 0.2, 0.2]
-        x = model.integrate(x, u, 0.05, 5)[0]
-    assert np.abs(x[state.OMEGA0][:2]).max() > 1e-2  # it does swing
-    assert abs(x[state.OMEGA0][2]) < 1e-12  # rounding
 
 
 def _toml(values: dict[str, str]) -> str:
