@@ -109,6 +109,10 @@ class AnnouncedInputs:
                 return plan
         return None
 
+    def begins_at(self, tick: int) -> bool:
+        """Return whether a plan of any agent starts at a tick."""
+        return any(plan.start_tick == tick for plans in self._plans.values() for plan in plans)
+
     def sequence(self, start: int, steps: int, before: int) -> Array:
         """Return the announced inputs of all UAVs over the horizon: the newest plans, held at their ends.
 

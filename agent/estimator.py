@@ -129,7 +129,8 @@ class StateEstimator:
 
     def inputs_until(self, k: int, announced: AnnouncedInputs) -> Array:
         """Return the inputs announced for the period before tick k, after `estimate` for that tick, (4 N,)."""
-        if self._assumed is not None and self._assumed[0] == k - 1:
+        # A plan that began at the state just forgotten is evaluated without that state from now on.
+        if self._assumed is not None and self._assumed[0] == k - 1 and not announced.begins_at(self._first - 1):
             return self._assumed[1]
         return announced.at(k - 1, before=k, x=self.known(k - 1))
 
