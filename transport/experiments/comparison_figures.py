@@ -75,7 +75,7 @@ def draw_costs(curves: Sequence[Curve], loads: Loads, reference: Cell, folder: P
             ticks = (1.0, 1.5, 2.0, 2.5, _HIGHEST)
             panel.set_yticks([*ticks, _STRIP], [*(f"{tick:g}" for tick in ticks), "diverged"])
             panel.set_ylim(_LOWEST, _STRIP + 0.2)
-        return [save(figure, folder / f"figure.{kind}") for kind in ("png", "svg")]
+        return save(figure, folder / "figure.png")
 
 
 def _legend(curves: Sequence[Curve], reference: Cell) -> dict[str, list[Line2D]]:
@@ -123,4 +123,4 @@ def draw_maneuver(runs: Sequence[tuple[str, Setup]], folder: Path) -> list[Path]
         figure = Figure()
         overlaid = [Overlaid(label, setup, series_of(setup, run_in_memory(setup))) for label, setup in runs]
         fill_overlaid(figure, overlaid, shaded=True)
-        return [save(figure, folder / f"maneuver.{kind}") for kind in ("png", "svg")]
+        return save(figure, folder / "maneuver.png")

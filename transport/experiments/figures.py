@@ -22,7 +22,7 @@ def draw(experiment: Experiment, measured: Sequence[PointStatistics], folder: Pa
     with mpl.rc_context({**RC, "svg.hashsalt": experiment.name}):
         figure = Figure()
         fill(figure, experiment, measured)
-        return [save(figure, folder / f"figure.{kind}") for kind in ("png", "svg")]
+        return save(figure, folder / "figure.png")
 
 
 def fill(figure: Figure, experiment: Experiment, measured: Sequence[PointStatistics]) -> None:

@@ -192,7 +192,7 @@ def draw_compared(runs: Sequence[Compared], folder: Path) -> list[Path]:
         maneuver = shown[0].run.setup.scenario.maneuver
         same = all(compared.run.setup.scenario.maneuver == maneuver for compared in shown)
         fill_overlaid(figure, overlaid, shaded=same)
-        return [save(figure, folder / f"compare.{ending}") for ending in ("png", "svg")]
+        return save(figure, folder / "compare.png")
 
 
 def fill_overlaid(figure: Figure, runs: Sequence[Overlaid], *, shaded: bool) -> None:

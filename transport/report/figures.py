@@ -29,7 +29,6 @@ from transport.report.style import (
     label_decades,
     line_width,
     save,
-    save_both,
     scale_cost,
     shade_phases,
 )
@@ -64,7 +63,12 @@ def draw(setup: Setup, log: RunLog, folder: Path, *, forks: bool = False, pdf: b
     folder.mkdir(parents=True, exist_ok=True)
 
     def write(names: Sequence[str]) -> list[Path]:
-        return [path for name in names if (path := _write(name, setup, log, series, folder, pdf=pdf)) is not None]
+        files = []
+        for name in names:
+            figure = Figure()
+            if fill(figure, name, setup, log, series):
+                files.append(save(figure, folder / f"{name}.png", cropped=name in CROPPED, pdf=pdf)[0])
+        return files
 
     with mpl.rc_context(RC):
         if not forks:
@@ -76,14 +80,6 @@ def draw(setup: Setup, log: RunLog, folder: Path, *, forks: bool = False, pdf: b
     if process.exitcode:
         raise ChildProcessError(f"a forked process of the report failed (exit status {process.exitcode})")
     return [*(folder / f"{name}.png" for name in FIGURES[:_BESIDE]), *others]  # those have data at any tick
-
-
-def _write(name: str, setup: Setup, log: RunLog, series: Series, folder: Path, *, pdf: bool) -> Path | None:
-    """Write one of `FIGURES` as PNG and SVG, perhaps PDF; return the PNG file, None without data."""
-    figure = Figure()
-    if not fill(figure, name, setup, log, series):
-        return None
-    return save_both(figure, folder / f"{name}.png", cropped=name in CROPPED, pdf=pdf)
 
 
 def fill(figure: Figure, name: str, setup: Setup, log: RunLog, series: Series) -> bool:
@@ -316,4 +312,4 @@ def draw_replay(setup: Setup, comparison: Comparison, folder: Path) -> list[Path
                     label_decades(panel.yaxis)
             head(panel, f"difference of {label}", legend=column == 0)
         finish(figure, panels, setup, float(times_s[-1]) + setup.settings.sampling_period_s, [])
-        return [save(figure, folder / name) for name in ("replay.png", "replay.svg")]
+        return save(figure, folder / "replay.png")

@@ -137,24 +137,18 @@ def drawing_box(figure: Figure) -> Bbox:
     return Bbox.from_extents(0.0, drawn.y0 - _MARGIN_IN, figure.get_figwidth(), drawn.y1 + _MARGIN_IN)
 
 
-def save(figure: Figure, path: Path, *, box: Bbox | None = None) -> Path:
-    """Write a figure, or a part of it in inches, as PNG, SVG or PDF; equal figures give equal files.
+def save(figure: Figure, path: Path, *, cropped: bool = False, pdf: bool = False) -> list[Path]:
+    """Write a figure as PNG and SVG, with `pdf` as PDF too, perhaps cropped to its drawing; return the files.
 
-    The files are without program and date.
+    The files are without program and date: equal figures give equal files.
     """
     unnamed: dict[str, dict[str, None]] = {
+        ".png": {"Software": None},
         ".svg": {"Date": None, "Creator": None},
         ".pdf": {"CreationDate": None, "Creator": None, "Producer": None},
-        ".png": {"Software": None},
     }
-    figure.savefig(path, metadata=unnamed[path.suffix], bbox_inches=box, dpi=DPI)
-    return path
-
-
-def save_both(figure: Figure, path: Path, *, cropped: bool = False, pdf: bool = False) -> Path:
-    """Write a figure as PNG and as SVG, with `pdf` as PDF too, perhaps cropped to its drawing; return the PNG file."""
     box = drawing_box(figure) if cropped else None
-    if pdf:
-        save(figure, path.with_suffix(".pdf"), box=box)
-    save(figure, path.with_suffix(".svg"), box=box)
-    return save(figure, path, box=box)
+    files = [path.with_suffix(ending) for ending in unnamed if pdf or ending != ".pdf"]
+    for file in files:
+        figure.savefig(file, metadata=unnamed[file.suffix], bbox_inches=box, dpi=DPI)
+    return files

@@ -23,7 +23,7 @@ from protocol.scenario.setup import Setup
 from protocol.wire.messages import Message, Plan, PlantState
 from tests.support.runs import recorded, reproducible
 from transport.interface.series import QUANTITIES
-from transport.report.style import RC, save_both
+from transport.report.style import RC, save
 
 # A maneuver of 30 ticks.
 PHASES = (
@@ -76,7 +76,7 @@ def test_a_saved_run_is_the_same_run(run: transport.Run, tmp_path: Path) -> None
     for name in ("performance", "trajectories", "timing"):
         figure = run.plot(name)  # type: ignore[arg-type]
         with mpl.rc_context(RC):
-            save_both(figure, tmp_path / "own.png", cropped=figure.cropped)
+            save(figure, tmp_path / "own.png", cropped=figure.cropped)
         assert (tmp_path / "own.png").read_bytes() == (folder / "figures" / f"{name}.png").read_bytes(), name
     with pytest.raises(transport.ArgumentError, match="folder: expected a folder that does not exist yet"):
         run.save(folder)
