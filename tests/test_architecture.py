@@ -77,18 +77,24 @@ def imports(path: Path) -> frozenset[str]:
     return frozenset(names)
 
 
+def modules_imported(path: Path) -> set[Path]:
+    """Return the files of the project that a file imports itself, also inside functions and for type checking alone."""
+    found: set[Path] = set()
+    for name in imports(path):
+        candidate = ROOT.joinpath(*name.split("."))
+        found |= {file for file in (candidate.with_suffix(".py"), candidate / "__init__.py") if file.exists()}
+    return found - {path}
+
+
 def reached(path: Path) -> set[Path]:
     """A file and all files of the project it imports, directly or through others."""
     found: set[Path] = set()
     waiting = [path]
     while waiting:
         at = waiting.pop()
-        if at in found:
-            continue
-        found.add(at)
-        for name in imports(at):
-            candidate = ROOT.joinpath(*name.split("."))
-            waiting += [file for file in (candidate.with_suffix(".py"), candidate / "__init__.py") if file.exists()]
+        if at not in found:
+            found.add(at)
+            waiting += modules_imported(at)
     return found
 
 
@@ -106,14 +112,6 @@ def public(body: list[ast.stmt], prefix: str = "") -> Iterator[tuple[str, ast.Fu
                 yield from public(node.body, f"{prefix}{node.name}.")
 
 
-def test_the_walk_sees_the_project() -> None:
-    """The files are found, each package has some, and nothing of the project lies outside the layers."""
-    assert {named(path).partition("/")[0] for path in SOURCES} == set(LAYERS)
-    assert all(path in SOURCES for path in NODES)
-    assert ROOT / "model" / "dynamics.py" in reached(ROOT / "agent" / "node.py")
-    assert "casadi" in top(imports(ROOT / "model" / "dynamics.py"))
-
-
 def floors(package: str) -> dict[str, int]:
     """Return the floor of each room of a package, from 0 for the lowest."""
     return {room: floor for floor, rooms in enumerate(ROOMS[package]) for room in rooms}
@@ -123,15 +121,6 @@ def room_of(path: Path, package: str) -> str:
     """Return the room of a file; empty for files of other packages and for files beside the rooms."""
     folder = ROOT / package
     return path.relative_to(folder).parts[0] if folder in path.parent.parents else ""
-
-
-def modules_imported(path: Path) -> set[Path]:
-    """Return the files of the project that a file imports itself, also inside functions and for type checking alone."""
-    found: set[Path] = set()
-    for name in imports(path):
-        candidate = ROOT.joinpath(*name.split("."))
-        found |= {file for file in (candidate.with_suffix(".py"), candidate / "__init__.py") if file.exists()}
-    return found - {path}
 
 
 @pytest.mark.parametrize("package", ROOMS)

@@ -121,18 +121,16 @@ def test_one_vehicle_off_axis_is_refused_with_the_imbalance() -> None:
         hover(system)
 
 
-def test_payload_beside_its_attachments_is_refused() -> None:
-    """Two UAVs on the same side of the centre of mass cannot balance it with upright rods."""
-    uavs = [Uav(mass=1.5, inertia=[0.03, 0.03, 0.05], rho=[0.25, y, -0.1], rod_length=2.0) for y in (-0.25, 0.25)]
+@pytest.mark.parametrize(
+    ("mass", "places", "text"),
+    [
+        (1.5, [[0.25, -0.25, -0.1], [0.25, 0.25, -0.1]], "centre of mass must hang between the attachment points"),
+        (0.5, [[0.1, 0.1, 0.0], [0.1, -0.1, 0.0], [0.12, 0.0, 0.0]], "UAV3 would have to push down"),
+    ],
+)
+def test_attachments_on_one_side_are_refused(mass: float, places: list[list[float]], text: str) -> None:
+    """UAVs on one side of the centre of mass cannot balance it with upright rods; one that had to push is named."""
+    uavs = [Uav(mass=mass, inertia=[0.03, 0.03, 0.05], rho=rho, rod_length=2.0) for rho in places]
     system = System(payload=Payload(mass=3.0, inertia=[0.5, 0.5, 0.5]), uavs=uavs)
-    with pytest.raises(ParameterError, match="centre of mass must hang between the attachment points"):
-        hover(system)
-
-
-def test_vehicle_that_would_push_down_is_refused() -> None:
-    """Three attachments far to one side balance on paper, but only with one UAV pushing; the text names it."""
-    places = [[0.1, 0.1, 0.0], [0.1, -0.1, 0.0], [0.12, 0.0, 0.0]]
-    uavs = [Uav(mass=0.5, inertia=[0.03, 0.03, 0.05], rho=rho, rod_length=2.0) for rho in places]
-    system = System(payload=Payload(mass=3.0, inertia=[0.5, 0.5, 0.5]), uavs=uavs)
-    with pytest.raises(ParameterError, match="UAV3 would have to push down"):
+    with pytest.raises(ParameterError, match=text):
         hover(system)

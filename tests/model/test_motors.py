@@ -4,13 +4,13 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from scipy.integrate import quad, solve_ivp
+from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from model.arrays import Array
 from model.discretisation import _zero_order_hold, zero_order_hold
 from model.linearisation import Model
-from model.motors import decay, deviations, held, integrate, lagged
+from model.motors import decay, integrate, lagged
 from model.parameters import table_1
 from tests.support.random_systems import random_forces, random_input, random_state, random_system
 
@@ -70,19 +70,6 @@ def test_accuracy(lag_s: float) -> None:
     assert error(lag_s, 2) < AGENT_ERROR
 
 
-@pytest.mark.parametrize("lag_s", LAGS_S)
-def test_moments_of_the_held_inputs(lag_s: float) -> None:
-    """The two held inputs have mean and first moment of the exponential; its end is the solution, (53), (54)."""
-    h, (first, second) = 0.02, deviations(lag_s, 0.02)
-    mean = quad(lambda t: np.exp(-t / lag_s), 0.0, h)[0] / h
-    moment = quad(lambda t: (t - h / 2.0) * np.exp(-t / lag_s), 0.0, h)[0]
-    assert (first + second) / 2.0 == pytest.approx(mean, rel=1e-12)
-    assert h**2 / 8.0 * (second - first) == pytest.approx(moment, rel=1e-9)
-    (one, other), end = held(np.zeros(1), np.ones(1), lag_s, h)
-    assert end[0] == pytest.approx(1.0 - np.exp(-h / lag_s), rel=1e-14)
-    assert (one[0], other[0]) == (1.0 - first, 1.0 - second)
-
-
 def test_without_lag_the_command_acts() -> None:
     """With lag 0 the integration is that of the held command, bit for bit."""
     model, x, _, u, forces = case()
@@ -91,19 +78,6 @@ def test_without_lag_the_command_acts() -> None:
     np.testing.assert_array_equal(found, expected)
     assert local == local_expected
     assert decay(0.0, PERIOD_S) == 0.0
-
-
-def test_lag_to_zero() -> None:
-    """The difference from motion without lag falls in proportion to the lag."""
-    model, x, a, u, forces = case()
-    without, _ = model.integrate(x, u, PERIOD_S, 2, forces=forces)
-    lags_s = (2e-3, 1e-3, 5e-4)
-    differences = [
-        np.abs(integrate(model, np.concatenate([x, a]), u, PERIOD_S, 20, lag_s, forces)[0][: len(x)] - without).max()
-        for lag_s in lags_s
-    ]
-    ratios = np.divide(differences[:-1], differences[1:])
-    assert (np.abs(ratios - 2.0) < 0.2).all(), ratios
 
 
 @pytest.mark.parametrize("hold", [zero_order_hold, _zero_order_hold])

@@ -30,15 +30,6 @@ repeatable = settings(derandomize=True, database=None, deadline=None, max_exampl
 
 @repeatable
 @given(Theta=any_attitude)
-def test_rotation_is_proper_orthogonal(Theta: Array) -> None:
-    """R^T R = I and det R = +1 at every attitude, the singular ones included, paper (5)-(6)."""
-    R = rotation(Theta)
-    assert np.abs(R.T @ R - np.eye(3)).max() < 2.0 * ROUNDING
-    assert np.linalg.det(R) == pytest.approx(1.0, abs=4.0 * ROUNDING)
-
-
-@repeatable
-@given(Theta=any_attitude)
 def test_rotation_is_scipys_3_2_1_sequence(Theta: Array) -> None:
     """R = Rz(yaw) Ry(pitch) Rx(roll), the 3-2-1 parametrisation of paper section II-B."""
     expected = Rotation.from_euler("ZYX", Theta[::-1]).as_matrix()

@@ -117,23 +117,6 @@ def test_corrections_reproduce_the_inputs() -> None:
         dx = discrete.A @ dx + discrete.f_d + discrete.B @ (u - at.u)
 
 
-@pytest.mark.parametrize("w", [0.25, 0.5])
-def test_relaxation_acts_on_the_corrections(w: float) -> None:
-    """c = w c* + (1 - w) c_shifted; the feedback is not slowed."""
-    setup = paper_setup()
-    at = situation(setup, CLOSED, seed=9)
-    full = Controller(setup.model, setup.hover, CLOSED, (1,))
-    part = Controller(setup.model, setup.hover, ControllerSettings(prediction="closed_loop", relaxation=w), (1,))
-    law = law_at(full, at)
-    assert law is not None
-    best = full.step(at.x, at.u, at.U, at.y_ref, law)
-    relaxed = part.step(at.x, at.u, at.U, at.y_ref, law)
-    assert np.abs(relaxed.c - (w * best.c + (1.0 - w) * law.c[:, full.own])).max() < ROLLOUT_TOLERANCE
-    limits = full.settings.limits
-    assert (limits.lower(1) <= relaxed.U).all()
-    assert (limits.upper(1) >= relaxed.U).all()
-
-
 def law_at(controller: Controller, at: Situation) -> FeedbackLaw | None:
     """The shared control law about a situation, with corrections as small as those of a run."""
     setup = paper_setup()

@@ -236,22 +236,6 @@ def test_equal_uavs_without_agents(gone: list[int]) -> None:
         assert np.count_nonzero(found.K[input_slice(uav)]) == np.count_nonzero(fail_safe)
 
 
-def test_a_team_that_cannot_be_stabilised() -> None:
-    """The remaining agents cannot stabilise the team: control law and preview are those of the whole team, (45).
-
-    With UAV 3's motors off and its vehicle still on the rod, three of four cannot keep it upright.
-    """
-    system = table_1()
-    at, model = hover(system), Model(system)
-    regulation = Regulation(model, at, LQ, reference_states(system, at, "ramp", INSTANTS))
-    before, feedforward = regulation.regulator, regulation.feedforward(0, INSTANTS)
-    regulation.form((), [2], ())
-    assert before is not None
-    assert regulation.regulator is not None
-    np.testing.assert_array_equal(regulation.regulator.K, before.K)
-    np.testing.assert_array_equal(regulation.feedforward(0, INSTANTS), feedforward)
-
-
 # UAVs without agents, without motors, cut loose.
 TEAMS = (((), (2,), (2,)), ((0,), (2,), (2,)), ((0, 1), (2,), (2,)), ((0,), (2,), ()), ((1, 3), (), ()))
 

@@ -40,19 +40,11 @@ def test_extremes_are_accepted() -> None:
     assert Limits(thrust_N=(0.0, 1e-3)).lower(1)[0] == 0.0
 
 
-def test_order_of_the_output_weights() -> None:
-    """Q follows y of (14): UAV positions, payload attitude, yaw rates, payload position and velocity."""
+def test_order_of_the_weights() -> None:
+    """Q follows y of (14), without weight on the payload's way by default; R follows u, per UAV thrust and moments."""
     Q = Weights(position=1.0, attitude=2.0, yaw_rate=3.0, payload_position=4.0, payload_velocity=5.0).Q(2)
     assert Q.tolist() == [1.0] * 6 + [2.0] * 3 + [3.0] * 2 + [4.0] * 3 + [5.0] * 3
-
-
-def test_the_paper_has_no_weight_on_the_payloads_way() -> None:
-    """By default payload position and velocity have no weight, as the paper's outputs hold neither (section V-A)."""
     assert not Weights().Q(3)[-6:].any()
-
-
-def test_order_of_the_input_weights() -> None:
-    """R follows u = [thrust and three moments of each UAV]."""
     assert Weights(thrust=1.0, moments=(2.0, 3.0, 4.0)).R(table_1()).tolist() == [1.0, 2.0, 3.0, 4.0] * 4
 
 

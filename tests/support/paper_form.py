@@ -106,11 +106,3 @@ def vehicle_accelerations(system: System, x: Array, derivative: Array) -> Array:
         swing = np.cross(Omega_dot + w @ Omega, e) + np.cross(Omega, np.cross(Omega, e))
         result.append(R0 @ (attachment - uav.rod_length * swing))
     return np.array(result)
-
-
-def rod_tensions(system: System, x: Array, force_I: Array, acceleration_I: Array) -> Array:
-    """Return the tension of each rod by Newton's law of its UAV, m_i a_i = f_i + m_i g k + T_i R0 e_i, (N,), N."""
-    view = StateView(x)
-    masses = np.array([[uav.mass] for uav in system.uavs])
-    pull_I = masses * (acceleration_I - system.gravity * K) - force_I
-    return np.asarray(((pull_I @ attitude(view.Theta0)) * view.e_P).sum(axis=1))

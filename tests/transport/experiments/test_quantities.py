@@ -11,8 +11,6 @@ from transport.experiments.quantities import axis, quantity
         ("links.delay_s", "delay of plans (ms)", "delay of plans 100 ms"),
         ("links.measurement.delay_s", "delay of measurements (ms)", "delay of measurements 100 ms"),
         ("links.actuation.loss", "loss to the actuators (%)", "loss to the actuators 10 %"),
-        ("links.loss", "loss of plans (%)", "loss of plans 10 %"),
-        ("controller.weights.terminal", "terminal weight", "terminal weight 0.1"),
         ("controller.weights.thrust", "weight on thrust (1/N²)", "weight on thrust 0.1 1/N²"),
         (
             "controller.share_threshold",
@@ -20,7 +18,6 @@ from transport.experiments.quantities import axis, quantity
             "threshold of sharing 10 % of the input's range",
         ),
         ("plant.noise.position_m", "noise of payload position (mm)", "noise of payload position 100 mm"),
-        ("plant.mujoco.rod_mass_kg", "plant mujoco rod mass (kg)", "plant mujoco rod mass 0.1 kg"),
         (
             "controller.limits.thrust_rate_N_s",
             "controller limits thrust rate (N/s)",
