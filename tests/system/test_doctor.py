@@ -13,9 +13,8 @@ from tests.support import runs
 from tests.support.commands import free_base
 from transport.cli.main import app
 from transport.doctor import checks as doctor
-from transport.doctor import host as doctor_host
 from transport.doctor import run_checks
-from transport.doctor.host import Finding
+from transport.doctor.checks import Finding
 
 STAT = "cpu  {user} 0 0 {idle} 0 0 0 {stolen} 0 0\n"
 
@@ -32,24 +31,24 @@ def put(root: Path, path: str, text: str) -> Path:
     ("check", "path", "good", "bad", "advice"),
     [
         (
-            doctor_host.governor,
+            doctor.governor,
             "sys/devices/system/cpu/cpu0/cpufreq/scaling_governor",
             "performance",
             "powersave",
             "cpupower",
         ),
-        (doctor_host.quota, "sys/fs/cgroup/cpu.max", "max 100000", "150000 100000", "cpuset-cpus"),
-        (doctor_host.load, "proc/loadavg", "0.00 0.1 0.1 1/100 7", "9999.0 1 1 1/100 7", "chrt"),
-        (doctor_host.memory, "proc/swaps", "Filename Type\n", "Filename Type\n/dev/sda2 partition\n", "swapoff"),
+        (doctor.quota, "sys/fs/cgroup/cpu.max", "max 100000", "150000 100000", "cpuset-cpus"),
+        (doctor.load, "proc/loadavg", "0.00 0.1 0.1 1/100 7", "9999.0 1 1 1/100 7", "chrt"),
+        (doctor.memory, "proc/swaps", "Filename Type\n", "Filename Type\n/dev/sda2 partition\n", "swapoff"),
         (
-            doctor_host.clock,
+            doctor.clock,
             "sys/devices/system/clocksource/clocksource0/current_clocksource",
             "tsc",
             "acpi_pm",
             "tsc or kvm-clock",
         ),
         (
-            doctor_host.steal,
+            doctor.steal,
             "proc/stat",
             STAT.format(user=500, idle=500, stolen=1),
             STAT.format(user=500, idle=400, stolen=100),
@@ -67,7 +66,7 @@ def test_host(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A suitable host is ok, an unsuitable one gets a warning with advice, one without the file is ok."""
-    monkeypatch.setattr(doctor_host, "_STEAL_S", 0.0)
+    monkeypatch.setattr(doctor, "_STEAL_S", 0.0)
     assert check(tmp_path / "nothing")[0] == "ok"
     status, found, nothing = check(put(tmp_path / "good", path, good))
     assert (status, nothing) == ("ok", ""), found
@@ -78,7 +77,7 @@ def test_host(
 
 def test_unlimited_real_time_priority(tmp_path: Path) -> None:
     """Real-time priority without the kernel's limit, or without permission, gives a warning."""
-    status, found, advice = doctor_host.priority(put(tmp_path, "proc/sys/kernel/sched_rt_runtime_us", "-1"))
+    status, found, advice = doctor.priority(put(tmp_path, "proc/sys/kernel/sched_rt_runtime_us", "-1"))
     assert status == "warn"
     assert "sched_rt_runtime_us -1" in found
     assert advice
@@ -88,7 +87,7 @@ def test_too_few_cores(monkeypatch: pytest.MonkeyPatch) -> None:
     """A run of six processes and a recorder needs seven cores."""
     for mine, status in ((7, "ok"), (6, "warn")):
         monkeypatch.setattr("os.sched_getaffinity", lambda _, n=mine: set(range(n)), raising=False)
-        found = doctor_host.cores(runs.setup())
+        found = doctor.cores(runs.setup())
         assert found[0] == status
         assert f"{mine} for 7 processes" in found[1]
 

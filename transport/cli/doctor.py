@@ -14,8 +14,7 @@ from protocol.wire.exit_codes import EXIT_CHECK_FAILED
 from transport.cli.options import FormatOption, LargeOption, SetOption
 from transport.cli.output import Format, show_json
 from transport.cli.scenario_setup import read_setup
-from transport.doctor.checks import checks
-from transport.doctor.host import Finding
+from transport.doctor.checks import Finding, checks
 
 _COLOURS = {"ok": "green", "warn": "yellow", "fail": "bold red"}
 

@@ -61,10 +61,7 @@ app.add_typer(
             "jitter": ("transport.cli.experiment:jitter", "Effect of the distribution of random delays."),
             "kill": ("transport.cli.experiment:kill", "Effect of the death of each agent."),
             "deaths": ("transport.cli.experiment:deaths", "Effect of a permanent kill of a random agent."),
-            "matrix": (
-                "transport.cli.experiment:matrix",
-                "Maps of cost and completion over delay and loss.",
-            ),
+            "matrix": ("transport.cli.experiment:matrix", "Maps of cost and completion over delay and loss."),
             "ablation": ("transport.cli.experiment:ablation", "Contribution of each part of the algorithm."),
             "horizon": ("transport.cli.experiment:horizon", "Effect of horizon and terminal weight."),
             "hover": ("transport.cli.experiment:hover", "Stability in a long hover after the maneuver."),
@@ -99,10 +96,7 @@ app.add_typer(
 app.add_typer(
     lazy_group(
         {
-            "keys": (
-                "transport.cli.deploy:keys",
-                "Create a certificate authority and process certificates.",
-            ),
+            "keys": ("transport.cli.deploy:keys", "Create a certificate authority and process certificates."),
             "render": ("transport.cli.deploy:render", "Write one deployment folder per host."),
         },
         help="Deploy a run to several hosts.",

@@ -16,7 +16,7 @@ from protocol.scenario.setup import Setup
 from protocol.wire.keys import WATCHER, Keys
 from protocol.wire.messages import Request
 from protocol.wire.names import RECORDER
-from transport.doctor.host import Finding, judged
+from transport.doctor.checks import Finding, judged
 from transport.flight.harness import HarnessError, check_ports, free_ports
 
 _ROUND_TRIPS = 20
