@@ -1,10 +1,8 @@
 """Health of a process: its use of the host's resources, and the offset of its wall clock."""
 
-import ctypes
 import os
 import time
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -88,9 +86,3 @@ def limit_problem(open_files: int) -> str:
         if allowed != resource.RLIM_INFINITY and allowed < needed:
             return f"{name}: expected a limit of at least {needed}{unit}, got {allowed} ({command})"
     return ""
-
-
-def give_back_memory() -> None:
-    """Return freed memory to the system; only glibc can."""
-    with suppress(OSError, AttributeError):
-        ctypes.CDLL(None).malloc_trim(0)

@@ -15,7 +15,6 @@ from protocol.admission.gate import Gate, Sample
 from protocol.admission.plausibility import check_plausible, check_tick
 from protocol.network.bus import LINGER_S, Bus, BusEvent, Interrupted, Left
 from protocol.network.endpoints import Endpoints
-from protocol.network.health import give_back_memory
 from protocol.network.session import BusError
 from protocol.scenario.links import told_change
 from protocol.scenario.setup import Setup
@@ -60,8 +59,6 @@ _KEPT = 4
 _GATHER_S, _GATHER_PACED_S = 0.03, 0.01
 # The log file is flushed after a pause this long, less than the period of most runs.
 _PAUSE_S = 0.02
-# Memory of messages that came during a standstill is given back in a pause, at most this often.
-_TIDY_S = 5.0
 # After the end of the run the recorder waits for the last message of each process: the longest pause between messages,
 # and the longest time in all, as long as the processes wait for it.
 _TRAIL_S, _LONGEST_TRAIL_S = 2.0, LINGER_S
@@ -131,7 +128,6 @@ class Recorder:
         self._out = Outbox(RECORDER, incarnation)
         self._thread = threading.Thread(target=self._run, name=RECORDER, daemon=True)
         self._expected: Collection[str] = ()
-        self._tidy_s = 0.0
 
     @property
     def plant_state(self) -> PlantState | None:
@@ -142,7 +138,7 @@ class Recorder:
                 for part in message.parts if isinstance(message, Record) else (data,):
                     state = decode(part)
                     if isinstance(state, PlantState):
-                        self._check(state)
+                        check_plausible(state, self._shape)
                         return state
         return None
 
@@ -249,9 +245,6 @@ class Recorder:
                 return event
             with self._writing:
                 self._writer.flush()
-            if time.monotonic() > self._tidy_s:
-                give_back_memory()
-                self._tidy_s = time.monotonic() + _TIDY_S
         return self._bus.next(timeout_s)
 
     def receive(self, message: Message | Sample, at_ns: int | None = None) -> None:
@@ -286,9 +279,6 @@ class Recorder:
             check_tick(message, self.tick - _AHEAD, self.tick + _AHEAD)
         if isinstance(message, LinkChange):
             told_change(message, self._samples_s)
-
-    def _check(self, state: PlantState) -> None:
-        check_plausible(state, self._shape)
 
     def _take(self, message: Message, at_ns: int | None = None) -> None:
         with self._writing:

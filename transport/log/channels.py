@@ -12,8 +12,6 @@ METADATA = "run"
 ENCODING = f"payload-transport/{VERSION}"
 # Beginning of the channels of messages that the recorder made; no message from the network can be there.
 OWN = f"/{RECORDER}/"
-# Channel of logs before version 0.2 that is not read any more.
-TOKENS = "/tokens"
 
 KEYS = Keys("log")
 

@@ -17,7 +17,7 @@ from protocol.wire.codec import decode
 from protocol.wire.errors import TransportError
 from protocol.wire.keys import RECORDER
 from protocol.wire.messages import Message, MessageError, Plan
-from transport.log.channels import KEYS, METADATA, OWN, TOKENS, is_known
+from transport.log.channels import KEYS, METADATA, OWN, is_known
 from transport.log.parser import Parser, UnreadableError
 
 M = TypeVar("M", bound=Message)
@@ -134,8 +134,6 @@ def read_log(path: Path, *, horizons: bool = True, setup: Setup | None = None) -
     reception: LogReception | None = None
     with reading(path):
         for channel, data, received_ns in parser.entries():
-            if channel.topic == TOKENS:
-                continue
             if not is_known(channel):
                 unknown.append(f"a channel {channel.topic!r} with encoding {channel.message_encoding!r}")
                 continue
